@@ -12,7 +12,7 @@ CAMERAS = {
     "sim": "",
     "virtual": "a simulated world before the real driver, faults as in virtual:unplug@2 (docs/hardware.md)",
     "dvxplorer[:SERIAL]": "",
-    "dv[:SERIAL]": "through dv-processing",
+    "dv[:SERIAL]": "by dv-processing",
     "replay:FILE": "",
 }
 GRIPPERS = {

@@ -16,7 +16,7 @@ class Devices:
 
     camera: str = parameter(
         "sim",
-        f"Camera: {names.words(names.CAMERAS, ', ')}; or a plug-in's.",
+        f"Camera: {names.words(names.CAMERAS, ', ')}; or a plug-in's; A,B: two.",
         recipe=False,
     )
     gripper: str | None = parameter(
@@ -34,8 +34,8 @@ class Devices:
     )
     calibration: Path | None = parameter(
         None,
-        "Dot grid (JSON) of the sensor; a grasp with a real camera needs it, and a recording that is imported or from a"
-        " device stores it.",
+        "Dot grid (JSON) of the sensor, or A,B of two; a grasp with a real camera needs it, and a recording that is"
+        " imported or from a device stores it.",
         recipe=False,
         panel=DEVICES,
         needs=(Capability.IMPORT, Capability.RECORDED, Capability.PREVIEW, Capability.GRASPED),

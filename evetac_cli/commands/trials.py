@@ -23,8 +23,8 @@ class Trials:
     seed: int = parameter(0, "Seed of everything that is drawn.", low=0, high=2**31 - 1, needs=SERIES)
     sensor: str = parameter(
         "evetac",
-        f"Sensor: {'; '.join(names.SENSORS)}: another for every trial; randomized:N: the N-th; or a TOML file"
-        " (`evetac identify`).",
+        f"Sensor: {'; '.join(names.SENSORS)}: one per trial; randomized:N: the N-th; a TOML file"
+        " (`evetac identify`); A,B: two.",
         needs=SIMULATED,
     )
     gel: str | None = parameter(

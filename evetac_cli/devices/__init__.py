@@ -112,6 +112,23 @@ class Peer(Protocol):
         """End it; a second call does nothing."""
 
 
+OF_SECOND = "second/"  # before the names of rows of the second finger, where those of both come together
+
+
+def of_finger(rows: Mapping[str, Any], finger: int) -> dict[str, Any]:
+    """The rows of the first (0) or the second finger, of rows of both."""
+    if finger:
+        return {name.removeprefix(OF_SECOND): row for name, row in rows.items() if name.startswith(OF_SECOND)}
+    return {name: row for name, row in rows.items() if not name.startswith(OF_SECOND)}
+
+
+class SecondCamera(NamedTuple):
+    """The camera of a second finger in a simulation; truth: one row per slice just read."""
+
+    camera: EventCamera
+    truth: Callable[[], Mapping[str, Any]]
+
+
 @dataclass(frozen=True)
 class Rig:
     """Camera and gripper of one trial, and what is known of them."""
@@ -129,6 +146,7 @@ class Rig:
     simulated: bool = True  # what the camera sees comes from a simulation
     parents: tuple[dict[str, Any], ...] = ()  # headers of the files that the camera plays
     peers: tuple[Peer, ...] = ()  # what the devices need, such as the virtual ones behind the wire
+    second: "SecondCamera | None" = None  # of the second finger; simulations only
 
     @property
     def watchdog_ms(self) -> float:
@@ -153,6 +171,7 @@ class Rig:
     def close(self) -> None:
         """Close all devices, the gripper first, then what is behind them; an error in one does not keep the others."""
         with ExitStack() as closing:
-            for device in (*reversed(self.peers), self.camera, self.gripper):
+            second = None if self.second is None else self.second.camera
+            for device in (*reversed(self.peers), second, self.camera, self.gripper):
                 if device is not None:
                     closing.callback(device.close)

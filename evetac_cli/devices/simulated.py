@@ -7,12 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from evetac_cli.devices import GripperReading, Rig
+from evetac_cli.devices import GripperReading, Rig, SecondCamera
 from evetac_cli.events import SLICE_US, Events
 from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
+from evetac_cli.sim.camera.gel_camera import GelCamera
 from evetac_cli.sim.parts import Timer, untimed
 from evetac_cli.sim.scenes.building import Simulation, scene_in_words, simulation_of
 from evetac_cli.sim.scenes.gripped import GraspSimulation
+from evetac_cli.sim.scenes.second_view import SecondView
 from evetac_cli.sim.setup.plan import Plan
 from evetac_cli.sim.setup.sensor import Sensor
 
@@ -28,15 +30,7 @@ class SimulatedCamera:
         self._simulation: Simulation | None = simulation
         self._scene = scene
         self._now_us = 0
-        self.sensor: Mapping[str, Any] = {
-            "sensor/frame_px": np.array(sensor.frame_px, np.int32),
-            "sensor/name": name,
-            "sensor/dot_xy_px": simulation.gel_camera.calibrated_grid_xy_px,
-            "sensor/dot_radius_px": np.float64(sensor.dot_radius_px),
-            **{f"sensor/{name}": np.float64(value) for name, value in sensor.sensitivity().known().items()},
-        }
-        if simulation.gel_camera.window_px is not None:
-            self.sensor = {**self.sensor, "sensor/window_px": np.array(simulation.gel_camera.window_px, np.int32)}
+        self.sensor: Mapping[str, Any] = _described(name, sensor, simulation.gel_camera)
 
     def read(self) -> Events | None:
         """Advance the scene by 1 ms and return what the camera saw; None once the scene has ended."""
@@ -57,6 +51,52 @@ class SimulatedCamera:
     def close(self) -> None:
         """End the simulation."""
         self._simulation = None
+
+
+def _described(name: str, sensor: Sensor, camera: GelCamera) -> dict[str, Any]:
+    """The datasets `sensor/...` of a simulated sensor."""
+    described = {
+        "sensor/frame_px": np.array(sensor.frame_px, np.int32),
+        "sensor/name": name,
+        "sensor/dot_xy_px": camera.calibrated_grid_xy_px,
+        "sensor/dot_radius_px": np.float64(sensor.dot_radius_px),
+        **{f"sensor/{key}": np.float64(value) for key, value in sensor.sensitivity().known().items()},
+    }
+    if camera.window_px is not None:
+        described["sensor/window_px"] = np.array(camera.window_px, np.int32)
+    return described
+
+
+class SecondSimulatedCamera:
+    """The camera of the second finger: what it saw in the slice that was read last of the first one's."""
+
+    counted: Mapping[str, int] = MappingProxyType({})
+    notes: tuple[str, ...] = ()
+    time: TimeSource = HOST_TIME
+
+    def __init__(self, simulation: GraspSimulation, name: str, sensor: Sensor) -> None:
+        assert simulation.second_view is not None
+        self._view: SecondView | None = simulation.second_view
+        self._now_us = 0
+        self.sensor: Mapping[str, Any] = _described(name, sensor, simulation.second_view.camera)
+
+    def read(self) -> Events | None:
+        """What the camera saw in the slice that the scene has made; None before the first and after the last."""
+        events = None if self._view is None else self._view.events
+        self._now_us += SLICE_US * (events is not None)
+        return events
+
+    def now_us(self) -> int:
+        """End of the slice that was read last."""
+        return self._now_us
+
+    def host_us(self, device_us: float) -> float:
+        """NaN: a scene's time passes as its slices are read."""
+        return math.nan
+
+    def close(self) -> None:
+        """End the simulation."""
+        self._view = None
 
 
 class SimulatedGripper:
@@ -98,6 +138,9 @@ def rig(plan: Plan, seeds: np.random.SeedSequence, timer: Timer = untimed, /, **
     """
     simulation = simulation_of(plan, seeds, timer, **durations)
     camera = SimulatedCamera(simulation, plan.scene.name, plan.sensor_name, plan.sensor)
+    second = None
+    if plan.second is not None and isinstance(simulation, GraspSimulation):
+        second = SecondCamera(SecondSimulatedCamera(simulation, *plan.second), simulation.second_truth)
     slices, sampled = simulation.slices_in_all, simulation.sampled.as_json()
     if not isinstance(simulation, GraspSimulation):
         return Rig(camera, None, simulation.truth, slices=slices, sampled=sampled)
@@ -110,4 +153,5 @@ def rig(plan: Plan, seeds: np.random.SeedSequence, timer: Timer = untimed, /, **
         simulation.slips_at_ma(),
         sampled,
         simulation.sampled.fall_factor,
+        second=second,
     )

@@ -60,8 +60,14 @@ MOVED_MM = paper.FIGURES["moved less in most trials",].value
 
 
 def jobs(files: list[Path], params: EvaluateGrasp, out: Path | None) -> list[Job]:
-    """One report over all grasps."""
-    return report_job(files, "grasp", out)
+    """One report over all grasps; of one with two fingers the recording of the second has no part in it."""
+    return report_job([file for file in files if not _is_second_finger(file)] or files, "grasp", out)
+
+
+def _is_second_finger(path: Path) -> bool:
+    """Whether it is what the camera of a second finger saw, beside the recording that has the decisions."""
+    with StageFile(path) as file:
+        return file.kind == "recording" and file.has("capture/clock_offset_us") and not file.has("control")
 
 
 def run(job: Job, params: EvaluateGrasp, *, force: bool = False, progress: Progress = silent) -> Outcome:
@@ -113,9 +119,14 @@ def trial_row(path: Path, header: Header) -> dict[str, Any]:
         rows = {name: recording.read(name) for name in known}
         mass_g = 1e3 * json.loads(recording.read("truth/sampled_parameters"))["mass_kg"]
         nodes = slip_grid.nodes_of(recording)
+        stored = "{}"
+        if recording.has("control/second_probability") and recording.has("control/outcome"):
+            stored = recording.read("control/outcome")
     seconds = plan.scene.time.touch_s + planned["lift_s"] + planned["balance_s"]
     newton_per_ma = plan.sensor.gripper.force_per_current_n_ma
     figures = grasp_outcome.outcome(rows, plan.sensor.mm_per_px, round(SLICES_PER_S * seconds), newton_per_ma)
+    # what reactions to slip of a second finger are, only its own recording and the stored outcome know
+    figures |= {name: value for name, value in json.loads(stored).items() if name == "false_slip_events"}
     drop = plan.scene.drop
     if drop is not None and plan.scene.time.touch_s + planned["lift_s"] + drop.after_s < seconds:
         mass_g += drop.mass_g
@@ -136,6 +147,8 @@ def describe_setting(plan: Plan, planned: dict[str, Any]) -> str:
         words.append(plan.scene.name)
     if plan.sensor_name != "evetac":
         words.append(plan.sensor_name)
+    if plan.second is not None:
+        words.append("two fingers" if plan.second.name == plan.sensor_name else f"two fingers, {plan.second.name}")
     if not plan.scene.gel.cut:
         words.append("closed gel")
     if chosen["latency_ms"]:

@@ -60,28 +60,33 @@ HOST_TIME = HostTime()
 class SharedTime:
     """A clock in a file in shared memory, at `start` of it, where all is 0 before the first use; or without a file.
 
-    It runs as the host's until `limit` says how far it may go. One process limits it (a virtual world), one says how
-    far it has read (the driver of the camera), any may ask for the time. It may be pickled: the copy is the same clock.
-    Without a file it is the clock of one process.
+    It runs as the host's until `limit` says how far it may go. One process limits it (a virtual world), one or two say
+    how far they have read (the drivers of the cameras), any may ask for the time. It may be pickled: the copy is the
+    same clock. Without a file it is the clock of one process.
     """
 
-    SIZE = 128
-    _READER_AT = 64
+    SIZE = 192
+    _READERS_AT = (64, 128)
 
-    def __init__(self, path: Path | None = None, start: int = 0) -> None:
-        self._path, self._start = path, start
+    def __init__(self, path: Path | None = None, start: int = 0, reader: int = 0) -> None:
+        """reader: which of two cameras has its driver here, if any has."""
+        self._path, self._start, self._number = path, start, reader
         memory: mmap.mmap | memoryview[int] = memoryview(bytearray(start + self.SIZE))
         if path is not None:
             with open(path, "r+b") as file:
                 memory = mmap.mmap(file.fileno(), start + self.SIZE)
         self._limit = SharedRow(memory, start, "2d")  # how much later than the host's it is; how far it may go
-        self._reader = SharedRow(memory, start + self._READER_AT, "d")
+        self._readers = [SharedRow(memory, start + at, "d") for at in self._READERS_AT]
         self._until_s = -math.inf  # the last limit that was set here
 
-    def __reduce__(self) -> tuple[type["SharedTime"], tuple[Path, int]]:
+    def __reduce__(self) -> tuple[type["SharedTime"], tuple[Path, int, int]]:
         if self._path is None:
             raise TypeError("the clock of one process cannot be given to another: it has no file")
-        return SharedTime, (self._path, self._start)
+        return SharedTime, (self._path, self._start, self._number)
+
+    def of_reader(self, number: int) -> "SharedTime":
+        """The same clock for the driver of another camera."""
+        return SharedTime(self._path, self._start, number)
 
     def now_s(self) -> float:
         """The host's time less what was waited so far; beyond the limit it all but stands still, for PATIENCE_S."""
@@ -110,13 +115,13 @@ class SharedTime:
 
     def slices_read_until(self, now_s: float) -> None:
         """For the reader of a camera's slices: all that ended before this time were read; inf: there is no reader."""
-        self._reader.write(now_s)
+        self._readers[self._number].write(now_s)
 
     @property
     def reader_s(self) -> float:
-        """Time until which the slices were read; inf without a reader."""
-        row = self._reader.read()
-        return math.inf if row is None else row[1][0]
+        """Time until which the slices were read, by whoever has read least; inf without a reader."""
+        rows = [reader.read() for reader in self._readers]
+        return min((row[1][0] for row in rows if row is not None), default=math.inf)
 
     def _behind_s(self, host_s: float) -> float:
         """How much later than the host's this clock is."""

@@ -42,9 +42,11 @@ def outcome(
     mm_per_px: float,
     planned_ms: int,
     newton_per_ma: float | None = None,
+    second_slip_share: NDArray[Any] | None = None,
 ) -> dict[str, Any]:
     """Figures of one grasp, simulated, from the rows of its recording (`NEEDED`, `HOLDING` where it has that).
 
+    second_slip_share: `truth/visible_slip_share` of a second finger that sees, whose slip is a reason to react, too.
     planned_ms: how long it should last; newton_per_ma: of a finger's drive, None for the usual one.
     moved_* in mm, opening_* in ticks and mm, force_* in N of one finger; reopened_share: by how much of the closing for
     the lift the gripper opened again in balance, None where it did not close; failure: how it was lost, "" if it held.
@@ -67,6 +69,9 @@ def outcome(
     slip = rows["control/slip"].astype(int)
     began = np.flatnonzero(np.diff(slip, prepend=0)[touched + 1 :] > 0) + touched + 1
     slips = rows["truth/visible_slip_share"] >= SLIPS_SHARE
+    if second_slip_share is not None:
+        both = min(len(slips), len(second_slip_share))
+        slips = np.append(slips[:both] | (second_slip_share[:both] >= SLIPS_SHARE), slips[both:])
     reactions_ms = [int(each) for each in step_ms[began]]
     false = [at for at in reactions_ms if not slips[max(at - BEFORE_MS, 0) : at + AFTER_MS + 1].any()]
     closed = int(ticks[lifted] - ticks[touched])

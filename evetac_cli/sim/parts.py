@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
-from evetac_cli.sim.setup.held import HandSettings
+from evetac_cli.sim.setup.held import HandSettings, SecondFingerSettings
 from evetac_cli.sim.setup.plan import Plan
 from evetac_cli.sim.setup.sampling import gripper_faults
 from evetac_cli.sim.setup.scene import Scene
@@ -118,6 +118,11 @@ def _mechanics(plan: Plan) -> list[ScenePart]:
         ),
         ScenePart("what touches", _touching(plan), ""),
         ScenePart("gripper", _gripper(scene), "a hand drives the face"),
+        ScenePart(
+            "camera of the second finger",
+            "" if plan.second is None else f"of the sensor {plan.second.name}",
+            "none looks at it",
+        ),
         ScenePart("free object", "mass, weight, rotation", "its motion is prescribed"),
         ScenePart("table and hand", "lift", "nothing is lifted"),
         ScenePart("pushes", f"{len(scene.push.at_s) if scene.push else 0} half sines", "none named", _scene(push=None)),
@@ -237,7 +242,7 @@ def _disturbances(plan: Plan) -> list[ScenePart]:
     scene, hand = plan.scene, plan.scene.hand
     faults = gripper_faults(scene, plan.sensor)
     second, off, gone, change = (
-        scene.gripper.second_finger,
+        scene.gripper.second_finger if plan.second is None else scene.gripper.second_finger or SecondFingerSettings(),
         scene.calibration,
         scene.vanishing_dots,
         scene.friction_change,
@@ -282,7 +287,9 @@ def _disturbances(plan: Plan) -> list[ScenePart]:
             "second finger of its own",
             ", ".join(f"{name} x {factor:g}" for name, factor in factors.items() if factor != 1.0),
             "a mirror image of the first",
-            lambda plan: _with_scene(plan, gripper=replace(plan.scene.gripper, second_finger=None)),
+            lambda plan: replace(
+                _with_scene(plan, gripper=replace(plan.scene.gripper, second_finger=None)), second=None
+            ),
         ),
         ScenePart(
             "noise of the gripper's encoder", f"{faults.encoder_noise_ticks:.3g} ticks", "it reads the motor's place"

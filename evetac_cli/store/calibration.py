@@ -93,6 +93,24 @@ def read_calibration(path: Path, frame_px: tuple[int, int] | None = None) -> Cal
     return _parsed(read_text(path, MOST_JSON_BYTES), str(path), frame_px)
 
 
+def read_calibrations(path: Path | None, frames_px: Sequence[tuple[int, int]]) -> tuple[Calibration, ...]:
+    """The calibration of each camera, by the frames of these: one file for all, or one each with commas between.
+
+    Nothing without a path. InputError as of `read_calibration`, and for another number of files.
+    """
+    if path is None:
+        return ()
+    named = [path] if len(frames_px) == 1 or path.exists() else [Path(each) for each in str(path).split(",")]
+    if len(named) not in (1, len(frames_px)):
+        expected = f"one file for all cameras, or {len(frames_px)} with commas between them: one a camera"
+        raise InputError(
+            "not as many calibrations as cameras", where="--calibration", expected=expected, found=str(path)
+        )
+    if len(named) == 1:
+        named *= len(frames_px)
+    return tuple(read_calibration(each, frame_px) for each, frame_px in zip(named, frames_px, strict=True))
+
+
 def _parsed(text: str, where: str, frame_px: tuple[int, int] | None = None) -> Calibration:
     """The calibration that a text says; `where` it comes from is said by an error."""
     try:

@@ -70,9 +70,18 @@ class Trial(Job):
 
 @dataclass(frozen=True)
 class SimulatedTrial(Trial):
-    """A trial in a simulated scene, whose time passes as its slices are read."""
+    """A trial in a simulated scene, whose time passes as its slices are read.
+
+    second_output: what the camera of the second finger fills, if the plan has one.
+    """
 
     plan: Plan
+    second_output: Path | None = field(default=None, kw_only=True)
+
+    @property
+    def outputs(self) -> tuple[Path, ...]:
+        """A file for each camera."""
+        return (self.output,) if self.second_output is None else (self.output, self.second_output)
 
 
 @dataclass(frozen=True)
@@ -102,7 +111,7 @@ class DeviceTrial(Trial):
 
 @dataclass(frozen=True)
 class ReplayTrial(Trial):
-    """A trial on a recording, its only input, in which nothing moves."""
+    """A trial on a recording, in which nothing moves; of a grasp with two fingers, that of each finger."""
 
     camera: NamedCamera
 
@@ -113,26 +122,52 @@ def view_of(params: Trials) -> ViewRequest | None:
 
 
 def simulated_trials(
-    kinds: tuple[str, ...], params: Trials, out: Path | None, tones: str | None = None, prefix: str = ""
+    kinds: tuple[str, ...],
+    params: Trials,
+    out: Path | None,
+    tones: str | None = None,
+    prefix: str = "",
+    *,
+    fingers: int = 1,
 ) -> list[SimulatedTrial]:
     """`count` trials of every object or tone in a scene of one of these kinds.
 
-    They are named <prefix><scene>[-obj<number> or -<name>][-<tone>hz]-s<seed>-<trial>.recording.h5.
+    fingers: how many have a camera. Files are named
+    <prefix><scene>[-obj<number> or -<name>][-<tone>hz][-<finger of two>]-s<seed>-<trial>.recording.h5.
     """
     trials = []
     view = view_of(params)
-    named = (params.scene, params.objects, params.sensor, kinds, params.gel, params.readout, tones)
-    for each in plans(*named, solver=params.solver(), texture=params.texture):
+    sensor, second = _sensors(params.sensor, fingers)
+    named = (params.scene, params.objects, sensor, kinds, params.gel, params.readout, tones)
+    for each in plans(*named, solver=params.solver(), texture=params.texture, second=second):
         called = each.called
         what = "" if called is None else f"-{called}" if isinstance(called, str) else f"-obj{called:02d}"
         what += "" if each.tone_hz is None else f"-{each.tone_hz:g}hz"
         for number in range(params.count):
-            name = f"{prefix}{each.scene.name}{what}-s{params.seed}-{number:03d}.{OUTPUT}.h5"
-            output = out if out is not None and out.suffix == ".h5" else (out or Path()) / name
+            stem, rest = f"{prefix}{each.scene.name}{what}", f"-s{params.seed}-{number:03d}.{OUTPUT}.h5"
+            names = [f"{stem}{rest}"] if fingers == 1 else [f"{stem}-{place + 1}{rest}" for place in range(fingers)]
+            outputs = [out if out is not None and out.suffix == ".h5" else (out or Path()) / name for name in names]
             plan = each.of_trial((params.seed, seed_of(called), number))
-            trials.append(SimulatedTrial((), output, number, params.seed, plan, view=view))
-    one_file(trials, out)
+            second_output = None if fingers == 1 else outputs[1]
+            trials.append(
+                SimulatedTrial((), outputs[0], number, params.seed, plan, view=view, second_output=second_output)
+            )
+    one_file([path for trial in trials for path in trial.outputs], out)
     return trials
+
+
+def _sensors(text: str, fingers: int) -> tuple[str, str | None]:
+    """The sensor of the first finger and that of the second, if it has one: of `A,B` each its own, else both alike.
+
+    InputError for another number of sensors than of fingers with a camera.
+    """
+    if fingers == 1:
+        return text, None
+    named = text.split(",")
+    if len(named) > fingers:
+        expected = f"one sensor, or {fingers} with a comma between them: one a camera"
+        raise InputError("too many sensors", where="--sensor", expected=expected, found=text)
+    return named[0], named[-1]
 
 
 def device_trials(
@@ -151,7 +186,7 @@ def device_trials(
     numbered: list[tuple[int, Plan | None]]
     outputs: list[tuple[Path, ...]]
     if cameras[0].has(Capability.SCENE):
-        simulated = simulated_trials(kinds, params, out, prefix="virtual-")
+        simulated = simulated_trials(kinds, params, out, prefix="virtual-", fingers=len(cameras))
         numbered = [(trial.number, trial.plan) for trial in simulated]
         outputs = [trial.outputs for trial in simulated]
     else:

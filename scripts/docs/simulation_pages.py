@@ -63,6 +63,7 @@ PARTS = {
     "gear friction": Keys(("gripper.friction_factor",), ("gripper.friction_factor",)),
     "gear that breaks loose": Keys(("gripper.kinetic_share",)),
     "backlash of the gripper": Keys(("gripper.backlash_ticks",), ("gripper.backlash_ticks",)),
+    "camera of the second finger": Keys(()),
     "second finger of its own": Keys((), ("gripper.second_finger",)),
     "noise of the gripper's encoder": Keys(("gripper.encoder_noise_ticks",), ("gripper.encoder_noise_ticks",)),
     "commands that come late": Keys(

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from evetac_cli.kernels.grip.control import SlipSignal
 from evetac_cli.realtime.shared_status import REMEMBERED, DetectorStatus, SharedStatus
+from tests.patience import PATIENCE_S
 
 NUMBER = st.floats(-1e12, 1e12)
 
@@ -69,3 +70,24 @@ def test_stop() -> None:
     shared.stop()
     assert shared.stopping
     assert shared.latest() is None
+
+
+def test_two_fingers() -> None:
+    """Assert that nothing is known before both fingers are, that each has a status of its own, and slip of both counts.
+
+    The earliest news of slip is that of the finger that slipped.
+    """
+    shared = SharedStatus(2)
+    statuses = [
+        DetectorStatus(SlipSignal(slips, 0.5, sticking_share=0.5), 7 + slips, 1.0, 2.0, 3.0, (4.0,) * slips)
+        for slips in (0, 1)
+    ]
+    shared.publish(statuses[0])
+    assert shared.latest() is None
+    shared.publish(statuses[1], finger=1)
+    latest = shared.latest()
+    assert latest == statuses[0]._replace(second=statuses[1])
+    assert latest is not None and latest.told.slips == 1
+    assert [each.slices for each in latest.fingers] == [7, 8]
+    assert math.isnan(latest.slip_began_us(0)) and latest.fingers[1].slip_began_us(0) == 4.0
+    assert shared.slip_bell.wait(PATIENCE_S)

@@ -8,18 +8,22 @@ Why so: device time is the world's time. A world that cannot keep up with the ho
 counts the slices that were late. When a camera answers that it has no words, none may be left from before the question:
 so before it gives that answer, a late world first catches up with the moment at which it was asked.
 
+A world with two cameras, one at each finger, makes the words of both: `seen_by` is the world as one of them sees it.
+Its time stands still until both were started.
+
 A world that `waits` is never late: `time`, by which the camera's driver, the virtual servo and the control loops of a
 grasp go, stands still until the world has made what is due and the driver's slices were read. It waits unless a real
 gripper moves beside it. How well time is kept is measured with prepared words, which come by the host's clock.
 """
 
+import copy
 import gc
 import math
 import multiprocessing
 import os
 import select
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
@@ -27,6 +31,7 @@ from typing import Any
 
 import numpy as np
 
+from evetac_cli.devices import OF_SECOND, EventCamera
 from evetac_cli.devices.virtual.servo_plant import Goals, ServoMotion, SharedPlant
 from evetac_cli.errors import DeviceError, EvetacError
 from evetac_cli.interrupts import ignore_interrupts
@@ -74,12 +79,15 @@ class VirtualWorld:
         """
         context = multiprocessing.get_context("spawn")
         self.plant = SharedPlant()
+        self.time: SharedTime = self.plant.time
+        self._finger = 0
         self._asked_s = 0.0
         self._polling = False  # whether the last call had no time to wait, and got words
         self._counters = context.Array("q", 4, lock=False)
         self._last_words = LastWords()
         self._orders, orders = context.Pipe()
-        self._words, words = context.Pipe(duplex=False)
+        pipes = [context.Pipe(duplex=False) for _ in range(1 if plan.second is None else 2)]
+        self._all_words, words = [ours for ours, _ in pipes], [theirs for _, theirs in pipes]
         truths, truth_pipe = context.Pipe(duplex=False) if tells_truth else (None, None)
         self.truths = None if truths is None else MessageReader(truths)
         self._process: BaseProcess | None = context.Process(
@@ -94,7 +102,8 @@ class VirtualWorld:
         try:
             start_shielded(self._process)
             orders.close()
-            words.close()
+            for pipe in words:
+                pipe.close()
             if truth_pipe is not None:
                 truth_pipe.close()
             self._wait_until_built(self._process)
@@ -113,7 +122,8 @@ class VirtualWorld:
             raise reply
         if isinstance(reply, str):
             raise DeviceError(f"the virtual world could not be built: {reply}")
-        self.sensor: Mapping[str, Any] = reply["sensor"]
+        self.sensors: tuple[Mapping[str, Any], ...] = reply["sensors"]
+        self.sensor: Mapping[str, Any] = self.sensors[0]
         self.holding_ma: float = reply["holding_ma"]
         self.sampled: str = reply["sampled"]
         self.fall_factor: float = reply["fall_factor"]
@@ -122,9 +132,14 @@ class VirtualWorld:
         return {**vars(self), "_process": None, "truths": None}
 
     @property
-    def time(self) -> SharedTime:
-        """The time by which everything that has to do with this world goes; may be given to other processes."""
-        return self.plant.time
+    def _words(self) -> Connection:
+        return self._all_words[self._finger]
+
+    def seen_by(self, finger: int) -> "VirtualWorld":
+        """A source of the words of a finger's camera: a copy, to be given to the process that reads them."""
+        seen = copy.copy(self)
+        vars(seen).update(_finger=finger, time=self.time.of_reader(finger), _process=None, truths=None)
+        return seen
 
     @property
     def pid(self) -> int | None:
@@ -139,7 +154,7 @@ class VirtualWorld:
     def run(self, on: bool) -> None:
         """Let the world's time pass (True) or stand still; DeviceError if its process has died."""
         try:
-            self._orders.send(on)
+            self._orders.send((self._finger, on))
         except OSError:
             raise self.died() from None
 
@@ -190,7 +205,8 @@ class VirtualWorld:
                 self._process.kill()
                 self._process.join()
             self.time.limit(math.inf)
-        self._words.close()
+        for pipe in self._all_words:
+            pipe.close()
         self.plant.close()
 
 
@@ -201,7 +217,7 @@ def _run_world(
     waits: bool,
     plant: SharedPlant,
     orders: Connection,
-    words: Connection,
+    words: Sequence[Connection],
     truths: Connection | None,
     counters: Any,
 ) -> None:
@@ -220,7 +236,7 @@ def _run_world(
         readable, _, _ = select.select([orders], running_world.waiting_for, [], running_world.wait_s)
         try:
             if readable:
-                running_world.run(orders.recv())
+                running_world.run(*orders.recv())
             running_world.tick()
         except (EOFError, BrokenPipeError, ConnectionResetError):  # the recorder is gone, perhaps without being asked
             plant.remove()
@@ -248,7 +264,7 @@ class _RunningWorld:
         durations: dict[str, float],
         waits: bool,
         plant: SharedPlant,
-        words: Connection,
+        words: Sequence[Connection],
         truths: Connection | None,
         counters: Any,
     ) -> None:
@@ -261,6 +277,9 @@ class _RunningWorld:
             if events is None:
                 break
             encode(events, FIRST_MS)
+            if first.second is not None:
+                first.second.camera.read()
+                first.second.truth()
             timestamp(FIRST_MS)
             if isinstance(first.gripper, SimulatedGripper) and plan.scene.kind == "lift":
                 first.gripper.write_position(first.gripper.read().position_ticks + WARMING_TICKS)
@@ -274,14 +293,16 @@ class _RunningWorld:
         self._plant = plant
         self._time = plant.time
         self._waits = waits
-        self._fd = words.fileno()
-        os.set_blocking(self._fd, False)
-        self._words = words
+        self._words = list(words)
+        for pipe in words:
+            os.set_blocking(pipe.fileno(), False)
         self._counters = counters
         self._truths = None if truths is None else MessageWriter(truths)
         self._pending: list[Mapping[str, Any]] = []  # truth that was not sent yet
-        self._backlog = b""
+        self._backlogs = [b""] * len(words)
+        self._on = [False] * len(words)  # which cameras were started
         self._running = False
+        self._stands_s = math.inf  # since when a camera waits for another to be started: it shall close no slices yet
         self._began_s = 0.0  # when the world's time was 0
         self._torque = False  # whether the servo ever had torque: until then the scene's own command holds
         self._goals = Goals()
@@ -290,14 +311,25 @@ class _RunningWorld:
     def described(self) -> dict[str, Any]:
         """What the other side is to know of this world."""
         return {
-            "sensor": dict(self._rig.camera.sensor),
+            "sensors": tuple(dict(camera.sensor) for camera in self._cameras),
             "holding_ma": self._rig.holding_ma,
             "sampled": self._rig.sampled,
             "fall_factor": self._rig.fall_factor,
         }
 
-    def run(self, on: bool) -> None:
-        """Go on from the world's time, or stand still."""
+    @property
+    def _cameras(self) -> list[EventCamera]:
+        second = self._rig.second
+        return [self._rig.camera] if second is None else [self._rig.camera, second.camera]
+
+    def run(self, finger: int, on: bool) -> None:
+        """Start or stop the camera of a finger: the world goes on from its time once all run, and stands till then."""
+        self._on[finger] = on
+        self._stands_s = math.inf
+        if on and not all(self._on):
+            self._stands_s = self._time.now_s()
+            self._limit_time()
+            return
         if on and not self._running:
             self._began_s = self._time.now_s() - self._world.slices * SLICE_S
         self._running = on
@@ -317,7 +349,9 @@ class _RunningWorld:
     @property
     def waiting_for(self) -> list[Connection | MessageWriter]:
         """The pipes of the words and of the truth, where some of it waits for room; for select."""
-        pipes: list[Connection | MessageWriter] = [self._words] if self._backlog else []
+        pipes: list[Connection | MessageWriter] = [
+            pipe for pipe, backlog in zip(self._words, self._backlogs, strict=True) if backlog
+        ]
         if self._truths is not None and self._truths.waiting_bytes:
             pipes.append(self._truths)
         return pipes
@@ -327,23 +361,25 @@ class _RunningWorld:
         if self.wait_s == 0.0:
             self._pass_on(self._plant.goals())
             before_ticks = self._world.finger.motor_ticks
-            events = self._rig.camera.read()
+            seen = [camera.read() for camera in self._cameras]
             self._publish_motion(before_ticks)
             # A sensor that is read out 5000 times a second begins every millisecond, whether or not it sees something:
             # its TIMESTAMP comes once, at the end of the slice before, but for the very first.
-            if self._world.slices == 1:
-                self._queue(self._timestamp(FIRST_MS).tobytes())
-            words = b"" if events is None else self._encode(events, FIRST_MS).tobytes()[WORD_BYTES:]
-            self._queue(words + self._timestamp(FIRST_MS + self._world.slices).tobytes())
+            first = self._timestamp(FIRST_MS).tobytes() if self._world.slices == 1 else b""
+            last = self._timestamp(FIRST_MS + self._world.slices).tobytes()
+            for finger, events in enumerate(seen):
+                words = b"" if events is None else self._encode(events, FIRST_MS).tobytes()[WORD_BYTES:]
+                self._queue(finger, first + words + last)
             self._send_truth()
             if self._time.now_s() > self._began_s + self._world.slices * SLICE_S + LATE_S:
                 self._counters[_LATE] += 1
         self._limit_time()
-        while self._backlog:
-            try:
-                self._backlog = self._backlog[os.write(self._fd, self._backlog) :]
-            except BlockingIOError:
-                break
+        for finger, pipe in enumerate(self._words):
+            while backlog := self._backlogs[finger]:
+                try:
+                    self._backlogs[finger] = backlog[os.write(pipe.fileno(), backlog) :]
+                except BlockingIOError:
+                    break
         if self._truths is not None:
             self._truths.send()
         if self._world.finished:
@@ -354,7 +390,7 @@ class _RunningWorld:
         """Let time go on as far as this world and the reader of its slices have come."""
         if not self._waits:
             return
-        until_s = math.inf
+        until_s = self._stands_s
         if self._running and not self._world.finished:
             made_s = self._began_s + (self._world.slices + 1) * SLICE_S
             until_s = min(made_s + LATE_S, self._time.reader_s + READER_S)
@@ -364,7 +400,10 @@ class _RunningWorld:
         """Send the truth of the slice just made, some slices at a time."""
         if self._truths is None or self._rig.truth is None:
             return
-        self._pending.append(self._rig.truth())
+        row, second = self._rig.truth(), self._rig.second
+        if second is not None:
+            row = {**row, **{OF_SECOND + name: value for name, value in second.truth().items()}}
+        self._pending.append(row)
         if len(self._pending) >= TRUTH_SLICES or self._world.finished:
             self._send_pending()
         if self._world.finished:
@@ -375,11 +414,11 @@ class _RunningWorld:
             self._truths.put({name: np.asarray([row[name] for row in self._pending]) for name in self._pending[0]})
             self._pending = []
 
-    def _queue(self, data: bytes) -> None:
-        if len(self._backlog) + len(data) > BACKLOG_BYTES:
+    def _queue(self, finger: int, data: bytes) -> None:
+        if len(self._backlogs[finger]) + len(data) > BACKLOG_BYTES:
             self._counters[_DROPPED] += 1
         else:
-            self._backlog += data
+            self._backlogs[finger] += data
 
     def _pass_on(self, goals: Goals) -> None:
         """Pass the servo's registers on to the world's gripper."""

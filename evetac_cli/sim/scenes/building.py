@@ -28,11 +28,12 @@ def simulation_of(
     nothing can be made of it.
     """
     mechanics, optics = (np.random.default_rng(seed) for seed in seeds.spawn(2))
+    second = None if plan.second is None else np.random.default_rng(seeds.spawn(1)[0])
     driven = DRIVEN.get(plan.scene.kind)
     with scene_in_words(plan.scene.name):
         if driven is not None:
             return driven(plan, mechanics, optics, timer=timer)
-        return GraspSimulation(plan, mechanics, optics, timer=timer, **durations)
+        return GraspSimulation(plan, mechanics, optics, timer=timer, second_optics_rng=second, **durations)
 
 
 @contextmanager

@@ -3,13 +3,15 @@
 Three kinds of scene. `ramp`: the object already hangs in a gripper under current control. `lift`: it stands on a table,
 the gripper starts just before touch, and a hand lifts the gripper; in its frame the table sinks. `hold`: the gripper
 starts open, closes on an object that is then let go, and the object is pushed at times. One of two mirrored pads is
-simulated, or both where they differ; gripper, hand and table move in steps of 1 ms, gel and object in as many as they
-need (gel.adaptive). The camera sees the first pad at the end of the slice.
+simulated, or both where they differ or are both looked at; gripper, hand and table move in steps of 1 ms, gel and
+object in as many as they need (gel.adaptive). The camera sees the first pad at the end of the slice, and one of the
+second finger, where a plan has it, the second (second_view.py).
 
 Why so: down is +x of the image in a grasp from the top, +y in one from the side; an upright object turns with it.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -26,6 +28,7 @@ from evetac_cli.sim.parts import Timer, untimed
 from evetac_cli.sim.scenes.disturbances import ChangingFriction
 from evetac_cli.sim.scenes.hand import Hand
 from evetac_cli.sim.scenes.second_finger import SecondFinger
+from evetac_cli.sim.scenes.second_view import FACING, PART, SecondView
 from evetac_cli.sim.scenes.shared import (
     STEP_S,
     DotPath,
@@ -42,9 +45,9 @@ from evetac_cli.sim.scenes.shared import (
 from evetac_cli.sim.scenes.slip_limit import GRAVITY_M_S2, nodes_of_slip, slip_limit_n
 from evetac_cli.sim.scenes.true_slip import RECENT_MS, GroundTruthSlip
 from evetac_cli.sim.setup import sampling
-from evetac_cli.sim.setup.held import HandSettings
+from evetac_cli.sim.setup.held import HandSettings, SecondFingerSettings
 from evetac_cli.sim.setup.object_file import TouchedObject, seed_of
-from evetac_cli.sim.setup.plan import Called, Plan
+from evetac_cli.sim.setup.plan import SECOND, Called, Plan
 from evetac_cli.sim.setup.sensor import Sensor
 
 FINGER_STIFFNESS_N_M = 1.8e3  # of the gap, by fingers, links and mounts; fitted to the paper's two bottles
@@ -69,8 +72,12 @@ class GraspSimulation:
         lift_s: float = 10.0,
         balance_s: float = 20.0,
         timer: Timer = untimed,
+        second_optics_rng: np.random.Generator | None = None,
     ) -> None:
-        """Build what a plan names; ValueError where values of a scene do not go together."""
+        """Build what a plan names; ValueError where values of a scene do not go together.
+
+        second_optics_rng: for the camera of the second finger, if the plan has one.
+        """
         assert plan.touched is not None
         self._scene = plan.scene
         self._time = self._scene.time
@@ -88,7 +95,9 @@ class GraspSimulation:
         self._render = timer("camera", self.gel_camera.render)
         self._step_finger = timer("gripper", gripper.step)
         self._faults = sampling.gripper_faults(self._scene, sensor)
+        self._second_sensor = None if plan.second is None else sampling.sensor_with_gel(self._scene, plan.second.sensor)
         self._build_mechanics(touched, sensor, timer)
+        self.second_view = self._build_second_view(plan, second_optics_rng, timer)
         self._encoder_noise_ticks = self._faults.encoder_noise_ticks
         delay, jitter = (ms * 1e-3 / STEP_S for ms in (self._faults.command_delay_ms, self._faults.command_jitter_ms))
         self._commands = None
@@ -124,6 +133,7 @@ class GraspSimulation:
             "gear that breaks loose": self.drive.kinetic_share < 1.0,
             "backlash of the gripper": self.drive.backlash_ticks > 0.0,
             "second finger of its own": self._second is not None,
+            PART: self.second_view is not None,
             "noise of the gripper's encoder": self._encoder_noise_ticks > 0.0,
             "commands that come late": self._commands is not None,
             "profile of the hand's motion": hand.profile != HandSettings.profile,
@@ -138,7 +148,17 @@ class GraspSimulation:
             return round((self._time.touch_s + lift_s + balance_s) * SLICES_PER_S)
         return round(self._time.longest_s * SLICES_PER_S)
 
-    def _texture(self, called: Called, rng: np.random.Generator) -> NDArray[np.float32] | None:
+    def _build_second_view(self, plan: Plan, rng: np.random.Generator | None, timer: Timer) -> SecondView | None:
+        """The camera of the second finger, if the plan has one; its window shows another side of the object."""
+        if self._second_sensor is None:
+            return None
+        assert rng is not None
+        texture = self._texture(plan.called, rng, SECOND)
+        scene = self._scene
+        camera = GelCamera(self._second_sensor, scene=scene, texture=texture, rng=rng, readout=plan.readout)
+        return SecondView(camera, self._pads[-1], self._gaps, timer, self._solver.camera_substeps)
+
+    def _texture(self, called: Called, rng: np.random.Generator, *side: int) -> NDArray[np.float32] | None:
         """What the window shows of the object; nothing if the scene has no texture, leaves it out, or has no window."""
         if self._scene.texture is None or not self._scene.gel.cut:
             return None
@@ -147,7 +167,7 @@ class GraspSimulation:
                 0, TEXTURE_PX[0], 2
             )  # where a texture would lie: the gel's events are those of a trial with one
             return None
-        drawn = np.random.default_rng([TEXTURE_SEED, seed_of(called)])
+        drawn = np.random.default_rng([TEXTURE_SEED, seed_of(called), *side])
         return optics.texture(drawn, TEXTURE_PX, self.sampled.texture_half_correlation_px, self.sampled.texture_log_sd)
 
     def _build_mechanics(self, touched: TouchedObject, sensor: Sensor, timer: Timer) -> None:
@@ -159,7 +179,9 @@ class GraspSimulation:
         self._gaps = contact.gap_profile(upright - sampled.touch_m, touched.shape, radius_m, sampled.tilt_rad)
         self._material = material(sensor)
         second = self._scene.gripper.second_finger
-        self._second = None if second is None else SecondFinger(second, sensor, nodes)
+        if second is None and self._second_sensor is not None:
+            second = SecondFingerSettings()
+        self._second = None if second is None else SecondFinger(second, sensor, nodes, self._second_sensor)
         own_stiffness = sensor.gripper.finger_stiffness_n_m
         self._curve = contact.force_curve(
             self._gaps,
@@ -213,11 +235,7 @@ class GraspSimulation:
         self._press()
         self._changing_friction = ChangingFriction(self._scene.friction_change, self._friction)
         self._steps = SolverTruth(self._gel)
-        self._window_from_middle_m: tuple[float, float] | None = None
-        if self.gel_camera.window_px is not None and self._middle_m.any():
-            window_px = np.array(self.gel_camera.window_px).reshape(2, 2).mean(axis=0) - np.array(FRAME_PX) / 2
-            across_m, down_m = (window_px * self.gel_camera.mm_per_px * 1e-3 - self._middle_m).tolist()
-            self._window_from_middle_m = (across_m, down_m)
+        self._window_from_middle_m = _window_from_middle_m(self.gel_camera, self._middle_m)
         self._at_dots = dots.interpolation(nodes, self.gel_camera.rest_m)
         self._at_seen = dots.interpolation(nodes, np.concatenate([self.gel_camera.rest_m, self.gel_camera.cut_rest_m]))
         many = self._solver.camera_substeps > 1
@@ -272,9 +290,22 @@ class GraspSimulation:
         path_m = None if self._path is None else self._path.pieces(before_m, self._nearer_m)
         now_us = self.slices * SLICE_US
         events = self._render(shift_m, object_m, contrast, now_us, path_m, cut_m=cut_m, still=still)
+        if self.second_view is not None:
+            self._see_second(self.second_view, still=still)
         self.slices += 1
         self.finished = self.slices >= self.slices_in_all or self._over()
         return events
+
+    def _see_second(self, view: SecondView, *, still: bool) -> None:
+        """Let the second finger's camera see the slice."""
+        assert self._second is not None
+        object_m, contrast = OUT_OF_SIGHT_M, 0.0
+        if self._shows_texture and not still:
+            middle_m = self._middle_m * FACING
+            from_middle_m = _window_from_middle_m(view.camera, middle_m)
+            moved_m = self._gel.pose[:2] * FACING - middle_m
+            object_m, contrast = _in_window(moved_m, -float(self._gel.pose[2]), from_middle_m), self._contrast()
+        view.see(self.slices, self._second.indentation_m, object_m, contrast, still=still)
 
     def _fallen_m(self) -> float:
         """How far the object has moved along gravity since the start."""
@@ -283,13 +314,7 @@ class GraspSimulation:
     def _seen_m(self) -> NDArray[np.float64]:
         """Displacement of the object where the window shows it: an object held off its middle turns, too."""
         moved_m: NDArray[np.float64] = self._gel.pose[:2] - self._middle_m
-        turned = float(self._gel.pose[2])
-        if self._window_from_middle_m is not None and turned:
-            across, down = self._window_from_middle_m
-            cosine, sine = math.cos(turned), math.sin(turned)
-            moved_m[0] += (cosine - 1) * across - sine * down
-            moved_m[1] += sine * across + (cosine - 1) * down
-        return moved_m
+        return _in_window(moved_m, float(self._gel.pose[2]), self._window_from_middle_m)
 
     def _contrast(self) -> float:
         """How clearly the window shows the object: it blurs once it is away from the pad."""
@@ -333,6 +358,10 @@ class GraspSimulation:
             self._slip.follow(self._gel, shares, self.finger.force_n)
         self._steps.follow(done, self._friction)
         self._shear_n = done.friction_n[:2]
+        if self.second_view is not None and self._second_shares is not None:
+            pressed = (self._second_shares, self.finger.force_n)
+            sheared_n, still_for = done.second_friction_n[:2], self._gel_slices.still_for
+            self.second_view.follow(self._gel.pose, *pressed, sheared_n, still_for)
 
     def _close(self, second_pad: gel.GelState | None) -> None:
         """Let the gel follow a finger that closes to where the trial starts, and then rests on the free object as long.
@@ -383,6 +412,9 @@ class GraspSimulation:
         if self._path is not None:
             self._path.begin()
             each = self._path.follow
+            if self.second_view is not None and self.second_view.path is not None:
+                self.second_view.path.begin()
+                each = _both(each, self.second_view.path.follow)
         force, twist = self._along_gravity(weight_n), self._along_gravity(speed) if held else None
         second = self._second_shares
         return self._gel_slices.advance(shares, force_n, force, self._friction, twist, each, second_shares=second)
@@ -494,3 +526,40 @@ class GraspSimulation:
             row["truth/table_gap_mm"] = (self._table_m - self._fallen_m()) * 1e3
             row["truth/holding_force_n"] = self.holding_n
         return row
+
+    def second_truth(self) -> dict[str, Any]:
+        """The same of the second finger, where a camera looks at it."""
+        assert self.second_view is not None
+        own = self.second_view.truth(self._gel.pose[:2] - self._middle_m)
+        return {**own, "truth/normal_force_n": self.finger.force_n, "truth/closing_ticks": self.finger.closing_ticks}
+
+
+def _window_from_middle_m(camera: GelCamera, middle_m: NDArray[np.float64]) -> tuple[float, float] | None:
+    """The middle of a camera's window from the centre of mass at the start; None without one, or where both are one."""
+    if camera.window_px is None or not middle_m.any():
+        return None
+    window_px = np.array(camera.window_px).reshape(2, 2).mean(axis=0) - np.array(FRAME_PX) / 2
+    across_m, down_m = (window_px * camera.mm_per_px * 1e-3 - middle_m).tolist()
+    return across_m, down_m
+
+
+def _in_window(
+    moved_m: NDArray[np.float64], turned: float, from_middle_m: tuple[float, float] | None
+) -> NDArray[np.float64]:
+    """Displacement in a window of an object that has moved and turned; moved_m is changed in place."""
+    if from_middle_m is not None and turned:
+        across, down = from_middle_m
+        cosine, sine = math.cos(turned), math.sin(turned)
+        moved_m[0] += (cosine - 1) * across - sine * down
+        moved_m[1] += sine * across + (cosine - 1) * down
+    return moved_m
+
+
+def _both(first: Callable[..., None], second: Callable[..., None]) -> Callable[..., None]:
+    """A call of two, one after the other."""
+
+    def call(*given: Any) -> None:
+        first(*given)
+        second(*given)
+
+    return call

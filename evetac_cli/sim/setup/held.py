@@ -121,7 +121,7 @@ class GripperCurrent:
 
 @dataclass(frozen=True, kw_only=True)
 class SecondFingerSettings:
-    """The second finger's gel, at which no camera looks, where it is no mirror image of the first."""
+    """The second finger's gel, where it is no mirror image of the first; a camera looks at it where two are named."""
 
     friction_factor: float = number("its static and kinetic friction over those of the first", 0, 100, default=1.0)
     stiffness_factor: float = number("its shear and normal modulus over those of the first", 0.01, 100, default=1.0)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -31,6 +31,9 @@ NUMBERED_SEED = 1299709  # with the number of a sensor
 LOWEST_TONE_HZ = 1.0
 HIGHEST_TONE_HZ = 2500.0  # half the scan rate of the camera
 
+SECOND_SENSOR, SECOND_ROW = "second_sensor", "second_sensor_row"  # in the header of a grasp that two cameras see
+SECOND = 1  # beside the seeds of a trial: draws the sensor of its second finger
+
 Called = int | str | None  # an object, by its number or name; None where a scene has none
 # What the header of a simulated recording says of its plan, beside its sensor.
 OF_HEADER: dict[str, Any] = {
@@ -44,12 +47,19 @@ OF_HEADER: dict[str, Any] = {
 }
 
 
+class NamedSensor(NamedTuple):
+    """A sensor, and what recordings call it."""
+
+    name: str
+    sensor: Sensor
+
+
 @dataclass(frozen=True)
 class Plan:
     """What one trial is made from.
 
     sensor_ranges: those that the sensor was sampled from, if it was sampled for this trial. tone_hz: what the speaker
-    plays, in scenes of kind tone.
+    plays, in scenes of kind tone. second: the sensor on the second finger of a gripper, if a camera looks at it.
     """
 
     scene: Scene
@@ -60,6 +70,7 @@ class Plan:
     touched: TouchedObject | None = None
     tone_hz: float | None = None
     sensor_ranges: SensorRanges | None = None
+    second: "NamedSensor | None" = None
 
     def parameters(self) -> dict[str, Any]:
         """The plan as it enters a recipe, so that a changed table is another recipe."""
@@ -76,6 +87,8 @@ class Plan:
             named["tone_hz"] = self.tone_hz
         if self.sensor_ranges is not None:
             named["sensor_ranges"] = dict(self.sensor_ranges)
+        if self.second is not None:
+            named |= {SECOND_SENSOR: self.second.name, SECOND_ROW: as_table(self.second.sensor)}
         return named
 
 
@@ -99,7 +112,16 @@ def read_plan(parameters: Mapping[str, Any], where: str) -> Plan:
         row,
         tone_hz,
         parameters.get("sensor_ranges"),
+        _read_second(parameters, where),
     )
+
+
+def _read_second(parameters: Mapping[str, Any], where: str) -> "NamedSensor | None":
+    """The sensor of the second finger, from the parameters of a header; None where no camera looked at it."""
+    name, row = parameters.get(SECOND_SENSOR), parameters.get(SECOND_ROW)
+    if row is None:
+        return None
+    return NamedSensor(str(name), read_table(Sensor, row, f"{where}: second sensor in the header"))
 
 
 def read_sensor(parameters: Mapping[str, Any], where: str) -> Sensor:
@@ -111,7 +133,11 @@ def read_sensor(parameters: Mapping[str, Any], where: str) -> Sensor:
 
 @dataclass(frozen=True)
 class Plans:
-    """The plans of all trials with one object or tone; `sensor` is one, or the ranges from which each trial samples."""
+    """The plans of all trials with one object or tone; `sensor` is one, or the ranges from which each trial samples.
+
+    second: what recordings call the sensor of the second finger, and that sensor or its ranges; None if no camera looks
+    at it.
+    """
 
     scene: Scene
     sensor_name: str
@@ -120,6 +146,7 @@ class Plans:
     called: Called = None
     touched: TouchedObject | None = None
     tone_hz: float | None = None
+    second: tuple[str, Sensor | SensorRanges] | None = None
 
     def of_trial(self, seeds: Sequence[int] = ()) -> Plan:
         """The plan of the trial with these seeds, which matter only where each trial has a sensor of its own."""
@@ -127,7 +154,14 @@ class Plans:
         if not isinstance(sensor, Sensor):
             ranges = sensor
             sensor = sampling.sample_sensor(ranges, np.random.default_rng([SENSOR_SEED, *seeds]))
-        return Plan(self.scene, self.sensor_name, sensor, self.readout, self.called, self.touched, self.tone_hz, ranges)
+        second = None
+        if self.second is not None:
+            name, other = self.second
+            if not isinstance(other, Sensor):
+                other = sampling.sample_sensor(other, np.random.default_rng([SENSOR_SEED, *seeds, SECOND]))
+            second = NamedSensor(name, other)
+        of_scene = (self.scene, self.sensor_name, sensor, self.readout, self.called, self.touched, self.tone_hz)
+        return Plan(*of_scene, ranges, second)
 
 
 def plans(
@@ -141,11 +175,13 @@ def plans(
     solver: Mapping[str, Any] = MappingProxyType({}),
     *,
     texture: str | None = None,
+    second: str | None = None,
 ) -> list[Plans]:
     """What trials are made from, one an object or tone (one in all where the scene has neither).
 
-    `gel` cut or closed, `texture` on or off and settings of the `solver` override the scene's, and `tones` (as in
-    200,300) picks from them. InputError where they do not fit the scene, or it is of none of these kinds.
+    `second` names the sensor of a second finger that has a camera, too. `gel` cut or closed, `texture` on or off and
+    settings of the `solver` override the scene's, and `tones` (as in 200,300) picks from them. InputError where they do
+    not fit the scene, or it is of none of these kinds.
     """
     scene = scene_file.load_of_kind(scene_name, kinds)
     scene = replace(scene, solver=with_given(scene.solver, solver, scene_name))
@@ -162,12 +198,15 @@ def plans(
         # A recording is that of its tone, whatever others the scene names.
         alone = [replace(scene, tone=replace(scene.tone, frequency_hz=(tone,))) for tone in picked]
         return [Plans(one, *named, tone_hz=tone) for one, tone in zip(alone, picked, strict=True)]
+    if second is not None and not scene.is_gripped:
+        raise InputError("this scene has no second finger", where="--camera", expected="one camera", found=scene_name)
     if tones is not None:
         raise InputError("this scene has no tones", where="--tone", expected="--scene vibration", found=scene_name)
     driven = scene.face or scene.rub
     if driven is not None:
         return [Plans(scene, *named, touched=TouchedObject(shape="flat", static_friction=driven.static_friction))]
-    return [Plans(scene, *named, called, touched) for called, touched in named_objects(objects).items()]
+    seen = None if second is None else named_sensor(second)
+    return [Plans(scene, *named, called, touched, second=seen) for called, touched in named_objects(objects).items()]
 
 
 def first_plan(scene_name: str, objects: str = "8", sensor: str = "evetac", **more: Any) -> Plan:

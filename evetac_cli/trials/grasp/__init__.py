@@ -2,8 +2,9 @@
 
 Light contact, lifting, balancing. The detector folds the same kernels over live slices that `track` and `featurize`
 fold over a file (online_detector.py). It counts slices with slip; the controller checks every 2 ms whether the count
-has risen (loop.py). What the flags say is resolved once (settings.py) and carried by the trials, of each of which a
-module takes care: SimulatedGrasp (simulated.py), DeviceGrasp (real_time.py) and ReplayGrasp (replay.py).
+has risen (loop.py). Where two cameras are named, one looks at each finger, and each has a detector (two_fingers.py, in
+real time grasp_processes.py). What the flags say is resolved once (settings.py) and carried by the trials, of each of
+which a module takes care: SimulatedGrasp (simulated.py), DeviceGrasp (real_time.py) and ReplayGrasp (replay.py).
 """
 
 from collections.abc import Sequence
@@ -19,7 +20,6 @@ from evetac_cli.devices.grippers import NamedGripper
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job, Outcome, Progress, Stage, silent
 from evetac_cli.names import Capability
-from evetac_cli.store.files import up_to_date
 from evetac_cli.store.recordings import slip_grid
 from evetac_cli.trials import part_costs
 from evetac_cli.trials.grasp import simulated
@@ -30,6 +30,8 @@ from evetac_cli.trials.trial import for_people, simulated_trials
 
 METHOD = simulated.METHOD
 OF_DETECTOR = ("model", "slip_threshold", "false_alarms_per_min", "tracker")
+FINGERS = 2
+_OF_A_KIND = (Capability.STEPPED, Capability.REPLAY, Capability.SCENE, Capability.SIMULATED)  # alike in both cameras
 NOT_OF_GRASP = frozenset(
     {Capability.IMPORT, Capability.RECORDED, Capability.PREVIEW, Capability.MOVED}
 )  # words of `record`
@@ -37,7 +39,8 @@ NOT_OF_GRASP = frozenset(
 
 def jobs(files: list[Path], params: Grasp, out: Path | None) -> Sequence[Job]:
     """One recording for every object and trial."""
-    camera = named_cameras.parse(params.camera)
+    cameras = _cameras(params)
+    camera = cameras[0]
     _refuse_unused(params, camera)
     settings = GraspSettings.of(params)
     if settings.detector is None:
@@ -46,7 +49,7 @@ def jobs(files: list[Path], params: Grasp, out: Path | None) -> Sequence[Job]:
     if not camera.has(Capability.STEPPED):
         from evetac_cli.trials.grasp import real_time  # with all that belongs to devices
 
-        grasps = real_time.jobs(camera, gripper, params, settings, out)
+        grasps = real_time.jobs(cameras, gripper, params, settings, out)
         if params.listen:  # of devices alone, as _refuse_unused sees to
             return [listening([each for each in grasps if isinstance(each, DeviceGrasp)], out, params.listen_port)]
         return grasps
@@ -56,8 +59,21 @@ def jobs(files: list[Path], params: Grasp, out: Path | None) -> Sequence[Job]:
             settings=settings,
             timing=settings.timing(trial.plan.scene.time.touch_s),
         )
-        for trial in simulated_trials(("lift",), params, out)
+        for trial in simulated_trials(("lift",), params, out, fingers=len(cameras))
     ]
+
+
+def _cameras(params: Grasp) -> tuple[NamedCamera, ...]:
+    """That of the first finger and, if named, that of the second; InputError where they do not fit together."""
+    cameras = named_cameras.parse_several(params.camera)
+    if len(cameras) > FINGERS:
+        expected = "a camera, or one for each of both fingers"
+        raise InputError("too many cameras", where="--camera", expected=expected, found=params.camera)
+    kinds = {tuple(camera.has(each) for each in (*_OF_A_KIND,)) for camera in cameras}
+    if len(kinds) > 1:
+        expected = "both simulated, both recordings, or both in real time; if virtual, both before one scene or none"
+        raise InputError("these cameras make no grasp", where="--camera", expected=expected, found=params.camera)
+    return cameras
 
 
 def _refuse_unused(params: Grasp, camera: NamedCamera) -> None:
@@ -107,7 +123,7 @@ def dry_run(jobs: Sequence[Job], params: Grasp, *, force: bool = False, progress
         others = [job for job in each if isinstance(job, DeviceGrasp | ReplayGrasp)]
         return real_time.dry_run(others, force=force)
     for trial in trials:
-        up_to_date(trial.output, simulated.make_recipe(trial), force=force)
+        simulated.are_up_to_date(trial, force=force)
     return part_costs.dry_run(trials, simulated.play, progress)
 
 

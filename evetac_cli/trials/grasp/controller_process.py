@@ -5,11 +5,11 @@ counted, not made up for. New slip between two steps is answered at once (early_
 
 Whatever ends the grasp, torque is switched off and read back; nothing is opened, but by the emergency key. That is also
 what happens where the bus fails, and where the detector publishes no status or its camera gives no event for longer
-than FRESH of the watchdog's time. A recorder (the parent of all) that gives no sign of life for so long, or RECORDER_MS
-if that is longer, ends it if it was stopped or killed; one that only waits for a core has RECORDER_LATE_MS, in which
-the detector keeps what it sends. What this process itself cannot notice, its own death, is noticed by the servo, whose
-Bus Watchdog only the commands of this loop keep quiet. And if it was stopped for longer than that, it lets go before it
-commands anything.
+than FRESH of the watchdog's time; of two fingers, where that holds of either. A recorder (the parent of all) that gives
+no sign of life for so long, or RECORDER_MS if that is longer, ends it if it was stopped or killed; one that only waits
+for a core has RECORDER_LATE_MS, in which the detector keeps what it sends. What this process itself cannot notice, its
+own death, is noticed by the servo, whose Bus Watchdog only the commands of this loop keep quiet. And if it was stopped
+for longer than that, it lets go before it commands anything.
 
 Why so: a sensor's noise alone gives events in every slice, at rest too. So a camera without any is broken or unplugged,
 not idle.
@@ -59,6 +59,7 @@ WAITING_S = 0.01
 ORDER_S = 0.1
 OVER = "the grasp is over"
 DETECTOR = "the detector"
+OF_FINGER = " of the first finger", " of the second finger"
 RECORDER_HANGS = "the recorder hangs"
 STOPPED = "stopped"
 TOO_LONG = "the time allowed is over"
@@ -114,10 +115,10 @@ class Watch:
     def __init__(
         self,
         watchdog_ms: float,
-        has_ended: Callable[[], bool] = lambda: False,
+        has_ended: Callable[[int], bool] = lambda finger: False,
         recorder_stopped: Callable[[], bool] = lambda: True,
     ) -> None:
-        """`has_ended` says whether the detector's process has ended, which needs no waiting.
+        """`has_ended` says whether the process of a finger's detector has ended, which needs no waiting.
 
         `recorder_stopped` is asked once the recorder is silent: whether it was stopped, and does not only wait for a
         core.
@@ -135,16 +136,18 @@ class Watch:
     def fault(self, status: DetectorStatus, recorder_us: float, now_us: float) -> tuple[str, float]:
         """What is wrong, "" if nothing is, and when what is at fault was last alive.
 
-        recorder_us: when the recorder last was.
+        recorder_us: when the recorder last was. Of two fingers, the first that something is wrong with is named.
         """
-        if self._has_ended():
-            return f"{DETECTOR} died", status.at_us
-        for what, alive_us, most_us in (
-            (f"{DETECTOR} hangs: no sign of life", status.at_us, self._fresh_us),
-            ("the camera is silent: not a single event", status.heard_us, self._fresh_us),
-        ):
-            if self._is_silent(alive_us, most_us, now_us):
-                return f"{what} for {(now_us - alive_us) * 1e-3:.0f} ms", alive_us
+        for finger, each in enumerate(status.fingers):
+            of = "" if status.second is None else OF_FINGER[finger]
+            if self._has_ended(finger):
+                return f"{DETECTOR}{of} died", each.at_us
+            for what, alive_us, most_us in (
+                (f"{DETECTOR}{of} hangs: no sign of life", each.at_us, self._fresh_us),
+                (f"the camera{of} is silent: not a single event", each.heard_us, self._fresh_us),
+            ):
+                if self._is_silent(alive_us, most_us, now_us):
+                    return f"{what} for {(now_us - alive_us) * 1e-3:.0f} ms", alive_us
         silent_us = now_us - recorder_us
         if self._is_silent(recorder_us, self._recorder_us, now_us) and (
             silent_us > self._late_us or self._recorder_stopped()
@@ -158,11 +161,15 @@ class Watch:
 
 
 def run_controller(
-    settings: ControllerSettings, shared: SharedStatus, orders: Connection, pipe: Connection, detector: Connection
+    settings: ControllerSettings,
+    shared: SharedStatus,
+    orders: Connection,
+    pipe: Connection,
+    detectors: Sequence[Connection],
 ) -> None:
     """The controller's process: wait for an order, open the gripper, command until the end, torque off, say why.
 
-    detector: the end of a pipe whose other end only the detector holds; it ends when the detector does.
+    detectors: of each finger, the end of a pipe whose other end only its detector holds; it ends when that does.
     """
     ignore_interrupts()  # Ctrl-C is for the recorder, which then stops this
     ending = remember_signals()
@@ -183,7 +190,8 @@ def run_controller(
             gc.freeze()
             gc.disable()  # the loop makes no cycles
             clock, sleep = settings.time.now_s, settings.time.sleep
-            watch = Watch(settings.watchdog_ms, detector.poll, lambda: stands_still(recorder))
+            has_ended = [detector.poll for detector in detectors]
+            watch = Watch(settings.watchdog_ms, lambda finger: has_ended[finger](), lambda: stands_still(recorder))
             result = command_grasp(gripper, shared, settings, outbox, clock, sleep, watch, ending)
     except PeerGone:  # whoever started this; it may have only asked this to end
         result = result._replace(torque=result.torque if gripper is None else gripper.release_words)
@@ -283,7 +291,8 @@ def _command(
     ended, alive_us = "", math.nan
     error: EvetacError | None = None
     began_s = begun_s = last_s = clock()
-    missed_before = slips_before = 0
+    missed_before = 0
+    seen_slips = [0, 0]  # slices with slip of each finger that are known
     waited_s, least_s = 0.0, math.inf  # for the gripper: longer than need be in the last step; by any step
     while True:
         try:
@@ -316,7 +325,8 @@ def _command(
             if ended:
                 break
             phase = timing.phase(slice_)
-            goal = control.step(phase, status.signal, reading.position_ticks)
+            told = status.told
+            goal = control.step(phase, told, reading.position_ticks)
             decided_s = clock()
             silent_ms = (decided_s - last_s) * 1e3
             if silent_ms > settings.watchdog_ms:  # the servo has let go, and must not be made to grip again
@@ -336,15 +346,17 @@ def _command(
         on_bus_s = read_s - begun_s + last_s - decided_s
         least_s = min(least_s, on_bus_s)
         waited_s = on_bus_s - least_s
-        row = control_row(control, phase, status.signal, reading, goal, round(now_us - status.zero_us))
+        row = control_row(control, phase, told, reading, goal, round(now_us - status.zero_us))
         row["control/late_us"] = late_us
         row["control/missed"] = pace.missed - missed_before
         row["control/slices_processed"] = status.slices
-        row |= early_answer.columns(early.written)
+        if status.second is not None:
+            row["control/second_slices_processed"] = status.second.slices
+        row |= early_answer.columns(early.written, len(status.fingers))
         answered_s = last_s if math.isnan(early.written.done_s) else early.written.done_s
-        row["control/latency_us"] = answered_s * 1e6 + wire_us - status.slip_began_us(slips_before)
-        missed_before, slips_before = pace.missed, status.signal.slips
-        early.after_step(control, phase, reading.position_ticks, slips_before)
+        row["control/latency_us"] = answered_s * 1e6 + wire_us - _slip_began_us(status, seen_slips)
+        missed_before, seen_slips = pace.missed, [each.signal.slips for each in status.fingers]
+        early.after_step(control, phase, reading.position_ticks, told.slips)
         rows.append(row)
         if len(rows) >= BATCH_STEPS:
             outbox.put(rows)
@@ -354,6 +366,12 @@ def _command(
     seconds = last_s - began_s
     result = ControllerEnded(ended, error, len(cycle_us), pace.missed, seconds, cycle_us, alive_us, math.nan, {})
     return result._replace(missed_by_gripper=pace.missed_by_gripper)
+
+
+def _slip_began_us(status: DetectorStatus, seen: Sequence[int]) -> float:
+    """First event of the earliest slice with slip, of any finger, after the `seen` ones of each; NaN if none was."""
+    began_us = [each.slip_began_us(known) for each, known in zip(status.fingers, seen, strict=False)]
+    return min((each for each in began_us if not math.isnan(each)), default=math.nan)
 
 
 def _raise_if_ended(ending: Sequence[int]) -> None:

@@ -60,6 +60,7 @@ class DetectorSettings:
     sensor: Mapping[str, Any]  # with the dot grid
     model: DetectorModel | None  # None: slices are recorded, and no slip is detected
     slices: int  # after which the grasp is over
+    finger: int = 0  # 1: the second, whose camera leads nothing: it sees until it is stopped
 
 
 class CameraReady(NamedTuple):
@@ -171,7 +172,8 @@ def run_detector(
         gc.disable()  # the loop makes no cycles
         outbox.flush(FLUSH_S)
         meter = LoadMeter()
-        detect(camera, detector, status, outbox, settings.slices, ending, lambda: take_order(orders), meter)
+        may_move, finger = (lambda: take_order(orders)), settings.finger
+        detect(camera, detector, status, outbox, settings.slices, ending, may_move, meter, finger)
     except PeerGone:  # whoever started this
         return
     except EvetacError as failed:
@@ -203,6 +205,7 @@ def detect(
     ending: Sequence[int] = (),
     may_move: Callable[[], bool] = lambda: True,
     meter: LoadMeter | None = None,
+    finger: int = 0,
 ) -> None:
     """Evaluate and hand over slice after slice, until there are `most`, or an order to stop.
 
@@ -240,7 +243,7 @@ def detect(
             slip_us.append(zero_us + (float(events.t[0]) if events.size else (slices - 1) * SLICE_US))
         moves = moves or may_move()
         if moves:
-            status.publish(DetectorStatus(signal, slices, now_us, events_us, zero_us, tuple(slip_us)))
+            status.publish(DetectorStatus(signal, slices, now_us, events_us, zero_us, tuple(slip_us)), finger)
         slices_held.append(events)
         batch.counts.append(events.size)
         batch.probability.append(probability)

@@ -36,12 +36,12 @@ class EarlyCommand(NamedTuple):
     """What was written ahead of a step, on which slices, and when: begun in us of the recording, done in s."""
 
     goal_ticks: int
-    slices: int
+    slices: tuple[int, ...]  # of each finger
     t_us: float
     done_s: float
 
 
-NOTHING = EarlyCommand(-1, 0, math.nan, math.nan)
+NOTHING = EarlyCommand(-1, (0, 0), math.nan, math.nan)
 
 
 class EarlyAnswer:
@@ -91,7 +91,7 @@ class EarlyAnswer:
         """Command what the next step would, if there is slip that the last one did not know, and time."""
         status = self._shared.latest()
         ahead, began_s = self._ahead, self._clock()
-        if ahead is None or status is None or status.signal.slips <= self._slips or began_s + self._room_s > due_s:
+        if ahead is None or status is None or status.told.slips <= self._slips or began_s + self._room_s > due_s:
             return
         t_us = began_s * 1e6 - status.zero_us
         slice_ = max(int(t_us) // SLICE_US, 0)
@@ -99,15 +99,18 @@ class EarlyAnswer:
         if is_last or self._timing.phase(slice_) is not self._phase or not self._may_write():
             return
         self._ahead = None
-        goal = ahead.step(self._phase, status.signal, self._position)
+        goal = ahead.step(self._phase, status.told, self._position)
         self._gripper.write_position(goal)
-        self._written = EarlyCommand(goal, status.slices, t_us, self._clock())
+        self._written = EarlyCommand(goal, tuple(each.slices for each in status.fingers), t_us, self._clock())
 
 
-def columns(written: EarlyCommand) -> dict[str, Any]:
-    """What a row of the recording says of it."""
-    return {
+def columns(written: EarlyCommand, fingers: int = 1) -> dict[str, Any]:
+    """What a row of the recording says of it; fingers: how many have a detector."""
+    row = {
         "control/early_goal_ticks": written.goal_ticks,
-        "control/early_slices_processed": written.slices,
+        "control/early_slices_processed": written.slices[0],
         "control/early_t_us": written.t_us,
     }
+    if fingers > 1:
+        row["control/early_second_slices_processed"] = written.slices[1]
+    return row

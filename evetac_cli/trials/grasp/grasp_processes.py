@@ -1,5 +1,7 @@
 """The processes of a grasp in real time, as the recorder sees them, which is their parent: started, watched, ended.
 
+A detector for each finger that a camera looks at, so that each has a core for itself; one controller.
+
 Where the controller died or hangs, it is ended here, torque switched off and read back.
 """
 
@@ -9,6 +11,9 @@ import multiprocessing
 import os
 import select
 import time
+from collections.abc import Sequence
+from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from evetac_cli.errors import DeviceError
@@ -36,57 +41,71 @@ _T = TypeVar("_T")
 
 
 class GraspProcesses:
-    """Detector and controller, each in a process of its own; closing them switches torque off."""
+    """Detectors and controller, each in a process of its own; closing them switches torque off."""
 
     def __init__(
-        self, detector: DetectorSettings, controller: ControllerSettings, world: "VirtualWorld | None"
+        self, detectors: Sequence[DetectorSettings], controller: ControllerSettings, world: "VirtualWorld | None"
     ) -> None:
-        """Start both; they load, and wait for `begin`."""
+        """Start all, a detector for each finger; they load, and wait for `begin`."""
         context = multiprocessing.get_context("spawn")
-        self.status = SharedStatus()
+        self.status = SharedStatus(len(detectors))
         self._settings = controller
         self.now_s = controller.time.now_s
         self._hangs_us = 1e6 * max(HANGS_S, HANGS_WATCHDOGS * 1e-3 * controller.watchdog_ms)
         self._began_us = math.inf
-        self._orders = []  # to the detector and to the controller
-        theirs = []
-        for _ in range(2):
+        self._orders: list[Connection] = []  # to the detectors
+        theirs: list[Connection] = []
+        readers: list[MessageReader] = []
+        detector_ends: list[Connection] = []
+        started: list[BaseProcess] = []
+        self._words: list[LastWords] = []  # of the detectors and of the controller
+        for settings in detectors:
+            of = "-second" if settings.finger else ""
             order, ours = context.Pipe(duplex=False)
+            slices, slices_end = context.Pipe(duplex=False)
+            detector_end, alive = context.Pipe(duplex=False)  # nothing is sent: it ends when the detector does
             self._orders.append(ours)
-            theirs.append(order)
-        slices, slices_end = context.Pipe(duplex=False)
+            readers.append(MessageReader(slices))
+            self._words.append(LastWords())
+            view = None if world is None else world.seen_by(settings.finger)
+            started.append(
+                context.Process(
+                    target=telling,
+                    args=(
+                        *(self._words[-1], detector_process.run_detector),
+                        *(settings, self.status, view, order, slices_end, alive),
+                    ),
+                    name=f"evetac-detector{of}",
+                )
+            )
+            detector_ends.append(detector_end)
+            theirs += [order, slices_end, alive]
+        order, self._to_controller = context.Pipe(duplex=False)
         steps, steps_end = context.Pipe(duplex=False)
-        detector_end, alive = context.Pipe(duplex=False)  # nothing is sent: it ends when the detector does
-        self.slices, self.steps = MessageReader(slices), MessageReader(steps)
-        self._words = LastWords(), LastWords()
-        self.detector = context.Process(
-            target=telling,
-            args=(
-                *(self._words[0], detector_process.run_detector),
-                *(detector, self.status, world, theirs[0], slices_end, alive),
-            ),
-            name="evetac-detector",
-        )
+        self._words.append(LastWords())
         self.controller = context.Process(
             target=telling,
             args=(
-                *(self._words[1], controller_process.run_controller),
-                *(controller, self.status, theirs[1], steps_end, detector_end),
+                *(self._words[-1], controller_process.run_controller),
+                *(controller, self.status, order, steps_end, detector_ends),
             ),
             name="evetac-controller",
         )
-        for process in (self.detector, self.controller):
+        self.slices, self.steps = tuple(readers), MessageReader(steps)
+        self.detectors: tuple[BaseProcess, ...] = tuple(started)
+        for process in (*self.detectors, self.controller):
             process.daemon = True
             start_shielded(process)
         self._cores = CoreUse(self._known(world))
         # Our copies of their ends; else a pipe would not end with the process at its other end.
-        for end in (*theirs, slices_end, steps_end, detector_end, alive):
+        for end in (*theirs, *detector_ends, order, steps_end):
             end.close()
 
     def _known(self, world: "VirtualWorld | None") -> dict[str, int]:
         """The processes of the grasp, by their names in words."""
+        names = ("the detector",) if len(self.detectors) == 1 else ("the first detector", "the second detector")
         found = {
-            "the detector": self.detector.pid,
+            **{name: process.pid for name, process in zip(names, self.detectors, strict=True)},
             "the controller": self.controller.pid,
             "the recorder": os.getpid(),
             "the virtual gripper": self._settings.servo,
@@ -94,26 +113,24 @@ class GraspProcesses:
         }
         return {name: process for name, process in found.items() if process is not None}
 
-    def begin(self, signals: list[int]) -> tuple[CameraReady, GripperReady]:
-        """Open the gripper once the detector has loaded, then the camera; what they are. EvetacError if one fails.
+    def begin(self, signals: list[int]) -> tuple[tuple[CameraReady, ...], GripperReady]:
+        """Open the gripper once all detectors have loaded, then the cameras; what they are. EvetacError if one fails.
 
         Nothing moves before `go`. signals: grows when Ctrl-C is pressed.
         """
-        self._wait_for(str, self.slices, self.detector, LOAD_S, signals)
-        self._order(1, "begin")
+        both = tuple(zip(self.slices, self.detectors, strict=True))
+        for slices, detector in both:
+            self._wait_for(str, slices, detector, LOAD_S, signals)
+        _order((self._to_controller,), "begin")
         gripper = self._wait_for(GripperReady, self.steps, self.controller, LOAD_S, signals)
-        self._order(0, "begin")
-        return self._wait_for(CameraReady, self.slices, self.detector, OPEN_S, signals), gripper
+        _order(self._orders, "begin")
+        return tuple(self._wait_for(CameraReady, *each, OPEN_S, signals) for each in both), gripper
 
     def go(self) -> None:
-        """Let the detector begin, upon which the controller moves the gripper; from now on it needs signs of life."""
+        """Let the detectors begin, upon which the controller moves the gripper; now it needs signs of life."""
         self.give_sign_of_life()
         self._began_us = self.now_s() * 1e6
-        self._order(0, "go")
-
-    def _order(self, whom: int, order: str) -> None:
-        with contextlib.suppress(OSError):  # it has died, which whoever waits for its answer finds out
-            self._orders[whom].send(order)
+        _order(self._orders, "go")
 
     def give_sign_of_life(self) -> None:
         """For the loop that watches: it is alive."""
@@ -160,25 +177,31 @@ class GraspProcesses:
         raise DeviceError(f"{process.name} did not come up", expected=f"within {most_s:g} s")
 
     def exit_words(self, process: Any) -> str:
-        """How one of the two ended, in words; "" if it has not within a second."""
-        return exit_words(process, self._words[process is self.controller])
+        """How one of them ended, in words; "" if it has not within a second."""
+        return exit_words(process, self._words[(*self.detectors, self.controller).index(process)])
 
     def close(self) -> None:
-        """End both; torque is off afterwards, or the servo's watchdog sees to it. Signals wait until then."""
+        """End all; torque is off afterwards, or the servo's watchdog sees to it. Signals wait until then."""
         with signals_held():
             self._close()
 
     def _close(self) -> None:
         self.status.stop()
-        for orders in self._orders:
+        for orders in (*self._orders, self._to_controller):
             orders.close()
-        for process in (self.controller, self.detector):
+        for process in (self.controller, *self.detectors):
             process.join(END_S)
             if process.is_alive():
                 process.kill()
                 process.join()
 
     def last_words(self) -> str:
-        """What torque is once both were closed; for whoever broke off recording."""
+        """What torque is once all were closed; for whoever broke off recording."""
         ended = [message for message in self.steps.take() if isinstance(message, ControllerEnded)]
         return ended[-1].torque if ended else self.switch_off()
+
+
+def _order(whom: Sequence[Connection], order: str) -> None:
+    for each in whom:
+        with contextlib.suppress(OSError):  # it has died, which whoever waits for its answer finds out
+            each.send(order)

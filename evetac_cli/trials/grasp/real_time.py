@@ -1,7 +1,8 @@
 """A grasp in real time, with devices or their virtual twins: checked, started, recorded, and reported at the end.
 
 Three processes: the detector (detector_process.py) at 1000 Hz, the controller (controller_process.py) at 500 Hz, and
-this one, which records (recorder.py). The detector and the law are those of a simulated grasp.
+this one, which records (recorder.py); with a camera at each finger, a detector for each. Detectors and law are those of
+a simulated grasp.
 
 Latency is counted from the first event of the slice with slip to the last byte of the command. The event has the
 camera's time; the host's clock is matched to it by the fastest delivery within 5 s. So the shortest time of words from
@@ -13,6 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from uuid import uuid4
 
 import numpy as np
 
@@ -23,13 +25,13 @@ from evetac_cli.devices.grippers import VIRTUAL_WATCHDOG_FACTOR, NamedGripper
 from evetac_cli.devices.opening import open_peers, require_arm
 from evetac_cli.devices.rh_p12_rn.driver import RhP12RnSettings
 from evetac_cli.devices.rh_p12_rn.dynamixel_bus import ANSWER_MS
-from evetac_cli.errors import DeviceError, InputError
-from evetac_cli.jobs import Outcome, Progress, outcome
+from evetac_cli.errors import InputError
+from evetac_cli.jobs import Outcome, Progress
 from evetac_cli.names import Capability
 from evetac_cli.realtime.processes import raised_priority, set_realtime_priority
 from evetac_cli.realtime.shared_time import HOST_TIME
 from evetac_cli.sim.setup import scene_file
-from evetac_cli.store.calibration import MAKE_GRID, read_calibration
+from evetac_cli.store.calibration import MAKE_GRID, read_calibrations
 from evetac_cli.store.layout.provenance import Header, Recipe
 from evetac_cli.store.recordings.segments import RecordingWriter
 from evetac_cli.trials import live_view, session
@@ -38,6 +40,7 @@ from evetac_cli.trials.grasp.controller_process import ControllerSettings
 from evetac_cli.trials.grasp.detector_process import DetectorSettings
 from evetac_cli.trials.grasp.grasp_processes import GraspProcesses
 from evetac_cli.trials.grasp.loop import Timing
+from evetac_cli.trials.grasp.real_time_row import result_of
 from evetac_cli.trials.grasp.recorded_grasp import RecordedGrasp
 from evetac_cli.trials.grasp.recorder import PRIORITY as WATCHING_PRIORITY
 from evetac_cli.trials.grasp.recorder import record
@@ -51,6 +54,7 @@ if TYPE_CHECKING:
 METHOD = 4  # of grasps in real time
 KINDS = ("lift",)  # of scenes that are grasped
 WATCHDOG_MS = 60  # where none is asked for
+UNTIL_STOPPED = 2**62  # slices
 EVENTS_S = 500_000  # that the disk must have room for
 SLOWEST_HZ = 100.0  # below, the watchdog would be blind
 SERVO_PRIORITY = 40  # hardware does not wait for a scheduler
@@ -63,9 +67,9 @@ FALLS = "torque is switched off at the end, and at once if detector, camera or b
 
 
 def jobs(
-    camera: NamedCamera, gripper: NamedGripper, params: Grasp, settings: GraspSettings, out: Path | None
+    cameras: tuple[NamedCamera, ...], gripper: NamedGripper, params: Grasp, settings: GraspSettings, out: Path | None
 ) -> Sequence[DeviceGrasp | ReplayGrasp]:
-    """One recording for every trial; InputError for what cannot be done, or must not without --arm."""
+    """One recording for every trial and finger; InputError for what cannot be done, or must not without --arm."""
     watchdog_ms = WATCHDOG_MS if params.watchdog_ms is None else params.watchdog_ms
     driver = _driver(params, gripper, watchdog_ms)
     touch_s = scene_file.load_of_kind(params.scene, KINDS).time.touch_s
@@ -76,15 +80,18 @@ def jobs(
         f" {params.max_current_ma} mA; {FALLS}"
     )
     require_arm(gripper, armed=params.arm or params.dry_run, plan=plan)
-    trials = device_trials(KINDS, (camera,), gripper, params, out, prefix="grasp-")
-    if gripper.has(Capability.STEPPED):
+    replayed = gripper.has(Capability.STEPPED)  # which makes one file: the decisions, beside the first finger's events
+    trials = device_trials(KINDS, cameras[:1] if replayed else cameras, gripper, params, out, prefix="grasp-")
+    if replayed:
+        files = tuple(path for camera in cameras for path in camera.files)
         return [
             replay.grasp_of(
-                ReplayTrial(each.inputs, each.output, each.number, each.seed, None, camera), settings, touch_s
+                ReplayTrial(files, each.output, each.number, each.seed, None, cameras[0]), settings, touch_s
             )
             for each in trials
         ]
-    calibration = None if params.calibration is None else read_calibration(params.calibration, camera.frame_px())
+    frames_px = [] if params.calibration is None else [camera.frame_px() for camera in cameras]
+    calibrations = read_calibrations(params.calibration, frames_px)
     view = settings.view(params)
     return [
         DeviceGrasp(
@@ -94,7 +101,7 @@ def jobs(
             driver=driver,
             watchdog_ms=watchdog_ms,
             most_s=params.max_seconds,
-            calibration=calibration,
+            calibrations=calibrations,
             armed=params.arm,
         )
         for each in trials
@@ -137,11 +144,12 @@ def check(trial: DeviceGrasp, *, force: bool) -> None:
     again, hint = "a grasp in real time", "--force replaces it, -o NAME writes elsewhere"
     session.refuse_taken(trial, again=again, hint=hint, force=force)
     session.check_room(trial, EVENTS_S, trial.timing.end_ms * 1e-3, "a shorter --balance-s")
-    if trial.plan is not None and trial.calibration is None:
+    if trial.plan is not None and not trial.calibrations:
         return  # its scene will say where the dots are
-    sensor = _sensor(trial, None)
-    if trial.settings.detector is not None:
-        trial.settings.detector.require_dots(sensor["sensor/dot_xy_px"])
+    for finger in range(len(trial.cameras)):
+        sensor = _sensor(trial, None, finger)
+        if trial.settings.detector is not None:
+            trial.settings.detector.require_dots(sensor["sensor/dot_xy_px"])
 
 
 def dry_run(trials: Sequence[DeviceGrasp | ReplayGrasp], *, force: bool = False) -> Outcome:
@@ -154,20 +162,21 @@ def dry_run(trials: Sequence[DeviceGrasp | ReplayGrasp], *, force: bool = False)
     first = trials[0]
     settings = first.settings
     steps = f"{settings.control_hz:g} Hz, {settings.controller}"
+    cameras: Sequence[NamedCamera]
     if isinstance(first, ReplayGrasp):
-        camera = first.camera
+        cameras = (first.camera,)
         moves = [("gripper", "sim", f"{steps}, moves nothing")]
         watched = []
     else:
-        camera = first.cameras[0]
+        cameras = first.cameras
         moves = [("gripper", str(first.gripper), f"{steps}, at most {first.driver.max_current_ma} mA")]
         watched = [("watchdog", f"{first.driver.watchdog_ms} ms", "of silence, and torque is off")]
     detector = "no slip detector"
     if settings.detector is not None:
         detector = f"slip detected 1000 times per second by {settings.detector.path}"
     ends = ("end", f"after {first.timing.end_ms * 1e-3:g} s", FALLS)
-    parts = [("camera", str(camera), detector), *moves, ends, *watched]
-    return session.plan_shown(trials, parts, simulated=camera.shows_simulation())
+    parts = [*(("camera", str(camera), detector) for camera in cameras), *moves, ends, *watched]
+    return session.plan_shown(trials, parts, simulated=any(camera.shows_simulation() for camera in cameras))
 
 
 def run(
@@ -183,7 +192,7 @@ def run(
     desk: a robot's program began it, and may mark and end it.
     """
     check(trial, force=force)
-    (camera,), gripper, seeds = trial.cameras, trial.gripper, trial.seeds()
+    cameras, gripper, seeds = trial.cameras, trial.gripper, trial.seeds()
     settings, timing = trial.settings, trial.timing
     is_hardware = gripper.has(Capability.HARDWARE)
     if is_hardware and desk is None:
@@ -193,12 +202,18 @@ def run(
         view = opened.enter_context(live_view.opened(trial, f"grasp {trial.output.name}", moves=True))
         durations = {"lift_s": settings.lift_s, "balance_s": settings.balance_s}
         world, servo = open_peers(
-            camera, gripper, trial.plan, seeds, opened, armed=trial.armed, tells_truth=True, **durations
+            cameras[0], gripper, trial.plan, seeds, opened, armed=trial.armed, tells_truth=True, **durations
         )
         signals = opened.enter_context(interrupts.signals_counted(came))  # until here Ctrl-C breaks off
-        sensor = _sensor(trial, world)
-        parents = (*settings.parents(), *camera.parents())
-        detector = DetectorSettings(camera, seeds, sensor, settings.detector, timing.end_ms)
+        sensors = [_sensor(trial, world, finger) for finger in range(len(cameras))]
+        parents = (*settings.parents(), *(header for camera in cameras for header in camera.parents()))
+        detectors = [
+            DetectorSettings(
+                *(camera, _seeds_of(seeds, finger), sensors[finger], settings.detector),
+                *(UNTIL_STOPPED if finger else timing.end_ms, finger),
+            )
+            for finger, camera in enumerate(cameras)
+        ]
         controller = ControllerSettings(
             gripper,
             servo.port if servo is not None else gripper.port,
@@ -212,20 +227,25 @@ def run(
             settings.controller,
             None if servo is None else servo.pid,
         )
-        processes = GraspProcesses(detector, controller, world)
+        processes = GraspProcesses(detectors, controller, world)
         opened.callback(processes.close)
         if servo is not None and servo.pid is not None:
             set_realtime_priority(SERVO_PRIORITY, servo.pid)
-        camera_ready, gripper_ready = processes.begin(signals)
+        cameras_ready, gripper_ready = processes.begin(signals)
         with raised_priority(WATCHING_PRIORITY):  # the camera runs, and until `go` the time of the grasp is lost
-            for note in camera_ready.notes:
-                console.say(note)
-            sensor = {**camera_ready.sensor, **sensor, "t_offset": np.int64(0)}
-            described = {"camera": dict(camera_ready.setup), "gripper": {"name": gripper.name, **gripper_ready.setup}}
-            if view is not None:
-                view.begin(sensor)
-            recipe = _recipe(trial, described, sensor, parents)
-            writer = RecordingWriter(trial.output, sensor, recipe=recipe)
+            writers, recipes = [], []
+            shared = {} if len(cameras) == 1 else {"trajectory": uuid4().hex}
+            for finger, ready in enumerate(cameras_ready):
+                for note in ready.notes:
+                    console.say(note)
+                sensor = {**ready.sensor, **sensors[finger], "t_offset": np.int64(0)}
+                described: dict[str, Any] = {"camera": dict(ready.setup)}
+                if finger == 0:
+                    described["gripper"] = {"name": gripper.name, **gripper_ready.setup}
+                    if view is not None:
+                        view.begin(sensor)
+                recipes.append(_recipe(trial, described, sensor, parents, shared))
+                writers.append(RecordingWriter(trial.outputs[finger], sensor, recipe=recipes[finger]))
             if is_hardware and not signals:
                 console.say(f"{gripper} moves now; {FALLS}")
             key = opened.enter_context(session.gripper_key(moves=not signals))
@@ -233,40 +253,47 @@ def run(
             if not signals:
                 processes.go()
             recorded = record(
-                *(processes, world, writer, timing.end_ms, signals, key),
+                *(processes, world, writers, timing.end_ms, signals, key),
                 lambda done: progress(done, timing.end_ms),
                 view,
                 WRITING_NICE if is_hardware else BESIDE_VIRTUAL,
                 desk,
             )
         except BaseException as error:
-            writer.leave()
+            for writer in writers:
+                writer.leave()
             processes.close()
             console.say(f"{gripper}: {processes.last_words()}")
-            raise session.with_hint(error, writer) from None
+            raise session.with_hint(error, writers[0]) from None
         processes.close()
         if view is not None:
             view.end(recorded.ended)
         if recorded.ended == session.ABORTED:
-            writer.discard()
-            return Outcome([], recipe.simulated, made=False)
+            for writer in writers:
+                writer.discard()
+            return Outcome([], recipes[0].simulated, made=False)
         datasets = {
             **recorded.datasets(),
-            "capture/scheduling": f"detector {camera_ready.scheduling}, controller {gripper_ready.scheduling}",
+            "capture/scheduling": f"detector {cameras_ready[0].scheduling}, controller {gripper_ready.scheduling}",
         }
         if world is not None:
             datasets |= session.lost_datasets({f"world.{why}": count for why, count in world.counted.items()})
-        grasp_outcome, saved = _finish(writer, trial, recipe, recorded, datasets, world)
-    return _result(trial, recipe, recorded, datasets, grasp_outcome, saved, say)
+        grasp_outcome, saved = _finish(writers, trial, recipes, recorded, datasets, world)
+    return result_of(trial, recipes[0], recorded, datasets, grasp_outcome, saved, say)
 
 
-def _sensor(trial: DeviceGrasp, world: "VirtualWorld | None") -> dict[str, Any]:
+def _seeds_of(seeds: np.random.SeedSequence, finger: int) -> np.random.SeedSequence:
+    """What prepared words of a finger's camera are drawn from."""
+    return np.random.SeedSequence(seeds.entropy, spawn_key=(finger,)) if finger else seeds
+
+
+def _sensor(trial: DeviceGrasp, world: "VirtualWorld | None", finger: int) -> dict[str, Any]:
     """The dot grid, which has to be known before the camera is opened; InputError if it is not."""
-    (camera,) = trial.cameras
-    if trial.calibration is not None:
-        sensor: Mapping[str, Any] = trial.calibration.recorded()
+    camera = trial.cameras[finger]
+    if trial.calibrations:
+        sensor: Mapping[str, Any] = trial.calibrations[finger].recorded()
     elif world is not None:
-        sensor = world.sensor
+        sensor = world.sensors[finger]
     else:
         sensor = camera.known_sensor()
     if "sensor/dot_xy_px" not in sensor:
@@ -284,116 +311,59 @@ def _recipe(
     described: Mapping[str, Any],
     sensor: Mapping[str, Any],
     parents: tuple[Header, ...],
+    shared: Mapping[str, str],
 ) -> Recipe:
     """What is known of a grasp beforehand; its content stands in for the rest.
 
     parents: headers of the model and of what the camera plays. They take long to read, and now the camera runs.
+    shared: by the files of one grasp.
     """
-    (camera,) = trial.cameras
     return session.make_recipe(
         METHOD,
-        trial.settings.parameters(trial),
+        {**trial.settings.parameters(trial), **shared},
         described,
         sensor,
         {"watchdog_ms": trial.watchdog_ms},
         parents=parents,
-        simulated=camera.has(Capability.SIMULATED),
+        simulated=trial.cameras[0].has(Capability.SIMULATED),
     )
 
 
 def _finish(
-    writer: RecordingWriter,
+    writers: Sequence[RecordingWriter],
     trial: DeviceGrasp,
-    recipe: Recipe,
+    recipes: Sequence[Recipe],
     recorded: RecordedGrasp,
     datasets: Mapping[str, Any],
     world: "VirtualWorld | None",
 ) -> tuple[dict[str, Any], Path | None]:
-    """Make the file; returns what became of the grasp, where truth is known, and the file, or the folder that is left.
+    """Make the files; returns what became of the grasp, where truth is known, and the file, or the folder that is left.
 
-    No file is made of one without a step.
+    No file is made of one without a step, nor of a second finger without a slice. Where the first cannot be made, the
+    segments of the second stay, too.
     """
     if not recorded.has_steps:
-        writer.discard()
+        for writer in writers:
+            writer.discard()
         return {}, None
-    late = dict(datasets)
+    late = [dict(datasets), *([recorded.second_datasets()] if recorded.second is not None else [])]
     grasp_outcome = None
-    if world is not None and trial.plan is not None and (truth := recorded.truth_arrays()):
-        late |= {**truth, "truth/sampled_parameters": world.sampled}
+    if world is not None and trial.plan is not None:
+        for rows, truth in zip(late, recorded.truth_arrays(), strict=True):
+            if truth:
+                rows |= {**truth, "truth/sampled_parameters": world.sampled}
         grasp_outcome = recorded.outcome(trial.plan.sensor.mm_per_px)
     if grasp_outcome is not None:
-        late["control/outcome"] = json.dumps(grasp_outcome)
-    saved = session.finish(writer, recipe, late, ended=recorded.ended)
+        late[0]["control/outcome"] = json.dumps(grasp_outcome)
+    try:
+        saved = session.finish(writers[0], recipes[0], late[0], ended=recorded.ended)
+    except BaseException:
+        for writer in writers[1:]:
+            writer.leave()
+        raise
+    for writer, recipe, rows, finger in zip(writers[1:], recipes[1:], late[1:], recorded.fingers[1:], strict=True):
+        if finger.slices:
+            session.finish(writer, recipe, rows, ended=recorded.ended)
+        else:
+            writer.discard()
     return grasp_outcome or {}, saved
-
-
-def _result(
-    trial: DeviceGrasp,
-    recipe: Recipe,
-    recorded: RecordedGrasp,
-    datasets: Mapping[str, Any],
-    grasp_outcome: Mapping[str, Any],
-    saved: Path | None,
-    say: Callable[[str], None],
-) -> Outcome:
-    """The row of a grasp; an error or Ctrl-C goes on from here, and says what was saved."""
-    result = None
-    if recorded.has_steps:
-        result = _row(trial, recipe, recorded, datasets, grasp_outcome)
-        if result.rows[0]["too_slow"] is not None:
-            say(result.rows[0]["too_slow"])
-    words = f"{recorded.slices:,} slices in {session.place(saved)}" if saved else "nothing was recorded"
-    session.raise_end(recorded.error, recorded.ended, words, result, recorded.torque)
-    if result is None:
-        raise DeviceError("the grasp ended before its first step", found=recorded.ended)
-    return result
-
-
-def _row(
-    trial: DeviceGrasp,
-    recipe: Recipe,
-    recorded: RecordedGrasp,
-    datasets: Mapping[str, Any],
-    grasp_outcome: Mapping[str, Any],
-) -> Outcome:
-    """The figures of a grasp of which there is a file."""
-    timing: dict[str, float | None] = {}
-    for name, path, index in (
-        ("latency_us_median", "latency_us", 0),
-        ("latency_us_p99", "latency_us", 1),
-        ("step_late_us_p99", "step_late_us", 1),
-        ("command_us_median", "command_us", 0),
-    ):
-        values = datasets.get(f"capture/{path}")
-        timing[name] = None if values is None else float(values[index])
-    for name in ("slices_per_s", "commands_per_s"):
-        timing[name] = float(datasets[f"capture/{name}"]) if f"capture/{name}" in datasets else None
-    late, commands = recorded.late_slices, len(recorded.step_late_us)
-    load = None if recorded.detector is None else recorded.detector.load
-    used = "; ".join(words for words in (recorded.cores_used, "" if load is None else load.words()) if words)
-    too_slow = session.too_slow(datasets, recorded.slices, late, commands, recorded.behind_s, used)
-    return outcome(
-        trial,
-        made=True,
-        simulated=recipe.simulated,
-        slices=recorded.slices,
-        ended=recorded.ended,
-        **timing,
-        commands=commands,
-        command_misses=_whole(datasets.get("capture/command_misses")),
-        command_misses_by_gripper=_whole(datasets.get("capture/command_misses_by_gripper")),
-        latencies=len(recorded.latency_us),
-        late_slices=late.count,
-        recorder_behind_s=recorded.behind_s,
-        too_slow=too_slow,
-        detector_core_share=None if load is None else load.core_share,
-        events_per_s=None if load is None else load.events_per_s,
-        bearable_events_per_s=None if load is None else load.bearable_events_per_s,
-        scheduling=datasets["capture/scheduling"],
-        **session.lost_columns(datasets),
-        **grasp_outcome,
-    )
-
-
-def _whole(value: Any) -> int | None:
-    return None if value is None else int(value)

@@ -1,7 +1,8 @@
 """What is known of a grasp in real time while it is recorded, and why it ended.
 
 The recorder's two threads share it: the one that watches (recorder.py) learns how the others ended, the one that writes
-(writing_thread.py) takes slices and steps.
+(writing_thread.py) takes slices and steps. Of the second finger, where there is a camera, only its own slices are
+known (recorded_finger.py); all else is the grasp's.
 """
 
 import math
@@ -13,15 +14,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from evetac_cli.devices import of_finger
 from evetac_cli.errors import DeviceError, EvetacError
 from evetac_cli.events import SLICE_US
 from evetac_cli.kernels.grip.paper import GraspPhase
 from evetac_cli.sim import grasp_outcome
 from evetac_cli.store.recordings.segments import RecordingWriter
 from evetac_cli.store.recordings.trial_writer import TrialBuffer
-from evetac_cli.trials.grasp.controller_process import DETECTOR, OVER, ControllerEnded
-from evetac_cli.trials.grasp.detector_process import DetectorEnded, SliceBatch
+from evetac_cli.trials.grasp.controller_process import DETECTOR, OF_FINGER, OVER, ControllerEnded
+from evetac_cli.trials.grasp.detector_process import SliceBatch
 from evetac_cli.trials.grasp.grasp_processes import GraspProcesses
+from evetac_cli.trials.grasp.recorded_finger import RecordedFinger
 from evetac_cli.trials.live_view import LiveView
 from evetac_cli.trials.session import (
     ABORTED,
@@ -30,7 +33,6 @@ from evetac_cli.trials.session import (
     OPENED,
     OVERLOADED,
     STOPPED,
-    LateSlices,
     lost_datasets,
     spread,
 )
@@ -39,36 +41,33 @@ if TYPE_CHECKING:
     from evetac_cli.devices.virtual.world import VirtualWorld
 
 FELL = "the object fell"
+WHERE_FINGER = " (first finger)", " (second finger)"
 
 
 @dataclass
-class RecordedGrasp:
-    """What was recorded of a grasp in real time, and why it ended."""
+class RecordedGrasp(RecordedFinger):
+    """What was recorded of a grasp in real time, as one of its first finger, and why it ended."""
 
     end_ms: int  # when it is to be over
-    slices: int = 0
-    events: int = 0
+    second: RecordedFinger | None = None
     ended: str = ""
     error: Exception | None = None
-    first_us: float = math.nan  # when the first and the last slice were evaluated
-    last_us: float = math.nan
-    slice_late_us: "array[float]" = field(default_factory=lambda: array("d"))
     step_late_us: "array[float]" = field(default_factory=lambda: array("d"))
     latency_us: "array[float]" = field(default_factory=lambda: array("d"))
-    late_slices: LateSlices = field(default_factory=LateSlices)
-    zero_us: float = math.nan  # when the recording began, by the time of the grasp
-    behind_s: float = 0.0  # that slices waited for the recorder, at most
     steps: TrialBuffer = field(default_factory=TrialBuffer)  # of the controller, as far as the outcome needs them
     truth: TrialBuffer = field(default_factory=TrialBuffer)  # of a virtual world
     truths: int = 0  # slices whose truth is known
     world_over: bool = False
-    detector_died: bool = False
-    detector: DetectorEnded | None = None  # what each said at its end
-    controller: ControllerEnded | None = None
+    controller: ControllerEnded | None = None  # what it said at its end
     controller_hung: str = ""  # in words
     torque: str = ""  # what it was at the end, in words
     cores_used: str = ""  # by whom, in words: from beginning to end, and in the second before something ended it
     cores_at_end: str = ""
+
+    @property
+    def fingers(self) -> tuple[RecordedFinger, ...]:
+        """The first finger, and the second if a camera looks at it."""
+        return (self,) if self.second is None else (self, self.second)
 
     @property
     def has_steps(self) -> bool:
@@ -77,11 +76,8 @@ class RecordedGrasp:
 
     def datasets(self) -> dict[str, Any]:
         """The datasets capture/...: why it ended, what was lost, how well time was kept."""
-        rows: dict[str, Any] = {"capture/ended": self.ended}
-        passed_us = self.last_us - self.first_us
-        if passed_us > 0:
-            rows["capture/slices_per_s"] = np.float64((self.slices - 1) / passed_us * 1e6)
-        for name in ("slice_late_us", "step_late_us", "latency_us"):
+        rows: dict[str, Any] = {"capture/ended": self.ended, **self.camera_datasets()}
+        for name in ("step_late_us", "latency_us"):
             if len(getattr(self, name)):
                 rows[f"capture/{name}"] = spread(getattr(self, name))
         controller = self.controller
@@ -94,10 +90,33 @@ class RecordedGrasp:
             released_us = controller.released_us - controller.alive_us
             if self.error is not None and not math.isnan(released_us):
                 rows["capture/released_us"] = np.float64(released_us)
-        for name, ended in (("camera", self.detector), ("gripper", self.controller)):
-            if ended is not None:
-                rows |= lost_datasets({f"{name}.{why}": count for why, count in ended.counted.items()})
+        if controller is not None:
+            rows |= lost_datasets({f"gripper.{why}": count for why, count in controller.counted.items()})
+        if self.second is not None:
+            rows["control/second_probability"] = self._second_probability(self.second)
         return rows
+
+    def second_datasets(self) -> dict[str, Any]:
+        """Those of the second finger's file, with the offset of its camera's clock."""
+        assert self.second is not None
+        rows: dict[str, Any] = {"capture/ended": self.ended, **self.second.camera_datasets()}
+        if not math.isnan(self.clock_offset_us):
+            rows["capture/clock_offset_us"] = np.float64(self.clock_offset_us)
+        return rows
+
+    @property
+    def clock_offset_us(self) -> float:
+        """From the time 0 of the first camera to that of the second; NaN where it is not known."""
+        return math.nan if self.second is None else self.second.zero_us - self.zero_us
+
+    def _second_probability(self, second: RecordedFinger) -> NDArray[np.float32]:
+        """What the second detector said of the last slice that had ended at the end of each slice of the first."""
+        offset_ms = 0.0 if math.isnan(self.clock_offset_us) else self.clock_offset_us / SLICE_US
+        last = np.floor(np.arange(1, self.slices + 1) - offset_ms).astype(np.int64) - 1
+        said = np.append(np.frombuffer(second.probability, np.float32), np.float32(math.nan))
+        last[last >= len(said) - 1] = len(said) - 2
+        row: NDArray[np.float32] = said[np.maximum(last, -1)]
+        return row
 
     def take_steps(self, rows: list[dict[str, Any]], writer: RecordingWriter, view: LiveView | None = None) -> None:
         """Write steps of the controller, and remember what of them says how the grasp went."""
@@ -114,30 +133,26 @@ class RecordedGrasp:
         self, batch: SliceBatch, writer: RecordingWriter, now_s: float = -math.inf, view: LiveView | None = None
     ) -> None:
         """Write slices of the camera, but for those after the end of a virtual world. now_s: when they came here."""
-        self.behind_s = max([self.behind_s, *(now_s - at_us * 1e-6 for at_us in batch.at_us[-1:])])
-        wanted = len(batch.counts)
-        if self.world_over:
-            wanted = min(max(self.truths - self.slices, 0), wanted)
-        if wanted:
-            counts = batch.counts[:wanted]
-            events = batch.events.part(0, sum(counts))
-            writer.append_slices(events, counts, {"control/probability": batch.probability[:wanted]})
-            first = 0
-            for count, late_us, probability in zip(counts, batch.late_us, batch.probability, strict=False):
-                self.late_slices.add(late_us, count)
-                if view is not None:
-                    view.add_slice(events.part(first, first + count), late_us, probability)
-                first += count
-            if not self.slices:
-                self.first_us = batch.at_us[0]
-            self.last_us = batch.at_us[wanted - 1]
-            self.slice_late_us.extend(batch.late_us[:wanted])
-            self.slices += wanted
-            zero_us = self.last_us - batch.late_us[wanted - 1] - self.slices * SLICE_US
-            self.zero_us = self.zero_us if math.isnan(zero_us) else zero_us
-            self.events += events.size
-        if view is not None and batch.counted is not None:
+        most = self.truths if self.world_over else None
+        wanted = self.take(batch, writer, most, now_s, {"control/probability": batch.probability})
+        if view is None:
+            return
+        events, first = batch.events, 0
+        for count, late_us, probability in zip(batch.counts[:wanted], batch.late_us, batch.probability, strict=False):
+            view.add_slice(events.part(first, first + count), late_us, probability)
+            first += count
+        if batch.counted is not None:
             view.lost({f"camera.{why}": count for why, count in batch.counted.items()})
+
+    def take_second(self, batch: SliceBatch, writer: RecordingWriter, now_s: float) -> None:
+        """Write slices of the second finger's camera, but for those after the end of the grasp."""
+        assert self.second is not None
+        offset_ms = 0.0 if math.isnan(self.clock_offset_us) else self.clock_offset_us / SLICE_US
+        most = self.end_ms - round(offset_ms)
+        if self.world_over:
+            most = min(most, self.truths)
+        wanted = self.second.take(batch, writer, most, now_s, {})
+        self.second.probability.extend(batch.probability[:wanted])
 
     def take_truth(self, rows: Mapping[str, NDArray[Any]] | None) -> None:
         """Truth of some slices of a virtual world; None once it is over, which it is too when the object has fallen."""
@@ -154,8 +169,11 @@ class RecordedGrasp:
             self.ended = FELL
         if self.controller is not None and self.controller.ended != OVER:
             return True
-        if self.detector_died or (self.detector is not None and self.detector.error is not None):
-            return True
+        for each in self.fingers:
+            if each.detector_died or (each.detector is not None and each.detector.error is not None):
+                return True
+        if self.second is not None and self.controller is not None and self.detector is not None:
+            return True  # the second goes on until it is told to stop
         return bool(self.ended) and self.ended != OPENED  # then the controller ends by itself
 
     def conclude(self, processes: GraspProcesses, world: "VirtualWorld | None" = None) -> None:
@@ -163,7 +181,7 @@ class RecordedGrasp:
 
         world: the virtual one, if there is one: the detector sees that it is gone, and does not know why.
         """
-        detector, controller = self.detector, self.controller
+        controller = self.controller
         if controller is not None:
             self.torque = controller.torque
         if controller is None:
@@ -172,13 +190,11 @@ class RecordedGrasp:
             self.torque = self.torque or processes.switch_off()
             self.error = DeviceError(f"{self.controller_hung or died}; {self.torque}")
         elif (
-            detector is None
-            and (controller.error is None or DETECTOR in controller.ended)  # else the controller failed before
-            and (exit_ := processes.exit_words(processes.detector))
-        ):
-            self.error = DeviceError(f"the detector died ({exit_}); {self.torque}")
+            controller.error is None or DETECTOR in controller.ended  # else the controller failed before
+        ) and (died := self._detector_deaths(processes)):
+            self.error = DeviceError(f"{died}; {self.torque}")
         else:
-            self.error = (detector and detector.error) or controller.error
+            self.error = next(filter(None, self._detector_errors()), controller.error)
             if world is not None and world.has_died:
                 self.error = world.died()
             if isinstance(self.error, EvetacError) and "torque" not in str(self.error):
@@ -191,15 +207,37 @@ class RecordedGrasp:
         else:
             self.ended = str(self.error).splitlines()[0] if self.error or controller is None else controller.ended
 
+    def _detector_deaths(self, processes: GraspProcesses) -> str:
+        """That a detector died without a word, in words; "" if none did."""
+        for finger, (each, process) in enumerate(zip(self.fingers, processes.detectors, strict=True)):
+            if each.detector is None and (exit_ := processes.exit_words(process)):
+                return f"{DETECTOR}{'' if self.second is None else OF_FINGER[finger]} died ({exit_})"
+        return ""
+
+    def _detector_errors(self) -> list[Exception | None]:
+        """What failed in the detectors; of two, with the finger."""
+        errors = [None if each.detector is None else each.detector.error for each in self.fingers]
+        for finger, error in enumerate(errors):
+            if self.second is not None and isinstance(error, EvetacError):
+                error.message = f"{error.message}{WHERE_FINGER[finger]}"
+        return errors
+
     def outcome(self, mm_per_px: float) -> dict[str, Any] | None:
         """Success of each phase and so on, as in simulation; None where there is no truth, or too little of it."""
-        steps, truth = self.steps.row_arrays(), self.truth_arrays()
+        steps, (truth, *others) = self.steps.row_arrays(), self.truth_arrays()
         if not truth or not steps or not (steps["control/phase"] == GraspPhase.CONTACT).any():
             return None
-        return grasp_outcome.outcome({**steps, **truth}, mm_per_px, self.end_ms)
+        second_slip_share = others[0].get("truth/visible_slip_share") if others else None
+        rows = {**steps, **truth}
+        return grasp_outcome.outcome(rows, mm_per_px, self.end_ms, second_slip_share=second_slip_share)
 
-    def truth_arrays(self) -> dict[str, Any]:
-        """Truth of the slices that were recorded; nothing if some have none."""
-        if not self.slices or self.truths < self.slices:
-            return {}
-        return {name: rows[: self.slices] for name, rows in self.truth.row_arrays().items()}
+    def truth_arrays(self) -> tuple[dict[str, Any], ...]:
+        """Truth of the slices of each finger that were recorded; nothing if some have none."""
+        known: list[dict[str, Any]] = []
+        for finger, each in enumerate(self.fingers):
+            if not each.slices or self.truths < each.slices:
+                known.append({})
+                continue
+            buffer = TrialBuffer(rows=of_finger(self.truth.rows, finger))
+            known.append({name: rows[: each.slices] for name, rows in buffer.row_arrays().items()})
+        return tuple(known)

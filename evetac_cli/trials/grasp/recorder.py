@@ -13,14 +13,15 @@ import math
 import select
 import sys
 import time
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from evetac_cli.realtime.emergency_key import EmergencyKey
 from evetac_cli.realtime.processes import raised_priority
 from evetac_cli.store.recordings.segments import RecordingWriter
 from evetac_cli.trials.grasp.detector_process import SliceBatch
 from evetac_cli.trials.grasp.grasp_processes import END_S, POLL_S, GraspProcesses
+from evetac_cli.trials.grasp.recorded_finger import RecordedFinger
 from evetac_cli.trials.grasp.recorded_grasp import RecordedGrasp
 from evetac_cli.trials.grasp.writing_thread import WritingThread
 from evetac_cli.trials.live_view import LiveView
@@ -36,10 +37,16 @@ ALIVE_S = 0.005  # the loop that watches gives a sign of life as often as this
 SWITCH_S = 5e-4  # after so long the thread that writes lets the loop go on
 
 
+class OfSecond(NamedTuple):
+    """Slices of the second finger, that wait to be written."""
+
+    batch: SliceBatch
+
+
 def record(
     processes: GraspProcesses,
     world: "VirtualWorld | None",
-    writer: RecordingWriter,
+    writers: Sequence[RecordingWriter],
     end_ms: int,
     signals: list[int],
     key: EmergencyKey,
@@ -48,24 +55,27 @@ def record(
     niceness: int = 0,
     desk: "Desk | None" = None,
 ) -> RecordedGrasp:
-    """Write until both have ended; what failed is in the result.
+    """Write until all have ended; what failed is in the result.
 
-    signals: grows when Ctrl-C is pressed; key: opens the gripper; view: shows the grasp, and its button lets go;
-    niceness: of the thread that writes; desk: of a robot's program, which may mark and end it. What fails in writing is
+    writers: of the file of each finger; signals: grows when Ctrl-C is pressed; key: opens the gripper; view: shows the
+    grasp, of the first finger, and its button lets go; niceness: of the thread that writes; desk: of a robot's program,
+    which may mark and end it. What fails in writing is
     raised.
     """
-    recorded = RecordedGrasp(end_ms)
+    recorded = RecordedGrasp(end_ms=end_ms, second=RecordedFinger() if len(writers) > 1 else None)
 
     def write_marks(*, last: bool = False) -> None:
         for row in () if desk is None else desk.marked(last=last):
-            writer.append_rows(row)
+            writers[0].append_rows(row)
 
     def write(message: Any) -> None:
         if isinstance(message, SliceBatch):
-            recorded.take_slices(message, writer, processes.now_s(), view)
+            recorded.take_slices(message, writers[0], processes.now_s(), view)
             write_marks()
+        elif isinstance(message, OfSecond):
+            recorded.take_second(message.batch, writers[1], processes.now_s())
         else:
-            recorded.take_steps(message, writer, view)
+            recorded.take_steps(message, writers[0], view)
 
     interval_s = sys.getswitchinterval()
     sys.setswitchinterval(SWITCH_S)
@@ -92,12 +102,12 @@ def _watch(
     view: LiveView | None,
     desk: "Desk | None",
 ) -> None:
-    """Take what comes, and end what must end, until both have ended."""
+    """Take what comes, and end what must end, until all have ended."""
     truths = None if world is None else world.truths
     first_end_s = stopped_s = math.inf
     heard_s = -math.inf  # when something last came: who sends goes on being waited for
-    while not (processes.slices.ended and processes.steps.ended):
-        slices = () if writing.is_full else (processes.slices,)  # then they wait with the detector
+    while not (all(inbox.ended for inbox in processes.slices) and processes.steps.ended):
+        slices = () if writing.is_full else processes.slices  # then they wait with the detectors
         inboxes = [inbox for inbox in (*slices, processes.steps, truths) if inbox is not None and not inbox.ended]
         readable = select.select(inboxes, [], [], ALIVE_S)[0]
         processes.give_sign_of_life()
@@ -108,12 +118,14 @@ def _watch(
             break
         for message in truths.take() if truths is not None else ():
             recorded.take_truth(message)
-        for inbox in slices:
+        for inbox, finger in zip(slices, recorded.fingers, strict=False):
             for message in inbox.take():
-                if isinstance(message, SliceBatch):
+                if not isinstance(message, SliceBatch):
+                    finger.detector = message
+                elif finger is recorded:
                     writing.put(message, message.size)
                 else:
-                    recorded.detector = message
+                    writing.put(OfSecond(message), message.size)
         for message in processes.steps.take():
             if isinstance(message, list):
                 writing.put(message)
@@ -122,9 +134,10 @@ def _watch(
         writing.check()
         if recorded.slices:
             progress(recorded.slices)
-        if processes.slices.ended or processes.steps.ended:
+        if processes.steps.ended or any(inbox.ended for inbox in processes.slices):
             first_end_s = min(first_end_s, now_s)
-        recorded.detector_died = processes.slices.ended and recorded.detector is None
+        for inbox, finger in zip(processes.slices, recorded.fingers, strict=True):
+            finger.detector_died = inbox.ended and finger.detector is None
         if desk is not None and recorded.slices and not recorded.ended:
             recorded.ended = desk.recorded(recorded.slices, processes.now_s, recorded.zero_us)
         if signals and not recorded.ended:

@@ -1,11 +1,16 @@
 """A grasp on a recording: what detector and controller would have decided, slice by slice; nothing moves.
 
+Of a grasp with two fingers, the recordings of both, that of the first before that of the second. What is written are
+the decisions, beside the events of the first finger.
+
 The gripper is where the recording says it was, if it says so, and no command moves it. Time is the recording's: every
 slice is evaluated and every step made, however long they take, so that the same recording gives the same decisions.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from itertools import islice
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
@@ -24,10 +29,13 @@ from evetac_cli.store.layout.provenance import Recipe
 from evetac_cli.store.recordings.read import Recording, open_recording
 from evetac_cli.store.recordings.trial_writer import TrialBuffer
 from evetac_cli.trials.grasp.loop import grasp_slices
+from evetac_cli.trials.grasp.online_detector import OnlineSlipDetector
 from evetac_cli.trials.grasp.settings import GraspSettings, ReplayGrasp
+from evetac_cli.trials.grasp.two_fingers import TwoFingers
 from evetac_cli.trials.trial import OUTPUT, ReplayTrial
 
 METHOD = 3
+OFFSET = "capture/clock_offset_us"
 
 
 class RecordedGripper:
@@ -70,6 +78,8 @@ def grasp_of(trial: ReplayTrial, settings: GraspSettings, touch_s: float) -> Rep
     """
     with open_recording(trial.inputs[0]) as recording:
         parameters = recording.header["parameters"]
+        if len(trial.inputs) > 1:
+            _refuse_another_grasp(recording, trial.inputs[1])
     timing = settings.timing(touch_s)
     if {"scene", "lift_s", "balance_s"} <= set(parameters):
         touch_s = read_plan(parameters, str(trial.inputs[0])).scene.time.touch_s
@@ -77,21 +87,43 @@ def grasp_of(trial: ReplayTrial, settings: GraspSettings, touch_s: float) -> Rep
     return ReplayGrasp(**vars(trial), settings=settings, timing=timing)
 
 
+def _refuse_another_grasp(first: Recording, path: Path) -> None:
+    """InputError unless these are the first and the second finger of one grasp, as far as they say so."""
+    with open_recording(path) as second:
+        both = first.header["parameters"].get("trajectory"), second.header["parameters"].get("trajectory")
+        if both[0] != both[1]:
+            expected = f"of the trajectory of {first.path}, {both[0]}"
+            raise InputError("not of the same grasp", where=str(path), expected=expected, found=str(both[1]))
+        if first.has(OFFSET) or not second.has(OFFSET):
+            expected = "replay:FIRST,replay:SECOND: the second has the offset of its clock from the first"
+            found = f"{OFFSET} in {first.path if first.has(OFFSET) else 'neither'}"
+            raise InputError("which finger is the first?", where="--camera", expected=expected, found=found)
+
+
 def check(trial: ReplayGrasp, *, force: bool) -> None:
     """InputError for what a run would refuse; only files are read."""
-    with open_recording(trial.inputs[0]) as recording:
-        if not up_to_date(trial.output, _recipe(trial, recording), force=force):
-            _refuse_unknown_dots(trial, recording)
+    with _opened(trial) as recordings:
+        if not up_to_date(trial.output, _recipe(trial, recordings), force=force):
+            for recording in recordings:
+                _refuse_unknown_dots(trial, recording)
 
 
-def _recipe(trial: ReplayGrasp, recording: Recording) -> Recipe:
+@contextmanager
+def _opened(trial: ReplayGrasp) -> Iterator[list[Recording]]:
+    """The recordings of the fingers, while the block lasts."""
+    with ExitStack() as opened:
+        yield [opened.enter_context(open_recording(path)) for path in trial.inputs]
+
+
+def _recipe(trial: ReplayGrasp, recordings: Sequence[Recording]) -> Recipe:
     timing = trial.timing
     parameters = {
         **trial.settings.parameters(trial),
         "replayed": True,
         "phases_ms": [timing.touch_ms, timing.lift_ms, timing.balance_ms],
     }
-    return Recipe(OUTPUT, METHOD, parameters, parents=(*trial.settings.parents(), recording.header))
+    headers = (recording.header for recording in recordings)
+    return Recipe(OUTPUT, METHOD, parameters, parents=(*trial.settings.parents(), *headers))
 
 
 def _refuse_unknown_dots(trial: ReplayGrasp, recording: Recording) -> None:
@@ -107,18 +139,27 @@ def _refuse_unknown_dots(trial: ReplayGrasp, recording: Recording) -> None:
 def run(trial: ReplayGrasp, *, force: bool, progress: Progress) -> Outcome:
     """Detect slip and decide on a recording, and write events and decisions."""
     settings = trial.settings
-    with open_recording(trial.inputs[0]) as recording:
-        recipe = _recipe(trial, recording)
+    with _opened(trial) as recordings, ExitStack() as opened:
+        recipe = _recipe(trial, recordings)
         if up_to_date(trial.output, recipe, force=force):
             return outcome(trial, made=False, simulated=recipe.simulated)
-        _refuse_unknown_dots(trial, recording)
+        for each in recordings:
+            _refuse_unknown_dots(trial, each)
+        recording, *others = recordings
         sensor = {**recording.sensor_datasets(), "t_offset": recording.read("t_offset")}
+        detector: OnlineSlipDetector | TwoFingers | None
         detector = None if settings.detector is None else settings.detector.open(sensor)
         slices = len(recording)
         if not slices:
             raise InputError("there is not a single slice", where=str(trial.inputs[0]))
         camera = ReplayCamera(trial.inputs[0])
         devices = Rig(camera, RecordedGripper(recording, camera))
+        both: TwoFingers | None = None
+        if others:
+            second = ReplayCamera(trial.inputs[1])
+            opened.callback(second.close)
+            other = None if settings.detector is None else settings.detector.open(others[0].sensor_datasets())
+            both = detector = TwoFingers(detector, other, second, clock_offset_us=float(others[0].read(OFFSET)))
         steps = steps_with_slip = 0
 
         def blocks() -> Iterator[dict[str, Any]]:
@@ -127,8 +168,9 @@ def run(trial: ReplayGrasp, *, force: bool, progress: Progress) -> Outcome:
             happening = grasp_slices(devices, detector, settings.control(), trial.timing)
             for first, stop in row_blocks(slices):
                 buffer = TrialBuffer()
+                append = buffer.append if both is None else both.recorded_by(buffer.append)
                 for index, (events, rows) in enumerate(islice(happening, stop - first), first):
-                    buffer.append(events, rows)
+                    append(events, rows)
                     if index % 100 == 0:
                         progress(index, slices)
                 block = buffer.columns()
@@ -137,7 +179,7 @@ def run(trial: ReplayGrasp, *, force: bool, progress: Progress) -> Outcome:
                 yield block
 
         lengths = dict.fromkeys((f"events/{column}" for column in Events._fields), recording.event_count)
-        lengths["control/probability"] = slices
+        lengths |= dict.fromkeys(("control/probability", *(["control/second_probability"] if others else [])), slices)
         try:
             write_stage(trial.output, recipe, {**sensor, "ms_to_idx": recording.starts}, blocks(), lengths)
         finally:

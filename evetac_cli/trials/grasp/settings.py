@@ -174,8 +174,8 @@ class SimulatedGrasp(SimulatedTrial):
 class DeviceGrasp(DeviceTrial):
     """A grasp with devices in real time.
 
-    driver: settings of the gripper's driver; watchdog_ms: as asked for; most_s: that it may take; calibration: of the
-    sensor, if one is given; armed: whether real fingers may be moved.
+    driver: settings of the gripper's driver; watchdog_ms: as asked for; most_s: that it may take; calibrations: of the
+    sensor of each camera, or none; armed: whether real fingers may be moved.
     """
 
     settings: GraspSettings
@@ -183,7 +183,7 @@ class DeviceGrasp(DeviceTrial):
     driver: "RhP12RnSettings"
     watchdog_ms: int
     most_s: float
-    calibration: Calibration | None
+    calibrations: tuple[Calibration, ...]
     armed: bool
 
 

@@ -4,7 +4,8 @@ What became of it is in the file and in the row (sim/grasp_outcome.py).
 """
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -19,11 +20,15 @@ from evetac_cli.store.layout.provenance import Recipe
 from evetac_cli.store.recordings.trial_writer import TrialBuffer
 from evetac_cli.trials import live_view
 from evetac_cli.trials.grasp.loop import run_grasp
+from evetac_cli.trials.grasp.online_detector import OnlineSlipDetector
 from evetac_cli.trials.grasp.settings import SimulatedGrasp
+from evetac_cli.trials.grasp.two_fingers import TwoFingers
 from evetac_cli.trials.live_view import LiveView, shown_in_real_time
 from evetac_cli.trials.trial import OUTPUT, SolverFigures
 
 METHOD = 12
+TRAJECTORY = 32  # letters of its name, as those of uuid4
+SAME_CLOCK = {"capture/ended": "the grasp is over", "capture/clock_offset_us": np.float64(0.0)}  # simulated cameras
 
 
 def make_recipe(trial: SimulatedGrasp) -> Recipe:
@@ -32,19 +37,46 @@ def make_recipe(trial: SimulatedGrasp) -> Recipe:
     return Recipe(OUTPUT, METHOD, parameters, seed=trial.seed, parents=parents, simulated_source=True)
 
 
+def recipes(trial: SimulatedGrasp) -> tuple[Recipe, ...]:
+    """That of each file of a grasp: with a camera at both fingers, they share the name of their trajectory."""
+    recipe = make_recipe(trial)
+    if trial.second_output is None:
+        return (recipe,)
+    shared = {**recipe.parameters, "trajectory": recipe.id[:TRAJECTORY]}
+    return tuple(replace(recipe, parameters={**shared, "finger": place}) for place in (1, 2))
+
+
+def are_up_to_date(trial: SimulatedGrasp, *, force: bool) -> bool:
+    """Whether all files of a grasp are there already; InputError where one is there, of another recipe."""
+    found = [
+        up_to_date(output, recipe, force=force) for output, recipe in zip(trial.outputs, recipes(trial), strict=True)
+    ]
+    return all(found)
+
+
 def run(trial: SimulatedGrasp, *, force: bool, progress: Progress) -> Outcome:
     """Simulate one grasp, and write it with what became of it."""
-    recipe = make_recipe(trial)
-    if up_to_date(trial.output, recipe, force=force):
+    if are_up_to_date(trial, force=force):
         return outcome(trial, made=False, simulated=True)
-    buffer = TrialBuffer()
+    recipe, *others = recipes(trial)
+    buffer, second = TrialBuffer(), TrialBuffer()
     with live_view.opened(trial, f"grasp {trial.output.name}", moves=False) as view:
-        devices, slipping = play(trial, buffer.append, progress=progress, view=view)
+        devices, slipping = play(trial, buffer.append, progress=progress, view=view, append_second=second.append)
+    second_slip_share = None
+    if trial.second_output is not None and devices.second is not None:
+        known = {**devices.second.camera.sensor, "truth/sampled_parameters": devices.sampled}
+        of_second = {**known, **second.arrays(), "t_offset": np.int64(0), **SAME_CLOCK}
+        second_slip_share = of_second["truth/visible_slip_share"]
+        write_stage(trial.second_output, others[0], of_second)
     arrays = buffer.arrays()
-    figures = grasp_outcome.outcome(arrays, trial.plan.sensor.mm_per_px, trial.timing.end_ms)
+    figures = grasp_outcome.outcome(
+        arrays, trial.plan.sensor.mm_per_px, trial.timing.end_ms, second_slip_share=second_slip_share
+    )
     arrays |= {"control/outcome": json.dumps(figures), "truth/sampled_parameters": devices.sampled}
     write_stage(trial.output, recipe, {**devices.camera.sensor, **arrays, "t_offset": np.int64(0)})
     slices = len(buffer.events)
+    if trial.second_output is not None:
+        figures |= {"second_output": str(trial.second_output)}
     solver = SolverFigures()
     solver.add(arrays)
     figures |= solver.figures(trial.plan.scene.solver)
@@ -58,10 +90,12 @@ def play(
     *,
     progress: Progress = silent,
     view: LiveView | None = None,
+    append_second: Callable[[Events, Mapping[str, Any]], None] = lambda events, rows: None,
 ) -> tuple[Rig, int]:
     """Hand over every slice of a grasp and its rows, until it ends or `append` raises.
 
-    timer: measures its parts. Returns its devices, closed, and in how many slices the detector saw slip.
+    timer: measures its parts; append_second: gets the slices of a second finger. Returns its devices, closed, and in
+    how many slices the detector saw slip; of two fingers, together.
     """
     from evetac_cli.devices.simulated import rig  # builds on numba: only when there is something to simulate
 
@@ -71,7 +105,13 @@ def play(
         if view is not None:
             view.begin(devices.camera.sensor)
         append = shown_in_real_time(view, append)
+        detector: OnlineSlipDetector | TwoFingers | None
         detector = None if settings.detector is None else settings.detector.open(devices.camera.sensor)
+        if devices.second is not None:
+            camera, truth = devices.second
+            other = None if settings.detector is None else settings.detector.open(camera.sensor)
+            detector = TwoFingers(detector, other, camera, lambda events: append_second(events, truth()))
+            append = detector.recorded_by(append)
         control = settings.control()
         run_grasp(devices, detector, control, timing, append, lambda done: progress(done, timing.end_ms), timer)
     finally:

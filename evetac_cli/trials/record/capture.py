@@ -128,9 +128,9 @@ def _begin(
     """Begin the file of the camera at this place among those of a trial."""
     output = trial.outputs[place]
     sensor = {"t_offset": np.int64(0), **rig.known_sensor()}
-    if trial.calibration is not None:
-        trial.calibration.require_frame(sensor["sensor/frame_px"], str(trial.cameras[place]))
-        sensor |= trial.calibration.recorded()
+    if trial.calibrations:
+        trial.calibrations[place].require_frame(sensor["sensor/frame_px"], str(trial.cameras[place]))
+        sensor |= trial.calibrations[place].recorded()
     if view is not None:
         view.begin(sensor)
     hold = _hold(trial, rig)

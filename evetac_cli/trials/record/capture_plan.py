@@ -12,7 +12,7 @@ from evetac_cli.names import Capability
 from evetac_cli.sim.setup import scene_file
 from evetac_cli.sim.setup.held import GripperCurrent
 from evetac_cli.sim.setup.plan import Plan
-from evetac_cli.store.calibration import Calibration, read_calibration
+from evetac_cli.store.calibration import Calibration, read_calibrations
 from evetac_cli.trials import session
 from evetac_cli.trials.record.current_ramp import Hold
 from evetac_cli.trials.trial import DeviceTrial
@@ -70,14 +70,14 @@ class HoldRequest:
 class DeviceRecording(DeviceTrial):
     """A trial that is recorded from devices.
 
-    settings: of the cameras; hold: None where no gripper is moved; calibration: to store with it; seconds: after which
-    it ends, if anything else does not; events_per_s: that the disk must have room for; resume: go on with a series;
-    armed: whether real fingers may be moved.
+    settings: of the cameras; hold: None where no gripper is moved; calibrations: of each camera, to store with it;
+    seconds: after which it ends, if anything else does not; events_per_s: that the disk must have room for; resume: go
+    on with a series; armed: whether real fingers may be moved.
     """
 
     settings: CameraSettings
     hold: HoldRequest | None
-    calibration: Calibration | None
+    calibrations: tuple[Calibration, ...]
     seconds: float | None
     events_per_s: float
     resume: bool
@@ -86,15 +86,12 @@ class DeviceRecording(DeviceTrial):
     @classmethod
     def of(cls, trial: DeviceTrial, params: Record) -> "DeviceRecording":
         """A trial as the flags say; InputError for what does not fit together."""
-        calibration = None
-        if params.calibration is not None:
-            for camera in trial.cameras:
-                calibration = read_calibration(params.calibration, camera.frame_px())
+        frames_px = [] if params.calibration is None else [camera.frame_px() for camera in trial.cameras]
         return cls(
             **vars(trial),
             settings=camera_settings(params),
             hold=HoldRequest.of(params, trial.plan) if trial.gripper.has(Capability.MOVED) else None,
-            calibration=calibration,
+            calibrations=read_calibrations(params.calibration, frames_px),
             seconds=params.seconds,
             events_per_s=params.expected_event_rate,
             resume=params.resume,

@@ -9,7 +9,7 @@ import pytest
 from evetac_cli.evaluate.stability.extreme_scenes import merge
 from evetac_cli.kernels.grip import paper as grip
 from evetac_cli.sim.scenes.gripped import FINGER_STIFFNESS_N_M, GRAVITY_M_S2, GraspSimulation
-from evetac_cli.sim.setup.plan import first_plan, one_sensor
+from evetac_cli.sim.setup.plan import NamedSensor, first_plan, one_sensor
 from evetac_cli.sim.setup.sensor import GelFriction
 from tests.sim.scenes.trials import NONE, grasp_of, quiet_plan
 
@@ -103,3 +103,29 @@ def test_fingers_differ_where_friction_varies() -> None:
     assert first is not None
     assert second.mean() == pytest.approx(0.6)
     assert abs(np.corrcoef(first.ravel(), second.ravel())[0, 1]) < 0.5
+
+
+def test_the_second_camera_sees_the_mirror_image() -> None:
+    """Assert that of fingers that are alike the second camera sees what the first does, y the other way round."""
+    plan = quiet_plan("slip")
+    rows_px = tuple(240.0 + 60.0 * row for row in range(-3, 4))  # dots that are each other's mirror images
+    sensor = replace(plan.sensor, dot_rows_px=rows_px, dot_jitter_px=0.0, turned_deg=0.0)
+    one = GraspSimulation(
+        replace(plan, sensor=sensor, second=NamedSensor(plan.sensor_name, sensor)),
+        *(np.random.default_rng(part) for part in range(2)),
+        second_optics_rng=np.random.default_rng(2),
+    )
+    held_ma = one.command[1]
+    for k in range(60):
+        one.command = ("current", held_ma - k)
+        events = one.step()
+    assert one.second_view is not None and one.second_view.events is not None
+    assert one.second_view.events.size == pytest.approx(events.size, rel=0.5, abs=20)
+    first, second = one.truth(), one.second_truth()
+    grid_px = one.gel_camera.grid_xy_px
+    moved_px, mirrored_px = (each["truth/dot_xy_px"].reshape(grid_px.shape) - grid_px for each in (first, second))
+    assert np.abs(moved_px).max() > 0.3
+    np.testing.assert_allclose(mirrored_px[::-1] * [1, -1], moved_px, atol=1e-3)
+    for name in ("truth/slip_share", "truth/visible_slip_share"):
+        assert second[name] == pytest.approx(first[name], abs=1e-6)
+    np.testing.assert_allclose(second["truth/object_xy_px"], first["truth/object_xy_px"] * [1, -1], atol=1e-6)

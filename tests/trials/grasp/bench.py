@@ -93,11 +93,22 @@ class Hand(StillGripper):
 
 
 class Bench:
-    """A controller, and a detector of these tests that publishes its status."""
+    """A controller, and a detector of these tests that publishes its status.
 
-    def __init__(self, timing: Timing, slips: Callable[[int], bool] = lambda k: False) -> None:
+    second: whether a slice of the second finger has slip; None: there is one finger. Its slices end with those of the
+    first, and are known with them.
+    """
+
+    def __init__(
+        self,
+        timing: Timing,
+        slips: Callable[[int], bool] = lambda k: False,
+        second: Callable[[int], bool] | None = None,
+    ) -> None:
         self.clock = Clock()
-        self.shared, self.hand = SharedStatus(), Hand(self.clock)
+        self.shared, self.hand = SharedStatus(1 if second is None else 2), Hand(self.clock)
+        self.second_dies_at = self.second_silent_at = 10**9
+        self._second, self._second_known, self._second_events_us = second, list[float](), 0.0
         self.zero_s = self.clock.now_s
         self.dies_at = self.silent_at = self.stops_at = self.recorder_dies_at = self.key_at = 10**9
         self._slips, self._slices, self._known, self._events_us = slips, 0, list[float](), 0.0
@@ -123,12 +134,24 @@ class Bench:
                     signal, self._slices, at_us, self._events_us, self.zero_s * 1e6, tuple(self._known[-20:])
                 )
             )
+            if self._second is not None and slice_ < self.second_dies_at:
+                self._publish_second(self._second, slice_, at_us)
             if slice_ < self.recorder_dies_at:
                 self.shared.recorder_lives(at_us)
             if slice_ == self.stops_at:
                 self.shared.stop()
             if slice_ == self.key_at:
                 self.shared.open_gripper()
+
+    def _publish_second(self, slips: Callable[[int], bool], slice_: int, at_us: float) -> None:
+        known = self._second_known
+        if slips(slice_):
+            known.append((self.zero_s + slice_ * 1e-3) * 1e6 + 50.0)
+        if slice_ < self.second_silent_at:
+            self._second_events_us = at_us
+        signal = SlipSignal(len(known), 0.5, 0.0, 0.0)
+        times = (at_us, self._second_events_us, self.zero_s * 1e6)
+        self.shared.publish(DetectorStatus(signal, self._slices, *times, tuple(known[-20:])), 1)
 
     def run(self, ending: Sequence[int] = (), **changed: Any) -> tuple[ControllerEnded, list[dict[str, Any]]]:
         settings = replace(self.settings, **changed)
@@ -142,20 +165,27 @@ class Bench:
         self._writing.close()
 
 
-def goals_by_law(rows: Sequence[dict[str, Any]], slips: Callable[[int], bool]) -> list[int]:
+def goals_by_law(
+    rows: Sequence[dict[str, Any]], slips: Callable[[int], bool], second: Callable[[int], bool] = lambda k: False
+) -> list[int]:
     """All goals that the paper's law gives over the recorded steps, those ahead of a step among them, in order.
 
-    slips: whether a slice has slip.
+    slips, second: whether a slice of the first and of the second finger has slip.
     """
     law, goals = Control(PAPER), list[int]()
+
+    def signal(row: dict[str, Any], early: str) -> SlipSignal:
+        counted = sum(map(slips, range(row[f"control/{early}slices_processed"])))
+        name = f"control/{early}second_slices_processed"
+        return SlipSignal(counted + (sum(map(second, range(row[name]))) if name in row else 0))
+
     before: dict[str, Any] = {}
     for row in rows:
         if row["control/early_goal_ticks"] != -1:
-            signal = SlipSignal(sum(map(slips, range(row["control/early_slices_processed"]))))
-            goals.append(law.copy().step(GraspPhase(before["control/phase"]), signal, before["gripper/position_ticks"]))
+            phase, ticks = GraspPhase(before["control/phase"]), before["gripper/position_ticks"]
+            goals.append(law.copy().step(phase, signal(row, "early_"), ticks))
             assert row["control/early_goal_ticks"] == goals[-1]
-        signal = SlipSignal(sum(map(slips, range(row["control/slices_processed"]))))
-        goals.append(law.step(GraspPhase(row["control/phase"]), signal, row["gripper/position_ticks"]))
+        goals.append(law.step(GraspPhase(row["control/phase"]), signal(row, ""), row["gripper/position_ticks"]))
         assert (row["control/goal_ticks"], row["control/slip"]) == (goals[-1], law.slip)
         before = row
     return goals

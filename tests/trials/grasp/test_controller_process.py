@@ -194,3 +194,43 @@ def test_stop_and_too_long(bench: Callable[..., Bench]) -> None:
     assert (ended.ended, ended.error) == (TOO_LONG, None)
     assert ended.steps == pytest.approx(50, abs=2)
     assert at.hand.closed_s is not None
+
+
+def test_slip_of_the_second_finger_alone(bench: Callable[..., Bench]) -> None:
+    """Assert that it is answered as slip of the first, with its latency, and that the law over the rows agrees.
+
+    Where the second finger is not asked, the same goals are those of a grasp without slip.
+    """
+
+    def second(slice_: int) -> bool:
+        return 150 <= slice_ < 160 or 320 <= slice_ < 330
+
+    at, blind = bench(second=second), bench()
+    ended, rows = at.run()
+    assert (ended.ended, ended.error, ended.missed) == (OVER, None, 0)
+    assert goals_by_law(rows, lambda k: False, second) == at.hand.goals
+    assert sum(row["control/slip"] for row in rows) == pytest.approx(10, abs=2)
+    assert sum(np.isfinite(row["control/latency_us"]) for row in rows) == sum(row["control/slip"] for row in rows)
+    assert not any(row["control/slip"] for row in blind.run()[1])
+    assert max(at.hand.goals) > max(blind.hand.goals)
+
+
+@pytest.mark.parametrize(("silent", "what"), [("second_dies_at", "detector"), ("second_silent_at", "camera")])
+def test_silence_of_the_second_finger_ends_with_torque_off(bench: Callable[..., Bench], silent: str, what: str) -> None:
+    """Assert that its hanging detector or silent camera ends the grasp as those of the first do, and is named."""
+    at = bench(second=lambda k: False)
+    setattr(at, silent, 250)
+    ended, _ = at.run()
+    assert f"the {what} of the second finger" in ended.ended
+    assert ended.torque == "torque is off (read back)"
+    assert 0.0 < ended.released_us - ended.alive_us - 45_000.0 < 3_000.0
+    assert at.hand.closed_s == pytest.approx(ended.released_us * 1e-6)
+
+
+@pytest.mark.parametrize("finger", [0, 1])
+def test_the_death_of_either_detector_is_told(finger: int) -> None:
+    """Assert that a detector whose process ended is named at once."""
+    watch = Watch(60, has_ended=lambda asked: asked == finger)
+    status = DetectorStatus(SlipSignal(), 10, at_us=1e6, heard_us=1e6, zero_us=0.0, slip_us=())
+    reason, _ = watch.fault(status._replace(second=status), 1e6, 1.001e6)
+    assert reason == f"the detector of the {('first', 'second')[finger]} finger died"

@@ -173,7 +173,8 @@ def test_the_recorder_tells_a_death_with_its_reason(part: str, how: str) -> None
     recorded = RecordedGrasp(1000, torque="torque is off (read back)")
     ended = ControllerEnded("stopped", None, 2, 0, 0.1, array("d"), nan, nan, {}, "torque is off (read back)")
     recorded.controller = ended if part == "detector" else None
-    processes = SimpleNamespace(detector=process, controller=process, exit_words=lambda which: exit_words(which, words))
+    both = {"detectors": (process,), "controller": process}
+    processes = SimpleNamespace(**both, exit_words=lambda which: exit_words(which, words))
     recorded.conclude(processes)  # type: ignore[arg-type]  # only what is asked of them here
     with pytest.raises(DeviceError, match=f"the {part} died {DEATHS[how]}; torque is off"):
         raise recorded.error or AssertionError
@@ -217,15 +218,16 @@ def test_a_recorder_waits_for_who_still_sends(monkeypatch: pytest.MonkeyPatch) -
     outbox.flush(PATIENCE_S)
     steps[1].close()
     processes = SimpleNamespace(
-        slices=MessageReader(slices[0]), steps=MessageReader(steps[0]), now_s=time.monotonic,
+        slices=(MessageReader(slices[0]),), steps=MessageReader(steps[0]), now_s=time.monotonic,
         give_sign_of_life=lambda: None, status=SimpleNamespace(stop=lambda: None),
-        detector="the detector", controller="the controller", exit_words=lambda which: "exit code 0, without a message",
+        detectors=("the detector",), controller="the controller",
+        exit_words=lambda which: "exit code 0, without a message",
         cores_used=lambda whole=False: "",
     )  # fmt: skip
     sender = threading.Thread(target=send_on, args=(MessageWriter(slices[1]), slices[1]))
     sender.start()
     writer, key = Writer(), SimpleNamespace(pressed=False)
-    recorded = recorder.record(processes, None, writer, 1000, [], key, lambda done: None)  # type: ignore[arg-type]
+    recorded = recorder.record(processes, None, (writer,), 1000, [], key, lambda done: None)  # type: ignore[arg-type]
     sender.join()
     assert writer.slices == recorded.slices == 150
     assert recorded.detector == DetectorEnded({"late_events": 7}, None)
@@ -257,13 +259,15 @@ def test_a_recorder_that_is_kept_from_running_reads_all_that_is_there(monkeypatc
     minutes = itertools.count()
     monkeypatch.setattr(recorder, "time", SimpleNamespace(monotonic=lambda: 60.0 * next(minutes)))
     processes = SimpleNamespace(
-        slices=EndedInbox([batch] * 9 + [DetectorEnded({}, behind)]), steps=EndedInbox([ended]), now_s=time.monotonic,
+        slices=(EndedInbox([batch] * 9 + [DetectorEnded({}, behind)]),), steps=EndedInbox([ended]),
+        now_s=time.monotonic,
         give_sign_of_life=lambda: None, status=SimpleNamespace(stop=lambda: None), switch_off=lambda: "torque is off",
-        detector="the detector", controller="the controller", exit_words=lambda which: "exit code 0, without a message",
+        detectors=("the detector",), controller="the controller",
+        exit_words=lambda which: "exit code 0, without a message",
         cores_used=lambda whole=False: "" if whole else "the recorder waited 93% of the time for a core",
     )  # fmt: skip
     writer, key = Writer(), SimpleNamespace(pressed=False)
-    recorded = recorder.record(processes, None, writer, 1000, [], key, lambda done: None)  # type: ignore[arg-type]
+    recorded = recorder.record(processes, None, (writer,), 1000, [], key, lambda done: None)  # type: ignore[arg-type]
     assert writer.slices == 45
     assert recorded.ended == "the recorder cannot keep up; torque is off"
     assert recorded.error is behind
@@ -277,5 +281,5 @@ def test_who_failed_first_is_told() -> None:
     for error, said in ((failed, "the gripper restarted"), (hangs, "the detector died (SIGKILL)")):
         recorded = RecordedGrasp(1000, torque="torque is off")
         recorded.controller = ControllerEnded(str(error), error, 2, 0, 0.1, array("d"), nan, nan, {}, "torque is off")
-        recorded.conclude(SimpleNamespace(detector=0, controller=1, exit_words=lambda which: "SIGKILL"))  # type: ignore[arg-type]
+        recorded.conclude(SimpleNamespace(detectors=(0,), controller=1, exit_words=lambda which: "SIGKILL"))  # type: ignore[arg-type]
         assert recorded.ended.startswith(said)

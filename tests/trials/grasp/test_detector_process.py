@@ -72,8 +72,8 @@ class SpiedStatus(SharedStatus):
         super().__init__()
         self.published: list[DetectorStatus] = []
 
-    def publish(self, status: DetectorStatus) -> None:
-        super().publish(status)
+    def publish(self, status: DetectorStatus, finger: int = 0) -> None:
+        super().publish(status, finger)
         self.published.append(status)
 
 

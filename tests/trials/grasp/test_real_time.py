@@ -7,7 +7,7 @@ import subprocess
 import sys
 import time
 from array import array
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -166,10 +166,10 @@ class GraspProcesses:
     def __init__(self, *made_of: Any) -> None:
         pass
 
-    def begin(self, signals: list[int]) -> tuple[CameraReady, GripperReady]:
+    def begin(self, signals: list[int]) -> tuple[tuple[CameraReady, ...], GripperReady]:
         print("ready", file=sys.stderr)
         sensor = {"sensor/frame_px": np.array([640, 480], np.int32), "sensor/name": "dvxplorer:T1"}
-        return CameraReady(sensor, {"serial": "T1"}, (), "as usual"), GripperReady({"mode": "position"}, "as usual")
+        return (CameraReady(sensor, {"serial": "T1"}, (), "as usual"),), GripperReady({"mode": "position"}, "as usual")
 
     def go(self) -> None:
         print("go", file=sys.stderr)
@@ -217,7 +217,7 @@ def test_motion_is_announced_when_all_is_ready(
     armed: tuple[Grasp, DeviceTrial], recorder_is: Callable[[Any], None], capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Assert that "moves now" is said once both processes are ready and the file is begun, and next is motion."""
-    recorder_is(lambda processes, world, writer, *more: some(writer, "the grasp is over"))
+    recorder_is(lambda processes, world, writers, *more: some(writers[0], "the grasp is over"))
     grasp.run(armed[1], armed[0])
     ready, moves, go = capsys.readouterr().err.splitlines()[:3]
     assert (ready, go) == ("ready", "go")
@@ -228,7 +228,7 @@ def test_a_file_says_how_time_was_kept(
     armed: tuple[Grasp, DeviceTrial], recorder_is: Callable[[Any], None], capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Assert that misses, latency, losses and scheduling are in file and row, and that both processes are ended."""
-    recorder_is(lambda processes, world, writer, *more: some(writer, "the grasp is over"))
+    recorder_is(lambda processes, world, writers, *more: some(writers[0], "the grasp is over"))
     row = grasp.run(armed[1], armed[0]).rows[0]
     assert GraspProcesses.closed
     assert (row["command_misses"], row["command_misses_by_gripper"]) == (3, 2)
@@ -249,7 +249,7 @@ def test_a_file_says_how_time_was_kept(
 def test_a_failure_says_what_was_saved(armed: tuple[Grasp, DeviceTrial], recorder_is: Callable[[Any], None]) -> None:
     """Assert that a failure is raised with what was saved, and that the file says it and how long torque stayed on."""
     failed = DeviceError("the camera is silent; torque is off")
-    recorder_is(lambda processes, world, writer, *more: some(writer, "the camera is silent", failed))
+    recorder_is(lambda processes, world, writers, *more: some(writers[0], "the camera is silent", failed))
     with pytest.raises(DeviceError, match="silent(.|\n)*kept: .*1 slices in"):
         grasp.run(armed[1], armed[0])
     assert validate.run([armed[1].output]).rows[0]["faults"] is None
@@ -263,9 +263,9 @@ def test_m2_a_dead_controller_leaves_a_file_and_words(
 ) -> None:
     """Assert that a controller that died without a word ends in words of torque, and a file without its figures."""
 
-    def dies(processes: Any, world: Any, writer: RecordingWriter, *more: Any) -> RecordedGrasp:
+    def dies(processes: Any, world: Any, writers: Sequence[RecordingWriter], *more: Any) -> RecordedGrasp:
         died = DeviceError("the controller died (SIGKILL); torque is off (read back)")
-        recorded = some(writer, "the controller died (SIGKILL)", died)
+        recorded = some(writers[0], "the controller died (SIGKILL)", died)
         recorded.controller = None
         return recorded
 
@@ -278,7 +278,7 @@ def test_m2_a_dead_controller_leaves_a_file_and_words(
 
 def test_interrupted(armed: tuple[Grasp, DeviceTrial], recorder_is: Callable[[Any], None]) -> None:
     """Assert that Ctrl-C goes on as such, once the file is there."""
-    recorder_is(lambda processes, world, writer, *more: some(writer, "interrupted"))
+    recorder_is(lambda processes, world, writers, *more: some(writers[0], "interrupted"))
     with pytest.raises(KeyboardInterrupt, match="torque is off: 1 slices"):
         grasp.run(armed[1], armed[0])
     assert validate.run([armed[1].output]).rows[0]["faults"] is None
@@ -286,7 +286,8 @@ def test_interrupted(armed: tuple[Grasp, DeviceTrial], recorder_is: Callable[[An
 
 def test_nothing_happened(armed: tuple[Grasp, DeviceTrial], recorder_is: Callable[[Any], None]) -> None:
     """Assert that a grasp without a step leaves no file, and says why it ended."""
-    recorder_is(lambda processes, world, writer, *more: some(writer, "no answer", DeviceError("no answer"), steps=0))
+    failed = DeviceError("no answer")
+    recorder_is(lambda processes, world, writers, *more: some(writers[0], "no answer", failed, steps=0))
     with pytest.raises(DeviceError, match="no answer(.|\n)*nothing was recorded"):
         grasp.run(armed[1], armed[0])
     assert not armed[1].output.exists()
@@ -296,9 +297,9 @@ def test_nothing_happened(armed: tuple[Grasp, DeviceTrial], recorder_is: Callabl
 def test_a_full_disk(armed: tuple[Grasp, DeviceTrial], recorder_is: Callable[[Any], None]) -> None:
     """Assert that what was written waits for repair, that it is said, and that no grasp is made over it."""
 
-    def fails(processes: Any, world: Any, writer: RecordingWriter, *more: Any) -> None:
-        some(writer, "")
-        writer.close_segment()
+    def fails(processes: Any, world: Any, writers: Sequence[RecordingWriter], *more: Any) -> None:
+        some(writers[0], "")
+        writers[0].close_segment()
         raise InputError("a segment cannot be written")
 
     recorder_is(fails)

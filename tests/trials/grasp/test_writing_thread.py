@@ -125,10 +125,10 @@ def test_who_watches_gives_signs_of_life_while_writing_hangs() -> None:
             self.slices += len(counts)
 
     processes = SimpleNamespace(
-        slices=Inbox(pipes[0][0], [*batches, DetectorEnded({}, None)]), steps=MessageReader(pipes[1][0]),
+        slices=(Inbox(pipes[0][0], [*batches, DetectorEnded({}, None)]),), steps=MessageReader(pipes[1][0]),
         now_s=time.monotonic, give_sign_of_life=give_sign_of_life, switch_off=lambda: "torque is off",
         status=SimpleNamespace(stop=lambda: None, open_gripper=open_gripper), end_hanging_controller=lambda: "",
-        detector="the detector", controller="the controller", exit_words=lambda which: "SIGKILL",
+        detectors=("the detector",), controller="the controller", exit_words=lambda which: "SIGKILL",
         cores_used=lambda whole=False: "",
     )  # fmt: skip
     writer = Writer()
@@ -138,6 +138,6 @@ def test_who_watches_gives_signs_of_life_while_writing_hangs() -> None:
         def pressed(self) -> bool:
             return len(signs) > 20
 
-    recorded = recorder.record(processes, None, writer, 1000, [], Key(), lambda done: None)  # type: ignore[arg-type]
+    recorded = recorder.record(processes, None, (writer,), 1000, [], Key(), lambda done: None)  # type: ignore[arg-type]
     assert len(signs) > 20
     assert writer.slices == recorded.slices == 200
