@@ -117,7 +117,7 @@ def dry_run(trials: Sequence[SomeTrial], play: Play[SomeTrial], progress: Progre
     """What the first trial builds and leaves out, and what each part of it costs here."""
     costs = measure(trials[0], play, REPEATS, moving_s=DRY_MOVING_S, budget_s=BUDGET_S, progress=progress)
     coarse = {f"{called}": nodes for called, nodes in nodes_of_slip(trials).items() if nodes < FEWEST_NODES}
-    files: dict[str, Any] = {"files": len(trials), "first_file": str(trials[0].output)}
+    files: dict[str, Any] = {"files": sum(len(trial.outputs) for trial in trials), "first_file": str(trials[0].output)}
     if coarse:
         pitch_mm = trials[0].plan.scene.solver.node_pitch_mm
         files |= {"nodes_of_slip": coarse, "resolving_pitch_mm": pitch_mm * min(coarse.values()) / FEWEST_NODES}
