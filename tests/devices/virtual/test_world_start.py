@@ -9,7 +9,7 @@ from evetac_cli.devices.virtual import world
 from evetac_cli.errors import DeviceError
 from evetac_cli.realtime import processes
 
-BUILT = {"sensor": {}, "holding_ma": 1.0, "sampled": "{}", "fall_factor": 1.0}
+BUILT = {"sensors": ({},), "holding_ma": 1.0, "sampled": "{}", "fall_factor": 1.0}
 
 
 class BusyHost:
