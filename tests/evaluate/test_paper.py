@@ -265,12 +265,11 @@ def test_no_other_module_has_marks_or_figures_of_the_paper() -> None:
     """Assert that no other module spells a mark, gives a number to a column of the paper, or writes one in a text."""
     figures = {form for figure in FIGURES.values() for form in written(figure)} | {str(paper.COLUMNS)}
     assert numbers_of_the_paper("the paper's 80 %, (paper: 540), the paper's -7.6 ticks") <= figures
+    in_brackets = re.compile(rf"(?:\(|, )(?:{'|'.join(map(re.escape, MARKS))})\)")
     wrong = []
     for path in MODULES:
         for text in texts(path):
-            is_mark = any(
-                (text == mark and " " in mark) or f"({mark})" in text or f", {mark})" in text for mark in MARKS
-            )
+            is_mark = (text in MARKS and " " in text) or bool(in_brackets.search(text))
             wrong += [f"{path.name}: {text}"] if is_mark or numbers_of_the_paper(text) & figures else []
         for node in ast.walk(ast.parse(path.read_text())):
             pairs = zip(node.keys, node.values, strict=True) if isinstance(node, ast.Dict) else ()

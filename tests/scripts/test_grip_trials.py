@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from evetac_cli.trials.grasp.online_detector import OnlineSlipDetector
+from tests.quick import few
 
 SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
 
@@ -76,7 +77,7 @@ def test_rows_say_what_was_asked(trials: Any) -> None:
     assert rows[1]["model"] == "b.model.h5"
 
 
-@pytest.mark.parametrize("cries", [False, True])
+@pytest.mark.parametrize("cries", few([False, True], False))
 def test_the_grip_is_safe_without_a_detector(trials: Any, monkeypatch: pytest.MonkeyPatch, cries: bool) -> None:
     """Assert that an object is lifted and held where no slip is ever told, and where it always is, within a bound."""
     counts = itertools.count(0, int(cries))

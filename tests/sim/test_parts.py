@@ -12,6 +12,7 @@ from evetac_cli.sim.parts import rows_of, switched
 from evetac_cli.sim.setup.plan import Plan, first_plan
 from evetac_cli.sim.setup.scene import Flicker, LightSettings, LightStep, VanishingDots
 from evetac_cli.sim.setup.sensor import GelCreep, GelFriction, NoiseFilterSettings, ReadoutLimit
+from tests.quick import few
 
 PRESSURE = "friction over pressure"
 NAMES = sorted(path.stem for path in SCENES.glob("*.toml"))
@@ -32,11 +33,9 @@ def with_sensor(planned: Plan, **changes: Any) -> Plan:
 
 
 def combinations() -> list[Any]:
-    """Every scene on two sensors and two gels; a tone is looked for seconds long, so few of its are quick."""
-    return [
-        pytest.param(*each, marks=pytest.mark.slow if "vibration" in each[0] and each[1:] != ("evetac", "cut") else ())
-        for each in itertools.product(NAMES, ("evetac", "randomized:3"), ("cut", "closed"))
-    ]
+    """Every scene on two sensors and two gels, of which a few are quick."""
+    every = itertools.product(NAMES, ("evetac", "randomized:3"), ("cut", "closed"))
+    return few(every, *((name, "evetac", "cut") for name in NAMES), ("slip", "randomized:3", "closed"))
 
 
 @pytest.mark.parametrize(("name", "sensor", "gel"), combinations())
