@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.errors import missing_extra
+from evetac_cli.errors import InputError, missing_extra
 from evetac_cli.formats.write.slice_columns import TrialFiles
 from evetac_cli.formats.write.write_table import COMPRESSION, load_pyarrow, provenance
 from evetac_cli.jobs import Progress
@@ -41,6 +41,11 @@ def writer(kind: Kind) -> Callable[..., None]:
         window_ms: int | None = None,
         **more: Any,
     ) -> None:
+        if size is not None and any(chosen > most for chosen, most in zip(size, recording.frame_px, strict=True)):
+            most = "at most the sensor's {} x {} px".format(*recording.frame_px)
+            hint = "images can be smaller than the sensor's frame, not larger"
+            found = "{} x {} for {}".format(*size, recording.path.name)
+            raise InputError("larger than the sensor", where="--size", expected=most, found=found, hint=hint)
         of = recording.representation(kind, fps, size, window_ms, **more)
         files = TrialFiles({"recording": recording})
         shows = {name: getattr(of, name) for name in of.used}
