@@ -302,7 +302,8 @@ def test_images_of_nothing(tmp_path: Path) -> None:
     """Assert that a recording shorter than an image gives a file of none."""
     source = write(tmp_path / "a.recording.h5", drawn(0), 3)
     for suffix in (".npz", ".parquet", ".zarr.zip"):
-        export(source, "frames", tmp_path / f"a{suffix}")
+        row = export(source, "frames", tmp_path / f"a{suffix}")
+        assert "ends before the first image, at 5 ms" in row["left_out"]
         images, end_us, _ = read_images(tmp_path / f"a{suffix}")
         assert (images.shape, end_us.shape) == ((0, 2, 480, 640), (0,))
 

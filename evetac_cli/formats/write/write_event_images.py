@@ -28,7 +28,7 @@ CHUNK_BYTES = 1 << 20  # of a zarr store
 NPZ_LEVEL = 1  # images are mostly zeros: higher levels gain little and take several times as long
 
 
-def writer(kind: Kind) -> Callable[..., None]:
+def writer(kind: Kind) -> Callable[..., list[str]]:
     """Who writes images of a kind: write(recording, path, progress, **options), these as of the command."""
 
     def write(
@@ -40,7 +40,7 @@ def writer(kind: Kind) -> Callable[..., None]:
         size: tuple[int, int] | None = None,
         window_ms: int | None = None,
         **more: Any,
-    ) -> None:
+    ) -> list[str]:
         if size is not None and any(chosen > most for chosen, most in zip(size, recording.frame_px, strict=True)):
             most = "at most the sensor's {} x {} px".format(*recording.frame_px)
             hint = "images can be smaller than the sensor's frame, not larger"
@@ -53,6 +53,7 @@ def writer(kind: Kind) -> Callable[..., None]:
         count = of.images(len(recording))
         by_suffix = {".npz": _npz, ".parquet": _parquet, ".zip": _zarr}
         by_suffix[path.suffix.lower()](path, of, count, said, _shown(recording.images(of), count, progress))
+        return [] if count else [f"all events: the recording ends before the first image, at {of.end(0)} ms"]
 
     return write
 
