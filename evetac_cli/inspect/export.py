@@ -82,6 +82,8 @@ def _size(text: str) -> tuple[int, int]:
     width, _, height = text.partition("x")
     if not (width.isdecimal() and height.isdecimal() and max(len(width), len(height)) < 6):
         raise InputError("no size", where="--size", expected="width and height in px, as in 160x120", found=text)
+    if 0 in (int(width), int(height)):
+        raise InputError("no size", where="--size", expected="a width and a height of 1 px or more", found=text)
     return int(width), int(height)
 
 

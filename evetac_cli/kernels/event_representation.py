@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from evetac_cli.checks import check_range
+from evetac_cli.checks import check_range, check_whole
 from evetac_cli.events import SLICES_PER_S
 
 Kind = Literal["frames", "histogram", "voxels", "surface"]
@@ -48,11 +48,15 @@ class Representation:
                 raise ValueError(f"{name}: expected {', '.join(allowed)}, found {value!r}")
         if self.kind == "surface" and self.polarity == "signed":
             raise ValueError("polarity: expected split or sum for surface, found 'signed'")
+        if np.shape(self.size_px) != (2,):
+            raise ValueError(f"size_px: expected width and height, found {self.size_px!r}")
         for place, name in enumerate(("width", "height")):
             check_range(f"{name} of size_px", self.size_px[place], 1, self.frame_px[place], "px")
+            check_whole(f"{name} of size_px", self.size_px[place], 1, self.frame_px[place])
         check_range("rate_hz", self.rate_hz, 0.0, SLICES_PER_S, "1/s", above=True)
         check_range("window_ms", self.window_ms, 1, MOST_WINDOW_MS, "ms")
-        check_range("bins", self.bins, 1, MOST_BINS)
+        check_whole("window_ms", self.window_ms, 1, MOST_WINDOW_MS)
+        check_whole("bins", self.bins, 1, MOST_BINS)
         check_range("decay_ms", self.decay_ms, 0.0, MOST_DECAY_MS, "ms", above=True)
 
     @property

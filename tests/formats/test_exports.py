@@ -306,7 +306,8 @@ def test_images_of_nothing(tmp_path: Path) -> None:
     """Assert that a recording shorter than an image gives a file of none."""
     source = write(tmp_path / "a.recording.h5", drawn(0), 3)
     for suffix in (".npz", ".parquet", ".zarr.zip"):
-        export(source, "frames", tmp_path / f"a{suffix}")
+        row = export(source, "frames", tmp_path / f"a{suffix}")
+        assert "ends before the first image, at 5 ms" in row["left_out"]
         images, end_us, _ = read_images(tmp_path / f"a{suffix}")
         assert (images.shape, end_us.shape) == ((0, 2, 480, 640), (0,))
 
@@ -317,7 +318,11 @@ def test_images_of_nothing(tmp_path: Path) -> None:
         (("surface", "--bins", "3"), "--format histogram, voxels"),
         (("text", "--fps", "50"), "--format frames, histogram, voxels, surface, lerobot"),
         (("frames", "--size", "160"), "as in 160x120"),
-        (("frames", "--size", "900x480"), "1 to 640 px"),
+        (("frames", "--size", "0x120"), "1 px or more"),
+        (
+            ("frames", "--size", "900x480"),
+            "error: --size: larger than the sensor expected: at most the sensor's 640 x 480 px",
+        ),
         (("surface", "--polarity", "signed"), "split or sum"),
     ],
 )

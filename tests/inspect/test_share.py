@@ -166,6 +166,22 @@ def test_tables_of_simulated_trials_say_so(trials: Path, tmp_path: Path, format_
     assert "**Simulated.**" in (tmp_path / "hub" / "README.md").read_text()
 
 
+def test_a_data_set_for_lerobot_is_not_laid_out_again(trials: Path, tmp_path: Path) -> None:
+    """Assert that it is refused, alone and within a folder, with the line that uploads it, and left as it is."""
+    made = trials / "touch"
+    (made / "meta").mkdir(parents=True)
+    (made / "meta" / "info.json").write_text("{}")
+    (made / "data.csv").write_text("a\n1\n")
+    before = sorted(made.rglob("*"))
+    for folder in (made, trials):
+        with pytest.raises(InputError, match="LeRobot") as caught:
+            shared(folder, out=tmp_path / "hub")
+        assert caught.value.hint is not None
+        assert f"hf upload NAME/touch {shlex.quote(str(made))} --repo-type dataset" in caught.value.hint
+    assert sorted(made.rglob("*")) == before
+    assert not (tmp_path / "hub").exists()
+
+
 def test_other_disks_get_a_copy(trials: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that files are copied where they cannot be linked."""
 

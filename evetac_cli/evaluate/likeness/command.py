@@ -184,6 +184,10 @@ def _of_recordings(fact: Fact, told: list[Told]) -> Ours:
         values.append(None if not fitting else _middle(name, fitting))
         numbers.append(len(fitting))
     if all(value is None for value in values):
+        pairs = [named.partition("@")[::2] for named in fact.measures]
+        scenes = sorted({scene for name, scene in pairs if scene and any(name in one.row for one in told)})
+        if scenes:  # it was measured, but of a simulation that shows something else
+            return Ours(untold=f"no simulated recording here is of the scene {' or '.join(scenes)}")
         return Ours(untold=f"these recordings do not have {fact.needs}")
     return Ours(tuple(values), min(number for number in numbers if number), HERE)
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.errors import missing_extra
+from evetac_cli.errors import InputError, missing_extra
 from evetac_cli.formats.write.slice_columns import TrialFiles
 from evetac_cli.formats.write.write_table import COMPRESSION, load_pyarrow, provenance
 from evetac_cli.jobs import Progress
@@ -28,7 +28,7 @@ CHUNK_BYTES = 1 << 20  # of a zarr store
 NPZ_LEVEL = 1  # images are mostly zeros: higher levels gain little and take several times as long
 
 
-def writer(kind: Kind) -> Callable[..., None]:
+def writer(kind: Kind) -> Callable[..., list[str]]:
     """Who writes images of a kind: write(recording, path, progress, **options), these as of the command."""
 
     def write(
@@ -40,7 +40,12 @@ def writer(kind: Kind) -> Callable[..., None]:
         size: tuple[int, int] | None = None,
         window_ms: int | None = None,
         **more: Any,
-    ) -> None:
+    ) -> list[str]:
+        if size is not None and any(chosen > most for chosen, most in zip(size, recording.frame_px, strict=True)):
+            most = "at most the sensor's {} x {} px".format(*recording.frame_px)
+            hint = "images can be smaller than the sensor's frame, not larger"
+            found = "{} x {} for {}".format(*size, recording.path.name)
+            raise InputError("larger than the sensor", where="--size", expected=most, found=found, hint=hint)
         of = recording.representation(kind, fps, size, window_ms, **more)
         files = TrialFiles({"recording": recording})
         shows = {name: getattr(of, name) for name in of.used}
@@ -48,6 +53,7 @@ def writer(kind: Kind) -> Callable[..., None]:
         count = of.images(len(recording))
         by_suffix = {".npz": _npz, ".parquet": _parquet, ".zip": _zarr}
         by_suffix[path.suffix.lower()](path, of, count, said, _shown(recording.images(of), count, progress))
+        return [] if count else [f"all events: the recording ends before the first image, at {of.end(0)} ms"]
 
     return write
 

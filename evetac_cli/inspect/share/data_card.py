@@ -15,7 +15,7 @@ from evetac_cli.formats.write.hub_card import Card, card_fields, inline, opening
 from evetac_cli.formats.write.hub_tables import EVENTS, SLICES, TRIALS, HubTables
 from evetac_cli.formats.write.write_table import column_names, is_simulated
 from evetac_cli.inspect.index import indexed
-from evetac_cli.inspect.share.citation import citation, made_with
+from evetac_cli.inspect.share.citation import citation, made_with, upload
 from evetac_cli.inspect.share.limitations import limitations, look
 from evetac_cli.inspect.share.splits import trials_of
 from evetac_cli.jobs import Progress
@@ -30,6 +30,7 @@ SIZES = (
 LARGER = "1B<n<10B"
 PARQUET = ".parquet"
 OTHERS = (PARQUET, ".csv")  # what `export` writes for other programs: shared with the rest
+LEROBOT = "meta/info.json"
 MOST_LISTED = 20  # objects or sensors
 HELD = {
     TRIALS: "a row a trial: object, sensor, seed, outcome, length, file",
@@ -65,6 +66,14 @@ From the Hub, `datasets.load_dataset("NAME", "slices")` loads one, by the names 
 
 def describe(folder: Path, params: Share, progress: Progress) -> Card:
     """The card of a folder of stage files, and of tables exported from them; InputError where one cannot be read."""
+    for_lerobot = next((path.parent.parent for path in folder.rglob(LEROBOT) if path.is_file()), None)
+    if for_lerobot is not None:  # of its files only some are tables; laid out again they would be no data set any more
+        raise InputError(
+            "cannot share a LeRobot data set, which has a card of its own",
+            where=str(for_lerobot),
+            expected="stage files, or tables",
+            hint=f"to upload it as it is: {upload(for_lerobot, for_lerobot.resolve().name, 'data set')}",
+        )
     with indexed(folder, progress) as index:
         rows, passed_over = index.rows("kind IS NOT NULL OR error IS NOT NULL"), foreign_note(index)
     broken = next((row for row in rows if row.error is not None), None)
@@ -151,7 +160,7 @@ def _left_out(tables: HubTables | None) -> list[str]:
     if tables is None or not tables.left_out:
         return []
     more = len(tables.left_out) - 1
-    return [f"not in the tables: {tables.left_out[0]}" + (f", and so of {more} more" if more else "")]
+    return [f"not in the tables: {tables.left_out[0]}" + (f", and {more} more like it" if more else "")]
 
 
 def _figures(trials: Sequence[IndexRow]) -> dict[str, Any]:
@@ -221,7 +230,7 @@ def _page(
     return page if tables is None else [*page, READ_TABLES.replace("SPLIT", tables.splits[0])]
 
 
-ALONE = "Tables, a row a slice."
+ALONE = "Tables in Parquet or CSV, as `evetac export` writes them: each has the units in the names of its columns."
 
 
 def _listed(trials: Sequence[IndexRow], name: str) -> str:

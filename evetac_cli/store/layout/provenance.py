@@ -216,8 +216,8 @@ def _difference(ours: Any, theirs: Any, where: str) -> str:
     if isinstance(ours, dict) and isinstance(theirs, dict):
         for key in sorted(ours.keys() | theirs.keys()):
             if key not in theirs or key not in ours:
-                side = "wanted" if key in ours else "in the file"
-                return f"{where}.{key} is only {side}"
+                side = "wanted, but not in the file" if key in ours else "in the file, but not wanted"
+                return f"{where}.{key} is {side}"
             inner = _difference(ours[key], theirs[key], f"{where}.{key}")
             if inner:
                 return inner

@@ -230,5 +230,6 @@ def named_architecture(name: str) -> Architecture:
     architecture = ARCHITECTURES.get(name) or of_plugin
     if architecture is None:
         others = plugins.usable(plugins.NETWORKS)
-        raise ValueError(f"one of {', '.join((*ARCHITECTURES, *others))}, or of a plug-in that is not installed")
+        known = ", ".join((*ARCHITECTURES, *others))
+        raise ValueError(f"one of {known}; if it is of a plug-in that is not installed, install that")
     return architecture

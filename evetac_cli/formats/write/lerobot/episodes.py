@@ -136,7 +136,7 @@ def choose_vectors(outlines: Sequence[EpisodeOutline], *, as_points: bool, truth
     odd = next((name for name in sorted(some) if DISPLACEMENT.fullmatch(name)), None)
     if len(actions) > 1 or odd is not None:
         raise InputError(
-            "episodes have the same dots and the same action",
+            "these trials have different dots or different actions",
             where=str(outlines[0].path.parent),
             expected="trials of one gel, all grasps or none",
             found=f"{odd or OF_GRASP[0]} in some of them",
