@@ -299,7 +299,10 @@ def parse(text: str) -> NamedCamera:
 
 
 def parse_several(text: str) -> tuple[NamedCamera, ...]:
-    """Understand cameras with commas between them; a comma behind which no camera begins is part of a file's name."""
+    """Understand cameras with commas between them; a comma behind which no camera begins is part of a file's name.
+
+    InputError where one serial number is named twice: a device can be opened once.
+    """
     first, *parts = text.split(",")
     named = [first]
     for part in parts:
@@ -307,7 +310,11 @@ def parse_several(text: str) -> tuple[NamedCamera, ...]:
             named.append(part)
         else:
             named[-1] += f",{part}"
-    return tuple(map(parse, named))
+    cameras = tuple(map(parse, named))
+    serials = [camera.serial for camera in cameras if isinstance(camera, Dvxplorer) and camera.serial]
+    if len(set(serials)) < len(serials):
+        raise InputError("the same camera twice", where="--camera", expected="serial numbers that differ", found=text)
+    return cameras
 
 
 def _begins_camera(part: str) -> bool:

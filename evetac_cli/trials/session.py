@@ -240,11 +240,20 @@ def place(saved: Path) -> str:
     return f"{saved}, for `evetac repair`" if saved.suffix == SUFFIX else str(saved)
 
 
-def raise_end(error: Exception | None, ended: str, saved: str, result: Outcome | None, torque: str = "") -> None:
+def raise_end(
+    error: Exception | None,
+    ended: str,
+    saved: str,
+    result: Outcome | None,
+    torque: str = "",
+    *,
+    interrupted: bool = False,
+) -> None:
     """Let what ended the trial go on from here, with what was saved and the rows of its files.
 
-    error: what failed; ended: why the recording ended, in words; torque: what it was left with, in words. The emergency
-    key and the button of a live view end a series as Ctrl-C does: no further trial moves the gripper.
+    error: what failed; ended: why the recording ended, in words; torque: what it was left with, in words; interrupted:
+    Ctrl-C came, maybe after it had ended. The emergency key and the button of a live view end a series as Ctrl-C does:
+    no further trial moves the gripper.
     """
     then = f"; {torque}" if torque else ""
     if error is not None:
@@ -253,7 +262,7 @@ def raise_end(error: Exception | None, ended: str, saved: str, result: Outcome |
             failed.message += then
         failed.kept = saved
         raise attach_outcome(failed, result)
-    if ended in (INTERRUPTED, OPENED, LET_GO):
+    if interrupted or ended in (INTERRUPTED, OPENED, LET_GO):
         raise attach_outcome(KeyboardInterrupt(f"{ended}{then}: {saved}"), result)
 
 

@@ -88,6 +88,14 @@ def test_a_camera_without_a_name_among_several(text: str) -> None:
         cameras.parse_several(text)
 
 
+@pytest.mark.parametrize("text", ["dvxplorer:A,dvxplorer:A", "dvxplorer:A,sim,dv:A"])
+def test_the_same_camera_twice(text: str) -> None:
+    """Assert that one serial number is refused a second time, also by the other driver, and no other repetition is."""
+    with pytest.raises(InputError, match="the same camera twice"):
+        cameras.parse_several(text)
+    assert len(cameras.parse_several("dvxplorer:A,dvxplorer:B,virtual,virtual,dvxplorer,dvxplorer")) == 6
+
+
 def test_near_miss_has_a_hint() -> None:
     """Assert that a slip of the pen is understood."""
     with pytest.raises(InputError, match="did you mean dvxplorer"):

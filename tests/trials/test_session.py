@@ -33,6 +33,8 @@ def test_an_interrupt_goes_on() -> None:
         session.raise_end(None, session.INTERRUPTED, "3 slices", RESULT, "torque is off")
     assert attached_outcome(stopped.value) is RESULT
     session.raise_end(None, "the camera's stream ended", "3 slices", RESULT)
+    with pytest.raises(KeyboardInterrupt, match="the camera's stream ended: 3 slices"):
+        session.raise_end(None, "the camera's stream ended", "3 slices", RESULT, interrupted=True)
 
 
 def test_losses_are_datasets_and_words() -> None:

@@ -14,7 +14,7 @@ import time
 from collections import Counter
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
 
@@ -77,9 +77,8 @@ class Recipe:
         thousands of ancestors, some megabytes of each grasp.
         """
         history: dict[str, Header] = {}
-        for parent in self.parents:
-            if self.kind != "recording" or parent["kind"] != "model":
-                history.update(parent["history"])
+        for parent in self._carried_parents():
+            history.update(parent["history"])
             history[parent["id"]] = {k: v for k, v in parent.items() if k not in ("history", "made")}
         return {
             "kind": self.kind,
@@ -94,6 +93,15 @@ class Recipe:
             "history": history,
             "made": made(),
         }
+
+    def carried(self) -> "Recipe":
+        """The recipe without what its header does not carry: they have the same header."""
+        return replace(self, parents=self._carried_parents())
+
+    def _carried_parents(self) -> tuple[Header, ...]:
+        if self.kind != "recording":
+            return self.parents
+        return tuple({**each, "history": {}} if each["kind"] == "model" else each for each in self.parents)
 
 
 def folded(header: Header) -> Header:

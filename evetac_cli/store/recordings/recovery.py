@@ -6,6 +6,7 @@ simulation ends before its first gap, because a truth has no empty value, and su
 """
 
 import fcntl
+import math
 import re
 import zlib
 from collections.abc import Iterator
@@ -203,7 +204,7 @@ def _known_at_start(folder: Path) -> tuple[Recipe, tuple[int, int]]:
             )
         if len(frame) != 2 or not all(1 <= size <= LARGEST_PX for size in frame):
             raise ValueError(f"sensor/frame_px is {frame or 'missing'}")
-        recipe = parse_json(text, whole_bits=SEED_BITS)
+        recipe = parse_json(text, most_values=math.inf, whole_bits=SEED_BITS)
         made = Recipe(**{**recipe, "parents": tuple(recipe["parents"])})
         if made.kind != "recording" or made.header()["kind"] != "recording":  # the header shows that it can be made
             raise ValueError(f"the recipe is of another kind, {str(made.kind)[:60]!r}")

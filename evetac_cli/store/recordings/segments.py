@@ -67,7 +67,7 @@ class RecordingWriter:
             self._remove_if_only_begun()
             raise
         try:
-            about = {} if recipe is None else {RECIPE: json.dumps(vars(recipe), allow_nan=False)}
+            about = {} if recipe is None else {RECIPE: json.dumps(vars(recipe.carried()), allow_nan=False)}
             self._write(self.folder / STATIC, static, about)
         except BaseException:
             self.discard()

@@ -205,6 +205,8 @@ def run(
             cameras[0], gripper, trial.plan, seeds, opened, armed=trial.armed, tells_truth=True, **durations
         )
         signals = opened.enter_context(interrupts.signals_counted(came))  # until here Ctrl-C breaks off
+        if desk is not None:
+            opened.callback(desk.signals_came, signals)
         sensors = [_sensor(trial, world, finger) for finger in range(len(cameras))]
         parents = (*settings.parents(), *(header for camera in cameras for header in camera.parents()))
         detectors = [
@@ -250,7 +252,7 @@ def run(
                 console.say(f"{gripper} moves now; {FALLS}")
             key = opened.enter_context(session.gripper_key(moves=not signals))
         try:
-            if not signals:
+            if not signals and (desk is None or not desk.called_off):
                 processes.go()
             recorded = record(
                 *(processes, world, writers, timing.end_ms, signals, key),
@@ -279,7 +281,7 @@ def run(
         if world is not None:
             datasets |= session.lost_datasets({f"world.{why}": count for why, count in world.counted.items()})
         grasp_outcome, saved = _finish(writers, trial, recipes, recorded, datasets, world)
-    return result_of(trial, recipes[0], recorded, datasets, grasp_outcome, saved, say)
+    return result_of(trial, recipes[0], recorded, datasets, grasp_outcome, saved, say, interrupted=any(signals))
 
 
 def _seeds_of(seeds: np.random.SeedSequence, finger: int) -> np.random.SeedSequence:

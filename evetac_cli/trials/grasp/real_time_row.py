@@ -21,6 +21,8 @@ def result_of(
     grasp_outcome: Mapping[str, Any],
     saved: Path | None,
     say: Callable[[str], None],
+    *,
+    interrupted: bool,
 ) -> Outcome:
     """The row of a grasp; an error or Ctrl-C goes on from here, and says what was saved."""
     result = None
@@ -29,7 +31,9 @@ def result_of(
         if result.rows[0]["too_slow"] is not None:
             say(result.rows[0]["too_slow"])
     words = f"{recorded.slices:,} slices in {session.place(saved)}" if saved else "nothing was recorded"
-    session.raise_end(recorded.error, recorded.ended, words, result, recorded.torque)
+    session.raise_end(recorded.error, recorded.ended, words, result, recorded.torque, interrupted=interrupted)
+    if result is None and recorded.ended == session.STOPPED:
+        return Outcome([], recipe.simulated, made=False)
     if result is None:
         raise DeviceError("the grasp ended before its first step", found=recorded.ended)
     return result

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 PRIORITY = 20  # of the loop that watches, behind servo and controller: it takes some hundredths of a core
 LAST_S = 0.5  # for the one to end by itself, once the other has ended
 ALIVE_S = 0.005  # the loop that watches gives a sign of life as often as this
+STOP_S = 0.05  # that a robot's `stop` waits for the slice of its moment: torque must not wait for a slow disk
 SWITCH_S = 5e-4  # after so long the thread that writes lets the loop go on
 
 
@@ -105,6 +106,7 @@ def _watch(
     """Take what comes, and end what must end, until all have ended."""
     truths = None if world is None else world.truths
     first_end_s = stopped_s = math.inf
+    came = 0  # slices of the first finger
     heard_s = -math.inf  # when something last came: who sends goes on being waited for
     while not (all(inbox.ended for inbox in processes.slices) and processes.steps.ended):
         slices = () if writing.is_full else processes.slices  # then they wait with the detectors
@@ -123,6 +125,7 @@ def _watch(
                 if not isinstance(message, SliceBatch):
                     finger.detector = message
                 elif finger is recorded:
+                    came += len(message.counts)
                     writing.put(message, message.size)
                 else:
                     writing.put(OfSecond(message), message.size)
@@ -138,8 +141,8 @@ def _watch(
             first_end_s = min(first_end_s, now_s)
         for inbox, finger in zip(processes.slices, recorded.fingers, strict=True):
             finger.detector_died = inbox.ended and finger.detector is None
-        if desk is not None and recorded.slices and not recorded.ended:
-            recorded.ended = desk.recorded(recorded.slices, processes.now_s, recorded.zero_us)
+        if desk is not None and not recorded.ended:
+            recorded.ended = _asked_to_end(desk, recorded, came, processes)
         if signals and not recorded.ended:
             recorded.ended = INTERRUPTED
         if view is not None and view.is_asked_to_let_go and not recorded.ended:
@@ -156,6 +159,13 @@ def _watch(
             processes.status.stop()
             stopped_s = now_s
             recorded.cores_at_end = processes.cores_used()
+
+
+def _asked_to_end(desk: "Desk", recorded: RecordedGrasp, came: int, processes: GraspProcesses) -> str:
+    """Why a robot's program ends the grasp, "" if it does not. came: slices, of which some may wait to be written."""
+    if not recorded.slices:
+        return desk.called_off
+    return desk.recorded(came, processes.now_s, recorded.zero_us, patience_s=STOP_S)
 
 
 def _take_last_truths(recorded: RecordedGrasp, world: "VirtualWorld | None") -> None:

@@ -89,6 +89,8 @@ def listen(job: Listening, record: Callable[[Any, Desk], Outcome]) -> Outcome:
                 trial = _named(first, job.folder, name, number)
                 rows += _one(trial, desk, record)
                 number += 1
+                if desk.interrupted:
+                    raise KeyboardInterrupt
     except KeyboardInterrupt as error:
         rows += getattr(attached_outcome(error), "rows", [])
         words = f"{error}; " if str(error) else ""
@@ -134,7 +136,8 @@ def _one(trial: DeviceTrial, desk: Desk, record: Callable[[Any, Desk], Outcome])
     finally:
         rows = [] if outcome is None else outcome.rows
         file = str(Path(rows[0]["output"]).resolve()) if rows else None
-        ended = str(rows[0]["ended"]) if rows else ABORTED if error is None else "nothing was recorded"
+        called_off = desk.called_off or ABORTED
+        ended = str(rows[0]["ended"]) if rows else called_off if error is None else "nothing was recorded"
         slices = int(rows[0]["slices"]) if rows else 0
         words = _in_one_line(error) if isinstance(error, EvetacError) or (error and not rows) else ""
         desk.ended(file, ended, slices, words)

@@ -8,7 +8,7 @@ import math
 import re
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
 from enum import StrEnum
 from typing import Any
@@ -56,7 +56,8 @@ class Desk:
         self._ending: list[Future[Answer]] = []  # who waits for the file
         self._why = ""  # a trial is to end
         self._end_slices = 0
-        self._give_up_s = math.inf
+        self._stopped_s = math.inf
+        self._interrupted = False
         self._marks: list[tuple[int, str]] = []  # that were not fetched yet
         self._latest_us = 0  # time of the last mark
         self._now_s: Callable[[], float] = time.monotonic
@@ -92,6 +93,7 @@ class Desk:
         if self._state is not State.IDLE:
             raise Refusal(f"{self._name} is being recorded")
         self._state, self._name, self._slices, self._why = State.STARTING, name, 0, ""
+        self._end_slices = 0
         self._marks, self._latest_us = [], 0
         self._zero_us = math.nan
         self._starting.append(answered)
@@ -141,7 +143,7 @@ class Desk:
         self._why = why
         t_us = self._time_us(came_s, came_s)
         self._end_slices = 0 if why == ABORTED or math.isnan(self._zero_us) else int(t_us) // SLICE_US + 1
-        self._give_up_s = came_s + PATIENCE_S
+        self._stopped_s = came_s
 
     def _time_us(self, came_s: float, at_s: float) -> float:
         """The time in the recording of a moment, by the monotonic clock; came_s: when it was heard of."""
@@ -167,10 +169,28 @@ class Desk:
                 self._lock.wait(wait_s)
             return self._name if self._state is State.STARTING else ""
 
-    def recorded(self, slices: int, now_s: Callable[[], float], zero_us: float) -> str:
+    @property
+    def called_off(self) -> str:
+        """Why the trial is to end or, where it has not begun, is not to begin; "" if neither."""
+        with self._lock:
+            return self._why
+
+    @property
+    def interrupted(self) -> bool:
+        """Whether Ctrl-C or the like came during a trial: there is to be no other."""
+        return self._interrupted
+
+    def signals_came(self, signals: Sequence[int]) -> None:
+        """These came during a trial, which heeded them or was ending anyway; 0 is none."""
+        self._interrupted = self._interrupted or any(signals)
+
+    def recorded(
+        self, slices: int, now_s: Callable[[], float], zero_us: float, *, patience_s: float = PATIENCE_S
+    ) -> str:
         """So many slices were recorded; why the trial is to end, "" if it is not.
 
-        now_s: a clock; zero_us: its time at the beginning of the recording, NaN where that is not known.
+        now_s: a clock; zero_us: its time at the beginning of the recording, NaN where that is not known; patience_s:
+        for the slice in which it was stopped.
         """
         with self._lock:
             self._slices, self._now_s, self._zero_us = slices, now_s, zero_us
@@ -179,7 +199,8 @@ class Desk:
                 _set(self._starting, self._answer())
             if self._longest_s is not None and slices >= SLICES_PER_S * self._longest_s and not self._why:
                 return f"after {self._longest_s:g} s, as nobody stopped it"
-            if not self._why or (slices < self._end_slices and time.monotonic() < self._give_up_s):
+            waits = slices < self._end_slices and time.monotonic() < self._stopped_s + patience_s
+            if not self._why or waits:
                 return ""
             return self._why
 

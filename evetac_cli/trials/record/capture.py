@@ -84,6 +84,12 @@ def run(trial: DeviceRecording, *, force: bool = False, progress: Progress, desk
             recordings.append(_begin(trial, rig, place, trajectory, None if place else view))
         moves = recordings[0].rig.gripper is not None
         with interrupts.signals_counted(came) as signals, session.gripper_key(moves=moves) as key:
+            if desk is not None:
+                opened.callback(desk.signals_came, signals)
+                if moves and desk.called_off:
+                    with interrupts.signals_held():
+                        _release(recordings)
+                    return _thrown_away(recordings)
             _write(recordings, _hold(trial, recordings[0].rig), rng, trial.seconds, signals, key, progress, view, desk)
             datasets = [recording.datasets(recordings[0].rig) for recording in recordings]
             with interrupts.signals_held():
@@ -92,13 +98,13 @@ def run(trial: DeviceRecording, *, force: bool = False, progress: Progress, desk
                 view.end(recordings[0].ended)
             priority.close()
             if recordings[0].ended == ABORTED:
-                return _aborted(recordings)
+                return _thrown_away(recordings)
             signals.append(0)  # from here on a single Ctrl-C breaks off: the devices are let go of, the segments stay
             _finish(recordings, datasets)
-    return _result(trial, recordings, datasets)
+    return _result(trial, recordings, datasets, interrupted=any(signals))
 
 
-def _aborted(recordings: Sequence[CameraRecording]) -> Outcome:
+def _thrown_away(recordings: Sequence[CameraRecording]) -> Outcome:
     """Throw away what was recorded; an error in letting go of the devices goes on from here."""
     for recording in recordings:
         recording.writer.discard()
@@ -355,7 +361,11 @@ def _fetch(recordings: Sequence[CameraRecording], view: LiveView | None) -> None
 
 
 def _result(
-    trial: DeviceRecording, recordings: Sequence[CameraRecording], datasets: Sequence[Mapping[str, Any]]
+    trial: DeviceRecording,
+    recordings: Sequence[CameraRecording],
+    datasets: Sequence[Mapping[str, Any]],
+    *,
+    interrupted: bool,
 ) -> Outcome:
     """A row for each file; an error or Ctrl-C goes on from here, and says what was saved."""
     saved = [(each, rows) for each, rows in zip(recordings, datasets, strict=True) if each.slices]
@@ -366,7 +376,9 @@ def _result(
     result = Outcome([_row(trial, recording, rows) for recording, rows in saved], simulated)
     first = recordings[0]
     torque = first.rig.gripper.release_words if first.rig.gripper is not None else ""
-    session.raise_end(first.error, first.ended, files or "nothing was recorded", result, torque)
+    session.raise_end(
+        first.error, first.ended, files or "nothing was recorded", result, torque, interrupted=interrupted
+    )
     return result
 
 

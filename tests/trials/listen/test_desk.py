@@ -190,3 +190,38 @@ def test_a_wait_ends_with_a_start() -> None:
     held: Callable[..., Any] = desk.ask
     held({"command": "start", "name": "a"})
     assert desk.wanted(600.0) == "a"
+
+
+@pytest.mark.parametrize(("command", "why"), [("stop", STOPPED), ("abort", ABORTED)])
+def test_what_is_called_off_before_it_begins_is_known(command: str, why: str) -> None:
+    """Assert that whoever records sees it before anything moves, that start is refused, and that the next is free."""
+    desk = Desk()
+    starting = desk.ask({"command": "start", "name": "a"})
+    assert desk.called_off == ""
+    ending = desk.ask({"command": command})
+    assert desk.called_off == why
+    desk.ended(None, desk.called_off)
+    assert (starting.result(0)["ok"], starting.result(0)["error"]) == (False, why)
+    assert (ending.result(0)["ok"], ending.result(0)["file"], ending.result(0)["ended"]) == (True, None, why)
+    desk.ask({"command": "start", "name": "b"})
+    assert desk.called_off == ""
+
+
+def test_a_stop_waits_no_longer_than_whoever_records_has_patience() -> None:
+    """Assert that a grasp, which has little, ends without the slice of its moment."""
+    desk = Desk()
+    began_us = recording(desk)
+    desk.ask({"command": "stop"})
+    assert desk.recorded(2, time.monotonic, began_us) == ""
+    time.sleep(2e-3)
+    assert desk.recorded(2, time.monotonic, began_us, patience_s=1e-3) == STOPPED
+
+
+def test_signals_during_a_trial_are_remembered() -> None:
+    """Assert that one that came is not forgotten for a later trial without, and that 0 is none."""
+    desk = Desk()
+    desk.signals_came([0])
+    assert not desk.interrupted
+    desk.signals_came([2, 0])
+    desk.signals_came([])
+    assert desk.interrupted

@@ -29,6 +29,7 @@ from evetac_cli.store.recordings.read import open_recording
 from evetac_cli.store.recordings.segments import RecordingWriter
 from evetac_cli.trials import grasp, record
 from evetac_cli.trials.listen import Listening
+from evetac_cli.trials.record import capture
 from tests.devices.stand_ins import StillCamera
 from tests.make import run_stage
 from tests.patience import PATIENCE_S, until
@@ -355,6 +356,55 @@ def test_a_grasp_listens_with_devices_alone(tmp_path: Path) -> None:
     (job,) = grasp.jobs([], Grasp(camera="virtual", listen=True), tmp_path)
     assert isinstance(job, Listening)
     assert grasp.dry_run([job], Grasp(camera="virtual", listen=True)).rows
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("command", ["stop", "abort"])
+def test_ctrl_c_after_the_end_of_a_trial_is_not_lost(
+    command: str, listened: Callable[..., KeyboardInterrupt], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Assert that one signal ends the series where it comes while a trial that is over is saved or thrown away."""
+    release = capture._release
+
+    def slow_release(recordings: Any) -> None:
+        assert signals.wait(PATIENCE_S)
+        time.sleep(0.05)  # for the one of the fixture
+        release(recordings)
+
+    signals = threading.Event()
+    monkeypatch.setattr(capture, "_release", slow_release)
+
+    def program(folder: Path) -> None:
+        arm = Arm(folder)
+        assert arm.ask("start", name="a")["ok"]
+        arm.socket.sendall(json.dumps({"token": arm.token, "command": command}).encode() + b"\n")
+        assert until(lambda: Arm(folder).ask("status")["state"] == "saving")
+        signals.set()
+
+    listened(program)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", ["stop", "abort"])
+def test_a_grasp_that_is_called_off_moves_nothing(command: str, tmp_path: Path) -> None:
+    """Assert that `stop` and `abort` while a grasp is prepared leave no file of it, and that `start` is refused.
+
+    Slow: a virtual world and the processes of a grasp.
+    """
+    arguments = [sys.executable, "-m", "evetac_cli", "grasp", "--camera", "virtual", "--listen", "-o", str(tmp_path)]
+    with subprocess.Popen(arguments, cwd=ROOT, stderr=subprocess.DEVNULL) as running:
+        assert until((tmp_path / "evetac.listen").exists)
+        arm, other = Arm(tmp_path), Arm(tmp_path)
+        arm.socket.sendall(json.dumps({"token": arm.token, "command": "start", "name": "a"}).encode() + b"\n")
+        assert until(lambda: other.ask("status")["state"] == "starting")
+        answer = other.ask(command)
+        assert (answer["ok"], answer["file"], answer["slices"]) == (True, None, 0)
+        assert not json.loads(arm.socket.makefile().readline())["ok"]
+        running.send_signal(signal.SIGTERM)
+        assert running.wait(PATIENCE_S) == 130
+    for each in arms:
+        each.drop()
+    arms.clear()
     assert list(tmp_path.iterdir()) == []
 
 
