@@ -419,6 +419,7 @@ def test_grasps_by_name(tmp_path: Path) -> None:
         assert until((tmp_path / "evetac.listen").exists)
         arm = Arm(tmp_path)
         assert arm.ask("start", name="a")["ok"]
+        assert until(lambda: arm.ask("status")["slices"] > 100)  # a grasp without a step of the controller has no file
         marked = arm.ask("mark", text="lifted")
         stopped = arm.ask("stop")
         assert arm.ask("start", name="b")["ok"]
