@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     )
     from evetac_cli.errors import EvetacError, InputError, UnavailableError
     from evetac_cli.events import Events, SliceBlock, Slicer
-    from evetac_cli.kernels.representations import ImageBlock
+    from evetac_cli.kernels.event_drawing import ImageBlock
     from evetac_cli.kernels.sensitivity import Sensitivity
     from evetac_cli.kernels.touch.touch_map import TouchReading
     from evetac_cli.sim.touch_sensor import Touch, TouchSensor
@@ -83,7 +83,7 @@ __all__ = [
 
 _MODULES = {
     **dict.fromkeys(("Events", "SliceBlock", "Slicer"), "events"),
-    "ImageBlock": "kernels.representations",
+    "ImageBlock": "kernels.event_drawing",
     "Sensitivity": "kernels.sensitivity",
     **dict.fromkeys(("EvetacError", "InputError", "UnavailableError"), "errors"),
     **dict.fromkeys(("Touch", "TouchSensor"), "sim.touch_sensor"),

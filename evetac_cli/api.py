@@ -16,7 +16,7 @@ from evetac_cli import resources
 from evetac_cli.checks import check_range
 from evetac_cli.errors import InputError
 from evetac_cli.events import FRAME_PX, Events
-from evetac_cli.kernels import event_representation, representations
+from evetac_cli.kernels import event_drawing, event_representation
 from evetac_cli.kernels.calibration import grid
 from evetac_cli.kernels.sensitivity import UNKNOWN, Sensitivity, sensitivity_of
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES
@@ -347,12 +347,12 @@ class EventImager:
     ) -> None:
         more = {"bins": bins, "polarity": polarity, "decay_ms": decay_ms}
         of = event_representation.representation(kind, frame_px, size_px, rate_hz, window_ms, **more)
-        self._state = representations.start(of)
+        self._state = event_drawing.start(of)
         self.shape = of.shape  # of an image
 
     def step(self, events: Events) -> NDArray[Any] | None:
         """Take one more slice; the image that ends with it, a new array, or None."""
-        return representations.step(self._state, events)
+        return event_drawing.step(self._state, events)
 
 
 class Simulation:

@@ -32,8 +32,8 @@ from script_tables import table_of, write
 from evetac_cli.events import SLICE_US, Events, SliceBlock
 from evetac_cli.formats.imports import read_events
 from evetac_cli.jobs import Row
+from evetac_cli.kernels.event_drawing import fold
 from evetac_cli.kernels.event_representation import POLARITIES, Representation, representation
-from evetac_cli.kernels.representations import fold
 from evetac_cli.store.recordings.read import open_recording
 
 Images = NDArray[Any]

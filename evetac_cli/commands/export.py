@@ -72,7 +72,7 @@ class Export:
     )
     decay_ms: float | None = parameter(
         None,
-        "Time in which a surface falls to 0.37; default: 10.",
+        "Time in which a surface decays to 1/e; default: 10.",
         unit="ms",
         low=0.001,
         high=100_000.0,
@@ -116,9 +116,7 @@ class Export:
         recipe=False,
         panel=LEROBOT,
     )
-    truth: bool = parameter(
-        False, "With what only a simulation knows, as simulated_truth.", recipe=False, panel=LEROBOT
-    )
+    truth: bool = parameter(False, "Add what only a simulation knows, as simulated_truth.", recipe=False, panel=LEROBOT)
 
 
 COMMAND = Command(

@@ -27,8 +27,8 @@ class Share:
     )
     tables: str = parameter(
         "slices",
-        "Of a folder: tables for the Hub's viewer. slices: a row a trial, and a row a slice (1 ms); events: a row an"
-        " event too, which takes about as much room again as the recordings; none: HDF5 alone.",
+        "Of a folder: tables for the Hub's viewer. slices: one row per trial, and one per slice (1 ms); events: one per"
+        " event too, which takes about as much space again as the recordings; none: HDF5 alone.",
         choices=("slices", "events", "none"),
         recipe=False,
     )

@@ -8,7 +8,7 @@ from evetac_cli.commands.parameter import parameter
 
 @dataclass(frozen=True)
 class Trim:
-    """Cut a range of slices out of a recording, or its noise, as a recording of its own."""
+    """Make a recording from a range of slices of another, or from all of them without noise."""
 
     from_ms: int = parameter(0, "First slice of the piece.", unit="ms", low=0)
     to_ms: int | None = parameter(None, "Slice after its last; default: the end.", unit="ms", low=1)
@@ -19,7 +19,8 @@ class Trim:
     )
     support_ms: float | None = parameter(
         None,
-        "How long before an event another beside it may be; default: 2. The authors' readout has 100.",
+        "Keep an event if one of the 8 pixels around had an event less than this long before; default: 2. The authors'"
+        " readout uses 100.",
         unit="ms",
         low=0.001,
         high=10_000.0,

@@ -1,6 +1,6 @@
 """What images of events show: their kind, size, rate and window; without compiled code, which tables do without.
 
-How they are drawn: representations.py.
+How they are drawn: event_drawing.py.
 """
 
 import math

@@ -27,7 +27,7 @@ from evetac_cli.formats.imports import read_events
 from evetac_cli.formats.note import Note, read_note
 from evetac_cli.formats.read.calibration_pickle import read_pickle
 from evetac_cli.formats.write import pieces, write_dsec, write_event_images, write_text
-from evetac_cli.kernels import representations
+from evetac_cli.kernels import event_drawing
 from evetac_cli.store.calibration import read_calibration
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.hdf5 import disk
@@ -282,7 +282,7 @@ def read_images(path: Path) -> tuple[Any, Any, dict[str, Any]]:
 @pytest.mark.parametrize("kind", OF_IMAGES)
 def test_images_are_those_of_python(tmp_path: Path, kind: str, suffix: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that a file of images holds what `Recording.frames` and the like give, and what they show."""
-    monkeypatch.setattr(representations, "AT_ONCE_BYTES", 50_000)  # several blocks, that fit no chunk
+    monkeypatch.setattr(event_drawing, "AT_ONCE_BYTES", 50_000)  # several blocks, that fit no chunk
     monkeypatch.setattr(write_event_images, "CHUNK_BYTES", 70_000)
     source = write(tmp_path / "a.recording.h5", drawn(3_000), 1_300, simulated=True)
     target, options = tmp_path / f"a{suffix}", OF_IMAGES[kind]

@@ -21,7 +21,7 @@ from evetac_cli.kernels.event_representation import Kind, Representation
 from evetac_cli.store.recordings.read import RATE_HZ, Recording
 
 if TYPE_CHECKING:  # compiled code, which other exports do without
-    from evetac_cli.kernels.representations import ImageBlock
+    from evetac_cli.kernels.event_drawing import ImageBlock
 
 SUFFIXES = (".npz", ".parquet", ".zarr.zip", ".zip")
 CHUNK_BYTES = 1 << 20  # of a zarr store

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.events import SLICE_US, Events
 from evetac_cli.kernels.compiled import njit
-from evetac_cli.kernels.representations import images_ending
+from evetac_cli.kernels.event_drawing import images_ending
 from evetac_cli.kernels.slip import extras, features
 from evetac_cli.kernels.slip.architectures import (
     CHANNELS,

@@ -13,8 +13,8 @@ from evetac_cli.store.files import StageFile
 from evetac_cli.store.recordings.marks import Mark, marks_of
 
 if TYPE_CHECKING:
+    from evetac_cli.kernels.event_drawing import ImageBlock
     from evetac_cli.kernels.event_representation import Kind, Polarity, Representation
-    from evetac_cli.kernels.representations import ImageBlock
 
 BLOCK_SLICES = 1000
 RATE_HZ = 200.0  # of images of events, unless asked for another
@@ -212,7 +212,7 @@ class Recording(StageFile):
 
     def images(self, of: "Representation") -> Iterator["ImageBlock"]:
         """The images of a representation, in blocks of images; ValueError if it is of another frame."""
-        from evetac_cli.kernels.representations import fold
+        from evetac_cli.kernels.event_drawing import fold
 
         return fold(of, self.blocks())
 

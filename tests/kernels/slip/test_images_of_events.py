@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from evetac_cli.events import FRAME_PX, SLICE_US, Events, SliceBlock, slice_starts
+from evetac_cli.kernels.event_drawing import fold
 from evetac_cli.kernels.event_representation import Representation
-from evetac_cli.kernels.representations import fold
 from evetac_cli.kernels.slip import features, inputs, networks
 from evetac_cli.kernels.slip.architectures import PluginImageArchitecture, channels
 from evetac_cli.kernels.slip.detector import Detector, Live

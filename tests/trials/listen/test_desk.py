@@ -11,6 +11,7 @@ import pytest
 from evetac_cli.store.recordings import marks
 from evetac_cli.trials.listen.desk import Desk
 from evetac_cli.trials.session import ABORTED, STOPPED
+from tests.patience import PATIENCE_S
 
 LONG_AGO_S = 100.0  # before now the recording began
 
@@ -212,7 +213,7 @@ def test_a_stop_waits_no_longer_than_whoever_records_has_patience() -> None:
     desk = Desk()
     began_us = recording(desk)
     desk.ask({"command": "stop"})
-    assert desk.recorded(2, time.monotonic, began_us) == ""
+    assert desk.recorded(2, time.monotonic, began_us, patience_s=PATIENCE_S) == ""
     time.sleep(2e-3)
     assert desk.recorded(2, time.monotonic, began_us, patience_s=1e-3) == STOPPED
 

@@ -240,6 +240,7 @@ def test_a_camera_that_fails_ends_no_series(listened: Callable[..., KeyboardInte
         arm = Arm(folder)
         arm.ask("start", name="a")
         opened[0].fails = True
+        assert until(lambda: arm.ask("status")["state"] == "idle")  # a stop before the next slice would find no fault
         answer = arm.ask("stop")
         assert not answer["ok"]
         assert "no longer on the bus" in answer["error"]

@@ -8,9 +8,9 @@ import pytest
 from numpy.typing import NDArray
 
 from evetac_cli.events import Events, SliceBlock, slice_starts
-from evetac_cli.kernels import representations
+from evetac_cli.kernels import event_drawing
+from evetac_cli.kernels.event_drawing import MOST_COUNTED, ImageBlock, fold
 from evetac_cli.kernels.event_representation import KINDS, Representation, representation
-from evetac_cli.kernels.representations import MOST_COUNTED, ImageBlock, fold
 
 FRAME_PX = (64, 48)
 SLICES = 90
@@ -92,8 +92,8 @@ def test_images_are_as_defined(
         np.testing.assert_allclose(images[at], expected, rtol=1e-6, atol=1e-5)
     for cut in (1, SLICES):
         np.testing.assert_array_equal(joined(fold(of, blocks(events, cut)))[1], images)
-    state = representations.start(of)
-    online = [representations.step(state, one) for block in blocks(events, SLICES) for one in block.slices()]
+    state = event_drawing.start(of)
+    online = [event_drawing.step(state, one) for block in blocks(events, SLICES) for one in block.slices()]
     np.testing.assert_array_equal([image for image in online if image is not None], images)
     assert [k + 1 for k, image in enumerate(online) if image is not None] == (ends // 1000).tolist()
 
@@ -102,10 +102,10 @@ def test_images_are_as_defined(
 @pytest.mark.parametrize("t_us", [-1, 1_000, 1_700_000_000_000_000])
 def test_events_of_another_time_are_refused(kind: Any, t_us: int) -> None:
     """Assert that a camera's times that do not count from the first slice write nowhere, but are refused."""
-    state = representations.start(representation(kind, FRAME_PX, None, 1000.0, None))
+    state = event_drawing.start(representation(kind, FRAME_PX, None, 1000.0, None))
     columns = (np.array([t_us]), np.ones(1, np.uint16), np.ones(1, np.uint16), np.ones(1, np.uint8))
     with pytest.raises(ValueError, match="from 0 to 999 us in slice 0"):
-        representations.step(state, Events(*columns))
+        event_drawing.step(state, Events(*columns))
 
 
 def test_a_count_goes_no_further() -> None:
@@ -124,7 +124,7 @@ def test_events_beside_the_frame_are_refused() -> None:
         for kind in KINDS:
             of = representation(kind, FRAME_PX, None, 1000.0, None)
             with pytest.raises(ValueError, match="64 x 48 px"):
-                representations.step(representations.start(of), Events(*columns))
+                event_drawing.step(event_drawing.start(of), Events(*columns))
 
 
 @pytest.mark.parametrize(
