@@ -1,0 +1,220 @@
+"""Count the words and long sentences that make evetac's texts hard to read, list its messages, draw samples.
+
+    python scripts/docs/wording.py                         # a row per pattern, a column per kind of text
+    python scripts/docs/wording.py --list told             # where a pattern is found and not excused
+    python scripts/docs/wording.py --messages              # every message of the program, file by file
+    python scripts/docs/wording.py --draw 10 --seed 43     # as many docs paragraphs, messages and docstrings at random
+    python scripts/docs/wording.py --root OTHER_CHECKOUT   # the same of another checkout
+
+Five kinds of text: `docs` (paragraphs, list items and table cells of README, CONTRIBUTING and docs/), `help` (flags and
+commands), `messages` (any other text of four words or more in the package: errors, notes, pages), `docstrings` and
+`comments` (of the package, scripts and examples). Code, tables of results and quoted flags are not read as prose.
+
+A pattern may be used rightly: "the onset lies between two slices". wording.toml beside this script lists such uses with
+the reason; what it lists is counted as `kept`. With --check the exit status is 1 where anything else is left.
+"""
+
+import argparse
+import ast
+import json
+import random
+import re
+import sys
+import tokenize
+import tomllib
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+ROOT = Path(__file__).resolve().parents[2]
+KEPT = Path(__file__).with_name("wording.toml")
+KINDS = ("docs", "help", "messages", "docstrings", "comments")
+MOST_WORDS = 35  # of a sentence
+DRAWN_WORDS = {"docs": 25, "messages": 8}  # of a text that --draw takes: no cell of a table, no label
+MESSAGE_WORDS = 4  # from so many words on a string of the package is a text that somebody reads
+UNIT = "second|millisecond|microsecond|minute|hour|day|ms|s|slice|trial|file|frame|pixel|dot|step|event|grasp|core|cell"
+PATTERNS = {
+    "told": r"\b(?:told|tells?|telling)\b",
+    "stands": r"\b(?:stands?|stood|standing)\b",
+    "lies": r"\b(?:lies|lie|lay|lain)\b",
+    "met": r"\b(?:met|meets?)\b",
+    "whoever": r"\b(?:who|what|which)ever\b",
+    "a for per": rf"(?:\b(?!(?:is|was|has|as|this|its|does|takes|makes|gives|uses|needs|holds|shows|writes|means|ends)\b)\w*[a-z]s|\b(?:px|mm|um|ms|MB|kB|GB|N|once|twice)|\d|%) an? (?:{UNIT})\b",
+    "at hand": r"\bat hand\b",
+    "all the same": r"\ball the same\b",
+    "nobody": r"\bnobody\b",
+}
+
+
+class Text(NamedTuple):
+    """A piece of prose: its kind, `file:line`, the heading or function that it belongs to, and its words."""
+
+    kind: str
+    place: str
+    owner: str
+    words: str
+
+
+def markdown_texts(path: Path, root: Path) -> Iterator[Text]:
+    """Paragraphs, list items and cells of words of a page; code blocks and comments left out."""
+    source = re.sub(r"^```.*?^```$", lambda found: "\n" * found[0].count("\n"), path.read_text(), flags=re.M | re.S)
+    source = re.sub(r"<!--.*?-->", lambda found: "\n" * found[0].count("\n"), source, flags=re.S)
+    heading, block, first = "", [], 0
+    for number, line in enumerate([*source.splitlines(), ""], start=1):
+        begins = re.match(r"\s*(?:[-*]|\d+\.) ", line) or line.startswith(("|", "#", "    ")) or not line.strip()
+        if begins and block:
+            yield Text("docs", f"{path.relative_to(root)}:{first}", heading, " ".join(block))
+            block = []
+        if line.startswith("#"):
+            heading = line.lstrip("# ")
+        elif line.startswith("|"):
+            for cell in line.strip("| ").split(" | "):
+                if len(cell.split()) >= MESSAGE_WORDS:
+                    yield Text("docs", f"{path.relative_to(root)}:{number}", heading, cell.strip())
+        elif line.strip() and not (line.startswith("    ") and not block):
+            first = first if block else number
+            block.append(re.sub(r"^\s*(?:[-*]|\d+\.) ", "", line).strip())
+
+
+def _string(node: ast.expr) -> str | None:
+    """The text of a string or f-string, with {...} for what is put in; None for anything else."""
+    if isinstance(node, ast.Constant) and isinstance(node.value, str):
+        return node.value
+    if isinstance(node, ast.JoinedStr):
+        return "".join(str(part.value) if isinstance(part, ast.Constant) else "{...}" for part in node.values)
+    return None
+
+
+def _strings(node: ast.AST, owner: str, is_help: bool) -> Iterator[tuple[int, str, bool, str]]:
+    """Line, owner, whether it is help, and text of every string below a node that is no docstring."""
+    for child in ast.iter_child_nodes(node):
+        text = _string(child) if isinstance(child, ast.expr) else None
+        if isinstance(child, ast.Expr) and _string(child.value) is not None:
+            continue  # a docstring
+        if text is not None:
+            yield child.lineno, owner, is_help, text
+            continue
+        name = getattr(child, "name", None) if isinstance(child, (ast.FunctionDef, ast.ClassDef)) else None
+        helps = is_help or (isinstance(child, ast.keyword) and child.arg in ("help", "epilog", "short_help"))
+        yield from _strings(child, name or owner, helps)
+
+
+def python_texts(path: Path, root: Path, with_messages: bool) -> Iterator[Text]:
+    """Docstrings, comments and, of the package, texts that the program prints."""
+    name, tree = path.relative_to(root), ast.parse(path.read_text())
+    defines_flags = name.is_relative_to("evetac_cli/commands")
+    for node in ast.walk(tree):
+        if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef)) and (words := ast.get_docstring(node)):
+            line = node.body[0].lineno
+            owner = getattr(node, "name", "module")
+            kind = "help" if defines_flags and isinstance(node, ast.ClassDef) else "docstrings"
+            yield Text(kind, f"{name}:{line}", owner, words)
+    for line, owner, is_help, words in _strings(tree, "", defines_flags) if with_messages else ():
+        if len(re.findall(r"[A-Za-z]{2,}", words.replace("{...}", ""))) >= MESSAGE_WORDS and " " in words.strip():
+            yield Text("help" if is_help else "messages", f"{name}:{line}", owner, words)
+    block, first, last = [], 0, -1
+    with tokenize.open(path) as file:
+        for token in [*tokenize.generate_tokens(file.readline), None]:
+            if token is not None and token.type != tokenize.COMMENT:
+                continue
+            if block and (token is None or token.start[0] != last + 1 or token.line.strip() != token.string):
+                yield Text("comments", f"{name}:{first}", "", " ".join(block))
+                block = []
+            if token is not None and not re.match(r"#\s*(?:noqa|type:|mypy|fmt|!)", token.string):
+                first = first if block else token.start[0]
+                last = token.start[0]
+                block.append(token.string.lstrip("# ").rstrip("- "))
+
+
+def texts(root: Path) -> list[Text]:
+    """All texts of a checkout, in the order of its files."""
+    pages = [root / "README.md", root / "CONTRIBUTING.md", *sorted((root / "docs").glob("*.md"))]
+    found = [text for page in pages for text in markdown_texts(page, root)]
+    for folder in ("evetac_cli", "scripts", "examples"):
+        for path in sorted((root / folder).rglob("*.py")):
+            found += python_texts(path, root, folder == "evetac_cli")
+    return found
+
+
+def prose(words: str) -> str:
+    """A text without code, examples and links' targets."""
+    words = re.sub(r"(?m)^\s*(?:>>>|\.\.\.).*$|^ {4,}\S.*$", "", words)
+    words = re.sub(r"`[^`]*`", "CODE", words)
+    return re.sub(r"\]\([^)]*\)", "]", words)
+
+
+def long_sentences(words: str) -> list[str]:
+    """Sentences of more than MOST_WORDS words; a colon or semicolon does not end one."""
+    parts = re.split(r"(?<=[.!?])\s+(?=[A-Z`\[\"(])|\n\s*\n|\n\s*(?=[-*|] )", prose(words))
+    return [" ".join(part.split()) for part in parts if len(re.findall(r"[\w'.-]+", part)) > MOST_WORDS]
+
+
+def occurrences(found: list[Text], pattern: str) -> Iterator[tuple[Text, str]]:
+    """Each text with a pattern, and the words about it."""
+    for text in found:
+        if pattern == "long":
+            yield from ((text, sentence) for sentence in long_sentences(text.words))
+            continue
+        words = " ".join(prose(text.words).split())
+        for match in re.finditer(PATTERNS[pattern], words, re.IGNORECASE):
+            yield text, words[max(0, match.start() - 50) : match.end() + 50]
+
+
+def reason(text: Text, pattern: str, context: str, kept: dict[str, dict[str, str]]) -> str:
+    """Why a use of a pattern may stay; empty where nothing says so."""
+    path = text.place.split(":")[0]
+    return next(
+        (why for what, why in kept.get(pattern, {}).items() if what == path or re.search(what, context, re.I)), ""
+    )
+
+
+def main() -> int:
+    """Print what is asked for."""
+    arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    arguments.add_argument("--root", type=Path, default=ROOT, help="checkout to read (default: this one)")
+    arguments.add_argument("--list", choices=[*PATTERNS, "long"], help="print each place of a pattern that is not kept")
+    arguments.add_argument("--under", default="", help="only files whose path begins so, such as evetac_cli/sim")
+    arguments.add_argument("--messages", action="store_true", help="print every message, file by file")
+    arguments.add_argument("--draw", type=int, metavar="N", help="print N paragraphs, messages and docstrings")
+    arguments.add_argument("--seed", type=int, default=0, help="of --draw (default: 0)")
+    arguments.add_argument("--json", action="store_true", help="counts as one JSON object")
+    arguments.add_argument("--check", action="store_true", help="exit status 1 where a use is neither kept nor mended")
+    given = arguments.parse_args()
+    found = [text for text in texts(given.root) if text.place.startswith(given.under)]
+    kept = tomllib.loads(KEPT.read_text()) if KEPT.exists() else {}
+    if given.messages:
+        for text in found:
+            if text.kind == "messages":
+                print(f"{text.place} {text.owner}: {' '.join(text.words.split())}")
+        return 0
+    if given.draw:
+        generator = random.Random(given.seed)
+        for kind in ("docs", "messages", "docstrings"):
+            long_enough = [
+                text for text in found if text.kind == kind and len(text.words.split()) >= DRAWN_WORDS.get(kind, 0)
+            ]
+            for text in generator.sample(long_enough, given.draw):
+                print(f"\n[{kind}] {text.place} {text.owner}\n{text.words}")
+        return 0
+    if given.list:
+        for text, context in occurrences(found, given.list):
+            if not reason(text, given.list, context, kept):
+                print(f"{text.place} [{text.kind}] {context}")
+        return 0
+    counts = {name: {kind: [0, 0] for kind in KINDS} for name in [*PATTERNS, "long"]}
+    for name, row in counts.items():
+        for text, context in occurrences(found, name):
+            row[text.kind][bool(reason(text, name, context, kept))] += 1
+    left = sum(cell[0] for row in counts.values() for cell in row.values())
+    if given.json:
+        print(json.dumps({"texts": Counter(text.kind for text in found), "left, kept": counts}, indent=2))
+    else:
+        print(f"{'':14}" + "".join(f"{kind:>14}" for kind in KINDS) + "     left + kept")
+        for name, row in counts.items():
+            print(f"{name:14}" + "".join(f"{f'{row[kind][0]} + {row[kind][1]}':>14}" for kind in KINDS))
+    return int(given.check and left > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
