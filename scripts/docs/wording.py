@@ -34,13 +34,14 @@ MOST_WORDS = 35  # of a sentence
 DRAWN_WORDS = {"docs": 25, "messages": 8}  # of a text that --draw takes: no cell of a table, no label
 MESSAGE_WORDS = 4  # from so many words on a string of the package is a text that somebody reads
 UNIT = "second|millisecond|microsecond|minute|hour|day|ms|s|slice|trial|file|frame|pixel|dot|step|event|grasp|core|cell"
+VERBS = "(?:is|was|has|as|this|its|does|takes|makes|gives|uses|needs|holds|shows|writes|means|ends)"  # no quantities
 PATTERNS = {
     "told": r"\b(?:told|tells?|telling)\b",
     "stands": r"\b(?:stands?|stood|standing)\b",
     "lies": r"\b(?:lies|lie|lay|lain)\b",
     "met": r"\b(?:met|meets?)\b",
     "whoever": r"\b(?:who|what|which)ever\b",
-    "a for per": rf"(?:\b(?!(?:is|was|has|as|this|its|does|takes|makes|gives|uses|needs|holds|shows|writes|means|ends)\b)\w*[a-z]s|\b(?:px|mm|um|ms|MB|kB|GB|N|once|twice)|\d|%) an? (?:{UNIT})\b",
+    "a for per": rf"(?:\b(?!{VERBS}\b)\w*[a-z]s|\b(?:px|mm|um|ms|MB|kB|GB|N|once|twice)|\d|%) an? (?:{UNIT})\b",
     "at hand": r"\bat hand\b",
     "all the same": r"\ball the same\b",
     "nobody": r"\bnobody\b",
@@ -138,9 +139,9 @@ def texts(root: Path) -> list[Text]:
 
 
 def prose(words: str) -> str:
-    """A text without code, examples and links' targets."""
+    """A text without code, examples, links' targets and descriptions of pictures."""
     words = re.sub(r"(?m)^\s*(?:>>>|\.\.\.).*$|^ {4,}\S.*$", "", words)
-    words = re.sub(r"`[^`]*`", "CODE", words)
+    words = re.sub(r"!\[[^\]]*\]", "", re.sub(r"`[^`]*`", "CODE", words))  # nor what pictures are described as
     return re.sub(r"\]\([^)]*\)", "]", words)
 
 
