@@ -12,7 +12,7 @@ Each name of `__all__` is imported when it is first used, so that `import evetac
 
 from typing import TYPE_CHECKING, Any
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 if TYPE_CHECKING:
     from evetac_cli.api import (
