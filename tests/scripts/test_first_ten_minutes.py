@@ -29,9 +29,9 @@ def shown_with_real_devices() -> list[list[str]]:
 
 
 def test_it_stays_a_page() -> None:
-    """Assert that it is short, says at once that nobody has tried it, and moves nothing real without --arm."""
+    """Assert that it is short, says at once that it has not been tried, and moves nothing real without --arm."""
     assert len(PAGE.splitlines()) <= 105
-    assert "Nobody has followed this page with a real sensor yet" in PAGE.partition("## 1.")[0]
+    assert "not been tried with a real sensor" in PAGE.partition("## 1.")[0]
     real = shown_with_real_devices()
     moving = [words for words in real if "/dev/ttyUSB0" in words]
     assert len(real) == 8 and len(moving) == 4
