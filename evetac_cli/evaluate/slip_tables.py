@@ -126,7 +126,7 @@ def _warned(of_object: dict[str, Any]) -> dict[str, Any]:
 
 
 def _papers_object(model: Model, name: str, models: int) -> dict[str, Any]:
-    """Return the model's columns in an object's row, with the paper's timing on objects 12 and 15, which it often misses.
+    """Return the model's columns in an object's row, with the paper's timing on objects 12 and 15 (its hardest ones).
 
     None where the paper has no figure, and for objects seen in training.
     """
