@@ -317,8 +317,8 @@ def test_strict(by_hand, tmp_path):
     for _ in range(2):
         result = evaluate("stability", "--strict")
         assert result.exit_code == 1
-        assert "sim: cases outside their bounds" in result.stderr
-        assert "1 of 2 that are not ok" in result.stderr
+        assert "outside their bounds" in result.stderr
+        assert "1 of 2 not ok" in result.stderr
         assert "force left unbalanced" in result.stdout
         (tmp_path / "sim.stability.report.h5").unlink(missing_ok=True)
     shown = json.loads(evaluate("stability", "--strict", "--json").stdout)
