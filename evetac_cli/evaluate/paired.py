@@ -60,8 +60,8 @@ def share(held: Flags) -> ConfidenceInterval:
 def share_difference(ours: Flags, theirs: Flags) -> ConfidenceInterval:
     """Return the difference, ours - theirs, of two shares over the same trials.
 
-    The interval is Wald's with half a trial added to each of the four cells of the table of pairs (Agresti and Min,
-    Statistics in Medicine 24, 2005), so that a difference of 0 is not certain either. With 40 trials it has its nominal
+    The interval is Wald's with half a trial added to each of the four cells of the table of pairs, so that a difference
+    of 0 is not certain either (Agresti and Min, Statistics in Medicine 24, 2005). With 40 trials it has its nominal
     coverage; with 20 the coverage may be 91 %.
     """
     count = len(ours)

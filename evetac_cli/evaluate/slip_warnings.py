@@ -60,7 +60,7 @@ Seeds = Sequence[Sequence[Judged]]  # results of each model of a setting on the 
 class Shares(NamedTuple):
     """Weights of trials that share objects and sensors, in the mean and in each round of resampling.
 
-    clusters: effective number of trials: that of objects or of sensors, whichever is smaller.
+    clusters: effective number of trials: the smaller of the numbers of objects and of sensors.
     """
 
     counts: NDArray[np.float64]  # (trials,), equal total weight for each object

@@ -81,11 +81,12 @@ def frictional_shear(
 ) -> tuple[list[Floats], bool]:
     """Return the shear on the cells of a contact after each step of the object, and whether all steps converged.
 
-    answer: (2 n, 2 n) displacement of cells per shear, mm per Pa, symmetric; squeeze: (2 n,) their displacement under
-    the
-    pressure (n,) in mm; path_mm: positions of the object's points over the cells, (2 n,) each. The shear minimises
-    energy
-    within friction times pressure, by accelerated projected gradient. Cells that slide in a step continue from there.
+    - answer: (2 n, 2 n) displacement of cells per shear, mm per Pa, symmetric;
+    - squeeze: (2 n,) their displacement under the pressure (n,) in mm;
+    - path_mm: positions of the object's points over the cells, (2 n,) each.
+
+    The shear minimises energy within friction times pressure, by accelerated projected gradient. Cells that slide in a
+    step continue from there.
     """
     limit = friction * pressure_pa
     cells = len(pressure_pa)

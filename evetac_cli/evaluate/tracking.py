@@ -48,7 +48,7 @@ def run(job: Job, params: EvaluateTracking, *, force: bool = False, progress: Pr
     dots,
     as in the paper. `events_per_dot` is a mean over dots and slices. `still_px_rms` is the error of a tracker that
     never
-    moves a dot, for comparison.
+    moves dots, for comparison.
     """
     headers = []
     known = 0

@@ -54,10 +54,11 @@ class ChainTrial(NamedTuple):
 class Chain(NamedTuple):
     """Results of the chain for one trial; onsets are slices, None if not found.
 
-    gross_slip_ms: in the simulation's truth; label_ms: in the labels; detection_ms: first slice that the detector takes
-    for
-    slip. dot_xy_px, true_dot_xy_px (slices, dots, 2): tracked and true positions; rest_xy_px (dots, 2). shear_force_n
-    (slices, 2): of the object on one pad. record_us, chain_us: run time per recorded millisecond.
+    - gross_slip_ms: in the simulation's truth; label_ms: in the labels;
+    - detection_ms: first slice that the detector takes for slip;
+    - dot_xy_px, true_dot_xy_px (slices, dots, 2): tracked and true positions; rest_xy_px (dots, 2);
+    - shear_force_n (slices, 2): of the object on one pad;
+    - record_us, chain_us: run time per recorded millisecond.
     """
 
     gross_slip_ms: int | None

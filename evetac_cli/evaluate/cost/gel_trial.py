@@ -79,10 +79,10 @@ def draw_trial(seed: int) -> GelTrial:
 class GelMotion(NamedTuple):
     """The motion of a simulated trial, sampled every 10 ms, and its run time.
 
-    pose: (samples, 3); gel_m: displacement, (samples, points, 2), of all nodes or of the requested points. block_us:
-    run
-    time of each block, in microseconds per simulated millisecond. blown_up_s: the time at which the integrator blew up,
-    which leaves no samples; NaN if it did not.
+    - pose: (samples, 3);
+    - gel_m: displacement, (samples, points, 2), of all nodes or of the requested points;
+    - block_us: run time of each block, in microseconds per simulated millisecond;
+    - blown_up_s: the time at which the integrator blew up, which leaves no samples; NaN if it did not.
     """
 
     pose: Floats

@@ -177,7 +177,7 @@ def _inference(candidate: Candidate, rng: np.random.Generator) -> Callable[[], A
 
 
 def _grasp_step(candidate: Candidate, rng: np.random.Generator) -> Callable[[], Any]:
-    """Return a function that runs a step of `grasp` on events of the dots' rims at rest; histories are filled first."""
+    """Return a function that runs one `grasp` step on events of the dots' rims at rest; histories are filled first."""
     rows, columns = candidate.dot_shape
     whole = DOTS_PX.reshape(7, 9, 2)
     if rows > whole.shape[0] or columns > whole.shape[1]:

@@ -7,8 +7,9 @@ the same trials, simulated more finely in every respect. Columns, as means over 
 - error_ms_gross_slip: onset of gross slip (`truth/slip`) in the simulation with this setting.
 - error_ms_label: onset of the labels, against the onset of gross slip in the reference's truth.
 - error_share_detection: share of trials in which the first detection by the pretrained detector (trained to warn 10 ms
-  ahead) moves by more than DETECTION_MS from that on the reference. detection_moved_ms_median: the median of this
-  motion, because near its threshold one trial moves by hundreds of ms, which would dominate a mean.
+  ahead) moves by more than DETECTION_MS from that on the reference.
+- detection_moved_ms_median: the median of this shift. A mean would be dominated by single trials that shift by hundreds
+  of ms near the threshold.
 - error_px_dots: tracked dots against the reference's true dots, root mean square up to gross slip.
 - error_n_shear: shear force on a pad, estimated from the tracked dots by a regression fitted at the defaults on other
   trials, against the reference's true force, root mean square up to gross slip.

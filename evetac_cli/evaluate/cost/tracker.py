@@ -3,7 +3,7 @@
 The workloads move a whole grid of dots: a sine of 3 px at 5 Hz, one of 0.3 px at 200 Hz, and a slow shift at the speed
 of the paper's trials. Each is seen by an ideal camera without noise, and by a scanning camera with the noise, hot
 pixels and uneven thresholds of the sensor `evetac`. The dots' centres are known exactly. `standing still` is a tracker
-that never moves a dot; a tracker that is no better is useless. Run time is that of a step on events of the dots' rims
+that never moves dots; a tracker that is no better is useless. Run time is that of a step on events of the dots' rims
 and depends on their number.
 """
 
@@ -53,8 +53,9 @@ class Scenario(NamedTuple):
 def measure(params: EvaluateCost, inputs: Sequence[Path], progress: Progress) -> Rows:
     """Return rows of every setting on every workload; run times are measured once per setting.
 
-    error_px_*: distance from the true centre at the end of a slice, over all dots and slices; still_px_rms is that of a
-    tracker that never moves. time_us_median, _p99: of a step at USUAL_COUNT events; time_us_N: median at N events.
+    - error_px_*: distance from the true centre at the end of a slice, over all dots and slices;
+    - still_px_rms: the same for dots that never move;
+    - time_us_median, _p99: of a step at USUAL_COUNT events; time_us_N: median at N events.
     """
     scenarios = simulate_scenarios(params.seed, SLICES.pick(params.full))
     rows = (row for setting in settings() for row in _rows(*setting, scenarios, STEPS.pick(params.full), params.seed))
@@ -134,7 +135,7 @@ def _rows(
 
 
 def _still_row(scenario: Scenario) -> Row:
-    """Return the row of a tracker that never moves a dot and takes no time."""
+    """Return the row of a tracker that never moves dots and takes no time."""
     apart_px = np.linalg.norm(DOTS_PX - scenario.truth_px, axis=2)
     rms_px = math.sqrt(np.mean(apart_px**2))
     return {

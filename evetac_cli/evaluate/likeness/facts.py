@@ -34,15 +34,18 @@ Values = tuple[float | None, ...]
 class Fact:
     """A public fact: `fact` and its `public` figure in words, its source, class and command.
 
-    paper, value: the public figures, by their keys in paper.py or as numbers. sd, trials, low and high: their spread,
-    one
-    per figure: the paper's standard deviation, the 95 % interval (Wilson) of a share of this many trials, or its ends.
-    evetac's figure comes from `measures` of recordings (`NAME@SCENE`: of simulations, only this scene); or from
-    `table`, a
-    file of docs/results, by `row` and `value_of` (a column, columns, or a function of tables.py); or is a `constant` of
-    data/*.toml. counts: its number among the counted facts; fits: what was chosen by it; needs: what a figure requires,
-    if
-    a recording is not enough; miss: why evetac's figure is off, as far as is known.
+    - paper, value: the public figures, by their keys in paper.py or as numbers;
+    - sd, trials, low and high: their spread, one per figure: the paper's standard deviation, the 95 % interval (Wilson)
+      of a share of this many trials, or the ends;
+    - measures: of recordings; in `NAME@SCENE`, simulations count only if they are of this scene;
+    - table: a file of docs/results, with its `row` and `value_of` (a column, columns, or a function of tables.py);
+    - constant: a constant of data/*.toml;
+    - counts: its number among the counted facts;
+    - fits: what was chosen by it;
+    - needs: what a figure requires, if a recording is not enough;
+    - miss: why evetac's figure is off, as far as is known.
+
+    One of measures, table and constant provides evetac's figure.
     """
 
     name: str

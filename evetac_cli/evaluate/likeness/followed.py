@@ -1,8 +1,8 @@
 """Distance of the published trackers from the true dots of a simulation, compared with a tracker that never moves dots.
 
-There are three trackers: the authors' code of 2024 on slices of 1 ms; their code of 2026, the same arithmetic on slices
-of 5 ms, which requires 11 events per slice where that of 2024 requires 5; and the paper's. The background filter before
-the tracker in both codes is left out.
+There are three trackers: the authors' code of 2024 on slices of 1 ms, their code of 2026, and the paper's. The code of
+2026 has the same arithmetic on slices of 5 ms, and requires 11 events per slice where that of 2024 requires 5. The
+background filter before the tracker in both codes is left out.
 """
 
 import math

@@ -1,7 +1,7 @@
 """Slip detection from one slice alone: more than k events in a slice, with k chosen on other objects.
 
-The first detection is the first slice with more than k events after the current began to fall. k is the threshold that
-is correct most often on all other objects, so that no object is evaluated with a threshold chosen on it.
+The first detection is the first slice with more than k events after the current began to fall. The threshold k is the
+one that is correct most often on all other objects, so that no object is evaluated with a threshold chosen on it.
 """
 
 from collections.abc import Iterable, Sequence
@@ -15,7 +15,7 @@ from evetac_cli.jobs import Row
 from evetac_cli.kernels.slip.metrics import EARLIEST_MS, LATEST_MS
 
 THRESHOLDS = (25, 35, 50, 75, 100, 150, 200, 300, 400, 600, 800, 1000, 1500)  # events per slice
-NEVER_MS = 10**6  # after the onset: stands for no detection
+NEVER_MS = 10**6  # after the onset: represents no detection
 
 
 class Slip(NamedTuple):

@@ -19,10 +19,11 @@ COULOMB = gel.Friction(0.8, 0.8)
 class GelCase:
     """A pad, an object, and their load; by default 100 g, held with 2 N per finger.
 
-    load: normal force in N over time in s. force: on the object, x, y in N and moment in N m, over time; None is its
-    weight. shares: of the load on each node; None is even. becomes: time in s and the friction starting then. residual:
-    the
-    residual at which the search for a step's balance stops.
+    - load: normal force in N over time in s;
+    - force: on the object, x, y in N and moment in N m, over time; None is its weight;
+    - shares: of the load on each node; None is even;
+    - becomes: a time in s and the friction from then;
+    - residual: the residual at which the search for a step's balance stops.
     """
 
     name: str

@@ -201,7 +201,7 @@ def judged_rows(case: GraspCase, controller: str, seed: int) -> Rows:
 
 
 def grasp_rows(case: GraspCase, controller: str, seed: int, *, told: bool = False) -> Rows:
-    """Run one grasp of a case and return what happened to the object, or the abort; told: use the true slip."""
+    """Run one grasp of a case and return the rows of its outcome or abort, with the true slip if `told`."""
     name = f"{controller}{TOLD}" if told else controller
     rng = np.random.default_rng([seed, 1])
     short = replace(ShortGrasp(USUAL_OBJECT, controller, balance_s=BALANCE_S), **dict(case.timing))

@@ -283,7 +283,7 @@ def slip_onsets(
 ) -> dict[str, int | None]:
     """Return the first slice of slip after the start of the span, by truth, label and model or detector, if known.
 
-    For truth and labels a trial begins when the gripper's current begins to fall. For a grasp's detector it begins
+    For truth and labels, the trial begins when the gripper's current begins to fall. For a grasp's detector it begins
     after
     the light contact, because no trajectory in its training contains one.
     """
