@@ -26,8 +26,7 @@ def report_job(files: list[Path], subject: str, out: Path | None, *more: Path) -
     """Return the job of one report over all files, `<name>.<subject>.report.h5`.
 
     The name is that of the file. For several files it is the name of their folder. For files in several folders it
-    joins
-    the names of the folders, and the report goes into the folder that contains them all.
+    joins the names of the folders, and the report goes into the folder that contains them all.
     """
     if out is not None and out.suffix == ".h5":
         return [Job((*files, *more), out)]

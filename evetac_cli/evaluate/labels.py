@@ -5,8 +5,8 @@ The true onset, t_s, is that of gross slip: the object slides as one body over t
 or not, and the object has slid equally far since. Errors are relative to t_s.
 
 An error in px is how far the object truly slid as one body between the labels' onset and t_s; negative values are
-early. Errors in ms alone would mislead. At 0.05 px/ms the 0.5 px of gross slip take 10 ms, none of which is the onset. When
-gel snaps back, an object slides 5 px in 1 ms. Labels that abstain are counted but not evaluated.
+early. Errors in ms alone would mislead. At 0.05 px/ms the 0.5 px of gross slip take 10 ms, none of which is the onset.
+When gel snaps back, an object slides 5 px in 1 ms. Labels that abstain are counted but not evaluated.
 """
 
 from pathlib import Path

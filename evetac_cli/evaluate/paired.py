@@ -31,10 +31,8 @@ def difference(ours: Floats, theirs: Floats, resolution: float = 0.0) -> Confide
     """Return the mean of ours - theirs over the trials in which both are known (not NaN).
 
     resolution: that of both values, such as a slice of 1 ms. Two rounded values differ by chance with a standard
-    deviation
-    of resolution / sqrt(6). The standard deviation is never assumed smaller, so that a few equal differences do not
-    count
-    as certain.
+    deviation of resolution / sqrt(6). The standard deviation is never assumed smaller, so that a few equal differences
+    do not count as certain.
     """
     apart = ours - theirs
     apart = apart[np.isfinite(apart)]
@@ -83,9 +81,8 @@ def on_front(errors: Sequence[Floats], times: Sequence[Floats], resolution: floa
     """Return which settings are certainly on the Pareto front of error and run time.
 
     errors and times: an array per setting, all over the same trials. A setting is on the front if every other setting
-    has a
-    larger error or a longer run time, and the interval of the difference excludes 0. If there are too few trials to
-    distinguish two settings, neither of them is on the front.
+    has a larger error or a longer run time, and the interval of the difference excludes 0. If there are too few trials
+    to distinguish two settings, neither of them is on the front.
     """
 
     def larger(theirs: Floats, ours: Floats, step: float) -> bool:

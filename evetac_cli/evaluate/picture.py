@@ -172,8 +172,7 @@ def log_axis(axis: Any) -> None:
     """Make an axis logarithmic, with numbers written out.
 
     Ticks are at whole decades, and also at 2 and 5 if the axis spans at most two and a half decades. If an axis has
-    fewer
-    than three ticks, it is extended to the next tick at both ends.
+    fewer than three ticks, it is extended to the next tick at both ends.
     """
     from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter, NullLocator
 

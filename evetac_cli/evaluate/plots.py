@@ -23,8 +23,7 @@ def draw(figure: Any, rows: Rows, errors: Sequence[str]) -> None:
     """Plot log error over log run time, a line per integrator or mode.
 
     A setting is `line, knob`; a setting without a knob (`layer order 1`) belongs to no line and is not drawn.
-    `reference`
-    and `standing still` are horizontal lines across the panel.
+    `reference` and `standing still` are horizontal lines across the panel.
     """
     parts = list(dict.fromkeys(row["part"] for row in rows))
     for subfigure, part in zip(figure.subfigures(len(parts), 1, squeeze=False)[:, 0], parts, strict=True):

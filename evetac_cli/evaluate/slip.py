@@ -129,8 +129,7 @@ def split_models(files: list[Path], given: Path | None) -> tuple[list[Path], lis
     """Separate models from other files: a shell puts all but the first of `--model models/*.model.h5` among the files.
 
     `given` is a model file, a folder of them, a glob or `shipped`. A model that is given twice, even as two files,
-    counts
-    once. Raises InputError if there is no model.
+    counts once. Raises InputError if there is no model.
     """
     named = named_files(given, "model", "--model") if given is not None else []
     models: dict[str, Path] = {}
@@ -322,8 +321,7 @@ def _draw_onsets(axes: Any, trajectories: Rows, setting: str) -> None:
     """Plot the share of slips detected by each time: a thin line per object, a thick one for all, a tick per detection.
 
     This is the plain share of trajectories, whereas the paper smooths with a Gaussian kernel. Detections that are far
-    too
-    early, which all models have, would make the kernel as wide as the plotted range.
+    too early, which all models have, would make the kernel as wide as the plotted range.
     """
     slips = [row for row in trajectories if row["t_c_ms"] is not None]
     steps = np.arange(SHOWN_MS[0], SHOWN_MS[1] + 1)

@@ -82,8 +82,7 @@ class Model:
         """Return the network, ready to run.
 
         Networks on images are loaded only when needed: onnxruntime, which runs them, keeps the memory of the largest
-        batch of
-        each network, a gigabyte.
+        batch of each network, a gigabyte.
         """
         if self.over_dots is not None:
             return self.over_dots

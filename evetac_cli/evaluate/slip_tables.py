@@ -171,8 +171,7 @@ def setting_row(setting: str, model: Model, cells: list[dict[str, Any]]) -> dict
     """Return a setting's figures, means over objects and seeds, next to the paper's.
 
     `cells`: for every seed, the score of every object. *_sd is over objects and seeds; *_sd_seeds is over the means
-    over
-    objects of each seed.
+    over objects of each seed.
     """
     every = [score for cell in cells for score in cell.values()]
     chosen = model.header["parameters"]

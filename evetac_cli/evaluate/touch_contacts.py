@@ -33,8 +33,7 @@ class KnownContact:
     """A contact and its truth: tractions on its cells, forces, and displacements of the dots.
 
     cell_mm: (n, 2). shear_pa, pressed_shear_pa: (2, n), after the motion and when only pressed. pressure_pa, sticks:
-    (n,).
-    dot_motion_mm, pressed_motion_mm: (dots, 3), along x and y and into the layer.
+    (n,). dot_motion_mm, pressed_motion_mm: (dots, 3), along x and y and into the layer.
     """
 
     shape: str

@@ -127,8 +127,7 @@ class SurfaceAnswer:
         """Return displacements of points (n, 2) per traction on the cells of a square lattice.
 
         The result is (n, 3, 3, count, count) in mm per Pa. The centre of the first cell is (first_mm, first_mm); rows
-        run
-        along y.
+        run along y.
         """
         every = round(CELL_MM * self.points / self.box_mm)
         moved = np.empty((len(point_mm), 3, 3, count, count))

@@ -45,10 +45,8 @@ def run(job: Job, params: EvaluateTracking, *, force: bool = False, progress: Pr
     """Return a row per preset, then one per trajectory; lengths in px over all dots and slices.
 
     dots_lost: dots that end more than 20 px from their start; for a preset the mean over the trajectories with lost
-    dots,
-    as in the paper. `events_per_dot` is a mean over dots and slices. `still_px_rms` is the error of a tracker that
-    never
-    moves dots, for comparison.
+    dots, as in the paper. `events_per_dot` is a mean over dots and slices. `still_px_rms` is the error of a tracker
+    that never moves dots, for comparison.
     """
     headers = []
     known = 0

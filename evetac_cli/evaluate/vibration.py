@@ -52,8 +52,7 @@ def run(job: Job, params: EvaluateVibration, *, force: bool = False, progress: P
     """Return a row per recording and method, then one per window length; plot the spectra next to the report.
 
     The plot has a panel for the first recording of each tone, and for those with an unknown tone. `motion_ratio_*` is
-    the
-    gel's motion at a harmonic over that at the tone. The paper's method always returns a frequency, even without
+    the gel's motion at a harmonic over that at the tone. The paper's method always returns a frequency, even without
     vibration.
     """
     windows_ms = _windows_ms(params.windows)

@@ -48,7 +48,7 @@ def with_suffix(path: Path, suffix: str, flag: str) -> Path:
     """Return the path; raise InputError if it has another suffix."""
     if path.suffix.lower() != suffix:
         raise InputError(
-            "wrong type of output file", where=flag, expected=f"a file name ending in {suffix}", found=str(path)
+            "wrong kind of output", where=flag, expected=f"a file name ending in {suffix}", found=str(path)
         )
     return path
 

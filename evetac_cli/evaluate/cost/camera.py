@@ -152,10 +152,8 @@ def camera_rows(seed: int, loads: Sequence[Workload]) -> Iterator[Row]:
     """Yield rows of error and run time for the ideal camera with SUBSTEPS pieces per slice and for the scanning camera.
 
     `error_us_*` is the time error of events within 1 ms of a reference event. Of this, 0.25 us in the median are due to
-    the
-    ideal camera's whole microseconds. `error_share_count` is |events / reference - 1|. Run times are those of one
-    slice,
-    compiled.
+    the ideal camera's whole microseconds. `error_share_count` is |events / reference - 1|. Run times are those of one
+    slice, compiled.
     """
     for number, load in enumerate(loads):
         rng = np.random.default_rng((seed, number))

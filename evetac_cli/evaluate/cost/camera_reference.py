@@ -36,8 +36,7 @@ class Match(NamedTuple):
     """Agreement of a camera's events with a reference's.
 
     `count_share` is events / reference - 1. `f1` counts pairs within the tolerance as correct. `error_us` are the
-    absolute
-    time differences of all pairs within FARTHEST_US.
+    absolute time differences of all pairs within FARTHEST_US.
     """
 
     count_share: float
@@ -49,8 +48,7 @@ def reference_events(state: CameraState, path_px: NDArray[np.float64], step_us: 
     """Return every crossing of every pixel near a path (steps + 1, dots, 2) of dots, without a window.
 
     The path is sampled every `step_us`. `state` provides reference levels and thresholds at the start and is not
-    changed. A
-    level is the erf edge of the nearest dot, linear between samples. Events are ordered pixel by pixel.
+    changed. A level is the erf edge of the nearest dot, linear between samples. Events are ordered pixel by pixel.
     """
     given = (
         path_px,

@@ -181,10 +181,8 @@ def slip_errors(chain: Chain, reference: Chain, force: forces.Regression) -> dic
     """Return the errors of a chain against the reference's truth, by column; NaN if the reference does not slip.
 
     A missing onset counts as one at the end of the recording. The detector is compared with itself on the reference: 1
-    if
-    its first detection moves by more than DETECTION_MS, else 0. Tracks and forces are compared up to the reference's
-    onset
-    of gross slip: after it the object falls, and a small shift in time is a large distance.
+    if its first detection moves by more than DETECTION_MS, else 0. Tracks and forces are compared up to the reference's
+    onset of gross slip: after it the object falls, and a small shift in time is a large distance.
     """
     truth_ms = reference.gross_slip_ms
     if truth_ms is None:
@@ -207,8 +205,7 @@ def detection_moved_ms(chain: Chain, reference: Chain) -> float:
     """Return the distance in ms of the first detection from that on the reference; NaN if the reference does not slip.
 
     Near its threshold a detector fires or does not: one setting in one trial can move the first detection by hundreds
-    of
-    ms, so a mean over trials means little.
+    of ms, so a mean over trials means little.
     """
     if reference.gross_slip_ms is None:
         return float("nan")

@@ -40,8 +40,7 @@ class Effort(NamedTuple):
         """Return columns for a paired difference: whether it is decided, or the command and minutes to decide it.
 
         shares: for a difference of shares, the trials in which the condition holds, ours and theirs. Minutes are
-        processor time
-        on the machine of this run, estimated from its own trials.
+        processor time on the machine of this run, estimated from its own trials.
         """
         told, needed = verdict(apart)
         if needed is not None and shares is not None:

@@ -91,8 +91,7 @@ def time_reference(trial: GelTrial, dt_us: float = REFERENCE_US.quick) -> tuple[
     """Return the time reference, with a step far below all others, and its row: error bounded by step doubling.
 
     Its theta of 0.51 leaves almost no first-order error and still damps ringing. An error falls at least in proportion
-    to
-    the step, e(2 dt) >= 2 e(dt), so the difference of the two solutions, which is the row's error, is >= e(dt).
+    to the step, e(2 dt) >= 2 e(dt), so the difference of the two solutions, which is the row's error, is >= e(dt).
     """
     twice = simulate(trial, 2e-6 * dt_us, REFERENCE_THETA, tolerance=1e-8)
     once = simulate(trial, 1e-6 * dt_us, REFERENCE_THETA, tolerance=1e-8)

@@ -250,9 +250,8 @@ def simulate_dense(
     """Simulate the trial with the time steps of `gel.step` for any `dense_layer`, solved by another method.
 
     The balance is found by alternating directions: a linear system of all nodes, whose matrix is inverted once; then
-    the
-    friction of each node; then the force that makes both agree. The trial's material must be coupled (order 0 drops the
-    coupling here). Raises RuntimeError after max_rounds.
+    the friction of each node; then the force that makes both agree. The trial's material must be coupled (order 0 drops
+    the coupling here). Raises RuntimeError after max_rounds.
     """
     state = trial.start()
     shares = trial.shares(state)

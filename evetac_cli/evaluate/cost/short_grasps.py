@@ -125,8 +125,7 @@ def run_short_grasp(
     """Simulate one short grasp.
 
     model: detector, default the pretrained one; `change_plan` modifies the default plan; `wrap_detector` inserts a
-    wrapper
-    between the detector and the controller. Raises ValueError if the plan cannot be simulated.
+    wrapper between the detector and the controller. Raises ValueError if the plan cannot be simulated.
     """
     plan = change_plan(first_plan(short.scene, str(short.object), short.sensor))
     touch_ms = round(SLICES_PER_S * plan.scene.time.touch_s)

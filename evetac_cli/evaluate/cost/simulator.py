@@ -42,8 +42,7 @@ def summary(rows: Rows) -> dict[str, Any]:
     """Return the reference's own error, the explicit steps that blow up, and the gain of the implicit step.
 
     implicit_saves_times: run time of the most accurate explicit integration over that of the cheapest implicit one that
-    is
-    at least as accurate, by the object's position.
+    is at least as accurate, by the object's position.
     """
     mechanics = [row for row in rows if row["part"] == gel_cost.PART]
     (reference,) = (row for row in mechanics if row["setting"].startswith("reference"))

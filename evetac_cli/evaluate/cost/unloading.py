@@ -53,8 +53,7 @@ class Slide(NamedTuple):
     """A solved trial, sampled after every ms.
 
     pose: (samples, 3); gel_m: (samples, points, 2). slid_px, every_node_slid_px: (samples,), sliding of the object in
-    gross
-    slip, and since no node sticks. slice_us: (samples,), run time.
+    gross slip, and since no node sticks. slice_us: (samples,), run time.
     """
 
     pose: Floats

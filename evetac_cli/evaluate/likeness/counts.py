@@ -25,8 +25,7 @@ class SliceCounts:
     """Events per slice in the columns that the paper counts, and in the window; the onset and the start of its ramp.
 
     onset: the first slice of gross slip in the truth, or without truth in the labels next to the recording; None if
-    neither
-    has one.
+    neither has one.
     """
 
     sensing: NDArray[np.int64]

@@ -80,8 +80,7 @@ class Fact:
         """Compare evetac's figures with the public ones; None if all are missing, or some are and no other is off.
 
         within: all in the published spread; half to twice: all of the same sign and between half and twice the public
-        figures;
-        off: neither. If no spread is published, no figure is within it.
+        figures; off: neither. If no spread is published, no figure is within it.
         """
         known = [(place, one) for place, one in enumerate(ours) if one is not None]
         if not known or not (self.value or self.low):

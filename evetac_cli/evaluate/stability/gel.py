@@ -59,9 +59,8 @@ def gel_cases() -> list[GelCase]:
         GelCase("impact at 1e4 m/s", twist=(1e4, 0.0, 0.0), mass_kg=1.0, inertia_kg_m2=4e-4),
         GelCase("spin of 1e4 rad/s", twist=(0.0, 0.0, 1e4)),
         # At theta 0.5 nothing is lost here, and the residuals of the search add up: with residuals of 1e-6, up to 4e-6
-        # of
-        # the energy were gained in 100 steps; with 1e-8, at most 3e-9. So the search continues for longer here, and the
-        # bound tests the scheme.
+        # of the energy were gained in 100 steps; with 1e-8, at most 3e-9. So the search continues for longer here, and
+        # the bound tests the scheme.
         GelCase("gel without mass and without losses", material=UNDAMPED, residual=1e-8),
         GelCase("stiff gel, friction falls with speed", material=stiff(1e6), load=lambda t: 1 - t, friction=SLIPPERY),
         GelCase("all at once", material=stiff(1e4), mass_kg=1e-3, inertia_kg_m2=1e-9, twist=(10, -5, 1e3), dt_s=1e-2),

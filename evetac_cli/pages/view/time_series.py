@@ -40,8 +40,7 @@ def extremes(length: int, read: Read) -> list[tuple[NDArray[np.int64], NDArray[n
     """Return the smallest and largest value of every bin, in order, for each column of read(start, stop).
 
     read returns (rows, columns). If there are at most two values per bin, all are returned. Values that are not finite
-    are
-    ignored; a bin without finite values becomes NaN. The result is (row, value) per column.
+    are ignored; a bin without finite values becomes NaN. The result is (row, value) per column.
     """
     if length <= 2 * BINS:
         rows = read(0, length).astype(np.float64)
@@ -284,8 +283,7 @@ def slip_onsets(
     """Return the first slice of slip after the start of the span, by truth, label and model or detector, if known.
 
     For truth and labels, the trial begins when the gripper's current begins to fall. For a grasp's detector it begins
-    after
-    the light contact, because no trajectory in its training contains one.
+    after the light contact, because no trajectory in its training contains one.
     """
     start, stop = span
     onsets: dict[str, int | None] = {}

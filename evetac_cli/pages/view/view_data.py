@@ -81,8 +81,8 @@ class TouchView:
     """Touch maps of a trial, and the values of the slice at the end of each event image.
 
     Pressure is 0 to 255 for 0 to most_pa; shear is 0 to 254 for -most_shear_pa to +most_shear_pa, with 127 for 0.
-    Values
-    beyond are clipped. highest: the largest pressure and its deviation, the largest shear and its deviation, in Pa.
+    Values beyond are clipped. highest: the largest pressure and its deviation, the largest shear and its deviation, in
+    Pa.
     """
 
     x_mm: NDArray[np.float64]  # (columns,) centres of cells from the centre of the frame
