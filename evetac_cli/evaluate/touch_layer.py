@@ -82,7 +82,7 @@ def depth_answer(layer: ElasticLayer, wave_per_mm: Floats, depth_mm: float = 0.0
     sideways = np.linalg.solve(across[:, 1:, 1:], alone)[..., 0]
     at_depth = _at_height(ends, layer.height_mm - depth_mm)
     u, v = (np.einsum("a,naf->nf", at_depth, part) for part in (moved[:, : nodes - 1], moved[:, nodes - 1 :]))
-    # In the energy u = U sin(kx) where pressure goes with cos(kx); in a wave exp(ikx) that is -i U.
+    # In the energy u = U sin(kx) if pressure varies as cos(kx); for a wave exp(ikx) this is -i U.
     parts = (sideways @ at_depth, u[:, 0], -u[:, 1], -v[:, 1], -v[:, 0])
     return DepthAnswer(*(np.asarray(part / layer.shear_modulus_pa, np.float64) for part in parts))
 

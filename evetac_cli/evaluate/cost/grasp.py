@@ -50,7 +50,7 @@ TITLES = {
 
 @dataclass(frozen=True)
 class GraspSetting:
-    """How slip is detected and the gripper controlled."""
+    """Detector and controller timing of a setting."""
 
     name: str
     latency_ms: int = 0

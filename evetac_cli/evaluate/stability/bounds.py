@@ -31,7 +31,7 @@ REFUSED = Bound(
 )
 FINITE = Bound("numbers that are not finite", 0.0, "numbers", "no number that follows could be trusted")
 
-# Of the simulator.
+# Bounds of the simulator.
 ENERGY = Bound(
     "energy gained",
     1e-6,

@@ -96,7 +96,7 @@ def having(*keys: str) -> Callable[[Found], Rows]:
     return lambda evaluation: [row for row in evaluation.rows if all(key in row for key in keys)]
 
 
-# Rows that are put together -------------------------------------------------------------------------------------------
+# Combined rows --------------------------------------------------------------------------------------------------------
 
 
 def _grouped(rows: Iterable[Row], keys: tuple[str, ...]) -> list[Rows]:

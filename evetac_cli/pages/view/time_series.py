@@ -108,7 +108,7 @@ def rows_of(file: StageFile, path: str, start: int) -> Read:
 def decimated(
     names: dict[str, str], start: int, length: int, read: Read, deviations: Mapping[str, Read] | None = None
 ) -> list[Series]:
-    """A line for each column of read, without those that are NaN all over; names -> colours.
+    """Return a series for each column of read, without columns that are all NaN; names -> colours.
 
     deviations: name -> (rows, 1), the standard deviation of each value of that column.
     """
