@@ -48,12 +48,12 @@ def run(job: Job, params: EvaluateLabels, *, force: bool = False, progress: Prog
     headers = []
     for number, path in enumerate(job.inputs):
         with StageFile(path, "labels") as labels, recording_with_truth(labels) as recording:
-            told = labelled_onset(labels)
+            labelled = labelled_onset(labels)
             true, nodes = true_onsets(recording), slip_grid.nodes_of(recording)
             slid_px = recording.read("truth/slid_px")
             headers.append(labels.header)
         method = str(labels.header["parameters"].get("method", "farneback"))
-        row = {"file": path.name, "method": method, **judged(told, true, slid_px), slip_grid.COLUMN: nodes}
+        row = {"file": path.name, "method": method, **judged(labelled, true, slid_px), slip_grid.COLUMN: nodes}
         rows.append(row)
         progress(number + 1, len(job.inputs))
 
@@ -159,8 +159,10 @@ def for_people(rows: Rows, params: EvaluateLabels) -> tuple[Rows, list[str]]:
         f" in {right} of {len(rest)}"
     )
     wrong = [row["onset_error_ms"] for row in rest if row["onset_error_ms"] is not None and not is_near(row)]
-    told = [f"early in {sum(error < 0 for error in wrong)}", f"late in {sum(error >= 0 for error in wrong)}"]
-    sentences = [", ".join([words, *(told if wrong else []), *([f"not found in {missed}"] if missed else [])]) + "."]
+    errors_in_words = [f"early in {sum(error < 0 for error in wrong)}", f"late in {sum(error >= 0 for error in wrong)}"]
+    sentences = [
+        ", ".join([words, *(errors_in_words if wrong else []), *([f"not found in {missed}"] if missed else [])]) + "."
+    ]
     in_time = sum(EARLIEST_MS <= error <= LATEST_MS for error in errors)
     sentences.append(f"Within {EARLIEST_MS} to +{LATEST_MS} ms: {in_time} of {len(rest)}.")
     if abstained := len(slipped) - len(rest):

@@ -235,16 +235,16 @@ def _phase_rows(
     measure: Callable[[ContactPhase, tuple[int, int]], tuple[dict[str, float], dict[str, NDArray]]],
 ) -> Rows:
     halves = [measure(half, frame_px) for half in real.halves()]
-    (scalars, samples), (made, made_samples) = (measure(phase, frame_px) for phase in (real, simulated))
+    (scalars, samples), (other_scalars, other_samples) = (measure(phase, frame_px) for phase in (real, simulated))
     rows = [
-        _row(name, figure, scalars[figure], made[figure], _relative(scalars[figure], made[figure]),
+        _row(name, figure, scalars[figure], other_scalars[figure], _relative(scalars[figure], other_scalars[figure]),
              _relative(halves[0][0][figure], halves[1][0][figure]), RELATIVE)
         for figure in scalars
     ]  # fmt: skip
     for figure, sample in samples.items():
-        ours, theirs = (float(np.median(one)) if len(one) else float("nan") for one in (sample, made_samples[figure]))
+        ours, theirs = (float(np.median(one)) if len(one) else float("nan") for one in (sample, other_samples[figure]))
         of_halves = figures.largest_gap(halves[0][1][figure], halves[1][1][figure])
-        gap = figures.largest_gap(sample, made_samples[figure])
+        gap = figures.largest_gap(sample, other_samples[figure])
         rows.append(_row(name, figure, ours, theirs, gap, of_halves, CUMULATIVE))
     return rows
 
@@ -256,9 +256,11 @@ def _edge_rows(real: pressed.Press, simulated: pressed.Press) -> Rows:
     """
     rows = []
     for figure in EDGES:
-        ours, made = (getattr(side.optics, figure) for side in (real, simulated))
+        ours, theirs = (getattr(side.optics, figure) for side in (real, simulated))
         own = (ours.high - ours.low) / 2 / ours.value
-        rows.append(_row("dot edges", figure, ours.value, made.value, _relative(ours.value, made.value), own, RELATIVE))
+        rows.append(
+            _row("dot edges", figure, ours.value, theirs.value, _relative(ours.value, theirs.value), own, RELATIVE)
+        )
     return rows
 
 

@@ -103,11 +103,11 @@ class JudgingJob(ModelsReportJob):
 
 def cautions(jobs: Sequence[ModelsReportJob], params: EvaluateSlip) -> list[str]:
     """Return a warning for each model that detects nothing at its own threshold."""
-    said = []
+    warnings = []
     for path in jobs[0].inputs[len(jobs[0].inputs) - jobs[0].models :] if params.threshold is None else ():
         with StageFile(path, "model") as file:
-            said += [f"{path} is no slip detector: {why}" for why in [why_useless(file)] if why]
-    return said
+            warnings += [f"{path} is no slip detector: {why}" for why in [why_useless(file)] if why]
+    return warnings
 
 
 def parts(job: ModelsReportJob, params: EvaluateSlip) -> list[JudgingJob]:

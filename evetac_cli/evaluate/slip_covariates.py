@@ -42,9 +42,9 @@ def rows(paths: Sequence[Path], folder: Path | None) -> Rows:
 
 def in_words(rows: Rows) -> list[str]:
     """Return a sentence on the covariates that the rows of a report lack; nothing if they have all."""
-    told = {row["covariate"] for row in rows if "covariate" in row}
-    missing = [words for words in WORDS.values() if words not in told]
-    if not told or not missing:
+    present = {row["covariate"] for row in rows if "covariate" in row}
+    missing = [words for words in WORDS.values() if words not in present]
+    if not present or not missing:
         return []
     return [
         "Unknown for these slips (the truth of simulated recordings has most of them, see --recordings):"

@@ -126,9 +126,9 @@ def _warned(of_object: dict[str, Any]) -> dict[str, Any]:
 
 
 def _papers_object(model: Model, name: str, models: int) -> dict[str, Any]:
-    """Return the model's columns in an object's row, with the paper's timing on objects 12 and 15 (its hardest ones).
+    """Return the model's columns in an object's row, with the paper's timing on objects 12 and 15.
 
-    None where the paper has no figure, and for objects seen in training.
+    The paper's detector often fails on these two. None where it has no figure, and for objects seen in training.
     """
     chosen = model.header["parameters"]
     architecture = model.architecture.name

@@ -104,10 +104,10 @@ def columns(judged: Seeds, predictions: Sequence[Sequence[Prediction]]) -> dict[
     false = false_alarms(judged)
     minutes = sum(one.quiet_slices for one in judged[0]) / warning_curve.SLICES_PER_MIN
     leads = [seed[place].lead_ms for seed in judged for place in slips]
-    told = [lead for lead in leads if lead is not None]
+    known_leads = [lead for lead in leads if lead is not None]
     return {
         **figures,
-        "lead_ms_median": float(np.median(told)) if told else None,
+        "lead_ms_median": float(np.median(known_leads)) if known_leads else None,
         "false_alarms_per_min": None if false is None else false.value,
         **_ends("false_alarms_per_min", false),
         "minutes_without_slip": minutes,

@@ -197,8 +197,8 @@ def _gels(
     if own:
         for before in list(gels):
             after = "adapted" if before == "unknown" else f"{before}, adapted"
-            told, _ = adapt_touch.known_forces(gels[before], own, params.noise_n, noise, fold=folds.of)
-            gels[after] = adapt_touch.adapted(gels[before], told, params.noise_n)
+            known_forces, _ = adapt_touch.known_forces(gels[before], own, params.noise_n, noise, fold=folds.of)
+            gels[after] = adapt_touch.adapted(gels[before], known_forces, params.noise_n)
     return gels
 
 

@@ -190,8 +190,8 @@ def slip_errors(chain: Chain, reference: Chain, force: forces.Regression) -> dic
     late = [abs(_found(chain, onset) - truth_ms) for onset in (chain.gross_slip_ms, chain.label_ms)]
     stop = min(truth_ms, chain.slices)
     apart_px = chain.dot_xy_px[:stop] - reference.true_dot_xy_px[:stop]
-    told_n = forces.apply_regression(force, (chain.dot_xy_px - chain.rest_xy_px)[:stop])
-    apart_n = told_n - reference.shear_force_n[:stop]
+    estimated_n = forces.apply_regression(force, (chain.dot_xy_px - chain.rest_xy_px)[:stop])
+    apart_n = estimated_n - reference.shear_force_n[:stop]
     values: tuple[Any, ...] = (
         *late,
         detection_moved_ms(chain, reference) > DETECTION_MS,

@@ -42,16 +42,16 @@ class Effort(NamedTuple):
         shares: for a difference of shares, the trials in which the condition holds, ours and theirs. Minutes are
         processor time on the machine of this run, estimated from its own trials.
         """
-        told, needed = verdict(apart)
+        decided, needed = verdict(apart)
         if needed is not None and shares is not None:
             needed = share_trials_needed(*shares)
         if needed is None:
-            return {"decided": told, "decide_with": None, "decide_min": None}
+            return {"decided": decided, "decide_with": None, "decide_min": None}
         trials = max(math.ceil(needed * self.trials / apart.trials), self.trials + 1)
         if trials > MOST_TRIALS:
             return {"decided": f"no, not with {MOST_TRIALS:,} trials", "decide_with": None, "decide_min": None}
         return {
-            "decided": told,
+            "decided": decided,
             "decide_with": self.command(trials),
             "decide_min": round(trials * self.minutes_a_trial, 1),
         }

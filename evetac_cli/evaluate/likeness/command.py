@@ -138,10 +138,10 @@ def _told(path: Path) -> Told:
         return Told(row, simulated, scene, single_slice.slip(str(called or path.name), counts) if judged else None)
 
 
-def _fact_row(fact: Fact, told: Iterable[Told], tables: ResultTables) -> Row:
+def _fact_row(fact: Fact, measured: Iterable[Told], tables: ResultTables) -> Row:
     """Return the row of a fact: figures of simulated recordings, or else of results or a constant; and of real ones."""
     by_source: dict[bool, list[Told]] = defaultdict(list)
-    for one in told:
+    for one in measured:
         by_source[one.simulated].append(one)
     simulated, real = (_of_recordings(fact, by_source[source]) for source in (True, False))
     if not simulated.values and fact.table:
@@ -173,54 +173,54 @@ def _fact_row(fact: Fact, told: Iterable[Told], tables: ResultTables) -> Row:
     }
 
 
-def _of_recordings(fact: Fact, told: list[Told]) -> Ours:
+def _of_recordings(fact: Fact, measured: list[Told]) -> Ours:
     """Return the figures of a fact from recordings of one kind, simulated or real."""
     if not fact.measures:
         return Ours(untold=fact.needs)
-    judged = _judged(told)
+    judged = _judged(measured)
     values: list[float | None] = []
     numbers: list[int] = []
     for named in fact.measures:
         name, _, scene = named.partition("@")
         if name in judged:
             values.append(judged[name])
-            numbers.append(sum(one.slip is not None for one in told))
+            numbers.append(sum(one.slip is not None for one in measured))
             continue
-        fitting = [one.row[name] for one in told if name in one.row and (not scene or one.scene in (None, scene))]
+        fitting = [one.row[name] for one in measured if name in one.row and (not scene or one.scene in (None, scene))]
         values.append(None if not fitting else _middle(name, fitting))
         numbers.append(len(fitting))
     if all(value is None for value in values):
         pairs = [named.partition("@")[::2] for named in fact.measures]
-        scenes = sorted({scene for name, scene in pairs if scene and any(name in one.row for one in told)})
+        scenes = sorted({scene for name, scene in pairs if scene and any(name in one.row for one in measured)})
         if scenes:  # measured, but only in simulations of other scenes
             return Ours(untold=f"no simulated recording here is of the scene {' or '.join(scenes)}")
         return Ours(untold=f"these recordings do not have {fact.needs}")
     return Ours(tuple(values), min(number for number in numbers if number), HERE)
 
 
-def _judged(told: list[Told]) -> Row:
+def _judged(measured: list[Told]) -> Row:
     """Return how well one threshold detects the slips of recordings; empty if they are of one object."""
     from evetac_cli.evaluate.likeness.single_slice import judge
 
-    return judge([one.slip for one in told if one.slip is not None])
+    return judge([one.slip for one in measured if one.slip is not None])
 
 
 def _middle(name: str, values: list[float]) -> float:
     return float(np.mean(values) if name.startswith(SHARES) else np.median(values))
 
 
-def _summary(rows: Rows, told: list[Told]) -> Row:
+def _summary(rows: Rows, measured: list[Told]) -> Row:
     """Return the number of recordings and known facts, and how many of the counted facts compare in each way."""
     counted = [row for row in rows if row["counts"] is not None]
     return {
-        "recordings": len(told),
+        "recordings": len(measured),
         "facts": len(rows),
         "facts_told": sum(row["not_told"] is None for row in rows),
         "counted": len(counted),
         "counted_known": sum(row["compared"] is not None for row in counted),
         "counted_within": sum(row["compared"] == WITHIN for row in counted),
         "counted_half_to_twice": sum(row["compared"] == NEAR for row in counted),
-        **_judged([one for one in told if one.simulated]),
+        **_judged([one for one in measured if one.simulated]),
     }
 
 

@@ -57,15 +57,17 @@ def run(job: Job, params: EvaluateStability, *, force: bool = False, progress: P
             progress(number, len(cases))
         return sorted(rows, key=lambda row: bool(row["ok"])), summary(rows, part)
 
-    made = report(job, "evaluate stability", METHOD, recipe_of(params), [], measure, force=force, simulated_source=True)
-    failed = made.summary["cases_not_ok"]
+    outcome = report(
+        job, "evaluate stability", METHOD, recipe_of(params), [], measure, force=force, simulated_source=True
+    )
+    failed = outcome.summary["cases_not_ok"]
     if params.strict and failed:
-        counted = f"{failed} of {made.summary['measured']} not ok"
+        counted = f"{failed} of {outcome.summary['measured']} not ok"
         error = EvetacError(
             "some cases are outside their bounds", where=params.part, expected="all cases ok", found=counted
         )
-        raise attach_outcome(error, made)
-    return made
+        raise attach_outcome(error, outcome)
+    return outcome
 
 
 def for_people(rows: Rows, params: EvaluateStability) -> tuple[Rows, list[str]]:

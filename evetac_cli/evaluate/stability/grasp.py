@@ -192,12 +192,12 @@ def judged_rows(case: GraspCase, controller: str, seed: int) -> Rows:
     failed = {row["quantity"] for row in rows if not row["ok"]}
     if not failed or case.own_detector:
         return rows
-    told = grasp_rows(case, controller, seed, told=True)
-    still = failed & {row["quantity"] for row in told if not row["ok"]}
+    with_truth = grasp_rows(case, controller, seed, told=True)
+    still = failed & {row["quantity"] for row in with_truth if not row["ok"]}
     verdict = "the detector fails: with the true slip this is ok"
     if still:
         verdict = "not because of the detector: this fails with the true slip too"
-    return [row if row["ok"] else {**row, "outcome": f"{row['outcome']}; {verdict}"} for row in rows] + told
+    return [row if row["ok"] else {**row, "outcome": f"{row['outcome']}; {verdict}"} for row in rows] + with_truth
 
 
 def grasp_rows(case: GraspCase, controller: str, seed: int, *, told: bool = False) -> Rows:

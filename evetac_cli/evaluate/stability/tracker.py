@@ -265,10 +265,10 @@ def _followed(
     return case_rows(case, outcome, measured, preset=preset)
 
 
-def _why_off(told_off_px: float, jump_px: float) -> Iterator[str]:
+def _why_off(grid_error_px: float, jump_px: float) -> Iterator[str]:
     """Yield remarks for dots that the tracker cannot have followed: wrong initial positions, or jumps."""
-    if told_off_px > TOLD_RIGHT_PX:
-        yield f"; the given dot positions are up to {told_off_px:.1f} px wrong, which events show only for moving dots"
+    if grid_error_px > TOLD_RIGHT_PX:
+        yield f"; given dot positions are up to {grid_error_px:.1f} px wrong, which events show only for moving dots"
         yield " (`evetac calibrate` finds them)"
     if jump_px > FOLLOWED_PX:
         yield f"; a dot jumps by {jump_px:.1f} px in a slice; the tracker follows at most {FOLLOWED_PX:g} px per slice"

@@ -78,13 +78,13 @@ def onset_chart(
                 chart, data, f"trials {kind} {words} {edge}", marker=marker, color=colour, angle=angle if edge else 0
             )
     beyond = sum(abs(ms) > SHOWN_MS for _, _, ms in points)
-    said = (
+    remark = (
         f"{beyond} of {len(points)} are beyond {SHOWN_MS} ms or were never found: triangles at the edge."
         if beyond
         else ""
     )
     keys = {"early": EARLY, f"within {low:+d} to {high:+d} ms": RIGHT, "late or never": LATE}
-    return Chart(title, chart, keys, said)
+    return Chart(title, chart, keys, remark)
 
 
 def detection_charts(evaluation: Found, window_ms: tuple[int, int]) -> list[Chart]:
@@ -118,10 +118,10 @@ def detection_charts(evaluation: Found, window_ms: tuple[int, int]) -> list[Char
         if 1 < len(objects) <= len(OBJECT_COLOURS):
             keys |= {f"object {name}": colour for name, colour in zip(objects, OBJECT_COLOURS, strict=False)}
         beyond = sum(not CDF_MS[0] <= ms <= CDF_MS[1] for ms in detected)
-        said = [f"{never} are never detected."] * (never > 0) + [f"{beyond} are outside the drawn range."] * (
+        remarks = [f"{never} are never detected."] * (never > 0) + [f"{beyond} are outside the drawn range."] * (
             beyond > 0
         )
-        charts.append(Chart(setting, chart, keys, " ".join(said)))
+        charts.append(Chart(setting, chart, keys, " ".join(remarks)))
     return charts
 
 
@@ -201,8 +201,8 @@ def share_chart(
         )
         marks = ", ".join(dict.fromkeys(beside.mark for _, beside in published))
         keys[f"first share in the paper ({marks})"] = PINK
-    said = f"Whiskers: 95 % interval of '{parts[first][0]}', by the number of trials (Wilson)." if ends else ""
-    return Chart(title, chart, keys, said)
+    remark = f"Whiskers: 95 % interval of '{parts[first][0]}', by the number of trials (Wilson)." if ends else ""
+    return Chart(title, chart, keys, remark)
 
 
 def cost_charts(evaluation: Found) -> list[Chart]:

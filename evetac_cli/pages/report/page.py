@@ -37,9 +37,9 @@ class Drawn:
                 for words, colour in chart.keys.items()
             )
             title = " &middot; ".join(shared.short(part) for part in (study, chart.title) if part)
-            said = f"<p class='hint'>{shared.short(chart.says)}</p>" if chart.says else ""
+            hint = f"<p class='hint'>{shared.short(chart.says)}</p>" if chart.says else ""
             head = f"<h3>{title}<span class='keys'>{keys}</span></h3>"
-            texts.append(f"<figure class='chart'>{head}{said}\0{len(self._figures)}\0</figure>")
+            texts.append(f"<figure class='chart'>{head}{hint}\0{len(self._figures)}\0</figure>")
             self._figures.append(chart.figure)
         return f"<div class='charts'>{''.join(texts)}</div>" if texts else ""
 

@@ -56,8 +56,8 @@ def trials_of_both(studies: Sequence[Study]) -> str:
     for error in ("t_c - t_s", "t_m - t_c"):
         heads += [f"{error} [ms], {names[0]}", f"{names[1]}", "difference [ms]"]
     heads += [f"outcome, {names[0]}", names[1]]
-    said = f"{len(pairs)} trials; those whose outcomes or onsets differ most come first."
-    return f"<p class='hint'>{said}</p>" + table(heads, (row for _, _, row in rows[:MOST_TRIALS]))
+    hint = f"{len(pairs)} trials; those whose outcomes or onsets differ most come first."
+    return f"<p class='hint'>{hint}</p>" + table(heads, (row for _, _, row in rows[:MOST_TRIALS]))
 
 
 def onset_charts(studies: Sequence[Study]) -> list[tuple[str, list[Chart | None]]]:
@@ -92,8 +92,8 @@ def trial_table(studies: Sequence[Study], page: Path) -> str:
     heads = [head for head in shown[0][0] if any(cells[head] not in EMPTY for cells, *_ in shown)]
     heads = [head for head in heads if head != "study" or len(studies) > 1]
     trials = [trial for *_, trial in rows]
-    said = [_outliers(trials), *_meanings(heads), _own_pages(studies), _first_of(len(rows))]
-    text = f"<p class='hint'>{' '.join(sentence for sentence in said if sentence)}</p>"
+    sentences = [_outliers(trials), *_meanings(heads), _own_pages(studies), _first_of(len(rows))]
+    text = f"<p class='hint'>{' '.join(sentence for sentence in sentences if sentence)}</p>"
     body = []
     for cells, study, at, trial, remarked in shown:
         values = {name: getattr(trial.row, name, None) for name in FILTERED} | {"study": study.name}
@@ -132,12 +132,12 @@ def _within(window_ms: tuple[int, int]) -> str:
 def _meanings(heads: Sequence[str]) -> list[str]:
     """Return the meanings of those columns and thumbnails that are shown."""
     meanings = [meaning for name, meaning in TIMES.items() if any(name in head for head in heads)]
-    said = [f"{', '.join(meanings)}."] if meanings else []
+    sentences = [f"{', '.join(meanings)}."] if meanings else []
     if any(head.startswith(("t_c - ", "t_m - ")) for head in heads):
-        said.append("Click a point above to show its trial.")
+        sentences.append("Click a point above to show its trial.")
     if "onset, else busiest" in heads:
-        said.append("Thumbnails: white is brighter, black is darker.")
-    return said
+        sentences.append("Thumbnails: white is brighter, black is darker.")
+    return sentences
 
 
 def _own_pages(studies: Sequence[Study]) -> str:

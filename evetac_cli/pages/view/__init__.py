@@ -129,10 +129,10 @@ def _label_notes(trial: OpenTrial) -> list[str]:
     """Return notes on labels copied from truth, made by a person, or abstaining."""
     if trial.labels is None:
         return []
-    made = trial.labels.header["parameters"]
-    notes = ["The labels were copied from the truth (simulated)."] if made.get("method") == "truth" else []
-    if made.get("method") == PERSON:
-        notes.append(f"The labels were made by a person: {made.get('by')}.")
+    parameters = trial.labels.header["parameters"]
+    notes = ["The labels were copied from the truth (simulated)."] if parameters.get("method") == "truth" else []
+    if parameters.get("method") == PERSON:
+        notes.append(f"The labels were made by a person: {parameters.get('by')}.")
     return [*notes, *filter(None, [labelled_onset(trial.labels).in_words()])]
 
 

@@ -128,14 +128,14 @@ def outcome_badges(trial: OpenTrial) -> list[tuple[str, str]]:
 
 def side_view(trial: OpenTrial, ends: NDArray[np.int64]) -> SideView | None:
     """Return the grasp from the side at the end of each image; None without full truth, or for sideways grasps."""
-    recording, made, scale = trial.recording, trial.recording_parameters, _mm_per_px(trial)
+    recording, parameters, scale = trial.recording, trial.recording_parameters, _mm_per_px(trial)
     if recording is None or scale is None or not recording.has("truth/table_gap_mm"):
         return None
-    row = inner(made, "object_row") or {}
+    row = inner(parameters, "object_row") or {}
     width, height = row.get("grasped_width_mm", row.get("width_mm")), row.get("height_mm")
     if not (isinstance(width, (int, float)) and isinstance(height, (int, float))):
         return None
-    if inner(made, "scene", "gel", "sideways"):
+    if inner(parameters, "scene", "gel", "sideways"):
         return None
     heights, forces, moved = (
         read_rows(recording, f"truth/{name}", ends, np.nan)

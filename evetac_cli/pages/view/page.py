@@ -116,18 +116,18 @@ def _touch(touch: TouchView) -> dict[str, Any]:
 
 
 def _heading(trial: OpenTrial, title: str, simulated: bool) -> str:
-    made = trial.recording_parameters
+    parameters = trial.recording_parameters
     values = [
-        ("scene", inner(made, "scene", "name")),
-        ("object", inner(made, "object")),
-        ("object's material", inner(made, "object_row", "material")),
-        ("controller", inner(made, "controller")),
+        ("scene", inner(parameters, "scene", "name")),
+        ("object", inner(parameters, "object")),
+        ("object's material", inner(parameters, "object_row", "material")),
+        ("controller", inner(parameters, "controller")),
         *outcome_badges(trial),
-        ("imported from", inner(made, "source")),
-        ("sensor", inner(made, "sensor")),
+        ("imported from", inner(parameters, "source")),
+        ("sensor", inner(parameters, "sensor")),
     ]
     badges = shared.badges(values, simulated=simulated)
-    summary = inner(made, "scene", "summary")
+    summary = inner(parameters, "scene", "summary")
     lead = f'<p class="lead">{shared.short(summary)}</p>' if isinstance(summary, str) else ""
     id_ = f'<p class="id">recording <code>{html.escape(trial.recording_id)}</code></p>'
     return f"<h1>{html.escape(title)}</h1><div>{badges}</div>{lead}{id_}"
@@ -145,10 +145,10 @@ def _cameras(view: ViewData) -> str:
 def _files(trial: OpenTrial) -> str:
     rows = []
     for file in trial.files:
-        made = file.header["parameters"]
+        parameters = file.header["parameters"]
         shown = ", ".join(
             f"{html.escape(str(name))} {shared.short(value)}"
-            for name, value in made.items()
+            for name, value in parameters.items()
             if not isinstance(value, (dict, list))
         )
         rows.append(
@@ -192,12 +192,12 @@ def _onsets(view: ViewData) -> str:
     return f"<div class='onsets'><h2>First slip{since}</h2>" + "".join(cells) + "</div>"
 
 
-def _sure(told: LabelledOnset) -> list[str]:
+def _sure(labelled: LabelledOnset) -> list[str]:
     """Return how certain labels are of their onset: its interval, and their confidence."""
-    words = ["abstains"] if told.abstained else []
-    if told.earliest is not None and told.latest is not None:
-        words.append(f"within {told.earliest / SLICES_PER_S:.3f} to {told.latest / SLICES_PER_S:.3f} s")
-    return words if told.confidence is None else [*words, f"confidence {told.confidence:.2g}"]
+    words = ["abstains"] if labelled.abstained else []
+    if labelled.earliest is not None and labelled.latest is not None:
+        words.append(f"within {labelled.earliest / SLICES_PER_S:.3f} to {labelled.latest / SLICES_PER_S:.3f} s")
+    return words if labelled.confidence is None else [*words, f"confidence {labelled.confidence:.2g}"]
 
 
 def _notes(view: ViewData) -> list[str]:

@@ -214,18 +214,18 @@ def _flow(labels: StageFile, span: tuple[int, int]) -> Panel:
 
     names = {"window against gel": GREEN, "not examined": UNKNOWN}
     lines = decimated(names, start, _length(labels, "relative_flow_px", span), flow)
-    made = labels.header["parameters"]
-    method = made.get("method")
+    parameters = labels.header["parameters"]
+    method = parameters.get("method")
     title = "Flow that labels slip" + (f", {method}" if isinstance(method, str) else "")
     # Methods on images compare the flow with a threshold; event-flow uses the distance slid since the last stick.
     compared = method in (None, "farneback", "dis")
     name, limit = ("threshold", "threshold_px") if compared else ("onset at a slide of", "slip_distance_px")
-    if not (compared or method == "event-flow") or not isinstance(made.get(limit), (int, float)):
+    if not (compared or method == "event-flow") or not isinstance(parameters.get(limit), (int, float)):
         return Panel(title, "px", lines, logarithmic=True)
-    level = float(made[limit])
+    level = float(parameters[limit])
     ends = LEAST_FLOW_PX, max(MOST_FLOW_PX, 3 * level)
     if compared:
-        look_ahead = made.get("look_ahead_ms")
+        look_ahead = parameters.get("look_ahead_ms")
         time = f"in {look_ahead} ms" if isinstance(look_ahead, int) else "over the look-ahead"
         says = f"Motion of the window relative to the gel {time}; more than {level:g} px is slip."
     else:
