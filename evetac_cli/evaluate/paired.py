@@ -58,9 +58,9 @@ def share(held: Flags) -> ConfidenceInterval:
 def share_difference(ours: Flags, theirs: Flags) -> ConfidenceInterval:
     """Return the difference, ours - theirs, of two shares over the same trials.
 
-    The interval is Wald's with half a trial added to each of the four cells of the table of pairs, so that a difference
-    of 0 is not certain either (Agresti and Min, Statistics in Medicine 24, 2005). With 40 trials it has its nominal
-    coverage; with 20 the coverage may be 91 %.
+    The interval is Wald's with half a trial added to each of the four cells of the table of pairs (Agresti and Min,
+    Statistics in Medicine 24, 2005). Therefore a difference of 0 is not certain either. With 40 trials the interval has
+    its nominal coverage; with 20 the coverage may be 91 %.
     """
     count = len(ours)
     if count == 0:

@@ -32,7 +32,7 @@ PAPER = {
 }
 INTERVAL = {"fmt": "none", "ecolor": "black", "elinewidth": 1.2, "capsize": 3, "zorder": 4}
 DPI = 120
-STYLE: dict[Any, Any] = {  # the key types of matplotlib are literals
+STYLE: dict[Any, Any] = {  # Any, because matplotlib's type stubs require literal keys
     "figure.dpi": DPI,
     "font.family": "DejaVu Sans",  # comes with matplotlib: the same plot on every computer
     "font.size": 9,

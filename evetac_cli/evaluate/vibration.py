@@ -134,7 +134,7 @@ def _windows_ms(text: str) -> list[int]:
 def _span(recording: Recording, params: EvaluateVibration) -> tuple[int, int, float | None]:
     """Return slices [start, stop) to examine, and the true tone in Hz or None.
 
-    In simulations those in which it sounds.
+    In simulations the slices are those in which the tone sounds.
     """
     start, stop, expected_hz = 0, len(recording), params.true_hz
     if recording.has(TONE):

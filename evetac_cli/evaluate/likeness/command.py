@@ -111,9 +111,7 @@ def for_people(rows: Rows, params: EvaluateLikeness) -> tuple[Rows, list[str]]:
         f" {near} more of the same sign and between half and twice the published figure.",
     ]
     if any(row["real"] is not None for row in told):
-        lines.append(
-            "Real recordings are assumed to show the motions of each fact: only the person who made them knows."
-        )
+        lines.append("Real recordings are assumed to show the motions of each fact; only their author can check this.")
     reasons: dict[str, list[str]] = defaultdict(list)
     for row in of_facts:
         if row["not_told"]:

@@ -3,9 +3,9 @@
 They are listed only in data/likeness.toml. docs/likeness.md, `evetac evaluate likeness` and the comments `fitted to
 NAME` next to constants refer to them by name. Figures of the paper come from paper.py.
 
-Every fact has a class, because a fact by which a constant was chosen confirms nothing when it agrees. So each fact is
-used to fit, is kept as a prediction, or cannot be used, because public sources contradict each other or do not state
-what was done.
+Every fact has a class, because a fact by which a constant was chosen confirms nothing when it agrees. The classes are
+`used to fit`, `kept as a prediction`, and `cannot be told`: public sources contradict each other or do not state what
+was done.
 """
 
 import functools

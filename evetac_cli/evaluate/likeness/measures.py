@@ -165,7 +165,7 @@ def _of_path(recording: Recording, counts: SliceCounts, dots: tuple[StageFile, s
 def _near_dots(recording: Recording, places: Floats, first: int) -> float | None:
     """Return the share of events in the counted columns near a dot.
 
-    Places (slices, dots, 2) in px, from slice `first`.
+    places: (slices, dots, 2) in px, starting at slice `first`.
     """
     near = total = 0
     (block,) = recording.blocks(len(places), first, first + len(places))

@@ -48,7 +48,7 @@ ONSET = Bound(
     "error of the onset of gross slip",
     0.5,
     "ms",
-    "half a slice of events: the onset is in the correct slice of 1 ms or in the next to it",
+    "half a slice of events: the onset is in the correct slice of 1 ms or in an adjacent one",
 )
 RESOLVED = Bound(
     "nodes that half a wavelength of unstable slip lacks",

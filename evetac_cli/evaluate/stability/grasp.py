@@ -5,8 +5,8 @@ stay in the gripper's range, the current within its limit, and the holding finge
 must let go, with torque off, and report the reason in an error; this is as good as holding. An object dropped without
 an error is not ok, even if no gripper of limited force could have held it.
 
-A case that is not ok is repeated with a detector that receives the true gross slip, which only a simulation has (TOLD).
-If this holds the object, the detector has failed; if not, the controller, the gripper or physics has.
+A case that is not ok is repeated with a detector that receives the true gross slip (`TOLD`), which only a simulation
+has. If this holds the object, the detector has failed; if not, the controller, the gripper or physics has.
 """
 
 from collections.abc import Callable
