@@ -1,7 +1,7 @@
 """One trial of the mechanics, simulated repeatedly to compare its numerical choices.
 
-A cylinder of 100 g is held slightly tilted and off its centre of mass, while the grip falls from 2 to 0.2 N within 0.2
-s. It bounces on the gel, slips in part, turns, and falls. Run times are per simulated millisecond on one core, as
+A cylinder of 100 g is held slightly tilted and off its centre of mass, while the grip falls from 2 to 0.2 N within
+0.2 s. It bounces on the gel, slips in part, turns, and falls. Run times are per simulated millisecond on one core, as
 thread time, so that other programs do not count.
 """
 

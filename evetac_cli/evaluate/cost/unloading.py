@@ -1,7 +1,7 @@
 """Error against run time of the mechanics if friction falls with speed, as it does in every slip and lift scene.
 
-The trial of gel_trial is unloaded in two ways. `fast`: the weight drops on at once and bounces; the grip falls by 9
-N/s. `slow`: the weight is handed over within 80 ms, then the grip falls by 2 N/s, the slip scene's rate near onset.
+The trial of gel_trial is unloaded in two ways. `fast`: the weight drops on at once and bounces; the grip falls by
+9 N/s. `slow`: the weight is handed over within 80 ms, then the grip falls by 2 N/s, the slip scene's rate near onset.
 Each is run with constant friction and at two corners of the scenes' ranges. The memory length is the same everywhere,
 so errors are due to the numerics, not to the friction law.
 
