@@ -95,7 +95,7 @@ def test_many_of_them_and_nothing_else(folder: Path) -> None:
     for path in folder.glob("a.*"):
         path.unlink()
     for words, expected in (
-        (("report", "data"), "no evetac files there"),
+        (("report", "data"), "no evetac files"),
         (("share", "data", "-o", "hub"), "nothing to"),
     ):
         result = evetac(*words)

@@ -1,4 +1,4 @@
-"""One module per subject of evaluate: stage files in, flat rows out, stored in a report file."""
+"""One module per subject of `evaluate`: each reads stage files and returns flat rows, which a report file stores."""
 
 import json
 import os
@@ -12,21 +12,21 @@ from evetac_cli.jobs import Job, Outcome, Rows
 from evetac_cli.store.files import StageFile, stem, up_to_date, write_stage
 from evetac_cli.store.layout.provenance import Header, Recipe
 
-MOST_FOLDERS = 3  # that the name of a report names
+MOST_FOLDERS = 3  # the file name of a report lists at most this many folders
 
 
 @dataclass(frozen=True)
 class ModelsReportJob(Job):
-    """One report over files and models: the last `models` inputs are the model files."""
+    """One report over files and models; the last `models` inputs are the model files."""
 
     models: int
 
 
 def report_job(files: list[Path], subject: str, out: Path | None, *more: Path) -> list[Job]:
-    """One report over all files, `<name>.<subject>.report.h5`.
+    """Return the job of one report over all files, `<name>.<subject>.report.h5`.
 
-    The name is that of the file; of several files that of their folder, of several folders those of all, in the folder
-    that holds them.
+    The name is that of the file. For several files it is the name of their folder. For files in several folders it
+    joins the names of the folders, and the report goes into the folder that contains them all.
     """
     if out is not None and out.suffix == ".h5":
         return [Job((*files, *more), out)]
@@ -52,7 +52,7 @@ def report(
     force: bool,
     simulated_source: bool = False,
 ) -> Outcome:
-    """Measure and write the report, or read its rows and summary if it is up to date already."""
+    """Measure and write the report; if it is up to date, read its rows and summary instead."""
     recipe = Recipe(
         "report", method, {"command": command, **parameters}, parents=tuple(parents), simulated_source=simulated_source
     )
@@ -67,7 +67,7 @@ def report(
 
 
 def own_report(part: str, subject: str, out: Path | None) -> Path:
-    """Where the report of a command without inputs goes: `<part>.<subject>.report.h5` here, or `out`."""
+    """Return the path of a report without inputs: `<part>.<subject>.report.h5` in the working folder, or `out`."""
     if out is not None and out.suffix == ".h5":
         return out
     return (out or Path()) / f"{part}.{subject}.report.h5"

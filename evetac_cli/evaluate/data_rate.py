@@ -1,13 +1,17 @@
-"""evaluate data-rate: bytes a second of event recordings against an RGB sensor (paper, "Data Rate Experiments").
+"""evaluate data-rate: bytes per second of events against those of an RGB sensor (paper, "Data Rate Experiments").
 
-Three intervals: the whole recording; contact, from the first touch (0.03 N) to its loss; and so many seconds about the
-onset of slip. Contact is known in simulations alone. The onset is the first slice of gross slip in the truth after the
-current begins to fall, and without truth that of the labels beside the recording. Where an interval is unknown, the
-column `not_answered` says why; the whole is known for any recording.
+There are three intervals:
 
-Counted are the events in the columns that the paper counts, x < 540, for it compares them with a frame of as many
-columns. Those beyond, of the window where the gel is cut, stand beside them as a share of their own. Every event has
-the same size, as the paper sends them.
+- the whole recording;
+- contact, from the first touch (0.03 N) to its loss; known only in simulations;
+- a given number of seconds around the onset of slip. The onset is the first slice of gross slip in the truth after the
+  current begins to fall; without truth it is the onset in the labels next to the recording.
+
+If an interval is unknown, the column `not_answered` gives the reason. The whole recording is always known.
+
+Only events in columns x < 540 are counted, as in the paper, which compares them with a frame of 540 columns. Events in
+the columns beyond, where a cut gel has its window, are reported as a separate share. Every event has the same size, as
+in the paper.
 """
 
 import re
@@ -33,14 +37,14 @@ from evetac_cli.store.recordings.read import Recording, open_recording, true_ons
 
 OUTPUT = "report"
 METHOD = 2
-PAPERS_SCENE = "data-rate"  # grasp, hold, push, let slip: what the paper's figures are about
+PAPERS_SCENE = "data-rate"  # grasp, hold, push, let slip: the motions of the paper's figures
 INTERVALS = ("whole", "contact", "slip")
-SHOWN = 6  # recordings in the picture
-SHOWN_MS = 10  # of which one point in the picture is the mean
+SHOWN = 6  # most recordings in the plot
+SHOWN_MS = 10  # a point in the plot is the mean over this long
 
 
 class SliceInterval(NamedTuple):
-    """Slices [start, stop) of a recording, or why there is no such interval."""
+    """Slices [start, stop) of a recording, or the reason why the interval is missing."""
 
     start: int
     stop: int
@@ -48,18 +52,18 @@ class SliceInterval(NamedTuple):
 
 
 def jobs(files: list[Path], params: EvaluateDataRate, out: Path | None) -> list[Job]:
-    """One report over all recordings."""
+    """Return one report job over all recordings."""
     _rgb_bytes_s(params)
     return report_job(files, "data-rate", out)
 
 
 def run(job: Job, params: EvaluateDataRate, *, force: bool = False, progress: Progress = silent) -> Outcome:
-    """A row for every recording, one for every interval beside the paper's, and the time course as a picture."""
+    """Return a row per recording and a row per interval with the paper's figures, and plot the data rates over time."""
     parents: list[Header] = []
     for path in job.inputs:
         with open_recording(path) as recording:
             if len(recording) == 0:
-                raise InputError("the recording has no slices, so no data rate", where=str(path))
+                raise InputError("the recording has no slices, so it has no data rate", where=str(path))
             parents.append(recording.header)
             labels = None if recording.has("truth") else labels_beside(recording)
             parents += [labels.header] if labels else []
@@ -87,26 +91,28 @@ def run(job: Job, params: EvaluateDataRate, *, force: bool = False, progress: Pr
 
 
 def for_people(rows: Rows, params: EvaluateDataRate) -> tuple[Rows, list[str]]:
-    """All rows, and the mean share of the RGB sensor's bytes in words."""
+    """Return all rows, and sentences with the mean share of the RGB sensor's bytes."""
     of_intervals = [row for row in rows if "interval" in row]
     lines = [
         f"{row['interval']}: {row['share_mean']:.1%} of the RGB sensor's bytes per second in {row['columns']} columns,"
-        f" {row['window_share_mean']:.1%} more in those beyond, where a cut gel has its window."
+        f" {row['window_share_mean']:.1%} more in the columns beyond, where a cut gel has its window."
         for row in of_intervals
         if row["share_mean"] is not None
     ]
     if all(row["paper_share_mean"] is None for row in of_intervals):
-        lines.append(f"The paper's figures are about other motions, those of `evetac record --scene {PAPERS_SCENE}`.")
+        lines.append(
+            f"The paper's figures are not shown: they apply to the motions of `evetac record --scene {PAPERS_SCENE}`."
+        )
     return rows, lines + slip_grid.resting_on(rows)
 
 
 def _rgb_bytes_s(params: EvaluateDataRate) -> float:
-    """Bytes a second of the RGB sensor; InputError if `--rgb-frame` is not a size."""
+    """Return the bytes per second of the RGB sensor; raise InputError if `--rgb-frame` is not a size."""
     if not re.fullmatch("[1-9][0-9]{0,4}x[1-9][0-9]{0,4}x[1-9][0-9]?", params.rgb_frame):
         raise InputError(
-            "not the size of a frame",
+            "not a frame size",
             where="--rgb-frame",
-            expected="width x height x bytes, as in 540x480x3",
+            expected="width x height x bytes, such as 540x480x3",
             found=params.rgb_frame,
         )
     width, height, pixel = (int(size) for size in params.rgb_frame.split("x"))
@@ -140,9 +146,9 @@ def _row(recording: Recording, params: EvaluateDataRate) -> dict[str, Any]:
 
 
 def intervals(recording: Recording, around_s: float) -> dict[str, SliceInterval]:
-    """The slices of the whole recording, of contact, and of `around_s` about the onset of slip."""
+    """Return the slices of the whole recording, of contact, and of `around_s` around the onset of slip."""
     slices = len(recording)
-    contact = SliceInterval(0, 0, "no truth, and contact is known in simulations alone")
+    contact = SliceInterval(0, 0, "no truth; contact is known only in simulations")
     if recording.has("truth"):
         force_n = recording.read("truth/normal_force_n")
         touched, loaded = np.flatnonzero(force_n >= TOUCH_N), np.flatnonzero(force_n > 0)
@@ -153,7 +159,7 @@ def intervals(recording: Recording, around_s: float) -> dict[str, SliceInterval]
 
 
 def _about_slip(recording: Recording, around_s: float) -> SliceInterval:
-    """As many slices before the onset as from it on; missing unless the recording holds them all."""
+    """Return equally many slices before and after the onset; missing unless all of them were recorded."""
     half = round(500 * around_s)
     if recording.has("truth"):
         true = true_onset(recording)
@@ -163,14 +169,14 @@ def _about_slip(recording: Recording, around_s: float) -> SliceInterval:
     else:
         labels = labels_beside(recording)
         if labels is None:
-            return SliceInterval(0, 0, "neither truth nor labels beside the recording")
+            return SliceInterval(0, 0, "neither truth nor labels next to the recording")
         onset = labels.onset
         if onset < 0:
             return SliceInterval(0, 0, "no slip in the labels")
     first, last = onset - half, onset + half
     if first < 0 or last > len(recording):
         held_s = (min(last, len(recording)) - max(first, 0)) / SLICES_PER_S
-        return SliceInterval(0, 0, f"{held_s:g} s of {around_s:g} s about the onset at {onset} ms are recorded")
+        return SliceInterval(0, 0, f"{held_s:g} s of {around_s:g} s around the onset at {onset} ms are recorded")
     return SliceInterval(first, last)
 
 
@@ -180,7 +186,7 @@ class _Labels(NamedTuple):
 
 
 def labels_beside(recording: Recording) -> _Labels | None:
-    """The labels that lie beside a recording, if there are any; InputError if they are another recording's."""
+    """Return the labels next to a recording, or None; raise InputError if they belong to another recording."""
     path = output_path(recording.path, "labels", None)
     if not path.exists():
         return None
@@ -190,16 +196,19 @@ def labels_beside(recording: Recording) -> _Labels | None:
 
 
 def _as_the_papers(header: Header) -> bool:
-    """Whether a file is no simulation of another scene than the paper's; of a real recording, who made it knows."""
+    """Whether the simulated recordings behind a file are all of the paper's scene.
+
+    Real recordings count as such: only the person who recorded them knows the motions.
+    """
     recordings = [header, *header["history"].values()]
     names = [scene_words(one["parameters"], "name") for one in recordings if one["kind"] == "recording"]
     return all(name == PAPERS_SCENE for name in names if name is not None)
 
 
 def _interval_row(interval: str, rows: Rows, *, as_papers: bool) -> dict[str, Any]:
-    """Mean and sd of the share of the RGB sensor's bytes, over the trajectories that have it.
+    """Return mean and standard deviation of the share of the RGB sensor's bytes over the trajectories that have it.
 
-    The paper's figures stand beside them where the motions are like its own.
+    The row has the paper's figures only if the motions are like the paper's.
     """
     shares, of_window = (
         [row[f"{name}_{interval}"] for row in rows if row[f"{name}_{interval}"] is not None]
@@ -223,14 +232,14 @@ def _interval_row(interval: str, rows: Rows, *, as_papers: bool) -> dict[str, An
 
 
 def _draw(figure: Any, paths: tuple[Path, ...], params: EvaluateDataRate, outcome: Outcome) -> None:
-    """Bytes a second over time, one panel a recording, up to SHOWN; the RGB sensor's as a line."""
+    """Plot bytes per second over time, one panel per recording, up to SHOWN, with a line for the RGB sensor."""
     simulated = " (simulated)" if outcome.simulated else ""
     more = f", the first {SHOWN} of {len(paths)} recordings" if len(paths) > SHOWN else ""
-    figure.suptitle(f"Data rate of {paper.COLUMNS} columns, means over {SHOWN_MS} ms{more}{simulated}")
+    figure.suptitle(f"Data rate of {paper.COLUMNS} columns, mean over {SHOWN_MS} ms{more}{simulated}")
     shown = paths[:SHOWN]
     panels = picture.panels(figure, len(shown), 1)
     rgb = f"RGB sensor, {params.rgb_frame} bytes at {params.rgb_hz:g} Hz"
-    shaded = (("contact", "contact", "0.6"), ("slip", f"{params.around_s:g} s about the onset of slip", picture.EARLY))
+    shaded = (("contact", "contact", "0.6"), ("slip", f"{params.around_s:g} s around the onset of slip", picture.EARLY))
     for axes, path in zip(panels, shown, strict=True):
         with open_recording(path) as recording:
             bytes_a_slice = gel_counts(recording, columns=paper.COLUMNS) * params.event_bytes

@@ -1,14 +1,14 @@
-"""evaluate force: shear force predicted from dots against the true one, beside the paper's table.
+"""evaluate force: error of the shear force estimated from dots, next to the paper's table.
 
-Each tracks file is evaluated with the models for its sort of sensor (events, or frames of an RGB sensor). A built
-sensor that the model was not fitted on has a row like any other, without the paper's figures beside it; `gain`, the
-predicted force for each newton of true force, shows the effect of a softer or stiffer gel. Where there are several
-models for a sort of sensor, trained with different seeds, rows have the means, and how much the models differ.
+Each tracks file is evaluated with the models for its type of sensor (events, or frames of an RGB sensor). An individual
+sensor that the model was not fitted on has a row like any other, but without the paper's figures. The column `gain` is
+the estimated force per newton of true force and shows the effect of a softer or stiffer gel. If there are several
+models for a type of sensor, trained with different seeds, the rows contain the means and the spread over the models.
 
-Why so: within a trajectory force is proportional to displacement but for noise; between trajectories the force for a
-displacement differs by up to a tenth (simulated), with the place of contact. So an error shows how far a trajectory's
-place is from those of the few training trajectories, and of a network also its first weights: one of each shows
-little.
+Why several trajectories and models: within a trajectory, force is proportional to displacement except for noise.
+Between trajectories the force at the same displacement differs by up to a tenth (simulated), depending on the position
+of contact. So the error mainly shows how far the contact is from those of the few training trajectories. For a network
+it also depends on the initial weights. One trajectory and one model prove little.
 """
 
 from pathlib import Path
@@ -46,33 +46,33 @@ from evetac_cli.store.layout.provenance import Header
 
 OUTPUT = "report"
 METHOD = 2
-SENSORS = ("events", "frames")  # what dots are tracked in: both are in the paper's table
+SENSORS = ("events", "frames")  # in which dots are tracked; both are in the paper's table
 STYLES = {"regression": (picture.COLOURS[0], "linear regression"), "network": (picture.COLOURS[3], "network")}
 
-Models = dict[str, list[tuple[Path, Header, ForceModel]]]  # by sort of sensor
+Models = dict[str, list[tuple[Path, Header, ForceModel]]]  # by type of sensor
 
 
 class TrialForce(NamedTuple):
-    """The forces that both models predict for the samples of one trajectory."""
+    """The forces that both models estimate for the samples of one trajectory."""
 
     path: Path
     sensor: str
     sensor_name: str
-    fitted: bool  # whether the model was fitted on this built sensor
+    fitted: bool  # whether the model was fitted on this individual sensor
     samples: ForceSamples
     predicted_n: dict[str, Floats]  # regression or network -> (models, samples, 2)
 
 
 def jobs(files: list[Path], params: EvaluateForce, out: Path | None) -> list[ForceReportJob]:
-    """One report over all tracks files."""
+    """Return one report job over all tracks files."""
     models = named_files(params.model, "force-model", "--model") if params.model else []
     own = named_files(params.adapt_on, "tracks", "--adapt-on") if params.adapt_on else []
     for is_given, flag in ((own, "--adapt-on"), (params.identified, "--identified")):
         if is_given and models:
             raise InputError(
-                "a model of the paper's method is for the sensor that it was trained on alone",
+                "a model of the paper's method works only for the sensor that it was trained on",
                 where=flag,
-                expected="touch maps, which are judged without --model",
+                expected="touch maps, which are evaluated without --model",
                 found=f"--model {params.model}",
             )
     (job,) = report_job(files, "force", out, *own, *models)
@@ -80,9 +80,9 @@ def jobs(files: list[Path], params: EvaluateForce, out: Path | None) -> list[For
 
 
 def run(job: ForceReportJob, params: EvaluateForce, *, force: bool = False, progress: Progress = silent) -> Outcome:
-    """Rows of both of the paper's models for every trajectory: mean and sd of the absolute error, for x and y.
+    """Return a row per trajectory and model of the paper: mean and sd of the absolute error, for x and y.
 
-    Without a model touch maps are judged (touch_force).
+    Without --model, touch maps are evaluated (touch_force).
     """
     if not job.models:
         return touch_force.run(job, params, force=force, progress=progress)
@@ -116,7 +116,7 @@ def run(job: ForceReportJob, params: EvaluateForce, *, force: bool = False, prog
 
 
 def for_people(rows: Rows, params: EvaluateForce) -> tuple[Rows, list[str]]:
-    """All rows, and the mean error of shear force of each model, or by what is known of the gel."""
+    """Return all rows, and the mean error of shear force by model, or for touch maps by knowledge of the gel."""
     by = "stiffness" if "stiffness" in rows[0] else "model"
     columns = {"mae_n": "", **{f"mae_n_{axis}": f"{axis} " for axis in forces.AXES}}
     lines = []
@@ -133,7 +133,7 @@ def for_people(rows: Rows, params: EvaluateForce) -> tuple[Rows, list[str]]:
 
 
 def _models(paths: tuple[Path, ...]) -> Models:
-    """The models by their sort of sensor; InputError unless those of one sort differ in their seed alone."""
+    """Return the models by type of sensor; raise InputError unless those of one type differ only in their seed."""
     by_sensor: Models = {}
     for path in paths:
         header, model = read_model(path)
@@ -144,25 +144,25 @@ def _models(paths: tuple[Path, ...]) -> Models:
             raise InputError(
                 f"two models of dots tracked in {model.sensor}, with different parameters or trajectories",
                 where="--model",
-                expected="one for each sensor, or several that differ in the seed",
+                expected="one model per sensor, or several that differ only in the seed",
                 found=f"{first_path}, {path}",
             )
     return by_sensor
 
 
 def _without_seed(header: Header) -> tuple[Any, ...]:
-    """Everything that determines a model, but its seed."""
+    """Return everything that determines a model except its seed."""
     return {**header["parameters"], "seed": None}, header["parents"]
 
 
 def _models_for(tracks: StageFile, models: Models) -> list[tuple[Path, Header, ForceModel]]:
-    """The models for the sensor of a tracks file; InputError if there are none."""
+    """Return the models for the sensor of a tracks file; raise InputError if there are none."""
     sensor = sensor_sort(tracks.header)
     if sensor not in models:
         raise InputError(
-            f"no model of dots tracked in {sensor}",
+            f"none of the models is for dots tracked in {sensor}",
             where=str(tracks.path),
-            expected=f"one that was fitted to {sensor}",
+            expected=f"a model that was fitted to {sensor}",
             found=", ".join(str(path) for of_sensor in models.values() for path, _, _ in of_sensor),
         )
     return models[sensor]
@@ -205,7 +205,7 @@ def _row(trial: TrialForce, name: str) -> dict[str, Any]:
 
 
 def _summary(trials: list[TrialForce], rows: Rows, params: EvaluateForce) -> dict[str, Any]:
-    """The range of the true forces, and mean errors over the trajectories of sensors that the models were fitted on."""
+    """Return the range of the true forces, and mean errors over trajectories of sensors that models were fitted on."""
     known = [row for row in rows if row["fitted"]]
     means = {
         f"{sensor}_{model}_mae_n_{letter}": float(np.mean([row[f"mae_n_{letter}"] for row in chosen]))
@@ -227,7 +227,7 @@ def _summary(trials: list[TrialForce], rows: Rows, params: EvaluateForce) -> dic
 
 
 def _draw(figure: Any, trials: list[TrialForce]) -> None:
-    """The first trajectory of every sensor, as in the paper's figure: force sensor, regression and network."""
+    """Plot the first trajectory of every sensor, as in the paper's figure: force sensor, regression and network."""
     shown: dict[str, TrialForce] = {}
     for one in sorted(trials, key=lambda one: not one.fitted):  # stable: those of fitted sensors first
         shown.setdefault(one.sensor, one)

@@ -1,14 +1,14 @@
-"""evaluate grasp: the paper's table of grasps, by controller and object, and its robustness tables (section VII).
+"""evaluate grasp: the paper's table of grasps by controller and object, and its robustness tables (section VII).
 
-Grasps by several controllers, in several scenes, on several sensors are evaluated at once: those that differ in object
-and trial alone are one setting. The rows are three tables with different columns: over all objects; by object; by
-trial. Over all objects gains are taken together, as in the paper's figure, where some objects were held with a higher
-one: a column is an object with a gain. The paper's figures stand beside.
+Grasps with several controllers, in several scenes and on several sensors are evaluated together. Grasps that differ
+only in object and trial belong to one setting. The rows form three tables with different columns: over all objects, by
+object, and by trial. The table over all objects merges gains, as the paper's figure does, in which some objects were
+held with a higher gain; there a column is an object with a gain. The paper's figures are included.
 
-Balance counts the trials that lifted, as in the paper; `success` is both phases. How far an object moved, the
-force on it and how far the gripper opened again are means (or medians) over the trials that held it to the end: an
-object that fell has moved by any distance. Force over what just holds, and whether it follows weight, are those of
-grip_forces.py.
+Balance counts only trials that lifted the object, as in the paper; `success` counts both phases. Motion of the object,
+grip force and reopening of the gripper are means (or medians) over trials that held the object to the end, because an
+object that fell may have moved by any distance. The force relative to the least force that holds the object, and
+whether it follows the weight, come from grip_forces.py.
 """
 
 import json
@@ -34,7 +34,7 @@ from evetac_cli.store.recordings import slip_grid
 
 OUTPUT = "report"
 METHOD = 3
-USUAL = {"gain": 1.0, "latency_ms": 0, "control_hz": 500.0}  # named in a setting only where they differ
+USUAL = {"gain": 1.0, "latency_ms": 0, "control_hz": 500.0}  # named in a setting only if they differ from these
 MEANS = (
     "opening_after_lift_ticks",
     "opening_after_balance_ticks",
@@ -43,12 +43,12 @@ MEANS = (
     "reopened_share",
 )
 
-Lines = list[tuple[int, dict[str, Any]]]  # of the picture, from the top down: number and row
+Lines = list[tuple[int, dict[str, Any]]]  # of the plot, from the top down: number and row
 
-WIDTH_IN, FORCES_IN = 13.0, 4.5  # of the picture, and the height of its part on force against weight
+WIDTH_IN, FORCES_IN = 13.0, 4.5  # of the plot, and the height of its part on force against weight
 PAPER_ORDER = (18, 17, 10, 11, 12, 13, 15, 16, 14, 19, 20)
-MOST_SETTINGS = 8  # marks that can be distinguished
-# Column of the rows by object, that of the trials behind it, if any, and words.
+MOST_SETTINGS = 8  # this many markers can be distinguished
+# Column of the rows by object; the trials' column behind it, if any; axis label.
 PANELS = (
     ("success", "", "share of trials lifted and balanced"),
     ("opening_after_balance_ticks", "opening_after_balance_ticks", "change of the opening at the end, mean [ticks]"),
@@ -60,24 +60,24 @@ MOVED_MM = paper.FIGURES["moved less in most trials",].value
 
 
 def jobs(files: list[Path], params: EvaluateGrasp, out: Path | None) -> list[Job]:
-    """One report over all grasps; of one with two fingers the recording of the second has no part in it."""
+    """Return one report job over all grasps; recordings of a second finger are left out."""
     return report_job([file for file in files if not _is_second_finger(file)] or files, "grasp", out)
 
 
 def _is_second_finger(path: Path) -> bool:
-    """Whether it is what the camera of a second finger saw, beside the recording that has the decisions."""
+    """Whether a file is the recording of a second finger's camera; the first finger's has the decisions."""
     with StageFile(path) as file:
         return file.kind == "recording" and file.has("capture/clock_offset_us") and not file.has("control")
 
 
 def run(job: Job, params: EvaluateGrasp, *, force: bool = False, progress: Progress = silent) -> Outcome:
-    """Rows of settings, objects and trials, and a picture of them."""
+    """Return rows of settings, objects and trials, and plot them."""
     headers = []
     for path in job.inputs:
         with StageFile(path, "recording") as recording:
             for group, reason in (
-                ("control", "the recording is no grasp"),
-                ("truth/table_gap_mm", "only a simulation knows how a grasp ended"),
+                ("control", "the recording is not a grasp"),
+                ("truth/table_gap_mm", "only simulations record how a grasp ended"),
             ):
                 if not recording.has(group):
                     raise InputError(
@@ -99,19 +99,19 @@ def run(job: Job, params: EvaluateGrasp, *, force: bool = False, progress: Progr
 
 
 def for_people(rows: Rows, params: EvaluateGrasp) -> tuple[Rows, list[str]]:
-    """All rows, and of each setting how many trials held their object to the end."""
+    """Return all rows, and for each setting the number of trials that held their object to the end."""
     lines = []
     for row in rows:
         if "columns" in row:
             published = row.get("paper_success")
-            beside = "" if published is None else f" (the paper, on its own objects: {published:.2f})"
+            beside = "" if published is None else f" (paper, on its own objects: {published:.2f})"
             held = round(row["success"] * row["trials"])
             lines.append(f"{row['setting']}: lifted and held to the end in {held} of {row['trials']}{beside}.")
     return rows, lines + slip_grid.resting_on(rows)
 
 
 def trial_row(path: Path, header: Header) -> dict[str, Any]:
-    """Setting and outcome of one grasp."""
+    """Return setting and outcome of one grasp."""
     planned = header["parameters"]
     plan = read_plan(planned, str(path))
     with StageFile(path, "recording") as recording:
@@ -125,7 +125,7 @@ def trial_row(path: Path, header: Header) -> dict[str, Any]:
     seconds = plan.scene.time.touch_s + planned["lift_s"] + planned["balance_s"]
     newton_per_ma = plan.sensor.gripper.force_per_current_n_ma
     figures = grasp_outcome.outcome(rows, plan.sensor.mm_per_px, round(SLICES_PER_S * seconds), newton_per_ma)
-    # what reactions to slip of a second finger are, only its own recording and the stored outcome know
+    # false reactions to slip of a second finger can only be counted from its own recording: take the stored outcome
     figures |= {name: value for name, value in json.loads(stored).items() if name == "false_slip_events"}
     drop = plan.scene.drop
     if drop is not None and plan.scene.time.touch_s + planned["lift_s"] + drop.after_s < seconds:
@@ -135,7 +135,7 @@ def trial_row(path: Path, header: Header) -> dict[str, Any]:
 
 
 def describe_setting(plan: Plan, planned: dict[str, Any]) -> str:
-    """The setting of a grasp in words: its controller, and all that differs from the usual; not object and trial."""
+    """Return the words for a setting: its controller and all non-default choices, without object and trial."""
     words = [planned["controller"]]
     chosen = {name: planned.get(name, usual) for name, usual in USUAL.items()}
     if chosen["gain"] != 1.0:
@@ -159,7 +159,7 @@ def describe_setting(plan: Plan, planned: dict[str, Any]) -> str:
 
 
 def tables(trials: Rows) -> tuple[Rows, dict[str, Any]]:
-    """The rows of all three tables, and figures over all trials."""
+    """Return the rows of all three tables, and figures over all trials."""
     whole: Rows = []
     objects: Rows = []
     for name in dict.fromkeys(without_gain(row["setting"]) for row in trials):
@@ -182,12 +182,12 @@ def tables(trials: Rows) -> tuple[Rows, dict[str, Any]]:
 
 
 def without_gain(setting: str) -> str:
-    """The name of a setting, without its gain."""
+    """Return the name of a setting without its gain."""
     return ", ".join(word for word in setting.split(", ") if not word.startswith("gain "))
 
 
 def figures(trials: Rows) -> dict[str, Any]:
-    """Shares of success over trials, and figures over those that held their object to the end."""
+    """Return success rates over all trials, and figures over those that held their object to the end."""
     lifted = [row for row in trials if row["lifted"]]
     held = [row for row in trials if row["balanced"]]
     moved = [row["moved_mm"] for row in held]
@@ -222,12 +222,12 @@ def _quantile(values: Sequence[float], share: float) -> float | None:
 
 
 def _with_papers(row: dict[str, Any], *columns: str) -> dict[str, Any]:
-    """A row with the paper's figures for its setting, or for its object and the paper's own controller, else None."""
+    """Add the paper's figures for the setting, or for the object with the paper's controller; None if it has none."""
     return {**row, **{column: paper.value_of(column, row) for column in columns}}
 
 
 def _size_in(rows: Rows, source: Source) -> tuple[float, float]:
-    """Width and height in inches: a line for every setting of every object, and the legend."""
+    """Return width and height in inches: one line per setting of every object, and the legend."""
     lines, shown = _lines(_by_object(rows))
     styles = {style["label"] for name, *_ in PANELS for _, _, style in _papers(lines, name, source)}
     legend_in = picture.legend_height_in([*shown, INTERVAL, *styles], WIDTH_IN)
@@ -240,7 +240,7 @@ def _by_object(rows: Rows) -> Rows:
 
 
 def _lines(by_object: Rows) -> tuple[Lines, list[str]]:
-    """The line of each row of an object and setting, one left free between objects; and the settings that are drawn."""
+    """Return the line of each row by object and setting, with a gap between objects, and the settings to draw."""
     shown = list(dict.fromkeys(row["setting"] for row in by_object))[:MOST_SETTINGS]
     lines: Lines = []
     for number in sorted({row["object"] for row in by_object}, key=_figure_place):
@@ -252,14 +252,14 @@ def _lines(by_object: Rows) -> tuple[Lines, list[str]]:
 
 
 def _weighed(rows: Rows, shown: Sequence[str]) -> dict[str, Rows]:
-    """The trials of each setting that is drawn, of those of which force can be held against weight; {} for none."""
+    """Return the held trials of each drawn setting that have both force and weight; {} if there are none."""
     trials = [row for row in rows if "file" in row and row["balanced"] and row.get("holding_end_n")]
     named = {name: [row for row in trials if without_gain(row["setting"]) == without_gain(name)] for name in shown}
     return {name: members for name, members in named.items() if members}
 
 
 def _draw(figure: Any, rows: Rows, source: Source) -> None:
-    """A line for every setting of every object, and below it grip force against weight where that is known."""
+    """Draw a line per setting of every object, and below it grip force against weight where that is known."""
     shown = _lines(_by_object(rows))[1]
     weighed = _weighed(rows, shown)
     if weighed:
@@ -270,7 +270,7 @@ def _draw(figure: Any, rows: Rows, source: Source) -> None:
 
 
 def _draw_lines(figure: Any, rows: Rows, source: Source) -> None:
-    """A line for every setting of every object: share of trials, then figures of the trials that held their object."""
+    """Draw a line per setting of every object: share of trials, then figures of the trials that held their object."""
     by_object = _by_object(rows)
     lines, shown = _lines(by_object)
     settings = len({row["setting"] for row in by_object})
@@ -302,13 +302,13 @@ def _draw_lines(figure: Any, rows: Rows, source: Source) -> None:
 
 
 def _held(rows: Rows, of: dict[str, Any]) -> Rows:
-    """The trials of an object and setting that held it to the end."""
+    """Return the trials of an object and setting that held it to the end."""
     trials = (row for row in rows if "file" in row and row["balanced"])
     return [row for row in trials if (row["setting"], row["object"]) == (of["setting"], of["object"])]
 
 
 def _middles(lines: Lines) -> dict[int | str, float]:
-    """The middle of each object's lines."""
+    """Return the vertical middle of each object's lines."""
     places: dict[int | str, list[int]] = {}
     for place, row in lines:
         places.setdefault(row["object"], []).append(place)
@@ -316,9 +316,9 @@ def _middles(lines: Lines) -> dict[int | str, float]:
 
 
 def _papers(lines: Lines, name: str, source: Source) -> Iterator[tuple[float, float, dict[str, Any]]]:
-    """The paper's figure of every object in a panel, the middle of its lines, and how it is drawn.
+    """Yield the paper's figure of every object in a panel, the vertical middle of its lines, and its style.
 
-    It is the one that stands beside the first of the object's lines that has one.
+    The figure is that of the object's first line for which the paper has one.
     """
     column = f"paper_{name}"
     for number, place in _middles(lines).items() if column in paper.SHOWN else ():
@@ -329,7 +329,7 @@ def _papers(lines: Lines, name: str, source: Source) -> Iterator[tuple[float, fl
 
 
 def _figure_place(called: int | str) -> tuple[int, str]:
-    """Objects in the order of the paper's figure, the others behind them, and those of one's own at the end."""
+    """Return a sort key: objects in the order of the paper's figure, then evetac's others, then user-defined ones."""
     if isinstance(called, str):
         return 1000, called
     return (PAPER_ORDER.index(called) if called in PAPER_ORDER else 100 + called), ""

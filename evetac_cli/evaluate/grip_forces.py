@@ -1,7 +1,8 @@
-"""How firmly laws hold: grip force over what just holds the object, by class of mass, and whether it follows weight.
+"""How firmly controllers grip: the grip force over the least force that holds the object, by class of mass.
 
-Rows are grasps, as `evaluate grasp` and scripts have them: their `setting` or law, what sim/grasp_outcome.py says, and
-`carried_g`, what the gripper carried at the end. Force counts where the object was held to the end.
+Also whether the force follows the weight. Rows are grasps as in `evaluate grasp` and the scripts: their `setting` or
+controller, the outcome from sim/grasp_outcome.py, and `carried_g`, the mass that the gripper carried at the end. Forces
+count only for objects that were held to the end.
 """
 
 from collections import Counter
@@ -15,11 +16,14 @@ from evetac_cli.jobs import Row, Rows
 from evetac_cli.sim.scenes.slip_limit import GRAVITY_M_S2
 
 CLASSES_G = ((30.0, 100.0), (100.0, 250.0), (250.0, 600.0))
-STAYED_MM = 3.0  # an object that moved less has stayed where it was
+STAYED_MM = 3.0  # an object that moved less counts as not moved
 
 
 def firmness(trials: Rows) -> Row:
-    """How many grasps of one law kept their object, with how much more force than just holds it; None where unknown."""
+    """Return how many grasps of one controller kept their object, and with how much excess force; None where unknown.
+
+    Excess force is relative to the least force that holds the object.
+    """
     held = [row for row in trials if row["balanced"]]
     known = [row for row in held if row.get("over_holding_end") is not None]
     row: Row = {
@@ -46,7 +50,7 @@ def firmness(trials: Rows) -> Row:
 
 
 def rank_correlation(first: Sequence[float], second: Sequence[float]) -> float | None:
-    """Spearman's rank correlation of two columns, equal values sharing their rank; None where it is not defined."""
+    """Return Spearman's rank correlation of two columns, ties sharing their rank; None where it is undefined."""
     if len(first) < 3 or any(np.ptp(values) == 0.0 for values in (first, second)):
         return None
     from scipy import stats  # takes half a second to load
@@ -63,9 +67,9 @@ def _quantile(values: Sequence[float], share: float) -> float | None:
 
 
 def draw(figure: Any, settings: Sequence[tuple[int, str, Rows]]) -> None:
-    """Grip force at the end against weight, with what just holds each object; number of series, setting, held trials.
+    """Plot grip force at the end against weight, with the least force that holds each object.
 
-    Both on logarithmic axes: proportion is a slope of 1.
+    settings: number of the series, setting, held trials. Both axes are logarithmic, so proportionality is a slope of 1.
     """
     axes = figure.subplots()
     weights_n, holding_n = [], []
@@ -75,10 +79,10 @@ def draw(figure: Any, settings: Sequence[tuple[int, str, Rows]]) -> None:
         holding_n += [row["holding_end_n"] for row in trials]
         style = {**picture.series(number), "linestyle": "none"}
         axes.plot(x_n, [row["force_end_n"] for row in trials], label=f"controller {name}", **style)
-    axes.plot(weights_n, holding_n, "_", color="0.35", markersize=10, label="what just holds that object")
+    axes.plot(weights_n, holding_n, "_", color="0.35", markersize=10, label="least force that holds the object")
     middle = float(np.median(np.array(holding_n) / np.array(weights_n)))
     ends = np.array([min(weights_n), max(weights_n)])
-    axes.plot(ends, middle * ends, color="0.35", linewidth=1, label="... at the friction in the middle")
+    axes.plot(ends, middle * ends, color="0.35", linewidth=1, label="... at the median friction")
     axes.set_xscale("log")
     axes.set_yscale("log")
     for axis in (axes.xaxis, axes.yaxis):

@@ -1,12 +1,12 @@
-"""evaluate labels: the onset of the labels against the true onset, where a simulation knows it.
+"""evaluate labels: error of the labelled onset against the true onset of a simulation.
 
-The true onset, t_s, is that of gross slip: the object slides as one body over the gel that the camera sees. Beside it
-stands `t_every_node_ms`: the last stuck node of the pad has let go, seen or not, and the object has slid as far since;
-it was the true onset of the first edition. Errors are those against t_s.
+The true onset, t_s, is that of gross slip: the object slides as one body over the gel that the camera sees. The column
+`t_every_node_ms` is another definition, used in the first edition: the last stuck node of the pad has let go, visible
+or not, and the object has slid equally far since. Errors are relative to t_s.
 
-An error in px is how far the object truly slid as one body between the labels' onset and t_s; below 0 the labels are
-early. Why beside the ms: at 0.05 px/ms the 0.5 px of gross slip take 10 ms, none of which is the onset; where gel snaps
-back an object slides 5 px in one. Labels that abstain are counted, and not judged.
+An error in px is how far the object truly slid as one body between the labels' onset and t_s; negative values are
+early. Errors in ms alone would mislead. At 0.05 px/ms the 0.5 px of gross slip take 10 ms, none of which is the onset.
+When gel snaps back, an object slides 5 px in 1 ms. Labels that abstain are counted but not evaluated.
 """
 
 from pathlib import Path
@@ -30,30 +30,30 @@ OUTPUT = "report"
 METHOD = 4
 EARLIEST_MS = -4  # labels look 4 ms ahead
 LATEST_MS = 3
-NEAR_PX = 0.5  # truly slid, either way: an onset so near is right ...
-EARLY_MS = 10  # ... unless it is earlier than this
+NEAR_PX = 0.5  # of true sliding, early or late: an onset this near is correct ...
+EARLY_MS = 10  # ... unless it is more than this early
 
 
 def jobs(files: list[Path], params: EvaluateLabels, out: Path | None) -> list[Job]:
-    """One report over all labels files."""
+    """Return one report job over all labels files."""
     return report_job(files, "labels", out)
 
 
 def run(job: Job, params: EvaluateLabels, *, force: bool = False, progress: Progress = silent) -> Outcome:
-    """A row for every trajectory: t_c from labels; t_s, the start of its slip and t_every_node from truth, in ms.
+    """Return a row per trajectory, in ms: t_c from labels; t_s, the start of its slip and t_every_node from truth.
 
-    Rows and summary name the labels' method, because labels may themselves be copied from truth.
+    Rows and summary name the method of the labels, because labels may be copied from the truth.
     """
     rows: Rows = []
     headers = []
     for number, path in enumerate(job.inputs):
         with StageFile(path, "labels") as labels, recording_with_truth(labels) as recording:
-            told = labelled_onset(labels)
+            labelled = labelled_onset(labels)
             true, nodes = true_onsets(recording), slip_grid.nodes_of(recording)
             slid_px = recording.read("truth/slid_px")
             headers.append(labels.header)
         method = str(labels.header["parameters"].get("method", "farneback"))
-        row = {"file": path.name, "method": method, **judged(told, true, slid_px), slip_grid.COLUMN: nodes}
+        row = {"file": path.name, "method": method, **judged(labelled, true, slid_px), slip_grid.COLUMN: nodes}
         rows.append(row)
         progress(number + 1, len(job.inputs))
 
@@ -64,9 +64,9 @@ def run(job: Job, params: EvaluateLabels, *, force: bool = False, progress: Prog
 
 
 def judged(told: LabelledOnset, true: dict[str, int | None], slid_px: NDArray[np.float32]) -> Row:
-    """The row of an onset against truth: errors in ms and px, and whether the interval covers t_s, and its width.
+    """Return the row of a labelled onset against truth: errors in ms and px, coverage and width of its interval.
 
-    true: what `true_onsets` says; slid_px (slices,): of the truth. Signs: early is below 0.
+    true: from `true_onsets`; slid_px (slices,): from the truth. Negative errors are early.
     """
     t_c, t_s, gross = told.slice_, true["t_s_ms"], true["gross_slip_start_ms"]
     slid = slid_so_far(slid_px)
@@ -86,12 +86,12 @@ def judged(told: LabelledOnset, true: dict[str, int | None], slid_px: NDArray[np
 
 
 def slid_so_far(slid_px: NDArray[np.float32]) -> Floats:
-    """How far the object slid as one body in all up to each slice, over every slide, from the truth's (slices,)."""
+    """Return the total sliding of the object as one body up to each slice, over all slides; slid_px (slices,)."""
     return np.concatenate([[0.0], np.cumsum(np.maximum(np.diff(slid_px.astype(np.float64)), 0.0))])
 
 
 def summary(rows: Rows) -> dict[str, Any]:
-    """What rows amount to; shares are of trajectories that slip, those named `rest_` of what did not abstain."""
+    """Return the summary of rows; shares are of trajectories that slip, and `rest_` marks those without abstentions."""
     slipped = [row for row in rows if row["t_s_ms"] is not None]
     rest = [row for row in slipped if not row["abstained"]]
     found = [row for row in slipped if row["onset_error_ms"] is not None]
@@ -128,7 +128,7 @@ def summary(rows: Rows) -> dict[str, Any]:
 
 
 def is_near(row: Row) -> bool:
-    """Whether an onset is right: within NEAR_PX truly slid of the true one, and not EARLY_MS before it."""
+    """Whether an onset is correct: within NEAR_PX of true sliding of the true onset, and at most EARLY_MS early."""
     found = row["onset_error_px"] is not None
     return found and abs(row["onset_error_px"]) <= NEAR_PX and row["onset_error_ms"] >= -EARLY_MS
 
@@ -148,31 +148,36 @@ def _median(values: Any) -> float | None:
 
 
 def for_people(rows: Rows, params: EvaluateLabels) -> tuple[Rows, list[str]]:
-    """All rows, and how many onsets are right."""
+    """Return all rows, and sentences with the number of correct onsets."""
     slipped = [row for row in rows if row["t_s_ms"] is not None]
     rest = [row for row in slipped if not row["abstained"]]
     right = sum(is_near(row) for row in rest)
     missed = sum(row["t_c_ms"] is None for row in rest)
     errors = [row["onset_error_ms"] for row in rest if row["onset_error_ms"] is not None]
     words = (
-        f"Onset within {NEAR_PX} px slid of the true one, and not over {EARLY_MS} ms early, in {right} of {len(rest)}"
+        f"Onset within {NEAR_PX} px of sliding of the true onset, at most {EARLY_MS} ms early,"
+        f" in {right} of {len(rest)}"
     )
     wrong = [row["onset_error_ms"] for row in rest if row["onset_error_ms"] is not None and not is_near(row)]
-    told = [f"early in {sum(error < 0 for error in wrong)}", f"late in {sum(error >= 0 for error in wrong)}"]
-    sentences = [", ".join([words, *(told if wrong else []), *([f"not found in {missed}"] if missed else [])]) + "."]
+    errors_in_words = [f"early in {sum(error < 0 for error in wrong)}", f"late in {sum(error >= 0 for error in wrong)}"]
+    sentences = [
+        ", ".join([words, *(errors_in_words if wrong else []), *([f"not found in {missed}"] if missed else [])]) + "."
+    ]
     in_time = sum(EARLIEST_MS <= error <= LATEST_MS for error in errors)
     sentences.append(f"Within {EARLIEST_MS} to +{LATEST_MS} ms: {in_time} of {len(rest)}.")
     if abstained := len(slipped) - len(rest):
-        sentences.append(f"The labels abstain in {abstained} of {len(slipped)} that slip, which are not judged.")
+        sentences.append(
+            f"The labels abstain in {abstained} of {len(slipped)} trials that slip; these are not evaluated."
+        )
     return rows, [*sentences, *slip_grid.resting_on(rows)]
 
 
 def true_onsets(recording: Recording) -> dict[str, int | None]:
-    """The first slice of gross slip, where that slip started, and the first slice by the pad's last stuck node.
+    """Return the true onset t_s, the start of its gross slip, and the onset by the pad's last stuck node.
 
-    As for labels, a trial begins where the current starts to fall.
+    As for labels, a trial begins when the current starts to fall.
     """
-    from evetac_cli.sim.scenes.true_slip import SLIP_PX  # here, as `report` needs no simulator for the limits above
+    from evetac_cli.sim.scenes.true_slip import SLIP_PX  # late: `report` needs the limits above, not the simulator
 
     start, onset = ramp_start(recording), true_onset(recording)
     return {
@@ -183,7 +188,7 @@ def true_onsets(recording: Recording) -> dict[str, int | None]:
 
 
 def _gross_start(slid_px: NDArray[np.float32], onset: int) -> int:
-    """First slice of the gross slip that leads to the onset: the slice after the last without any sliding."""
+    """Return the first slice of the gross slip that leads to the onset: the one after the last without sliding."""
     still = np.flatnonzero(slid_px[:onset] == 0.0)
     return int(still[-1]) + 1 if len(still) else 0
 

@@ -1,8 +1,8 @@
-"""Settings that were tried on the same trials: how far apart they are, how surely, and which of them are worth it.
+"""Paired comparison of settings on the same trials: mean differences, their confidence intervals, the Pareto front.
 
-The interval is Student's for the mean of paired differences, two-sided, at CONFIDENCE. Why so: with the few trials that
-three minutes allow, a bootstrap can only draw again what it has seen, and its intervals are too narrow. Shares of
-trials have intervals of their own: a share of 0 or 1 is not as sure as Student's would have it.
+The interval is Student's for the mean of paired differences, two-sided, at CONFIDENCE. A bootstrap would be too narrow:
+with the few trials that fit into three minutes it only resamples the same few values. Shares of trials have their own
+intervals, because Student's interval of a share of 0 or 1 would be too narrow.
 """
 
 import math
@@ -19,7 +19,7 @@ CONFIDENCE = 0.95
 
 
 class ConfidenceInterval(NamedTuple):
-    """A mean of paired differences or a share, the ends of its interval, and over how many trials; NaN if too few."""
+    """Mean of paired differences or share, the ends of its interval, and the number of trials; NaN if too few."""
 
     mean: float
     low: float
@@ -28,10 +28,11 @@ class ConfidenceInterval(NamedTuple):
 
 
 def difference(ours: Floats, theirs: Floats, resolution: float = 0.0) -> ConfidenceInterval:
-    """The mean of ours - theirs over the trials in which both are known (not NaN).
+    """Return the mean of ours - theirs over the trials in which both are known (not NaN).
 
-    resolution: of both values, such as a slice of 1 ms. Two rounded values differ by chance with a standard deviation
-    of resolution / sqrt(6); fewer is never assumed, so that a few equal differences do not count as sure.
+    resolution: that of both values, such as a slice of 1 ms. Two rounded values differ by chance with a standard
+    deviation of resolution / sqrt(6). The standard deviation is never assumed smaller, so that a few equal differences
+    do not count as certain.
     """
     apart = ours - theirs
     apart = apart[np.isfinite(apart)]
@@ -47,7 +48,7 @@ def difference(ours: Floats, theirs: Floats, resolution: float = 0.0) -> Confide
 
 
 def share(held: Flags) -> ConfidenceInterval:
-    """The share of trials in which something holds, with Wilson's interval."""
+    """Return the share of trials in which a condition holds, with Wilson's interval."""
     count = len(held)
     if count == 0:
         return ConfidenceInterval(math.nan, math.nan, math.nan, 0)
@@ -55,11 +56,11 @@ def share(held: Flags) -> ConfidenceInterval:
 
 
 def share_difference(ours: Flags, theirs: Flags) -> ConfidenceInterval:
-    """How much larger our share is than theirs over the same trials.
+    """Return the difference, ours - theirs, of two shares over the same trials.
 
-    The interval is Wald's with half a trial more in each of the four cells of the table of pairs (Agresti and Min,
-    Statistics in Medicine 24, 2005), so that a difference of 0 is not sure either. With 40 trials it holds what it
-    promises; with 20 it may hold 91 %.
+    The interval is Wald's with half a trial added to each of the four cells of the table of pairs (Agresti and Min,
+    Statistics in Medicine 24, 2005). Therefore a difference of 0 is not certain either. With 40 trials the interval has
+    its nominal coverage; with 20 the coverage may be 91 %.
     """
     count = len(ours)
     if count == 0:
@@ -72,15 +73,16 @@ def share_difference(ours: Flags, theirs: Flags) -> ConfidenceInterval:
 
 
 def known(value: float) -> float | None:
-    """A value for a table, which has None for NaN."""
+    """Return the value for a table: None instead of NaN."""
     return value if math.isfinite(value) else None
 
 
 def on_front(errors: Sequence[Floats], times: Sequence[Floats], resolution: float = 0.0) -> list[bool]:
-    """Which settings are surely on the Pareto front of error and run time: arrays over the same trials, one a setting.
+    """Return which settings are certainly on the Pareto front of error and run time.
 
-    A setting is where, for every other one, the interval of the difference says that the other is slower or has the
-    larger error. Where trials are too few to tell two settings apart, neither is.
+    errors and times: an array per setting, all over the same trials. A setting is on the front if every other setting
+    has a larger error or a longer run time, and the interval of the difference excludes 0. If there are too few trials
+    to distinguish two settings, neither of them is on the front.
     """
 
     def larger(theirs: Floats, ours: Floats, step: float) -> bool:

@@ -1,13 +1,14 @@
-"""The paper's figures, each once, and how ours compare with them: the only place that tables, report and pictures ask.
+"""The paper's figures, each stored once, and how evetac's figures compare with them.
 
-A row of a report has the paper's figure in a column of its own, `paper_...`. `beside` says it for a row, with its mark,
-from what the row is and from the headers behind it. Of the marks that apply, the first of these is given:
+Tables, reports and plots take the paper's figures only from here. A row of a report has the paper's figure in a column
+of its own, `paper_...`. `beside` returns this figure for a row, with a mark that depends on the row and on the headers
+behind it. Of the marks that apply, the first of these is used:
 
-- fitted: our scene was adjusted until it gave this figure, so that the agreement proves nothing;
-- other method: another tracker, training, detector or law of the grip than the paper's, or other inputs;
-- other scene: objects, motions or surroundings that are not made after the paper's, or of which nothing is known;
+- fitted: evetac's scene was adjusted until it gave this figure, so the agreement proves nothing;
+- other method: another tracker, training, detector or grip controller than the paper's, or other inputs;
+- other scene: objects, motions or surroundings that are not modelled on the paper's, or are unknown;
 - other size: another number of trials, trajectories, objects, windows or trainings, or another duration;
-- same method: all of these are the paper's, but that ours may be simulated.
+- same method: all of these match the paper, although evetac's data may be simulated.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -17,9 +18,9 @@ from typing import NamedTuple
 from evetac_cli.evaluate.source import Row, Source
 
 SAME, METHOD, SIZE, SCENE, FITTED = "same method", "other method", "other size", "other scene", "fitted"
-MARKS = (FITTED, METHOD, SCENE, SIZE, SAME)  # in the order in which they are looked for
+MARKS = (FITTED, METHOD, SCENE, SIZE, SAME)  # in order of precedence
 
-Key = tuple[str | float, ...]  # the quantity, then what it is of
+Key = tuple[str | float, ...]  # the quantity, then its subject (object, model, ...)
 
 LAWS = ("paper", "paper-reset")  # controllers: two readings of the paper's text
 ROBUSTNESS = ("sideways", "drop-20g", "drop-100g")  # scenes of the paper's tests of robustness
@@ -28,17 +29,17 @@ OTHER_SENSOR = "another sensor"
 
 @dataclass(frozen=True)
 class Conditions:
-    """How a figure came about, the paper's or ours, in evetac's names."""
+    """The conditions under which a figure was obtained, the paper's or evetac's, in evetac's names."""
 
-    method: str  # network with its training, preset of the tracker, law of the grip
+    method: str  # network with its training, tracker preset, grip controller
     scene: str
     size: tuple[float, ...]  # numbers of trials, objects, trainings and the like, and durations in s
-    inputs: str = ""  # what the method was given, as far as it can be another's
+    inputs: str = ""  # inputs of the method, where they may differ
 
 
 @dataclass(frozen=True)
 class PaperFigure:
-    """A figure of the paper; fitted_in: the scene of ours, if any, that was adjusted until it gave this figure."""
+    """A figure of the paper; fitted_in: the scene of evetac that was adjusted until it gave this figure, or empty."""
 
     value: float
     unit: str
@@ -56,9 +57,9 @@ SLIP_INPUTS = "dots by paper, labels by farneback"
 DETECTOR = "dots by paper, fast-slow 10 ms ahead by paper"
 SEEDS, TRAINED_ON, LIFT_S, BALANCE_S = 5, 360, 10.0, 20.0
 HORIZONS_MS = (0, 10, 20)  # for which the paper predicts slip
-COLUMNS = 540  # of the frame that the paper counts, without the window, for its sensor and the RGB sensor
-WINDOWS_S = (10.0, 2.0, 1.0)  # of windows of vibration
-WHOLE_S = 100.0  # of a tone
+COLUMNS = 540  # of the frame, without the window, that the paper counts for both sensors
+WINDOWS_S = (10.0, 2.0, 1.0)  # lengths of vibration windows
+WHOLE_S = 100.0  # recorded per tone
 
 
 def _slip(value: float, unit: str, where: str, model: str, trajectories: int) -> PaperFigure:
@@ -120,7 +121,7 @@ def _other_figures() -> Iterator[tuple[Key, PaperFigure]]:
     where = "Data Rate Experiments, table"
     for interval, mean, sd in (("whole", 0.017, 0.004), ("contact", 0.028, 0.008), ("slip", 0.119, 0.006)):
         conditions = Conditions("bytes a second", "data-rate", (5,), f"{COLUMNS} columns")
-        fitted_in = "data-rate" if interval == "slip" else ""  # by the mass of the object, which the paper does not say
+        fitted_in = "data-rate" if interval == "slip" else ""  # by the object's mass, which the paper does not state
         for key, value in (("data rate", mean), ("data rate, sd", sd)):
             figure = PaperFigure(value, "share of the RGB sensor's", where, conditions, fitted_in=fitted_in)
             yield (key, interval), figure
@@ -164,12 +165,12 @@ FIGURES: dict[Key, PaperFigure] = dict(
 
 
 def value(*key: str | float) -> float | None:
-    """A figure of the paper by its key; None where the paper has none."""
+    """Return a figure of the paper by its key; None if the paper has none."""
     figure = FIGURES.get(key)
     return None if figure is None else figure.value
 
 
-# Which figure stands beside which row ---------------------------------------------------------------------------------
+# Which figure belongs to which row ------------------------------------------------------------------------------------
 
 
 def _scenes(source: Source) -> str:
@@ -186,7 +187,7 @@ def _by(what: str, names: Iterable[str]) -> str:
 
 def _of_slip(quantity: str) -> Callable[[Row], Key]:
     def key(row: Row) -> Key:
-        # The paper has F1 for the objects of the training alone, and down5 on these alone. -6x6: images for a CPU.
+        # The paper has F1 and down5 only for the training objects. -6x6: smaller images for a CPU.
         model, horizon_ms = row["model"].removesuffix("-6x6"), row["horizon_ms"]
         unseen = (quantity, "unseen", model, horizon_ms)
         return unseen if row.get("paper_f1") is None and unseen in FIGURES else (quantity, "known", model, 0)
@@ -209,22 +210,22 @@ def _our_force(row: Row, source: Source) -> Conditions:
 
 
 def _our_data_rate(row: Row, source: Source) -> Conditions:
-    columns = row.get("columns")  # reports of method 1 counted all
+    columns = row.get("columns")  # reports of method version 1 counted all columns
     counted = "all columns" if columns is None else f"{columns} columns"
     return Conditions("bytes a second", _scenes(source), (row["trajectories"],), counted)
 
 
 class PaperSetting(NamedTuple):
-    """The setting of a grasp, as `evaluate grasp` names it, in parts."""
+    """The parts of a grasp setting as named by `evaluate grasp`."""
 
     law: str
     scene: str
     gain: str
-    method: str  # the law with all that is unusual about it but gain and scene
+    method: str  # the controller with everything non-default except gain and scene
 
     @classmethod
     def of(cls, text: str) -> "PaperSetting":
-        """From its words."""
+        """Parse the words of a setting."""
         law, *words = text.split(", ")
         gain = next((word.removeprefix("gain ") for word in words if word.startswith("gain ")), "1")
         unusual = [word for word in words if word.endswith((" late", " Hz"))]
@@ -267,12 +268,12 @@ def _our_grasp(row: Row, source: Source) -> Conditions:
 
 
 class PaperColumn(NamedTuple):
-    """A column `paper_...`: what names a row's figure and says what ours is, and the columns that both read."""
+    """A column `paper_...`: the key of a row's figure, the row's own conditions, and the columns that both read."""
 
     key: Callable[[Row], Key]
     ours: Callable[[Row, Source], Conditions]
     needs: tuple[str, ...]
-    may_need: tuple[str, ...] = ()  # where the row has them
+    may_need: tuple[str, ...] = ()  # read if the row has them
 
 
 def _of_preset(quantity: str) -> PaperColumn:
@@ -301,7 +302,7 @@ def _of_model(quantity: str) -> PaperColumn:
 
 
 def _of_object() -> PaperColumn:
-    """Timing on one object, of which a row says by how many models; the paper has it where its detector often fails."""
+    """Return the column of timing on one object by several models; the paper has it where its detector often fails."""
     return PaperColumn(
         lambda row: ("correct", "object", row["model"], row["horizon_ms"], str(row["object"])),
         lambda row, source: _our_slip({**row, "seeds": row["models"]}, source),
@@ -336,14 +337,14 @@ SHOWN: dict[str, PaperColumn] = {
 
 
 class Beside(NamedTuple):
-    """What stands beside a figure of ours."""
+    """The paper's value and its mark, for display next to a figure of evetac."""
 
     value: float
     mark: str
 
 
 def mark(figure: PaperFigure, ours: Conditions, *, simulated: bool) -> str:
-    """How ours compares with a figure of the paper: one of MARKS, the first that applies."""
+    """Return how evetac's figure compares with one of the paper: the first of MARKS that applies."""
     paper = figure.conditions
     if simulated and figure.fitted_in and (ours.method, ours.scene) == (paper.method, figure.fitted_in):
         return FITTED
@@ -355,14 +356,14 @@ def mark(figure: PaperFigure, ours: Conditions, *, simulated: bool) -> str:
 
 
 def value_of(column: str, row: Row) -> float | None:
-    """The paper's figure of a column `paper_...` for a row with our figures; None where the paper has none."""
+    """Return the paper's figure of a column `paper_...` for a row; None if the paper has none."""
     return value(*SHOWN[column].key(row))
 
 
 def beside(column: str, row: Row, source: Source) -> Beside | None:
-    """The paper's figure and its mark for a row of a report.
+    """Return the paper's figure and its mark for a row of a report.
 
-    None where the evaluation put none beside it, and for a row of an older evaluation that does not tell what it is.
+    None if the evaluation stored no figure of the paper, and for rows of older reports that lack the needed columns.
     """
     named = SHOWN[column]
     if row.get(column) is None or any(row.get(name) is None for name in named.needs):

@@ -1,4 +1,4 @@
-"""Phases of a recording: its longest rest, all slices in which something moves, and the dots that were stroked."""
+"""Phases of a recording: its longest rest, all slices with motion, and the dots that were stroked."""
 
 from contextlib import suppress
 from dataclasses import dataclass
@@ -16,44 +16,44 @@ from evetac_cli.stages.identify.at_rest import LONGEST_REST, SHORTEST_REST
 from evetac_cli.store.recordings.read import Recording
 
 SHORTEST_MOTION = 300  # slices
-MOST_EVENTS = 5_000_000  # of one phase
+MOST_EVENTS = 5_000_000  # limit per phase
 
 Counts = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
 class ContactPhase:
-    """The events of one phase, time going on without what lies between, and how many each slice has."""
+    """The events of one phase on a continuous time axis without the gaps between its pieces, and events per slice."""
 
     events: Events
     counts: Counts
 
     @property
     def duration_us(self) -> int:
-        """How long it lasts."""
+        """Duration of the phase."""
         return len(self.counts) * SLICE_US
 
     def part(self, first: int, stop: int) -> "ContactPhase":
-        """Some of its slices, time starting at 0."""
+        """Return the slices [first, stop) of the phase, with time starting at 0."""
         begin, end = (int(self.counts[:place].sum()) for place in (first, stop))
         events = self.events.part(begin, end)
         return ContactPhase(events._replace(t=events.t - first * SLICE_US), self.counts[first:stop])
 
     def halves(self) -> tuple["ContactPhase", "ContactPhase"]:
-        """Its first and its second half."""
+        """Return the first and the second half."""
         middle = len(self.counts) // 2
         return self.part(0, middle), self.part(middle, 2 * middle)
 
 
 def rest_and_motion(recording: Recording) -> tuple[ContactPhase | None, ContactPhase | None]:
-    """The longest rest and all motion of a recording, None where it has none, or too little of it."""
+    """Return the longest rest and all motion of a recording; None for either if it is missing or too short."""
     counts = np.diff(recording.starts)
     spells = rest_image.quiet_spells(counts)
     first, stop = max(spells, key=lambda spell: spell[1] - spell[0], default=(0, 0))
     stop = min(stop, first + LONGEST_REST)
     rest = _phase(recording, [(first, stop)]) if stop - first >= SHORTEST_REST else None
     if rest is not None and not _is_still(rest, recording.frame_px):
-        rest, spells = None, []  # the slowest motion of a recording in which something always moves
+        rest, spells = None, []  # something always moves: this is only the slowest motion
     edges = [0, *(edge for spell in spells for edge in spell), len(counts)]
     moving = [(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b > a]
     whole = sum(b - a for a, b in moving) >= SHORTEST_MOTION
@@ -61,7 +61,7 @@ def rest_and_motion(recording: Recording) -> tuple[ContactPhase | None, ContactP
 
 
 def stroked(recording: Recording, rest: ContactPhase | None) -> pressed.Press | None:
-    """What the dots tell that were stroked from rest; None where none were."""
+    """Return the dots that were stroked from rest and the estimates from them; None if no dots were stroked."""
     noise_hz = 0.0
     if rest is not None:
         noise_hz = figures.at_rest(*rest.events, recording.frame_px, rest.duration_us)["ordinary_hz"]
@@ -82,7 +82,7 @@ def _is_still(phase: ContactPhase, frame_px: tuple[int, int]) -> bool:
 
 
 def _phase(recording: Recording, pieces: list[tuple[int, int]]) -> ContactPhase | None:
-    """Pieces of a recording one after the other, up to MOST_EVENTS; None where the first slice has more."""
+    """Return pieces of a recording joined end to end, up to MOST_EVENTS; None if the first slice already has more."""
     parts: list[Events] = []
     counts: list[Counts] = []
     slices, held = 0, 0

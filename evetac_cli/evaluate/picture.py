@@ -1,9 +1,9 @@
-"""Pictures beside reports: one style for all of them, and how they are written.
+"""Plots next to reports: one style for all of them, and functions that write them.
 
-A picture is drawn from the rows of its report, and again only where it is missing. Without matplotlib (the extra
-`plot`) a report is made all the same and says how to get the picture.
+A plot is drawn from the rows of its report, and redrawn only if it is missing. Without matplotlib (the extra `plot`)
+the report is still written and its summary says how to install matplotlib.
 
-Legends stand outside the panels, so that they cover nothing.
+Legends are outside the panels, so that they cover nothing.
 """
 
 import dataclasses
@@ -18,11 +18,11 @@ from evetac_cli.evaluate.paper import MARKS
 from evetac_cli.jobs import Outcome
 from evetac_cli.store.hdf5.disk import taking_the_place_of
 
-# Okabe and Ito's colours, which most kinds of colour blindness tell apart, but for yellow, too pale for a line.
+# Okabe and Ito's palette, safe for most kinds of colour blindness, without yellow, which is too pale for a line.
 COLOURS = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#56B4E9", "#CC79A7", "#666666")
-MARKERS = "os^vP*Xh"  # another number than of colours: 56 series differ
-CORRECT, EARLY, LATE = COLOURS[0], COLOURS[1], "#A6A6A6"  # the same three wherever slip timing is shown
-PAPER_MARKERS = dict(zip(MARKS, ("8", "D", "p", "H", "d"), strict=True))  # none of them is a series'
+MARKERS = "os^vP*Xh"  # 8 markers and 7 colours: 56 different series
+CORRECT, EARLY, LATE = COLOURS[0], COLOURS[1], "#A6A6A6"  # the same in all plots of slip timing
+PAPER_MARKERS = dict(zip(MARKS, ("8", "D", "p", "H", "d"), strict=True))  # none of them is a marker of a series
 PAPER = {
     "markersize": 7,
     "markerfacecolor": "white",
@@ -32,9 +32,9 @@ PAPER = {
 }
 INTERVAL = {"fmt": "none", "ecolor": "black", "elinewidth": 1.2, "capsize": 3, "zorder": 4}
 DPI = 120
-STYLE: dict[Any, Any] = {  # matplotlib names the keys that it knows
+STYLE: dict[Any, Any] = {  # Any, because matplotlib's type stubs require literal keys
     "figure.dpi": DPI,
-    "font.family": "DejaVu Sans",  # matplotlib brings it: the same picture on every computer
+    "font.family": "DejaVu Sans",  # comes with matplotlib: the same plot on every computer
     "font.size": 9,
     "figure.titlesize": 12,
     "axes.titlesize": 10,
@@ -54,14 +54,14 @@ STYLE: dict[Any, Any] = {  # matplotlib names the keys that it knows
     "grid.color": "0.9",
     "lines.linewidth": 1.3,
 }
-INCH_A_LETTER, INCH_A_LINE = 0.078, 0.19  # of a legend
-MOST_TICKS = 9  # of a logarithmic axis
+INCH_A_LETTER, INCH_A_LINE = 0.078, 0.19  # estimated size of legend text
+MOST_TICKS = 9  # on a logarithmic axis
 
 
 def beside(outcome: Outcome, report: Path, draw: Callable[[Any], None], size_in: tuple[float, float]) -> Outcome:
-    """Draw into an empty figure of (width, height) in inches and keep it as PNG beside the report; say where it is.
+    """Draw into an empty figure of (width, height) in inches and save it as PNG next to the report.
 
-    InputError if it cannot be written.
+    The returned outcome has the path in its summary. Raises InputError if the file cannot be written.
     """
     path = report.with_suffix(".png")
     if not outcome.made and path.exists():
@@ -69,19 +69,19 @@ def beside(outcome: Outcome, report: Path, draw: Callable[[Any], None], size_in:
     try:
         write(path, draw, size_in)
     except ImportError:
-        shown = f"none, for want of matplotlib; {install_hint('plot')}"
+        shown = f"none: matplotlib is not installed; {install_hint('plot')}"
     else:
         shown = str(path)
     return dataclasses.replace(outcome, summary={**outcome.summary, "plot": shown})
 
 
 def write(path: Path, draw: Callable[[Any], None], size_in: tuple[float, float]) -> None:
-    """Draw into an empty figure of (width, height) in inches and write it as PNG; ImportError without matplotlib."""
+    """Draw into an empty figure of (width, height) in inches and write a PNG; raise ImportError without matplotlib."""
     import matplotlib
     from matplotlib.figure import Figure
 
     with matplotlib.rc_context():
-        matplotlib.rcdefaults()  # not what a matplotlibrc says: one may lie in the working folder
+        matplotlib.rcdefaults()  # ignore any matplotlibrc, such as one in the working folder
         matplotlib.rcParams.update(STYLE)
         figure = Figure(figsize=size_in, layout="constrained")
         draw(figure)
@@ -90,7 +90,7 @@ def write(path: Path, draw: Callable[[Any], None], size_in: tuple[float, float])
 
 
 def series(number: int) -> dict[str, Any]:
-    """Colour, marker and line of a series; where colours come again, the line is dashed."""
+    """Return colour, marker and line style of a series; once the colours repeat, lines are dashed."""
     return {
         "color": COLOURS[number % len(COLOURS)],
         "marker": MARKERS[number % len(MARKERS)],
@@ -100,12 +100,12 @@ def series(number: int) -> dict[str, Any]:
 
 
 def of_paper(mark: str, measured_on: str = "real sensor") -> dict[str, Any]:
-    """Label and style of a figure of the paper that compares with ours as its mark says."""
+    """Return label and style of a figure of the paper; its mark states how it compares with evetac's figure."""
     return {**PAPER, "marker": PAPER_MARKERS[mark], "label": f"the paper, {measured_on} ({mark})"}
 
 
 def panels(figure: Any, count: int, most_columns: int, **shared: Any) -> list[Any]:
-    """So many axes in rows of equal length, what is left of the last row empty."""
+    """Return `count` axes in rows of equal length; unused positions in the last row stay empty."""
     rows = math.ceil(count / most_columns)
     axes = figure.subplots(rows, math.ceil(count / rows), squeeze=False, **shared).ravel()
     for empty in axes[count:]:
@@ -114,9 +114,9 @@ def panels(figure: Any, count: int, most_columns: int, **shared: Any) -> list[An
 
 
 def label_x(panels: Sequence[Any], words: str) -> None:
-    """The same words below the last panel of each column.
+    """Write the same label below the last panel of each column.
 
-    Why so: matplotlib's own label of a whole figure lies under a legend that stands outside.
+    Reason: matplotlib's own label of a whole figure is hidden by a legend outside the panels.
     """
     lowest = {axes.get_subplotspec().colspan.start: axes for axes in panels}
     for axes in lowest.values():
@@ -125,7 +125,7 @@ def label_x(panels: Sequence[Any], words: str) -> None:
 
 
 def legend(figure: Any, axes: Iterable[Any], **more: Any) -> None:
-    """One legend for several panels, below them: each label once."""
+    """Draw one legend for several panels below them, each label once."""
     entries: dict[str, Any] = {}
     for panel in axes:
         handles, labels = panel.get_legend_handles_labels()
@@ -137,24 +137,24 @@ def legend(figure: Any, axes: Iterable[Any], **more: Any) -> None:
 
 
 def plain(text: str) -> str:
-    """A text from a file, or the name of one, as matplotlib draws it: no formula, and only signs that can be seen."""
+    """Escape a text or file name for matplotlib: no formula, printable characters only."""
     return safe(text).replace("$", r"\$")
 
 
 def legend_height_in(labels: Sequence[str], width_in: float) -> float:
-    """How many inches a legend takes below panels of this width."""
+    """Return the height in inches of a legend below panels of this width."""
     return 0.15 + INCH_A_LINE * math.ceil(len(labels) / _legend_columns(labels, width_in))
 
 
 def _legend_columns(labels: Sequence[str], width_in: float) -> int:
-    longest_in = INCH_A_LETTER * (max(map(len, labels), default=0) + 8)  # with its mark and the gap beside it
+    longest_in = INCH_A_LETTER * (max(map(len, labels), default=0) + 8)  # with its marker and the gap
     return max(1, min(len(labels), int(width_in / longest_in)))
 
 
 def wilson(share: float, count: int) -> list[list[float]]:
-    """How far Wilson's 95 % interval of a share of `count` trials reaches below and above it, as matplotlib wants it.
+    """Return how far Wilson's 95 % interval of a share of `count` trials extends below and above it, for matplotlib.
 
-    It stays within 0 and 1, also where all or none of the trials succeed.
+    It stays within 0 and 1, even if all or none of the trials succeed.
     """
     from evetac_cli.kernels import estimates
 
@@ -163,16 +163,16 @@ def wilson(share: float, count: int) -> list[list[float]]:
 
 
 def share_axis(axis: Any) -> None:
-    """From 0 to 1, with room for a mark at either end."""
+    """Set an axis from 0 to 1, with room for a marker at either end."""
     axis.set_view_interval(-0.03, 1.03, ignore=True)
     axis.set_ticks([0.0, 0.2, 0.4, 0.6, 0.8, 1.0])
 
 
 def log_axis(axis: Any) -> None:
-    """Make an axis logarithmic, with numbers that are written out.
+    """Make an axis logarithmic, with numbers written out.
 
-    Ticks stand at whole decades, where the axis spans no more than two and a half also at 2 and 5. An axis on which
-    fewer than three of them fall is made longer, to the next tick at both ends.
+    Ticks are at whole decades, and also at 2 and 5 if the axis spans at most two and a half decades. If an axis has
+    fewer than three ticks, it is extended to the next tick at both ends.
     """
     from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter, NullLocator
 
@@ -195,7 +195,7 @@ def log_axis(axis: Any) -> None:
 
 
 def written_out(value: float) -> str:
-    """A tick of a logarithmic axis: 0.001 to 100,000 in figures, others as a power of ten."""
+    """Return a tick label of a logarithmic axis: 0.001 to 100,000 in figures, others as a power of ten."""
     if 0.99e-3 < value < 1.01e5:
         return f"{value:,.10g}"
     exponent = math.floor(math.log10(value) + 1e-9)
@@ -204,7 +204,7 @@ def written_out(value: float) -> str:
 
 
 def say_instead(axes: Any, text: str) -> None:
-    """Words in a panel that has nothing of ours to show; without numbers at its axes where it shows nothing at all."""
+    """Write text into a panel without data of evetac's own; hide its axis numbers if the panel is entirely empty."""
     axes.text(0.5, 0.75, text, transform=axes.transAxes, ha="center", va="center", color="0.4")
     if not any(len(line.get_xdata()) for line in axes.lines):
         axes.tick_params(labelbottom=False, labelleft=False)

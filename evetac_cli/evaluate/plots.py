@@ -1,4 +1,4 @@
-"""The picture of error against run time: a row of panels for each kind of workload, a panel for each error."""
+"""Plot of error against run time: a row of panels per kind of workload, a panel per error."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -9,21 +9,21 @@ from evetac_cli.evaluate import picture
 from evetac_cli.jobs import Rows
 
 STILL = "standing still"
-REAL_TIME_US = 1000.0  # run time of a simulated millisecond, at real time
+REAL_TIME_US = 1000.0  # run time per simulated millisecond at real-time speed
 UNITS = ("um", "us", "px", "ms", "share")
 UM_PER_PX = 32.9  # of the sensor `evetac`
 
 
 def size_in(rows: Rows) -> tuple[float, float]:
-    """Width and height in inches: as high as there are different values in the column `part`."""
+    """Return width and height in inches; the height grows with the number of different values in the column `part`."""
     return 14.0, 4.2 * len({row.get("part") for row in rows})
 
 
 def draw(figure: Any, rows: Rows, errors: Sequence[str]) -> None:
-    """Draw log error over log run time, a line for each integrator or mode.
+    """Plot log error over log run time, a line per integrator or mode.
 
-    A setting is `line, knob`; one without a knob (`layer order 1`) belongs to no line and is not drawn. `reference` and
-    `standing still` are lines across the panel.
+    A setting is `line, knob`; a setting without a knob (`layer order 1`) belongs to no line and is not drawn.
+    `reference` and `standing still` are horizontal lines across the panel.
     """
     parts = list(dict.fromkeys(row["part"] for row in rows))
     for subfigure, part in zip(figure.subfigures(len(parts), 1, squeeze=False)[:, 0], parts, strict=True):
@@ -34,12 +34,12 @@ def draw(figure: Any, rows: Rows, errors: Sequence[str]) -> None:
         panels = picture.panels(subfigure, len(names), len(names))
         for axes, name in zip(panels, names, strict=True):
             draw_panel(axes, part_rows, name)
-        picture.label_x(panels, "run time of a millisecond\n(one slice), median [us]")
+        picture.label_x(panels, "run time per millisecond\n(one slice), median [us]")
         picture.legend(subfigure, panels)
 
 
 def draw_panel(axes: Any, rows: Rows, error: str) -> None:
-    """Draw one kind of error; an error of 0 has no place on a logarithmic axis and is left out."""
+    """Draw one kind of error; an error of 0 has no position on a logarithmic axis and is left out."""
     lines: dict[str, Rows] = {}
     for row in rows:
         line, comma, _ = row["setting"].rpartition(", ")
@@ -58,7 +58,7 @@ def draw_panel(axes: Any, rows: Rows, error: str) -> None:
             times, errors = np.array([(row["time_us_median"], row[error]) for row in points]).T
             knobs = [row["setting"].rpartition(", ")[2] for row in members]
             label = f"{line}, {_knob_range(knobs[len(unstable)], knobs[-1])}"
-            label += f"; blows up from {knobs[len(unstable) - 1]} on" if unstable else ""
+            label += f"; unstable from {knobs[len(unstable) - 1]}" if unstable else ""
             axes.plot(times, errors, label=label, **picture.series(number))
     axes.axvline(REAL_TIME_US, color="0.3", linewidth=1, linestyle="--", label="real time")
     first, *rest = error.removeprefix("error_").split("_")
@@ -72,7 +72,7 @@ def draw_panel(axes: Any, rows: Rows, error: str) -> None:
 
 
 def _knob_range(first: str, last: str) -> str:
-    """`dt 10 ms`, `dt 0.1 ms` as `dt 10 to 0.1 ms`: words that both begin or end with are said once."""
+    """Shorten two knob values to a range: `dt 10 ms`, `dt 0.1 ms` become `dt 10 to 0.1 ms`, without repeated words."""
     if first == last:
         return first
     begin, end = first.split(" "), last.split(" ")

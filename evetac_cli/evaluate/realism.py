@@ -1,13 +1,13 @@
-"""evaluate realism: how far a simulated recording is from a real one, beside how far the real one's halves differ.
+"""evaluate realism: distance of a simulated recording from a real one, next to the distance between the real halves.
 
-Two phases, each where both recordings have it: the longest rest, and all slices in which something moves. Distances
-are relative differences, and between distributions the largest difference of their cumulative shares. The halves show
-what to expect of equal cameras; as they are shorter, chance moves them 1.4 times as far. Dot edges are compared where
-both recordings show dots that were stroked from rest.
+Two phases are compared if both recordings have them: the longest rest, and all slices with motion. Distances are
+relative differences; for distributions they are the largest difference of the cumulative shares. The two halves of the
+real recording show what to expect of identical cameras. As halves are shorter, their random differences are 1.4 times
+as large. Dot edges are compared if both recordings show dots that were stroked from rest.
 
-A classifier says how well half seconds of the two can be told apart: the area under its ROC curve (AUC) on windows that
-it was not fitted on, 0.5 where they cannot be. Beside it stands that of two recordings of the real sensor, or of every
-other second of the real one against the seconds between.
+A classifier measures how well half-second windows of the two recordings can be distinguished: the area under its ROC
+curve (AUC) on held-out windows, 0.5 if they are indistinguishable. For comparison there is the AUC between two
+recordings of the real sensor (--same), or between alternate seconds of the real recording.
 """
 
 import functools
@@ -35,15 +35,15 @@ from evetac_cli.store.recordings.read import Recording, open_recording
 
 OUTPUT = "report"
 METHOD = 3
-MOST_WINDOWS = 240  # of a recording, for the classifier: two minutes
-NEAR = 0.10  # a distance that the summary counts as near
+MOST_WINDOWS = 240  # per recording, for the classifier: two minutes
+NEAR = 0.10  # distances up to this count as near in the summary
 EDGES = ("dot_radius_px", "edge_sigma_px", "contrast_over_threshold")  # figures of the dots' edges
 RELATIVE, CUMULATIVE, HELD_OUT = "relative difference", "largest gap of cumulative shares", "AUC of held-out windows"
 
 
 @dataclass(frozen=True)
 class Side:
-    """What is compared of a recording: its phases, None where it has none, and its dots."""
+    """The compared parts of a recording: its phases and its pressed dots; None for missing parts."""
 
     name: str
     rest: ContactPhase | None
@@ -52,20 +52,20 @@ class Side:
 
 
 def jobs(files: list[Path], params: EvaluateRealism, out: Path | None) -> list[Job]:
-    """One report over a real and a simulated recording, in this order."""
+    """Return one report job over a real and a simulated recording, in this order."""
     if len(files) != 2:
-        raise InputError("two recordings are compared", expected="the real one, then the simulated one",
+        raise InputError("two recordings are needed", expected="the real one, then the simulated one",
                          found=f"{len(files)} files")  # fmt: skip
     return report_job(files, "realism", out, *([params.same] if params.same else []))
 
 
 def run(job: Job, params: EvaluateRealism, *, force: bool = False, progress: Progress = silent) -> Outcome:
-    """A row for every figure: real, simulated, their distance, and that of the real recording's halves."""
+    """Return a row per figure: real, simulated, their distance, and the distance of the real recording's halves."""
     headers, frame_px = _headers(job.inputs)
 
     @functools.cache
     def sides() -> tuple[Side, Side]:
-        """Both recordings, read once, and only where they are needed."""
+        """Read both recordings, once and only if needed."""
         both = []
         for number, path in enumerate(job.inputs[:2]):
             with open_recording(path) as recording:
@@ -98,32 +98,32 @@ def run(job: Job, params: EvaluateRealism, *, force: bool = False, progress: Pro
 
 
 def for_people(rows: Rows, params: EvaluateRealism) -> tuple[Rows, list[str]]:
-    """All rows, and how many figures are near, and how well the two recordings can be told apart."""
+    """Return all rows, the number of figures that are near, and how well a classifier distinguishes the recordings."""
     known = [row for row in rows if row["distance"] is not None and row["measure"] != HELD_OUT]
     near = sum(row["distance"] <= NEAR for row in known)
     as_halves = sum(row["distance"] <= (row["distance_of_halves"] or 0.0) for row in known)
     lines = [
-        f"{near} of {len(known)} figures are within {NEAR:.0%} of the real recording's; {as_halves} are as near as its"
-        " own halves are to each other."
+        f"{near} of {len(known)} figures are within {NEAR:.0%} of the real recording's;"
+        f" {as_halves} differ no more than its own halves do."
     ]
     for row in rows:
         if row["measure"] == HELD_OUT:
             same = row["distance_of_halves"]
             beside = "" if same is None else f"; two recordings of the real sensor: {same:.2f}"
-            lines.append(f"Told apart with an AUC of {row['distance']:.2f} (0.5: not at all, 1: always){beside}.")
+            lines.append(f"Distinguished with an AUC of {row['distance']:.2f} (0.5: never, 1: always){beside}.")
     return rows, lines
 
 
 def _headers(paths: Sequence[Path]) -> tuple[list[Header], tuple[int, int]]:
-    """Headers of the recordings and their frame; InputError if frames differ, or a recording is given twice."""
+    """Return headers and frame of the recordings; raise InputError if frames differ or a recording is given twice."""
     headers: list[Header] = []
     frames: list[tuple[int, int]] = []
     for path in paths:
         with open_recording(path) as recording:
             header, frame_px = recording.header, recording.frame_px
         if header["id"] in [other["id"] for other in headers]:
-            expected = "different recordings, also of --same"
-            raise InputError("a recording is compared with itself", where=str(path), expected=expected)
+            expected = "different recordings, including --same"
+            raise InputError("a recording would be compared with itself", where=str(path), expected=expected)
         headers.append(header)
         frames.append(frame_px)
         if frame_px != frames[0]:
@@ -137,7 +137,10 @@ def _headers(paths: Sequence[Path]) -> tuple[list[Header], tuple[int, int]]:
 
 
 def _told_apart(paths: Sequence[Path], progress: Progress) -> Rows:
-    """A row for the classifier, none where recordings are too short: windows of each, AUC, and that of one sensor."""
+    """Return the row of the classifier: windows of each recording, AUC, and AUC for one sensor.
+
+    No row if the recordings are too short.
+    """
     sides = []
     for number, path in enumerate(paths):
         with open_recording(path) as recording:
@@ -154,7 +157,7 @@ def _told_apart(paths: Sequence[Path], progress: Progress) -> Rows:
 
 
 def window_features(recording: Recording) -> Floats:
-    """Features (windows, features) of half seconds from the start on, their slices at rest or in motion."""
+    """Return features (windows, features) of consecutive half seconds, with slices at rest and in motion separate."""
     counts = np.diff(recording.starts)
     at_rest = np.zeros(len(counts), np.bool_)
     for first, stop in rest_image.quiet_spells(counts):
@@ -169,7 +172,7 @@ def window_features(recording: Recording) -> Floats:
 
 
 def auc(first: Floats, second: Floats) -> float | None:
-    """AUC of held-out windows of two recordings; None where they are too short."""
+    """Return the AUC of held-out windows of two recordings; None if they are too short."""
     try:
         return classifier.told_apart(first, second)
     except ValueError:
@@ -177,7 +180,7 @@ def auc(first: Floats, second: Floats) -> float | None:
 
 
 def auc_of_halves(of: Floats) -> float | None:
-    """AUC between every other pair of windows and the pairs between them; None where the recording is too short."""
+    """Return the AUC between alternate pairs of windows of one recording; None if it is too short."""
     other = np.arange(len(of)) // classifier.BLOCK % 2 == 1
     return auc(of[~other], of[other])
 
@@ -189,7 +192,7 @@ def _side(recording: Recording) -> Side:
 
 
 def _as_long(real: Side, simulated: Side) -> tuple[Side, Side]:
-    """Both with rests of one length, because how many pixels are hot, and which intervals are seen, hangs on it."""
+    """Shorten the rests to equal length, because the number of hot pixels and the observed intervals depend on it."""
     if real.rest is None or simulated.rest is None:
         return real, simulated
     slices = min(len(real.rest.counts), len(simulated.rest.counts))
@@ -198,7 +201,7 @@ def _as_long(real: Side, simulated: Side) -> tuple[Side, Side]:
 
 
 def compare(real: Side, simulated: Side, frame_px: tuple[int, int]) -> Rows:
-    """A row for every figure of the phases that both have."""
+    """Return a row per figure of the phases that both recordings have."""
     rows: Rows = []
     if real.rest and simulated.rest:
         rows += _phase_rows("rest", real.rest, simulated.rest, frame_px, _at_rest)
@@ -232,27 +235,32 @@ def _phase_rows(
     measure: Callable[[ContactPhase, tuple[int, int]], tuple[dict[str, float], dict[str, NDArray]]],
 ) -> Rows:
     halves = [measure(half, frame_px) for half in real.halves()]
-    (scalars, samples), (made, made_samples) = (measure(phase, frame_px) for phase in (real, simulated))
+    (scalars, samples), (other_scalars, other_samples) = (measure(phase, frame_px) for phase in (real, simulated))
     rows = [
-        _row(name, figure, scalars[figure], made[figure], _relative(scalars[figure], made[figure]),
+        _row(name, figure, scalars[figure], other_scalars[figure], _relative(scalars[figure], other_scalars[figure]),
              _relative(halves[0][0][figure], halves[1][0][figure]), RELATIVE)
         for figure in scalars
     ]  # fmt: skip
     for figure, sample in samples.items():
-        ours, theirs = (float(np.median(one)) if len(one) else float("nan") for one in (sample, made_samples[figure]))
+        ours, theirs = (float(np.median(one)) if len(one) else float("nan") for one in (sample, other_samples[figure]))
         of_halves = figures.largest_gap(halves[0][1][figure], halves[1][1][figure])
-        gap = figures.largest_gap(sample, made_samples[figure])
+        gap = figures.largest_gap(sample, other_samples[figure])
         rows.append(_row(name, figure, ours, theirs, gap, of_halves, CUMULATIVE))
     return rows
 
 
 def _edge_rows(real: pressed.Press, simulated: pressed.Press) -> Rows:
-    """Radius and blur of the dots' edges, and events from dot to gel; half of the interval stands for the halves."""
+    """Return rows for radius and blur of the dots' edges, and for events from dot to gel.
+
+    Half the confidence interval replaces the distance of the halves.
+    """
     rows = []
     for figure in EDGES:
-        ours, made = (getattr(side.optics, figure) for side in (real, simulated))
+        ours, theirs = (getattr(side.optics, figure) for side in (real, simulated))
         own = (ours.high - ours.low) / 2 / ours.value
-        rows.append(_row("dot edges", figure, ours.value, made.value, _relative(ours.value, made.value), own, RELATIVE))
+        rows.append(
+            _row("dot edges", figure, ours.value, theirs.value, _relative(ours.value, theirs.value), own, RELATIVE)
+        )
     return rows
 
 
@@ -265,12 +273,12 @@ def _row(
 
 
 def _relative(first: float, second: float) -> float:
-    """How far the second is from the first, in shares of the first; NaN where either is unknown, or the first 0."""
+    """Return the difference relative to the first value; NaN if either is unknown or the first is 0."""
     return abs(second / first - 1.0) if first and np.isfinite(first) and np.isfinite(second) else float("nan")
 
 
 def _draw(figure: Any, real: Side, simulated: Side, frame_px: tuple[int, int]) -> None:
-    """Times between events of hot pixels, rates of pixels, spectrum of the event rate, and the dots' edges."""
+    """Plot times between events of hot pixels, pixel rates, the spectrum of the event rate, and the dots' edges."""
     figure.suptitle(f"Real: {real.name}\nSimulated: {simulated.name}")
     panels = picture.panels(figure, 4, 2)
     for side, colour, label in ((real, "black", "real"), (simulated, picture.CORRECT, "simulated")):
@@ -293,9 +301,9 @@ def _draw(figure: Any, real: Side, simulated: Side, frame_px: tuple[int, int]) -
         if side.press:
             rims = side.press.profile
             panels[3].plot(rims.distance_px, rims.share, **style)
-    panels[0].set(xlabel="time between events of a hot pixel [us]", ylabel="share of the times up to this")
-    panels[1].set(xlabel="rank of the pixel, the busiest is 1", ylabel="rate of the pixel [events/s]")
-    panels[2].set(xlabel="frequency [Hz]", ylabel="power of the events a slice [events\u00b2/Hz]")
+    panels[0].set(xlabel="time between events of a hot pixel [us]", ylabel="share of shorter or equal times")
+    panels[1].set(xlabel="rank of the pixel (1: most events)", ylabel="rate of the pixel [events/s]")
+    panels[2].set(xlabel="frequency [Hz]", ylabel="power of events per slice [events\u00b2/Hz]")
     panels[3].set(xlabel="distance from the dot's edge [px]", ylabel="share of darkening events", xlim=(-8, 8))
     missing = ("no hot pixel at rest", "no rest", "nothing moves", "no dots were stroked")
     for axes, words, logarithmic in zip(panels, missing, ("x", "xy", "xy", ""), strict=True):
@@ -308,7 +316,7 @@ def _draw(figure: Any, real: Side, simulated: Side, frame_px: tuple[int, int]) -
 
 
 def _cumulative(axes: Any, values: NDArray, **style: Any) -> None:
-    """The cumulative share of values, in a thousand steps at most."""
+    """Plot the cumulative share of values, in at most a thousand steps."""
     if len(values):
         shares = np.linspace(0.0, 1.0, min(1000, len(values)))
         axes.plot(np.quantile(values, shares), shares, **style)

@@ -1,4 +1,4 @@
-"""What the rows of `evaluate cost` have in common: settings that a user can choose, how much is measured, run times."""
+"""Common parts of the rows of `evaluate cost`: selectable solver settings, amounts to measure, run times."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
@@ -18,18 +18,18 @@ FLAGS = {item.name: flag_of(item) for item in fields(Trials) if item.name in SOL
 
 @dataclass(frozen=True)
 class Extent(Generic[Amount]):
-    """How much of something is measured: without and with `--full`."""
+    """Amount to measure, without and with `--full`."""
 
     quick: Amount
     full: Amount
 
     def pick(self, full: bool) -> Amount:
-        """The amount with `--full` or without."""
+        """Return the amount with `--full` or without."""
         return self.full if full else self.quick
 
 
 def collect(rows: Iterable[Row], total: int, progress: Progress) -> Rows:
-    """Measure row after row and report the progress towards `total` of them."""
+    """Measure row after row, and report the progress towards `total`."""
     measured: Rows = []
     for row in rows:
         measured.append(row)
@@ -38,7 +38,7 @@ def collect(rows: Iterable[Row], total: int, progress: Progress) -> Rows:
 
 
 def run_times(times_us: NDArray[np.float64], name: str = "time") -> Row:
-    """The columns `<name>_us_median` and `<name>_us_p99` of some run times; None where nothing was timed."""
+    """Return the columns `<name>_us_median` and `<name>_us_p99` of run times; None if nothing was timed."""
     if not len(times_us):
         return {f"{name}_us_median": None, f"{name}_us_p99": None}
     return {
@@ -49,7 +49,7 @@ def run_times(times_us: NDArray[np.float64], name: str = "time") -> Row:
 
 @dataclass(frozen=True)
 class SolverSetting:
-    """One choice: the line of the picture that it lies on, its place on that line, and the scene's table [solver]."""
+    """One solver setting: its line in the plot, its value on that line, and the scene's table [solver]."""
 
     line: str
     value: str = ""
@@ -57,15 +57,15 @@ class SolverSetting:
 
     @property
     def name(self) -> str:
-        """What stands in the column `setting`: `fixed step, 0.25 ms`."""
+        """The entry in the column `setting`: `fixed step, 0.25 ms`."""
         return f"{self.line}, {self.value}" if self.value else self.line
 
     @property
     def flags(self) -> str:
-        """The flags of `record` and `grasp` that choose it: `--step-ms 0.25`; empty where nothing is chosen."""
+        """The flags of `record` and `grasp` for this setting, such as `--step-ms 0.25`; empty for the default."""
         return " ".join(f"{FLAGS[key]} {value:g}" for key, value in self.solver.items())
 
 
 def line(name: str, key: str, values: tuple[float, ...], unit: str = "", **others: float) -> list[SolverSetting]:
-    """The settings of one line: a key of the table [solver] with each of these values, and others beside it."""
+    """Return the settings of one line: a key of the table [solver] with each of these values, plus other fixed keys."""
     return [SolverSetting(name, f"{value:g} {unit}".rstrip(), {key: value, **others}) for value in values]

@@ -1,18 +1,21 @@
-"""evaluate slip: slip timing and F1 of models on trajectories they never saw (paper, "Evaluation Procedure & Metrics").
+"""evaluate slip: slip timing and F1 of models on unseen trajectories (paper, "Evaluation Procedure & Metrics").
 
-Several models are evaluated at once. Those that differ in their seed alone are one setting, and a setting's figures are
-means over objects and seeds, as in the paper's bars: every object counts the same in every seed. Each model is
-evaluated at its own threshold, which `train` chose on validation trajectories; slip that is predicted ahead of time is
-counted against shifted labels in F1 and against the unshifted onset in the timing.
+Several models are evaluated together. Models that differ only in their seed form one setting. The figures of a setting
+are means over objects and seeds, as in the paper's bars: every object counts the same in every seed. Each model is
+evaluated at its own threshold, which `train` chose on validation trajectories. For models that predict slip ahead of
+time, F1 uses shifted labels and timing uses the unshifted onset.
 
-Beside the timing, which asks when the first slice reaches the threshold, stands what a controller goes by: alarms,
-three slices in a row, how long before slip the one begins that lasts until it, and how often they come where nothing
-slips (slip_warnings.py).
+Timing considers the first slice that reaches the threshold. A controller instead acts on alarms: three slices in a row.
+So further columns report how long before slip the alarm begins that lasts until slip, and how often alarms occur
+without slip (slip_warnings.py).
 
-The rows are eight tables with different columns: the covariates of the slips that are judged on, which decide how far
-the figures of two data sets can be compared (slip_covariates.py); the figures of a setting beside the paper's; how long
-before or after the labels' onset it first detected slip; how often what it said happened; the figures by object; by
-sensor, where there are several; by model; by trajectory.
+The rows form eight tables with different columns:
+
+- the covariates of the slips, which decide how far the figures of two data sets can be compared (slip_covariates.py);
+- the figures of each setting next to the paper's;
+- the times from the labels' onset to the first detection;
+- reliability: predicted probability against frequency of slip;
+- the figures by object; by sensor, if there are several; by model; by trajectory.
 """
 
 import math
@@ -50,11 +53,11 @@ from evetac_cli.store.files import StageFile
 OUTPUT = "report"
 METHOD = 7
 
-SHOWN_MS = (-60, 40)  # of the paper's figure of slip timing
+SHOWN_MS = (-60, 40)  # range of the paper's figure of slip timing
 PANELS = 4  # distributions side by side
-TITLE_WIDTH = 38  # characters above one
+TITLE_WIDTH = 38  # characters per line of a panel's title
 
-# On a terminal: a table of trajectories up to so many rows, and the columns that it shows, by their short names.
+# On a terminal: up to this many trajectories are listed, with these columns and their short names.
 FEW_TRAJECTORIES = 10
 MOST_VERDICTS = 8
 OF_TRAJECTORIES = {
@@ -81,12 +84,12 @@ OF_SETTINGS = {
 
 
 def jobs(files: list[Path], params: EvaluateSlip, out: Path | None) -> list[ModelsReportJob]:
-    """One report over all features files and models."""
+    """Return one report job over all features files and models."""
     features, models = split_models(files, params.model)
     if not features:
         raise InputError(
-            "no features files are given",
-            expected="labelled features that the models were not trained on",
+            "no features files given",
+            expected="labelled features of trajectories that the models were not trained on",
             hint=made_by("features"),
         )
     (job,) = report_job(features, "slip", out, *models)
@@ -95,20 +98,20 @@ def jobs(files: list[Path], params: EvaluateSlip, out: Path | None) -> list[Mode
 
 @dataclass(frozen=True)
 class JudgingJob(ModelsReportJob):
-    """A few trajectories of a report, to be judged by all its models before it is made."""
+    """A few trajectories of a report, evaluated by all its models in advance."""
 
 
 def cautions(jobs: Sequence[ModelsReportJob], params: EvaluateSlip) -> list[str]:
-    """Which models detect nothing at their own thresholds."""
-    said = []
+    """Return a warning for each model that detects nothing at its own threshold."""
+    warnings = []
     for path in jobs[0].inputs[len(jobs[0].inputs) - jobs[0].models :] if params.threshold is None else ():
         with StageFile(path, "model") as file:
-            said += [f"{path} is no slip detector: {why}" for why in [why_useless(file)] if why]
-    return said
+            warnings += [f"{path} is no slip detector: {why}" for why in [why_useless(file)] if why]
+    return warnings
 
 
 def parts(job: ModelsReportJob, params: EvaluateSlip) -> list[JudgingJob]:
-    """What can be judged at the same time, and is then found by the report."""
+    """Return jobs that can run in parallel; the report then finds their results."""
     split = len(job.inputs) - job.models
     paths, models = job.inputs[:split], job.inputs[split:]
     return [
@@ -118,15 +121,15 @@ def parts(job: ModelsReportJob, params: EvaluateSlip) -> list[JudgingJob]:
 
 
 def _kept(job: Job) -> Path:
-    """The folder of what the models judged."""
+    """Return the folder of the stored probabilities."""
     return job.output.with_name(job.output.name.removesuffix(".h5").removesuffix(".report") + ".judged")
 
 
 def split_models(files: list[Path], given: Path | None) -> tuple[list[Path], list[Path]]:
-    """Separate models from other files: a shell puts all but the first of `--model models/*.model.h5` among these.
+    """Separate models from other files: a shell puts all but the first of `--model models/*.model.h5` among the files.
 
     `given` is a model file, a folder of them, a glob or `shipped`. A model that is given twice, even as two files,
-    counts once. InputError without a model.
+    counts once. Raises InputError if there is no model.
     """
     named = named_files(given, "model", "--model") if given is not None else []
     models: dict[str, Path] = {}
@@ -139,13 +142,13 @@ def split_models(files: list[Path], given: Path | None) -> tuple[list[Path], lis
                 others.append(path)
     if not models:
         raise InputError(
-            "no model file is named", where="--model", expected="model files, or their folder", hint=made_by("model")
+            "no model file given", where="--model", expected="model files or their folder", hint=made_by("model")
         )
     return others, list(models.values())
 
 
 def run(job: ModelsReportJob, params: EvaluateSlip, *, force: bool = False, progress: Progress = silent) -> Outcome:
-    """Rows of settings, timing, objects, models and trajectories, and a picture of them."""
+    """Return rows of settings, timing, objects, models and trajectories, and plot them."""
     split = len(job.inputs) - job.models
     paths = job.inputs[:split]
     models = [Model.read(path) for path in job.inputs[split:]]
@@ -154,7 +157,7 @@ def run(job: ModelsReportJob, params: EvaluateSlip, *, force: bool = False, prog
         predict_all(models, paths, headers, progress, job.output.parent)
         return Outcome([], simulated=False)
     thresholds = [model.threshold_for(params.threshold, params.false_alarms_per_min) for model in models]
-    # A report with the truth of more or fewer recordings is another report.
+    # A report that has the truth of more or fewer recordings is a different report.
     known = sum(slip_covariates.with_truth(paths, params.recordings))
     parameters: dict[str, Any] = {**recipe_of(params), "thresholds": thresholds, "with_truth": known}
 
@@ -170,18 +173,21 @@ def run(job: ModelsReportJob, params: EvaluateSlip, *, force: bool = False, prog
 
 
 def for_people(rows: Rows, params: EvaluateSlip) -> tuple[Rows, list[str]]:
-    """What a terminal shows: every trajectory of a model that judged few, else a row a setting; and the verdict."""
+    """Return the rows for a terminal, and the results in sentences.
+
+    With few trajectories there is a row for each, otherwise a row per setting.
+    """
     settings = _settings(rows)
     trajectories = [row for row in rows if "t_c_ms" in row]
     verdict = [_verdict(row) for row in settings[:MOST_VERDICTS]]
     verdict.append(
-        f"Correct is from {-metrics.EARLIEST_MS} ms before the labels' onset, t_c, to {metrics.LATEST_MS} ms after it,"
-        " as in the paper; earlier is early, later or never is late."
+        f"Correct: from {-metrics.EARLIEST_MS} ms before the labels' onset, t_c, to {metrics.LATEST_MS} ms after it,"
+        " as in the paper. Earlier is early; later or never is late."
     )
     verdict += slip_covariates.in_words(rows)
     if params.all_tables:
         return rows, verdict
-    verdict.append("--all prints every table, --json every row.")
+    verdict.append("--all prints every table; --json prints every row.")
     few = len(trajectories) <= FEW_TRAJECTORIES
     shown, names = (trajectories, OF_TRAJECTORIES) if few else (settings, OF_SETTINGS)
     known = [name for name in names if any(row[name] is not None for row in shown) or not name.startswith("paper_")]
@@ -190,10 +196,10 @@ def for_people(rows: Rows, params: EvaluateSlip) -> tuple[Rows, list[str]]:
 
 
 def _verdict(row: dict[str, Any]) -> str:
-    """What a setting came to, in a sentence."""
+    """Return the result of a setting in a sentence."""
     count = f"{row['trajectories']} trajectories" + (f", {row['seeds']} models" if row["seeds"] > 1 else "")
     if row["slip_correct"] is None:
-        return f"{row['setting']}: no trajectory slips ({count}), so there is no timing."
+        return f"{row['setting']}: no trajectory slips ({count}), so timing is undefined."
     f1 = "" if row["f1"] is None else f", F1 {row['f1']:.2f}"
     shares = ", ".join(f"{name} {row[f'slip_{name}']:.0%}" for name in ("early", "late") if row[f"slip_{name}"])
     timing = f"slip timing correct {row['slip_correct']:.0%}" + (f" ({shares})" if shares else "")
@@ -201,7 +207,7 @@ def _verdict(row: dict[str, Any]) -> str:
 
 
 def _warned(row: dict[str, Any]) -> str:
-    """What a setting warns of, and how often it does so in vain."""
+    """Return the share of slips with a warning, and the rate of false alarms, in words."""
     share = row.get("warned_10_ms")
     if share is None:
         return ""
@@ -211,19 +217,19 @@ def _warned(row: dict[str, Any]) -> str:
 
 
 def _size_in(rows: Rows) -> tuple[float, float]:
-    """Width and height in inches: room for every setting's bars and panel."""
+    """Return width and height in inches, with room for every setting's bars and panel."""
     return 12.0, sum(_heights_in(len(_settings(rows))))
 
 
 def _heights_in(settings: int) -> tuple[float, float, float]:
-    """Of the bars, of the panels below them, and of warnings and reliability at the end."""
+    """Return the heights of the bars, of the panels below them, and of warnings and reliability at the end."""
     return 1.6 + 0.55 * settings, 0.9 + 2.5 * math.ceil(settings / PANELS), 3.3 + 0.2 * settings
 
 
 def _draw(figure: Any, outcome: Outcome, source: Source) -> None:
-    """Bars of timing, F1 by object, with the paper's figures; below, for each setting, when slips were detected.
+    """Plot bars of timing and F1 by object, with the paper's figures; below, when slips were detected by each setting.
 
-    At the end how far ahead it warns, and whether what it says happens.
+    At the end: how far ahead each setting warns, and how reliable its probabilities are.
     """
     settings = _settings(outcome.rows)
     trajectories = [row for row in outcome.rows if "t_c_ms" in row]
@@ -242,7 +248,7 @@ def _draw(figure: Any, outcome: Outcome, source: Source) -> None:
             if beside := paper.beside(key, row, source):
                 axes.plot(beside.value, place - 0.14, **picture.of_paper(beside.mark))
         picture.share_axis(axes.xaxis)
-    timing.set(xlabel="share of slips, by the time of their first detection", ylim=(len(settings) - 0.4, -0.6))
+    timing.set(xlabel="share of slips by time of first detection", ylim=(len(settings) - 0.4, -0.6))
     timing.set_yticks(range(len(settings)), names)
     f1.set_xlabel("F1 over slices")
     picture.legend(above, (timing, f1))
@@ -256,7 +262,7 @@ def _draw(figure: Any, outcome: Outcome, source: Source) -> None:
 
 
 def _draw_timing(axes: Any, place: int, row: dict[str, Any], slips: int) -> None:
-    """A bar of shares that make up 1, and the interval of the first."""
+    """Draw a bar of shares that add up to 1, and the interval of the first share."""
     bars = (
         ("slip_correct", "correct", picture.CORRECT),
         ("slip_early", "early", picture.EARLY),
@@ -273,13 +279,13 @@ def _draw_timing(axes: Any, place: int, row: dict[str, Any], slips: int) -> None
 
 
 def _reach(row: dict[str, Any], name: str) -> list[list[float]]:
-    """How far an interval reaches below and above its figure, as matplotlib wants it."""
+    """Return how far an interval extends below and above its value, for matplotlib."""
     value = row[name]
     return [[max(value - row[f"{name}_low"], 0.0)], [max(row[f"{name}_high"] - value, 0.0)]]
 
 
 def _draw_warnings(figure: Any, settings: Rows, steps: Rows) -> None:
-    """The share of slips that are warned of so long ahead and longer, and what is said beside what happens."""
+    """Plot the share of slips with at least a given warning time, and predicted probability against slip frequency."""
     warned, said = figure.subplots(1, 2, width_ratios=[3, 2])
     for number, row in enumerate(settings):
         style, false = picture.series(number), row["false_alarms_per_min"]
@@ -293,16 +299,16 @@ def _draw_warnings(figure: Any, settings: Rows, steps: Rows) -> None:
             warned.errorbar(10, row["warned_10_ms"], yerr=reach, **interval)
         of_setting = [step for step in steps if step["setting"] == row["setting"]]
         said.plot([step["said"] for step in of_setting], [step["happened"] for step in of_setting], **style)
-    said.plot([0, 1], [0, 1], color="0.5", linewidth=0.8, label="as often as it says")
-    warned.set(xlabel="warned at least so long ahead [ms]", ylabel="share of slips", xticks=[*slip_warnings.WARNED])
-    said.set(xlabel="probability of slip that is said", ylabel="share that slips")
+    said.plot([0, 1], [0, 1], color="0.5", linewidth=0.8, label="perfectly calibrated")
+    warned.set(xlabel="minimum warning time [ms]", ylabel="share of slips", xticks=[*slip_warnings.WARNED])
+    said.set(xlabel="predicted probability of slip", ylabel="share that slips")
     for axis in (warned.yaxis, said.xaxis, said.yaxis):
         picture.share_axis(axis)
     picture.legend(figure, (warned, said))
 
 
 def _draw_f1(axes: Any, place: int, row: dict[str, Any], objects: Rows) -> None:
-    """A mark for every object, and a larger one for their mean."""
+    """Draw a marker for every object, and a larger one for their mean."""
     of_setting = [one["f1"] for one in objects if one["setting"] == row["setting"] and one["f1"] is not None]
     if len(of_setting) > 1:
         style = {"color": picture.COLOURS[4], "marker": "o", "markersize": 4, "linestyle": "none", "alpha": 0.7}
@@ -312,10 +318,10 @@ def _draw_f1(axes: Any, place: int, row: dict[str, Any], objects: Rows) -> None:
 
 
 def _draw_onsets(axes: Any, trajectories: Rows, setting: str) -> None:
-    """Shares that were detected by then: a thin line for every object, a thick one for all, a mark for each detection.
+    """Plot the share of slips detected by each time: a thin line per object, a thick one for all, a tick per detection.
 
-    Why so: the plain share of trajectories, where the paper smooths with a Gaussian kernel. Detections that are far too
-    early, which all models have, would make the kernel as wide as the range that is shown.
+    This is the plain share of trajectories, whereas the paper smooths with a Gaussian kernel. Detections that are far
+    too early, which all models have, would make the kernel as wide as the plotted range.
     """
     slips = [row for row in trajectories if row["t_c_ms"] is not None]
     steps = np.arange(SHOWN_MS[0], SHOWN_MS[1] + 1)
@@ -333,12 +339,12 @@ def _draw_onsets(axes: Any, trajectories: Rows, setting: str) -> None:
     axes.set(xlim=SHOWN_MS, ylim=(-0.1, 1.03), yticks=(0, 0.2, 0.4, 0.6, 0.8, 1.0))
     before = sum(value < SHOWN_MS[0] for value in late_by)
     after = len(slips) - before - len(shown)
-    beyond = f"{before} before this range, {after} after it or never, of {len(slips)}"
+    beyond = f"{before} before this range, {after} after it or never; {len(slips)} slips"
     axes.set_title(f"{picture.plain(_wrapped(setting))}\n{beyond}", fontsize=8.5)
 
 
 def _share_by(slips: Rows, steps: NDArray[np.int64]) -> NDArray[np.float64]:
-    """The share of slips that were detected by each step."""
+    """Return the share of slips that were detected by each step."""
     late_by = np.array([row["t_m_minus_t_c_ms"] for row in slips if row["t_m_minus_t_c_ms"] is not None])
     shares: NDArray[np.float64] = (late_by[:, None] <= steps).sum(axis=0) / max(len(slips), 1)
     return shares

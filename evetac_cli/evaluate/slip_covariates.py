@@ -1,8 +1,8 @@
-"""The covariates of the slips that detectors are judged on, which stand above the tables of `evaluate slip`.
+"""Covariates of the slips on which detectors are evaluated, shown above the tables of `evaluate slip`.
 
-From the truth of the simulated recordings that the features were made from, beside them or in a folder that is named;
-where there is none, from labels and events in the features, which tell less: where events lie is not in them, so that
-those outside the window's strip are counted.
+They come from the truth of the simulated recordings behind the features, which are next to them or in a given folder.
+Without truth they come from labels and events in the features. These contain less: they have no event positions, so
+events outside the window's strip are counted too.
 """
 
 from collections.abc import Iterator, Sequence
@@ -22,7 +22,7 @@ from evetac_cli.store.recordings.slip_covariates import covariates_of_truth
 
 
 def with_truth(paths: Sequence[Path], folder: Path | None) -> list[bool]:
-    """Of which features there is the simulated recording; InputError where one is missing in a folder, or another."""
+    """Return for each features file whether its simulated recording exists; raise InputError if missing in `folder`."""
     known = []
     for path in paths:
         with StageFile(path, "features") as features, _truth(features, folder) as recording:
@@ -31,7 +31,7 @@ def with_truth(paths: Sequence[Path], folder: Path | None) -> list[bool]:
 
 
 def rows(paths: Sequence[Path], folder: Path | None) -> Rows:
-    """A row for each covariate that can be told of these labelled features, over those that slip."""
+    """Return a row for each covariate that these labelled features provide, over those that slip."""
     slips = []
     for path in paths:
         with StageFile(path, "features") as features, _truth(features, folder) as recording:
@@ -41,28 +41,28 @@ def rows(paths: Sequence[Path], folder: Path | None) -> Rows:
 
 
 def in_words(rows: Rows) -> list[str]:
-    """What the rows of a report do not tell of its slips, as a sentence; nothing where they tell all."""
-    told = {row["covariate"] for row in rows if "covariate" in row}
-    missing = [words for words in WORDS.values() if words not in told]
-    if not told or not missing:
+    """Return a sentence on the covariates that the rows of a report lack; nothing if they have all."""
+    present = {row["covariate"] for row in rows if "covariate" in row}
+    missing = [words for words in WORDS.values() if words not in present]
+    if not present or not missing:
         return []
     return [
-        "Not told of these slips (the truth of simulated recordings tells most, see --recordings):"
+        "Unknown for these slips (the truth of simulated recordings has most of them, see --recordings):"
         f" {'; '.join(missing)}."
     ]
 
 
 @contextmanager
 def _truth(features: StageFile, folder: Path | None) -> Iterator[Recording | None]:
-    """The simulated recording that features were made from, beside them or in a folder; None where there is none.
+    """Yield the simulated recording behind features, next to them or in a folder; None if there is none.
 
-    InputError where it is missing in the folder that is named, or is another there.
+    Raises InputError if a folder is given and the recording is missing there or is a different one.
     """
     path = output_path(features.path, "recording", folder)
     if not path.exists():
         if folder is not None:
             raise InputError(
-                "no such recording", where=str(path), hint="name the folder of the recordings with --recordings"
+                "no such recording", where=str(path), hint="give the folder of the recordings with --recordings"
             )
         yield None
         return
@@ -71,7 +71,7 @@ def _truth(features: StageFile, folder: Path | None) -> Iterator[Recording | Non
     except EvetacError:
         if folder is not None:
             raise
-        yield None  # features do not need it
+        yield None  # features can do without
         return
     with opened as recording:
         if folder is not None:
@@ -81,7 +81,7 @@ def _truth(features: StageFile, folder: Path | None) -> Iterator[Recording | Non
 
 
 def _of_features(features: StageFile) -> SlipCovariates | None:
-    """What labels and events of features tell of their slip; None where the labels tell of none."""
+    """Return the covariates from labels and events of features; None if the labels have no slip."""
     onset = int(features.read("onset_slice"))
     if onset < 0:
         return None

@@ -1,8 +1,8 @@
 """The models of a report on slip: read from their files, checked against the features, and run on them.
 
-What they judged is kept in a folder beside the report, `NAME.judged`: for each trajectory a zip archive, named by its
-recipe id, with the probabilities of each model as float32. So a report on more models or trajectories judges only what
-is new, and one that was broken off goes on. The folder can be removed at any time.
+Their probabilities are stored in a folder next to the report, `NAME.judged`: one zip archive per trajectory, named by
+its recipe id, with the probabilities of each model as float32. So a report on more models or trajectories computes only
+what is new, and an interrupted report continues. The folder can be removed at any time.
 """
 
 import hashlib
@@ -37,21 +37,21 @@ from evetac_cli.store.hdf5.disk import taking_the_place_of
 from evetac_cli.store.layout.provenance import Header
 from evetac_cli.store.recordings.onset import abstains
 
-AT_ONCE = 8  # trajectories of one task of several
-MOST_SLICES = 1 << 17  # that are in memory together: of a trajectory of hours a piece
-JUDGING = 1  # raised when the same model gives the same features other probabilities
+AT_ONCE = 8  # trajectories per parallel task
+MOST_SLICES = 1 << 17  # in memory at once; trajectories of hours are split
+JUDGING = 1  # increase if the same model and features result in other probabilities
 NOT_WEIGHTS = ("input_scale", "input_offset")  # fixed, not trained
 
 
 @dataclass(frozen=True)
 class Model:
-    """A trained detector: what the report needs of its model file."""
+    """A trained detector: the parts of its model file that the report needs."""
 
     path: Path
     header: Header
     architecture: Architecture
     graph_bytes: int
-    key: str  # of what it judged: another for another graph, also of the same recipe on another computer
+    key: str  # of stored probabilities; depends on the graph, which may differ between computers
     horizon_ms: int
     threshold: float
     dot_shape: tuple[int, int]
@@ -60,7 +60,7 @@ class Model:
 
     @classmethod
     def read(cls, path: Path) -> "Model":
-        """Read a model file; InputError if it is another kind of file, or damaged."""
+        """Read a model file; raise InputError if it is damaged or another kind of file."""
         with StageFile(path, "model") as file:
             rows, columns = (int(size) for size in file.read("dot_shape"))
             detector = load_detector(file)
@@ -79,10 +79,10 @@ class Model:
             )
 
     def detector(self) -> Detector:
-        """The network, ready to run.
+        """Return the network, ready to run.
 
-        Why so: those on images are made when they are needed, because onnxruntime, which runs them, keeps the memory of
-        its largest batch for each network: a gigabyte.
+        Networks on images are loaded only when needed: onnxruntime, which runs them, keeps the memory of the largest
+        batch of each network, a gigabyte.
         """
         if self.over_dots is not None:
             return self.over_dots
@@ -90,18 +90,18 @@ class Model:
             return load_detector(file)
 
     def threshold_for(self, threshold: float | None, false_alarms_per_min: float | None) -> float:
-        """The threshold to judge it at, as `chosen_threshold`."""
+        """Return the threshold for the evaluation, see `chosen_threshold`."""
         with StageFile(self.path, "model") as file:
             return chosen_threshold(file, threshold, false_alarms_per_min)
 
     @property
     def labels(self) -> str:
-        """The methods that labelled its training trajectories, `truth` included."""
+        """The methods that labelled its training trajectories, including `truth`."""
         return labelled_by(self.header) or "none"
 
     @property
     def learned_true_slip_share(self) -> bool:
-        """Whether it learned, beside the labels, the true share of the contact that slips."""
+        """Whether it also learned the true slipping share of the contact, in addition to the labels."""
         return learned_true_slip_share(self.header)
 
     @property
@@ -119,26 +119,28 @@ class Model:
 
     @property
     def setting(self) -> str:
-        """A text that is equal for two models that differ in their seed alone."""
+        """A text that is equal for models that differ only in their seed."""
         chosen = {key: value for key, value in self.header["parameters"].items() if key != "seed"}
         return json.dumps([chosen, self.header["parents"]], sort_keys=True)
 
 
 def check(models: Sequence[Model], paths: Sequence[Path]) -> list[Header]:
-    """Headers of features that these models can be evaluated on.
+    """Return the headers of features on which these models can be evaluated.
 
-    InputError for features without labels, of another dot grid, or of a recording that a model has seen.
+    Raises InputError for features without labels, with another dot grid, or of a recording that a model was trained on.
     """
     headers = []
     for path in paths:
         with StageFile(path, "features") as file:
             if not file.has("label"):
-                raise InputError("the features have no labels", where=str(path), hint="evetac label, then featurize")
+                raise InputError(
+                    "the features have no labels", where=str(path), hint="run evetac label, then evetac featurize"
+                )
             shape = tuple(file.read("dot_shape").tolist())
             for model in models:
                 if shape != model.dot_shape:
                     raise InputError(
-                        f"the features have another dot grid than {model.path}",
+                        f"the features have a different dot grid from {model.path}",
                         where=str(path),
                         expected=str(list(model.dot_shape)),
                         found=str(list(shape)),
@@ -157,7 +159,7 @@ def predict_all(
     progress: Progress,
     folder: Path | None = None,
 ) -> list[list[Prediction]]:
-    """The predictions of each model for all trajectories; those that are kept in `folder` are not made again."""
+    """Return the predictions of each model for all trajectories; results stored in `folder` are reused."""
     by_model: list[list[Prediction]] = [[] for _ in models]
     for begin in range(0, len(paths), AT_ONCE):
         chunk = slice(begin, begin + AT_ONCE)
@@ -177,9 +179,9 @@ def predict_all(
 def _judge(
     models: Sequence[Model], files: Sequence[StageFile], headers: Sequence[Header], folder: Path | None
 ) -> list[list[NDArray[np.float32]]]:
-    """The probabilities of each model for a few trajectories, by trajectory; kept in `folder`, if there is one.
+    """Return the probabilities of each model for a few trajectories, by trajectory; store them in `folder`, if given.
 
-    A trajectory is read once for each architecture that has not judged it.
+    A trajectory is read once per architecture that has not been evaluated on it.
     """
     places = [None if folder is None else folder / f"{header['id']}.zip" for header in headers]
     known = [{} if place is None else _read_kept(place) for place in places]
@@ -224,7 +226,7 @@ class _Piece(NamedTuple):
 
 
 def _pieces(spans: Mapping[int, tuple[int, int]]) -> Iterator[list[_Piece]]:
-    """Slices [begin, end) of trajectories in pieces; those that are yielded together are in memory together."""
+    """Split slices [begin, end) of trajectories into pieces; yield pieces that are in memory together."""
     together: list[_Piece] = []
     room = MOST_SLICES
     for number, (begin, end) in spans.items():
@@ -242,19 +244,19 @@ def _pieces(spans: Mapping[int, tuple[int, int]]) -> Iterator[list[_Piece]]:
 
 
 def _read_kept(path: Path) -> dict[str, bytes]:
-    """What is kept of a trajectory, by the models' keys; nothing where it is missing or damaged: it is judged again."""
+    """Return the stored probabilities of a trajectory by model key; empty if the file is missing or damaged."""
     try:
         with ZipFile(path) as archive:
             plain = [item for item in archive.infolist() if item.compress_type == ZIP_STORED]
             if sum(item.file_size for item in plain) > path.stat().st_size:
                 return {}
             return {item.filename: archive.read(item) for item in plain}
-    except (OSError, EOFError, BadZipFile, RuntimeError, ValueError):  # RuntimeError: encrypted, or of another version
+    except (OSError, EOFError, BadZipFile, RuntimeError, ValueError):  # RuntimeError: encrypted, or another zip version
         return {}
 
 
 def _probabilities(kept: bytes | None, slices: int) -> NDArray[np.float32] | None:
-    """Kept probabilities of so many slices, NaN where there is none; None if they are anything else."""
+    """Return stored probabilities of this many slices, NaN where unknown; None if the bytes are invalid."""
     if kept is None or len(kept) != 4 * slices:
         return None
     values = np.frombuffer(kept, np.float32)

@@ -24,12 +24,12 @@ TIMING_BINS = (
 )
 
 
-TRUE_SLIP_SHARE = "true slip share"  # in the name of a setting that learned it beside its labels
-ALWAYS = ("model", "truth")  # traits that a name says even where all settings have them
+TRUE_SLIP_SHARE = "true slip share"  # in the name of a setting that also learned this
+ALWAYS = ("model", "truth")  # traits that are always part of a setting's name
 
 
 def group_by_setting(models: Sequence[Model]) -> dict[str, list[int]]:
-    """Name of each setting -> indices of its models; a name says in what its setting differs from the others."""
+    """Return name of each setting -> indices of its models; names contain the traits in which settings differ."""
     groups: dict[str, list[int]] = {}
     for index, model in enumerate(models):
         groups.setdefault(model.setting, []).append(index)
@@ -39,7 +39,7 @@ def group_by_setting(models: Sequence[Model]) -> dict[str, list[int]]:
     for trait, members in zip(traits, groups.values(), strict=True):
         name = ", ".join(trait[key] for key in trait if (key in varying or key in ALWAYS) and trait[key])
         while name in named:
-            name += "'"  # alike in all but the files that it was trained on
+            name += "'"  # differs only in its training files
         named[name] = members
     return named
 
@@ -63,13 +63,13 @@ def _traits(model: Model) -> dict[str, str]:
 def tables(
     models: Sequence[Model], thresholds: Sequence[float], predictions: Sequence[list[Prediction]], paths: Sequence[Path]
 ) -> tuple[Rows, dict[str, Any]]:
-    """All rows, and a summary; `predictions`: those of each model, one for each path."""
+    """Return all rows and a summary; `predictions`: for each model, one per path."""
     scores = [metrics.score(of_model, at) for of_model, at in zip(predictions, thresholds, strict=True)]
     settings: Rows = []
     timing_bins: Rows = []
     objects: Rows = []
     sensors: Rows = []
-    steps: Rows = []  # of probability
+    steps: Rows = []  # bins of probability
     judged = [
         [Judged.of(prediction, at) for prediction in of_model]
         for of_model, at in zip(predictions, thresholds, strict=True)
@@ -121,14 +121,14 @@ def tables(
 
 
 def _warned(of_object: dict[str, Any]) -> dict[str, Any]:
-    """Of an object's figures those that its score does not have."""
+    """Return the figures of an object that its score lacks."""
     return {name: of_object[name] for name in ("warned_10_ms", "false_alarms_per_min")}
 
 
 def _papers_object(model: Model, name: str, models: int) -> dict[str, Any]:
-    """What an object's row says of the model, and the paper's timing on objects 12 and 15, where it often fails.
+    """Return the model's columns in an object's row, with the paper's timing on objects 12 and 15.
 
-    None where the paper has none, and for an object that was trained on.
+    The paper's detector often fails on these two. None where it has no figure, and for objects seen in training.
     """
     chosen = model.header["parameters"]
     architecture = model.architecture.name
@@ -154,7 +154,7 @@ def _seed(model: Model) -> int | None:
 
 
 def by_object(predictions: Sequence[Prediction], threshold: float) -> dict[str, dict[str, Any]]:
-    """The score of one model on each object's trajectories."""
+    """Return the score of one model on each object's trajectories."""
     groups: dict[str, list[Prediction]] = {}
     for prediction in predictions:
         groups.setdefault(prediction.object, []).append(prediction)
@@ -162,16 +162,16 @@ def by_object(predictions: Sequence[Prediction], threshold: float) -> dict[str, 
 
 
 def _late_by(prediction: Prediction, threshold: float) -> int | None:
-    """t_m - t_c in ms; None where nothing was detected."""
+    """Return t_m - t_c in ms; None if nothing was detected."""
     first = metrics.onset(prediction.detected(threshold))
     return first - prediction.onset if first >= 0 else None
 
 
 def setting_row(setting: str, model: Model, cells: list[dict[str, Any]]) -> dict[str, Any]:
-    """A setting's figures: means over objects and seeds, beside the paper's.
+    """Return a setting's figures, means over objects and seeds, next to the paper's.
 
-    `cells`: for every seed, the score of every object. *_sd is over objects and seeds, *_sd_seeds over the seeds'
-    means over objects.
+    `cells`: for every seed, the score of every object. *_sd is over objects and seeds; *_sd_seeds is over the means
+    over objects of each seed.
     """
     every = [score for cell in cells for score in cell.values()]
     chosen = model.header["parameters"]
@@ -199,9 +199,9 @@ def setting_row(setting: str, model: Model, cells: list[dict[str, Any]]) -> dict
 
 
 def _paper(model: Model, objects: set[str]) -> dict[str, Any]:
-    """The paper's figures for the same model, on objects that were or were not trained on; None where it has none.
+    """Return the paper's figures for the same model, on objects seen or not seen in training; None where it has none.
 
-    The 6 x 6 images of a CPU stand beside the paper's full images.
+    Models on the 6 x 6 images for a CPU are compared with the paper's full images.
     """
     name = model.architecture.name.removesuffix("-6x6")
     figures: dict[str, Any] = {"paper_slip_correct": None, "paper_f1": None}
@@ -216,7 +216,7 @@ def _paper(model: Model, objects: set[str]) -> dict[str, Any]:
 
 
 def _timing_bins(late_by: Sequence[int | None]) -> dict[str, Any]:
-    """Shares of the trajectories with an onset, by where t_m - t_c is; the median of those with a detection."""
+    """Return shares of trajectories with an onset by bins of t_m - t_c, and the median of those with a detection."""
     detected = [value for value in late_by if value is not None]
     shares = {name: sum(low <= value <= high for value in detected) for name, low, high in TIMING_BINS}
     return {
@@ -249,7 +249,7 @@ def _trajectory_row(setting: str, model: Model, threshold: float, prediction: Pr
 
 
 def _summary(scores: Rows, settings: Rows) -> dict[str, Any]:
-    """The score of a single model; of several, which setting is the best."""
+    """Return the score of a single model; for several models, the best settings."""
     if len(scores) == 1:
         return scores[0]
     best: dict[str, Any] = {}
@@ -261,7 +261,7 @@ def _summary(scores: Rows, settings: Rows) -> dict[str, Any]:
 
 
 def _values(scores: Iterable[dict[str, Any]], key: str) -> list[float]:
-    """One figure of several scores, without those that lack it: an object that never slips has no timing."""
+    """Return one figure of several scores, without missing ones: an object that never slips has no timing."""
     return [float(score[key]) for score in scores if score[key] is not None]
 
 

@@ -1,9 +1,9 @@
-"""Slips that detectors warn of, and false alarms: columns and tables of a report on slip beside timing and F1.
+"""Warnings of slip and false alarms: columns and tables of a report on slip in addition to timing and F1.
 
-A warning is an alarm that lasts until slip: three slices in a row that reach the threshold (kernels/slip/alarms.py),
-where timing asks for the first slice alone, as the paper does. A figure is a mean over objects, each of which counts
-the same, and over the seeds of a setting. Trials share objects, sensors or both, so intervals are by resampling these;
-what is left to chance in a training is not in them.
+A warning is an alarm that lasts until slip: three slices in a row that reach the threshold (kernels/slip/alarms.py).
+Timing, in contrast, considers only the first slice, as in the paper. Figures are means over objects with equal weights,
+and over the seeds of a setting. Trials share objects, sensors or both, so the intervals come from resampling objects
+and sensors. They do not include the randomness of training.
 """
 
 from collections.abc import Sequence
@@ -19,12 +19,12 @@ from evetac_cli.kernels.slip import alarms, metrics, reliability, warning_curve
 from evetac_cli.kernels.slip.metrics import Prediction
 from evetac_cli.kernels.slip.reliability import ReliabilityBin
 
-WARNED = {ahead_ms: f"warned_{ahead_ms}_ms" for ahead_ms in alarms.LEADS_MS}  # columns: at least so long ahead
+WARNED = {ahead_ms: f"warned_{ahead_ms}_ms" for ahead_ms in alarms.LEADS_MS}  # columns: warned at least this long ahead
 WITH_INTERVAL = ("slip_correct", "warned_10_ms", "false_alarms_per_min")
 
 
 class Judged(NamedTuple):
-    """What a detector made of one trajectory: lead None without slip, or where it never warned."""
+    """Result of a detector on one trajectory; lead_ms is None without slip or without a warning."""
 
     object: str
     sensor: str
@@ -36,7 +36,7 @@ class Judged(NamedTuple):
 
     @classmethod
     def of(cls, prediction: Prediction, threshold: float) -> "Judged":
-        """At a threshold."""
+        """Evaluate a prediction at a threshold."""
         alarming = alarms.alarming(prediction.probability, threshold)
         slips = prediction.onset >= 0
         first = metrics.onset(prediction.detected(threshold))
@@ -50,35 +50,36 @@ class Judged(NamedTuple):
         )
 
     def warned(self, ahead_ms: int) -> bool:
-        """Whether it warned of the slip at least so long ahead."""
+        """Whether it warned of the slip at least this long ahead."""
         return self.lead_ms is not None and self.lead_ms >= ahead_ms
 
 
-Seeds = Sequence[Sequence[Judged]]  # what each model of a setting made of the same trajectories
+Seeds = Sequence[Sequence[Judged]]  # results of each model of a setting on the same trajectories
 
 
 class Shares(NamedTuple):
-    """Trials that share objects and sensors: how much each counts, and how often in each round of resampling.
+    """Weights of trials that share objects and sensors, in the mean and in each round of resampling.
 
-    clusters: as many trials as these tell as much, the objects or the sensors, whichever are fewer.
+    clusters: effective number of trials: the smaller of the numbers of objects and of sensors.
     """
 
-    counts: NDArray[np.float64]  # (trials,), so that each object counts the same
+    counts: NDArray[np.float64]  # (trials,), equal total weight for each object
     weights: NDArray[np.float64]  # (rounds, trials)
     clusters: int
 
     @classmethod
     def of(cls, trials: Sequence[Judged]) -> "Shares":
-        """Of some trials."""
+        """Compute the weights of some trials."""
         objects, sensors = [one.object for one in trials], [one.sensor for one in trials]
         counts = np.array([1 / objects.count(name) for name in objects])
         several = [levels for levels in (len(set(objects)), len(set(sensors))) if levels > 1]
         return cls(counts, estimates.cluster_weights(objects, sensors), min(several, default=len(trials)))
 
     def mean(self, values: NDArray[np.float64]) -> Estimate | None:
-        """The mean over objects of a share in each trial, (trials,).
+        """Return the mean over objects of a share per trial, (trials,).
 
-        Where all trials have none, or all have it, resampling tells no interval: it is Wilson's of so many clusters.
+        If the share is 0 in all trials or 1 in all, resampling has no spread: the interval is Wilson's for `clusters`
+        trials.
         """
         if values.all() and values.min() == 1 or not values.any():
             return estimates.share(self.clusters if values.any() else 0, self.clusters)
@@ -86,7 +87,7 @@ class Shares(NamedTuple):
 
 
 def columns(judged: Seeds, predictions: Sequence[Sequence[Prediction]]) -> dict[str, Any]:
-    """The columns of a setting."""
+    """Return the columns of a setting."""
     slips = [place for place, one in enumerate(judged[0]) if one.slips]
     figures: dict[str, Any] = {}
     if slips:
@@ -103,10 +104,10 @@ def columns(judged: Seeds, predictions: Sequence[Sequence[Prediction]]) -> dict[
     false = false_alarms(judged)
     minutes = sum(one.quiet_slices for one in judged[0]) / warning_curve.SLICES_PER_MIN
     leads = [seed[place].lead_ms for seed in judged for place in slips]
-    told = [lead for lead in leads if lead is not None]
+    known_leads = [lead for lead in leads if lead is not None]
     return {
         **figures,
-        "lead_ms_median": float(np.median(told)) if told else None,
+        "lead_ms_median": float(np.median(known_leads)) if known_leads else None,
         "false_alarms_per_min": None if false is None else false.value,
         **_ends("false_alarms_per_min", false),
         "minutes_without_slip": minutes,
@@ -115,9 +116,9 @@ def columns(judged: Seeds, predictions: Sequence[Sequence[Prediction]]) -> dict[
 
 
 def false_alarms(judged: Seeds) -> Estimate | None:
-    """False alarms per minute over all trials and seeds; None where none of them has a slice without slip.
+    """Return false alarms per minute over all trials and seeds; None if no trial has a slice without slip.
 
-    Without any, and within one object and sensor, the interval is Poisson's.
+    The interval is Poisson's if there are no false alarms.
     """
     trials = judged[0]
     count = _of_seeds([[one.false_alarms for one in seed] for seed in judged])
@@ -131,12 +132,12 @@ def false_alarms(judged: Seeds) -> Estimate | None:
 
 
 def bins(predictions: Sequence[Sequence[Prediction]]) -> list[ReliabilityBin]:
-    """What is said and what happens, over all trajectories and seeds."""
+    """Return predicted probability and frequency of slip by bin, over all trajectories and seeds."""
     return reliability.bins(*reliability.judged([one for of_seed in predictions for one in of_seed]))
 
 
 def reliability_rows(setting: str, predictions: Sequence[Sequence[Prediction]]) -> Rows:
-    """A row for each step of probability of which anything is said."""
+    """Return a row for each bin of probability that contains predictions."""
     return [
         {
             "setting": setting,
@@ -151,13 +152,13 @@ def reliability_rows(setting: str, predictions: Sequence[Sequence[Prediction]]) 
 
 
 def sensor_rows(setting: str, judged: Seeds) -> Rows:
-    """A row for each sensor, where there are several."""
+    """Return a row per sensor if there are several."""
     names = list(dict.fromkeys(one.sensor for one in judged[0]))
     return [{"setting": setting, "sensor": name, **group(judged, "sensor", name)} for name in names if len(names) > 1]
 
 
 def group(judged: Seeds, factor: str, name: str) -> dict[str, Any]:
-    """Plain shares over the trials of one object, or one sensor, and all seeds."""
+    """Return plain shares over the trials of one object or one sensor, and all seeds."""
     chosen = [one for seed in judged for one in seed if getattr(one, factor) == name]
     slips = [one for one in chosen if one.slips]
     minutes = sum(one.quiet_slices for one in chosen) / warning_curve.SLICES_PER_MIN
@@ -170,7 +171,7 @@ def group(judged: Seeds, factor: str, name: str) -> dict[str, Any]:
 
 
 def _of_seeds(values: Sequence[Sequence[float]]) -> NDArray[np.float64]:
-    """The mean over seeds, (trials,)."""
+    """Return the mean over seeds, (trials,)."""
     mean: NDArray[np.float64] = np.array(values, np.float64).mean(axis=0)
     return mean
 

@@ -1,4 +1,4 @@
-"""What the rows of a report come from, as far as headers tell: what decides how the paper's figures compare."""
+"""Origin of the rows of a report, according to its headers; it decides how the paper's figures compare."""
 
 from collections import defaultdict
 from collections.abc import Iterable, Mapping
@@ -12,20 +12,20 @@ Row = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class Source:
-    """What the rows of a report come from, as far as the headers of its files tell."""
+    """Origin of the rows of a report, according to the headers of its files."""
 
     simulated: bool = False
     scenes: tuple[str, ...] = ()
     trackers: tuple[str, ...] = ()
     labels: tuple[str, ...] = ()
-    detectors: tuple[str, ...] = ()  # of grasps
-    grasp_s: tuple[float, ...] = ()  # of lifting and balancing with a detector
+    detectors: tuple[str, ...] = ()  # used in grasps
+    grasp_s: tuple[float, ...] = ()  # durations of lifting and balancing with a detector
     training_recordings: int = 0
-    networks: int = 1  # of a detector, whose mean is its judgement; the paper has one
+    networks: int = 1  # in the ensemble of a detector, which averages them; the paper has one
 
     @classmethod
     def of(cls, headers: Iterable[Row]) -> "Source":
-        """From the headers of a report, or of the files that it is made of."""
+        """Return the source of the headers of a report, or of the files it was made from."""
         every: dict[str, Row] = {}
         for header in headers:
             every |= {**header["history"], header["id"]: header}
@@ -50,7 +50,7 @@ class Source:
 
     @classmethod
     def from_json(cls, known: Row) -> "Source":
-        """From what dataclasses.asdict made of one, by way of JSON."""
+        """Restore a source that was stored as JSON from dataclasses.asdict."""
         entries: dict[str, Any] = {name: tuple(one) if isinstance(one, list) else one for name, one in known.items()}
         return cls(**entries)
 

@@ -1,8 +1,8 @@
-"""Contacts whose tractions are known in every cell, to judge touch maps by: simulated, on a layer of its own.
+"""Simulated contacts with known tractions in every cell, to evaluate touch maps; they have their own layer model.
 
-Eight shapes of pressure on cells of 0.5 mm (touch_layer.py); what touches is pressed in, then moved or turned in steps,
-and its friction is solved for in each: no cell bears more shear than friction allows, and one that bears less sticks.
-All that a contact has is drawn from its seed. Nothing of it is used by the inverse (kernels/touch).
+There are eight shapes of pressure on cells of 0.5 mm (touch_layer.py). The object is pressed in, then moved or turned
+in steps. In each step friction is solved: no cell bears more shear than friction allows, and a cell that bears less
+sticks. All properties of a contact are drawn from its seed. The inverse (kernels/touch) uses none of this code.
 """
 
 from collections.abc import Callable
@@ -14,23 +14,23 @@ from evetac_cli.arrays import Flags, Floats
 from evetac_cli.evaluate.touch_layer import CELL_MM, ElasticLayer, SurfaceAnswer
 
 SHAPES = ("flat", "ball", "cylinder", "edge", "two points", "off centre", "twisted", "partial slip")
-COUNT = 56  # cells along a side of the lattice on which contacts lie
+COUNT = 56  # cells along a side of the contact lattice
 FIRST_MM = -(COUNT - 1) / 2 * CELL_MM
 CELL_MM2 = CELL_MM**2
-N_PER_PA = CELL_MM2 * 1e-6  # force of a cell
+N_PER_PA = CELL_MM2 * 1e-6  # force on a cell
 LEAST_N, MOST_N = 1.0, 10.0
 FRICTION = (0.6, 1.0)
-LOADED = (0.2, 0.9)  # share of what friction could bear that the motion asks for, all sticking
+LOADED = (0.2, 0.9)  # share of the friction limit that the motion would reach if all cells stuck
 NEARLY_SLIPPING = (0.7, 0.95)
 STEPS = 4
 CONVERGED = 1e-5  # change per iteration, over the largest traction
 MOST_ITERATIONS = 1000
-STICKS = 0.999  # of what friction allows: below, a cell sticks
+STICKS = 0.999  # share of the friction limit below which a cell sticks
 
 
 @dataclass(frozen=True)
 class KnownContact:
-    """A contact and its truth: tractions on its cells, forces, and what the dots see.
+    """A contact and its truth: tractions on its cells, forces, and displacements of the dots.
 
     cell_mm: (n, 2). shear_pa, pressed_shear_pa: (2, n), after the motion and when only pressed. pressure_pa, sticks:
     (n,). dot_motion_mm, pressed_motion_mm: (dots, 3), along x and y and into the layer.
@@ -48,29 +48,29 @@ class KnownContact:
 
     @property
     def normal_n(self) -> float:
-        """Normal force."""
+        """Normal force, in N."""
         return float(self.pressure_pa.sum() * N_PER_PA)
 
     @property
     def net_shear_n(self) -> Floats:
-        """Shear force along x and y."""
+        """Shear force along x and y, in N."""
         net: Floats = self.shear_pa.sum(axis=1) * N_PER_PA
         return net
 
     @property
     def net_since_pressed_n(self) -> Floats:
-        """Change of the shear force since the contact was only pressed."""
+        """Change of the shear force since the contact was only pressed, in N."""
         net: Floats = (self.shear_pa - self.pressed_shear_pa).sum(axis=1) * N_PER_PA
         return net
 
     @property
     def centre_mm(self) -> Floats:
-        """Centre of pressure."""
+        """Centre of pressure, in mm."""
         centre: Floats = self.pressure_pa @ self.cell_mm / self.pressure_pa.sum()
         return centre
 
     def torsion_n_mm(self, about_mm: Floats) -> float:
-        """Torque of the shear about a point, from x towards y."""
+        """Return the torque of the shear about a point, from x towards y."""
         arm = self.cell_mm - about_mm
         return float((arm[:, 0] * self.shear_pa[1] - arm[:, 1] * self.shear_pa[0]).sum() * N_PER_PA)
 
@@ -78,11 +78,14 @@ class KnownContact:
 def frictional_shear(
     answer: Floats, squeeze: Floats, pressure_pa: Floats, friction: float, path_mm: list[Floats]
 ) -> tuple[list[Floats], bool]:
-    """Shear on the cells of a contact after each step of what touches them, and whether all steps converged.
+    """Return the shear on the cells of a contact after each step of the object, and whether all steps converged.
 
-    answer: (2 n, 2 n) motion of cells per shear, mm per Pa, symmetric; squeeze: (2 n,) their motion under the pressure
-    (n,) in mm; path_mm: where the object's points over the cells are, (2 n,) each. Shear is the one of least energy
-    within friction times pressure, by accelerated projected gradient; what slides in a step is where it slid to.
+    - answer: (2 n, 2 n) displacement of cells per shear, mm per Pa, symmetric;
+    - squeeze: (2 n,) their displacement under the pressure (n,) in mm;
+    - path_mm: positions of the object's points over the cells, (2 n,) each.
+
+    The shear minimises energy within friction times pressure, by accelerated projected gradient. Cells that slide in a
+    step continue from there.
     """
     limit = friction * pressure_pa
     cells = len(pressure_pa)
@@ -98,7 +101,7 @@ def frictional_shear(
             moved *= np.minimum(1.0, limit / np.maximum(size, 1e-300))
             after = moved.ravel()
             change = after - shear
-            if change @ (ahead - after) > 0:  # it overshoots: start again from here
+            if change @ (ahead - after) > 0:  # overshoots: restart from here
                 momentum = 1.0
             grown = (1 + np.sqrt(1 + 4 * momentum**2)) / 2
             ahead, shear = after + (momentum - 1) / grown * change, after
@@ -113,20 +116,20 @@ def frictional_shear(
 
 
 def _largest(matrix: Floats) -> float:
-    """The largest eigenvalue of a symmetric matrix of answers, from above, by its largest sum of a row."""
+    """Return an upper bound of the largest eigenvalue of a symmetric response matrix: its largest absolute row sum."""
     return float(np.abs(matrix).sum(axis=1).max())
 
 
 class ContactMaker:
-    """Makes contacts on one layer, seen by dots at given places (dots, 2) in mm from the axis of the lens."""
+    """Makes contacts on one layer, seen by dots at given positions (dots, 2) in mm from the optical axis."""
 
     def __init__(
         self,
         dot_mm: Floats,
-        layer: ElasticLayer = ElasticLayer(),  # noqa: B008 - it is constant
+        layer: ElasticLayer = ElasticLayer(),  # noqa: B008 - immutable
         print_depth_mm: float = 0.0,
     ) -> None:
-        """Solves the layer once, which takes a second. print_depth_mm: of the dots below the surface."""
+        """Solve the layer once, which takes a second. print_depth_mm: depth of the dots below the surface."""
         answer = SurfaceAnswer(layer)
         line = FIRST_MM + CELL_MM * np.arange(COUNT)
         self.cell_mm = np.stack(np.meshgrid(line, line), -1).reshape(-1, 2)
@@ -135,16 +138,16 @@ class ContactMaker:
         self._between = answer.between_cells(COUNT)
 
     def cell_answer(self, chosen: Flags) -> Floats:
-        """What tractions on some cells (n of all) do to them: (3, 3, n, n) in mm per Pa."""
+        """Return the response of some cells (n of all) to tractions on them: (3, 3, n, n) in mm per Pa."""
         row, column = np.divmod(np.nonzero(chosen)[0], COUNT)
         apart = (row[:, None] - row + COUNT - 1, column[:, None] - column + COUNT - 1)
         between: Floats = self._between[:, :, apart[0], apart[1]]
         return between
 
     def make(self, shape: str, seed: int, load_n: tuple[float, float] | None = None) -> KnownContact:
-        """The contact of a shape and a seed: 1 to 10 N, friction 0.6 to 1; RuntimeError if that does not converge.
+        """Return the contact of a shape and a seed: 1 to 10 N, friction 0.6 to 1; RuntimeError if it does not converge.
 
-        load_n: normal force and shear, instead of those drawn; of the shear as much as friction bears by 0.95 of it.
+        load_n: normal force and shear, instead of random ones; shear is limited to 0.95 of the friction limit.
         """
         rng = np.random.default_rng([seed, SHAPES.index(shape)])
         profile = pressure_profile(shape, self.cell_mm, rng)
@@ -166,7 +169,7 @@ class ContactMaker:
         arm = cells - pressure @ cells / pressure.sum()
         along = np.repeat([np.cos(way), np.sin(way)], count)
         turn = np.concatenate([-arm[:, 1], arm[:, 0]])
-        held = np.linalg.solve(answer, np.stack([along, turn], axis=1)) * N_PER_PA  # N and N mm per mm and per rad
+        held = np.linalg.solve(answer, np.stack([along, turn], axis=1)) * N_PER_PA  # N and N mm, per mm and per rad
         most_n = loaded * friction * normal_n
         path = most_n / (along @ held[:, 0]) * along
         if shape == "twisted":
@@ -175,7 +178,7 @@ class ContactMaker:
         steps = [share * path for share in np.linspace(0.0, 1.0, STEPS + 1)]
         shears, converged = frictional_shear(answer, squeeze, pressure, friction, steps)
         if not converged:
-            raise RuntimeError(f"friction of contact {shape}, seed {seed}, has not converged")
+            raise RuntimeError(f"friction did not converge for contact {shape}, seed {seed}")
         shear, pressed = (each.reshape(2, count) for each in (shears[-1], shears[0]))
         seen, seen_pressed = (
             np.einsum("doic,ic->do", self._at_dots[..., chosen], np.stack([*each, pressure]))
@@ -186,7 +189,7 @@ class ContactMaker:
 
 
 def pressure_profile(shape: str, cell_mm: Floats, rng: np.random.Generator) -> Floats:
-    """Pressure (n,) of a shape on cells (n, 2), of any scale, at a place and turned as drawn."""
+    """Return the pressure (n,) of a shape on cells (n, 2), of any scale, with random position and angle."""
     centre = rng.uniform(-1.5, 1.5, 2)
     angle = rng.uniform(0.0, np.pi)
     if shape == "off centre":
@@ -209,21 +212,21 @@ def pressure_profile(shape: str, cell_mm: Floats, rng: np.random.Generator) -> F
 
 
 def _bowl(x: Floats) -> Floats:
-    """A parabola that is 0 from 1 on: pressure under what is round, on a layer that keeps its volume nearly so."""
+    """Return a parabola that is 0 beyond 1: pressure under a round object on a nearly incompressible layer."""
     bowl: Floats = np.maximum(1 - x * x, 0.0)
     return bowl
 
 
 def _inside(depth_mm: Floats) -> Floats:
-    """1 inside a flat face, falling to 0 over the last 0.7 mm."""
+    """Return 1 inside a flat face, falling to 0 over the last 0.7 mm."""
     inside: Floats = np.clip(depth_mm / 0.7, 0.0, 1.0)
     return inside
 
 
 def on_coarse_cells(contact: KnownContact, x_mm: Floats, y_mm: Floats) -> Floats:
-    """Mean tractions (5, rows, columns) in Pa on cells of 1 mm about these middles, a mean over four of the contact's.
+    """Return mean tractions (5, rows, columns) in Pa on cells of 1 mm with these centres: means over four fine cells.
 
-    Shear x, y, pressure, and shear x, y when only pressed; what lies beyond the cells is left out.
+    These are shear x, y, pressure, and shear x, y when only pressed; tractions outside the coarse cells are left out.
     """
     coarse_mm = x_mm[1] - x_mm[0]
     column = np.rint((contact.cell_mm[:, 0] - x_mm[0]) / coarse_mm).astype(int)

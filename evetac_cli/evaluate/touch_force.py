@@ -1,12 +1,17 @@
-"""evaluate force of touch maps: errors of force by what is known of the sensor's gel (simulated recordings).
+"""evaluate force of touch maps: errors of force by knowledge of the sensor's gel (simulated recordings).
 
-Each tracks file has a row for each of these: `unknown`, nothing but the dots; `known`, scale and shear modulus of the
-sensor, the modulus with an error as large as `--stiffness-error` (creep stays unknown); with `--identified`, what
-`evetac identify` told of the sensor; with `--adapt-on`, `adapted` on tracks of the same sensor from nothing known, and
-the others adapted. Truth is compared without the noise of a force sensor, every 40 ms of the contact; readings that a
-sensor is adapted on have that noise. `shear_within_sd` and `normal_within_sd` are the shares of errors within one
-predicted standard deviation (68 % if that is right), `contact_right` that of slices in which a touch is told rightly,
-`usable` that of slices in contact with enough tracked dots and a touch that is told: errors are of these.
+Each tracks file has a row for each of these states of knowledge:
+
+- `unknown`: nothing but the dots;
+- `known`: scale and shear modulus of the sensor, the modulus with the error of `--stiffness-error` (creep stays
+  unknown);
+- `identified`, with `--identified`: the results of `evetac identify`;
+- `adapted`, with `--adapt-on`: starting from `unknown`, adapted on tracks of the same sensor; the others adapted too.
+
+Truth is compared without the noise of a force sensor, every 40 ms of the contact. Readings used for adaptation have
+that noise. `shear_within_sd` and `normal_within_sd` are the shares of errors within one estimated standard deviation
+(68 % if that is correct). `contact_right` is the share of slices in which contact is detected correctly. `usable` is
+the share of slices in contact with enough tracked dots and a detected contact; errors are over these slices.
 """
 
 import zlib
@@ -51,7 +56,7 @@ class ForceReportJob(ModelsReportJob):
 
 
 class ForceTrial(NamedTuple):
-    """A trial's truth and what was predicted of it, by what is known of the gel."""
+    """A trial's truth and the estimates of it, by knowledge of the gel."""
 
     path: Path
     sensor_name: str
@@ -62,14 +67,14 @@ class ForceTrial(NamedTuple):
 
 
 class _Folds:
-    """Touch maps of tracks, made once per scale of the image and shape: force over modulus does not depend on it."""
+    """Touch maps of tracks, computed once per image scale and shape; force over modulus does not depend on modulus."""
 
     def __init__(self) -> None:
         self._found: dict[tuple[Path, float, GelShape], Slices] = {}
 
     def of(self, gel: GelWeights, tracks: StageFile) -> "Slices":
-        """What the dots of a tracks file tell, for a scale of the image."""
-        from evetac_cli.stages.touch import touch_fold  # brings scipy
+        """Return the touch maps from a tracks file for the image scale of a gel."""
+        from evetac_cli.stages.touch import touch_fold  # imports scipy
 
         key = tracks.path, gel.mm_per_px, gel.shape
         if key not in self._found:
@@ -78,7 +83,7 @@ class _Folds:
 
 
 def run(job: ForceReportJob, params: EvaluateForce, *, force: bool, progress: Progress) -> Outcome:
-    """Rows of every file and of what is known."""
+    """Return rows for every file and every state of knowledge."""
     files, own = job.inputs[: len(job.inputs) - job.own], job.inputs[len(job.inputs) - job.own :]
     headers, own_headers, by_sensor = _headers(files, own)
     identified = _identified(params.identified, files) if params.identified else {}
@@ -93,7 +98,7 @@ def run(job: ForceReportJob, params: EvaluateForce, *, force: bool, progress: Pr
         range_n = max(float(one.normal_n.max()) for one in trials)
         if not range_n > 0:
             expected = "recordings in which the gel is pressed"
-            raise InputError("there is no contact in these recordings", where=str(files[0]), expected=expected)
+            raise InputError("these recordings have no contact", where=str(files[0]), expected=expected)
         rows = [_row(one, name, range_n) for one in trials for name in one.predicted]
         return rows, _summary(trials, rows, range_n, params)
 
@@ -110,7 +115,10 @@ def run(job: ForceReportJob, params: EvaluateForce, *, force: bool, progress: Pr
 def _headers(
     files: tuple[Path, ...], own: tuple[Path, ...]
 ) -> tuple[list[Header], list[Header], dict[str, list[Path]]]:
-    """Headers of the files and of those to adapt on, and the latter by sensor; InputError where they do not fit."""
+    """Return headers of the files and of those to adapt on, and the latter by sensor.
+
+    Raise InputError if they do not fit.
+    """
     headers, own_headers, names = [], [], []
     by_sensor: dict[str, list[Path]] = {}
     true: dict[str, tuple[Path, KnownGel]] = {}
@@ -123,9 +131,9 @@ def _headers(
             first, other = true.setdefault(names[-1], (path, of_gel))
             if other != of_gel:
                 raise InputError(
-                    f"two sensors of the name {names[-1]}, with different gels",
+                    f"two sensors with the name {names[-1]} have different gels",
                     where=str(path),
-                    expected=f"{other.named()}, as in {first}",
+                    expected=f"{other.named()}, like {first}",
                     found=f"{of_gel.named()}",
                 )
     for path in own:
@@ -139,14 +147,14 @@ def _headers(
             raise InputError(
                 "no tracks to adapt on",
                 where="--adapt-on",
-                expected="some of each sensor that is evaluated",
+                expected="at least one tracks file of each evaluated sensor",
                 found=f"none of {', '.join(missing[:5])}",
             )
     return headers, own_headers, by_sensor
 
 
 def _identified(folder: str, files: tuple[Path, ...]) -> dict[str, KnownGel]:
-    """What a sensor's file in the folder tells of its gel, of each sensor that has one; InputError if none has."""
+    """Return the gel data in a folder's sensor files, for each sensor that has one; raise InputError if none has."""
     known: dict[str, KnownGel] = {}
     for path in files:
         with StageFile(path, "tracks") as tracks:
@@ -156,17 +164,17 @@ def _identified(folder: str, files: tuple[Path, ...]) -> dict[str, KnownGel]:
             known[name] = known_gel.known_of(str(file))
     if not known:
         expected = "files such as 7.sensor.toml for randomized:7"
-        raise InputError("no file of a sensor that is evaluated", where=f"--identified {folder}", expected=expected)
+        raise InputError("no file of any evaluated sensor", where=f"--identified {folder}", expected=expected)
     return known
 
 
 def known_sensor(recording: Recording) -> Sensor:
-    """The sensor that was simulated; InputError where the recording does not say."""
+    """Return the simulated sensor; raise InputError if the recording does not name it."""
     return read_sensor(recording.header["parameters"], str(recording.path))
 
 
 def _true_gel(sensor: Sensor, off: float = 1.0) -> KnownGel:
-    """What is true of a simulated sensor's gel, but for its creep; the modulus times a factor."""
+    """Return the true gel of a simulated sensor except its creep, with the modulus times a factor."""
     return KnownGel(sensor.shear_modulus_pa * off, sensor.mm_per_px, None, known_gel.edges_of(sensor))
 
 
@@ -178,7 +186,7 @@ def _gels(
     identified: KnownGel | None,
     params: EvaluateForce,
 ) -> dict[str, GelWeights]:
-    """What is taken as known of a sensor's gel -> its weights."""
+    """Return state of knowledge of a sensor's gel -> its weights."""
     rng = np.random.default_rng([params.seed, zlib.crc32(name.encode())])
     moduli, noise = rng.spawn(2)
     off = float(np.exp(params.stiffness_error * moduli.standard_normal()))
@@ -189,8 +197,8 @@ def _gels(
     if own:
         for before in list(gels):
             after = "adapted" if before == "unknown" else f"{before}, adapted"
-            told, _ = adapt_touch.known_forces(gels[before], own, params.noise_n, noise, fold=folds.of)
-            gels[after] = adapt_touch.adapted(gels[before], told, params.noise_n)
+            known_forces, _ = adapt_touch.known_forces(gels[before], own, params.noise_n, noise, fold=folds.of)
+            gels[after] = adapt_touch.adapted(gels[before], known_forces, params.noise_n)
     return gels
 
 
@@ -202,7 +210,7 @@ def _predict(
     identified: Mapping[str, KnownGel],
     params: EvaluateForce,
 ) -> ForceTrial:
-    from evetac_cli.stages.touch import touch_fold  # brings scipy
+    from evetac_cli.stages.touch import touch_fold  # imports scipy
 
     with StageFile(path, "tracks") as tracks, recording_with_truth(tracks) as recording:
         name = str(tracks.read("sensor/name"))
@@ -245,7 +253,7 @@ def _row(trial: ForceTrial, name: str, range_n: float) -> dict[str, Any]:
 
 
 def _summary(trials: list[ForceTrial], rows: Rows, range_n: float, params: EvaluateForce) -> dict[str, Any]:
-    """Means over files for each state of knowledge, and the range of the true forces."""
+    """Return means over files for each state of knowledge, and the range of the true forces."""
     shear = np.concatenate([one.shear_n for one in trials])
     summary: dict[str, Any] = {
         "trajectories": len(trials),
@@ -270,7 +278,7 @@ def _summary(trials: list[ForceTrial], rows: Rows, range_n: float, params: Evalu
 
 
 def _draw(figure: Any, trial: ForceTrial) -> None:
-    """The first trajectory: forces with one standard deviation about them, for each state of knowledge."""
+    """Plot the first trajectory: forces with a band of one standard deviation, for each state of knowledge."""
     names = list(trial.predicted)
     panels = figure.subplots(3, len(names), squeeze=False, sharex=True, sharey="row")
     time_s = np.arange(len(trial.normal_n)) * readings.EVERY / SLICES_PER_S
@@ -283,7 +291,7 @@ def _draw(figure: Any, trial: ForceTrial) -> None:
         )
         for axes, (what, true, shown_n, sd) in zip(panels[:, column], shown, strict=True):
             axes.plot(time_s, true, color="black", linewidth=1.5, label="true")
-            axes.plot(time_s, shown_n, color=picture.COLOURS[0], linewidth=1.0, label="predicted")
+            axes.plot(time_s, shown_n, color=picture.COLOURS[0], linewidth=1.0, label="estimated")
             band = {"color": picture.COLOURS[0], "alpha": 0.2, "linewidth": 0}
             axes.fill_between(time_s, shown_n - sd, shown_n + sd, label="one standard deviation", **band)
             axes.set_ylabel(f"{what} [N]" if column == 0 else "")

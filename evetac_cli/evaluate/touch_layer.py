@@ -1,8 +1,8 @@
-"""A second implementation of the bonded gel layer, to judge touch maps by: finite elements in depth, waves along it.
+"""An independent model of the bonded gel layer to evaluate touch maps: finite elements in depth, waves along it.
 
-It shares nothing with kernels/gel_layer.py, on which the inverse stands: for each wave number the displacement in depth
-minimises the elastic energy over quadratic elements that grow from the surface down, so nothing of the closed form is
-used. A Poisson ratio below 0.5 is needed; what presses is given on cells of its own pitch.
+It shares no code with kernels/gel_layer.py, on which the inverse is based. For each wave number the displacement in
+depth minimises the elastic energy over quadratic elements that grow from the surface down; no closed form is used. The
+Poisson ratio must be below 0.5. Tractions are given on cells with their own pitch.
 """
 
 import math
@@ -15,17 +15,17 @@ from evetac_cli.arrays import Floats
 
 CELL_MM = 0.5
 ELEMENTS = 24
-GROWTH = 1.15  # of an element over the one above it
-WAVE_STEPS = 240  # wave numbers that are solved; between them by cubic splines
+GROWTH = 1.15  # size of an element relative to the one above it
+WAVE_STEPS = 240  # wave numbers that are solved; cubic splines in between
 BOX_MM = 64.0
-POINTS = 256  # of the transform along each side: cells of CELL_MM at every second
-# Gauss points and weights on -1 to 1: three for shear, two for the change of volume, which avoids locking.
+POINTS = 256  # of the transform along each side: one cell of CELL_MM is two points
+# Gauss points and weights on -1 to 1: three for shear, two for the volume change, which avoids locking.
 _THREE = np.array([-math.sqrt(0.6), 0.0, math.sqrt(0.6)]), np.array([5.0, 8.0, 5.0]) / 9.0
 _TWO = np.array([-1.0, 1.0]) / math.sqrt(3.0), np.ones(2)
 
 
 class ElasticLayer(NamedTuple):
-    """A layer whose surface moves: height in mm, moduli in Pa."""
+    """An elastic layer with a free surface: height in mm, moduli in Pa."""
 
     height_mm: float = 4.0
     shear_modulus_pa: float = 145e3
@@ -33,7 +33,7 @@ class ElasticLayer(NamedTuple):
 
 
 class DepthAnswer(NamedTuple):
-    """Motion in mm per Pa at wave numbers (n,): see `kernels.gel_layer.Compliance` for what each is."""
+    """Displacement in mm per Pa at wave numbers (n,); components as in `kernels.gel_layer.Compliance`."""
 
     across: Floats
     along: Floats
@@ -43,7 +43,7 @@ class DepthAnswer(NamedTuple):
 
 
 def depth_answer(layer: ElasticLayer, wave_per_mm: Floats, depth_mm: float = 0.0) -> DepthAnswer:
-    """The answer to waves (n,), 0 included, at a depth below the surface, by finite elements in depth."""
+    """Return the response to waves (n,), including 0, at a depth below the surface, by finite elements in depth."""
     sizes = GROWTH ** np.arange(ELEMENTS)[::-1]
     ends = np.concatenate([[0.0], np.cumsum(sizes)]) * (layer.height_mm / sizes.sum())
     nodes = 2 * ELEMENTS + 1
@@ -82,13 +82,13 @@ def depth_answer(layer: ElasticLayer, wave_per_mm: Floats, depth_mm: float = 0.0
     sideways = np.linalg.solve(across[:, 1:, 1:], alone)[..., 0]
     at_depth = _at_height(ends, layer.height_mm - depth_mm)
     u, v = (np.einsum("a,naf->nf", at_depth, part) for part in (moved[:, : nodes - 1], moved[:, nodes - 1 :]))
-    # In the energy u = U sin(kx) where pressure goes with cos(kx); in a wave exp(ikx) that is -i U.
+    # In the energy u = U sin(kx) if pressure varies as cos(kx); for a wave exp(ikx) this is -i U.
     parts = (sideways @ at_depth, u[:, 0], -u[:, 1], -v[:, 1], -v[:, 0])
     return DepthAnswer(*(np.asarray(part / layer.shear_modulus_pa, np.float64) for part in parts))
 
 
 def _at_height(ends_mm: Floats, height_mm: float) -> Floats:
-    """How much each node but the lowest counts at a height between the ends of elements."""
+    """Return the weight of each node except the lowest at a height within the elements."""
     element = min(int(np.searchsorted(ends_mm, height_mm, side="right")) - 1, len(ends_mm) - 2)
     low, high = ends_mm[element : element + 2]
     s = 2 * (height_mm - low) / (high - low) - 1
@@ -98,12 +98,12 @@ def _at_height(ends_mm: Floats, height_mm: float) -> Floats:
 
 
 class SurfaceAnswer:
-    """What a traction on one cell of CELL_MM does to any point of the surface, or below it, in a box of waves."""
+    """Response of any point on the surface, or below it, to a traction on one cell of CELL_MM, in a box of waves."""
 
     def __init__(
         self, layer: ElasticLayer, depth_mm: float = 0.0, box_mm: float = BOX_MM, points: int = POINTS
     ) -> None:
-        """The box repeats itself: what is asked for has to lie well inside it. points: along a side."""
+        """The box is periodic: points of interest must be well inside it. points: along a side."""
         self.layer, self.box_mm, self.points = layer, box_mm, points
         self._waves = 2 * math.pi * np.fft.fftfreq(points, box_mm / points)
         kx, ky = np.meshgrid(self._waves, self._waves)
@@ -124,9 +124,10 @@ class SurfaceAnswer:
         self._answer = answer * (cell * (CELL_MM / box_mm) ** 2)
 
     def at(self, point_mm: Floats, first_mm: float, count: int) -> Floats:
-        """Motion of points (n, 2) per traction on the cells of a square lattice: (n, 3, 3, count, count) in mm per Pa.
+        """Return displacements of points (n, 2) per traction on the cells of a square lattice.
 
-        The lattice's first cell has its middle at (first_mm, first_mm); rows go along y.
+        The result is (n, 3, 3, count, count) in mm per Pa. The centre of the first cell is (first_mm, first_mm); rows
+        run along y.
         """
         every = round(CELL_MM * self.points / self.box_mm)
         moved = np.empty((len(point_mm), 3, 3, count, count))
@@ -137,9 +138,9 @@ class SurfaceAnswer:
         return moved
 
     def between_cells(self, count: int) -> Floats:
-        """Motion of cells per traction on one, by how far apart they are: (3, 3, 2 count - 1, 2 count - 1).
+        """Return displacements of cells per traction on one cell by their distance: (3, 3, 2 count - 1, 2 count - 1).
 
-        Of cell a by cell b: [..., count - 1 + row of a - row of b, count - 1 + column of a - column of b].
+        Cell a due to cell b: [..., count - 1 + row of a - row of b, count - 1 + column of a - column of b].
         """
         every = round(CELL_MM * self.points / self.box_mm)
         whole = np.fft.ifft2(self._answer).real * self.points**2

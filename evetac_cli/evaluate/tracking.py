@@ -1,9 +1,9 @@
-"""evaluate tracking: does every dot end where it began, and how far from truth was it (paper, section V-C).
+"""evaluate tracking: whether every dot ends where it began, and its distance from truth (paper, section V-C).
 
-A trajectory that begins and ends with nothing on the gel is tracked with success when all dots end within 20 px of
-where they began: the paper's end-point consistency, which needs no truth. Where a simulation knows the dots, their
-distance from truth is reported too, over time in the picture, and a trajectory that ends with the gel still sheared has
-no consistency. Tracks of the same recordings by several presets are compared row by row.
+A trajectory that begins and ends with nothing on the gel is tracked successfully if all dots end within 20 px of their
+start. This is the paper's end-point consistency, which needs no truth. For simulations, whose true dots are known, the
+distance from truth is reported too, and plotted over time. A simulated trajectory that ends with the gel still sheared
+has no consistency. Tracks of the same recordings by several presets are compared row by row.
 """
 
 import json
@@ -31,22 +31,22 @@ from evetac_cli.store.recordings.read import Recording, open_recording
 OUTPUT = "report"
 METHOD = 5
 DOTS, TRUE_DOTS = "dot_xy_px", "truth/dot_xy_px"
-CONSISTENT_PX = 20.0  # the paper's
-BIN_MS = 20  # of the picture's time axis
-LEAST_PX = 1e-3  # that the picture shows
+CONSISTENT_PX = 20.0  # as in the paper
+BIN_MS = 20  # of the plot's time axis
+LEAST_PX = 1e-3  # smallest error in the plot
 
 
 def jobs(files: list[Path], params: EvaluateTracking, out: Path | None) -> list[Job]:
-    """One report over all tracks files."""
+    """Return one report job over all tracks files."""
     return report_job(files, "tracking", out)
 
 
 def run(job: Job, params: EvaluateTracking, *, force: bool = False, progress: Progress = silent) -> Outcome:
-    """A row for every preset, then one for every trajectory; lengths in px over all dots and slices.
+    """Return a row per preset, then one per trajectory; lengths in px over all dots and slices.
 
-    dots_lost: dots that end farther than 20 px from where they began; of a preset their mean over the trajectories
-    that have any, as in the paper. `events_per_dot` is a mean over dots and slices. `still_px_rms` is the error of a
-    tracker that never moves a dot, for comparison.
+    dots_lost: dots that end more than 20 px from their start; for a preset the mean over the trajectories with lost
+    dots, as in the paper. `events_per_dot` is a mean over dots and slices. `still_px_rms` is the error of a tracker
+    that never moves dots, for comparison.
     """
     headers = []
     known = 0
@@ -78,10 +78,10 @@ def run(job: Job, params: EvaluateTracking, *, force: bool = False, progress: Pr
         }
         return [*presets, *rows], summary
 
-    # A report with the truth of more or fewer recordings is another report.
+    # A report that has the truth of more or fewer recordings is a different report.
     parameters = {**recipe_of(params), "with_truth": known}
     outcome = report(job, "evaluate tracking", METHOD, parameters, headers, measure, force=force)
-    if not outcome.made:  # errors over time are not in the rows: they are drawn when they are measured
+    if not outcome.made:  # errors over time are not stored in rows: plot them only when measured
         return outcome
 
     def draw(figure: Any) -> None:
@@ -91,16 +91,16 @@ def run(job: Job, params: EvaluateTracking, *, force: bool = False, progress: Pr
 
 
 def for_people(rows: Rows, params: EvaluateTracking) -> tuple[Rows, list[str]]:
-    """All rows, and of each preset how often every dot ended where it began."""
+    """Return all rows, and for each preset how often every dot ended where it began."""
     lines = []
     for row in rows:
         if "file" not in row and row["consistent"] is not None:
             known = [one for one in rows if one.get("file") and one["preset"] == row["preset"]]
             decided = sum(one["consistent"] is not None for one in known)
             published = row["paper_consistent_share"]
-            beside = "" if published is None else f" (the paper, on its own recordings: {published:.0%})"
+            beside = "" if published is None else f" (paper, on its own recordings: {published:.0%})"
             lines.append(
-                f"{row['preset']}: all dots end within {CONSISTENT_PX:g} px of where they began in"
+                f"{row['preset']}: all dots end within {CONSISTENT_PX:g} px of their start in"
                 f" {row['consistent']} of {decided}{beside}."
             )
     return rows, lines + slip_grid.resting_on(rows)
@@ -108,9 +108,9 @@ def for_people(rows: Rows, params: EvaluateTracking) -> tuple[Rows, list[str]]:
 
 @contextmanager
 def _truth(tracks: StageFile, folder: Path | None) -> Iterator[Recording | None]:
-    """The recording beside the tracks, or in a folder, that knows the true dots; None without truth.
+    """Yield the recording with the true dots, next to the tracks or in a folder; None without truth.
 
-    InputError if the recording is another one, or if it is missing in the folder that is named.
+    Raises InputError if it is a different recording, or if it is missing in the given folder.
     """
     path = output_path(tracks.path, "recording", folder)
     if not path.exists():
@@ -118,7 +118,7 @@ def _truth(tracks: StageFile, folder: Path | None) -> Iterator[Recording | None]
             yield None
             return
         raise InputError(
-            "no such recording", where=str(path), hint="name the folder of the recordings with --recordings"
+            "no such recording", where=str(path), hint="give the folder of the recordings with --recordings"
         )
     with open_recording(path) as recording:
         check_made_from(tracks, recording)
@@ -128,19 +128,19 @@ def _truth(tracks: StageFile, folder: Path | None) -> Iterator[Recording | None]
         true, dots = (file.contents()[name][1][1] for file, name in ((recording, TRUE_DOTS), (tracks, DOTS)))
         if true != dots:
             raise InputError(
-                "the tracks follow another number of dots than the truth has",
+                "the tracks and the truth have different numbers of dots",
                 where=str(tracks.path),
-                expected=f"{true} dots, as {path}",
+                expected=f"{true} dots, like {path}",
                 found=f"{dots} dots",
             )
         yield recording
 
 
 def _check_preset(path: Path, parameters: dict[str, Any]) -> None:
-    """InputError unless the parameters of tracks name the preset that they are compared by."""
+    """Raise InputError unless the parameters of tracks name the preset by which they are compared."""
     if not isinstance(parameters.get("preset"), str) or ("constants" not in parameters and "camera" not in parameters):
         raise InputError(
-            "the header of the tracks names no preset with its constants",
+            "the header of the tracks does not contain a preset with its constants",
             where=str(path),
             expected="parameters as `evetac track` writes them",
             found=", ".join(str(key)[:40] for key in list(parameters)[:8]) or "none",
@@ -148,12 +148,12 @@ def _check_preset(path: Path, parameters: dict[str, Any]) -> None:
 
 
 def _preset_names(parameters: list[dict[str, Any]]) -> list[str]:
-    """The preset of every file; constants changed by hand are numbered where there are several sets of them."""
+    """Return the preset of every file; several sets of manually changed constants are numbered."""
     variants: dict[str, list[str]] = {}
     names = []
     for entry in parameters:
         same = variants.setdefault(entry["preset"], [])
-        made_by = entry["constants"] if "constants" in entry else entry["camera"]  # of the tracker, or of track-rgb
+        made_by = entry["constants"] if "constants" in entry else entry["camera"]  # from track, or from track-rgb
         constants = json.dumps(made_by, sort_keys=True)
         if constants not in same:
             same.append(constants)
@@ -163,7 +163,7 @@ def _preset_names(parameters: list[dict[str, Any]]) -> list[str]:
 
 
 def _trajectory(tracks: StageFile, truth: Recording | None) -> tuple[dict[str, Any], Floats | None]:
-    """The row of a trajectory, and the mean squared error of its dots over time, if truth is known."""
+    """Return the row of a trajectory, and the mean squared error of its dots over time, if truth is known."""
     rest = tracks.read("sensor/dot_xy_px").reshape(-1, 2)
     present = np.isfinite(rest).all(axis=1)
     rest, slices = rest[present], tracks.length(DOTS)
@@ -202,14 +202,14 @@ def _trajectory(tracks: StageFile, truth: Recording | None) -> tuple[dict[str, A
 
 
 def _mean_events(tracks: StageFile, present: NDArray[np.bool_]) -> float:
-    """Events a dot and slice, over the dots that are there."""
+    """Return events per dot and slice, over the dots that exist."""
     slices = tracks.length(DOTS)
     blocks = (tracks.read("events_per_dot", first, stop) for first, stop in row_blocks(slices))
     return float(sum(int(block[:, present].sum(dtype=np.int64)) for block in blocks) / (slices * present.sum()))
 
 
 def _lengths(rows: Rows) -> dict[str, Any]:
-    """Errors over trajectories, each of which counts the same; None without truth."""
+    """Return errors over trajectories with equal weights; None without truth."""
     known = [row for row in rows if row["error_px_rms"] is not None]
     if not known:
         return dict.fromkeys(("error_px_rms", "error_px_worst", "still_px_rms"))
@@ -221,7 +221,7 @@ def _lengths(rows: Rows) -> dict[str, Any]:
 
 
 def _preset(name: str, rows: Rows) -> dict[str, Any]:
-    """The row of a preset, the paper's figures beside it where it has them."""
+    """Return the row of a preset, with the paper's figures where it has them."""
     decided = [row for row in rows if row["consistent"] is not None]
     failed = [row["dots_lost"] for row in decided if not row["consistent"]]
     return {
@@ -238,7 +238,7 @@ def _preset(name: str, rows: Rows) -> dict[str, Any]:
 
 
 def _draw(figure: Any, rows: Rows, over_time: dict[str, list[Floats]], source: Source) -> None:
-    """Error over time by preset, where truth is known; how many trajectories end where they began, where it is."""
+    """Plot error over time by preset where truth is known, and the shares of consistent trajectories, if any."""
     with_truth, decided = _panels(rows, over_time)
     figure.suptitle("Dots tracked" + (" (simulated)" if source.simulated else ""))
     panels = list(figure.subplots(1, with_truth + decided, squeeze=False)[0])
@@ -254,17 +254,17 @@ def _draw(figure: Any, rows: Rows, over_time: dict[str, list[Floats]], source: S
 
 
 def _panels(rows: Rows, over_time: dict[str, list[Floats]]) -> tuple[bool, bool]:
-    """Which there are: errors over time, shares that end where they began."""
+    """Return which panels there are: errors over time, consistent shares."""
     return any(over_time.values()), any(row.get("consistent_share") is not None for row in rows)
 
 
 def _draw_errors(axes: Any, errors: list[Floats], name: str, colour: str) -> None:
-    """The error over all trajectories, each as long as it is, and the range of most of them."""
+    """Plot the error over all trajectories, which may differ in length, and the range of most of them."""
     padded = np.full((len(errors), max(map(len, errors))), np.nan)
     for line, squares in zip(padded, errors, strict=True):
         line[: len(squares)] = squares
     seconds = (np.arange(padded.shape[1]) + 0.5) * BIN_MS * 1e-3
-    lowest = LEAST_PX**2  # an error of 0 has no place on a logarithmic axis
+    lowest = LEAST_PX**2  # an error of 0 has no position on a logarithmic axis
     axes.plot(seconds, np.sqrt(np.maximum(np.nanmean(padded, axis=0), lowest)), color=colour, label=name)
     if len(errors) > 1:
         low, high = np.sqrt(np.maximum(np.nanpercentile(padded, (10, 90), axis=0), lowest))
@@ -273,7 +273,7 @@ def _draw_errors(axes: Any, errors: list[Floats], name: str, colour: str) -> Non
 
 
 def _draw_consistent(axes: Any, rows: Rows, source: Source) -> None:
-    """The share of each preset with its interval, by the number of trajectories, and the paper's where it has one."""
+    """Plot the consistent share of each preset with its interval by number of trajectories, and the paper's."""
     presets = [row for row in rows if "file" not in row]
     for place, row in enumerate(presets):
         of_preset = [one for one in rows if "file" in one and one["preset"] == row["preset"]]

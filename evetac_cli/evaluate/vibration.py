@@ -1,9 +1,9 @@
-"""evaluate vibration: the frequency at which the gel vibrates, in whole recordings and in windows of some lengths.
+"""evaluate vibration: the frequency at which the gel vibrates, in whole recordings and in windows of several lengths.
 
-Where the tone is known, from a simulation's truth or from `--true-hz`, windows with the right frequency are counted,
-beside the paper's table ("Sensing Vibrations"). Recordings are read in pieces, so their length costs no memory.
+If the tone is known, from a simulation's truth or from `--true-hz`, windows with the correct frequency are counted,
+next to the paper's table ("Sensing Vibrations"). Recordings are read in pieces, so memory does not grow with length.
 
-Why so: the true tone decides only which slices are examined, those in which it sounds, and which answer is correct.
+The true tone only decides which slices are examined (those in which it sounds) and which result is correct.
 """
 
 import math
@@ -26,10 +26,10 @@ from evetac_cli.store.recordings.read import Recording, open_recording
 
 OUTPUT = "report"
 METHOD = 2
-SHORTEST_MS, LONGEST_MS = 100, 10_000  # of a window: what has a spectrum, and what has room in memory
+SHORTEST_MS, LONGEST_MS = 100, 10_000  # of a window: shorter ones have no spectrum, longer ones need too much memory
 READ_MS = 250  # events read at once
-ENOUGH_WINDOWS = 5  # to estimate the tone's uncertainty by how much they differ
-PANELS = 10  # of the picture
+ENOUGH_WINDOWS = 5  # to estimate the tone's uncertainty from their differences
+PANELS = 10  # of the plot
 TONE = "truth/tone_hz"
 
 
@@ -38,27 +38,27 @@ class Survey(NamedTuple):
 
     seconds: float
     whole: vibration.Spectrum  # summed over windows of the longest length
-    counts: NDArray[np.int64]  # events a bin of 1 / rate
-    motion: dict[int, list[float | None]]  # length of the window in ms -> a frequency for each, by motion
+    counts: NDArray[np.int64]  # events per bin of 1 / rate
+    motion: dict[int, list[float | None]]  # window length in ms -> a frequency per window, by motion
     paper: dict[int, list[float | None]]  # the same by the paper's method
 
 
 def jobs(files: list[Path], params: EvaluateVibration, out: Path | None) -> list[Job]:
-    """One report over all recordings."""
+    """Return one report job over all recordings."""
     return report_job(files, "vibration", out)
 
 
 def run(job: Job, params: EvaluateVibration, *, force: bool = False, progress: Progress = silent) -> Outcome:
-    """A row for each recording and method, then one for each length of window; spectra as a picture beside the report.
+    """Return a row per recording and method, then one per window length; plot the spectra next to the report.
 
-    The picture has a panel for the first recording of each tone, and for those whose tone is not known.
-    `motion_ratio_*` is how far a harmonic moves the gel, over the tone. The paper's method always has an answer, also
-    where nothing vibrates.
+    The plot has a panel for the first recording of each tone, and for those with an unknown tone. `motion_ratio_*` is
+    the gel's motion at a harmonic over that at the tone. The paper's method always returns a frequency, even without
+    vibration.
     """
     windows_ms = _windows_ms(params.windows)
     if params.lowest_hz >= params.rate / 2:
         raise InputError(
-            "no frequencies are left between this and half of --rate",
+            "no frequencies remain between --lowest-hz and half of --rate",
             where="--lowest-hz",
             expected=f"below {params.rate / 2:g} Hz",
             found=f"{params.lowest_hz:g}",
@@ -92,7 +92,7 @@ def run(job: Job, params: EvaluateVibration, *, force: bool = False, progress: P
         return [*first, *second], _summary(first, second)
 
     outcome = report(job, "evaluate vibration", METHOD, recipe_of(params), headers, measure, force=force)
-    if not outcome.made:  # spectra are not in the rows: they are drawn when they are measured
+    if not outcome.made:  # spectra are not stored in rows: plot them only when measured
         return outcome
 
     def draw(figure: Any) -> None:
@@ -102,21 +102,21 @@ def run(job: Job, params: EvaluateVibration, *, force: bool = False, progress: P
 
 
 def for_people(rows: Rows, params: EvaluateVibration) -> tuple[Rows, list[str]]:
-    """All rows, and in how many recordings each method finds the tone."""
+    """Return all rows, and the number of recordings in which each method finds the tone."""
     lines = []
     whole = [row for row in rows if "seconds" in row]
     for method in dict.fromkeys(row["method"] for row in whole):
         of_method = [row for row in whole if row["method"] == method]
         known = [row for row in of_method if row["correct"] is not None]
         vibrating = sum(row["frequency_hz"] is not None for row in of_method)
-        right = f"; right, within {params.tolerance_hz:g} Hz of the tone, in {sum(row['correct'] for row in known)}"
-        tones = f"{right} of {len(known)} whose tone is known" if known else ""
+        right = f"; correct, within {params.tolerance_hz:g} Hz of the tone, in {sum(row['correct'] for row in known)}"
+        tones = f"{right} of {len(known)} with a known tone" if known else ""
         lines.append(f"{method}: a vibration in {vibrating} of {len(of_method)} recordings{tones}.")
     return rows, lines
 
 
 def _windows_ms(text: str) -> list[int]:
-    """Lengths of windows in ms, longest first."""
+    """Return the window lengths in ms, longest first."""
     try:
         lengths = [1000 * float(part) for part in text.split(",")]
     except ValueError:
@@ -125,24 +125,27 @@ def _windows_ms(text: str) -> list[int]:
         raise InputError(
             "not a list of window lengths",
             where="--windows",
-            expected=f"seconds from {SHORTEST_MS / 1000:g} to {LONGEST_MS / 1000:g}, as in 10,2,1",
+            expected=f"seconds from {SHORTEST_MS / 1000:g} to {LONGEST_MS / 1000:g}, such as 10,2,1",
             found=text,
         )
     return sorted({round(length) for length in lengths}, reverse=True)
 
 
 def _span(recording: Recording, params: EvaluateVibration) -> tuple[int, int, float | None]:
-    """Slices [start, stop) to examine, and the true tone in Hz or None: in a simulation those in which it sounds."""
+    """Return slices [start, stop) to examine, and the true tone in Hz or None.
+
+    In simulations the slices are those in which the tone sounds.
+    """
     start, stop, expected_hz = 0, len(recording), params.true_hz
     if recording.has(TONE):
         tone_hz = recording.read(TONE)
         sounding = np.flatnonzero(tone_hz > 0.0)
         if len(sounding):
-            # Truth is that of a slice's end: the tone still sounds in the slice at whose end it is over.
+            # Truth is for the end of a slice: in the last slice the tone still sounds at first.
             start, stop = int(sounding[0]), min(int(sounding[-1]) + 2, stop)
             if len(np.unique(tone_hz[sounding])) > 1:
                 raise InputError(
-                    "the recording has more than one tone", where=str(recording.path), expected="one tone a recording"
+                    "the recording has more than one tone", where=str(recording.path), expected="one tone per recording"
                 )
             expected_hz = float(tone_hz[start]) if expected_hz is None else expected_hz
     if stop - start < SHORTEST_MS:
@@ -182,14 +185,14 @@ def _survey(
                 elif with_motion:
                     window = vibration.spectrum(_part(tally, begin, length, fine_hz), fine_hz)
                     motion[length].append(_tone_hz(window, params))
-    assert whole is not None  # the first piece is a whole one
+    assert whole is not None  # the first piece has full length
     return Survey((stop - start) / SLICES_PER_S, whole, np.concatenate(all_counts), motion, by_counts)
 
 
 def _read(
     recording: Recording, first: int, last: int, fine_hz: int, rate_hz: int, *, advance_from: int, advance: Any
 ) -> tuple[vibration.Tally, NDArray[np.int64]]:
-    """Signed events (cells, bins at `fine_hz`) and events (bins at `rate_hz`) of the slices [first, last)."""
+    """Return signed events (cells, bins at `fine_hz`) and events (bins at `rate_hz`) of the slices [first, last)."""
     across, down = vibration.cell_grid(recording.frame_px)
     tally = np.zeros((across * down, (last - first) * fine_hz // SLICES_PER_S), np.int16)
     bins = (last - first) * rate_hz // SLICES_PER_S
@@ -203,7 +206,7 @@ def _read(
 
 
 def _part(values: NDArray, begin_ms: int, length_ms: int, rate_hz: int) -> NDArray:
-    """The window of `length_ms` from `begin_ms` on, along the last axis."""
+    """Return the window of `length_ms` starting at `begin_ms`, along the last axis."""
     begin = begin_ms * rate_hz // SLICES_PER_S
     return values[..., begin : begin + length_ms * rate_hz // SLICES_PER_S]
 
@@ -218,7 +221,7 @@ def _paper_tone_hz(counts: NDArray[np.int64], params: EvaluateVibration) -> floa
 
 
 def _whole(survey: Survey, method: str, expected_hz: float | None, params: EvaluateVibration) -> dict[str, Any]:
-    """The row of a recording."""
+    """Return the row of a recording."""
     finding = vibration.Finding(None, {}, None)
     if method == "paper":
         frequency_hz = _paper_tone_hz(survey.counts, params)
@@ -239,9 +242,9 @@ def _whole(survey: Survey, method: str, expected_hz: float | None, params: Evalu
 
 
 def _uncertainty_hz(survey: Survey, tone: vibration.SpectralLine) -> float:
-    """One sd of a tone: from noise, or from how much the shortest windows differ, if that is more.
+    """Return one standard deviation of a tone: from noise, or from the spread of the shortest windows, if larger.
 
-    The phase at which the gel answers drifts with the tone's harmonics, which the noise does not include.
+    The phase of the gel's response drifts with the tone's harmonics, which the noise estimate does not include.
     """
     windows = survey.motion[min(survey.motion)] if survey.motion else []
     near = [hz for hz in windows if hz is not None and abs(hz - tone.frequency_hz) < 0.1 * tone.frequency_hz]
@@ -257,9 +260,9 @@ def _near(frequency_hz: float | None, expected_hz: float, tolerance_hz: float) -
 def _by_window(
     survey: Survey, method: str, expected_hz: float | None, params: EvaluateVibration
 ) -> Iterator[dict[str, Any]]:
-    """A row for each length of window: how many are correct, which frequency the others gave, the paper's share.
+    """Yield a row per window length: correct windows, frequencies of the others, the paper's share.
 
-    Twice the tone may fold to its half (400 Hz at a rate of 1000 Hz): such a window counts as both.
+    Twice the tone may alias to its half (400 Hz at a rate of 1000 Hz): such a window counts as both.
     """
     for length, frequencies in (survey.paper if method == "paper" else survey.motion).items():
         detected = [frequency_hz for frequency_hz in frequencies if frequency_hz is not None]
@@ -270,7 +273,7 @@ def _by_window(
             "windows_without_vibration": len(frequencies) - len(detected),
         }
         if expected_hz is not None:
-            tolerance_hz = max(params.tolerance_hz, 500.0 / length)  # half the distance of a window's frequencies
+            tolerance_hz = max(params.tolerance_hz, 500.0 / length)  # half the frequency spacing of a window
             right = sum(_near(frequency_hz, expected_hz, tolerance_hz) for frequency_hz in frequencies)
             doubles_hz = (2 * expected_hz, abs((2 * expected_hz + params.rate / 2) % params.rate - params.rate / 2))
             wrong = [frequency_hz for frequency_hz in detected if not _near(frequency_hz, expected_hz, tolerance_hz)]
@@ -290,7 +293,7 @@ def _by_window(
 
 
 def _summary(first: Rows, second: Rows) -> dict[str, Any]:
-    """Recordings with a vibration, and the share of right windows over all tones, ours and the paper's."""
+    """Return the number of vibrating recordings, and the share of correct windows over all tones, with the paper's."""
     summary: dict[str, Any] = {
         "recordings": len({row["file"] for row in first}),
         "vibrating": sum(row["frequency_hz"] is not None for row in first if row["method"] == first[0]["method"]),
@@ -310,7 +313,7 @@ def _summary(first: Rows, second: Rows) -> dict[str, Any]:
 
 
 def _draw(figure: Any, spectra: list[tuple[str, Survey]], params: EvaluateVibration, *, simulated: bool) -> None:
-    """Spectra of motion and of events a slice, a panel for each recording."""
+    """Plot spectra of motion and of events per slice, a panel per recording."""
     panels = picture.panels(figure, len(spectra), 1, sharex=True)
     for axes, (name, survey) in zip(panels, spectra, strict=True):
         amplitude = np.abs(np.fft.rfft(survey.counts - survey.counts.mean()))
@@ -321,13 +324,13 @@ def _draw(figure: Any, spectra: list[tuple[str, Survey]], params: EvaluateVibrat
         _draw_line(axes, frequency_hz, motion, params, "motion of the gel (default method)")
         axes.set(title=name, xlim=(0.0, params.rate / 2), ylim=(0.0, 1.05))
     panels[-1].set_xlabel("frequency [Hz]")
-    figure.supylabel("amplitude, as a share of the largest", fontsize=9)
+    figure.supylabel("amplitude relative to the largest", fontsize=9)
     figure.suptitle("Spectra of whole recordings" + (" (simulated)" if simulated else ""))
     picture.legend(figure, panels)
 
 
 def _draw_line(axes: Any, frequency_hz: Floats, amplitude: Floats, params: EvaluateVibration, label: str) -> None:
-    """One spectrum, over its largest amplitude in the band."""
+    """Plot one spectrum relative to its largest amplitude in the band."""
     shown = (frequency_hz >= params.lowest_hz) & (frequency_hz <= params.rate / 2)
     highest = amplitude[shown].max(initial=0.0)
     if highest > 0.0:

@@ -1,1 +1,1 @@
-"""Pages for people: of a trial (view/) and of a whole study (report/)."""
+"""HTML pages: of one trial (view/) and of a whole study (report/)."""

@@ -1,7 +1,7 @@
-"""What the pages of view and report have in common: colours, charts' axes, text, and how a page is written.
+"""Common parts of the pages of view and report: colours, axes of charts, text, and writing of a page.
 
-A page is one HTML file that loads nothing: the style (data/page.css), Bokeh's script and all data are put into it.
-Text from files is escaped, also that on the axes of charts, which Bokeh draws and never reads as HTML.
+A page is one HTML file that loads nothing: it contains the style (data/page.css), Bokeh's script and all data. Text
+from files is escaped, also on the axes of charts, which Bokeh draws as text and never as HTML.
 """
 
 import html
@@ -19,24 +19,24 @@ from evetac_cli.resources import DATA
 from evetac_cli.store.hdf5.disk import taking_the_place_of
 
 INK, BLUE, ORANGE, GREEN, PINK = "ink", "#2f82c4", "#d55e00", "#009e73", "#cc79a7"  # distinct to the colour-blind
-NEUTRAL = "#7f8790"  # instead of INK in charts: legible on white and on black
+NEUTRAL = "#7f8790"  # replaces INK in charts: legible on white and on black
 UNKNOWN = "#9aa1a9"
 LARGEST_BYTES = 20_000_000
 LONGEST_TEXT = 300
 
 
 def check_libraries(names: Iterable[str]) -> None:
-    """MissingLibrary, before any work is done, where a library that draws is missing."""
+    """Raise MissingLibrary, before any work is done, if a library for drawing is missing."""
     for name in names:
         if find_spec(name) is None:
-            raise missing_extra(f"{name}, which draws the page, is not installed", "plot")
+            raise missing_extra(f"{name}, needed to draw the page, is not installed", "plot")
 
 
 # Where a page goes ----------------------------------------------------------------------------------------------------
 
 
 def page_path(folder: Path, name: str, out: Path | None) -> Path:
-    """`folder/name`; in the folder `out`, or the file `out`, where that is given."""
+    """Return `folder/name`; if `out` is given, the path in the folder `out`, or the file `out`."""
     if out is None:
         return folder / name
     if out.is_dir() or not out.suffix:
@@ -45,14 +45,16 @@ def page_path(folder: Path, name: str, out: Path | None) -> Path:
 
 
 def with_suffix(path: Path, suffix: str, flag: str) -> Path:
-    """The path; InputError if it ends in anything else."""
+    """Return the path; raise InputError if it has another suffix."""
     if path.suffix.lower() != suffix:
-        raise InputError("wrong kind of output", where=flag, expected=f"a name that ends in {suffix}", found=str(path))
+        raise InputError(
+            "wrong kind of output", where=flag, expected=f"a file name ending in {suffix}", found=str(path)
+        )
     return path
 
 
 def check_free(path: Path, force: bool) -> None:
-    """InputError where a page cannot take this place, or would replace another one, unless `force`."""
+    """Raise InputError if a page cannot be written to this path, or exists there, unless `force`."""
     require_possible_name(path)
     if os.path.isdir(path):
         raise InputError("the output is a folder", where=str(path))
@@ -61,7 +63,7 @@ def check_free(path: Path, force: bool) -> None:
 
 
 def write_page(path: Path, content: bytes) -> None:
-    """Write beside the target, then rename, so that no half page is ever left."""
+    """Write next to the target, then rename, so that no partial page is ever left."""
     with taking_the_place_of(path) as temporary:
         temporary.write_bytes(content)
 
@@ -70,9 +72,9 @@ def write_page(path: Path, content: bytes) -> None:
 
 
 def fill(template: Path, parts: Mapping[str, str], where: Path, hint: str) -> bytes:
-    """The page: a template with its @@MARKS@@ replaced, STYLE by the style of all pages; EvetacError above 20 MB."""
+    """Return the page: a template with its @@MARKS@@ and the common style filled in; raise EvetacError above 20 MB."""
     parts = {"STYLE": (DATA / "page.css").read_text(encoding="utf-8"), **parts}
-    # One pass, so that a file name which looks like a mark stays a file name.
+    # A single pass, so that a file name that looks like a mark is not replaced.
     text = re.sub("@@([A-Z]+)@@", lambda mark: parts[mark[1]], template.read_text(encoding="utf-8"))
     done = text.encode("utf-8", "replace")
     if len(done) > LARGEST_BYTES:
@@ -87,18 +89,18 @@ def fill(template: Path, parts: Mapping[str, str], where: Path, hint: str) -> by
 
 
 def for_script(value: Any) -> str:
-    """JSON that may stand in a script element: nothing in it can end the element or begin a comment."""
+    """Return JSON that is safe inside a script element: nothing in it can end the element or begin a comment."""
     return json.dumps(value, allow_nan=False).replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
 def short(value: Any) -> str:
-    """Any value as escaped text, cut where it is long."""
+    """Return any value as escaped text, truncated if it is long."""
     text = value if isinstance(value, str) else json.dumps(value)
     return html.escape(text if len(text) <= LONGEST_TEXT else text[:LONGEST_TEXT] + "...")
 
 
 def badges(values: Iterable[tuple[str, Any]], *, simulated: bool) -> str:
-    """Name and value each in a frame, those without a value left out; `simulated` comes first."""
+    """Return a badge with name and value for each value that is not None; `simulated` comes first."""
     marks = '<span class="badge simulated">simulated</span>' if simulated else ""
     return marks + "".join(
         f'<span class="badge">{name} <b>{short(value)}</b></span>' for name, value in values if value is not None
@@ -109,12 +111,12 @@ def badges(values: Iterable[tuple[str, Any]], *, simulated: bool) -> str:
 
 
 def shown_colour(colour: str) -> str:
-    """A colour as charts draw it: ink would not be seen on one of a page's two backgrounds."""
+    """Return a colour as charts draw it: ink would be invisible on one of a page's two backgrounds."""
     return NEUTRAL if colour == INK else colour
 
 
 def bare_figure(**more: Any) -> Any:
-    """A figure of the page's width, without frame and tools, in the page's colours."""
+    """Return a figure of the page's width, without frame and tools, in the page's colours."""
     from bokeh.plotting import figure
 
     chart = figure(
@@ -145,7 +147,7 @@ def bare_figure(**more: Any) -> Any:
 
 
 def embed(figures: Iterable[Any]) -> tuple[str, str, list[str]]:
-    """Bokeh's script for these figures, its library, and the HTML in which each figure stands."""
+    """Return Bokeh's script for these figures, its library, and the HTML that contains each figure."""
     from bokeh.embed import components
     from bokeh.resources import Resources
 

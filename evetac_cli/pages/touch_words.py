@@ -1,4 +1,4 @@
-"""What is known of the stiffness of a gel whose touch a file tells: the scale of all its forces."""
+"""Words for the knowledge of a gel's stiffness, which scales all forces of a touch file."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -8,14 +8,14 @@ MODULUS = "shear_modulus_pa"
 
 
 def stiffness(header: Mapping[str, Any]) -> str:
-    """ADAPTED, KNOWN or UNKNOWN, by the header of a touch file, which may hold anything."""
+    """Return ADAPTED, KNOWN or UNKNOWN, by the header of a touch file, which may contain anything."""
     if any(_inner(ancestor, "kind") == "force-model" for ancestor in header["history"].values()):
-        return ADAPTED  # the only model that touch is made with
+        return ADAPTED  # the only kind of model used for touch maps
     return UNKNOWN if _inner(header, "parameters", "known", MODULUS) is None else KNOWN
 
 
 def stiffness_in_figures(header: Mapping[str, Any]) -> str:
-    """The same, with the modulus and its relative error as far as the header has them."""
+    """Return the same, with the modulus and its relative error if the header has them."""
     which = stiffness(header)
     if which != KNOWN:
         return which
@@ -32,7 +32,7 @@ def _is_number(value: Any) -> bool:
 
 
 def _inner(table: Any, *names: str) -> Any:
-    """A value inside nested tables; None where there is none."""
+    """Return a value inside nested tables; None if there is none."""
     for name in names:
         table = table.get(name) if isinstance(table, Mapping) else None
     return table

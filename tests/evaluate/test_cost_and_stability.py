@@ -253,7 +253,7 @@ def test_a_terminal_gets_the_best_settings():
     shown, (late, _) = cost.for_people(CAMERA, EvaluateCost(part="sim"))
     assert shown == CAMERA
     least, fastest = late.split("; ")
-    assert "least with ideal, tone, 4 sub-steps, 0.3 in 400 us" in least
+    assert "with ideal, tone, 4 sub-steps, 0.3 in 400 us" in least
     assert "fastest with ideal, tone, 1 sub-steps, 5 in 100 us" in fastest
 
 
@@ -317,8 +317,8 @@ def test_strict(by_hand, tmp_path):
     for _ in range(2):
         result = evaluate("stability", "--strict")
         assert result.exit_code == 1
-        assert "sim: cases outside their bounds" in result.stderr
-        assert "1 of 2 that are not ok" in result.stderr
+        assert "outside their bounds" in result.stderr
+        assert "1 of 2 not ok" in result.stderr
         assert "force left unbalanced" in result.stdout
         (tmp_path / "sim.stability.report.h5").unlink(missing_ok=True)
     shown = json.loads(evaluate("stability", "--strict", "--json").stdout)

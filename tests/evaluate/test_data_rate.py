@@ -106,7 +106,7 @@ def test_the_papers_figures_are_about_its_own_motions(tmp_path: Path) -> None:
         rows, intervals = evaluated(*files)
         for row in intervals:
             assert {row[name] for name in row if "paper" in name} == {None}
-        assert "other motions" in data_rate.for_people([*rows, *intervals], EvaluateDataRate())[1][-1]
+        assert "not shown" in data_rate.for_people([*rows, *intervals], EvaluateDataRate())[1][-1]
 
 
 def test_sizes_are_settable(tmp_path: Path) -> None:
@@ -139,7 +139,7 @@ def test_slip_from_labels(tmp_path: Path) -> None:
     ((row,), _) = evaluated(path)
     assert row["share_slip"] == pytest.approx(100 * 5 * 1000 / RGB_BYTES_S)
     assert row["share_contact"] is None
-    assert row["not_answered"] == "contact: no truth, and contact is known in simulations alone"
+    assert row["not_answered"].startswith("contact: no truth")
     with StageFile(tmp_path / "a.report.h5") as report:
         kinds = {report.header["history"][parent]["kind"] for parent in report.header["parents"]}
     assert kinds == {"recording", "labels"}
@@ -148,9 +148,9 @@ def test_slip_from_labels(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("how", "reason"),
     [
-        ({}, "slip: neither truth nor labels beside the recording"),
+        ({}, "slip: neither truth nor labels"),
         ({"labels": -1}, "slip: no slip in the labels"),
-        ({"labels": 1900}, "slip: 0.35 s of 0.5 s about the onset at 1900 ms are recorded"),
+        ({"labels": 1900}, "slip: 0.35 s of 0.5 s around the onset at 1900 ms"),
         ({"truth": True, "onset": SLICES}, "slip: no slip"),
         ({"truth": True, "touched": False}, "contact: nothing was touched"),
     ],
@@ -178,8 +178,8 @@ def test_what_is_refused(tmp_path: Path) -> None:
     for file, values, match in (
         (path, {}, "belong to another recording"),
         (empty, {}, "no slices"),
-        (other, {"rgb_frame": "540x480"}, "not the size of a frame"),
-        (other, {"rgb_frame": "0x480x3"}, "not the size of a frame"),
+        (other, {"rgb_frame": "540x480"}, "frame size"),
+        (other, {"rgb_frame": "0x480x3"}, "frame size"),
     ):
         with pytest.raises(InputError, match=match):
             evaluated(file, **values)

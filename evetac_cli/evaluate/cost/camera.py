@@ -1,7 +1,7 @@
-"""Error against run time of the simulated cameras: wrong times and lost events, on small seeded workloads.
+"""Error against run time of the simulated cameras: timing errors and lost events, on small seeded workloads.
 
-Both cameras are compared with the events of `reference`, which visits every pixel 100,000 times a second. The reference
-has the thresholds of the camera that it is compared with, and no noise: what noise adds counts as an error.
+Both cameras are compared with the events of `reference`, which evaluates every pixel 100,000 times per second. The
+reference has the thresholds of the compared camera and no noise, so noise events count as errors.
 """
 
 import copy
@@ -26,16 +26,16 @@ from evetac_cli.sim.camera.scanning.camera import CameraModel, CameraState
 
 REFERENCE_STEPS_PER_MS = 100
 SUBSTEPS = (1, 2, 4, 8, 16, 32)
-FEW_SUBSTEPS = (1, 4, 16)  # of the workloads with noise, mismatch and window
+FEW_SUBSTEPS = (1, 4, 16)  # for the workloads with noise, mismatch and window
 
 # Displacement of all dots over time: (times,) in ms -> (times, 2) in px.
 Motion = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
 
 class Workload(NamedTuple):
-    """Dots (dots, 2) in px that are all displaced by `motion` for some slices, before a camera `model`.
+    """Dots (dots, 2) in px that are all displaced by `motion` for some slices, seen by a camera `model`.
 
-    texture: of an object that moves as the dots do, seen in `window_px` (x0, y0, x1, y1), ends excluded; dots are not.
+    texture: that of an object moving with the dots, seen in `window_px` (x0, y0, x1, y1), ends excluded; no dots there.
     """
 
     name: str
@@ -49,14 +49,14 @@ class Workload(NamedTuple):
     window_px: tuple[int, int, int, int] | None = None
 
     def path_px(self, steps_per_ms: int) -> NDArray[np.float64]:
-        """Where the dots are at the ends of all steps, shape (slices * steps_per_ms + 1, dots, 2)."""
+        """Return the dots' positions at the ends of all steps, shape (slices * steps_per_ms + 1, dots, 2)."""
         times_ms = np.arange(self.slices * steps_per_ms + 1) / steps_per_ms
         return self.dot_xy_px[None] + self.motion(times_ms)[:, None]
 
     def object_px(self, steps_per_ms: int) -> NDArray[np.float64]:
-        """Where the object is at the ends of all steps, (slices * steps_per_ms + 1, 2): straight within a slice.
+        """Return the object's position at the ends of all steps, (slices * steps_per_ms + 1, 2), linear within a slice.
 
-        Why so: a camera is told where an object is at the ends of a slice, and so is the reference.
+        Linear, because cameras and the reference receive the position of an object only at the ends of a slice.
         """
         ends_ms = np.arange(self.slices + 1.0)
         moved = self.motion(ends_ms) if self.texture is not None else np.zeros((len(ends_ms), 2))
@@ -65,9 +65,9 @@ class Workload(NamedTuple):
 
 
 def play_ideal(state: CameraState, load: Workload, substeps: int) -> tuple[FineEvents, NDArray[np.float64]]:
-    """Events of an ideal camera that starts as `state`, whose dots' paths have `substeps` pieces a slice.
+    """Return the events of an ideal camera, starting from `state`, and the run time of every slice, in us.
 
-    Also the run time of every slice, in us.
+    The dots' paths have `substeps` pieces per slice.
     """
     run = ideal.from_references(copy.deepcopy(state))
     path, moved = load.path_px(substeps), load.object_px(1)
@@ -88,7 +88,7 @@ def play_ideal(state: CameraState, load: Workload, substeps: int) -> tuple[FineE
 
 
 def play_scans(state: CameraState, load: Workload, substeps: int = 1) -> tuple[FineEvents, NDArray[np.float64]]:
-    """Events of a scanning camera that starts as `state`, and the run time of every slice, as for the ideal one."""
+    """Return the events of a scanning camera, starting from `state`, and the run time of every slice, in us."""
     run = copy.deepcopy(state)
     path, moved = load.path_px(substeps), load.object_px(1)
     contrast = float(load.texture is not None)
@@ -108,9 +108,9 @@ def play_scans(state: CameraState, load: Workload, substeps: int = 1) -> tuple[F
 
 
 def workloads() -> list[Workload]:
-    """Eight dots for 20 ms: a slow shear, a turning slip, a tone; and the slip as harder cameras see it.
+    """Return workloads of eight dots for 20 ms: slow shear, a turning slip, a tone; and the slip in harder conditions.
 
-    Without noise every error is the method's.
+    Without noise every error is due to the method.
     """
     model = CameraModel(frame_px=(320, 180), noise_rate_hz=0.0, hot_pixels=0)
     column, row = np.meshgrid(np.arange(4), np.arange(2))
@@ -131,29 +131,29 @@ def workloads() -> list[Workload]:
 
 
 def oscillation(times_ms: NDArray[np.float64], amplitude_px: float, frequency_hz: float) -> NDArray[np.float64]:
-    """A sine along (0.8, 0.6): times in ms -> displacements (times, 2) in px."""
+    """Return displacements (times, 2) in px of a sine along (0.8, 0.6), for times in ms."""
     shift_px = amplitude_px * np.sin(2.0 * np.pi * 1e-3 * frequency_hz * times_ms)
     return np.stack([0.8 * shift_px, 0.6 * shift_px], axis=1)
 
 
 def _slip(times_ms: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Twice as fast each 8.6 ms, while the direction turns by a quarter in 20 ms."""
+    """Return a motion that doubles its speed in about 8.6 ms and turns by a quarter in 20 ms."""
     distance_px = 0.2 * times_ms + 0.02 * times_ms**2
     turn = times_ms * np.pi / 40.0
     return np.stack([distance_px * np.cos(turn), distance_px * np.sin(turn)], axis=1)
 
 
 def row_count(loads: Sequence[Workload]) -> int:
-    """How many rows `camera_rows` gives."""
+    """Return the number of rows of `camera_rows`."""
     return sum(len(load.substeps) + 1 for load in loads)
 
 
 def camera_rows(seed: int, loads: Sequence[Workload]) -> Iterator[Row]:
-    """Rows of error and run time for the ideal camera with SUBSTEPS pieces a slice, and for the scanning camera.
+    """Yield rows of error and run time for the ideal camera with SUBSTEPS pieces per slice and for the scanning camera.
 
-    `error_us_*` is the time error of events within 1 ms of one of the reference's, of which the ideal camera's whole
-    microseconds make 0.25 us in the median; `error_share_count` is |events / reference - 1|; run times are those of
-    one slice, compiled.
+    `error_us_*` is the time error of events within 1 ms of a reference event. Of this, 0.25 us in the median are due to
+    the ideal camera's whole microseconds. `error_share_count` is |events / reference - 1|. Run times are those of one
+    slice, compiled.
     """
     for number, load in enumerate(loads):
         rng = np.random.default_rng((seed, number))
@@ -169,7 +169,7 @@ def camera_rows(seed: int, loads: Sequence[Workload]) -> Iterator[Row]:
 
 
 def true_events(state: CameraState, load: Workload) -> FineEvents:
-    """The events of a workload by the reference, which starts as `state`: those of dots, then those of the window."""
+    """Return the events of a workload from the reference, starting from `state`: those of dots, then of the window."""
     step_us = SLICE_US / REFERENCE_STEPS_PER_MS
     parts = [reference_events(state, load.path_px(REFERENCE_STEPS_PER_MS), step_us)]
     if load.texture is not None:

@@ -1,8 +1,8 @@
-"""The slow, exact events that simulated cameras are compared with, and how well two streams of events agree.
+"""Slow, exact reference events for simulated cameras, and a measure of agreement between two event streams.
 
-The reference visits every pixel that a dot comes near many times a millisecond, takes its level from the closed form
-of the edge instead of a table, and interpolates linearly between visits. It shares no code with the cameras, and starts
-from the same references and thresholds.
+The reference evaluates every pixel near a dot many times per millisecond. It takes the pixel's level from the closed
+form of the edge instead of a table, and interpolates linearly between evaluations. It shares no code with the cameras,
+but starts from the same reference levels and thresholds.
 """
 
 import math
@@ -16,15 +16,15 @@ from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.camera.scanning.camera import CameraState
 
 TOLERANCE_US = 10.0
-FARTHEST_US = 1000.0  # two events that are farther apart than this are not the same one
-EDGE_SIGMAS = 6.0  # an edge farther off than this changes a level by less than 1e-8
+FARTHEST_US = 1000.0  # two events farther apart than this are not the same event
+EDGE_SIGMAS = 6.0  # an edge farther away changes a level by less than 1e-8
 
 # times in us, columns, rows and polarities of events, side by side
 Columns = tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]
 
 
 class FineEvents(NamedTuple):
-    """Columns of events with times that need not be whole: t in us, x and y in px, p 0 or 1."""
+    """Columns of events with fractional times: t in us, x and y in px, p 0 or 1."""
 
     t: NDArray[np.float64]
     x: NDArray[np.int64]
@@ -33,10 +33,10 @@ class FineEvents(NamedTuple):
 
 
 class Match(NamedTuple):
-    """How well a camera's events agree with a reference's.
+    """Agreement of a camera's events with a reference's.
 
-    `count_share` is events / reference - 1, `f1` counts a pair within the tolerance as right, `error_us` are the
-    absolute differences in time of all pairs within FARTHEST_US.
+    `count_share` is events / reference - 1. `f1` counts pairs within the tolerance as correct. `error_us` are the
+    absolute time differences of all pairs within FARTHEST_US.
     """
 
     count_share: float
@@ -45,10 +45,10 @@ class Match(NamedTuple):
 
 
 def reference_events(state: CameraState, path_px: NDArray[np.float64], step_us: float) -> FineEvents:
-    """Every crossing of every pixel near a path (steps + 1, dots, 2) of dots without window, sampled each `step_us`.
+    """Return every crossing of every pixel near a path (steps + 1, dots, 2) of dots, without a window.
 
-    `state` gives references and thresholds at the start and is left as it is. A level is the erf edge of the nearest
-    dot, linear between samples. The events come pixel after pixel.
+    The path is sampled every `step_us`. `state` provides reference levels and thresholds at the start and is not
+    changed. A level is the erf edge of the nearest dot, linear between samples. Events are ordered pixel by pixel.
     """
     given = (
         path_px,
@@ -59,13 +59,13 @@ def reference_events(state: CameraState, path_px: NDArray[np.float64], step_us: 
         state.model.edge_sigma_px,
         state.model.log_contrast,
     )
-    columns = _empty_columns(_crossings(*given, _empty_columns(0)))  # counts first
+    columns = _empty_columns(_crossings(*given, _empty_columns(0)))  # first count
     _crossings(*given, columns)
     return FineEvents(*columns)
 
 
 def window_events(state: CameraState, object_px: NDArray[np.float64], step_us: float) -> FineEvents:
-    """Every crossing of every pixel of the window, for an object displaced along a path (steps + 1, 2) in px.
+    """Return every crossing of every pixel of the window, for an object displaced along a path (steps + 1, 2) in px.
 
     As `reference_events`; a level is the texture, bilinear and periodic, at full contrast, linear between samples.
     """
@@ -77,7 +77,7 @@ def window_events(state: CameraState, object_px: NDArray[np.float64], step_us: f
         state.window_reference,
         state.window_threshold,
     )
-    columns = _empty_columns(_window_crossings(*given, _empty_columns(0)))  # counts first
+    columns = _empty_columns(_window_crossings(*given, _empty_columns(0)))  # first count
     _window_crossings(*given, columns)
     return FineEvents(*columns)
 
@@ -96,7 +96,7 @@ def _cross(
     events: Columns,
     made: int,
 ) -> tuple[float, int]:
-    """Write the events of a pixel while its light goes linearly from one end to the other; its new level, and count.
+    """Write the events of a pixel while its light changes linearly; return its new level and the event count.
 
     piece: the sample at the end, and the time between two samples in us.
     """
@@ -125,7 +125,7 @@ def _crossings(
     contrast: float,
     events: Columns,
 ) -> int:
-    """Write as many events as there is room for, and return how many there are."""
+    """Write as many events as there is room for, and return the total number."""
     samples, dots, _ = path.shape
     height, width = reference.shape
     reach = radius + EDGE_SIGMAS * sigma
@@ -166,9 +166,9 @@ def _window_crossings(
     threshold: NDArray[np.float32],
     events: Columns,
 ) -> int:
-    """Write as many events as there is room for, and return how many there are.
+    """Write as many events as there is room for, and return the total number.
 
-    phase: how far a reference is from the first level, as a camera has it before its first slice.
+    phase: offset of each reference level from the first level, as in a camera before its first slice.
     """
     made = 0
     for row in range(phase.shape[0]):
@@ -186,7 +186,7 @@ def _window_crossings(
 
 @njit(cache=True)
 def _texture_level(texture: NDArray[np.float32], x: float, y: float) -> float:
-    """A periodic texture between its texels, in double precision."""
+    """Return a periodic texture interpolated between its texels, in double precision."""
     rows, columns = texture.shape
     left, top = math.floor(x), math.floor(y)
     part_x, part_y = x - left, y - top
@@ -206,7 +206,7 @@ def _edge_level(
     sigma: float,
     contrast: float,
 ) -> float:
-    """Log intensity at a pixel by the nearest of some dots: 0 on the gel, -contrast in the ink."""
+    """Return the log intensity at a pixel by the nearest of some dots: 0 on the gel, -contrast in the ink."""
     least2 = np.inf
     for dot in near:
         least2 = min(least2, (x - dot_xy[dot, 0]) ** 2 + (y - dot_xy[dot, 1]) ** 2)
@@ -220,7 +220,7 @@ def _edge_level(
 
 
 def match(events: FineEvents, reference: FineEvents, tolerance_us: float = TOLERANCE_US) -> Match:
-    """Pair the events of each pixel and polarity, each at most once, first come first paired.
+    """Pair the events of each pixel and polarity in order of time, each at most once.
 
     F1 = 2 pairs / (events + reference) for pairs within `tolerance_us`. Two empty streams agree.
     """
@@ -234,7 +234,7 @@ def match(events: FineEvents, reference: FineEvents, tolerance_us: float = TOLER
 
 
 def _sorted_by_pixel(events: FineEvents) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Pixel and polarity as one number, and times, sorted by both."""
+    """Return pixel and polarity as one number, and times, sorted by both."""
     group = (events.y * 65536 + events.x) * 2 + events.p
     order = np.lexsort((events.t, group))
     return group[order], events.t[order]
@@ -248,7 +248,7 @@ def _pair(
     time_b: NDArray[np.float64],
     tolerance_us: float,
 ) -> NDArray[np.float64]:
-    """Absolute time differences of the pairs within the tolerance."""
+    """Return absolute time differences of the pairs within the tolerance."""
     apart = np.empty(min(len(group_a), len(group_b)))
     pairs = 0
     a = 0
@@ -268,6 +268,6 @@ def _pair(
 
 
 def fine(events: Events) -> FineEvents:
-    """Events of a camera, whose times are rounded down, at the middle of their microsecond."""
+    """Return a camera's events with times at the middle of their microsecond, because cameras round down."""
     x, y, p = (column.astype(np.int64) for column in events[1:])
     return FineEvents(events.t.astype(np.float64) + 0.5, x, y, p)

@@ -1,7 +1,7 @@
-"""One trial through the whole chain, stage by stage as the commands run them, with the clock running.
+"""One timed trial through the whole chain, stage by stage as the commands run them.
 
-record, label, track, featurize, and the probabilities of the package's detector as `evaluate slip` computes them. Then,
-outside the clock, what came out of it is compared with the truth of a reference: the same trial, simulated more finely.
+The stages are record, label, track, featurize, and the probabilities of the pretrained detector as in `evaluate slip`.
+Then, not timed, the results are compared with the truth of a reference: the same trial, simulated more finely.
 """
 
 import time
@@ -36,13 +36,13 @@ from evetac_cli.trials.trial import SimulatedTrial
 
 Result = TypeVar("Result")
 
-LIFT_S, BALANCE_S = 3.5, 0.5  # of a grasp: the hand has risen by 50 mm, less counts as not held, after 3.1 s
+LIFT_S, BALANCE_S = 3.5, 0.5  # of a grasp: the hand reaches 50 mm, the least that counts as held, after 3.1 s
 
 
 class ChainTrial(NamedTuple):
-    """A trial by the flags that choose it: its object, its seed, and the object of the grasp with that seed.
+    """A trial by the flags that select it: its object, its seed, and the object of the grasp with that seed.
 
-    number: which of the trials with that object and seed, as `--count` numbers them.
+    number: index of the trial with that object and seed, as with `--count`.
     """
 
     object: int
@@ -52,11 +52,13 @@ class ChainTrial(NamedTuple):
 
 
 class Chain(NamedTuple):
-    """What came out of the chain for one trial; onsets are slices, and None where none was found.
+    """Results of the chain for one trial; onsets are slices, None if not found.
 
-    gross_slip_ms: of the simulation's truth; label_ms: of the labels; detection_ms: first slice that the detector takes
-    for slip. dot_xy_px, true_dot_xy_px (slices, dots, 2): as tracked, and in truth; rest_xy_px (dots, 2).
-    shear_force_n (slices, 2): of the object on one pad. record_us, chain_us: run time of a recorded millisecond.
+    - gross_slip_ms: in the simulation's truth; label_ms: in the labels;
+    - detection_ms: first slice that the detector takes for slip;
+    - dot_xy_px, true_dot_xy_px (slices, dots, 2): tracked and true positions; rest_xy_px (dots, 2);
+    - shear_force_n (slices, 2): of the object on one pad;
+    - record_us, chain_us: run time per recorded millisecond.
     """
 
     gross_slip_ms: int | None
@@ -71,12 +73,12 @@ class Chain(NamedTuple):
 
     @property
     def slices(self) -> int:
-        """How many slices the recording has."""
+        """Number of slices of the recording."""
         return len(self.dot_xy_px)
 
 
 class Lifted(NamedTuple):
-    """What became of one grasp: held to the end or not, how far the object moved in the gripper, and its run time."""
+    """Result of one grasp: held to the end or not, motion of the object in the gripper, and run time."""
 
     held: bool
     moved_mm: float
@@ -84,7 +86,7 @@ class Lifted(NamedTuple):
 
 
 def slip_trial(trial: ChainTrial, setting: SolverSetting, folder: Path, scene: str = "slip") -> SimulatedTrial:
-    """The trial that `evetac record --scene slip --object N --seed N` makes with the flags of a setting."""
+    """Return the trial of `evetac record --scene slip --object N --seed N` with the flags of a setting."""
     chosen: dict[str, Any] = dict(setting.solver)
     params = Record(scene=scene, objects=str(trial.object), seed=trial.seed, count=trial.number + 1, **chosen)
     planned = record.jobs([], params, folder)[trial.number]
@@ -93,12 +95,12 @@ def slip_trial(trial: ChainTrial, setting: SolverSetting, folder: Path, scene: s
 
 
 def run_chain(trial: ChainTrial, setting: SolverSetting, folder: Path, scene: str = "slip") -> Chain:
-    """Record a trial with a setting, and everything that is made from it, in a folder of its own."""
+    """Record a trial with a setting, and compute everything that follows from it, in the given folder."""
     return chain_of(slip_trial(trial, setting, folder, scene))
 
 
 def chain_of(made: SimulatedTrial) -> Chain:
-    """Record a trial, and everything that is made from it, beside it."""
+    """Record a trial, and compute everything that follows from it, next to it."""
     _, record_s = timed(lambda: simulated_record.run(made, force=False, progress=silent))
     path = made.output
 
@@ -131,13 +133,13 @@ def chain_of(made: SimulatedTrial) -> Chain:
 
 
 def detection(features: Path) -> int | None:
-    """The first slice that the package's detector takes for slip; None where there is none."""
+    """Return the first slice that the pretrained detector takes for slip; None if there is none."""
     first = metrics.onset(prediction(features).detected(package_model().threshold))
     return first if first >= 0 else None
 
 
 def prediction(features: Path) -> metrics.Prediction:
-    """The probabilities of the package's detector."""
+    """Return the probabilities of the pretrained detector."""
     model = package_model()
     ((predicted,),) = predict_all([model], [features], check([model], [features]), silent)
     return predicted
@@ -145,12 +147,12 @@ def prediction(features: Path) -> metrics.Prediction:
 
 @cache
 def package_model() -> Model:
-    """The slip detector that comes with evetac."""
+    """Return the pretrained slip detector."""
     return Model.read(resources.MODEL)
 
 
 def run_grasp(trial: ChainTrial, setting: SolverSetting, folder: Path) -> Lifted:
-    """The grasp that `evetac grasp --object N --seed N --lift-s 3.5 --balance-s 0.5` makes with a setting's flags."""
+    """Run the grasp of `evetac grasp --object N --seed N --lift-s 3.5 --balance-s 0.5` with the flags of a setting."""
     chosen: dict[str, Any] = dict(setting.solver)
     times: dict[str, Any] = {"count": trial.number + 1, "lift_s": LIFT_S, "balance_s": BALANCE_S}
     params = Grasp(objects=str(trial.grasped), seed=trial.seed, **times, **chosen)
@@ -162,25 +164,25 @@ def run_grasp(trial: ChainTrial, setting: SolverSetting, folder: Path) -> Lifted
 
 
 def timed(act: Callable[[], Result]) -> tuple[Result, float]:
-    """What a function gives, and the processor time in s that it took: other programs do not count."""
+    """Return a function's result and its processor time in s; other programs do not count."""
     started = time.process_time()
     result = act()
     return result, time.process_time() - started
 
 
 def fit_force(chains: list[Chain]) -> forces.Regression:
-    """The shear force over the mean displacement of tracked dots, by least squares, up to gross slip."""
+    """Fit the shear force to the mean displacement of tracked dots, by least squares, up to gross slip."""
     moved = [(chain.dot_xy_px - chain.rest_xy_px)[: chain.gross_slip_ms] for chain in chains]
     force = [chain.shear_force_n[: chain.gross_slip_ms] for chain in chains]
     return forces.fit_regression(np.concatenate(moved), np.concatenate(force))
 
 
 def slip_errors(chain: Chain, reference: Chain, force: forces.Regression) -> dict[str, float]:
-    """How far the chain is off the reference's truth, by column; NaN where the reference does not slip.
+    """Return the errors of a chain against the reference's truth, by column; NaN if the reference does not slip.
 
-    An onset that was not found counts as one at the end of the recording. The detector is compared with itself on the
-    reference: 1 where its first detection moves by more than DETECTION_MS, 0 where not. Tracks and forces are compared
-    up to the reference's onset of gross slip: after it the object falls, and a small shift in time is a long way.
+    A missing onset counts as one at the end of the recording. The detector is compared with itself on the reference: 1
+    if its first detection moves by more than DETECTION_MS, else 0. Tracks and forces are compared up to the reference's
+    onset of gross slip: after it the object falls, and a small shift in time is a large distance.
     """
     truth_ms = reference.gross_slip_ms
     if truth_ms is None:
@@ -188,8 +190,8 @@ def slip_errors(chain: Chain, reference: Chain, force: forces.Regression) -> dic
     late = [abs(_found(chain, onset) - truth_ms) for onset in (chain.gross_slip_ms, chain.label_ms)]
     stop = min(truth_ms, chain.slices)
     apart_px = chain.dot_xy_px[:stop] - reference.true_dot_xy_px[:stop]
-    told_n = forces.apply_regression(force, (chain.dot_xy_px - chain.rest_xy_px)[:stop])
-    apart_n = told_n - reference.shear_force_n[:stop]
+    estimated_n = forces.apply_regression(force, (chain.dot_xy_px - chain.rest_xy_px)[:stop])
+    apart_n = estimated_n - reference.shear_force_n[:stop]
     values: tuple[Any, ...] = (
         *late,
         detection_moved_ms(chain, reference) > DETECTION_MS,
@@ -200,10 +202,10 @@ def slip_errors(chain: Chain, reference: Chain, force: forces.Regression) -> dic
 
 
 def detection_moved_ms(chain: Chain, reference: Chain) -> float:
-    """How far the first detection is from that on the reference; NaN where the reference does not slip.
+    """Return the distance in ms of the first detection from that on the reference; NaN if the reference does not slip.
 
-    Near its threshold a detector fires or does not: one setting in one trial moves the first detection by hundreds of
-    ms, so that a mean over trials says little.
+    Near its threshold a detector fires or does not: one setting in one trial can move the first detection by hundreds
+    of ms, so a mean over trials means little.
     """
     if reference.gross_slip_ms is None:
         return float("nan")
@@ -214,7 +216,7 @@ def _found(chain: Chain, onset: int | None) -> int:
     return chain.slices if onset is None else onset
 
 
-DETECTION_MS = 5.0  # of the network's 10 ms ahead, half
+DETECTION_MS = 5.0  # half of the network's 10 ms ahead
 # Columns of `slip_errors`, in its order.
 SLIP_ERRORS = (
     "error_ms_gross_slip",

@@ -1,8 +1,8 @@
-"""evaluate cost: error against run time of a part's numerical choices, as rows and as a picture beside the report.
+"""evaluate cost: error against run time of a part's numerical choices, as rows and as a plot next to the report.
 
-Every part is a function `(params, inputs, progress) -> rows`, in which a row has `setting`, errors, `time_us_median`
-and `time_us_p99`. Run times are those of the machine and the moment, so the same recipe gives other figures elsewhere.
-A report that exists is kept: delete it to measure again.
+Every part is a function `(params, inputs, progress) -> rows`. A row has `setting`, errors, `time_us_median` and
+`time_us_p99`. Run times depend on the machine and its load, so the same recipe gives other figures elsewhere. An
+existing report is kept: delete it to measure again.
 """
 
 from collections.abc import Callable, Sequence
@@ -23,9 +23,9 @@ METHOD = 3
 
 
 class CostPart(NamedTuple):
-    """How a part is measured, title, errors and size of its picture, which files it takes, if any, and --trials or not.
+    """How a part is measured; title, errors and size of its plot; its input files, if any; whether it takes --trials.
 
-    inputs: (files, --model) -> the files that the report is made from.
+    inputs: (files, --model) -> the files from which the report is made.
     """
 
     title: str
@@ -46,7 +46,7 @@ PARTS: dict[str, CostPart] = {
         simulator_cost.summary,
     ),
     "pipeline": CostPart(
-        "Settings of a recording: error at the end of the chain against its run time, means over trials",
+        "Settings of a recording: error at the end of the chain against its run time, mean over trials",
         pipeline.ERRORS,
         pipeline.measure,
         pipeline.summary,
@@ -85,7 +85,7 @@ PARTS: dict[str, CostPart] = {
         inputs=grasp.inputs,
     ),
     "scenes": CostPart(
-        "What the parts of a scene cost a slice",
+        "Run time per slice of the parts of a scene",
         (),
         scene_parts.measure,
         scene_parts.summary,
@@ -95,19 +95,19 @@ PARTS: dict[str, CostPart] = {
 
 
 def jobs(files: list[Path], params: EvaluateCost, out: Path | None) -> list[Job]:
-    """One report: beside the files that it is made from, else `<part>.cost.report.h5` in the present folder."""
+    """Return the job of one report: next to its input files, else `<part>.cost.report.h5` in the working folder."""
     part = PARTS[params.part]
     if part.inputs is None and (files or params.model):
         raise InputError(
-            "this part is measured without files and models",
+            "this part takes no files or models",
             where="evaluate cost",
-            expected="files with part model only, --model with part model or grasp",
+            expected="files only with part model; --model only with part model or grasp",
             found=f"part {params.part}",
         )
     if params.trials is not None and not part.takes_trials:
         taking = ", ".join(name for name, other in PARTS.items() if other.takes_trials)
         raise InputError(
-            "this part has no trials", where="--trials", expected=f"part {taking}", found=f"part {params.part}"
+            "this part takes no --trials", where="--trials", expected=f"part {taking}", found=f"part {params.part}"
         )
     inputs = part.inputs(files, params.model) if part.inputs else ()
     if files:
@@ -116,10 +116,10 @@ def jobs(files: list[Path], params: EvaluateCost, out: Path | None) -> list[Job]
 
 
 def run(job: Job, params: EvaluateCost, *, force: bool = False, progress: Progress = silent) -> Outcome:
-    """A row for every setting; the picture is drawn again where it is missing."""
+    """Return a row per setting; the plot is redrawn if it is missing."""
     part = PARTS[params.part]
-    parents = [header_of(path) for path in job.inputs]  # of any kind: `measure` checks that it is what it needs
-    simulated = not any(header["kind"] == "report" for header in parents)  # figures of a report are as real as it is
+    parents = [header_of(path) for path in job.inputs]  # of any kind: `measure` checks them
+    simulated = not any(header["kind"] == "report" for header in parents)  # figures of a real report are real
 
     def measure() -> tuple[Rows, dict[str, Any]]:
         rows = part.measure(params, job.inputs, progress)
@@ -137,7 +137,7 @@ def run(job: Job, params: EvaluateCost, *, force: bool = False, progress: Progre
 
 
 def for_people(rows: Rows, params: EvaluateCost) -> tuple[Rows, list[str]]:
-    """All rows, and of each error the setting that has least of it, and the fastest."""
+    """Return all rows, and for each error the settings with the smallest error and with the shortest run time."""
     lines = []
     for error in PARTS[params.part].errors:
         known = [row for row in rows if row.get(error) is not None and row.get("time_us_median") is not None]
@@ -148,7 +148,7 @@ def for_people(rows: Rows, params: EvaluateCost) -> tuple[Rows, list[str]]:
             words = [
                 f"{row['setting']}, {row[error]:.3g} in {row['time_us_median']:.4g} us" for row in (least, fastest)
             ]
-            lines.append(f"{error}: least with {words[0]}; fastest with {words[1]}.")
+            lines.append(f"{error}: smallest with {words[0]}; fastest with {words[1]}.")
     return rows, lines + deciding.undecided(rows)
 
 

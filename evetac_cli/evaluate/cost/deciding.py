@@ -1,8 +1,8 @@
-"""What would decide a comparison that a report leaves open: the command with enough trials, and how long it takes.
+"""How an undecided comparison in a report could be decided: the command with enough trials, and its run time.
 
-A paired difference is decided where its interval leaves out 0. The interval narrows with the root of the number of
-trials (and with Student's factor), so the spread that was seen tells how many would part it from 0, if the difference
-stays as large as it is. Where no difference was seen at all, nothing tells.
+A paired difference is decided if its interval excludes 0. The interval narrows with the square root of the number of
+trials (and with Student's factor). So the observed spread shows how many trials would exclude 0 if the difference stays
+as it is. If no difference was observed, no estimate is possible.
 """
 
 import math
@@ -17,19 +17,19 @@ from evetac_cli.commands.evaluate import EvaluateCost
 from evetac_cli.evaluate.paired import CONFIDENCE, ConfidenceInterval, share_difference
 from evetac_cli.jobs import Row, Rows
 
-MOST_TRIALS = 10_000  # that --trials takes
-FEWEST_TRIALS = 4  # that have a spread worth the name
+MOST_TRIALS = 10_000  # largest value of --trials
+FEWEST_TRIALS = 4  # with fewer the spread is meaningless
 
 
 class Effort(NamedTuple):
-    """A run of `evaluate cost` as it was: its parameters, trials as --trials counts them, processor time of each."""
+    """A run of `evaluate cost`: its parameters, its trials as counted by --trials, processor time per trial."""
 
     params: EvaluateCost
     trials: int
     minutes_a_trial: float
 
     def command(self, trials: int) -> str:
-        """The same run with so many trials."""
+        """Return the command of the same run with this many trials."""
         words = ["evetac evaluate cost", self.params.part, f"--trials {trials}"]
         words += [f"--seed {self.params.seed}"] if self.params.seed != EvaluateCost.seed else []
         words += ["--full"] if self.params.full else []
@@ -37,29 +37,29 @@ class Effort(NamedTuple):
         return " ".join(words)
 
     def deciding(self, apart: ConfidenceInterval, shares: tuple[Flags, Flags] | None = None) -> Row:
-        """Columns beside a paired difference: is it decided and, if not, by which command, in how many minutes.
+        """Return columns for a paired difference: whether it is decided, or the command and minutes to decide it.
 
-        shares: the trials in which it holds, ours and theirs, where the difference is one of shares. Minutes are
-        processor time on the machine of this run, seen from its own trials.
+        shares: for a difference of shares, the trials in which the condition holds, ours and theirs. Minutes are
+        processor time on the machine of this run, estimated from its own trials.
         """
-        told, needed = verdict(apart)
+        decided, needed = verdict(apart)
         if needed is not None and shares is not None:
             needed = share_trials_needed(*shares)
         if needed is None:
-            return {"decided": told, "decide_with": None, "decide_min": None}
+            return {"decided": decided, "decide_with": None, "decide_min": None}
         trials = max(math.ceil(needed * self.trials / apart.trials), self.trials + 1)
         if trials > MOST_TRIALS:
-            return {"decided": f"no, not by {MOST_TRIALS:,} trials", "decide_with": None, "decide_min": None}
+            return {"decided": f"no, not with {MOST_TRIALS:,} trials", "decide_with": None, "decide_min": None}
         return {
-            "decided": told,
+            "decided": decided,
             "decide_with": self.command(trials),
             "decide_min": round(trials * self.minutes_a_trial, 1),
         }
 
     def beside(self, row: Row, compared_with: str, *columns: str) -> Row:
-        """The row with these columns, for a difference in four of its own: mean, low, high, trials.
+        """Return the row with these columns, for a difference in four of its own: mean, low, high, trials.
 
-        compared_with: the setting that others are compared with, whose own row has nothing to decide.
+        compared_with: the setting with which others are compared; its own row has nothing to decide.
         """
         if row["setting"].endswith(compared_with):
             return {**row, "decided": None, "decide_with": None, "decide_min": None}
@@ -68,7 +68,7 @@ class Effort(NamedTuple):
 
 
 def verdict(apart: ConfidenceInterval) -> tuple[str, int | None]:
-    """Whether a difference is decided, in a word or two, and how many trials would decide it where that can be told."""
+    """Return whether a difference is decided, in words, and the number of trials to decide it if known."""
     if math.isnan(apart.mean):
         return "not compared", None
     if apart.low > 0.0 or apart.high < 0.0:
@@ -81,9 +81,9 @@ def verdict(apart: ConfidenceInterval) -> tuple[str, int | None]:
 
 
 def trials_needed(apart: ConfidenceInterval) -> int:
-    """With how many trials the interval leaves out 0, if mean and spread stay as they are; MOST_TRIALS + 1 at most.
+    """Return the number of trials for the interval to exclude 0, if mean and spread stay as they are.
 
-    apart: undecided, of two trials or more, its mean not 0.
+    At most MOST_TRIALS + 1. apart: undecided, of at least two trials, with a mean other than 0.
     """
     spread = 0.5 * (apart.high - apart.low) / _factor(apart.trials)
     too_few, enough = apart.trials, MOST_TRIALS + 1
@@ -97,7 +97,7 @@ def trials_needed(apart: ConfidenceInterval) -> int:
 
 
 def share_trials_needed(ours: Flags, theirs: Flags) -> int:
-    """The same of shares: the trials that there are, as often again as it takes; MOST_TRIALS + 1 at most."""
+    """Return the same for shares: the existing trials are repeated as often as needed; at most MOST_TRIALS + 1."""
     too_few, enough = 1, MOST_TRIALS // len(ours) + 1
     while enough - too_few > 1:
         middle = (too_few + enough) // 2
@@ -110,12 +110,12 @@ def share_trials_needed(ours: Flags, theirs: Flags) -> int:
 
 
 def _factor(trials: int) -> float:
-    """Half an interval over the standard deviation of a difference."""
+    """Return half an interval divided by the standard deviation of a difference."""
     return float(stats.t.ppf(0.5 + CONFIDENCE / 2, trials - 1)) / math.sqrt(trials)
 
 
 def undecided(rows: Rows) -> list[str]:
-    """A sentence on the rows that are left open, with the cheapest command that decides one; none where none is."""
+    """Return a sentence on undecided rows, with the cheapest command that decides one; [] if all are decided."""
     compared = [row for row in rows if row.get("decided") is not None]
     open_ = [row for row in compared if str(row["decided"]).startswith("no")]
     if not open_:
@@ -125,4 +125,4 @@ def undecided(rows: Rows) -> list[str]:
     if not commands:
         return [f"{words}."]
     cheapest = min(commands, key=lambda row: float(row["decide_min"]))
-    return [f"{words}. The first is decided by: {cheapest['decide_with']} ({cheapest['decide_min']:g} min)."]
+    return [f"{words}. Decide the first with: {cheapest['decide_with']} ({cheapest['decide_min']:g} min)."]

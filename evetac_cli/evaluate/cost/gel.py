@@ -1,21 +1,21 @@
-"""What the numerical choices of the mechanics cost and are worth where friction is constant: error, and run time.
+"""Error against run time of the numerical choices of the mechanics with constant friction.
 
-Where it falls with speed, as in the scenes: see unloading.
+For friction that falls with speed, as in the scenes, see unloading.
 
-One trial is simulated again and again: a cylinder of 100 g, held slightly tilted and beside its centre of mass, while
-the grip falls from 2 to 0.2 N within 0.2 s. It bounces on the gel, slips in part, turns, and falls. Compared are the
-integrator and its time step, the number of nodes, and the layer's answer to shear and pressure (order 0: springs of
-their own, which pressure does not squeeze aside; order 1: the sheet inside the gel, the one in use; order 2: the exact
-layer, see kernels/gel_layer). Order 2 has a closed form only where the layer goes on beyond the pad, so that one of
-order 1 that goes on, too, tells what the layer is off by from what it matters that a pad ends.
+One trial is simulated repeatedly (gel_trial): a cylinder of 100 g, held slightly tilted and off its centre of mass,
+while the grip falls from 2 to 0.2 N within 0.2 s. It bounces on the gel, slips in part, turns, and falls. Three choices
+are compared: the integrator and its time step; the number of nodes; and the layer's response to shear and pressure.
+Layer orders are 0: independent springs, which pressure does not squeeze aside; 1: the sheet inside the gel, the one in
+use; 2: the exact layer, see kernels/gel_layer. Order 2 has a closed form only if the layer extends beyond the pad. A
+layer of order 1 that also extends beyond it separates the error of the layer from the effect of the pad's edge.
 
-Why so: each comparison changes one choice and has a reference of its own that differs in that choice only, so that the
-errors of the others do not hide it. How far the reference in time is itself off is bounded by step doubling: with a
-method of first order, the solution at twice the step differs from it by what it differs from the truth.
+Each comparison changes one choice and has its own reference, which differs only in that choice. So the errors of the
+other choices do not hide it. The error of the time reference itself is bounded by step doubling: with a first-order
+method, its difference from the solution at twice the step equals its difference from the truth.
 
-An error is the root mean square over samples every 10 ms: of the distance between the object's positions, and of the
-distance between displacements of the gel over nodes (or points). Times are those of one simulated millisecond, on one
-core, without the waiting that other programs cause.
+An error is the root mean square, over samples every 10 ms, of the distance between the object's positions, or of the
+distance between displacements of the gel over nodes (or points). Times are per simulated millisecond on one core, as
+thread time, so that other programs do not count.
 """
 
 import math
@@ -38,7 +38,7 @@ from evetac_cli.sim.gel.contact import pad_nodes
 PART = "mechanics, constant friction"
 THETAS = (1.0, 0.51, 0.5)
 REFERENCE_THETA = 0.51
-# Time steps, of which each divides 10 ms, and grids (columns, rows).
+# Time steps, each of which divides 10 ms, and grids (columns, rows).
 STEPS_US = Extent[tuple[float, ...]](
     quick=(10_000, 5_000, 2_000, 1_000, 500, 200, 100),
     full=(10_000, 5_000, 2_000, 1_000, 500, 200, 100, 50, 20),
@@ -56,7 +56,10 @@ FINEST_NODES = Extent(quick=(64, 48), full=(96, 72))
 
 
 def errors_um(motion: GelMotion, reference: GelMotion) -> tuple[float, float]:
-    """Root mean square distance from a reference of the object's position, and of the gel; NaN after a blow-up."""
+    """Return root mean square distances of the object's position and of the gel from a reference.
+
+    NaN after a blow-up.
+    """
     if len(motion.pose) == 0:
         return math.nan, math.nan
     square = ((motion.pose - reference.pose)[:, :2] ** 2).sum(-1).mean()
@@ -65,7 +68,7 @@ def errors_um(motion: GelMotion, reference: GelMotion) -> tuple[float, float]:
 
 
 def row(setting: str, motion: GelMotion, reference: GelMotion | None, outcome: str = "finished") -> Row:
-    """The row of a setting; without a reference it is one itself and has no error."""
+    """Return the row of a setting; without a reference it is a reference itself and has no error."""
     blown_up = not math.isnan(motion.blown_up_s)
     object_um, gel_um = errors_um(motion, reference) if reference else (math.nan, math.nan)
     return {
@@ -80,15 +83,15 @@ def row(setting: str, motion: GelMotion, reference: GelMotion | None, outcome: s
 
 
 def time_step_text(dt_us: float) -> str:
-    """A time step as it stands in a setting: 1 ms, 0.1 ms, 20 us."""
+    """Return a time step as in the name of a setting: 1 ms, 0.1 ms, 20 us."""
     return f"{dt_us / 1e3:g} ms" if dt_us >= 100 else f"{dt_us:g} us"
 
 
 def time_reference(trial: GelTrial, dt_us: float = REFERENCE_US.quick) -> tuple[GelMotion, Row]:
-    """The reference in time at a step far below all others, and its row: errors bounded by step doubling.
+    """Return the time reference, with a step far below all others, and its row: error bounded by step doubling.
 
-    Its theta of 0.51 leaves next to nothing of the first order, and still damps the ringing. An error falls at least in
-    proportion to the step, e(2 dt) >= 2 e(dt), so the difference of the two solutions, the row's error, is >= e(dt).
+    Its theta of 0.51 leaves almost no first-order error and still damps ringing. An error falls at least in proportion
+    to the step, e(2 dt) >= 2 e(dt), so the difference of the two solutions, which is the row's error, is >= e(dt).
     """
     twice = simulate(trial, 2e-6 * dt_us, REFERENCE_THETA, tolerance=1e-8)
     once = simulate(trial, 1e-6 * dt_us, REFERENCE_THETA, tolerance=1e-8)
@@ -97,12 +100,12 @@ def time_reference(trial: GelTrial, dt_us: float = REFERENCE_US.quick) -> tuple[
 
 
 def implicit_row(trial: GelTrial, reference: GelMotion, theta: float, dt_us: float) -> Row:
-    """`gel.step` at a theta and a time step."""
+    """Return the row of `gel.step` at a theta and a time step."""
     return row(f"theta {theta:g}, dt {time_step_text(dt_us)}", simulate(trial, 1e-6 * dt_us, theta), reference)
 
 
 def explicit_row(trial: GelTrial, reference: GelMotion, dt_us: float) -> Row:
-    """The explicit integrator at a time step, also where it blows up."""
+    """Return the row of the explicit integrator at a time step, even if it blows up."""
     return row(f"explicit, dt {time_step_text(dt_us)}", simulate_explicit(trial, 1e-6 * dt_us), reference)
 
 
@@ -112,7 +115,10 @@ def node_rows(
     finest: tuple[int, int] = FINEST_NODES.quick,
     dt_s: float = 1e-3,
 ) -> Iterator[Row]:
-    """Grids against a much finer one, all at theta 0.51 and the same time step; the gel is compared at 8 x 7 points."""
+    """Yield rows of grids against a much finer one, at theta 0.51 and the same time step.
+
+    Gel errors at 8 x 7 points.
+    """
     x, y = 0.45 * PAD_M[0], 0.45 * PAD_M[1]
     points = pad_nodes(8, 7, (-x, x), (-y, y)).reshape(-1, 2)
 
@@ -126,7 +132,7 @@ def node_rows(
 
 
 def layer_rows(trial: GelTrial, dt_s: float = 1e-3) -> Iterator[Row]:
-    """Layers of order 0 and 1, and of order 1 beyond the pad, against order 2; same grid and time step."""
+    """Yield rows of layers of order 0, 1, and 1 beyond the pad, against order 2; same grid and time step."""
     reference = simulate_dense(trial, 2, dt_s, 0.51)
     for order in (0, 1):
         layered = replace(trial, material=replace(trial.material, coupled=order == 1))
@@ -136,13 +142,13 @@ def layer_rows(trial: GelTrial, dt_s: float = 1e-3) -> Iterator[Row]:
 
 
 def row_count(full: bool) -> int:
-    """How many rows `mechanics_rows` gives: with the three references and three more layers."""
+    """Return the number of rows of `mechanics_rows`, with three references and three more layers."""
     implicit = len(THETAS) * len(STEPS_US.pick(full))
     return implicit + len(EXPLICIT_US.pick(full)) + len(NODES.pick(full)) + 6
 
 
 def mechanics_rows(seed: int, full: bool) -> Iterator[Row]:
-    """All rows of the mechanics, one after the other."""
+    """Yield all rows of the mechanics."""
     trial = draw_trial(seed)
     short = replace(trial, seconds=SAMPLE_S)
     simulate(short, 1e-3, 0.51)  # compiles

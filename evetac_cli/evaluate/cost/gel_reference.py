@@ -1,7 +1,7 @@
-"""Other ways to solve the trial of the mechanics, to compare with: an explicit integrator, and a dense layer.
+"""Alternative solutions of the mechanics trial for comparison: an explicit integrator and a dense layer.
 
-The dense layer is one matrix against all nodes, so that it may be any: springs of their own, the sheet of `gel`
-eliminated, or the exact layer. Its balance is searched by alternating directions, which shares no code with `gel`.
+The dense layer is one matrix over all nodes, so it can represent any layer: independent springs, the sheet of `gel`
+eliminated, or the exact layer. Its balance is found by alternating directions, which shares no code with `gel`.
 """
 
 import math
@@ -20,20 +20,20 @@ from evetac_cli.sim.gel.pad_equation import PadConstants, spring
 from evetac_cli.sim.gel.sheet import pull_sheet, relax_sheet
 
 CREEP_M_S = 1e-3  # below about this slip speed the explicit integrator's friction is viscous
-TOO_FAST_M_S = 1e3  # no part of the trial ever moves at this speed: the integrator has blown up
-BEYOND = 3.0  # heights by which the sheet goes on beyond its pad
-BOX = 4  # of the exact layer, in pads: the nearest copy of the pad is three pads away
-FINER = 3  # waves of the exact layer, up to so many times those of the grid on either side
+TOO_FAST_M_S = 1e3  # faster than any part of the trial: the integrator has blown up
+BEYOND = 3.0  # gel heights by which the sheet extends beyond its pad
+BOX = 4  # period of the exact layer, in pads: the nearest copy of the pad is three pads away
+FINER = 3  # wave numbers of the exact layer: up to this many times the grid's on either side
 
 
 def simulate_explicit(trial: GelTrial, dt_s: float) -> GelMotion:
-    """The trial with semi-implicit Euler and friction mu N tanh(slip speed / 1 mm/s), as is common elsewhere.
+    """Simulate the trial with semi-implicit Euler and friction mu N tanh(slip speed / 1 mm/s), as is common elsewhere.
 
-    The sheet inside the gel has no mass: a sweep of over-relaxation a step, from where it was, keeps it in balance.
+    The sheet inside the gel has no mass: one sweep of over-relaxation per step from its last state keeps it in balance.
     """
     if trial.begin_s or trial.hang_s:
         raise ValueError(
-            "the explicit integrator takes trials whose grip falls, and whose weight hangs, from the start"
+            "the explicit integrator only takes trials whose grip falls and whose weight hangs from the start"
         )
     state = trial.start()
     shares = trial.shares(state)
@@ -72,7 +72,7 @@ def simulate_explicit(trial: GelTrial, dt_s: float) -> GelMotion:
     return follow(trial, dt_s, advance, sample)
 
 
-# Why so many arguments: called once for a whole solution, from one place, it gains nothing from groups of them.
+# Not grouped into tuples: called once per solution from one place, so many arguments do no harm.
 @njit(cache=True)
 def _explicit_steps(
     displacement: Floats,
@@ -95,7 +95,7 @@ def _explicit_steps(
     steps: int,
     layer: PadConstants,
 ) -> tuple[int, bool]:
-    """Advance in place; returns the steps made, and whether it ended early, as something moved faster than it could."""
+    """Advance in place; return the steps made, and whether it stopped early because a part moved too fast."""
     rows, columns = shares.shape
     pull = np.empty_like(displacement)
     rate = np.empty_like(displacement)
@@ -153,9 +153,9 @@ def _explicit_steps(
 
 
 class LayerMatrix(NamedTuple):
-    """A pad of n nodes: stiffness in N/m (2 n, 2 n), displacements along x, then those along y; and how it is squeezed.
+    """A pad of n nodes: stiffness in N/m (2 n, 2 n), with displacements along x, then along y; and its squeeze.
 
-    squeeze: (2 n, n), the force on the surface with which normal forces of the nodes move it aside, in their unit.
+    squeeze: (2 n, n), the surface force with which normal forces on the nodes push the gel aside, in their unit.
     """
 
     stiffness: Floats
@@ -163,10 +163,10 @@ class LayerMatrix(NamedTuple):
 
 
 def dense_layer(state: gel.GelState, order: int, *, goes_on: bool = False) -> LayerMatrix:
-    """The layer of an order; goes_on: it does not end where its pad does, but nothing touches it there.
+    """Return the layer of an order; goes_on: it extends beyond its pad, where nothing touches it.
 
-    order 0: a G/H on the diagonal, and nothing is squeezed; 1: that of `gel`, its sheet eliminated; 2: exact, stiffness
-    and squeeze, and always goes on.
+    order 0: a G/H on the diagonal, no squeeze; 1: that of `gel`, its sheet eliminated; 2: exact stiffness and squeeze,
+    always extending beyond the pad.
     """
     if order not in (0, 1, 2):
         raise ValueError(f"order must be 0, 1 or 2, found {order}")
@@ -179,7 +179,10 @@ def dense_layer(state: gel.GelState, order: int, *, goes_on: bool = False) -> La
 
 
 def _sheet_answers(state: gel.GelState, goes_on: bool) -> tuple[Floats, Floats]:
-    """As `_exact_answers`, of the sheet inside the gel; where it goes on, by BEYOND heights on all sides."""
+    """Return the same as `_exact_answers` for the sheet inside the gel.
+
+    If it goes on, by BEYOND heights on all sides.
+    """
     height_m = state.material.height_m
     rows, columns = state.stuck.shape
     pitch_x, pitch_y = state._layer.pitch_x, state._layer.pitch_y
@@ -202,10 +205,10 @@ def _sheet_answers(state: gel.GelState, goes_on: bool) -> tuple[Floats, Floats]:
 
 
 def _exact_answers(state: gel.GelState) -> tuple[Floats, Floats]:
-    """Displacement in m of the exact layer for each N on a node: of shear, (2 n, 2 n), and of pressure, (2 n, n).
+    """Return displacements in m of the exact layer per N on a node: by shear, (2 n, 2 n), and by pressure, (2 n, n).
 
-    A force is even over the node's cell, and the displacement is the mean over a cell. It is a sum over the waves of a
-    box of BOX pads. Waves finer than the grid are seen by it as coarser ones and added to those.
+    A force is uniform over the node's cell, and the displacement is the mean over a cell. The result is a sum over the
+    waves of a box of BOX pads. Waves finer than the grid alias to coarser ones and are added to those.
     """
     rows, columns = state.stuck.shape
     pitch_x, pitch_y = state._layer.pitch_x, state._layer.pitch_y
@@ -244,11 +247,11 @@ def simulate_dense(
     tolerance: float = 1e-6,
     max_rounds: int = 5000,
 ) -> GelMotion:
-    """The trial, time step by time step as `gel.step` poses it, for any `dense_layer`, solved in another way.
+    """Simulate the trial with the time steps of `gel.step` for any `dense_layer`, solved by another method.
 
-    The balance is searched by alternating directions: a linear system of all nodes, whose matrix is inverted once, then
-    the friction of each node, then the force that makes both agree. The trial's material has to be coupled (order 0
-    leaves the coupling out here). RuntimeError after max_rounds.
+    The balance is found by alternating directions: a linear system of all nodes, whose matrix is inverted once; then
+    the friction of each node; then the force that makes both agree. The trial's material must be coupled (order 0 drops
+    the coupling here). Raises RuntimeError after max_rounds.
     """
     state = trial.start()
     shares = trial.shares(state)
@@ -261,7 +264,7 @@ def simulate_dense(
     gain = -layer.maxwell_share * layer.maxwell_time * math.expm1(-h / layer.maxwell_time)
     matrix = layer.node_mass / h * np.eye(2 * count) + (h + layer.viscous_time + gain) * stiffness
     ends = np.linalg.eigvalsh(matrix)[[0, -1]]
-    penalty = math.sqrt(float(ends[0] * ends[1]))  # between the softest pattern and the stiffest
+    penalty = math.sqrt(float(ends[0] * ends[1]))  # between the softest and the stiffest pattern
     matrix[np.diag_indices(2 * count)] += penalty
     soften = cho_solve(cho_factor(matrix), np.eye(2 * count))
     weight = state.inertia / h / layer.pads
@@ -276,7 +279,7 @@ def simulate_dense(
             right -= math.exp(-h / layer.maxwell_time) * lagging
             body_right = weight * state.twist + np.array(trial.weight_n((k + theta) * dt_s)) / layer.pads
             arm = (state.node_xy_m - state.pose[:2]).reshape(-1, 2).T
-            ways = np.zeros((3, 2, count))  # how the nodes move along with the object
+            ways = np.zeros((3, 2, count))  # motion of the nodes with the object
             ways[0, 0] = ways[1, 1] = 1.0
             ways[2] = -arm[1], arm[0]
             rigid = ways.reshape(3, 2 * count)

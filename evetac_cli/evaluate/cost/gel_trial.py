@@ -1,8 +1,8 @@
-"""One trial of the mechanics, simulated again and again to compare its numerical choices.
+"""One trial of the mechanics, simulated repeatedly to compare its numerical choices.
 
-A cylinder of 100 g, held slightly tilted and beside its centre of mass, while the grip falls from 2 to 0.2 N within
-0.2 s. It bounces on the gel, slips in part, turns, and falls. Run times are those of one simulated millisecond, on one
-core, without the waiting that other programs cause.
+A cylinder of 100 g is held slightly tilted and off its centre of mass, while the grip falls from 2 to 0.2 N within
+0.2 s. It bounces on the gel, slips in part, turns, and falls. Run times are per simulated millisecond on one core, as
+thread time, so that other programs do not count.
 """
 
 import math
@@ -20,7 +20,7 @@ from evetac_cli.sim.gel.contact import gap_profile, pad_nodes, pressure
 GRAVITY_M_S2 = 9.81
 PAD_M = (20e-3, 15e-3)
 SAMPLE_S = 0.01
-BLOCK_S = 1e-3  # run time is taken block by block, or step by step where a step is longer
+BLOCK_S = 1e-3  # run time is measured per block, or per step if a step is longer
 
 
 @dataclass(frozen=True)
@@ -47,29 +47,29 @@ class GelTrial:
     hang_s: float = 0.0
 
     def start(self) -> gel.GelState:
-        """State of the pad and the object, at rest."""
+        """Return the state of the pad and the object, at rest."""
         x, y = PAD_M
         nodes = pad_nodes(self.columns, self.rows, (-x / 2, x / 2), (-y / 2, y / 2))
         return gel.start(nodes, self.material, self.mass_kg, self.inertia_kg_m2, body_xy_m=self.centre_m)
 
     def shares(self, state: gel.GelState) -> Floats:
-        """The part of the grip that each node bears, (rows, columns), together 1."""
+        """Return the share of the grip on each node, (rows, columns), with sum 1."""
         gap = gap_profile(state.node_xy_m, "cylinder", self.radius_m, self.tilt_rad)
         return np.asarray(pressure(self.indentation_m, gap, 1.0))
 
     def grip_n(self, time_s: float) -> float:
-        """Normal force on one pad, in N, at a time in s."""
+        """Return the normal force on one pad, in N, at a time in s."""
         fallen = (time_s - self.begin_s) / (self.seconds - self.begin_s)
         return self.first_n + (self.last_n - self.first_n) * min(max(fallen, 0.0), 1.0)
 
     def weight_n(self, time_s: float) -> tuple[float, float, float]:
-        """Gravity, along x, through the centre of mass, as far as it hangs on the fingers at a time in s."""
+        """Return the force and moment of gravity, along x through the centre of mass, as far as it is handed over."""
         share = min(time_s / self.hang_s, 1.0) if self.hang_s else 1.0
         return (share * self.mass_kg * GRAVITY_M_S2, 0.0, 0.0)
 
 
 def draw_trial(seed: int) -> GelTrial:
-    """The trial of a seed, which decides how far the fingers are tilted and how far beside its centre they hold."""
+    """Return the trial of a seed, which decides the tilt of the fingers and the distance from the object's centre."""
     rng = np.random.default_rng(seed)
     tilt_rad = rng.choice([-1, 1]) * rng.uniform(0.005, 0.015)
     centre_m = (rng.uniform(-2e-3, 2e-3), rng.choice([-1, 1]) * rng.uniform(1e-3, 2e-3))
@@ -79,9 +79,10 @@ def draw_trial(seed: int) -> GelTrial:
 class GelMotion(NamedTuple):
     """The motion of a simulated trial, sampled every 10 ms, and its run time.
 
-    pose: (samples, 3); gel_m: displacement, (samples, points, 2), of all nodes or of the points asked for.
-    block_us: run time of each block, as microseconds for a simulated millisecond.
-    blown_up_s: the time at which the integrator blew up, and with it all samples; NaN where it did not.
+    - pose: (samples, 3);
+    - gel_m: displacement, (samples, points, 2), of all nodes or of the requested points;
+    - block_us: run time of each block, in microseconds per simulated millisecond;
+    - blown_up_s: the time at which the integrator blew up, which leaves no samples; NaN if it did not.
     """
 
     pose: Floats
@@ -94,7 +95,7 @@ Advance = Callable[[int, int], tuple[int, bool]]  # (first step, number of steps
 
 
 def follow(trial: GelTrial, dt_s: float, advance: Advance, sample: Callable[[], tuple[Floats, Floats]]) -> GelMotion:
-    """Advance a trial to its end, with the clock running, and sample it."""
+    """Advance a trial to its end, measure run times, and sample the motion."""
     steps_a_sample = round(SAMPLE_S / dt_s)
     if abs(steps_a_sample * dt_s / SAMPLE_S - 1) > 1e-9:
         raise ValueError(f"dt_s must divide {SAMPLE_S} s, found {dt_s}")
@@ -118,7 +119,7 @@ def follow(trial: GelTrial, dt_s: float, advance: Advance, sample: Callable[[], 
 def simulate(
     trial: GelTrial, dt_s: float, theta: float, *, tolerance: float = 1e-6, points_xy_m: Floats | None = None
 ) -> GelMotion:
-    """Simulate a trial with `gel.step`; ValueError where dt_s does not divide 10 ms."""
+    """Simulate a trial with `gel.step`; raise ValueError if dt_s does not divide 10 ms."""
     state = trial.start()
     shares = trial.shares(state)
     weights = None if points_xy_m is None else dots.interpolation(state.node_xy_m, points_xy_m)

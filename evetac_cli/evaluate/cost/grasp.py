@@ -1,13 +1,13 @@
-"""The part `grasp`: what a grasp loses by a late detector, a slow controller, or another detector.
+"""The part `grasp`: losses of a grasp due to a late detector, a slow controller, or another detector.
 
-Each setting differs from the usual one (no added latency, 500 Hz, the package's detector) in one thing, and is made
-with every controller on the same few seeded trials. `error_share_lost` is the share of trials whose object was not held
-to the end, `error_mm_moved` how far the held objects moved in the gripper (mean), `force_n` how firmly they were held
-at the end. more_mm_moved is the paired difference from the usual setting on the same trials, where both held, with its
-interval (see paired) and, where that is undecided, what would decide it (see deciding). Run times are those of the
-detector: tracker, features and network of one slice. Beside the
-network stands the simulation's own knowledge of slip (`detector truth`): no detector can know more of the present,
-though one may predict.
+Each setting differs in one respect from the default (no added latency, 500 Hz, the pretrained detector). It is run with
+every controller on the same few seeded trials. `error_share_lost` is the share of trials whose object was not held to
+the end. `error_mm_moved` is the mean motion of held objects in the gripper, and `force_n` their grip force at the end.
+`more_mm_moved` is the paired difference from the default on the same trials if both held, with its interval (see
+paired). If it is undecided, the command that would decide it is included (see deciding).
+
+Run times are those of the detector: tracker, features and network of one slice. `detector truth` uses the simulation's
+true slip instead of the network. No detector can know more about the present, though it may predict.
 """
 
 import math
@@ -50,7 +50,7 @@ TITLES = {
 
 @dataclass(frozen=True)
 class GraspSetting:
-    """How slip is detected and the gripper controlled."""
+    """Detector and controller timing of a setting."""
 
     name: str
     latency_ms: int = 0
@@ -60,12 +60,12 @@ class GraspSetting:
 
 
 def inputs(files: list[Path], model: Path | None) -> tuple[Path, ...]:
-    """The package's model, then those named by `--model`: a file, a folder or a glob."""
+    """Return the pretrained model, then those given by `--model`: a file, a folder or a glob."""
     if files:
         raise InputError(
             "grasps are simulated, not read from files",
             where="evaluate cost grasp",
-            expected="no files; detectors to compare with after --model",
+            expected="no files; give detectors for comparison with --model",
             found=f"{len(files)} files",
         )
     named = [] if model is None else named_files(model, "model", "--model")
@@ -73,7 +73,7 @@ def inputs(files: list[Path], model: Path | None) -> tuple[Path, ...]:
 
 
 def measure(params: EvaluateCost, inputs: Sequence[Path], progress: Progress) -> Rows:
-    """Rows of every setting with every controller."""
+    """Return rows of every setting with every controller."""
     chosen = settings(params.full, inputs[1:])
     started = time.process_time()
     rows = collect(_rows(chosen, params), len(CONTROLLERS.pick(params.full)) * len(chosen), progress)
@@ -84,12 +84,12 @@ def measure(params: EvaluateCost, inputs: Sequence[Path], progress: Progress) ->
 
 
 def summary(rows: Rows) -> dict[str, Any]:
-    """How many settings and trials there are."""
+    """Return the numbers of settings and trials."""
     return {"settings": len(rows), "trials": sum(row["trials"] for row in rows)}
 
 
 def settings(full: bool, models: Sequence[Path]) -> list[GraspSetting]:
-    """The usual setting and all that differ from it."""
+    """Return the default setting and all that differ from it."""
     usual = GraspSetting("500 Hz, no latency")
     return [
         usual,
@@ -124,7 +124,7 @@ def _unchanged(detector: SliceDetector, devices: Rig) -> SliceDetector:
 
 
 def _figures(results: Sequence[GraspResult], usual: Sequence[GraspResult]) -> Row:
-    """Errors over the trials of a setting; distance and force over those that held their object."""
+    """Return errors over the trials of a setting; distance and force over those that held their object."""
     held = [result.figures for result in results if result.figures["balanced"]]
     apart = difference(_moved_mm(results), _moved_mm(usual))
     return {
@@ -141,13 +141,13 @@ def _figures(results: Sequence[GraspResult], usual: Sequence[GraspResult]) -> Ro
 
 
 def _moved_mm(results: Sequence[GraspResult]) -> Floats:
-    """How far each trial's object moved in the gripper, NaN where it was lost."""
+    """Return how far each trial's object moved in the gripper, NaN if it was lost."""
     moved = (result.figures["moved_mm"] if result.figures["balanced"] else math.nan for result in results)
     return np.array(list(moved))
 
 
 def draw(figure: Any, rows: Rows, errors: Sequence[str]) -> None:
-    """Errors and force of every setting, a colour for each controller."""
+    """Plot errors and force of every setting, a colour per controller."""
     settings = list(dict.fromkeys(row["setting"].partition(", ")[2] for row in rows))
     controllers = list(dict.fromkeys(row["setting"].partition(", ")[0] for row in rows))
     panels = picture.panels(figure, len(TITLES), len(TITLES), sharey=True)

@@ -1,8 +1,8 @@
-"""The part `label`: onset error of the methods of labelling against their run time, on small seeded slip trials.
+"""The part `label`: onset error of the labelling methods against their run time, on small seeded slip trials.
 
-The reference is optical flow of both regions in every slice round the true onset: of whole recordings it would take a
-minute a recorded second. Ten trials of it, 200 ms either way, would be four minutes, so its onset is computed without
-those gel flows that cannot change the answer (a test holds the two equal), and its run time is that of a few slices in
+The reference is optical flow of both regions in every slice around the true onset. On whole recordings it would take a
+minute per recorded second, and even ten trials with 200 ms on either side four minutes. So its onset is computed
+without the gel flows that cannot change the result (a test checks this), and its run time is that of a few slices in
 full. The second setting searches the same slices as the stage does; the other settings label whole recordings.
 """
 
@@ -32,30 +32,30 @@ from evetac_cli.trials.trial import simulated_trials
 
 US = 1e6
 SLICE_MS = 1.0  # onsets are whole slices
-OBJECTS = "1,3,4,6,8,10,12,14,16,17"  # that slip, one trial each
+OBJECTS = "1,3,4,6,8,10,12,14,16,17"  # these slip; one trial each
 AROUND_MS = 200  # slices on either side of the onset that the reference labels
-EVERY = Extent(quick=5, full=1)  # the methods that label whole recordings are tried on every so many-th trial
-ROUND_ONSET = 2  # so many methods, the first, label only the slices round the onset
-SAMPLE_MS = 8  # slices on either side of the onset that are computed in full for the reference's run time
+EVERY = Extent(quick=5, full=1)  # methods that label whole recordings run on every 5th or on every trial
+ROUND_ONSET = 2  # the first two methods label only the slices around the onset
+SAMPLE_MS = 8  # slices on either side of the onset computed in full for the reference's run time
 
-# Recording -> onset in slices, and run time of a recorded millisecond in us.
+# Recording -> onset in slices, and run time per recorded millisecond in us.
 Method = Callable[[Recording], tuple[int, float]]
 
 
 def measure(params: EvaluateCost, inputs: Sequence[Path], progress: Progress) -> Rows:
-    """Rows of every setting; run times are those of a recorded millisecond.
+    """Return rows of every setting; run times are per recorded millisecond.
 
-    `error_ms_onset` is the median of |t_c - t_s| over the trials with an onset, t_s being the onset of gross slip,
-    `onset_share` their share, `error_ms_reference` the largest distance from the reference's onset. `more_ms_onset` is
-    how much larger the error is than the reference's on the same trials, with its interval (see paired) and, where that
-    is undecided, what would decide it (see deciding). Run times are over the trials. `speedup` is the reference's run
-    time over that of the setting.
+    `error_ms_onset` is the median of |t_c - t_s| over the trials with an onset, t_s being the onset of gross slip, and
+    `onset_share` is the share of these trials. `error_ms_reference` is the largest distance from the reference's onset.
+    `more_ms_onset` is the mean paired difference of the error from the reference's, with its interval (see paired) and,
+    if undecided, the command that would decide it (see deciding). Run times are over the trials. `speedup` is the
+    reference's run time over that of the setting.
     """
     asked = params.trials or OBJECTS.count(",") + 1
     with TemporaryDirectory() as folder:
         started = time.process_time()
         recordings = _record(Record(scene="slip", objects=OBJECTS, seed=params.seed), Path(folder), params.trials)
-        minutes = [(time.process_time() - started) / 60.0 / asked]  # a trial: of recording, then of each setting
+        minutes = [(time.process_time() - started) / 60.0 / asked]  # per trial: of recording, then of each setting
         every = EVERY.pick(params.full) if params.trials is None else 1
         rows = collect(_rows(recordings, every, minutes), len(methods()), progress)
     reference, compared = rows[0]["setting"], ("more_ms_onset", "interval_low_ms", "interval_high_ms", "trials")
@@ -67,12 +67,12 @@ def measure(params: EvaluateCost, inputs: Sequence[Path], progress: Progress) ->
 
 
 def summary(rows: Rows) -> dict[str, Any]:
-    """How many settings there are."""
+    """Return the number of settings."""
     return {"rows": len(rows)}
 
 
 def methods() -> list[tuple[str, Method]]:
-    """The settings that are compared; the first is the reference."""
+    """Return the settings to compare; the first is the reference."""
     default = Label()
     chosen = [
         *((f"farneback, steps of {step} ms", replace(default, method="farneback", coarse_ms=step)) for step in (5, 20)),
@@ -106,9 +106,9 @@ def _rows(recordings: Sequence[Path], every: int, minutes: list[float]) -> Itera
 
 
 def _record(chosen: Record, folder: Path, trials: int | None) -> list[Path]:
-    """Record the trials and return those that slip; the default method runs once on each, so that it is compiled.
+    """Record the trials and return those that slip; run the default method once on each, so that it is compiled.
 
-    So many trials, object after object and then the same again, or one of each object.
+    trials: their number, object after object, starting again after the last; None is one per object.
     """
     objects = chosen.objects.count(",") + 1
     rounds = replace(chosen, count=-(-(trials or objects) // objects))
@@ -126,7 +126,7 @@ def _record(chosen: Record, folder: Path, trials: int | None) -> list[Path]:
 
 
 def _row(setting: str, onset: Any, true: Any, reference: Any, took_us: Any) -> Row:
-    """The row of a setting from arrays over trials; an onset of -1 means that the method gave none."""
+    """Return the row of a setting from arrays over trials; an onset of -1 means that the method found none."""
     has_onset = onset >= 0
     both = has_onset & (reference >= 0)
     apart = difference(
@@ -147,7 +147,7 @@ def _row(setting: str, onset: Any, true: Any, reference: Any, took_us: Any) -> R
 
 
 def flow_constants(**changes: Any) -> flow.FlowConstants:
-    """The constants of the stage's method `farneback`, but for some changes."""
+    """Return the constants of the stage's method `farneback` with some changes."""
     names = flow.FlowConstants.__dataclass_fields__
     default = {name: value for name, value in recipe_of(Label(method="farneback")).items() if name in names}
     return flow.FlowConstants(**{**default, **changes})
@@ -160,13 +160,13 @@ def _true_onset(recording: Recording) -> int:
 
 
 def _round_onset(recording: Recording, around_ms: int) -> tuple[int, int]:
-    """First and last slice of those round the true onset."""
+    """Return the first and last of the slices around the true onset."""
     true = _true_onset(recording)
     return max(true - around_ms, 0), min(true + around_ms, len(recording))
 
 
 def _every_slice(recording: Recording) -> tuple[int, float]:
-    """Optical flow of both regions of every slice round the true onset."""
+    """Compute optical flow of both regions in every slice around the true onset."""
     start, stop = _round_onset(recording, AROUND_MS)
     constants = flow_constants(coarse_ms=1, after_ms=0, clear_px=math.inf)
     onset = flow.label(recording.between, stop, *label.regions(recording), constants, start).onset
@@ -178,7 +178,7 @@ def _every_slice(recording: Recording) -> tuple[int, float]:
 
 
 def _searched(recording: Recording) -> tuple[int, float]:
-    """The stage's search for the onset in the same slices, and its labels after it."""
+    """Run the stage's search for the onset in the same slices, and its labels after it."""
     start, stop = _round_onset(recording, AROUND_MS)
     begin = time.perf_counter()
     onset = flow.label(recording.between, stop, *label.regions(recording), flow_constants(), start).onset
@@ -186,12 +186,12 @@ def _searched(recording: Recording) -> tuple[int, float]:
 
 
 def _stage(params: Label) -> Method:
-    """The stage `label` with these parameters."""
+    """Return the method of the stage `label` with these parameters."""
     return lambda recording: _time(recording, lambda: label.compute(recording, params))
 
 
 def _smaller_frames(times: int) -> Method:
-    """The stage's search for the onset, with frames so many times smaller."""
+    """Return the stage's search for the onset, with frames smaller by a factor."""
 
     def method(recording: Recording) -> tuple[int, float]:
         given = (*label.regions(recording), flow_constants(shrink=times), ramp_start(recording))
@@ -201,7 +201,7 @@ def _smaller_frames(times: int) -> Method:
 
 
 def _seen_over(seen_px: float) -> Method:
-    """The method `event-flow`, which sees over so much motion whether a dot follows."""
+    """Return the method `event-flow` with this motion over which it decides whether a dot follows."""
 
     def method(recording: Recording) -> tuple[int, float]:
         dots, radius = recording.dot_xy_px, float(recording.read("sensor/dot_radius_px"))
@@ -215,7 +215,7 @@ def _seen_over(seen_px: float) -> Method:
 
 
 def _time(recording: Recording, run: Callable[[], flow.Labels]) -> tuple[int, float]:
-    """The onset of labels of a whole recording, and their run time of a recorded millisecond in us."""
+    """Return the onset of labels of a whole recording, and their run time per recorded millisecond in us."""
     begin = time.perf_counter()
     onset = run().onset
     return onset, (time.perf_counter() - begin) * US / len(recording)

@@ -1,13 +1,14 @@
-"""The part `model`: how often slip detectors are right against the run time of one inference.
+"""The part `model`: accuracy of slip detectors against the run time of one inference.
 
-With models and the report of `evaluate slip` on them, timing and F1 are those of the report, means over objects and
-seeds. Detectors of slip now, 10 ms and 20 ms ahead have different tasks: each task has a Pareto front of its own.
-Without, every architecture of the table is built, untrained, and only timed. Networks that differ in their weights
-alone are timed once, so that no setting wins by the noise of a clock.
+With models and the report of `evaluate slip` on them, timing and F1 come from the report, as means over objects and
+seeds. Detectors of slip now, 10 ms and 20 ms ahead have different tasks, so each task has its own Pareto front. Without
+models, every architecture of the table is built, untrained, and only timed. Networks that differ only in their weights
+are timed once, so that no setting wins by clock noise.
 
-- time_us_*: the network on one thread, one input at a time, as `grasp` runs it: what the paper's inference times are.
-- step_us_*: what `grasp` does with a slice of about 500 events, from events to a probability: tracker (its default),
-  features, network. A network that predicts every 5th slice costs its time in one step of five: the 99th percentile
+- time_us_*: the network on one thread, one input at a time, as `grasp` runs it, comparable to the paper's inference
+  times.
+- step_us_*: processing of a slice of about 500 events in `grasp`, from events to a probability: tracker (its default),
+  features, network. A network that predicts every 5th slice spends its time in one of five steps: the 99th percentile
   shows it, the median does not.
 """
 
@@ -36,18 +37,18 @@ from evetac_cli.kernels.tracking import presets, tracker
 from evetac_cli.store.files import StageFile
 
 TRACKER = presets.PRESETS[Grasp().tracker]
-EVENTS = 500  # of a slice in a step
-DISTINCT = 20  # slices that are timed in turn
-REPEATS = 3000  # inferences and steps timed, fewer where that would take longer than
+EVENTS = 500  # per slice in a step
+DISTINCT = 20  # slices timed in turn
+REPEATS = 3000  # timed inferences and steps; fewer if they would take longer than
 LONGEST_S = 2.0
 FEWEST = 30
-WARM_UP = 20  # and not counted
-FIGURES = {"timing": "slip_correct", "f1": "f1"}  # errors of a setting, and the columns of `evaluate slip` behind them
+WARM_UP = 20  # untimed runs before
+FIGURES = {"timing": "slip_correct", "f1": "f1"}  # errors of a setting, and their columns in `evaluate slip`
 GRID = (7, 8)  # rows and columns of dots of the untrained networks
 
 
 class Candidate(NamedTuple):
-    """A network that is timed, and its figures in `evaluate slip`, if it was trained."""
+    """A network to time, and its figures in `evaluate slip` if it is trained."""
 
     setting: str
     detector: Detector
@@ -59,12 +60,12 @@ class Candidate(NamedTuple):
 
     @property
     def build(self) -> tuple[str, tuple[int, int], int]:
-        """Equal for networks that differ in their weights alone; one that normalises has a longer graph."""
+        """Equal for networks that differ only in their weights; one that normalises has a longer graph."""
         return self.detector.architecture.name, self.dot_shape, self.graph_bytes
 
 
 def inputs(files: list[Path], model: Path | None) -> tuple[Path, ...]:
-    """The report of `evaluate slip`, then the models; empty without any file."""
+    """Return the report of `evaluate slip`, then the models; empty without any file."""
     if not files and model is None:
         return ()
     reports, models = split_models(files, model)
@@ -73,14 +74,14 @@ def inputs(files: list[Path], model: Path | None) -> tuple[Path, ...]:
             "the report of `evaluate slip` on these models is missing",
             where="evaluate cost model",
             expected="one report of `evaluate slip` on these models",
-            found=f"{len(reports)} files that are no models",
-            hint="evetac evaluate slip FEATURES --model MODELS first; without any file, untrained networks are timed",
+            found=f"{len(reports)} files that are not models",
+            hint="run evetac evaluate slip FEATURES --model MODELS first; without files, untrained networks are timed",
         )
     return (*reports, *models)
 
 
 def measure(params: EvaluateCost, inputs: Sequence[Path], progress: Progress) -> Rows:
-    """A row for every setting; with a report, also whether it is on the Pareto front of its task."""
+    """Return a row per setting; with a report, also whether it is on the Pareto front of its task."""
     models = [Model.read(path) for path in inputs[1:]]
     candidates = _trained(models, _report_rows(inputs[0], models)) if models else _untrained()
     rows = collect(_rows(candidates, params.seed), len(candidates), progress)
@@ -91,7 +92,7 @@ def measure(params: EvaluateCost, inputs: Sequence[Path], progress: Progress) ->
 
 
 def summary(rows: Rows) -> dict[str, Any]:
-    """How many settings there are, and which are on the Pareto fronts."""
+    """Return the number of settings, and those on the Pareto fronts."""
     figures: dict[str, Any] = {"settings": len(rows), "events_a_step": EVENTS}
     for name in (f"pareto_{figure}" for figure in FIGURES):
         for task in sorted({row["horizon_ms"] for row in rows if name in row}):
@@ -101,7 +102,7 @@ def summary(rows: Rows) -> dict[str, Any]:
 
 
 def _report_rows(path: Path, models: Sequence[Model]) -> dict[str, Row]:
-    """Rows of a report of `evaluate slip`, by setting; InputError if it is not on these models."""
+    """Return rows of a report of `evaluate slip` by setting; raise InputError if it is not on these models."""
     with StageFile(path, "report") as file:
         header, rows = file.header, json.loads(file.read("rows"))
     reported = {id_ for id_ in header["parents"] if header["history"][id_]["kind"] == "model"}
@@ -110,7 +111,7 @@ def _report_rows(path: Path, models: Sequence[Model]) -> dict[str, Row]:
     command = header["parameters"].get("command")
     if command != "evaluate slip" or given != reported or {*group_by_setting(models)} != {*by_setting}:
         raise InputError(
-            "this is not the report of `evaluate slip` on the models given",
+            "this is not the report of `evaluate slip` on the given models",
             where=str(path),
             expected=f"a report on these {len(given)} models",
             found=f"{command}, on {len(reported)} models, {len(reported & given)} of these",
@@ -119,7 +120,7 @@ def _report_rows(path: Path, models: Sequence[Model]) -> dict[str, Row]:
 
 
 def _trained(models: Sequence[Model], report_rows: dict[str, Row]) -> list[Candidate]:
-    """One candidate for each setting, with the figures of its row in the report."""
+    """Return one candidate per setting, with the figures of its row in the report."""
     candidates = []
     for setting, members in group_by_setting(models).items():
         first, row = models[members[0]], report_rows[setting]
@@ -133,7 +134,7 @@ def _trained(models: Sequence[Model], report_rows: dict[str, Row]) -> list[Candi
 
 
 def _untrained() -> list[Candidate]:
-    """Every architecture with weights as they are before training: run time does not depend on them."""
+    """Return every architecture with its initial weights: run time does not depend on them."""
     from evetac_cli.kernels.slip import networks  # imports torch
 
     candidates = []
@@ -146,7 +147,7 @@ def _untrained() -> list[Candidate]:
 
 
 def _rows(candidates: Sequence[Candidate], seed: int) -> Iterator[Row]:
-    """The row of each candidate; networks of the same build share their run times."""
+    """Yield the row of each candidate; networks of the same build share their run times."""
     times: dict[Any, Row] = {}
     for candidate in candidates:
         if candidate.build not in times:
@@ -165,7 +166,7 @@ def _rows(candidates: Sequence[Candidate], seed: int) -> Iterator[Row]:
 
 
 def _inference(candidate: Candidate, rng: np.random.Generator) -> Callable[[], Any]:
-    """One inference on one input of random numbers."""
+    """Return a function that runs one inference on one random input."""
     architecture = candidate.detector.architecture
     if isinstance(architecture, OverImages):
         shape: tuple[int, ...] = architecture.input_shape
@@ -176,12 +177,12 @@ def _inference(candidate: Candidate, rng: np.random.Generator) -> Callable[[], A
 
 
 def _grasp_step(candidate: Candidate, rng: np.random.Generator) -> Callable[[], Any]:
-    """A step of `grasp` on events of the dots' rims at rest; histories are filled first."""
+    """Return a function that runs one `grasp` step on events of the dots' rims at rest; histories are filled first."""
     rows, columns = candidate.dot_shape
     whole = DOTS_PX.reshape(7, 9, 2)
     if rows > whole.shape[0] or columns > whole.shape[1]:
         raise InputError(
-            "there are no events to time this grid of dots with",
+            "this grid of dots is too large to time",
             where=candidate.setting,
             expected="at most 7 x 9 dots",
             found=f"{rows} x {columns}",
@@ -203,14 +204,14 @@ def _grasp_step(candidate: Candidate, rng: np.random.Generator) -> Callable[[], 
 
 
 def _rims(rng: np.random.Generator, right_px: float) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
-    """EVENTS events on the rims of the dots left of right_px: columns x, y, p."""
+    """Return EVENTS events on the rims of the dots left of right_px: columns x, y, p."""
     x, y, p = rim_events(rng, 4 * EVENTS)
     left = np.flatnonzero(x < right_px)[:EVENTS]
     return x[left], y[left], p[left]
 
 
 def timed(act: Callable[[], Any], repeats: int = REPEATS, longest_s: float = LONGEST_S) -> NDArray[np.float64]:
-    """Run times in us; fewer repeats, but at least FEWEST, where they would take longer than longest_s."""
+    """Return run times in us; fewer repeats, but at least FEWEST, if they would take longer than longest_s."""
     for _ in range(WARM_UP):
         act()
     took_us: list[float] = []
@@ -223,9 +224,9 @@ def timed(act: Callable[[], Any], repeats: int = REPEATS, longest_s: float = LON
 
 
 def front(rows: Rows, error: str) -> list[bool]:
-    """Which rows are on the Pareto front of an error and the median time among those of their task (`horizon_ms`).
+    """Return which rows are on the Pareto front of an error and the median time within their task (`horizon_ms`).
 
-    No other is as good in both, better in one. A row without that error is not on the front.
+    On the front, no other row is as good in both and better in one. A row without that error is not on the front.
     """
     points = [(row["horizon_ms"], row[error], row["time_us_median"]) for row in rows]
     known = [point for point in points if point[1] is not None]
@@ -238,14 +239,14 @@ def front(rows: Rows, error: str) -> list[bool]:
 
 
 def size_in(rows: Rows) -> tuple[float, float]:
-    """Width and height of the picture in inches."""
+    """Return width and height of the plot in inches."""
     return 12.0, 4.6 + picture.legend_height_in([row["setting"] for row in rows], 12.0)
 
 
 def draw(figure: Any, rows: Rows, errors: Sequence[str]) -> None:
-    """Errors against run time, filled where on the front of its task; without errors, parameters against it."""
+    """Plot errors against run time, filled if on the front of the task; without errors, plot parameters."""
     names = [name for name in errors if name in rows[0]] or ["parameters"]
-    titles = {"error_share_timing": "share of slips not timed right", "error_share_f1": "1 - F1"}
+    titles = {"error_share_timing": "share of slips not timed correctly", "error_share_f1": "1 - F1"}
     panels = picture.panels(figure, len(names), len(names))
     for axes, name in zip(panels, names, strict=True):
         front_column = name.replace("error_share", "pareto")

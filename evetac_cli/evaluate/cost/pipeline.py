@@ -1,27 +1,28 @@
-"""The part `pipeline`: what the settings of a recording are worth at the end of the whole chain, and what they cost.
+"""The part `pipeline`: effect of the settings of a recording on the results of the whole chain, and their run time.
 
-Every setting records the same seeded slip trials and grasps, and everything is made from them as the commands do it:
-labels, tracks, features, the judgement of the package's detector. All of it is compared with the truth of a reference:
+Every setting records the same seeded slip trials and grasps, and derives everything from them as the commands do:
+labels, tracks, features, the probabilities of the pretrained detector. All are compared with the truth of a reference:
 the same trials, simulated more finely in every respect. Columns, as means over the trials:
 
 - error_ms_gross_slip: onset of gross slip (`truth/slip`) in the simulation with this setting.
 - error_ms_label: onset of the labels, against the onset of gross slip in the reference's truth.
-- error_share_detection: share of trials in which the first detection by the package's detector (which is made to warn
-  10 ms ahead) moves by more than DETECTION_MS from that on the reference; detection_moved_ms_median: by how far, in the
-  median. No mean: near its threshold one trial moves by hundreds of ms.
+- error_share_detection: share of trials in which the first detection by the pretrained detector (trained to warn 10 ms
+  ahead) moves by more than DETECTION_MS from that on the reference.
+- detection_moved_ms_median: the median of this shift. A mean would be dominated by single trials that shift by hundreds
+  of ms near the threshold.
 - error_px_dots: tracked dots against the reference's true dots, root mean square up to gross slip.
-- error_n_shear: shear force on a pad, told from the tracked dots by a regression that was fitted at the defaults on
-  other trials, against the reference's true one, root mean square up to gross slip.
-- error_share_lost, error_mm_moved: grasps whose object was not held to the end, and how much farther or less far it
-  moved in the gripper than in the reference.
-- time_us_*: processor time of the chain for a recorded millisecond, over the trials; record_us_median, grasp_us_median:
-  of recording alone, and of a simulated millisecond of the grasp.
+- error_n_shear: shear force on a pad, estimated from the tracked dots by a regression fitted at the defaults on other
+  trials, against the reference's true force, root mean square up to gross slip.
+- error_share_lost, error_mm_moved: grasps whose object was not held to the end, and the absolute difference of the
+  object's motion in the gripper from the reference.
+- time_us_*: processor time of the chain per recorded millisecond, over the trials. record_us_median, grasp_us_median:
+  of recording alone, and per simulated millisecond of the grasp.
 
-A second table has the paired difference of every setting from the defaults, with its interval (see paired) and, where
-it is undecided, the command that would decide it and the minutes of that (see deciding); a third has every trial, with
-its onsets. A row is on the Pareto front of an error where the intervals say so against every other row; the reference
-is no candidate. The errors of labels, tracker and regression are in every row: what a setting adds is in the
-differences.
+A second table has the paired difference of every setting from the defaults, with its interval (see paired). If it is
+undecided, the table also has the command that would decide it and its minutes (see deciding). A third table has every
+trial with its onsets. A row is on the Pareto front of an error if the intervals show this against every other row; the
+reference is excluded. Every row contains the errors of labels, tracker and regression; the effect of a setting is in
+the differences.
 """
 
 import time
@@ -54,12 +55,12 @@ from evetac_cli.evaluate.rows import Extent, SolverSetting, line, run_times
 from evetac_cli.jobs import Progress, Row, Rows
 
 TRIALS = Extent(quick=4, full=20)
-OBJECTS = (8, 1, 12, 4, 16, 3, 14, 6, 10, 17)  # that slip, in turn
-GRASPED = (11, 17, 12, 13, 10, 18)  # in turn
+OBJECTS = (8, 1, 12, 4, 16, 3, 14, 6, 10, 17)  # these slip; used in turn
+GRASPED = (11, 17, 12, 13, 10, 18)  # used in turn
 CALIBRATION = (
     ChainTrial(8, 9000, 11),
     ChainTrial(3, 9001, 11),
-)  # of the regression of forces; below the seeds that are reported
+)  # for the force regression; seeds not used in the reported trials
 
 DEFAULTS = SolverSetting("defaults")
 REFERENCE = SolverSetting("reference", solver={"step_ms": 0.125, "node_pitch_mm": 0.625, "camera_substeps": 4})
@@ -84,18 +85,18 @@ CHOICES = Extent[tuple[SolverSetting, ...]](
 GRASP_ERRORS = ("error_share_lost", "error_mm_moved")
 ERRORS = (*SLIP_ERRORS, *GRASP_ERRORS)
 TITLES = {
-    "error_ms_gross_slip": "true onset of gross slip",
-    "error_ms_label": "onset by the labels",
-    "error_share_detection": "trials whose first detection moves",
+    "error_ms_gross_slip": "onset of gross slip, truth",
+    "error_ms_label": "onset according to labels",
+    "error_share_detection": "trials with a shifted first detection",
     "error_px_dots": "tracked dots",
-    "error_n_shear": "shear force from the dots",
-    "error_mm_moved": "object moved in the grasp",
+    "error_n_shear": "shear force from dots",
+    "error_mm_moved": "object moved in the gripper",
 }
 SLICE_MS = 1.0  # onsets are whole slices
 
 
 class Measured:
-    """The errors and run times of one setting, an entry a trial."""
+    """The errors and run times of one setting, an entry per trial."""
 
     def __init__(self, setting: SolverSetting) -> None:
         self.setting = setting
@@ -113,7 +114,7 @@ class Measured:
         slip_errors: dict[str, float],
         reference: tuple[Chain, Lifted],
     ) -> None:
-        """Append what came out of a trial, beside the same of the reference."""
+        """Append the results of a trial, compared with those of the reference."""
         chain, lifted = made
         both_held = lifted.held and reference[1].held
         moved = abs(lifted.moved_mm - reference[1].moved_mm) if both_held else float("nan")
@@ -139,17 +140,17 @@ class Measured:
         self.grasp_us.append(lifted.grasp_us)
 
     def of(self, name: str) -> Floats:
-        """An error over the trials."""
+        """Return an error over the trials."""
         return np.array(self.errors[name])
 
 
 def trials(count: int, seed: int) -> list[ChainTrial]:
-    """Trials with seeds from `seed` on, each with an object that slips and one that is grasped."""
+    """Return trials with seeds starting at `seed`, each with an object that slips and one that is grasped."""
     return [ChainTrial(OBJECTS[k % len(OBJECTS)], seed + k, GRASPED[k % len(GRASPED)]) for k in range(count)]
 
 
 def measure(params: EvaluateCost, inputs: Sequence[Path], progress: Progress) -> Rows:
-    """A row for the reference and every setting, for every paired difference from the defaults, and for every trial."""
+    """Return a row per setting including the reference, per paired difference from the defaults, and per trial."""
     chosen = [FINEST if params.full else REFERENCE, DEFAULTS, *CHOICES.pick(params.full)]
     tried = trials(params.trials or TRIALS.pick(params.full), params.seed)
     measured = [Measured(setting) for setting in chosen]
@@ -165,7 +166,7 @@ def measure(params: EvaluateCost, inputs: Sequence[Path], progress: Progress) ->
     for trial in tried:
         reference: tuple[Chain, Lifted] | None = None
         for entry in measured:
-            with TemporaryDirectory() as folder:  # files of one setting have the names of those of another
+            with TemporaryDirectory() as folder:  # files of all settings have the same names
                 made = run_chain(trial, entry.setting, Path(folder)), run_grasp(trial, entry.setting, Path(folder))
             reference = reference or made
             entry.add(trial, made, slip_errors(made[0], reference[0], force), reference)
@@ -176,7 +177,7 @@ def measure(params: EvaluateCost, inputs: Sequence[Path], progress: Progress) ->
 
 
 def tables(measured: Sequence[Measured], effort: Effort) -> Rows:
-    """The three tables; of `measured` the reference comes first, the defaults second."""
+    """Return the three tables; `measured` begins with the reference and the defaults."""
     reference, defaults, *_ = measured
     fronts = _fronts(measured[1:])
     rows: Rows = [_row(reference, None)]
@@ -201,7 +202,7 @@ def tables(measured: Sequence[Measured], effort: Effort) -> Rows:
 
 
 def _shares(name: str, ours: Floats, theirs: Floats) -> tuple[Flags, Flags] | None:
-    """In which trials that have both an error holds, ours and theirs, where it is a share of trials."""
+    """Return for an error that is a share the trials in which it occurs, ours and theirs, where both are known."""
     if not name.startswith("error_share"):
         return None
     both = np.isfinite(ours) & np.isfinite(theirs)
@@ -213,7 +214,7 @@ def _resolution(name: str) -> float:
 
 
 def _fronts(candidates: Sequence[Measured]) -> dict[str, list[bool]]:
-    """For each error, which settings are surely on its Pareto front with the run time of what makes the error."""
+    """Return for each error which settings are certainly on its Pareto front with the run time of the relevant part."""
     fronts = {}
     for name in ERRORS:
         times = [np.array(one.grasp_us if name in GRASP_ERRORS else one.chain_us) for one in candidates]
@@ -222,8 +223,8 @@ def _fronts(candidates: Sequence[Measured]) -> dict[str, list[bool]]:
 
 
 def _row(entry: Measured, front: list[str] | None) -> Row:
-    """The row of a setting; front: the errors on whose Pareto front it is, None for the reference."""
-    own = front is None  # against itself a reference has no errors, but those of what looks at it
+    """Return the row of a setting; front: the errors on whose Pareto front it is, None for the reference."""
+    own = front is None  # a reference has no errors against itself, except those of labels, tracker and regression
     compared_with_itself = ("error_ms_gross_slip", "error_share_detection", "error_mm_moved") if own else ()
     errors = {name: None if name in compared_with_itself else _mean(entry.of(name)) for name in ERRORS}
     on = None if front is None else ", ".join(name.removeprefix("error_") for name in front) or "none"
@@ -251,7 +252,7 @@ def _median(values: Floats) -> float | None:
 
 
 def summary(rows: Rows) -> dict[str, Any]:
-    """How many settings and trials there are, and the commands that a row's flags are for."""
+    """Return the numbers of settings and trials, and the commands to which a row's flags belong."""
     settings = [row for row in rows if "flags" in row]
     return {
         "settings": len(settings),
@@ -263,12 +264,12 @@ def summary(rows: Rows) -> dict[str, Any]:
 
 
 def size_in(rows: Rows) -> tuple[float, float]:
-    """Width and height of the picture in inches."""
+    """Return width and height of the plot in inches."""
     return 13.0, 7.6
 
 
 def draw(figure: Any, rows: Rows, errors: Sequence[str]) -> None:
-    """Each error over the run time of the chain: lines lead from the defaults; filled where on the Pareto front."""
+    """Plot each error over the run time of the chain, with lines from the defaults; filled if on the Pareto front."""
     settings = [row for row in rows if "flags" in row]
     lines: dict[str, Rows] = {}
     for row in settings[1:]:
@@ -295,4 +296,4 @@ def draw(figure: Any, rows: Rows, errors: Sequence[str]) -> None:
         )
         what = "simulated ms of the grasp" if name in GRASP_ERRORS else "recorded ms, whole chain"
         axes.set_xlabel(f"run time of a {what}, median [us]")
-    picture.legend(figure, panels, title="filled: surely on the Pareto front")
+    picture.legend(figure, panels, title="filled: certainly on the Pareto front")

@@ -1,4 +1,4 @@
-"""The part `scenes`: what the parts of three scenes cost a slice on this machine, each scene with and without them."""
+"""The part `scenes`: run time per slice of the parts of three scenes, each scene with and without them."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -23,7 +23,7 @@ COLUMNS = ("part", "setting", "time_us_mean", "time_us_median", "time_us_p99", "
 
 
 def measure(params: EvaluateCost, inputs: Sequence[Path], progress: Progress) -> Rows:
-    """For each scene a row as it is, one for each part that it can do without or leaves out, and the calls in it."""
+    """Return for each scene a row as is, a row per optional part, and the run times of the calls in it."""
     rows: Rows = []
     trials = list(_trials(params.seed))
     for done, (name, trial, play) in enumerate(trials, 1):
@@ -34,7 +34,7 @@ def measure(params: EvaluateCost, inputs: Sequence[Path], progress: Progress) ->
 
 
 def _trials(seed: int) -> Iterator[tuple[str, SimulatedTrial, Play[Any]]]:
-    """Slip, lift with the package's detector, and rubbed edges: the scenes that are slow for different reasons."""
+    """Yield slip, lift with the pretrained detector, and rubbed edges: scenes that are slow for different reasons."""
     slip, edge = (Record(scene=name, seed=seed) for name in ("slip", "edge"))
     lift: tuple[Any, Any, Play[Any]] = (grasp, Grasp(seed=seed), play_grasp)
     stages = [(record, slip, play_through), lift, (record, edge, play_through)]
@@ -44,7 +44,7 @@ def _trials(seed: int) -> Iterator[tuple[str, SimulatedTrial, Play[Any]]]:
 
 
 def _rows(costs: PartCosts) -> Iterator[Row]:
-    """part_us: what the part costs where it is built, or would cost where it is left out."""
+    """Yield the rows of a scene; part_us: run time of the part if it is used, or its cost if it were."""
     yield {"setting": AS_IT_IS, "time_us_mean": float(costs.whole.mean()), **run_times(costs.whole), "part_us": None}
     left_out = {row["part"] for row in costs.rows() if row["left_out"]}
     for part, times_us in costs.switched.items():
@@ -56,7 +56,7 @@ def _rows(costs: PartCosts) -> Iterator[Row]:
 
 
 def summary(rows: Rows) -> dict[str, Any]:
-    """Microseconds a slice of each scene, and what it saves by what it leaves out."""
+    """Return microseconds per slice of each scene, and the savings from its left-out parts."""
     figures: dict[str, Any] = {}
     for scene in dict.fromkeys(row["part"] for row in rows):
         own = [row for row in rows if row["part"] == scene]
@@ -66,11 +66,11 @@ def summary(rows: Rows) -> dict[str, Any]:
 
 
 def draw(figure: Any, rows: Rows, errors: Sequence[str]) -> None:
-    """A panel for each scene: bars of what a slice takes as it is and with one part the other way."""
+    """Draw a panel per scene: bars of the time per slice, as is and with one part switched."""
     scenes = list(dict.fromkeys(row["part"] for row in rows))
     for axes, scene in zip(picture.panels(figure, len(scenes), 1), scenes, strict=True):
         own = [row for row in rows if row["part"] == scene and row["time_us_mean"] is not None][::-1]
         bars = axes.barh([row["setting"] for row in own], [row["time_us_mean"] for row in own], height=0.6)
         axes.bar_label(bars, fmt="%.0f", padding=3)
-        axes.set(title=picture.plain(f"scene {scene}"), xlabel="run time of a simulated millisecond, mean [us]")
+        axes.set(title=picture.plain(f"scene {scene}"), xlabel="run time per simulated millisecond, mean [us]")
         axes.margins(x=0.12)

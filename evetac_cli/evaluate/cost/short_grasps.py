@@ -1,4 +1,4 @@
-"""Short simulated grasps in memory, and detectors that stand between the network and the controller in them.
+"""Short simulated grasps in memory, and wrappers of the detector between network and controller.
 
 The hand rises as in the scene, but the lift ends soon after 50 mm, and the balance after a few seconds.
 """
@@ -28,26 +28,26 @@ from evetac_cli.trials.grasp.loop import SliceDetector, Timing, grasp_slices
 from evetac_cli.trials.grasp.online_detector import open_detector
 
 LIFT_S = 3.5  # 50 mm are reached at 3.1 s
-LOST_MM = 25.0  # an object that moved so far in the gripper is lost
+LOST_MM = 25.0  # an object that moved this far in the gripper is lost
 CONTROLLERS = ("paper", "paper-reset", "load-proportional")
 
 
 @dataclass
 class TimedDetector:
-    """A detector whose slices are timed."""
+    """A detector that times its slices."""
 
     detector: SliceDetector
     took_us: list[float] = field(default_factory=list)
 
     def step(self, events: Events) -> float:
-        """Slip probability after one more slice."""
+        """Return the slip probability after one more slice."""
         started = time.perf_counter()
         probability = self.detector.step(events)
         self.took_us.append(1e6 * (time.perf_counter() - started))
         return probability
 
     def tell_gripper(self, position_ticks: float, goal_ticks: float) -> None:
-        """As the detector is told."""
+        """Pass the gripper's state to the detector."""
         self.detector.tell_gripper(position_ticks, goal_ticks)
 
     @property
@@ -58,31 +58,34 @@ class TimedDetector:
 
 @dataclass
 class FixedDetector:
-    """A detector whose decision comes from elsewhere: `slips` says whether there is slip; displacements stay."""
+    """A detector whose decisions are replaced by `slips`; displacements stay.
+
+    slips: returns whether there is slip.
+    """
 
     detector: SliceDetector
     slips: Callable[[], bool]
     count: int = 0
 
     def step(self, events: Events) -> float:
-        """1.0 for slip, else 0.0."""
+        """Return 1.0 for slip, else 0.0."""
         self.detector.step(events)
         slip = self.slips()
         self.count += slip
         return float(slip)
 
     def tell_gripper(self, position_ticks: float, goal_ticks: float) -> None:
-        """As the detector is told."""
+        """Pass the gripper's state to the detector."""
         self.detector.tell_gripper(position_ticks, goal_ticks)
 
     @property
     def signal(self) -> SlipSignal:
-        """The detector's signal, with the slices counted that were said to slip."""
+        """The detector's signal, with the number of slices declared as slip."""
         return self.detector.signal._replace(slips=self.count)
 
 
 def ground_truth_detector(detector: SliceDetector, devices: Rig) -> SliceDetector:
-    """A detector that gives the gross slip that only the simulation knows."""
+    """Return a detector that reports the true gross slip, which only the simulation has."""
     truth = devices.truth
     assert truth is not None
     return FixedDetector(detector, lambda: bool(truth()["truth/slip"]))
@@ -105,7 +108,7 @@ class ShortGrasp:
 
 @dataclass(frozen=True)
 class GraspResult:
-    """What a short grasp ended with: outcome figures, rows of the recording, run time of the detector in each slice."""
+    """Result of a short grasp: outcome figures, rows of the recording, run time of the detector in each slice."""
 
     figures: dict[str, Any]
     rows: dict[str, NDArray[Any]]
@@ -121,9 +124,8 @@ def run_short_grasp(
 ) -> GraspResult:
     """Simulate one short grasp.
 
-    model: of the detector, default the package's; `change_plan` makes another plan of the usual one;
-    `wrap_detector` puts something between the detector and the controller. ValueError where the plan cannot be
-    simulated.
+    model: detector, default the pretrained one; `change_plan` modifies the default plan; `wrap_detector` inserts a
+    wrapper between the detector and the controller. Raises ValueError if the plan cannot be simulated.
     """
     plan = change_plan(first_plan(short.scene, str(short.object), short.sensor))
     touch_ms = round(SLICES_PER_S * plan.scene.time.touch_s)
@@ -148,7 +150,7 @@ def run_short_grasp(
         for _, rows in grasp_slices(devices, detector, control, timing):
             buffer.append_rows(rows)
             if float(np.hypot(*rows["truth/object_xy_px"])) * plan.sensor.mm_per_px > LOST_MM:
-                break  # it would slide on from there
+                break  # it would only slide further
     finally:
         devices.close()
     arrays = buffer.row_arrays()

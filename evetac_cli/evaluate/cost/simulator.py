@@ -1,4 +1,4 @@
-"""The part `sim` of `evaluate cost`: the simulated gel and cameras, in error against run time."""
+"""The part `sim` of `evaluate cost`: error against run time of the simulated gel and camera."""
 
 from collections.abc import Sequence
 from itertools import chain
@@ -12,7 +12,7 @@ from evetac_cli.evaluate.cost import unloading
 from evetac_cli.evaluate.rows import collect
 from evetac_cli.jobs import Progress, Rows
 
-# Those that the picture shows, of whichever rows have them.
+# Errors in the plot, for the rows that have them.
 ERRORS = (
     "error_um_object_rms",
     "error_um_gel_rms",
@@ -27,7 +27,7 @@ ERRORS = (
 
 
 def measure(params: EvaluateCost, inputs: Sequence[Path], progress: Progress) -> Rows:
-    """Rows of the gel's mechanics, with constant and with falling friction, and of the cameras."""
+    """Return rows of the gel's mechanics, with constant and with falling friction, and of the cameras."""
     loads = camera_cost.workloads()
     rows = chain(
         gel_cost.mechanics_rows(params.seed, params.full),
@@ -39,10 +39,10 @@ def measure(params: EvaluateCost, inputs: Sequence[Path], progress: Progress) ->
 
 
 def summary(rows: Rows) -> dict[str, Any]:
-    """How far the reference itself is off; which explicit steps blow up; what the implicit step saves.
+    """Return the reference's own error, the explicit steps that blow up, and the gain of the implicit step.
 
-    implicit_saves_times: run time of the most accurate explicit integration over that of the cheapest implicit one
-    which is at least as accurate, by the object's position.
+    implicit_saves_times: run time of the most accurate explicit integration over that of the cheapest implicit one that
+    is at least as accurate, by the object's position.
     """
     mechanics = [row for row in rows if row["part"] == gel_cost.PART]
     (reference,) = (row for row in mechanics if row["setting"].startswith("reference"))

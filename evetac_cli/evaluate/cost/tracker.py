@@ -1,10 +1,10 @@
 """The part `track`: distance of the dot tracker from the true dots against its run time, on seeded motions.
 
-The workloads move a whole grid of dots: a sine of 3 px at 5 Hz, one of 0.3 px at 200 Hz, and a slow shift at the pace
-of the paper's trials. Each is seen twice: by an ideal camera without noise, and by one that scans, with the noise, hot
+The workloads move a whole grid of dots: a sine of 3 px at 5 Hz, one of 0.3 px at 200 Hz, and a slow shift at the speed
+of the paper's trials. Each is seen by an ideal camera without noise, and by a scanning camera with the noise, hot
 pixels and uneven thresholds of the sensor `evetac`. The dots' centres are known exactly. `standing still` is a tracker
-that never moves a dot: what is not better is worth nothing. Run time is that of a step on events of the dots' rims: it
-depends on their number.
+that never moves dots; a tracker that is no better is useless. Run time is that of a step on events of the dots' rims
+and depends on their number.
 """
 
 import math
@@ -29,21 +29,21 @@ from evetac_cli.kernels.tracking.presets import PRESETS, TrackerConstants
 from evetac_cli.sim.camera.scanning import camera
 from evetac_cli.sim.camera.scanning.camera import CameraModel
 
-SLICES = Extent(quick=(400, 60, 200), full=(2000, 400, 2000))  # of each workload
-STEPS = Extent(quick=120, full=3000)  # how often a step is timed
+SLICES = Extent(quick=(400, 60, 200), full=(2000, 400, 2000))  # per workload
+STEPS = Extent(quick=120, full=3000)  # number of timed steps
 EVENT_COUNTS = (0, 50, 200, 1_000, 5_000, 20_000)
-USUAL_COUNT = 1_000  # events a slice of `time_us_median` and `time_us_p99`
-WARM_UP = 20  # steps that are left out of the run times
-DISTINCT = 400_000  # events in slices that are timed in turn: with few, their pixels would always be in the cache
-PATH_PIECES = 16  # of a slice, for both cameras
-# An edge of 1.5 px from 10 to 90 %, contrast and threshold as for the published simulators these motions were made for.
+USUAL_COUNT = 1_000  # events per slice for `time_us_median` and `time_us_p99`
+WARM_UP = 20  # steps left out of the run times
+DISTINCT = 400_000  # events in slices timed in turn: with few, their pixels would always be in the cache
+PATH_PIECES = 16  # per slice, for both cameras
+# An edge of 1.5 px from 10 to 90 %; contrast and threshold as in the published simulators with these motions.
 CAMERA = CameraModel(noise_rate_hz=0.0, hot_pixels=0, mismatch=0.0, edge_sigma_px=1.5 / 2.5631, log_contrast=1.07)
-SCANNING = CameraModel(hot_pixels=6)  # what comes by itself is that of the sensor `evetac`
+SCANNING = CameraModel(hot_pixels=6)  # noise as in the sensor `evetac`
 DOTS_PX = np.stack(np.meshgrid(61.0 + 62.3 * np.arange(9), 41.0 + 62.4 * np.arange(7)), axis=-1).reshape(-1, 2)
 
 
 class Scenario(NamedTuple):
-    """Events, slice by slice, and where the dots are at the end of each, (slices, dots, 2) in px."""
+    """Events slice by slice, and the dots' positions at the end of each, (slices, dots, 2) in px."""
 
     name: str
     slices: list[Events]
@@ -51,10 +51,11 @@ class Scenario(NamedTuple):
 
 
 def measure(params: EvaluateCost, inputs: Sequence[Path], progress: Progress) -> Rows:
-    """Every setting on every workload; run times once a setting.
+    """Return rows of every setting on every workload; run times are measured once per setting.
 
-    error_px_*: distance from the true centre at the end of a slice, over all dots and slices; still_px_rms is that of
-    a tracker that never moves. time_us_median, _p99: of a step at USUAL_COUNT events; time_us_N: median at N events.
+    - error_px_*: distance from the true centre at the end of a slice, over all dots and slices;
+    - still_px_rms: the same for dots that never move;
+    - time_us_median, _p99: of a step at USUAL_COUNT events; time_us_N: median at N events.
     """
     scenarios = simulate_scenarios(params.seed, SLICES.pick(params.full))
     rows = (row for setting in settings() for row in _rows(*setting, scenarios, STEPS.pick(params.full), params.seed))
@@ -63,7 +64,7 @@ def measure(params: EvaluateCost, inputs: Sequence[Path], progress: Progress) ->
 
 
 def summary(rows: Rows) -> dict[str, Any]:
-    """The most accurate preset: its largest error over the workloads, relative to a tracker that never moves."""
+    """Return the most accurate preset, and the presets' largest errors relative to a tracker that never moves."""
     worst: dict[str, float] = {}
     for row in rows:
         preset, _, events = row["setting"].partition(", ")
@@ -77,7 +78,7 @@ def summary(rows: Rows) -> dict[str, Any]:
 
 
 def simulate_scenarios(seed: int, slices: tuple[int, int, int]) -> list[Scenario]:
-    """The workloads, of so many slices each, seen by the ideal camera, then those seen in noisy scans."""
+    """Return the workloads with the given numbers of slices: seen by the ideal camera, then in noisy scans."""
     large, small, slow = slices
     loads = [
         Workload("3 px at 5 Hz", CAMERA, DOTS_PX, lambda t: oscillation(t, 3.0, 5.0), large),
@@ -107,7 +108,7 @@ def _simulate(load: Workload, rng: np.random.Generator, *, scans: bool = False) 
 
 
 def settings() -> Iterator[tuple[str, TrackerConstants, float]]:
-    """Name, tracker constants, and the share of the events that is used, of every setting."""
+    """Yield name, tracker constants, and the share of events used, for every setting."""
     for name, constants in PRESETS.items():
         yield f"{name}, all events", constants, 1.0
     stable = PRESETS["stable"]
@@ -121,7 +122,7 @@ def settings() -> Iterator[tuple[str, TrackerConstants, float]]:
 def _rows(
     setting: str, constants: TrackerConstants, share: float, scenarios: Sequence[Scenario], steps: int, seed: int
 ) -> Iterator[Row]:
-    """Rows of a setting, one for each workload."""
+    """Yield the rows of a setting, one per workload."""
     times_us = {count: _time_steps(constants, int(count * share), steps, seed) for count in EVENT_COUNTS}
     for scenario in scenarios:
         yield {
@@ -134,7 +135,7 @@ def _rows(
 
 
 def _still_row(scenario: Scenario) -> Row:
-    """The row of a tracker that never moves a dot, which costs nothing."""
+    """Return the row of a tracker that never moves dots and takes no time."""
     apart_px = np.linalg.norm(DOTS_PX - scenario.truth_px, axis=2)
     rms_px = math.sqrt(np.mean(apart_px**2))
     return {
@@ -171,7 +172,7 @@ def _errors(scenario: Scenario, constants: TrackerConstants, share: float, seed:
 
 
 def _time_steps(constants: TrackerConstants, count: int, steps: int, seed: int) -> NDArray[np.float64]:
-    """Run times of steps, in us, on different slices of events of the dots' rims in turn, the first few left out."""
+    """Return run times of steps in us, on slices of events of the dots' rims in turn, without the first few."""
     rng = np.random.default_rng((seed, count))
     state = tracker.start(DOTS_PX, constants)
     slices = [rim_events(rng, count) for _ in range(min(steps, max(WARM_UP, DISTINCT // max(count, 1))))]
@@ -187,7 +188,7 @@ def _time_steps(constants: TrackerConstants, count: int, steps: int, seed: int) 
 def rim_events(
     rng: np.random.Generator, count: int
 ) -> tuple[NDArray[np.uint16], NDArray[np.uint16], NDArray[np.uint8]]:
-    """Events on the rims of DOTS_PX at rest, 0.7 px blurred: columns x, y in px, p."""
+    """Return events on the rims of DOTS_PX at rest, blurred by 0.7 px: columns x, y in px, p."""
     which, angle = rng.integers(0, len(DOTS_PX), count), rng.uniform(0.0, 2.0 * np.pi, count)
     radius_px = 15.0 + 0.7 * rng.standard_normal(count)
     rim = DOTS_PX[which] + radius_px[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)

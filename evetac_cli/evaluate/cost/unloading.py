@@ -1,20 +1,20 @@
-"""Error against run time of the mechanics where friction falls with speed, as it does in every slip and lift scene.
+"""Error against run time of the mechanics if friction falls with speed, as it does in every slip and lift scene.
 
-The trial of gel.trial, unloaded in two ways. `fast`: the weight drops on at once and bounces, the grip falls by 9 N/s.
-`slow`: the weight is handed over within 80 ms, then the grip falls by 2 N/s, which is the slip scene's rate near onset.
-Each with constant friction and at two corners of the scenes' ranges, with the same memory length everywhere: errors are
-those of the numbers, not of the law.
+The trial of gel_trial is unloaded in two ways. `fast`: the weight drops on at once and bounces; the grip falls by
+9 N/s. `slow`: the weight is handed over within 80 ms, then the grip falls by 2 N/s, the slip scene's rate near onset.
+Each is run with constant friction and at two corners of the scenes' ranges. The memory length is the same everywhere,
+so errors are due to the numerics, not to the friction law.
 
-Lines: a fixed time step, a tolerance for which steps are halved, the node pitch. Steps and tolerances are compared with
-a reference of much smaller steps on the same nodes, node pitches with a much finer grid at the same steps, so that the
+Lines: a fixed time step, a tolerance at which steps are halved, the node pitch. Steps and tolerances are compared with
+a reference of much smaller steps on the same nodes; node pitches with a much finer grid at the same steps. So the
 errors of one choice do not hide those of the other. Columns, over the trials:
 
-- error_ms_gross_slip: onset of gross slip, half a pixel slid (sim.scenes.true_slip), between slices interpolated; root
-  mean square. error_ms_last_stuck_node: the same distance, counted only while no node of the pad sticks.
+- error_ms_gross_slip: onset of gross slip, half a pixel slid (sim.scenes.true_slip), interpolated between slices; root
+  mean square. error_ms_last_stuck_node: the same, but sliding counts only while no node of the pad sticks.
 - error_um_before, error_px_before: position of the object, sampled every ms up to the onset, root mean square.
-- error_um_gel_before: displacement of the gel at 8 x 7 places, likewise.
-- error_um_after: distance of the objects AFTER_MS after the onset, median: how far an error in time leads.
-- time_us_*: run time of a simulated ms, mean over a trial, as steps are shorter in a few slices only; over the trials.
+- error_um_gel_before: displacement of the gel at 8 x 7 points, likewise.
+- error_um_after: distance between the objects AFTER_MS after the onset, median: the effect of an error in time.
+- time_us_*: run time per simulated ms, averaged within a trial because few slices have shorter steps; over the trials.
 """
 
 import math
@@ -46,14 +46,14 @@ REFERENCE_PITCH_MM = Extent(quick=0.5, full=0.4)
 STEPS_MS = Extent[tuple[float, ...]](quick=(1.0, 0.5, 0.25, 0.1), full=(1.0, 0.5, 0.25, 0.2, 0.1, 0.05))
 TOLERANCES_UM = Extent[tuple[float, ...]](quick=(1.0, 0.2, 0.05), full=(5.0, 2.0, 1.0, 0.5, 0.2, 0.1, 0.05, 0.02))
 PITCHES_MM = Extent[tuple[float, ...]](quick=(1.67, 1.25, 0.833), full=(2.5, 1.67, 1.25, 1.0, 0.833, 0.625))
-PITCH_STEP_MS = 0.25  # of the runs in which node pitches are compared
+PITCH_STEP_MS = 0.25  # in the runs that compare node pitches
 
 
 class Slide(NamedTuple):
     """A solved trial, sampled after every ms.
 
-    pose: (samples, 3); gel_m: (samples, places, 2). slid_px, every_node_slid_px: (samples,), how far the object slid
-    in gross slip, and since no node sticks. slice_us: (samples,), run time.
+    pose: (samples, 3); gel_m: (samples, points, 2). slid_px, every_node_slid_px: (samples,), sliding of the object in
+    gross slip, and since no node sticks. slice_us: (samples,), run time.
     """
 
     pose: Floats
@@ -64,7 +64,7 @@ class Slide(NamedTuple):
 
 
 def onset_ms(slid_px: Floats) -> float:
-    """When an object has slid by half a pixel, between samples of every ms; NaN where it never has."""
+    """Return the time at which an object has slid by half a pixel, between samples of every ms; NaN if it never has."""
     beyond = np.flatnonzero(slid_px > SLIP_PX)
     if not len(beyond):
         return math.nan
@@ -74,13 +74,13 @@ def onset_ms(slid_px: Floats) -> float:
 
 
 def unloadings() -> dict[str, Callable[[GelTrial], GelTrial]]:
-    """The two ways to unload a trial, by name."""
+    """Return the two ways to unload a trial, by name."""
     slow: dict[str, Any] = {"first_n": 1.1, "last_n": 0.58, "seconds": 0.36, "begin_s": 0.1, "hang_s": 0.08}
     return {"fast": lambda trial: trial, "slow": lambda trial: replace(trial, **slow)}
 
 
 def frictions() -> dict[str, gel.Friction]:
-    """Constant friction, and two corners of what the scenes draw: kinetic over static, Stribeck speed."""
+    """Return constant friction, and two corners of the scenes' ranges: kinetic over static, Stribeck speed."""
 
     def falling(share: float, speed_mm_s: float) -> gel.Friction:
         return gel.Friction(STATIC, share * STATIC, 1e-3 * speed_mm_s)
@@ -93,7 +93,7 @@ def frictions() -> dict[str, gel.Friction]:
 
 
 def grid(trial: GelTrial, solver: Solver) -> GelTrial:
-    """The trial on the nodes of a solver."""
+    """Return the trial on the nodes of a solver."""
     columns, rows = solver.nodes(PAD_M)
     return replace(trial, columns=columns, rows=rows)
 
@@ -120,7 +120,7 @@ def solve(trial: GelTrial, solver: Solver) -> Slide:
 
 
 def choices(full: bool) -> list[SolverSetting]:
-    """The settings that are compared."""
+    """Return the settings to compare."""
     return [
         *line("fixed step", "step_ms", STEPS_MS.pick(full), "ms"),
         *line("tolerance", "tolerance_um", TOLERANCES_UM.pick(full), "um"),
@@ -129,12 +129,12 @@ def choices(full: bool) -> list[SolverSetting]:
 
 
 def row_count(full: bool) -> int:
-    """How many rows `unloading_rows` gives."""
+    """Return the number of rows of `unloading_rows`."""
     return len(unloadings()) * len(frictions()) * len(choices(full))
 
 
 def unloading_rows(seed: int, full: bool, trials: int | None = None) -> Iterator[Row]:
-    """The rows of every unloading and friction, one after the other."""
+    """Yield the rows of every unloading and friction."""
     drawn = [draw_trial(seed + number) for number in range(trials or TRIALS.pick(full))]
     solve(replace(drawn[0], seconds=0.01), Solver())  # compiles
     for unloading, unload in unloadings().items():
@@ -145,7 +145,7 @@ def unloading_rows(seed: int, full: bool, trials: int | None = None) -> Iterator
 
 
 def _part_rows(part: str, cases: Sequence[GelTrial], full: bool) -> Iterator[Row]:
-    """The rows of one panel: trials of one unloading and friction."""
+    """Yield the rows of one panel: trials of one unloading and friction."""
     finest = Solver(step_ms=REFERENCE_STEP_MS.pick(full), theta=0.51, residual=1e-8)
     in_time = [solve(trial, finest) for trial in cases]
     finer_grid = Solver(step_ms=PITCH_STEP_MS, node_pitch_mm=REFERENCE_PITCH_MM.pick(full))
@@ -157,7 +157,7 @@ def _part_rows(part: str, cases: Sequence[GelTrial], full: bool) -> Iterator[Row
 
 
 def _row(part: str, setting: SolverSetting, solved: Sequence[Slide], references: Sequence[Slide]) -> Row:
-    """The row of a setting over all trials of a panel."""
+    """Return the row of a setting over all trials of a panel."""
     errors = [_errors(one, reference) for one, reference in zip(solved, references, strict=True)]
     onset, last_stuck, before, gel_before, after = (np.array(column) for column in zip(*errors, strict=True))
     return {
@@ -176,7 +176,7 @@ def _row(part: str, setting: SolverSetting, solved: Sequence[Slide], references:
 
 
 def _errors(one: Slide, reference: Slide) -> tuple[float, float, float, float, float]:
-    """Both onsets in ms, object and gel before it and object after it in um, against a reference."""
+    """Return both onset errors in ms, and those of object and gel before and object after it in um."""
     true_ms = onset_ms(reference.slid_px)
     stop = len(reference.pose) if math.isnan(true_ms) else max(int(true_ms), 1)
     apart = ((one.pose - reference.pose)[:, :2] ** 2).sum(axis=-1)
@@ -193,6 +193,6 @@ def _errors(one: Slide, reference: Slide) -> tuple[float, float, float, float, f
 
 
 def _rms(values: Floats) -> float | None:
-    """Root mean square of what is known; None where nothing is."""
+    """Return the root mean square of finite values; None if there are none."""
     known = values[np.isfinite(values)]
     return float(np.sqrt((known**2).mean())) if len(known) else None

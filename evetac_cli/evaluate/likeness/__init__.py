@@ -1,1 +1,1 @@
-"""evaluate likeness: the public facts about the real sensor, and what recordings and results of ours say of each."""
+"""evaluate likeness: public facts about the real sensor, and what recordings and evetac's results show for each."""

@@ -1,4 +1,4 @@
-"""Files beside a recording that tell more of it: labels its onset of slip, tracks where its dots are."""
+"""Files next to a recording with more information: labels for its onset of slip, tracks for its dot positions."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -11,7 +11,10 @@ from evetac_cli.store.recordings.read import Recording
 
 
 def headers(recording: Recording) -> list[Header]:
-    """Headers of a recording and of the files beside it that tell more of it; InputError if those are another's."""
+    """Return headers of a recording and of the files next to it.
+
+    Raise InputError if these belong to another recording.
+    """
     labels = None if recording.has("truth") else labels_beside(recording)
     with dot_places(recording) as dots:
         tracks = dots[0] if dots is not None and dots[0] is not recording else None
@@ -20,9 +23,9 @@ def headers(recording: Recording) -> list[Header]:
 
 @contextmanager
 def dot_places(recording: Recording) -> Iterator[tuple[StageFile, str] | None]:
-    """Where the dots of a recording are, as a file and its dataset: its truth, or the tracks beside it; None without.
+    """Yield the file and dataset of the dot positions of a recording: its truth, or the tracks next to it, or None.
 
-    InputError for tracks beside it that are another recording's.
+    Raises InputError if the tracks belong to another recording.
     """
     if recording.has("truth"):
         yield recording, "truth/dot_xy_px"

@@ -1,14 +1,15 @@
-"""evaluate likeness: what recordings, simulated and real alike, say of each public fact about the sensor.
+"""evaluate likeness: what recordings, simulated or real, show for each public fact about the sensor.
 
-A row for each fact, in the order of docs/likeness.md: what is public, what the simulated recordings say and what the
-real ones, and how both compare. What needs trainings, grasps or many trials is read from docs/results. Where neither
-tells a fact, the row says what would. Then a row for each recording with all that it tells.
-`_values` are the figures as a JSON list, as a fact may have several.
+There is a row per fact, in the order of docs/likeness.md: the public figure, the figures of simulated and of real
+recordings, and how both compare. Figures that need trainings, grasps or many trials are read from docs/results. If
+there is no figure, the row states what is needed for one. Then there is a row per recording with all its measures.
+`_values` are the figures as a JSON list, because a fact may have several.
 
 Kernels are imported where they are called, so that a report that is up to date loads none.
 
-A measure that belongs to a scene is taken of this scene alone where recordings are simulated; of a real recording, who
-made it knows what was done. Means over recordings for shares of a data rate, as in the paper, medians for all else.
+For simulated recordings, a measure that belongs to a scene is taken only from recordings of this scene. For real
+recordings only the person who recorded them knows the motions, so all are used. Shares of a data rate are averaged over
+recordings, as in the paper; all other measures are medians.
 """
 
 import hashlib
@@ -38,14 +39,14 @@ if TYPE_CHECKING:
 
 OUTPUT = "report"
 METHOD = 1
-SLIPS = ("slip", "slip-varied")  # scenes whose slips one threshold is judged on
-HERE = "these recordings"  # where a figure comes from
-SHARES = "share_"  # measures that are means, as in the paper
+SLIPS = ("slip", "slip-varied")  # scenes whose slips are used to evaluate the single threshold
+HERE = "these recordings"  # origin of a figure
+SHARES = "share_"  # prefix of measures that are averaged, as in the paper
 
 
 @dataclass(frozen=True)
 class Told:
-    """What a recording tells, and what it is: its scene, None where nobody says it, and its object."""
+    """The measures of a recording, its scene, None if unknown, and its slip, if any."""
 
     row: Row
     simulated: bool
@@ -54,13 +55,13 @@ class Told:
 
 
 def jobs(files: list[Path], params: EvaluateLikeness, out: Path | None) -> list[Job]:
-    """One report over all recordings."""
+    """Return one report job over all recordings."""
     ResultTables(params.results)
     return report_job(files, "likeness", out)
 
 
 def run(job: Job, params: EvaluateLikeness, *, force: bool = False, progress: Progress = silent) -> Outcome:
-    """A row for every fact, then one for every recording."""
+    """Return a row per fact, then a row per recording."""
     tables = ResultTables(params.results)
     parents: list[Header] = []
     for path in job.inputs:
@@ -81,7 +82,10 @@ def run(job: Job, params: EvaluateLikeness, *, force: bool = False, progress: Pr
 
 
 def for_people(rows: Rows, params: EvaluateLikeness) -> tuple[Rows, list[str]]:
-    """The facts that these recordings tell, how many of those that count are known and hold, and what is not told."""
+    """Return the facts that these recordings can check, and sentences.
+
+    The sentences state how many of the counted facts are known and agree, and why the others are unknown.
+    """
     of_facts = [row for row in rows if "fact" in row]
     told = [row for row in of_facts if row["simulated_from"] == HERE or row["real"] is not None]
     shown = [
@@ -101,18 +105,18 @@ def for_people(rows: Rows, params: EvaluateLikeness) -> tuple[Rows, list[str]]:
     known = sum(row["compared"] is not None for row in counted)
     elsewhere = sum(row["not_told"] is None for row in of_facts) - len(told)
     lines = [
-        f"These recordings tell {len(told)} facts, docs/results and constants {elsewhere} more (--json has them all);"
-        " docs/likeness.md says what each is.",
-        f"Of the {len(counted)} simulated facts that count, {known} are known: {within} within the published spread,"
-        f" {near} more of the same sign and between half and twice.",
+        f"These recordings provide {len(told)} facts, docs/results and constants {elsewhere} more (--json lists all);"
+        " docs/likeness.md explains each.",
+        f"Of the {len(counted)} counted facts, {known} are known in simulation: {within} within the published spread,"
+        f" {near} more of the same sign and between half and twice the published figure.",
     ]
     if any(row["real"] is not None for row in told):
-        lines.append("A real recording is taken for what each fact is about: who made it knows what was done.")
+        lines.append("Real recordings are assumed to show the motions of each fact; only their author can check this.")
     reasons: dict[str, list[str]] = defaultdict(list)
     for row in of_facts:
         if row["not_told"]:
             reasons[row["not_told"]].append(row["name"])
-    return shown, [*lines, *(f"Not told, as {why}: {', '.join(names)}." for why, names in reasons.items())]
+    return shown, [*lines, *(f"Unknown, because {why}: {', '.join(names)}." for why, names in reasons.items())]
 
 
 def _told(path: Path) -> Told:
@@ -132,10 +136,10 @@ def _told(path: Path) -> Told:
         return Told(row, simulated, scene, single_slice.slip(str(called or path.name), counts) if judged else None)
 
 
-def _fact_row(fact: Fact, told: Iterable[Told], tables: ResultTables) -> Row:
-    """What is told of a fact: by simulated recordings, or else by results or a constant; and by real recordings."""
+def _fact_row(fact: Fact, measured: Iterable[Told], tables: ResultTables) -> Row:
+    """Return the row of a fact: figures of simulated recordings, or else of results or a constant; and of real ones."""
     by_source: dict[bool, list[Told]] = defaultdict(list)
-    for one in told:
+    for one in measured:
         by_source[one.simulated].append(one)
     simulated, real = (_of_recordings(fact, by_source[source]) for source in (True, False))
     if not simulated.values and fact.table:
@@ -167,54 +171,54 @@ def _fact_row(fact: Fact, told: Iterable[Told], tables: ResultTables) -> Row:
     }
 
 
-def _of_recordings(fact: Fact, told: list[Told]) -> Ours:
-    """The figures of a fact by recordings of one kind, simulated or real."""
+def _of_recordings(fact: Fact, measured: list[Told]) -> Ours:
+    """Return the figures of a fact from recordings of one kind, simulated or real."""
     if not fact.measures:
         return Ours(untold=fact.needs)
-    judged = _judged(told)
+    judged = _judged(measured)
     values: list[float | None] = []
     numbers: list[int] = []
     for named in fact.measures:
         name, _, scene = named.partition("@")
         if name in judged:
             values.append(judged[name])
-            numbers.append(sum(one.slip is not None for one in told))
+            numbers.append(sum(one.slip is not None for one in measured))
             continue
-        fitting = [one.row[name] for one in told if name in one.row and (not scene or one.scene in (None, scene))]
+        fitting = [one.row[name] for one in measured if name in one.row and (not scene or one.scene in (None, scene))]
         values.append(None if not fitting else _middle(name, fitting))
         numbers.append(len(fitting))
     if all(value is None for value in values):
         pairs = [named.partition("@")[::2] for named in fact.measures]
-        scenes = sorted({scene for name, scene in pairs if scene and any(name in one.row for one in told)})
-        if scenes:  # it was measured, but of a simulation that shows something else
+        scenes = sorted({scene for name, scene in pairs if scene and any(name in one.row for one in measured)})
+        if scenes:  # measured, but only in simulations of other scenes
             return Ours(untold=f"no simulated recording here is of the scene {' or '.join(scenes)}")
         return Ours(untold=f"these recordings do not have {fact.needs}")
     return Ours(tuple(values), min(number for number in numbers if number), HERE)
 
 
-def _judged(told: list[Told]) -> Row:
-    """How well one threshold tells the slips of recordings; empty where they are of one object."""
+def _judged(measured: list[Told]) -> Row:
+    """Return how well one threshold detects the slips of recordings; empty if they are of one object."""
     from evetac_cli.evaluate.likeness.single_slice import judge
 
-    return judge([one.slip for one in told if one.slip is not None])
+    return judge([one.slip for one in measured if one.slip is not None])
 
 
 def _middle(name: str, values: list[float]) -> float:
     return float(np.mean(values) if name.startswith(SHARES) else np.median(values))
 
 
-def _summary(rows: Rows, told: list[Told]) -> Row:
-    """How many recordings there were, how many facts are told, and how many that count compare in each way."""
+def _summary(rows: Rows, measured: list[Told]) -> Row:
+    """Return the number of recordings and known facts, and how many of the counted facts compare in each way."""
     counted = [row for row in rows if row["counts"] is not None]
     return {
-        "recordings": len(told),
+        "recordings": len(measured),
         "facts": len(rows),
         "facts_told": sum(row["not_told"] is None for row in rows),
         "counted": len(counted),
         "counted_known": sum(row["compared"] is not None for row in counted),
         "counted_within": sum(row["compared"] == WITHIN for row in counted),
         "counted_half_to_twice": sum(row["compared"] == NEAR for row in counted),
-        **_judged([one for one in told if one.simulated]),
+        **_judged([one for one in measured if one.simulated]),
     }
 
 

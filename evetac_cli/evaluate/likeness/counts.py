@@ -1,4 +1,4 @@
-"""Events of each slice, those of the columns that the paper counts apart from the window's, and about a slip."""
+"""Events per slice, separately for the columns that the paper counts and for the window, and measures around a slip."""
 
 import math
 from dataclasses import dataclass
@@ -12,19 +12,19 @@ from evetac_cli.evaluate.data_rate import labels_beside
 from evetac_cli.jobs import Row
 from evetac_cli.store.recordings.read import Recording, ramp_start, true_onset
 
-ABOUT_MS = 250  # before the onset, and after it: the paper's half second
-QUIETEST_MS = 100  # whose mean is the floor that does not come of motion
-BUSY = 25  # events in a slice, beyond which the paper's training counts it as one in which something happens
+ABOUT_MS = 250  # before and after the onset: the paper's half second
+QUIETEST_MS = 100  # their mean rate is the floor without motion
+BUSY = 25  # events per slice; slices with more are active in the paper's training
 HELD_UNTIL_MS = 500  # before the onset
 BEFORE_MS, AFTER_MS = (-100, -30), (0, 30)
-LOUD = 100  # events in a slice, beyond which it is taken for slip where none is
+LOUD = 100  # events per slice; slices with more can be mistaken for slip
 
 
 @dataclass(frozen=True)
 class SliceCounts:
-    """Events of each slice in the columns that the paper counts, and beside them; the onset and the start of its ramp.
+    """Events per slice in the columns that the paper counts, and in the window; the onset and the start of its ramp.
 
-    onset: the first slice of gross slip by the truth, without truth by the labels beside the recording, None where
+    onset: the first slice of gross slip in the truth, or without truth in the labels next to the recording; None if
     neither has one.
     """
 
@@ -35,7 +35,7 @@ class SliceCounts:
 
     @property
     def floor(self) -> float:
-        """Events a slice in the quietest 100 ms before the onset, or of all; NaN of a shorter recording."""
+        """Events per slice in the quietest 100 ms before the onset, or of all; NaN for shorter recordings."""
         before = self.sensing if self.onset is None else self.sensing[: self.onset]
         if len(before) < QUIETEST_MS:
             return math.nan
@@ -43,7 +43,7 @@ class SliceCounts:
 
 
 def count(recording: Recording) -> SliceCounts:
-    """Count the events of a recording; InputError for labels beside it that are another recording's."""
+    """Count the events of a recording; raise InputError if labels next to it belong to another recording."""
     sensing = np.zeros(len(recording), np.int64)
     for block in recording.blocks():
         slices = np.repeat(np.arange(len(block.starts) - 1), np.diff(block.starts))
@@ -58,7 +58,7 @@ def count(recording: Recording) -> SliceCounts:
 
 
 def about_slip(counts: SliceCounts) -> Row:
-    """Figures of the events about the onset; none without one. Rates are events per ms of the columns that count."""
+    """Return event measures around the onset, {} without onset; rates are events per ms of the counted columns."""
     if counts.onset is None:
         return {}
     sensing, window = (events.astype(np.float64) for events in (counts.sensing, counts.window))
@@ -84,7 +84,7 @@ def about_slip(counts: SliceCounts) -> Row:
 
 
 def rate(counts: SliceCounts, first_ms: int, stop_ms: int) -> float:
-    """Events per ms of the columns that count, from and until so many ms after the onset; NaN where none are."""
+    """Return events per ms of the counted columns between two times after the onset, in ms; NaN without onset."""
     if counts.onset is None:
         return math.nan
     first, stop = (max(counts.onset + ms, 0) for ms in (first_ms, stop_ms))
@@ -92,7 +92,7 @@ def rate(counts: SliceCounts, first_ms: int, stop_ms: int) -> float:
 
 
 def loud_ms(counts: SliceCounts) -> list[int]:
-    """How many ms before the onset slices of more than 100 events lie, in the 500 ms before it; none without one."""
+    """Return the times before the onset, in ms, of slices with more than 100 events in the last 500 ms before it."""
     first = max((counts.onset or 0) - HELD_UNTIL_MS, 0)
     loud = np.flatnonzero(counts.sensing[first : counts.onset or 0] > LOUD)
     return [int(slice_) for slice_ in (counts.onset or 0) - first - loud]

@@ -1,10 +1,11 @@
-"""The public facts about the real sensor: what each is, where it comes from, what of ours stands beside it.
+"""The public facts about the real sensor: their sources, and the figures of evetac to compare.
 
-They are listed in data/likeness.toml, and nowhere else: docs/likeness.md, `evetac evaluate likeness` and the comments
-`fitted to NAME` beside constants speak of them by name. Figures of the paper are asked of paper.py.
+They are listed only in data/likeness.toml. docs/likeness.md, `evetac evaluate likeness` and the comments `fitted to
+NAME` next to constants refer to them by name. Figures of the paper come from paper.py.
 
-Why a fact has a class: what a constant was chosen by confirms nothing when it agrees. So each fact is used to fit, kept
-as a prediction, or cannot be told, because public sources contradict each other or leave open what was done.
+Every fact has a class, because a fact by which a constant was chosen confirms nothing when it agrees. The classes are
+`used to fit`, `kept as a prediction`, and `cannot be told`: public sources contradict each other or do not state what
+was done.
 """
 
 import functools
@@ -19,8 +20,8 @@ from evetac_cli.text_files import read_toml
 
 FIT, PREDICTION, UNTOLD = "used to fit", "kept as a prediction", "cannot be told"
 CLASSES = (FIT, PREDICTION, UNTOLD)
-EVERY = "*"  # in a path: all entries of a table, of which the least and the largest value count
-COUNTED = 19  # facts that are counted when it is said how many hold
+EVERY = "*"  # in a path: all entries of a table; the smallest and largest values are taken
+COUNTED = 19  # facts that are counted in statements of how many agree
 
 Within = Literal["within", "half to twice", "off"]
 WITHIN: Within = "within"
@@ -31,14 +32,20 @@ Values = tuple[float | None, ...]
 
 @dataclass(frozen=True)
 class Fact:
-    """A public fact: `fact` in words, what is `public` of it in words, its source, class and command.
+    """A public fact: `fact` and its `public` figure in words, its source, class and command.
 
-    paper, value: the public figures, by their keys in paper.py or as numbers; sd, trials, low and high: their spread,
-    as the paper's sd, as the 95 % interval (Wilson) of a share of so many trials, or as ends; one each figure.
-    Ours comes from `measures` of recordings (`NAME@SCENE`, of a simulation only of this scene), from `table`, a file of
-    docs/results, by `row` and `value_of` (a column, columns, or a function of results.py), or is a `constant` of
-    data/*.toml. counts: its number among those that are counted; fits: what was chosen by it; needs: what tells it,
-    where a recording does not; miss: why ours is off, as far as it is known.
+    - paper, value: the public figures, by their keys in paper.py or as numbers;
+    - sd, trials, low and high: their spread, one per figure: the paper's standard deviation, the 95 % interval (Wilson)
+      of a share of this many trials, or the ends;
+    - measures: of recordings; in `NAME@SCENE`, simulations count only if they are of this scene;
+    - table: a file of docs/results, with its `row` and `value_of` (a column, columns, or a function of tables.py);
+    - constant: a constant of data/*.toml;
+    - counts: its number among the counted facts;
+    - fits: what was chosen by it;
+    - needs: what a figure requires, if a recording is not enough;
+    - miss: why evetac's figure is off, as far as is known.
+
+    One of measures, table and constant provides evetac's figure.
     """
 
     name: str
@@ -63,17 +70,17 @@ class Fact:
 
     @property
     def published(self) -> str:
-        """The public figures and the ends of their spread, as far as there are any, with their unit."""
+        """The public figures and the ends of their spread, if there are any, with their unit."""
         ends = "; ".join(f"{_shown(low)} to {_shown(high)}" for low, high in zip(self.low, self.high, strict=True))
         figures = as_text(self.value)
         both = f"{figures} ({ends})" if figures and ends else figures or ends
         return f"{both} {self.unit}".strip() if both else "in words alone"
 
     def compare(self, ours: Values) -> Within | None:
-        """How our figures lie beside the public ones; None where all are missing, or one is and no other is off.
+        """Compare evetac's figures with the public ones; None if all are missing, or some are and no other is off.
 
-        within: all in the published spread; half to twice: all of the same sign and between half and twice of the
-        public figures; off: neither. Where no spread is published, nothing is within it.
+        within: all in the published spread; half to twice: all of the same sign and between half and twice the public
+        figures; off: neither. If no spread is published, no figure is within it.
         """
         known = [(place, one) for place, one in enumerate(ours) if one is not None]
         if not known or not (self.value or self.low):
@@ -88,7 +95,7 @@ class Fact:
 
 
 def _at(values: tuple[float, ...], place: int) -> float | None:
-    """The value that belongs to a figure of ours: its own, or the one that there is for all."""
+    """Return the value for one of evetac's figures: its own, or the last one, which applies to all."""
     return values[min(place, len(values) - 1)] if values else None
 
 
@@ -102,29 +109,32 @@ def _near(ours: float, public: float | None) -> bool:
 
 @functools.cache
 def facts() -> tuple[Fact, ...]:
-    """All facts, in the order in which they are listed; ValueError where the list is not as it must be."""
+    """Return all facts in the order of the list; raise ValueError if the list is invalid."""
     found = tuple(_fact(entry) for entry in resources.table("likeness")["fact"])
     names = [one.name for one in found]
     if len(set(names)) < len(names):
-        raise ValueError(f"likeness.toml: expected names that differ, found {sorted(names)}")
+        raise ValueError(f"likeness.toml: expected unique names, found {sorted(names)}")
     counted = sorted(one.counts for one in found if one.counts is not None)
     if counted != list(range(1, COUNTED + 1)):
-        raise ValueError(f"likeness.toml: expected counts 1 to {COUNTED}, each once, found {counted}")
+        raise ValueError(f"likeness.toml: expected each count from 1 to {COUNTED} once, found {counted}")
     return found
 
 
 def named_tables() -> list[str]:
-    """The names of the tables of docs/results that facts name."""
+    """Return the names of the tables of docs/results to which facts refer."""
     return sorted({entry["table"] for entry in resources.table("likeness")["fact"] if "table" in entry})
 
 
 def by_name(name: str) -> Fact:
-    """The fact of a name; KeyError if there is none."""
+    """Return the fact with a name; raise KeyError if there is none."""
     return {one.name: one for one in facts()}[name]
 
 
 def _fact(entry: Mapping[str, Any]) -> Fact:
-    """A fact from its entry, the paper's figures and spreads filled in; ValueError, which names it, if it is none."""
+    """Return a fact from its entry with figures and spreads of the paper filled in.
+
+    Raise ValueError if it is invalid.
+    """
     where = f"likeness.toml, {entry.get('name', 'a fact without a name')}"
     given: dict[str, Any] = {key: tuple(one) if isinstance(one, list) else one for key, one in entry.items()}
     keys, sds, trials = given.pop("paper", ()), given.pop("sd", ()), given.pop("trials", None)
@@ -145,9 +155,11 @@ def _fact(entry: Mapping[str, Any]) -> Fact:
         raise ValueError(f"{where}: expected a class of {CLASSES} and known keys, found {given['kind']}, {unknown}")
     fact = Fact(**given)
     if len(fact.low) != len(fact.high) or (fact.low and fact.value and len(fact.low) != len(fact.value)):
-        raise ValueError(f"{where}: expected as many ends as figures, found {fact.value}, {fact.low}, {fact.high}")
+        raise ValueError(
+            f"{where}: expected as many interval ends as figures, found {fact.value}, {fact.low}, {fact.high}"
+        )
     if fact.kind == FIT and not fact.fits:
-        raise ValueError(f"{where}: expected what it fits, for a fact that is {FIT}")
+        raise ValueError(f"{where}: expected the key fits for a fact that is {FIT}")
     return fact
 
 
@@ -159,7 +171,7 @@ def _published(key: Iterable[str | float], where: str) -> float:
 
 
 def as_text(values: Iterable[float | None]) -> str:
-    """Figures of ours in words: three digits each, `unknown` where one is missing; empty without any."""
+    """Return figures as text: three digits each, `unknown` for a missing one; empty if all are missing."""
     known = list(values)
     if all(value is None for value in known):
         return ""
@@ -171,13 +183,14 @@ def _shown(value: float) -> str:
 
 
 def constant_of(path: Sequence[str]) -> Values:
-    """The value, or the two ends, of a constant by its path, as in sensors, evetac, threshold; KeyError if it is none.
+    """Return the value, or the two ends, of a constant by its path, such as sensors, evetac, threshold.
 
-    The first part is sensors, objects, scenes (then the scene's name) or gripper.
+    The first part is sensors, objects, scenes (followed by the scene's name) or gripper. Raises KeyError if there is
+    none.
     """
     kind, *rest = path
     if kind == "gripper":
-        from evetac_cli.sim.gripper import Drive  # here, as it loads compiled code
+        from evetac_cli.sim.gripper import Drive  # late: loads compiled code
 
         return (float(getattr(Drive(), rest[0])),)
     if kind == "scenes":

@@ -1,8 +1,8 @@
-"""How far the published trackers are from the true dots of a simulation, beside a tracker that never moves a dot.
+"""Distance of the published trackers from the true dots of a simulation, compared with a tracker that never moves dots.
 
-Three: the authors' code of 2024 on slices of 1 ms, that of 2026, which is the same arithmetic on slices of 5 ms and
-asks for 11 events where that of 2024 asks for 5, and the paper's. The background filter that both codes have before
-the tracker is left out.
+There are three trackers: the authors' code of 2024 on slices of 1 ms, their code of 2026, and the paper's. The code of
+2026 has the same arithmetic on slices of 5 ms, and requires 11 events per slice where that of 2024 requires 5. The
+background filter before the tracker in both codes is left out.
 """
 
 import math
@@ -19,13 +19,13 @@ from evetac_cli.stages import row_blocks
 from evetac_cli.store.recordings.read import Recording
 
 OFFICIAL, PAPER = presets.PRESETS["official"], presets.PRESETS["paper"]
-# 10 + 3 (slice_ms - 1) entries of its table move a dot, and an event makes two: 11 events in 5 ms (evetac_noros)
+# 10 + 3 (slice_ms - 1) entries of its table move a dot; an event makes two: 11 events in 5 ms (evetac_noros)
 OFFICIAL_2026, SLICE_2026_MS = replace(OFFICIAL, min_events=10), 5
-BLOCK_MS = 5000  # that are tracked in one piece; a multiple of both lengths of a slice
+BLOCK_MS = 5000  # tracked in one piece; a multiple of both slice lengths
 
 
 def followed(recording: Recording) -> Row:
-    """Errors of the three trackers over a recording whose true dots and grid are known; empty where they are not."""
+    """Return errors of the three trackers over a recording with known true dots and grid; {} for other recordings."""
     dots = recording.dot_xy_px
     if dots is None or not len(recording) or recording.read("truth/dot_xy_px", 0, 1).shape[1] != dots.size // 2:
         return {}
@@ -49,7 +49,7 @@ def followed(recording: Recording) -> Row:
 def _follow(
     recording: Recording, rest: Floats, constants: presets.TrackerConstants, length_ms: int
 ) -> Iterator[NDArray[np.float32]]:
-    """Where the tracker has the dots after every slice of `length_ms`, in blocks."""
+    """Yield the tracker's dot positions after every slice of `length_ms`, in blocks."""
     state = tracker.start(rest, constants)
     whole = len(recording) // length_ms * length_ms
     yield np.empty((0, len(rest), 2), np.float32)
@@ -61,7 +61,7 @@ def _follow(
 
 
 def _distances(places: NDArray[np.float32], true: NDArray[np.float32]) -> Floats:
-    """Of each dot that is there from its true place, in px."""
+    """Return the distances of existing dots from their true positions, in px."""
     off_px = np.linalg.norm(places.astype(np.float64) - true, axis=2)
     known: Floats = off_px[np.isfinite(off_px)]
     return known

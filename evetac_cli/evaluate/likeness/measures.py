@@ -1,7 +1,7 @@
-"""What one recording tells, measure by measure; what it does not tell is not in the row.
+"""Measures of one recording for the public facts; measures that it cannot provide are missing from the row.
 
-Rest, dots and rates are told by any recording; the onset of slip by truth or by labels beside it; the path of the dots
-by truth or by tracks beside it; force, contact and the share that slips by the truth of a simulation alone.
+Any recording provides rest, dots and rates. The onset of slip needs truth, or labels next to the recording; the path of
+the dots needs truth, or tracks next to it. Force, contact and the slipping share need the truth of a simulation.
 """
 
 import json
@@ -24,15 +24,15 @@ from evetac_cli.kernels.realism import figures
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.recordings.read import Recording, first_slice
 
-EVENT_BYTES, RGB_BYTES_S = 5, 540 * 480 * 3 * 25  # of the paper's comparison
-HALF, MOST = 0.5, 0.8  # of the visible contact
-NEAR_DOT_PX = 20.0  # within which an event is a dot's, in the paper
-LEAST_N = 1.0  # of shear force, from which on the dots' way is divided by it
+EVENT_BYTES, RGB_BYTES_S = 5, 540 * 480 * 3 * 25  # in the paper's comparison
+HALF, MOST = 0.5, 0.8  # shares of the visible contact that slip
+NEAR_DOT_PX = 20.0  # an event within this distance belongs to a dot, in the paper
+LEAST_N = 1.0  # least shear force by which the dots' displacement is divided
 STICKS_MS = 250  # after the onset
 
 
 def measure(recording: Recording, counts: SliceCounts) -> Row:
-    """All that a recording tells; lengths in px, times in ms, rates in events per ms of the columns that count."""
+    """Return all measures; lengths in px, times in ms, rates in events per ms of the counted columns."""
     row: Row = {"events_ms_whole": _mean(counts.sensing), "window_events_ms_whole": _mean(counts.window)}
     rest, motion = rest_and_motion(recording)
     row |= _at_rest(rest, recording.frame_px) if rest is not None else {}
@@ -49,7 +49,7 @@ def measure(recording: Recording, counts: SliceCounts) -> Row:
 
 
 def _at_rest(rest: ContactPhase, frame_px: tuple[int, int]) -> Row:
-    """The noise: over the frame, and of the columns that count, of ordinary and of hot pixels."""
+    """Return the noise: over the whole frame, and of ordinary and hot pixels in the counted columns."""
     whole = figures.at_rest(*rest.events, frame_px, rest.duration_us)
     own = rest.events.x < paper.COLUMNS
     sensing = (rest.events.t[own], rest.events.x[own], rest.events.y[own], rest.events.p[own])
@@ -66,14 +66,14 @@ def _at_rest(rest: ContactPhase, frame_px: tuple[int, int]) -> Row:
 
 
 def _of_dots(recording: Recording, rest: ContactPhase | None) -> Row:
-    """Radius, blur and contrast of dots that were stroked from rest."""
+    """Return radius, blur and contrast of dots that were stroked from rest."""
     press = stroked(recording, rest)
     names = ("dot_radius_px", "edge_sigma_px", "contrast_over_threshold")
     return {} if press is None else {name: float(getattr(press.optics, name).value) for name in names}
 
 
 def _of_layout(recording: Recording) -> Row:
-    """Distances of neighbouring dots, and the window's share of the frame, of a sensor that is calibrated."""
+    """Return the spacing of neighbouring dots, and the window's share of the frame, of a calibrated sensor."""
     row: Row = {}
     dots, window = recording.dot_xy_px, recording.window_px
     if dots is not None and dots.ndim == 3:
@@ -86,7 +86,10 @@ def _of_layout(recording: Recording) -> Row:
 
 
 def shares(recording: Recording, counts: SliceCounts) -> Row:
-    """Bytes per second as a share of the paper's RGB sensor: whole, in contact, about slip; and without the window."""
+    """Return bytes per second as a share of the paper's RGB sensor: whole, in contact, around slip.
+
+    Each share is given without and with the window.
+    """
     row: Row = {}
     for name, span in intervals(recording, 2e-3 * ABOUT_MS).items():
         if not span.missing_because:
@@ -98,7 +101,7 @@ def shares(recording: Recording, counts: SliceCounts) -> Row:
 
 
 def _ramp(recording: Recording, counts: SliceCounts) -> float | None:
-    """How fast the target current falls until the onset, in mA per s."""
+    """Return the rate, in mA/s, at which the target current falls until the onset."""
     at_ms = recording.read("gripper/t_us") / SLICE_US
     target_ma = recording.read("gripper/current_target_ma")
     falling = (at_ms >= counts.start) & (at_ms < (counts.onset or 0)) & np.isfinite(target_ma)
@@ -109,7 +112,7 @@ def _ramp(recording: Recording, counts: SliceCounts) -> float | None:
 
 
 def _of_truth(recording: Recording, counts: SliceCounts) -> Row:
-    """Contact, the share that slips, and how far dots move per newton."""
+    """Return contact times, the slipping share, and the dots' displacement per newton."""
     row: Row = {}
     normal_n = recording.read("truth/normal_force_n")
     shear_n = np.linalg.norm(recording.read("truth/shear_force_n"), axis=1)
@@ -132,7 +135,7 @@ def _of_truth(recording: Recording, counts: SliceCounts) -> Row:
 
 
 def slipping_ms(visible_slip_share: Floats, onset: int) -> Row:
-    """For how many ms before the onset half, and 80 %, of the visible contact slip without a break."""
+    """Return for how many ms before the onset half, and 80 %, of the visible contact slip without interruption."""
     row: Row = {}
     for name, share in (("half_slips_ms", HALF), ("most_slips_ms", MOST)):
         below = np.flatnonzero(visible_slip_share[:onset] < share)
@@ -141,7 +144,10 @@ def slipping_ms(visible_slip_share: Floats, onset: int) -> Row:
 
 
 def _of_path(recording: Recording, counts: SliceCounts, dots: tuple[StageFile, str]) -> Row:
-    """The path of all dots about the onset, also per gram of the object, events per px of it, and whose they are."""
+    """Return the path of all dots around the onset, in px and px per gram of the object, with event measures.
+
+    These are the events per px of path, and the share of events near dots.
+    """
     file, name = dots
     first, stop = max((counts.onset or 0) - ABOUT_MS, 0), min((counts.onset or 0) + ABOUT_MS, len(recording))
     places = file.read(name, first, stop).astype(np.float64)
@@ -157,7 +163,10 @@ def _of_path(recording: Recording, counts: SliceCounts, dots: tuple[StageFile, s
 
 
 def _near_dots(recording: Recording, places: Floats, first: int) -> float | None:
-    """The share of events, of the columns that count, near a dot; places (slices, dots, 2) in px from `first` on."""
+    """Return the share of events in the counted columns near a dot.
+
+    places: (slices, dots, 2) in px, starting at slice `first`.
+    """
     near = total = 0
     (block,) = recording.blocks(len(places), first, first + len(places))
     for number, events in enumerate(block.slices()):
@@ -171,7 +180,7 @@ def _near_dots(recording: Recording, places: Floats, first: int) -> float | None
 
 
 def sampled(recording: Recording) -> dict[str, Any]:
-    """What was drawn for a simulated trial; empty where nothing says so."""
+    """Return the sampled parameters of a simulated trial; empty if none are stored."""
     if not recording.has("truth/sampled_parameters"):
         return {}
     found = json.loads(str(recording.read("truth/sampled_parameters")))

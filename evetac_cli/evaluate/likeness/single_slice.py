@@ -1,7 +1,7 @@
-"""How well one slice alone tells slip: more than k events in it, where k is chosen on other objects.
+"""Slip detection from one slice alone: more than k events in a slice, with k chosen on other objects.
 
-The first detection is the first slice with more than k events since the current began to fall. k is the threshold that
-is right most often on all other objects, so that no object judges a threshold that was chosen on it.
+The first detection is the first slice with more than k events after the current began to fall. The threshold k is the
+one that is correct most often on all other objects, so that no object is evaluated with a threshold chosen on it.
 """
 
 from collections.abc import Iterable, Sequence
@@ -14,21 +14,21 @@ from evetac_cli.evaluate.slip_tables import TIMING_BINS
 from evetac_cli.jobs import Row
 from evetac_cli.kernels.slip.metrics import EARLIEST_MS, LATEST_MS
 
-THRESHOLDS = (25, 35, 50, 75, 100, 150, 200, 300, 400, 600, 800, 1000, 1500)  # events in a slice
-NEVER_MS = 10**6  # after the onset: where no slice has more
+THRESHOLDS = (25, 35, 50, 75, 100, 150, 200, 300, 400, 600, 800, 1000, 1500)  # events per slice
+NEVER_MS = 10**6  # after the onset: represents no detection
 
 
 class Slip(NamedTuple):
-    """A slip: its object, and its first detection by each threshold, in ms after the onset."""
+    """A slip: its object, and its first detection for each threshold, in ms after the onset."""
 
     object: str
     after_ms: tuple[int, ...]
 
 
 def slip(called: str, counts: SliceCounts) -> Slip:
-    """A slip of an object; ValueError where the counts have no onset."""
+    """Return a slip of an object; raise ValueError if the counts have no onset."""
     if counts.onset is None:
-        raise ValueError("expected counts with an onset")
+        raise ValueError("expected event counts with an onset of slip")
     since_start = counts.sensing[counts.start :]
     loud = (np.flatnonzero(since_start > k) for k in THRESHOLDS)
     first = (counts.start + int(slices[0]) - counts.onset if len(slices) else NEVER_MS for slices in loud)
@@ -36,9 +36,9 @@ def slip(called: str, counts: SliceCounts) -> Slip:
 
 
 def judge(slips: Sequence[Slip]) -> Row:
-    """Shares of slips that are told in time, too early, and in each of the paper's intervals; none of one object.
+    """Return shares of slips detected in time, and in each of the paper's intervals; {} with fewer than two objects.
 
-    `one_threshold_low` and `_high`: the least and the largest k that was chosen.
+    `one_threshold_low` and `_high`: the smallest and the largest k that was chosen.
     """
     if len({one.object for one in slips}) < 2:
         return {}
@@ -57,7 +57,7 @@ def judge(slips: Sequence[Slip]) -> Row:
 
 
 def _best(slips: Iterable[Slip]) -> int:
-    """The place of the threshold that is in time most often, the lowest of several."""
+    """Return the index of the threshold that is in time most often, the lowest if several are."""
     after_ms = np.array([one.after_ms for one in slips])
     in_time = ((after_ms >= EARLIEST_MS) & (after_ms <= LATEST_MS)).mean(axis=0)
     return int(np.argmax(in_time))

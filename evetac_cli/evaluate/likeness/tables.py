@@ -1,4 +1,4 @@
-"""What the tables of docs/results say of a public fact: what needs trainings, grasps or many trials."""
+"""Figures for the public facts from the tables of docs/results, which needed trainings, grasps or many trials."""
 
 import hashlib
 import itertools
@@ -18,13 +18,13 @@ from evetac_cli.text_files import MOST_JSON_BYTES, parse_json, read_text
 
 IN_A_CLONE = resources.PACKAGE.parent / "docs" / "results"
 ORDER = ("fast-slow", "hist20", "hist10", "no-hist")  # of the paper's networks, the best first
-LIFTED = tuple(range(10, 19))  # objects that the paper's controller lifts with its usual gain
-SIZES = ("trials", "trajectories", "windows", "recordings")  # columns and sizes that say how many
+LIFTED = tuple(range(10, 19))  # objects that the paper's controller lifts with its default gain
+SIZES = ("trials", "trajectories", "windows", "recordings")  # columns and sizes with the number of trials
 
 
 @dataclass(frozen=True)
 class Ours:
-    """Figures of ours beside a fact, of what they are, how many trials they come from, and what tells none."""
+    """Figures of evetac for a fact, their number of trials and origin, or the reason why there are none."""
 
     values: Values = ()
     n: int | None = None
@@ -33,38 +33,43 @@ class Ours:
 
 
 class ResultTables:
-    """The tables of a folder, read when they are asked for; without a folder there is none."""
+    """The tables of a folder, read when needed; without a folder there are none."""
 
     def __init__(self, folder: Path | None) -> None:
-        """InputError for a folder that is named and is none; None: that of the clone that the package runs from."""
+        """Raise InputError if `folder` does not exist.
+
+        None means the folder of the clone from which the package runs.
+        """
         if folder is not None and not folder.is_dir():
             raise InputError("no such folder", where="--results", expected="docs/results of a clone", found=str(folder))
         self.folder = folder or (IN_A_CLONE if IN_A_CLONE.is_dir() else None)
         self._read: dict[str, Mapping[str, Any] | None] = {}
 
     def table(self, name: str) -> Mapping[str, Any] | None:
-        """A table by its name; None where the folder does not have it. InputError for a file that is no table."""
+        """Return a table by name, None if the folder lacks it; raise InputError for a file that is not a table."""
         if name not in self._read:
             path = None if self.folder is None else self.folder / f"{name}.json"
             found = _parsed(path) if path is not None and path.is_file() else None
             rows = found.get("rows") if isinstance(found, dict) else None
             if found is not None and not (isinstance(rows, list) and all(isinstance(row, dict) for row in rows)):
                 raise InputError(
-                    "not a table of results", where=str(path), expected="rows, as scripts/results.py reads"
+                    "not a table of results",
+                    where=str(path),
+                    expected="a JSON object with rows, as for scripts/results.py",
                 )
             self._read[name] = found
         return self._read[name]
 
     def digests(self, names: list[str]) -> dict[str, str]:
-        """What each table that there is contains, by its SHA-256, for a recipe."""
+        """Return the SHA-256 of each existing table, for a recipe."""
         tables = {name: self.table(name) for name in sorted(set(names))}
         texts = {name: json.dumps(one, sort_keys=True) for name, one in tables.items() if one is not None}
         return {name: hashlib.sha256(text.encode()).hexdigest() for name, text in texts.items()}
 
     def ours(self, fact: Fact) -> Ours:
-        """The figures of a fact that names a table."""
+        """Return the figures of a fact that refers to a table."""
         if self.folder is None:
-            return Ours(untold="docs/results is not part of this installation: name it with --results")
+            return Ours(untold="docs/results is not part of this installation: give its path with --results")
         table = self.table(fact.table)
         if table is None:
             return Ours(untold=f"docs/results has no table {fact.table}")
@@ -91,19 +96,19 @@ def _parsed(path: Path) -> Any:
 
 
 def _trials(chosen: Rows, table: Mapping[str, Any]) -> int | None:
-    """How many trials a row, or the table as a whole, comes from."""
+    """Return the number of trials behind a row, or behind the table as a whole."""
     (row, *_) = [*chosen, {}]
     places = (row, table.get("sizes") or {})
     return next((int(place[key]) for place in places for key in SIZES if isinstance(place.get(key), int)), None)
 
 
 def _of(rows: Rows, **traits: Any) -> Row | None:
-    """The row that has these figures; None if there is none."""
+    """Return the first row with these values; None if there is none."""
     return next((row for row in rows if traits.items() <= row.items()), None)
 
 
 def _by_network(rows: Rows, column: str) -> dict[str, float]:
-    """A column of the networks that were trained as the paper's, no time ahead."""
+    """Return a column of the networks trained as in the paper, predicting zero time ahead."""
     own = [row for row in rows if row.get("preset") == "paper" and row.get("horizon_ms") == 0]
     return {row["model"]: row[column] for row in own if row.get(column) is not None}
 
@@ -185,7 +190,7 @@ def _windows(rows: Rows, **traits: Any) -> Values:
     return (sum(row["correct"] for row in own) / windows if windows else None,)
 
 
-# How figures follow from the rows of a table, where no single column has them; `value_of` names them.
+# Figures that follow from several rows or columns of a table; `value_of` refers to them by name.
 DERIVED: dict[str, Callable[[Rows], Values]] = {
     "consistent_share": _consistent_share,
     "events_less_displacement": _difference("events-only", "disp-only", ("slip_correct", "f1")),

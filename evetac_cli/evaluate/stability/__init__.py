@@ -1,1 +1,1 @@
-"""evaluate stability: stiff, extreme and senseless cases, part by part."""
+"""evaluate stability: stiff, extreme and invalid cases, part by part."""

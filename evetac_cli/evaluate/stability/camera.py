@@ -1,6 +1,6 @@
-"""The simulated camera where its constants, or the motions before it, are extreme or make no sense.
+"""The simulated camera with extreme or invalid constants and motions.
 
-A slice should hold so many events as its case names, in order, within the slice and in the frame.
+A slice must contain as many events as its case allows, in order, within the slice and within the frame.
 """
 
 from collections.abc import Callable, Iterator
@@ -22,18 +22,18 @@ QUIET = camera.CameraModel(noise_rate_hz=0.0, hot_pixels=0)
 
 @dataclass(frozen=True)
 class CameraCase:
-    """A camera, and where dots and object are at each whole millisecond, as shifts in px from where they began."""
+    """A camera, and the shifts of dots and object in px from their start at each whole millisecond."""
 
     name: str
     model: camera.CameraModel
     dots: Callable[[int], tuple[float, float]] = lambda _: (0.0, 0.0)
     object: Callable[[int], tuple[float, float]] = lambda _: (0.0, 0.0)
     window_px: tuple[int, int, int, int] = (540, 0, 640, 480)
-    events: tuple[int, int] = (0, 1_000_000)  # a slice has this many, ends included
+    events: tuple[int, int] = (0, 1_000_000)  # allowed number per slice, ends included
 
 
 def camera_cases() -> list[CameraCase]:
-    """The extremes, by name."""
+    """Return the extreme cases."""
     usual, most = camera.CameraModel(), 1_000_000
     return [
         CameraCase("camera: nothing moves, no noise", QUIET, events=(0, 0)),
@@ -64,7 +64,7 @@ def camera_cases() -> list[CameraCase]:
 
 
 def camera_rows(case: CameraCase, slices: int = 10, seed: int = 0) -> Rows:
-    """Run a camera for some slices: the events of each that should not be there, or are missing, and wrong ones."""
+    """Run a camera for some slices and count surplus or missing events and invalid ones."""
     return run_case(case.name, lambda: _camera_rows(case, slices, np.random.default_rng(seed)), part="camera")
 
 
@@ -82,8 +82,8 @@ def _camera_rows(case: CameraCase, slices: int, rng: np.random.Generator) -> Row
         off_frame = (events.x >= case.model.frame_px[0]) | (events.y >= case.model.frame_px[1])
         wrong += int((off_slice | off_frame).sum() + (np.diff(events.t) < 0).sum())
     not_finite = sum(int((~np.isfinite(array)).sum()) for array in (state.reference, state.window_reference))
-    outcome = f"{min(counts):,} to {max(counts):,} events a slice"
-    outcome += f", {state.dropped:,} beyond the most that a slice holds" if state.dropped else ""
+    outcome = f"{min(counts):,} to {max(counts):,} events per slice"
+    outcome += f", {state.dropped:,} dropped beyond the limit of a slice" if state.dropped else ""
     measured = [(FINITE, float(not_finite)), (EVENTS, float(astray)), (ORDER, float(wrong))]
     return case_rows(case.name, outcome, measured, part="camera")
 
@@ -95,13 +95,13 @@ def _camera(
 
 
 def wrong_models(value: float) -> Iterator[tuple[str, Callable[[], object]]]:
-    """Calls that make a camera with this value for a constant, by name."""
+    """Yield calls that create a camera with this value for a constant, by name."""
     for name in ("threshold", "mismatch", "noise_rate_hz", "edge_sigma_px", "log_contrast", "dot_radius_px"):
         yield f"camera, {name} {value:g}", partial(replace, camera.CameraModel(), **{name: value})
 
 
 def wrong_slices(value: float) -> Iterator[tuple[str, Callable[[], object]]]:
-    """Calls that make a slice in which a place or the contrast is this value, by name."""
+    """Yield calls that create a slice in which a position or the contrast is this value, by name."""
     yield f"camera, a dot at {value:g} px", partial(_wrong_slice, dot_px=value)
     yield f"camera, the object at {value:g} px", partial(_wrong_slice, object_px=value)
     yield f"camera, contrast {value:g}", partial(_wrong_slice, contrast=value)

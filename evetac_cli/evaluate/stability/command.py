@@ -1,9 +1,9 @@
-"""evaluate stability: whether a part stays within stated bounds where it is stiff, extreme, or given nonsense.
+"""evaluate stability: whether a part stays within stated bounds in stiff, extreme or invalid cases.
 
-Every part is a function `(seed, full) -> cases`, in which a case is a function that runs it and returns its rows: one
-for each quantity that is measured of it, with the bound and the reason for it (bounds.py). What is refused in words is
-counted apart from what was measured and is within its bounds. Yardsticks, which are told what only a simulation knows,
-are shown and not counted.
+Every part is a function `(seed, full) -> cases`. A case is a function that runs it and returns its rows: one per
+measured quantity, with the bound and its reason (bounds.py). Cases that are refused with an error message are counted
+separately from cases that were measured and are within their bounds. Yardsticks, which use the truth that only a
+simulation has, are shown but not counted.
 """
 
 from collections.abc import Callable, Sequence
@@ -23,7 +23,7 @@ METHOD = 3
 
 
 class StabilityPart(NamedTuple):
-    """How a part is tried, the column by which its cases are counted, and how groups end that are yardsticks."""
+    """The cases of a part, the column by which they are counted, and the ending of yardstick groups."""
 
     cases: Callable[[int, bool], Sequence[Callable[[], Rows]]]
     counted_by: str
@@ -38,14 +38,14 @@ PARTS: dict[str, StabilityPart] = {
 
 
 def jobs(files: list[Path], params: EvaluateStability, out: Path | None) -> list[Job]:
-    """One report on the part: `<part>.stability.report.h5`, in the present folder if no other is given."""
+    """Return the job of the report on the part: `<part>.stability.report.h5`, by default in the working folder."""
     return [Job((), own_report(params.part, "stability", out))]
 
 
 def run(job: Job, params: EvaluateStability, *, force: bool = False, progress: Progress = silent) -> Outcome:
-    """The rows of all cases, those that are not ok first, because a terminal shows no more than a hundred.
+    """Return the rows of all cases, failed ones first, because a terminal shows at most a hundred.
 
-    EvetacError, with --strict, where a case is not ok; the report is made all the same.
+    With --strict, raise EvetacError if a case is not ok; the report is written anyway.
     """
     part = PARTS[params.part]
 
@@ -57,30 +57,34 @@ def run(job: Job, params: EvaluateStability, *, force: bool = False, progress: P
             progress(number, len(cases))
         return sorted(rows, key=lambda row: bool(row["ok"])), summary(rows, part)
 
-    made = report(job, "evaluate stability", METHOD, recipe_of(params), [], measure, force=force, simulated_source=True)
-    failed = made.summary["cases_not_ok"]
+    outcome = report(
+        job, "evaluate stability", METHOD, recipe_of(params), [], measure, force=force, simulated_source=True
+    )
+    failed = outcome.summary["cases_not_ok"]
     if params.strict and failed:
-        counted = f"{failed} of {made.summary['measured']} that are not ok"
-        error = EvetacError("cases outside their bounds", where=params.part, expected="all cases ok", found=counted)
-        raise attach_outcome(error, made)
-    return made
+        counted = f"{failed} of {outcome.summary['measured']} not ok"
+        error = EvetacError(
+            "some cases are outside their bounds", where=params.part, expected="all cases ok", found=counted
+        )
+        raise attach_outcome(error, outcome)
+    return outcome
 
 
 def for_people(rows: Rows, params: EvaluateStability) -> tuple[Rows, list[str]]:
-    """The rows that are not ok, or all where all are; how many cases that is, and how many were refused."""
+    """Return the rows that are not ok, or all if all are; and the numbers of failed and refused cases."""
     refused = len({_case(row, PARTS[params.part]) for row in rows if _is_refused(row)})
-    apart = f" {refused} cases are refused in words." if refused else ""
+    apart = f" {refused} cases are refused with an error message." if refused else ""
     failed = [row for row in rows if not row["ok"]]
     if failed:
         cases = len({row["case"] for row in failed})
-        return failed, [f"Outside their bounds: {cases} cases; --json prints those that are ok, too.{apart}"]
-    return rows, [f"All cases that were measured are within their bounds.{apart}"]
+        return failed, [f"Outside their bounds: {cases} cases; --json also prints those that are ok.{apart}"]
+    return rows, [f"All measured cases are within their bounds.{apart}"]
 
 
 def summary(rows: Rows, part: StabilityPart) -> dict[str, Any]:
-    """How many cases there are, refused, measured and not ok, by a column too, and the names of all that are not ok.
+    """Return the numbers of cases, refused, measured and not ok, also by a column, and the names of failed cases.
 
-    A case is ok where all its rows are. A refusal is no measured case: nothing came out that could be within a bound.
+    A case is ok if all its rows are. A refused case is not measured: there is no result that could be within a bound.
     """
     counted = [row for row in rows if part.yardstick is None or not row[part.counted_by].endswith(part.yardstick)]
     ok: dict[tuple[str, str], bool] = {}
@@ -109,7 +113,7 @@ def _case(row: Row, part: StabilityPart) -> tuple[str, str]:
 
 
 def _is_refused(row: Row) -> bool:
-    """A refusal without words is a failure."""
+    """Whether a case was refused with a message; a refusal without a message is a failure."""
     return bool(row["ok"]) and str(row["outcome"]).startswith("refused")
 
 

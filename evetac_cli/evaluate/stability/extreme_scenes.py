@@ -1,4 +1,4 @@
-"""Scenes with one extreme or unpleasant part, a line each: tables that `evaluate stability` merges into a scene."""
+"""Scenes with one extreme or adverse part each, as tables that `evaluate stability` merges into a scene."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -11,8 +11,8 @@ from evetac_cli.sim.setup.tables import as_table, build
 
 Tables = Mapping[str, Mapping[str, Any]]
 
-# Into the scene `slip`, which the dot tracker follows: the weight is handed over from 0.2 to 0.5 s, and the current
-# falls from 0.9 s on until the object slips. The grip is near its limit from the start, so that this comes soon.
+# Merged into the scene `slip` for the dot tracker: the weight is handed over from 0.2 to 0.5 s, and the current falls
+# from 0.9 s until the object slips. The grip is near its limit from the start, so that slip comes soon.
 SLIP_SOON: Tables = {"time": {"longest_s": 2.0}, "gripper": {"start_factor": [1.3, 1.5]}}
 SLIPS: dict[str, Tables] = {
     "as usual": {},
@@ -32,7 +32,7 @@ SLIPS: dict[str, Tables] = {
     "object of 2 kg": {"object": {"mass_g": 2000.0}},
 }
 
-# Into the scene `lift`: the fingers touch until 1.5 s, the hand rises from 2 s on, balance begins at 5 s.
+# Merged into the scene `lift`: the fingers touch until 1.5 s, the hand rises from 2 s, balance begins at 5 s.
 LIFTS: dict[str, Tables] = {
     "gear friction x0.7": {"gripper": {"friction_factor": 0.7}},
     "gear friction x1.3": {"gripper": {"friction_factor": 1.3}},
@@ -59,7 +59,7 @@ MORE_LIFTS: dict[str, Tables] = {  # with --full
 
 
 def merge(plan: Plan, *changes: Tables) -> Plan:
-    """A plan whose scene has these tables beside or instead of its own; their values may be out of all ranges."""
+    """Return a plan whose scene has these tables added or replaced; their values may be out of all ranges."""
     scene = as_table(plan.scene)
     for tables in changes:
         scene = merged(scene, tables)

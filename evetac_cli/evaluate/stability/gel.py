@@ -1,8 +1,8 @@
-"""The simulated gel where it is stiff, extreme, or both: energy from nowhere, forces without balance, onset of slip.
+"""The simulated gel in stiff and extreme cases: energy gained from nothing, unbalanced forces, onset of slip.
 
-Energy gained is the largest, over the steps of a case, of energy less that at the start, less the work of outer forces
-(on the object, and pressure's on the gel that it squeezes aside), as a share of the largest energy or work of the case;
-negative where some is always lost.
+Energy gained is the largest value, over the steps of a case, of the energy less that at the start and less the work of
+outer forces. These act on the object; pressure also squeezes the gel aside. The value is relative to the largest energy
+or work of the case; it is negative if energy is always lost.
 """
 
 import math
@@ -24,13 +24,13 @@ UNDAMPED = gel.GelMaterial(viscous_time_s=0.0, maxwell_share=0.0, with_mass=Fals
 
 
 def dome(nodes: Floats) -> Floats:
-    """Shares of a paraboloid's pressure on an ellipse that touches the sides of the pad; nothing in the corners."""
+    """Return shares of a paraboloid's pressure on an ellipse that touches the sides of the pad, zero in the corners."""
     shares = np.clip(1 - ((nodes / (X_RANGE_M[1], Y_RANGE_M[1])) ** 2).sum(-1), 0, None)
     return np.asarray(shares / shares.sum())
 
 
 def gel_cases() -> list[GelCase]:
-    """The extremes, by name."""
+    """Return the extreme cases."""
     stiffness = (1e-2, 1e2, 1e4, 1e6)
     cases = [GelCase(f"gel {x:g} times as stiff", material=stiff(x)) for x in stiffness]
     cases += [GelCase(f"object of {m:g} kg", mass_kg=m, inertia_kg_m2=4e-4 * m) for m in (1e-6, 1e-3, 1.0, 1e3)]
@@ -58,9 +58,9 @@ def gel_cases() -> list[GelCase]:
         GelCase("impact at 100 m/s", twist=(100.0, -30.0, 0.0)),
         GelCase("impact at 1e4 m/s", twist=(1e4, 0.0, 0.0), mass_kg=1.0, inertia_kg_m2=4e-4),
         GelCase("spin of 1e4 rad/s", twist=(0.0, 0.0, 1e4)),
-        # At theta 0.5 nothing is lost here, and what the search leaves unbalanced adds up: with 1e-6 left, up to 4e-6
-        # of the energy were gained in 100 steps; with 1e-8 left, 3e-9 at most. So the search goes on for longer, and
-        # the bound holds for the scheme.
+        # At theta 0.5 nothing is lost here, and the residuals of the search add up: with residuals of 1e-6, up to 4e-6
+        # of the energy were gained in 100 steps; with 1e-8, at most 3e-9. So the search continues for longer here, and
+        # the bound tests the scheme.
         GelCase("gel without mass and without losses", material=UNDAMPED, residual=1e-8),
         GelCase("stiff gel, friction falls with speed", material=stiff(1e6), load=lambda t: 1 - t, friction=SLIPPERY),
         GelCase("all at once", material=stiff(1e4), mass_kg=1e-3, inertia_kg_m2=1e-9, twist=(10, -5, 1e3), dt_s=1e-2),
@@ -77,11 +77,11 @@ def _shaken(time_s: float) -> tuple[float, float, float]:
 
 
 def random_case(seed: int, number: int) -> GelCase:
-    """A case drawn by seed and number: objects of 1 g to 10 kg on gels of 1 kPa to 1 GPa, held, turned and shaken."""
+    """Return a random case by seed and number: objects of 1 g to 10 kg on gels of 1 kPa to 1 GPa, shaken and turned."""
     rng = np.random.default_rng([seed, number])
 
     def between(low: float, high: float) -> float:
-        """A number drawn evenly in the logarithm."""
+        """Draw a number, uniform in the logarithm."""
         return float(np.exp(rng.uniform(math.log(low), math.log(high))))
 
     columns, rows = (int(count) for count in rng.integers(1, 20, 2))
@@ -118,7 +118,7 @@ def random_case(seed: int, number: int) -> GelCase:
 def gel_rows(case: GelCase, steps: int = 100, theta: float = 0.51, slides_within_s: float = 0.0) -> Rows:
     """Run a case for some steps of `gel.step` at a theta.
 
-    slides_within_s: where not 0, the case is run for this time, within which the object should begin to slide.
+    slides_within_s: if not 0, the case is run for this time, within which the object should begin to slide.
     """
     return run_case(case.name, lambda: _gel_rows(case, steps, theta, slides_within_s), part="gel")
 
@@ -139,12 +139,12 @@ def _gel_rows(case: GelCase, steps: int, theta: float, slides_within_s: float) -
         sweeps.append(info.sweeps)
         residuals.append(info.residual)
         finite &= math.isfinite(now) and bool(np.isfinite(np.hstack(info)).all() and np.isfinite(state.pose).all())
-    share = gained / largest if largest > 0.0 else gained  # an object that nothing moves has no energy
+    share = gained / largest if largest > 0.0 else gained  # an object that is never moved has no energy
     measured = [(ENERGY, share), (BALANCE, max(residuals))] if finite else [(ENERGY, math.nan), (BALANCE, math.nan)]
     unbalanced = sum(residual > BALANCE.most for residual in residuals)
     outcome = "" if finite else "not finite, "
     outcome += f"{unbalanced} of {steps} steps without balance, " if unbalanced else ""
-    outcome += f"{np.mean(sweeps):.3g} sweeps a step, at most {max(sweeps)}"
+    outcome += f"{np.mean(sweeps):.3g} sweeps per step, at most {max(sweeps)}"
     rows = case_rows(case.name, outcome, measured, part="gel")
     if slides_within_s:
         measured, words = onset_error(case, slides_within_s, theta)

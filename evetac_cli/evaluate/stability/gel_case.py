@@ -1,4 +1,4 @@
-"""A pad, an object and the load on them, for the cases of `evaluate stability sim`: how one begins, and its steps."""
+"""A pad, an object and their load, for the cases of `evaluate stability sim`: initial state and steps."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -17,11 +17,13 @@ COULOMB = gel.Friction(0.8, 0.8)
 
 @dataclass(frozen=True)
 class GelCase:
-    """A pad, an object, and the load on them; by default 100 g, held with 2 N a finger.
+    """A pad, an object, and their load; by default 100 g, held with 2 N per finger.
 
-    load: normal force in N over time in s. force: on the object, x, y in N and moment in N m, over time; None is its
-    weight. shares: of the load on each node; None is even. becomes: the friction from a time in s on. residual: where
-    the search for a step's balance ends.
+    - load: normal force in N over time in s;
+    - force: on the object, x, y in N and moment in N m, over time; None is its weight;
+    - shares: of the load on each node; None is even;
+    - becomes: a time in s and the friction from then;
+    - residual: the residual at which the search for a step's balance stops.
     """
 
     name: str
@@ -41,7 +43,7 @@ class GelCase:
     residual: float = 1e-6
 
     def start(self) -> tuple[gel.GelState, Floats]:
-        """The state before the first step, and the share of the load on each node."""
+        """Return the state before the first step, and the share of the load on each node."""
         nodes = pad_nodes(self.columns, self.rows, X_RANGE_M, Y_RANGE_M)
         area_m2 = AREA_M2 / self.columns / self.rows
         at_m = self.centre_m
@@ -51,19 +53,19 @@ class GelCase:
         return state, shares
 
     def force_at(self, time_s: float) -> Sequence[float] | Floats:
-        """The force on the object, x, y in N and moment in N m."""
+        """Return the force on the object, x, y in N and moment in N m."""
         return (self.mass_kg * GRAVITY_M_S2, 0.0, 0.0) if self.force is None else self.force(time_s)
 
     def friction_at(self, time_s: float) -> gel.Friction:
-        """The friction at a time."""
+        """Return the friction at a time."""
         return self.friction if self.becomes is None or time_s < self.becomes[0] else self.becomes[1]
 
     def step(
         self, state: gel.GelState, shares: Floats, number: int, dt_s: float, theta: float
     ) -> tuple[gel.StepInfo, float]:
-        """Make the step of this number; return what it did, and the work of outer forces in J.
+        """Compute step `number`; return its step info and the work of outer forces in J.
 
-        These are the force on the object, and that with which pressure squeezes the gel of all pads aside.
+        Outer forces are the force on the object, and that with which pressure squeezes the gel of all pads aside.
         """
         time_s = (number + theta) * dt_s
         force, friction = self.force_at(time_s), self.friction_at(time_s)
@@ -75,5 +77,5 @@ class GelCase:
 
 
 def stiff(factor: float) -> gel.GelMaterial:
-    """The usual gel, so many times as stiff."""
+    """Return the default gel with `factor` times its stiffness."""
     return gel.GelMaterial(shear_modulus_pa=factor * gel.GelMaterial().shear_modulus_pa)

@@ -1,12 +1,12 @@
 """The loop of detector, controller and gripper with extreme objects, scenes, gains and delays, and wrong detectors.
 
-An object should be held: lifted, balanced, and moved by no more than a stated distance in the gripper. Beside that the
-goal should stay in the gripper's range, the current within its limit, and the fingers that hold it at rest. A grasp
-that cannot go on should let go, with torque off, and say why in an error; that is as good as holding. What is dropped
-without a word is not ok, whether or not a gripper of limited force could have held it.
+The object must be held: lifted, balanced, and moved by no more than a stated distance in the gripper. The goal must
+stay in the gripper's range, the current within its limit, and the holding fingers at rest. A grasp that cannot continue
+must let go, with torque off, and report the reason in an error; this is as good as holding. An object dropped without
+an error is not ok, even if no gripper of limited force could have held it.
 
-A case that is not ok is tried again with a detector that is told the true gross slip, which only a simulation knows
-(TOLD): where that holds the object, the detector has failed; where it does not, controller, gripper or physics have.
+A case that is not ok is repeated with a detector that receives the true gross slip (`TOLD`), which only a simulation
+has. If this holds the object, the detector has failed; if not, the controller, the gripper or physics has.
 """
 
 from collections.abc import Callable
@@ -53,15 +53,15 @@ from evetac_cli.trials.grasp.loop import SliceDetector
 
 QUICK_CONTROLLERS = ("paper", "load-proportional")
 BALANCE_S = 2.0
-SETTLED_MS = 500  # at the end, in which the fingers should be at rest
+SETTLED_MS = 500  # at the end, in which the fingers must be at rest
 USUAL_OBJECT = 11
 DIES_AFTER_MS = 2500  # while the hand rises
-TOLD = ", detector truth"  # how controllers are called whose detector is told the true gross slip
+TOLD = ", detector truth"  # suffix of controllers whose detector receives the true gross slip
 
 
 @dataclass
 class UnevenSlices:
-    """A detector whose slices are lost or come twice on their way to it, at random."""
+    """A detector that randomly loses slices or receives them twice."""
 
     detector: SliceDetector
     rng: np.random.Generator
@@ -69,7 +69,7 @@ class UnevenSlices:
     twice: float = 0.0
 
     def step(self, events: Events) -> float:
-        """Slip probability after one more slice; NaN where it is lost."""
+        """Return the slip probability after one more slice; NaN if the slice is lost."""
         drawn = self.rng.random()
         if drawn < self.lost:
             return float("nan")
@@ -78,7 +78,7 @@ class UnevenSlices:
         return self.detector.step(events)
 
     def tell_gripper(self, position_ticks: float, goal_ticks: float) -> None:
-        """As the detector is told."""
+        """Pass the gripper's state to the detector."""
         self.detector.tell_gripper(position_ticks, goal_ticks)
 
     @property
@@ -95,14 +95,14 @@ class DyingDetector:
     slices_left: int = DIES_AFTER_MS
 
     def step(self, events: Events) -> float:
-        """Slip probability after one more slice; DeviceError once it has failed."""
+        """Return the slip probability after one more slice; raise DeviceError once the detector has failed."""
         self.slices_left -= 1
         if self.slices_left < 0:
             raise DeviceError("the detector died")
         return self.detector.step(events)
 
     def tell_gripper(self, position_ticks: float, goal_ticks: float) -> None:
-        """As the detector is told."""
+        """Pass the gripper's state to the detector."""
         self.detector.tell_gripper(position_ticks, goal_ticks)
 
     @property
@@ -113,14 +113,14 @@ class DyingDetector:
 
 @dataclass(frozen=True)
 class GraspCase:
-    """One extreme: how the plan, the detector or the controller is changed."""
+    """One extreme case: changes of the plan, the detector or the controller."""
 
     name: str
     change_plan: Callable[[Plan], Plan] = lambda plan: plan
     wrap_detector: Callable[[SliceDetector, np.random.Generator], SliceDetector] = lambda detector, rng: detector
     timing: tuple[tuple[str, Any], ...] = ()  # fields of ShortGrasp
     paper_only: bool = False
-    own_detector: bool = False  # the case is its detector, and another one would be another case
+    own_detector: bool = False  # the case is about its detector, which must not be replaced
 
 
 def _servo(factor: float, plan: Plan) -> Plan:
@@ -142,7 +142,7 @@ def _always(*, slips: bool) -> Callable[[SliceDetector, np.random.Generator], Sl
 
 
 def extreme_cases(*, full: bool) -> list[GraspCase]:
-    """The extremes, by name."""
+    """Return the extreme cases."""
     factors = (0.1, 0.3, 3.0, 10.0) if full else (0.1, 10.0)
     frictions = (0.1, 0.3, 1.3, 2.0) if full else (0.1, 2.0)
     scenes = LIFTS | (MORE_LIFTS if full else {})
@@ -176,7 +176,7 @@ def _together(mass_g: float, friction: float, stiffness: float, plan: Plan) -> P
 
 
 def cases(seed: int, full: bool) -> list[Callable[[], Rows]]:
-    """Every case with every controller; only the paper's law has a gain."""
+    """Return every case with every controller; only the paper's controller has a gain."""
     controllers = CONTROLLERS if full else QUICK_CONTROLLERS
     return [
         partial(judged_rows, case, controller, seed)
@@ -187,21 +187,21 @@ def cases(seed: int, full: bool) -> list[Callable[[], Rows]]:
 
 
 def judged_rows(case: GraspCase, controller: str, seed: int) -> Rows:
-    """The rows of a case and, where one is not ok, those with the true slip, which tell what has failed."""
+    """Return the rows of a case and, if one is not ok, those with the true slip, which show what failed."""
     rows = grasp_rows(case, controller, seed)
     failed = {row["quantity"] for row in rows if not row["ok"]}
     if not failed or case.own_detector:
         return rows
-    told = grasp_rows(case, controller, seed, told=True)
-    still = failed & {row["quantity"] for row in told if not row["ok"]}
+    with_truth = grasp_rows(case, controller, seed, told=True)
+    still = failed & {row["quantity"] for row in with_truth if not row["ok"]}
     verdict = "the detector fails: with the true slip this is ok"
     if still:
-        verdict = "not for the detector: this fails with the true slip too"
-    return [row if row["ok"] else {**row, "outcome": f"{row['outcome']}; {verdict}"} for row in rows] + told
+        verdict = "not because of the detector: this fails with the true slip too"
+    return [row if row["ok"] else {**row, "outcome": f"{row['outcome']}; {verdict}"} for row in rows] + with_truth
 
 
 def grasp_rows(case: GraspCase, controller: str, seed: int, *, told: bool = False) -> Rows:
-    """Grasp once under a case: what became of the object, or how the grasp broke off; told: of the true slip."""
+    """Run one grasp of a case and return the rows of its outcome or abort, with the true slip if `told`."""
     name = f"{controller}{TOLD}" if told else controller
     rng = np.random.default_rng([seed, 1])
     short = replace(ShortGrasp(USUAL_OBJECT, controller, balance_s=BALANCE_S), **dict(case.timing))
@@ -215,7 +215,7 @@ def grasp_rows(case: GraspCase, controller: str, seed: int, *, told: bool = Fals
         try:
             result = run_short_grasp(short, seed, change_plan=case.change_plan, wrap_detector=wrap)
         except EvetacError as error:
-            if not used:  # refused before anything was gripped
+            if not used:  # refused before the grasp began
                 raise
             return let_go(case.name, name, error, used[0])
         return check(case.name, name, result)
@@ -224,19 +224,19 @@ def grasp_rows(case: GraspCase, controller: str, seed: int, *, told: bool = Fals
 
 
 def let_go(name: str, controller: str, error: EvetacError, devices: Rig) -> Rows:
-    """The row of a grasp that broke off with an error in words: whether its gripper was left without current."""
+    """Return the row of a grasp that aborted with an error: whether its gripper was left without current."""
     gripper = devices.gripper
     assert isinstance(gripper, SimulatedGripper)
     mode, command = gripper.simulation.command
-    left_ma = abs(command) if mode == "current" else float("inf")  # in position mode it goes on pressing
+    left_ma = abs(command) if mode == "current" else float("inf")  # in position mode it keeps pressing
     words = str(error).splitlines()[0]
     return case_rows(name, f"let go: {words}", [(LET_GO, float(left_ma))], controller=controller)
 
 
 def check(name: str, controller: str, result: GraspResult) -> Rows:
-    """The rows of a grasp that ended by itself."""
+    """Return the rows of a grasp that ended regularly."""
     rows, figures = result.rows, result.figures
-    # NaN where nothing slips: the nodes that resolve slip.
+    # The nodes that resolve slip are left out: they are NaN without slip.
     truth = [rows[path] for path in rows if path.startswith("truth/") and path != slip_grid.NODES]
     numbers = [*truth, rows["gripper/current_ma"]]
     not_finite = sum(int((~np.isfinite(column)).sum()) for column in numbers)
@@ -249,18 +249,18 @@ def check(name: str, controller: str, result: GraspResult) -> Rows:
         (GOAL, float(beyond)),
         (FINITE, float(not_finite)),
     ]
-    if figures["balanced"]:  # fingers that lost their object close or open
+    if figures["balanced"]:  # only if held: fingers that lost their object move
         late = rows["gripper/t_us"] >= rows["gripper/t_us"][-1] - 1000 * SETTLED_MS
         swing_ticks = _swing(rows["gripper/t_us"][late], rows["gripper/position_ticks"][late])
         measured.append((SWING, swing_ticks))
     ending = "held" if figures["balanced"] else "lost in balance" if figures["lifted"] else "not lifted"
-    outcome = f"{ending}, with {rows['truth/normal_force_n'].max():.3g} N at the most"
+    outcome = f"{ending}, with at most {rows['truth/normal_force_n'].max():.3g} N"
     outcome += in_nodes(slip_grid.fewest_nodes(rows[slip_grid.NODES]))
     return case_rows(name, outcome, measured, controller=controller)
 
 
 def _swing(t_us: NDArray[np.int64], position_ticks: NDArray[np.int32]) -> float:
-    """How far the fingers oscillate about a straight line, in ticks: they may be opening slowly."""
+    """Return the oscillation of the fingers around a straight line, in ticks: they may be opening slowly."""
     seconds = (t_us - t_us[0]) * 1e-6
     line = np.polynomial.Polynomial.fit(seconds, position_ticks, 1)
     return round(float(np.ptp(position_ticks - line(seconds))), 2)

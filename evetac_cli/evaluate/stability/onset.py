@@ -1,11 +1,11 @@
-"""When the object of a case begins to slip, with the steps that scenes take by default and with fifty a slice.
+"""Time at which the object of a case begins to slip, with the scenes' default steps and with fifty per slice.
 
 The onset is that of gross slip, as in the truth of a recording (sim.scenes.true_slip): the object has slid by half a
 pixel as one body. All of the pad is visible here. The grip falls evenly within a slice, and the force on the object is
-constant, as in scenes.
+constant within a slice, as in scenes.
 
-Why so: where friction falls with the slip speed, a node lets go within some ten microseconds. So the onset is what
-suffers first from steps that are too long.
+Reason: if friction falls with the slip speed, a node lets go within some ten microseconds. So the onset is the first
+quantity to suffer from steps that are too long.
 """
 
 import math
@@ -26,16 +26,16 @@ from evetac_cli.sim.setup.solver import Solver
 from evetac_cli.store.recordings import slip_grid
 
 MM_PER_PX = 0.0329  # of the default sensor
-REFERENCE_MS = (0.02, 0.04)  # steps of the reference, and of the one that shows how far the reference itself is off
-WEAKENING = gel.Friction(0.8, 0.64, 0.010)  # as the scenes draw it ...
-CORNER = gel.Friction(0.8, 0.60, 0.005)  # ... and at the corner of their ranges where it falls the most
+REFERENCE_MS = (0.02, 0.04)  # steps of the reference, and of a coarser run that shows the reference's own error
+WEAKENING = gel.Friction(0.8, 0.64, 0.010)  # as in the scenes ...
+CORNER = gel.Friction(0.8, 0.60, 0.005)  # ... and at the corner of their ranges with the steepest fall
 TO_A_TENTH = gel.Friction(0.8, 0.08, 0.010)
-WEIGHT_ON_S = 0.08  # in which the weight is handed over, where the grip falls slowly
+WEIGHT_ON_S = 0.08  # duration of handing over the weight, if the grip falls slowly
 FAST_S, SLOW_S = 0.2, 0.45
 
 
 def onset_cases() -> list[tuple[GelCase, float]]:
-    """Cases in which a tilted cylinder that is held beside its middle begins to slide, and how long each takes in s."""
+    """Return cases in which a tilted cylinder, held off its centre, begins to slide, and the duration of each in s."""
     constant = GelCase("", friction=COULOMB, centre_m=(1e-3, 1.5e-3), shares=_under_cylinder)
     scene, corner = replace(constant, friction=WEAKENING), replace(constant, friction=CORNER)
     fast, slow = (partial(_unloaded, fast) for fast in (True, False))
@@ -62,7 +62,7 @@ def _under_cylinder(nodes: Floats) -> Floats:
 
 
 def _unloaded(fast: bool, name: str, case: GelCase, mass_kg: float = 0.1) -> GelCase:
-    """The case with a grip that falls in proportion to a mass: from 2 N at 9 N/s, or from 1.1 N at 2 N/s, for 100 g."""
+    """Return the case with a grip that falls in proportion to a mass: 100 g from 2 N at 9 N/s, or 1.1 N at 2 N/s."""
     share = mass_kg / 0.1
     load = partial(_falling, share, 2.0, 9.0, 0.0) if fast else partial(_falling, share, 1.1, 2.0, WEIGHT_ON_S)
     force = None if fast else partial(_handed_over, mass_kg * GRAVITY_M_S2)
@@ -78,12 +78,12 @@ def _falling(share: float, from_n: float, rate_n_s: float, since_s: float, time_
 
 
 def _handed_over(weight_n: float, time_s: float) -> tuple[float, float, float]:
-    """A weight that is on after WEIGHT_ON_S."""
+    """Return a weight that is fully applied after WEIGHT_ON_S."""
     return weight_n * (0.5 - 0.5 * math.cos(math.pi * min(time_s / WEIGHT_ON_S, 1.0))), 0.0, 0.0
 
 
 def _jerked(time_s: float) -> tuple[float, float, float]:
-    """The weight of 100 g, and from 0.12 s on, for 30 ms, what a hand adds that is jerked upwards."""
+    """Return the weight of 100 g, plus the force of a hand that is jerked upwards for 30 ms at 0.12 s."""
     since = (time_s - 0.12) / 0.03
     jerk_n = 0.1 * 20.0 * math.sin(math.pi * since) if 0.0 <= since <= 1.0 else 0.0
     return _handed_over(0.1 * GRAVITY_M_S2, time_s)[0] + jerk_n, 0.0, 0.0
@@ -94,7 +94,7 @@ def _tenth(friction: gel.Friction) -> gel.Friction:
 
 
 def onset_s(case: GelCase, within_s: float, solver: Solver) -> float:
-    """When gross slip begins, interpolated within the slice of 1 ms; NaN if it does not within this time."""
+    """Return the time of gross slip, interpolated within the slice of 1 ms; NaN if it does not begin in this time."""
     state, shares = case.start()
     stepper, slip = Stepper(solver), GroundTruthSlip(state, MM_PER_PX, None)
     for number in range(round(within_s / stepper.slice_s)):
@@ -109,9 +109,9 @@ def onset_s(case: GelCase, within_s: float, solver: Solver) -> float:
 
 
 def onset_error(case: GelCase, within_s: float, theta: float) -> tuple[list[tuple[Bound, float]], str]:
-    """The error of the onset in ms, at most, and how many nodes are missing to resolve unstable slip; and in words.
+    """Return the largest error of the onset in ms, the nodes missing to resolve unstable slip, and a description.
 
-    The error is the distance from the reference and how far that may be off, on the same nodes.
+    The error is the distance from the reference plus the reference's own error, on the same nodes.
     """
     solvers = [Solver(theta=theta), *(Solver(theta=theta, step_ms=step_ms) for step_ms in REFERENCE_MS)]
     onset, reference, coarser = (onset_s(case, within_s, solver) for solver in solvers)
@@ -126,7 +126,7 @@ def onset_error(case: GelCase, within_s: float, theta: float) -> tuple[list[tupl
 
 
 def _half_wavelength_nodes(case: GelCase, time_s: float) -> float:
-    """Where the gel is pressed hardest, at a time; infinity where slip is stable, or there is none."""
+    """Return half the wavelength in nodes where the pressure is highest; infinity if slip is stable or absent."""
     if math.isnan(time_s):
         return math.inf
     state, shares = case.start()

@@ -1,6 +1,6 @@
-"""The part `sim` of `evaluate stability`: the simulated gel, gripper and cameras in extreme cases.
+"""The part `sim` of `evaluate stability`: the simulated gel, gripper and camera in extreme cases.
 
-The gripper's are a drive without damping or mass, and stiff links: whether a finger closes sanely.
+The gripper cases are drives without damping or mass, and stiff links; they check that a finger closes properly.
 """
 
 import math
@@ -36,7 +36,7 @@ RANDOM_CASES = Extent(quick=10, full=200)
 
 
 def cases(seed: int, full: bool) -> list[Callable[[], Rows]]:
-    """Every case of gel, gripper and camera; `full` takes every theta, ten times the steps, many more random cases."""
+    """Return every case of gel, gripper and camera; `full` uses every theta, ten times the steps, more random cases."""
     chosen = [(case, 0.0) for case in gel_cases()] + onset_cases()
     chosen += [(random_case(seed, number), 0.0) for number in range(RANDOM_CASES.pick(full))]
     runs: list[Callable[[], Rows]] = []
@@ -51,7 +51,7 @@ def cases(seed: int, full: bool) -> list[Callable[[], Rows]]:
 
 
 def nonsense() -> Iterator[tuple[str, Callable[[], object]]]:
-    """Calls with values that make no sense, by name; every one has to be refused."""
+    """Yield calls with invalid values, by name; every one must be refused."""
     bad = (math.nan, math.inf, -1.0)
     nodes = pad_nodes(8, 6, X_RANGE_M, Y_RANGE_M)
 
@@ -103,7 +103,7 @@ def _step_gripper(command: float, dt_s: float) -> object:
 
 @dataclass(frozen=True)
 class FingerCase:
-    """A finger that closes with 60 mA on a cylinder, and the stiffness of its links."""
+    """A finger that closes on a cylinder with 60 mA, and the stiffness of its links."""
 
     name: str
     drive: gripper.Drive
@@ -112,7 +112,7 @@ class FingerCase:
 
 
 def finger_cases() -> list[FingerCase]:
-    """The extremes, by name."""
+    """Return the extreme cases."""
     usual = gripper.Drive()
     free = gripper.Drive(damping_n_s_m=0.0, mass_kg=0.0)
     return [
@@ -127,13 +127,16 @@ def finger_cases() -> list[FingerCase]:
 
 
 def finger_curve(finger_n_m: float) -> ForceCurve:
-    """Force over the fingers' place on a cylinder of 6 cm, with links of this stiffness."""
+    """Return force over the fingers' position on a cylinder of 6 cm, with links of this stiffness."""
     gap = gap_profile(pad_nodes(12, 9, X_RANGE_M, Y_RANGE_M), "cylinder", 0.03)
     return force_curve(gap, AREA_M2 / 108, 2e6, 4e-3, finger_n_m, gripper.metres_per_tick(0.06))
 
 
 def finger_rows(case: FingerCase, steps: int = 200) -> Rows:
-    """Close a finger: how often it turns back and, where it came to rest, what pushes it beyond its dry friction."""
+    """Close a finger and measure how often it turns back.
+
+    If it comes to rest, also measure the force beyond its dry friction.
+    """
     return run_case(case.name, lambda: _finger_rows(case, steps), part="gripper")
 
 

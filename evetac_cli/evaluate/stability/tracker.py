@@ -1,8 +1,8 @@
-"""The dot tracker under too many events, none, extreme constants, unpleasant scenes and nonsense.
+"""The dot tracker with too many events, no events, extreme constants, adverse scenes and invalid input.
 
-Every case is run with every preset, and its rows are how far the worst dot, and all but a hundredth, were from where
-they truly are, over all slices. A dot that the tracker flags as lost in a slice does not count there: whoever reads the
-tracks knows not to trust it. Nonsense has to be refused.
+Every case is run with every preset. Its rows are the largest distance of a dot from its true position and the 99th
+percentile, over all slices. Dots that the tracker flags as lost in a slice do not count in it, because readers of the
+tracks know not to trust them. Invalid input must be refused.
 """
 
 import math
@@ -42,30 +42,30 @@ Columns = tuple[NDArray[np.uint16], NDArray[np.uint16], NDArray[np.uint8]]
 
 GAINS = (0.003, 0.03, 0.3, 1.0, 10.0, 1e3)
 WEIGHTS = (0.0, 1e-4, 1e-2, 1.0, 1e2, 1e4, 1e6)
-EVENTS_PER_PX = 300.0  # of a dot that moves by a pixel, as simulated
+EVENTS_PER_PX = 300.0  # per dot and pixel of its motion, as simulated
 DOT_RADIUS_PX = 15.0
 SLICES = Extent(quick=200, full=1000)
-OBJECT = 11  # of the paper, in slips
-TOLD_RIGHT_PX = 0.5  # a grid that is off by less is as well known as `calibrate` makes it
-FOLLOWED_PX = 2.0 * TrackerConstants.trust_px  # in a slice, by `stable`: so much is seen, and so much corrected
+OBJECT = 11  # number of the paper's object, in slips
+TOLD_RIGHT_PX = 0.5  # `calibrate` is this accurate: a smaller error of the grid is no explanation
+FOLLOWED_PX = 2.0 * TrackerConstants.trust_px  # per slice, by `stable`: half is seen, half is corrected
 
 
 @dataclass(frozen=True)
 class TrackerCase:
-    """Events slice by slice, before dots whose shift from rest in px is `shift(k)` at the end of slice k.
+    """Events slice by slice for dots whose shift from rest in px is `shift(k)` at the end of slice k.
 
-    A dot's rim makes events while it moves; `more` adds others. `changes` are constants other than the preset's.
+    A dot's rim makes events while it moves; `more` adds others. `changes` are constants that differ from the preset's.
     """
 
     name: str
     shift: Callable[[int], tuple[float, float]] = lambda _: (0.0, 0.0)
     more: Callable[[int, np.random.Generator], Columns | None] = lambda *_: None
     changes: dict[str, Any] = field(default_factory=dict)
-    polarity: int | None = None  # all events have this one
+    polarity: int | None = None  # of all events
 
 
 def extreme_cases() -> list[TrackerCase]:
-    """The extremes, by name."""
+    """Return the extreme cases."""
     usual = partial(_circle, 3.0, 200.0)
     return [
         TrackerCase("no events"),
@@ -113,7 +113,7 @@ def _one_sided(k: int, rng: np.random.Generator) -> Columns | None:
 
 
 def _bar(count: int, k: int, rng: np.random.Generator) -> Columns | None:
-    """Both rims of a bar that crosses the frame at 5 px/ms."""
+    """Return the events of both rims of a bar that crosses the frame at 5 px/ms."""
     x = np.round(5.0 * k - 20.0 + 2.0 * rng.standard_normal(count) - 60.0 * rng.integers(0, 2, count))
     inside = (x >= 0) & (x < FRAME_PX[0])
     _, y, p = _anywhere(rng, int(inside.sum()))
@@ -121,7 +121,7 @@ def _bar(count: int, k: int, rng: np.random.Generator) -> Columns | None:
 
 
 def _moving_rims(before: NDArray[np.float64], after: NDArray[np.float64], rng: np.random.Generator) -> Columns:
-    """Events of dots (n, 2) that moved within a slice: in proportion to the distance, darker ahead, brighter behind."""
+    """Return events of dots (n, 2) moved within a slice: in proportion to distance, darker ahead, brighter behind."""
     shift = after - before
     length = np.linalg.norm(shift, axis=1)
     dot = np.repeat(np.arange(len(before)), rng.poisson(np.minimum(EVENTS_PER_PX * length, 2_000.0)))
@@ -150,7 +150,7 @@ def track_rows(case: TrackerCase, preset: str, slices: int, seed: int = 0) -> Ro
 
 
 def _played(case: TrackerCase, slices: int, rng: np.random.Generator) -> Iterator[tuple[Columns, Floats]]:
-    """The events of every slice, and where the dots are at its end."""
+    """Yield the events of every slice, and the dots' positions at its end."""
     dots_px = DOTS_PX.copy()
     for k in range(slices):
         target = DOTS_PX + case.shift(k)
@@ -165,7 +165,7 @@ def _played(case: TrackerCase, slices: int, rng: np.random.Generator) -> Iterato
 
 
 def scene_rows(name: str, preset: str, seed: int) -> Rows:
-    """Track a simulated slip with a preset; what is simulated is kept for the next preset."""
+    """Track a simulated slip with a preset; the simulation is cached for the next preset."""
 
     def run() -> Rows:
         slip = _simulated(name, seed)
@@ -178,7 +178,7 @@ def scene_rows(name: str, preset: str, seed: int) -> Rows:
 
 @dataclass(frozen=True)
 class SimulatedSlip:
-    """A slip: the dots that the tracker is told of, where they truly rest, their radius, which vanish, and the slices.
+    """A slip: the dots that the tracker is given, their true rest positions, radius, vanishing dots, and the slices.
 
     half_wavelength_nodes: see slip_grid.
     """
@@ -193,7 +193,7 @@ class SimulatedSlip:
 
 @lru_cache(maxsize=1)
 def _simulated(name: str, seed: int) -> SimulatedSlip:
-    """A slip with this extreme part."""
+    """Simulate a slip with this extreme part."""
     plan = merge(first_plan("slip", str(OBJECT)), SLIP_SOON, SLIPS[name])
     trial = SimulatedTrial((), Path("slip.recording.h5"), 0, seed, plan)
     devices, slices = play(trial)
@@ -212,7 +212,7 @@ def _simulated(name: str, seed: int) -> SimulatedSlip:
 
 
 def _rest_px(trial: SimulatedTrial) -> Floats:
-    """Where the dots truly are at rest, whatever the trial's calibration says."""
+    """Return the true positions of the dots at rest, independent of the trial's calibration."""
     rightly = replace(trial.plan, scene=replace(trial.plan.scene, calibration=None))
     devices = rig(rightly, trial.seeds())
     try:
@@ -234,10 +234,10 @@ def _followed(
     rest_px: Floats | None = None,
     vanished: Sequence[int] = (),
 ) -> Rows:
-    """How far the tracker is from the true dots, over all slices and all dots that it does not flag as lost.
+    """Measure the tracker's distance from the true dots, over all slices and all dots that it does not flag as lost.
 
-    rest_px: where the dots truly are before the first slice, if not where the tracker is told that they are. vanished:
-    dots that do so on the way.
+    rest_px: true positions of the dots before the first slice, if they differ from the given ones. vanished: dots that
+    vanish during the trial.
     """
     state = tracker.start(dots_px, constants)
     reported, events_max, flagged, jump_px = [], 0, 0, 0.0
@@ -254,8 +254,10 @@ def _followed(
     distances_px = np.concatenate(reported) if any(map(len, reported)) else np.zeros(1)
     silent = int((off_px[~state.lost] > WORST_DOT.most).sum())
     outcome = f"{int(state.lost.sum())} of {len(dots_px)} dots flagged lost, {silent} others off by more than"
-    outcome += f" {WORST_DOT.most:g} px at the end; {flagged / max(len(reported), 1):.3g} flagged in the mean slice, up"
-    outcome += f" to {events_max:,} events"
+    outcome += (
+        f" {WORST_DOT.most:g} px at the end; {flagged / max(len(reported), 1):.3g} flagged per slice on average, up"
+    )
+    outcome += f" to {events_max:,} events per slice"
     outcome += "".join(_why_off(float(np.linalg.norm(dots_px - rest_px, axis=1).max()), jump_px))
     unseen = [dot for dot in vanished if not state.lost[dot]]
     outcome += _why_unseen(off_px[unseen])
@@ -263,25 +265,25 @@ def _followed(
     return case_rows(case, outcome, measured, preset=preset)
 
 
-def _why_off(told_off_px: float, jump_px: float) -> Iterator[str]:
-    """What a row adds where dots are elsewhere before a tracker can have seen it: it was told wrong, or they jumped."""
-    if told_off_px > TOLD_RIGHT_PX:
-        yield f"; told of dots {told_off_px:.1f} px from where they are, which shows in events only where they move"
+def _why_off(grid_error_px: float, jump_px: float) -> Iterator[str]:
+    """Yield remarks for dots that the tracker cannot have followed: wrong initial positions, or jumps."""
+    if grid_error_px > TOLD_RIGHT_PX:
+        yield f"; given dot positions are up to {grid_error_px:.1f} px wrong, which events show only for moving dots"
         yield " (`evetac calibrate` finds them)"
     if jump_px > FOLLOWED_PX:
-        yield f"; a dot jumps by {jump_px:.1f} px in a slice, of which at most {FOLLOWED_PX:g} px are followed at once"
+        yield f"; a dot jumps by {jump_px:.1f} px in a slice; the tracker follows at most {FOLLOWED_PX:g} px per slice"
 
 
 def _why_unseen(off_px: Floats) -> str:
-    """What a row adds of dots that have vanished and are not flagged, by how far off they are."""
+    """Return a remark on dots that have vanished and are not flagged, with their distance."""
     if not (off_px > P99_DOT.most).any():
         return ""
     words = f"; {len(off_px)} dot{'s' * (len(off_px) != 1)} that vanished, up to {off_px.max():.1f} px off, not flagged"
-    return f"{words}: this is noticed only where all eight neighbours move by a pixel, and about alike"
+    return f"{words}: this is noticed only if all eight neighbours move by a pixel and about equally"
 
 
 def nonsense() -> list[tuple[str, Callable[[], object]]]:
-    """Calls with values that make no sense, by name; every one has to be refused."""
+    """Return calls with invalid values, by name; every one must be refused."""
     none = np.empty(0, np.uint16)
     state = tracker.start(DOTS_PX, PRESETS["stable"])
     pixel, dark = np.zeros(1, np.uint16), np.zeros(1, np.uint8)
@@ -312,7 +314,7 @@ def _change_constant(name: str, value: float) -> object:
 
 
 def duplicated_rows(preset: str, slices: int = 50, seed: int = 0) -> Rows:
-    """Track a slice's events given once and given twice, in another order, before dots that do not move."""
+    """Track the events of slices, each event given twice, in two different orders, for dots that do not move."""
     case = "every event twice"
 
     def run() -> Rows:
@@ -331,7 +333,7 @@ def duplicated_rows(preset: str, slices: int = 50, seed: int = 0) -> Rows:
 
 
 def cases(seed: int, full: bool) -> list[Callable[[], Rows]]:
-    """All cases with all presets; `full` runs those without a scene five times as long."""
+    """Return all cases with all presets; `full` runs those without a scene five times as long."""
     runs: list[Callable[[], Rows]] = []
     for preset in PRESETS:
         runs += [partial(track_rows, case, preset, SLICES.pick(full), seed) for case in extreme_cases()]

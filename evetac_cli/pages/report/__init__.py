@@ -1,4 +1,4 @@
-"""report: show a whole data set or study on one page that needs no network, or two of them beside each other."""
+"""report: show a whole data set or study on one self-contained page, or compare two of them."""
 
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from evetac_cli.pages.report.study import read_study, remark
 def run(
     folders: list[Path], params: Report, out: Path | None, *, force: bool = False, progress: Progress = silent
 ) -> Outcome:
-    """Write the page of one folder, or of two with `compare`; InputError if it exists, unless `force`."""
+    """Write the page of one folder, or of two with `compare`; raise InputError if it exists, unless `force`."""
     shared.check_libraries(("bokeh", "PIL"))
     _check(folders, params)
     if params.compare:
@@ -42,7 +42,7 @@ def run(
 
 
 def _check(folders: list[Path], params: Report) -> None:
-    """InputError unless these are as many folders as are wanted."""
+    """Raise InputError unless the folders exist and their number is correct."""
     for folder in folders:
         if not folder.exists():
             raise InputError("no such folder", where=str(folder), expected="a folder of stage files")
@@ -52,9 +52,9 @@ def _check(folders: list[Path], params: Report) -> None:
     wanted = 2 if params.compare else 1
     if len(folders) != wanted:
         raise InputError(
-            "another number of folders is wanted",
+            "wrong number of folders",
             where="evetac report --compare" if params.compare else "evetac report",
             expected="two folders" if params.compare else "one folder",
             found=str(len(folders)),
-            hint="--compare sets two folders side by side" if len(folders) == 2 else "",
+            hint="--compare compares two folders" if len(folders) == 2 else "",
         )

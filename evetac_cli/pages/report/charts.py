@@ -1,6 +1,6 @@
 """The charts of the report, drawn by Bokeh: onsets by object, detections as in the paper, shares, error against time.
 
-A point of a trial carries the number of the trial's row, so that a click on it shows that row.
+The point of a trial has the number of the trial's row, so that a click on it shows that row.
 """
 
 from collections import Counter
@@ -23,16 +23,16 @@ from evetac_cli.pages.shared import (
     bare_figure,
 )
 
-EARLY, RIGHT, LATE = ORANGE, BLUE, "#8c8c8c"  # the same three wherever timing is shown
+EARLY, RIGHT, LATE = ORANGE, BLUE, "#8c8c8c"  # the same in all charts of timing
 SHOWN_MS = 100  # farther onsets are drawn at the edge
 CDF_MS = (-60, 40)  # as in the paper's figure of slip timing
 MOST_BARS = 40
-MOST_MODELS = 6  # with a figure of their own
+MOST_MODELS = 6  # with their own chart
 OBJECT_COLOURS = (BLUE, ORANGE, GREEN, PINK, "#e6a23c", "#56b4e9", "#7a5195", "#8c8c8c")
 
 
 class Chart(NamedTuple):
-    """A figure with its title, what its colours mean (words -> colour), and a sentence."""
+    """A chart with its title, the meaning of its colours (words -> colour), and a sentence."""
 
     title: str
     figure: Any
@@ -43,12 +43,15 @@ class Chart(NamedTuple):
 def onset_chart(
     study: Study, number: int, kind: str, window_ms: tuple[int, int], x_label: str, title: str
 ) -> Chart | None:
-    """A point for every trial's error (`label_error_ms` or `model_error_ms`), a line an object; None without any."""
+    """Return a point per trial's error (`label_error_ms` or `model_error_ms`), a line per object.
+
+    None without errors.
+    """
     errors = [(at, trial, getattr(trial, kind)) for at, trial in enumerate(study.trials)]
-    points: list[tuple[int, tuple[str, float], float]] = []  # row, place on the axis of objects, error
+    points: list[tuple[int, tuple[str, float], float]] = []  # row, position on the axis of objects, error
     counts: Counter[str] = Counter()
     for at, name, ms in ((at, _object(trial), ms) for at, trial, ms in errors if ms is not None):
-        points.append((at, (name, 0.2 * (counts[name] % 3 - 1)), ms))  # three lines, so that fewer points hide others
+        points.append((at, (name, 0.2 * (counts[name] % 3 - 1)), ms))  # three sub-lines, so that fewer points overlap
         counts[name] += 1
     if not points:
         return None
@@ -75,17 +78,17 @@ def onset_chart(
                 chart, data, f"trials {kind} {words} {edge}", marker=marker, color=colour, angle=angle if edge else 0
             )
     beyond = sum(abs(ms) > SHOWN_MS for _, _, ms in points)
-    said = (
-        f"{beyond} of {len(points)} lie beyond {SHOWN_MS} ms or were never found: triangles at the edge."
+    remark = (
+        f"{beyond} of {len(points)} are beyond {SHOWN_MS} ms or were never found: triangles at the edge."
         if beyond
         else ""
     )
     keys = {"early": EARLY, f"within {low:+d} to {high:+d} ms": RIGHT, "late or never": LATE}
-    return Chart(title, chart, keys, said)
+    return Chart(title, chart, keys, remark)
 
 
 def detection_charts(evaluation: Found, window_ms: tuple[int, int]) -> list[Chart]:
-    """For each of the first models the share of trajectories detected by then: all, and thin lines for the objects."""
+    """Return for each of the first models the share of trajectories detected by each time: all, and by object."""
     rows = [
         row for row in evaluation.rows if "t_c_ms" in row and "t_m_minus_t_c_ms" in row and row["t_c_ms"] is not None
     ]
@@ -115,8 +118,10 @@ def detection_charts(evaluation: Found, window_ms: tuple[int, int]) -> list[Char
         if 1 < len(objects) <= len(OBJECT_COLOURS):
             keys |= {f"object {name}": colour for name, colour in zip(objects, OBJECT_COLOURS, strict=False)}
         beyond = sum(not CDF_MS[0] <= ms <= CDF_MS[1] for ms in detected)
-        said = [f"{never} are never detected."] * (never > 0) + [f"{beyond} are outside what is drawn."] * (beyond > 0)
-        charts.append(Chart(setting, chart, keys, " ".join(said)))
+        remarks = [f"{never} are never detected."] * (never > 0) + [f"{beyond} are outside the drawn range."] * (
+            beyond > 0
+        )
+        charts.append(Chart(setting, chart, keys, " ".join(remarks)))
     return charts
 
 
@@ -128,9 +133,9 @@ def share_chart(
     title: str,
     trials: Sequence[int],
 ) -> Chart | None:
-    """Stacked shares of each row (column -> words, colour), and the paper's share of the first of them as a diamond.
+    """Return stacked shares of each row (column -> words, colour), with the paper's first share as a diamond.
 
-    trials: how many each row's shares are of; the first has Wilson's 95 % interval by their number.
+    trials: number of trials behind each row's shares. The first share has Wilson's 95 % interval for this number.
     """
     from bokeh.models.annotations.arrows import TeeHead
     from bokeh.models.annotations.geometry import Whisker
@@ -178,7 +183,7 @@ def share_chart(
                 dimension="width",
                 level="overlay",
                 line_color=NEUTRAL,
-                name="interval",  # the page's script gives it a colour that is seen on bars and on the page
+                name="interval",  # the page's script colours it to be visible on bars and page
                 lower_head=head,
                 upper_head=head,
             )
@@ -195,13 +200,13 @@ def share_chart(
             line_color="#1f2730",
         )
         marks = ", ".join(dict.fromkeys(beside.mark for _, beside in published))
-        keys[f"the first of these in the paper ({marks})"] = PINK
-    said = f"Whiskers: 95 % interval of '{parts[first][0]}', by the number of trials (Wilson)." if ends else ""
-    return Chart(title, chart, keys, said)
+        keys[f"first share in the paper ({marks})"] = PINK
+    remark = f"Whiskers: 95 % interval of '{parts[first][0]}', by the number of trials (Wilson)." if ends else ""
+    return Chart(title, chart, keys, remark)
 
 
 def cost_charts(evaluation: Found) -> list[Chart]:
-    """Each error against the run time, both logarithmic; a point has the number of its setting in the table."""
+    """Return charts of each error against run time, both logarithmic; points have the number of their setting's row."""
     from bokeh.models.annotations.labels import LabelSet
     from bokeh.models.sources import ColumnDataSource
 
@@ -235,7 +240,7 @@ def cost_charts(evaluation: Found) -> list[Chart]:
                 f"Error in {unit} against run time",
                 chart,
                 {},
-                "Numbers are rows of the table below; what is 0 is not drawn.",
+                "Numbers are rows of the table below; values of 0 are not drawn.",
             )
         )
     return charts
@@ -249,7 +254,7 @@ def _object(trial: StudyTrial) -> str:
 
 
 def _distinct(labels: Sequence[str]) -> list[str]:
-    """Labels of an axis, on which none may come twice."""
+    """Return unique labels for an axis."""
     seen: dict[str, int] = {}
     for label in labels:
         seen[label] = seen.get(label, 0) + 1
@@ -281,7 +286,7 @@ def _points(chart: Any, data: dict[str, Any], name: str, **style: Any) -> None:
 
 
 def _step(chart: Any, rows: Rows, **style: Any) -> None:
-    """The share of trajectories that are detected by each ms; those that never are count too."""
+    """Draw the share of trajectories detected by each ms, relative to all, including never detected ones."""
     steps: NDArray[np.int64] = np.arange(CDF_MS[0], CDF_MS[1] + 1)
     late_by = np.array([row["t_m_minus_t_c_ms"] for row in rows if row["t_m_minus_t_c_ms"] is not None], float)
     share = (late_by[:, None] <= steps).sum(axis=0) / len(rows)

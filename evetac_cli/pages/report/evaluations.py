@@ -1,4 +1,4 @@
-"""What the report shows of each evaluation: which of its rows and columns, beside which figure of the paper."""
+"""Contents of the report for each evaluation: its rows and columns, and the paper's figures next to them."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from evetac_cli.pages.report.study import Found
 
 @dataclass(frozen=True)
 class ReportColumn:
-    """A column: its heading, the figure of ours, and the name by which paper.SHOWN knows the paper's."""
+    """A column: its heading, the key of evetac's figure, and the key of the paper's in paper.SHOWN."""
 
     heading: str
     key: str
@@ -20,7 +20,7 @@ class ReportColumn:
 
 @dataclass(frozen=True)
 class Subject:
-    """A table of a section: the rows it takes of a report, and its columns; none: all that the rows have."""
+    """A table of a section: the rows that it takes from a report, and its columns; empty: all columns of the rows."""
 
     command: str
     section: str
@@ -31,7 +31,7 @@ class Subject:
 
 @dataclass(frozen=True)
 class Section:
-    """A part of the page: its name, as in `evetac evaluate NAME`, and what it answers."""
+    """A section of the page: its name, as in `evetac evaluate NAME`, its title, and a sentence on its contents."""
 
     name: str
     title: str
@@ -41,62 +41,62 @@ class Section:
 SECTIONS = (
     Section(
         "slip",
-        "Slip detection, models side by side",
-        "A first detection is correct from 50 ms before to 20 ms after the onset in the labels; earlier is early, later"
+        "Slip detection by model",
+        "A first detection is correct from 50 ms before to 20 ms after the labels' onset; earlier is early, later"
         " or never is late. Means over objects and trainings, as in the paper.",
     ),
-    Section("labels", "Labels against the truth", "t_c - t_s, in simulations alone."),
+    Section("labels", "Labels against the truth", "t_c - t_s, in simulations only."),
     Section(
         "tracking",
         "Dot tracking",
-        "Whether every dot ends where it began, and how far from the truth it was.",
+        "Whether every dot ends where it began, and its distance from the truth.",
     ),
-    Section("grasp", "Grasps", "Lifted and kept by feel, by controller and object."),
+    Section("grasp", "Grasps", "Objects lifted and kept using touch, by controller and object."),
     Section(
         "force",
         "Forces from dots",
-        "Mean absolute error over trajectories that the model never saw.",
+        "Mean absolute error over unseen trajectories.",
     ),
     Section(
         "vibration",
         "Vibration",
-        "Windows in which the frequency of the tone is found.",
+        "Windows in which the frequency of the tone is detected.",
     ),
     Section(
         "data-rate",
         "Data rate",
-        f"Bytes per second of {paper.COLUMNS} columns as a share of an RGB sensor's, as in the paper; beside them those"
-        " of the columns beyond, where a cut gel has its window.",
+        f"Bytes per second of {paper.COLUMNS} columns as a share of an RGB sensor's, as in the paper; next to it the"
+        " share of the columns beyond, where a cut gel has its window.",
     ),
     Section(
         "realism",
         "Simulated against real",
-        "How far figures of a simulated recording are from a real one's.",
+        "Differences between figures of a simulated recording and a real one.",
     ),
     Section(
         "likeness",
         "Public facts about the sensor",
-        "What recordings, and evetac's own trainings and grasps, say of what is publicly known of the real sensor.",
+        "Publicly known facts about the real sensor, compared with recordings and with evetac's trainings and grasps.",
     ),
     Section(
         "cost",
         "Error against run time",
-        "Run times are of the computer and the moment at which they were measured.",
+        "Run times depend on the computer and its load when they were measured.",
     ),
     Section(
         "stability",
         "Stiff and extreme cases",
-        "Each case stays within a stated bound, or is refused with a reason; those that do neither come first.",
+        "Each case must stay within a stated bound or be refused with a reason; cases that do neither come first.",
     ),
 )
 
 
 def having(*keys: str) -> Callable[[Found], Rows]:
-    """Rows that have these columns: each table of a report has its own."""
+    """Return a function that selects rows with these columns; each table of a report has its own columns."""
     return lambda evaluation: [row for row in evaluation.rows if all(key in row for key in keys)]
 
 
-# Rows that are put together -------------------------------------------------------------------------------------------
+# Combined rows --------------------------------------------------------------------------------------------------------
 
 
 def _grouped(rows: Iterable[Row], keys: tuple[str, ...]) -> list[Rows]:
@@ -112,13 +112,13 @@ def _mean(rows: Rows, key: str) -> float | None:
 
 
 def _timing(evaluation: Found) -> Rows:
-    """When each setting detects slip first, with what the setting is."""
+    """Return the detection times of each setting, joined with the setting's own row."""
     settings = {row["setting"]: row for row in having("setting", "seeds")(evaluation)}
     return [{**settings.get(row["setting"], {}), **row} for row in having("setting", "over_50_ms_ahead")(evaluation)]
 
 
 def _forces(evaluation: Found) -> Rows:
-    """Means over trajectories of each sensor and model of the paper's method."""
+    """Return means over trajectories for each sensor and model of the paper's method."""
     groups = _grouped(having("model", "sensor", "mae_n_x")(evaluation), ("sensor", "model", "sensor_name"))
     keys = ("mae_n_x", "mae_n_y", "paper_mae_n_x", "paper_mae_n_y")
     return [
@@ -127,7 +127,7 @@ def _forces(evaluation: Found) -> Rows:
 
 
 def _gel_forces(evaluation: Found) -> Rows:
-    """Means over trajectories, by what is known of the gel."""
+    """Return means over trajectories by knowledge of the gel."""
     keys = ("mae_n", "normal_mae_n", "shear_within_sd", "normal_within_sd", "contact_right")
     groups = _grouped(having("stiffness", "mae_n")(evaluation), ("stiffness",))
     return [
@@ -136,7 +136,7 @@ def _gel_forces(evaluation: Found) -> Rows:
 
 
 def _windows(evaluation: Found) -> Rows:
-    """Shares over all recordings of a tone."""
+    """Return shares over all recordings of a tone."""
     rows = []
     for members in _grouped(
         having("window_s", "correct", "expected_hz")(evaluation), ("method", "expected_hz", "window_s")
@@ -147,7 +147,7 @@ def _windows(evaluation: Found) -> Rows:
 
 
 def _cases(evaluation: Found) -> Rows:
-    """A row a case: the quantity that is nearest to its bound, or farthest beyond it; cases that are not ok first."""
+    """Return a row per case: the quantity nearest to its bound or farthest beyond it; failed cases come first."""
     part = next(
         (key for key in ("part", "preset", "controller") if evaluation.rows and key in evaluation.rows[0]), "case"
     )
@@ -159,7 +159,7 @@ def _cases(evaluation: Found) -> Rows:
 
 
 def slips_of(row: Row, evaluation: Found) -> int:
-    """How many slips the timing of a setting is of, whatever the number of seeds."""
+    """Return the number of slips behind the timing of a setting, independent of the number of seeds."""
     own = [one for one in evaluation.rows if "t_c_ms" in one and one["setting"] == row["setting"]]
     return int(sum(one["t_c_ms"] is not None for one in own) // max(row["seeds"], 1))
 
@@ -172,7 +172,7 @@ SUBJECTS = (
     Subject(
         "evaluate slip",
         "slip",
-        "The slips that are judged on, median and 10-90 % range",
+        "The slips used for evaluation, median and 10-90 % range",
         having("covariate", "median"),
         (
             ReportColumn("covariate", "covariate"),
@@ -202,7 +202,7 @@ SUBJECTS = (
     Subject(
         "evaluate slip",
         "slip",
-        "First detection against the labels' onset, shares of trajectories",
+        "First detection relative to the labels' onset, shares of trajectories",
         _timing,
         (
             ReportColumn("model", "setting"),
@@ -219,18 +219,18 @@ SUBJECTS = (
     Subject(
         "evaluate labels",
         "labels",
-        "Onset by the labels against gross slip",
+        "Labelled onset against gross slip",
         _summary,
         (
             ReportColumn("method", "method"),
             ReportColumn("trajectories", "trajectories"),
             ReportColumn("onsets found", "onsets_found"),
             ReportColumn("abstained", "abstained"),
-            ReportColumn("of the rest within 0.5 px slid", "rest_within_half_px"),
-            ReportColumn("... over 10 ms early", "rest_over_10_ms_early"),
-            ReportColumn("... in -4..+3 ms", "rest_within_minus4_plus3_ms"),
-            ReportColumn("interval covers", "interval_coverage"),
-            ReportColumn("its median width [px]", "interval_width_px_median"),
+            ReportColumn("others: within 0.5 px of sliding", "rest_within_half_px"),
+            ReportColumn("others: over 10 ms early", "rest_over_10_ms_early"),
+            ReportColumn("others: within -4..+3 ms", "rest_within_minus4_plus3_ms"),
+            ReportColumn("interval covers onset", "interval_coverage"),
+            ReportColumn("interval width, median [px]", "interval_width_px_median"),
             ReportColumn("median error [ms]", "onset_error_ms_median"),
             ReportColumn("worst [ms]", "onset_error_ms_worst"),
             ReportColumn("over 4 ms before gross slip", "earlier_than_4_ms_before_gross_slip"),
@@ -244,8 +244,8 @@ SUBJECTS = (
         (
             ReportColumn("preset", "preset"),
             ReportColumn("trajectories", "trajectories"),
-            ReportColumn("all dots end where they began", "consistent_share", "paper_consistent_share"),
-            ReportColumn("dots lost where not", "dots_lost_mean", "paper_dots_lost_mean"),
+            ReportColumn("all dots end at their start", "consistent_share", "paper_consistent_share"),
+            ReportColumn("dots lost otherwise", "dots_lost_mean", "paper_dots_lost_mean"),
             ReportColumn("error, rms [px]", "error_px_rms"),
             ReportColumn("worst dot [px]", "error_px_worst"),
             ReportColumn("standing still [px]", "still_px_rms"),
@@ -261,11 +261,11 @@ SUBJECTS = (
             ReportColumn("trials", "trials"),
             ReportColumn("lifted and kept", "success", "paper_success"),
             ReportColumn("lifted", "lifted"),
-            ReportColumn("kept of those lifted", "balanced"),
+            ReportColumn("kept if lifted", "balanced"),
             ReportColumn("grip at the end [N]", "force_end_n"),
             ReportColumn("moved, median [mm]", "moved_mm_median"),
             ReportColumn("moved, mean [mm]", "moved_mm_mean"),
-            ReportColumn("opened again in balance", "reopened_share", "paper_reopened_share"),
+            ReportColumn("reopened in balance", "reopened_share", "paper_reopened_share"),
         ),
     ),
     Subject(
@@ -305,26 +305,26 @@ SUBJECTS = (
         "Forces, a model for any sensor",
         _gel_forces,
         (
-            ReportColumn("stiffness of the gel", "stiffness"),
+            ReportColumn("gel stiffness", "stiffness"),
             ReportColumn("trajectories", "trajectories"),
             ReportColumn("shear error [N]", "mae_n"),
             ReportColumn("normal error [N]", "normal_mae_n"),
             ReportColumn("shear within its sd", "shear_within_sd"),
             ReportColumn("normal within its sd", "normal_within_sd"),
-            ReportColumn("contact right", "contact_right"),
+            ReportColumn("contact correct", "contact_right"),
         ),
     ),
     Subject(
         "evaluate vibration",
         "vibration",
-        "Windows whose tone is right",
+        "Windows with the correct tone",
         _windows,
         (
             ReportColumn("method", "method"),
             ReportColumn("tone [Hz]", "expected_hz"),
             ReportColumn("window [s]", "window_s"),
             ReportColumn("windows", "windows"),
-            ReportColumn("share right", "share", "paper_share"),
+            ReportColumn("share correct", "share", "paper_share"),
         ),
     ),
     Subject(
@@ -359,7 +359,7 @@ SUBJECTS = (
     Subject(
         "evaluate likeness",
         "likeness",
-        "Facts that something is told of",
+        "Facts with figures",
         lambda found: [row for row in having("fact", "public")(found) if row["not_told"] is None],
         (
             ReportColumn("counted", "counts"),
@@ -377,7 +377,7 @@ SUBJECTS = (
     Subject(
         "evaluate stability",
         "stability",
-        "Cases, of each what is nearest to its bound",
+        "Cases, each with the quantity nearest to its bound",
         _cases,
         (
             ReportColumn("part", "part"),
@@ -395,7 +395,7 @@ SUBJECTS = (
 
 
 def columns_of(subject: Subject, rows: Rows) -> tuple[ReportColumn, ...]:
-    """The columns that hold anything."""
+    """Return the columns that have a value in any row."""
     every = dict.fromkeys(key for row in rows for key in row)
     named = subject.columns or tuple(ReportColumn(key.replace("_", " "), key) for key in every)
     return tuple(column for column in named if any(row.get(column.key) is not None for row in rows))

@@ -1,4 +1,4 @@
-"""The figures of a whole study that stand at the top of the report, and those of two studies beside each other."""
+"""Headline figures of a study, shown at the top of the report, and those of two studies side by side."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -16,9 +16,9 @@ LABELS_MS = (EARLIEST_MS, LATEST_MS)
 
 
 class StudyFigure(NamedTuple):
-    """One figure of a study: what, how much, over how many trials, and what kind of number it is.
+    """One figure of a study: name, value, number of trials behind it, and kind of number.
 
-    kind: `share`, 0 to 1; `time` in s; `count`; else nothing, and the unit is in the name.
+    kind: `share`, 0 to 1; `time` in s; `count`; otherwise empty, and the unit is in the name.
     """
 
     name: str
@@ -28,7 +28,7 @@ class StudyFigure(NamedTuple):
 
 
 def in_words(value: float | int, kind: str) -> str:
-    """A figure as it is read: shares in percent, times and large counts in the unit that suits their size."""
+    """Return a figure as text: shares in percent, times and large counts in a suitable unit."""
     size = abs(value)
     if kind == "share":
         return f"{value:.0%}"
@@ -45,7 +45,7 @@ def in_words(value: float | int, kind: str) -> str:
 
 
 def headline(study: Study) -> list[StudyFigure]:
-    """What is known of all trials together; what no trial tells is left out."""
+    """Return the figures over all trials together; figures that no trial provides are left out."""
     trials = study.trials
     seconds = [trial.row.slices / SLICES_PER_S for trial in trials if trial.row.slices]
     figures = [
@@ -58,17 +58,17 @@ def headline(study: Study) -> list[StudyFigure]:
     slipping = [trial for trial in trials if trial.t_s is not None and trial.labelled_by is not None]
     errors = [trial.label_error_ms for trial in slipping if trial.label_error_ms is not None]
     if slipping:
-        over = f"{len(slipping)} that slip"
+        over = f"{len(slipping)} trials that slip"
         right = sum(LABELS_MS[0] <= error <= LABELS_MS[1] for error in errors)
         figures += [
-            StudyFigure("onsets that have a label", len(errors) / len(slipping), over, kind="share"),
+            StudyFigure("onsets with a label", len(errors) / len(slipping), over, kind="share"),
             StudyFigure("labels within -4..+3 ms of the truth", right / len(slipping), over, kind="share"),
         ]
     if errors:
         figures.append(StudyFigure("t_c - t_s, median [ms]", float(np.median(errors)), str(len(errors))))
     judged = [ms for trial in trials for ms in trial.late_by]
     if judged:
-        over = f"{len(judged)} trials times models"
+        over = f"{len(judged)} pairs of trial and model"
         known = [ms for ms in judged if ms is not None]
         correct = sum(TIMING_MS[0] <= ms <= TIMING_MS[1] for ms in known)
         figures.append(StudyFigure("timing correct, all models", correct / len(judged), over, kind="share"))
@@ -94,7 +94,7 @@ def headline(study: Study) -> list[StudyFigure]:
 
 
 def matched(studies: Sequence[Study]) -> list[tuple[StudyTrial, StudyTrial]]:
-    """Trials that both have: of the same recipe, else of the same scene, object, sensor, seed and number."""
+    """Return the trials in both studies, matched by recipe, else by scene, object, sensor, seed and trial number."""
     one, other = (study.trials for study in studies)
     by_id = {trial.recording_id: trial for trial in other}
     by_name = {_identity(trial): trial for trial in other if trial.row.seed is not None}

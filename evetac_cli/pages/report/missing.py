@@ -1,6 +1,6 @@
-"""What a study lacks although its files would allow it, each with the command that makes it.
+"""Missing parts of a study that its files would allow, each with the command that creates it.
 
-Only what suits the files is offered: no grasps of a folder of slips, no labels of slip where the gel has no window.
+Only suitable commands are offered: no grasp evaluation for a folder of slips, no slip labels if the gel has no window.
 """
 
 import shlex
@@ -15,30 +15,30 @@ from evetac_cli.resources import MODEL, SHIPPED
 from evetac_cli.stages.splits import recording_ids
 from evetac_cli.store.files import StageFile
 
-MOST_PATHS = 20  # in a command
-MOST_MODELS = 20  # of which it is read what they were trained on
-STAGES = (("tracks", "track"), ("labels", "label"), ("features", "featurize"))  # in their order
+MOST_PATHS = 20  # per command
+MOST_MODELS = 20  # whose training recordings are read
+STAGES = (("tracks", "track"), ("labels", "label"), ("features", "featurize"))  # in processing order
 
 
 class Lack(NamedTuple):
-    """Something that is missing, in words, and the command that makes it; none where no command can."""
+    """A missing part in words, and the command that creates it; no command if there is none."""
 
     says: str
     command: str = ""
 
 
 def missing(study: Study) -> list[Lack]:
-    """What a study lacks; commands are for a shell in the folder in which the report was made."""
+    """Return the missing parts of a study; commands are for a shell in the folder where the report was made."""
     lacks = []
     if not study.files["recording"]:
-        lacks.append(Lack("There are no recordings: no events, no truth, no thumbnails."))
+        lacks.append(Lack("There are no recordings, so there are no events, truth or thumbnails."))
     for kind, command in STAGES:
         without = [trial for trial in study.trials if kind not in trial.files and _allows(kind, trial)]
         if without:
             says = f"{len(without)} of {len(study.trials)} trials {'has' if len(without) == 1 else 'have'} no {kind}."
             lacks.append(Lack(says, command_for(command, _with_their_folders(study, without, kind))))
     if study.files["labels"] and not any(trial.has_truth for trial in study.trials):
-        lacks.append(Lack("No recording has ground truth: labels cannot be compared with it."))
+        lacks.append(Lack("No recording has ground truth, so labels cannot be evaluated."))
     for section in SECTIONS:
         if section.name in _OFFERS and not study.reports(f"evaluate {section.name}"):
             lacks += [lack._replace(says=f"{section.title}{lack.says}") for lack in _OFFERS[section.name](study)]
@@ -46,14 +46,14 @@ def missing(study: Study) -> list[Lack]:
 
 
 def _allows(kind: str, trial: StudyTrial) -> bool:
-    """Whether a stage can make a kind of file of a trial: dots are followed on a grid, slip is seen in the window."""
+    """Whether a stage can make a kind of file from a trial: tracking needs a dot grid, slip labels need the window."""
     if "recording" not in trial.files or trial.broken or trial.grasp is not None:
         return False
     return trial.has_dots and (kind == "tracks" or trial.has_window)
 
 
 def _with_their_folders(study: Study, trials: list[StudyTrial], kind: str) -> list[Path]:
-    """The folders of these trials; the recordings themselves in a folder that has others, which would be refused."""
+    """Return the folders of these trials; where a folder has unsuitable recordings too, the recordings instead."""
     recordings = [trial for trial in study.trials if "recording" in trial.files]
     refused = {_folder(study, trial, "recording") for trial in recordings if not _allows(kind, trial)}
     paths = ((_folder(study, trial, "recording"), study.folder / trial.files["recording"]) for trial in trials)
@@ -64,7 +64,7 @@ def _with_their_folders(study: Study, trials: list[StudyTrial], kind: str) -> li
 
 
 def _offer(command: str, kind: str, suits: Callable[[StudyTrial], bool], *more: str) -> Callable[[Study], list[Lack]]:
-    """Offers an evaluation of the files of a kind in folders in which all trials that have one suit."""
+    """Return a function that offers an evaluation of a kind of file in folders where all such trials suit."""
 
     def offer(study: Study) -> list[Lack]:
         having = [trial for trial in study.trials if kind in trial.files]
@@ -76,7 +76,7 @@ def _offer(command: str, kind: str, suits: Callable[[StudyTrial], bool], *more: 
 
 
 def _slip(study: Study) -> list[Lack]:
-    """Slip detection by models that never saw these trials: those of the folder, else the package's."""
+    """Offer slip detection by models that were not trained on these trials: the folder's, else the pretrained one."""
     offered = _offer("slip", "features", lambda trial: "labels" in trial.files)(study)
     if not offered:
         return []
@@ -84,7 +84,7 @@ def _slip(study: Study) -> list[Lack]:
     new = [path for path in study.models_at[:MOST_MODELS] if _is_new(path, here)]
     models = [_word(path) for path in new] or ([SHIPPED] if _is_new(MODEL, here) else [])
     if not models:
-        return [Lack(": each model here may have been trained on these trials; train one on others.")]
+        return [Lack(": every model here may have been trained on these trials; train a model on other trials.")]
     return [lack._replace(command=" ".join((lack.command, "--model", *models))) for lack in offered]
 
 
@@ -96,13 +96,13 @@ def _is_new(model: Path, recordings: set[str]) -> bool:
 
 
 def trained_on(model: Path) -> set[str]:
-    """The ids of the recordings that a model was trained on; InputError where it cannot be read."""
+    """Return the ids of the recordings that a model was trained on; raise InputError if it cannot be read."""
     with StageFile(model, "model") as file:
         return recording_ids(file.header)
 
 
 def _realism(study: Study) -> list[Lack]:
-    """A real recording against a simulated one of the same frame, where the folder holds both."""
+    """Offer to compare a real recording with a simulated one of the same frame, if the folder has both."""
     first: dict[tuple[int, int], dict[bool, Path]] = {}
     for trial in study.trials:
         if trial.frame_px is not None:
@@ -134,16 +134,16 @@ def _folder(study: Study, trial: StudyTrial, kind: str) -> Path:
 
 
 def _folders(study: Study, trials: Iterable[StudyTrial], kind: str) -> list[Path]:
-    """Where files of a kind lie: commands look into the folders that they are given, and not below."""
+    """Return the folders of files of a kind: commands search the given folders, but not their subfolders."""
     return list(dict.fromkeys(_folder(study, trial, kind) for trial in trials))
 
 
 def command_for(command: str, paths: Iterable[Path], *more: str) -> str:
-    """A command of evetac for a shell, with at most MOST_PATHS of the paths."""
+    """Return a command of evetac for a shell, with at most MOST_PATHS of the paths."""
     return " ".join(("evetac", command, *[_word(path) for path in paths][:MOST_PATHS], *more))
 
 
 def _word(path: Path) -> str:
-    """A path as one word of a shell, which no command takes for a flag."""
+    """Return a path as one shell word that no command mistakes for a flag."""
     text = str(path)
     return shlex.quote(f"./{text}" if text.startswith("-") else text)

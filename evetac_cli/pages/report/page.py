@@ -1,4 +1,4 @@
-"""The page that report writes: trials, onsets and evaluations of one study, or of two beside each other."""
+"""The page of report: trials, onsets and evaluations of one study, or of two compared."""
 
 import html
 from collections.abc import Iterable, Sequence
@@ -17,17 +17,17 @@ from evetac_cli.pages.report.tables import cell, figure_text, table
 from evetac_cli.pages.report.trial_table import onset_charts, trial_table, trials_of_both
 from evetac_cli.resources import PACKAGE
 
-MOST_ROWS = 300  # of any other table
+MOST_ROWS = 300  # of each table except the trials
 
 
 class Drawn:
-    """The charts of a page, in the order in which they stand in it; Bokeh embeds them all at once."""
+    """The charts of a page in their order; Bokeh embeds them all at once."""
 
     def __init__(self) -> None:
         self._figures: list[Any] = []
 
     def place(self, drawn: Iterable[Chart | None], study: str = "") -> str:
-        """HTML of these charts, with a mark where each figure goes."""
+        """Return HTML for these charts, with a mark at the position of each figure."""
         texts = []
         for chart in drawn:
             if chart is None:
@@ -37,14 +37,14 @@ class Drawn:
                 for words, colour in chart.keys.items()
             )
             title = " &middot; ".join(shared.short(part) for part in (study, chart.title) if part)
-            said = f"<p class='hint'>{shared.short(chart.says)}</p>" if chart.says else ""
+            hint = f"<p class='hint'>{shared.short(chart.says)}</p>" if chart.says else ""
             head = f"<h3>{title}<span class='keys'>{keys}</span></h3>"
-            texts.append(f"<figure class='chart'>{head}{said}\0{len(self._figures)}\0</figure>")
+            texts.append(f"<figure class='chart'>{head}{hint}\0{len(self._figures)}\0</figure>")
             self._figures.append(chart.figure)
         return f"<div class='charts'>{''.join(texts)}</div>" if texts else ""
 
     def embed(self, text: str) -> tuple[str, str, str]:
-        """Bokeh's script, its library, and the text with the figures in their places."""
+        """Return Bokeh's script, its library, and the text with the figures filled in."""
         script, library, places = shared.embed(self._figures)
         for number, place in enumerate(places):
             text = text.replace(f"\0{number}\0", place, 1)
@@ -52,13 +52,13 @@ class Drawn:
 
 
 def render(studies: Sequence[Study], page: Path) -> bytes:
-    """The whole page; EvetacError where it would be larger than 20 MB."""
+    """Return the whole page; raise EvetacError if it would exceed 20 MB."""
     drawn = Drawn()
     title = " against ".join(study.name for study in studies)
     simulated = any(study.simulated for study in studies)
     sections = [("overview", "Overview", _overview(studies))]
     if len(studies) > 1:
-        sections.append(("both", "Trials that both have", trials_of_both(studies)))
+        sections.append(("both", "Trials in both studies", trials_of_both(studies)))
     onsets = "".join(drawn.place(shown, study) for study, shown in onset_charts(studies))
     sections.append(("trials", "Trials", onsets + trial_table(studies, page)))
     for section in SECTIONS:
@@ -85,7 +85,7 @@ def render(studies: Sequence[Study], page: Path) -> bytes:
         "LIBRARY": library,
         "SCRIPT": script,
     }
-    return shared.fill(PACKAGE / "pages" / "report" / "page.html", parts, studies[0].folder, "a report on a part of it")
+    return shared.fill(PACKAGE / "pages" / "report" / "page.html", parts, studies[0].folder, "report on a subfolder")
 
 
 def _overview(studies: Sequence[Study]) -> str:
@@ -119,7 +119,7 @@ def _over(figure: StudyFigure) -> str:
 
 
 def _section(section: Section, studies: Sequence[Study], drawn: Drawn) -> str:
-    """Charts and tables of the reports of a section; empty where there are none."""
+    """Return charts and tables of the reports of a section; empty if there are none."""
     several = len(studies) > 1
     text = ""
     for study in studies:
@@ -129,14 +129,14 @@ def _section(section: Section, studies: Sequence[Study], drawn: Drawn) -> str:
         if subject.section != section.name:
             continue
         of_reports = [(study, evaluation) for study in studies for evaluation in study.reports(subject.command)]
-        # Without columns of its own a subject shows all that a report has, which differs from report to report.
+        # A subject without columns shows all columns of a report, which differ between reports.
         for some in [of_reports] if subject.columns else [[one] for one in of_reports]:
             text += _subject(subject, some, several)
     return f"<p class='hint'>{html.escape(section.says)}</p>{text}" if text else ""
 
 
 def _subject(subject: Subject, of_reports: Sequence[tuple[Study, Found]], several: bool) -> str:
-    """The table of a subject; empty where no report has such rows."""
+    """Return the table of a subject; empty if no report has such rows."""
     entries = [
         (study, evaluation, row)
         for study, evaluation in of_reports
@@ -156,13 +156,13 @@ def _subject(subject: Subject, of_reports: Sequence[tuple[Study, Found]], severa
         rows.append(f"<tr{bad}>{''.join(cells)}</tr>")
     simulated = all(evaluation.simulated for _, evaluation in of_reports)
     badge = " <span class='badge simulated'>simulated</span>" if simulated else ""
-    more = f" <small>the first {MOST_ROWS} of {len(entries)}</small>" if len(entries) > MOST_ROWS else ""
+    more = f" <small>first {MOST_ROWS} of {len(entries)}</small>" if len(entries) > MOST_ROWS else ""
     title = subject.title if subject.columns else f"{subject.title}, {of_reports[0][1].path}"
     return f"<h3>{shared.short(title)}{badge}{more}</h3>" + table(heads, rows)
 
 
 def _with_paper(column: evaluations.ReportColumn, row: dict[str, Any], evaluation: Found) -> str:
-    """A cell with the paper's figure and its mark beside ours."""
+    """Return a cell with evetac's figure, and the paper's with its mark."""
     beside = paper.beside(column.paper, row, evaluation.source) if column.paper else None
     words = f" <small class='paper'>({figure_text(beside.value)}, {beside.mark})</small>" if beside else ""
     return cell(row.get(column.key), words)
@@ -199,7 +199,7 @@ def _charts_of(section: str, evaluation: Found) -> list[Chart | None]:
 
 
 def _missing(studies: Sequence[Study]) -> str:
-    """What each study lacks, with commands that a click selects as a whole."""
+    """Return the missing parts of each study, with commands that a click selects."""
     lines = []
     for study in studies:
         which = f"{study.name}: " if len(studies) > 1 else ""

@@ -1,4 +1,4 @@
-"""What a folder holds: its trials with their onsets, as far as files tell them, and the reports of `evaluate` in it."""
+"""Contents of a folder: its trials with their onsets as far as known, and the reports of `evaluate` in it."""
 
 import json
 from collections import Counter
@@ -24,17 +24,17 @@ from evetac_cli.store.recordings.read import Recording, open_recording, true_ons
 from evetac_cli.text_files import open_regular
 
 OF_TRIAL = ("recording", "labels", "tracks", "features", "touch")
-SHOWN_MS = 5  # of events in a thumbnail
+SHOWN_MS = 5  # duration of events in a thumbnail
 THUMBNAIL_PX = 160
-THUMBNAIL_BYTES = 8_000_000  # of PNG in a page; a third more as text
+THUMBNAIL_BYTES = 8_000_000  # of PNG per page; a third more as base64
 VIEW_MARK = b"- evetac view</title>"
 
 
 @dataclass
 class Found:
-    """A report of `evaluate` that was found."""
+    """A report of `evaluate` found in the folder."""
 
-    path: str  # from the folder on
+    path: str  # relative to the folder
     command: str
     header: dict[str, Any]
     rows: Rows
@@ -47,11 +47,11 @@ class Found:
 
     @cached_property
     def source(self) -> Source:
-        """What its rows come from."""
+        """The origin of its rows."""
         return Source.of([self.header])
 
     def recordings(self, kind: str) -> list[str | None]:
-        """The ids of the recordings of the files of a kind that it was made from, in the order of its rows."""
+        """Return the ids of the recordings behind its input files of a kind, in the order of its rows."""
         history = self.header["history"]
         parents = [history[parent] for parent in self.header["parents"] if parent in history]
         made_from = [recording_of(parent, history) for parent in parents if parent["kind"] == kind]
@@ -60,11 +60,11 @@ class Found:
 
 @dataclass
 class StudyTrial:
-    """One trial of a data set, and what its files and the reports say of it; None where they do not."""
+    """One trial of a data set, with results from its files and the reports; None for missing ones."""
 
     recording_id: str
-    row: IndexRow  # of its recording in the index, else of another of its files
-    files: dict[str, str]  # kind -> path from the folder on
+    row: IndexRow  # index row of its recording, else of another of its files
+    files: dict[str, str]  # kind -> path relative to the folder
     events: int | None = None
     has_truth: bool = False
     has_dots: bool = False  # a grid of dots to follow
@@ -73,16 +73,16 @@ class StudyTrial:
     t_s: int | None = None  # ms; truth
     t_c: int | None = None  # ms; labels
     labelled_by: str | None = None
-    late_by: list[int | None] = field(default_factory=list)  # t_m - t_c in ms by each model; None: never detected
+    late_by: list[int | None] = field(default_factory=list)  # t_m - t_c in ms for each model; None: never detected
     tracking_px: float | None = None
     grasp: dict[str, Any] | None = None
     thumbnail: bytes | None = None
-    page: Path | None = None  # of `view`
+    page: Path | None = None  # written by `view`
     broken: str = ""  # why its recording cannot be read
 
     @property
     def name(self) -> str:
-        """Its name, with the folder in which it lies."""
+        """Its name, including its folder."""
         path = Path(self.row.path)
         return str(path.with_name(stem(path)))
 
@@ -93,7 +93,7 @@ class StudyTrial:
 
     @property
     def model_error_ms(self) -> float | None:
-        """t_m - t_c, median over the models; infinite where most of them never detect the slip."""
+        """t_m - t_c, median over the models; infinite if most of them never detect the slip."""
         if not self.late_by:
             return None
         return float(np.quantile([np.inf if ms is None else ms for ms in self.late_by], 0.5, method="higher"))
@@ -101,7 +101,7 @@ class StudyTrial:
 
 @dataclass
 class Study:
-    """A folder: trials, reports, and what else is in it."""
+    """A folder: trials, reports, and its other files."""
 
     folder: Path
     name: str
@@ -114,18 +114,18 @@ class Study:
     models_at: list[Path] = field(default_factory=list)  # of slip detectors
 
     def reports(self, command: str) -> list[Found]:
-        """The reports of an evaluation."""
+        """Return the reports of an evaluation."""
         return [one for one in self.evaluations if one.command == command]
 
     @property
     def models(self) -> int:
-        """How many models judged the trial that most of them judged."""
+        """The largest number of models evaluated on one trial."""
         return max((len(trial.late_by) for trial in self.trials), default=0)
 
 
 def read_study(folder: Path, progress: Progress) -> Study:
-    """Look through a folder; InputError where it is none, or holds no file of evetac's."""
-    if next(folder.rglob("*.h5"), None) is None:  # seen first: an index has no place in a folder of other things
+    """Search a folder; raise InputError if it contains no file of evetac."""
+    if next(folder.rglob("*.h5"), None) is None:  # checked first: no index is written into an unrelated folder
         others = sum(1 for path in folder.iterdir() if not path.name.startswith("."))
         raise _nothing(folder, f"{others} other files and folders" if others else "an empty folder")
     with open_index(folder, progress) as index:
@@ -156,30 +156,30 @@ def read_study(folder: Path, progress: Progress) -> Study:
         group.setdefault(row.kind, row)
     for kind, count in several.items():
         if count:
-            study.notes.append(f"Of {count} trials there are several {kind}: the first by name are shown.")
+            study.notes.append(f"{count} trials have several {kind} files: the first by name are shown.")
     room = THUMBNAIL_BYTES
     for number, (id_, group) in enumerate(groups.items()):
         progress(number, len(groups))
         first = next(group[kind] for kind in OF_TRIAL if kind in group)
         outcome = next((row.outcome for row in group.values() if row.outcome is not None), None)
-        first = first._replace(outcome=outcome)  # a real recording's is known from its labels
+        first = first._replace(outcome=outcome)  # a real recording's outcome is stored with its labels
         trial = StudyTrial(id_, first, {kind: row.path for kind, row in group.items()})
         _read_trial(folder, trial, draw=room > 0)
         room -= len(trial.thumbnail or b"")
         study.trials.append(trial)
     if room <= 0:
-        study.notes.append("Thumbnails: of the first trials only, so that the page stays small.")
+        study.notes.append("Thumbnails: only of the first trials, to keep the page small.")
     _judge(study)
     return study
 
 
 def _nothing(folder: Path, holds: str) -> InputError:
     return InputError(
-        "no evetac files there",
+        "no evetac files in this folder",
         where=str(folder),
-        expected="stage files, as a.recording.h5, in it or in folders below",
+        expected="stage files such as a.recording.h5, in the folder or its subfolders",
         found=holds,
-        hint=f"evetac record --out {folder} makes some",
+        hint=f"evetac record --out {folder} creates some",
     )
 
 
@@ -194,7 +194,7 @@ def _read_report(study: Study, path: str) -> None:
 
 
 def _read_trial(folder: Path, trial: StudyTrial, *, draw: bool) -> None:
-    """Read onsets, events and a thumbnail of one trial; what cannot be read is said and left out."""
+    """Read onsets, events and a thumbnail of one trial; on an error, store its message and leave the rest out."""
     page = (folder / trial.row.path).with_name(f"{stem(Path(trial.row.path))}.html")
     trial.page = page if _is_view(page) else None
     try:
@@ -229,7 +229,7 @@ def _is_view(path: Path) -> bool:
 
 
 def _thumbnail(trial: StudyTrial, recording: Recording) -> bytes:
-    """The event image at the onset, by truth, labels or the grasp's detector; else the busiest."""
+    """Return the event image at the onset by truth, labels or the grasp's detector; else the image with most events."""
     for at in (trial.t_s, trial.t_c, *_detected_while_grasping(recording)):
         if at is not None and at < len(recording):
             image, events = picture(recording, at, SHOWN_MS, THUMBNAIL_PX)
@@ -242,14 +242,14 @@ def _thumbnail(trial: StudyTrial, recording: Recording) -> bytes:
 
 
 def _detected_while_grasping(recording: Recording) -> Iterator[int]:
-    """The first slice, if any, in which a grasp's detector said slip after the light contact."""
+    """Yield the first slice, if any, in which a grasp's detector reported slip after the light contact."""
     if recording.has("control"):
         slip = (recording.read("control/slip") > 0) & (recording.read("control/phase") > GraspPhase.CONTACT)
         yield from (int(recording.read("control/t_us")[at] // SLICE_US) for at in np.flatnonzero(slip)[:1])
 
 
 def _judge(study: Study) -> None:
-    """Give the trials what reports say of each: detections of every model, distance of the dots from truth."""
+    """Add the reports' results to the trials: detections of every model, distance of the dots from truth."""
     trials = {trial.recording_id: trial for trial in study.trials}
     late_by: dict[str, dict[tuple[str, str], int | None]] = {}
     for report in study.reports("evaluate slip"):
@@ -270,11 +270,14 @@ def _judge(study: Study) -> None:
 
 # Outliers -------------------------------------------------------------------------------------------------------------
 
-LOST, NEVER = 1e6, 1e5  # before every error in ms
+LOST, NEVER = 1e6, 1e5  # higher than any error in ms
 
 
 def remark(trial: StudyTrial, timing_ms: tuple[int, int]) -> tuple[float, str]:
-    """How much a trial stands out, 0 where it does not, and by what; timing_ms: where a first detection is correct."""
+    """Return an outlier's score, 0 for other trials, and the reasons.
+
+    Timing_ms: window of a correct first detection.
+    """
     reasons: list[tuple[float, str]] = []
     if trial.broken:
         reasons.append((10 * LOST, trial.broken))
@@ -283,9 +286,9 @@ def remark(trial: StudyTrial, timing_ms: tuple[int, int]) -> tuple[float, str]:
     if trial.events == 0:
         reasons.append((LOST, "no events"))
     if trial.t_s is not None and trial.labelled_by is not None and trial.t_c is None:
-        reasons.append((NEVER, "slips, and the labels find no onset"))
+        reasons.append((NEVER, "slips, but the labels have no onset"))
     if trial.has_truth and trial.t_s is None and trial.t_c is not None:
-        reasons.append((NEVER, "does not slip, and the labels find an onset"))
+        reasons.append((NEVER, "does not slip, but the labels have an onset"))
     for source, error, (low, high) in (
         ("labels", trial.label_error_ms, (EARLIEST_MS, LATEST_MS)),
         ("model" if len(trial.late_by) == 1 else "models", trial.model_error_ms, timing_ms),

@@ -1,4 +1,4 @@
-"""Tables of the report as HTML: cells with their values, columns that are sorted by a click on their heads."""
+"""HTML tables of the report: cells with their values; a click on a heading sorts by its column."""
 
 import math
 from collections.abc import Iterable
@@ -8,7 +8,7 @@ from evetac_cli.pages.shared import short
 
 
 def figure_text(value: Any) -> str:
-    """A value as it stands in a cell: numbers to three digits, a dash where there is none."""
+    """Return a value as the text of a cell: numbers to three digits, a dash for None."""
     if value is None or (isinstance(value, float) and math.isnan(value)):
         return "-"
     if isinstance(value, bool):
@@ -21,14 +21,14 @@ def figure_text(value: Any) -> str:
 
 
 def cell(value: Any, beside: str = "", text: str = "") -> str:
-    """A cell that is sorted by its value; text: how it is written, unless as `figure_text` does."""
+    """Return a cell that is sorted by its value; text: overrides `figure_text`."""
     numeric = isinstance(value, (int, float)) and not isinstance(value, bool)
     by = f" data-v='{float(value)!r}'" if numeric and math.isfinite(value) else " data-v='1e99'" if numeric else ""
     return f"<td{by}{' class=n' if numeric else ''}>{text or figure_text(value)}{beside}</td>"
 
 
 def table(heads: Iterable[str], rows: Iterable[str], name: str = "") -> str:
-    """A table whose columns are sorted by a click on their heads; heads and rows are HTML."""
+    """Return a table whose columns are sorted by a click on their headings; heads and rows are HTML."""
     buttons = "".join(f"<th scope='col'><button type='button'>{head}</button></th>" for head in heads)
     id_ = f" id='{name}'" if name else ""
     body = "".join(rows)

@@ -1,4 +1,4 @@
-"""The trials of the report: charts of their onsets, the table with its filters, those of both studies."""
+"""Trials of the report: charts of their onsets, the table with its filters, the trials of both studies."""
 
 import html
 import math
@@ -18,24 +18,25 @@ from evetac_cli.pages.report.missing import command_for
 from evetac_cli.pages.report.study import Study, StudyTrial, remark
 from evetac_cli.pages.report.tables import cell, table
 
-MOST_TRIALS = 2000  # in the table: those that stand out most
-FILTERED = ("study", "object", "scene", "sensor", "outcome")  # columns by which trials are chosen
+MOST_TRIALS = 2000  # in the table: outliers first
+FILTERED = ("study", "object", "scene", "sensor", "outcome")  # columns by which trials are filtered
 EMPTY = ("<td></td>", cell(None))
 TIMES = {
     "t_s": "t_s is the true onset of gross slip",
-    "t_c": "t_c the onset in the labels",
-    "t_m": "t_m the first detection by a model",
+    "t_c": "t_c is the onset in the labels",
+    "t_m": "t_m is the first detection by a model",
 }
 LABEL_AXIS = "labels' onset after the true onset [ms]"
 MODEL_AXIS = "first detection after the labels' onset [ms]"
 
 
 def trials_of_both(studies: Sequence[Study]) -> str:
-    """Trials of both studies, those that differ most first."""
+    """Return the table of trials of both studies, largest differences first."""
     pairs = figures.matched(studies)
     if not pairs:
         return (
-            "<p class='hint'>None: no recipe, and no scene, object, sensor, seed and number of a trial, is in both.</p>"
+            "<p class='hint'>None: the studies share no recipe, and no combination of scene, object, sensor, seed and"
+            " trial number.</p>"
         )
     rows = []
     for one, other in pairs:
@@ -55,12 +56,12 @@ def trials_of_both(studies: Sequence[Study]) -> str:
     for error in ("t_c - t_s", "t_m - t_c"):
         heads += [f"{error} [ms], {names[0]}", f"{names[1]}", "difference [ms]"]
     heads += [f"outcome, {names[0]}", names[1]]
-    said = f"{len(pairs)} trials; those whose outcome or onsets differ most come first."
-    return f"<p class='hint'>{said}</p>" + table(heads, (row for _, _, row in rows[:MOST_TRIALS]))
+    hint = f"{len(pairs)} trials; those whose outcomes or onsets differ most come first."
+    return f"<p class='hint'>{hint}</p>" + table(heads, (row for _, _, row in rows[:MOST_TRIALS]))
 
 
 def onset_charts(studies: Sequence[Study]) -> list[tuple[str, list[Chart | None]]]:
-    """Onsets by labels against the truth, and by models against the labels, of each study."""
+    """Return charts of labelled onsets against the truth, and of models against the labels, for each study."""
     shown = []
     for number, study in enumerate(studies):
         models = f"Models against the labels, {_median_of(study)}"
@@ -79,9 +80,9 @@ def onset_charts(studies: Sequence[Study]) -> list[tuple[str, list[Chart | None]
 
 
 def trial_table(studies: Sequence[Study], page: Path) -> str:
-    """All trials, outliers first; page: where the report goes, from which its links lead."""
+    """Return the table of all trials, outliers first; page: where the report is written, for relative links."""
     rows = [(remark(trial, TIMING_MS), study, at, trial) for study in studies for at, trial in enumerate(study.trials)]
-    rows.sort(key=lambda row: -row[0][0])  # stable: by name where nothing stands out
+    rows.sort(key=lambda row: -row[0][0])  # stable: other trials stay sorted by name
     if not rows:
         return "<p class='hint'>There are no trials here.</p>" + table([], [], "all-trials") + _unreadable(studies)
     shown = [
@@ -91,8 +92,8 @@ def trial_table(studies: Sequence[Study], page: Path) -> str:
     heads = [head for head in shown[0][0] if any(cells[head] not in EMPTY for cells, *_ in shown)]
     heads = [head for head in heads if head != "study" or len(studies) > 1]
     trials = [trial for *_, trial in rows]
-    said = [_outliers(trials), *_meanings(heads), _own_pages(studies), _first_of(len(rows))]
-    text = f"<p class='hint'>{' '.join(sentence for sentence in said if sentence)}</p>"
+    sentences = [_outliers(trials), *_meanings(heads), _own_pages(studies), _first_of(len(rows))]
+    text = f"<p class='hint'>{' '.join(sentence for sentence in sentences if sentence)}</p>"
     body = []
     for cells, study, at, trial, remarked in shown:
         values = {name: getattr(trial.row, name, None) for name in FILTERED} | {"study": study.name}
@@ -105,23 +106,23 @@ def trial_table(studies: Sequence[Study], page: Path) -> str:
 
 
 def _outliers(trials: Sequence[StudyTrial]) -> str:
-    """How many stand out, and by what a trial would, of what is known of any."""
+    """Return the number of outliers, and the criteria for them, as far as any trial has the data."""
     reasons = []
     if any(trial.grasp is not None for trial in trials):
         reasons.append("a lost object")
     if any(trial.has_truth and trial.labelled_by is not None for trial in trials):
-        reasons.append(f"an onset in the labels that is missing, or not {_within(LABELS_MS)} from the true one")
+        reasons.append(f"a labelled onset that is missing, or not within {_within(LABELS_MS)} of the true onset")
     if any(trial.late_by for trial in trials):
-        reasons.append(f"a first detection that is missing, or not {_within(TIMING_MS)} from the labels' onset")
+        reasons.append(f"a first detection that is missing, or not within {_within(TIMING_MS)} of the labels' onset")
     outside = sum(remark(trial, TIMING_MS)[0] > 0 for trial in trials)
     if outside:
-        verb = "stands" if outside == 1 else "stand"
-        by = f", by how far: {'; '.join(reasons)}" if reasons else ""
-        return f"{outside} of {len(trials)} {verb} out and {'comes' if outside == 1 else 'come'} first{by}."
+        verb = "is an outlier" if outside == 1 else "are outliers"
+        by = f", worst first. Criteria: {'; '.join(reasons)}" if reasons else ""
+        return f"{outside} of {len(trials)} trials {verb}, at the top of the table{by}."
     if not reasons:
         return ""
-    none = "The trial does not stand out" if len(trials) == 1 else f"None of the {len(trials)} trials stands out"
-    return f"{none}. What would: {'; '.join(reasons)}."
+    none = "The trial is not an outlier" if len(trials) == 1 else f"None of the {len(trials)} trials is an outlier"
+    return f"{none}. Criteria: {'; '.join(reasons)}."
 
 
 def _within(window_ms: tuple[int, int]) -> str:
@@ -129,28 +130,28 @@ def _within(window_ms: tuple[int, int]) -> str:
 
 
 def _meanings(heads: Sequence[str]) -> list[str]:
-    """What columns and thumbnails mean, of those that are there."""
+    """Return the meanings of those columns and thumbnails that are shown."""
     meanings = [meaning for name, meaning in TIMES.items() if any(name in head for head in heads)]
-    said = [f"{', '.join(meanings)}."] if meanings else []
+    sentences = [f"{', '.join(meanings)}."] if meanings else []
     if any(head.startswith(("t_c - ", "t_m - ")) for head in heads):
-        said.append("A click on a point above shows its trial.")
+        sentences.append("Click a point above to show its trial.")
     if "onset, else busiest" in heads:
-        said.append("Thumbnails: white is brighter, black darker.")
-    return said
+        sentences.append("Thumbnails: white is brighter, black is darker.")
+    return sentences
 
 
 def _own_pages(studies: Sequence[Study]) -> str:
-    """How many trials have a page of `view`, and the command that makes one more."""
+    """Return how many trials have a page of `view`, and the command that creates one more."""
     without = [study.folder / trial.row.path for study in studies for trial in study.trials if trial.page is None]
     trials = sum(len(study.trials) for study in studies)
     if not without:
-        return "Each trial has a page of its own: click its name."
+        return "Each trial has its own page: click its name."
     command = f"<code class='command'>{html.escape(command_for('view', without[:1]))}</code>"
     if len(without) == trials:
-        return f"No trial has a page of its own yet: {command} makes one."
+        return f"No trial has its own page yet: {command} creates one."
     having = trials - len(without)
-    verb = "has a page of its own" if having == 1 else "have a page of their own"
-    return f"{having} of {trials} {verb}; {command} makes another."
+    verb = "has its own page" if having == 1 else "have their own page"
+    return f"{having} of {trials} {verb}; {command} creates another."
 
 
 def _first_of(rows: int) -> str:
@@ -162,7 +163,7 @@ def _median_of(study: Study) -> str:
 
 
 def _cells(study: Study, trial: StudyTrial, remarked: str, page: Path) -> dict[str, str]:
-    """The cells of a trial by the heads of their columns."""
+    """Return the cells of a trial by the headings of their columns."""
     row, grasp = trial.row, trial.grasp or {}
     image = ""
     if trial.thumbnail is not None:
@@ -198,10 +199,10 @@ def _text(value: Any) -> str:
 
 
 def _filters(rows: Sequence[tuple[Study, int, StudyTrial]], several: bool) -> str:
-    """A search, and a choice for each column that has more than one value."""
+    """Return a search field, and a selection for each column with more than one value."""
     parts = [
-        "<label>find <input type='search' id='find' placeholder='any words' title='press / to come here'></label>",
-        "<label><input type='checkbox' id='outliers'> only those that stand out</label>",
+        "<label>find <input type='search' id='find' placeholder='any words' title='press / to search'></label>",
+        "<label><input type='checkbox' id='outliers'> only outliers</label>",
     ]
     for name in FILTERED:
         if name == "study":

@@ -1,4 +1,4 @@
-"""view: show a recording and what was computed from it, on one page that needs no network, as animation, in rerun."""
+"""view: show a recording and its results on one self-contained page, as an animation, or in rerun."""
 
 from pathlib import Path
 from typing import Any
@@ -33,9 +33,9 @@ from evetac_cli.store.recordings.onset import PERSON, labelled_onset
 def run(
     files: list[Path], params: View, out: Path | None, *, force: bool = False, progress: Progress = silent
 ) -> Outcome:
-    """Write the page of one trial, or the file for rerun, and the animation if asked.
+    """Write the page of one trial, or the file for rerun, and the animation if requested.
 
-    InputError if one of them exists, unless `force`.
+    Raises InputError if one of them exists, unless `force`.
     """
     if params.rrd:
         rerun_file.load_rerun()
@@ -81,7 +81,7 @@ def run(
 
 
 def collect_view(trial: OpenTrial, params: View, progress: Progress) -> ViewData:
-    """Gather what is drawn of a trial; no larger for an hour than for a second."""
+    """Collect the data to draw of a trial; their size is the same for an hour as for a second."""
     span = _span(trial, params)
     empty = span[0] == span[1]
     probability = model_output(trial, span)
@@ -98,7 +98,7 @@ def collect_view(trial: OpenTrial, params: View, progress: Progress) -> ViewData
         window_px=window_px(trial),
         onsets={} if empty else slip_onsets(trial, span, probability),
         labelled=None if trial.labels is None else labelled_onset(trial.labels),
-        # the gripper's below the events, which come first where there is a recording
+        # gripper below events, which come first if there is a recording
         panels=[] if empty else [*panels[:1], *gripper.gripper_panels(trial, span), *panels[1:], *others],
         lanes=[] if empty else slip_lanes(trial, span, probability),
         phases=[] if empty else gripper.phase_lanes(trial, span),
@@ -126,18 +126,18 @@ def collect_view(trial: OpenTrial, params: View, progress: Progress) -> ViewData
 
 
 def _label_notes(trial: OpenTrial) -> list[str]:
-    """Notes on labels that no sensor could have given, that a person gave, and that abstain."""
+    """Return notes on labels copied from truth, made by a person, or abstaining."""
     if trial.labels is None:
         return []
-    made = trial.labels.header["parameters"]
-    notes = ["The labels were copied from the truth (simulated)."] if made.get("method") == "truth" else []
-    if made.get("method") == PERSON:
-        notes.append(f"The labels are those of a person: {made.get('by')}.")
+    parameters = trial.labels.header["parameters"]
+    notes = ["The labels were copied from the truth (simulated)."] if parameters.get("method") == "truth" else []
+    if parameters.get("method") == PERSON:
+        notes.append(f"The labels were made by a person: {parameters.get('by')}.")
     return [*notes, *filter(None, [labelled_onset(trial.labels).in_words()])]
 
 
 def _mark_notes(trial: OpenTrial) -> list[str]:
-    """A note of what a robot's program marked while the trial was recorded."""
+    """Return a note on the marks that a robot's program set during recording."""
     marked = "" if trial.recording is None else marks.in_words(trial.recording.marks)
     return [f"Marked by the robot's program: {marked}."] if marked else []
 
@@ -151,7 +151,7 @@ def _film(trial: OpenTrial, view: ViewData) -> bytes:
 
 
 def _span(trial: OpenTrial, params: View) -> tuple[int, int]:
-    """First and last (excluded) slice to show; InputError where none is left."""
+    """Return the first and the last (excluded) slice to show; raise InputError if none is left."""
     slices = trial.slices
     start = round(params.start_s * SLICES_PER_S)
     stop = slices if params.stop_s is None else min(slices, round(params.stop_s * SLICES_PER_S))

@@ -1,6 +1,6 @@
-"""The event images that view shows of a trial, and the places of the dots in them.
+"""The event images of a trial in view, and the positions of the dots in them.
 
-Their number is bounded; some are dense around onsets of slip and the busiest slice.
+Their number is limited; they are dense around onsets of slip and the slice with most events.
 """
 
 import io
@@ -17,17 +17,17 @@ from evetac_cli.pages.view.view_data import ViewData
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.recordings.read import Recording
 
-IMAGE_BYTES = 9_000_000  # of PNG in a page; a third more as text
+IMAGE_BYTES = 9_000_000  # of PNG per page; a third more as base64
 DOT_PLACES = 150_000  # dots times images
 LARGEST_IMAGE_PX = 1280
-MOST_EVENTS = 4_000_000  # drawn in one image: the last ones
+MOST_EVENTS = 4_000_000  # drawn in one image; earlier ones are left out
 DENSE_MS = 2  # step between images near an onset or the busiest slice
 DENSE_SHARE = 0.4  # of all images
 GREYS = (0, 128, 255)  # darker, nothing, brighter
 
 
 def frame_size_px(trial: OpenTrial) -> tuple[int, int]:
-    """Width and height of the sensor in px; 0 where no file has them."""
+    """Return width and height of the sensor in px; 0 if no file has them."""
     if trial.recording is not None:
         return trial.recording.frame_px
     width, height = trial.tracks.read("sensor/frame_px").tolist() if trial.tracks is not None else (0, 0)
@@ -35,7 +35,7 @@ def frame_size_px(trial: OpenTrial) -> tuple[int, int]:
 
 
 def window_px(trial: OpenTrial) -> tuple[int, int, int, int] | None:
-    """Corners x0, y0, x1, y1 of the window in px, if there was one."""
+    """Return the corners x0, y0, x1, y1 of the window in px, or None."""
     for file in (trial.recording, trial.tracks):
         if file is not None and file.has("sensor/window_px"):
             x0, y0, x1, y1 = file.read("sensor/window_px").tolist()
@@ -44,10 +44,10 @@ def window_px(trial: OpenTrial) -> tuple[int, int, int, int] | None:
 
 
 def choose_frame_times(view: ViewData, trial: OpenTrial, most: int) -> None:
-    """Choose the times of at most so many images: even over the span, and dense around onsets and the busiest slice."""
+    """Choose the times of at most `most` images: evenly spaced, and dense around onsets and the busiest slice."""
     start, stop = view.span
     last = max(start, stop - view.shown_ms)
-    if trial.tracks is not None:  # places of dots are in the page too
+    if trial.tracks is not None:  # positions of dots are in the page too
         dots = int(np.prod(trial.tracks.read("sensor/dot_xy_px").shape[:2]))
         most = max(1, min(most, DOT_PLACES // max(dots, 1)))
     if last - start < most:
@@ -66,7 +66,7 @@ def choose_frame_times(view: ViewData, trial: OpenTrial, most: int) -> None:
 
 
 def draw_pictures(view: ViewData, trial: OpenTrial, progress: Progress) -> None:
-    """Draw a PNG at each time; where they would make the page too large, every other one is left out, repeatedly."""
+    """Draw a PNG at each time; if they make the page too large, drop every other one, repeatedly."""
     recording = trial.recording
     if recording is None:
         return
@@ -86,8 +86,8 @@ def draw_pictures(view: ViewData, trial: OpenTrial, progress: Progress) -> None:
             size = sum(len(png) for png, _ in pictures.values())
     if step > 1:
         view.notes.append(
-            f"Full images: only every {step}th of {len(times)} is kept, so that the page stays small; "
-            "--start-s and --stop-s show a part more finely."
+            f"Event images: only every {step}th of {len(times)} is kept, to keep the page small; "
+            "use --start-s and --stop-s to show a part in more detail."
         )
     view.frame_times = times[list(pictures)]
     view.pictures = [png for png, _ in pictures.values()]
@@ -95,7 +95,7 @@ def draw_pictures(view: ViewData, trial: OpenTrial, progress: Progress) -> None:
 
 
 def picture(recording: Recording, start: int, shown_ms: int, largest_px: int = LARGEST_IMAGE_PX) -> tuple[bytes, int]:
-    """Events of a few ms as the paper draws them (white brighter, black darker, grey none) as PNG, and their number."""
+    """Return events of a few ms as in the paper (white brighter, black darker, grey none) as PNG, and their number."""
     from PIL import Image
 
     first, last = (int(recording.starts[at]) for at in (start, min(start + shown_ms, len(recording))))
@@ -113,8 +113,9 @@ def picture(recording: Recording, start: int, shown_ms: int, largest_px: int = L
 
 
 def telling_frame(view: ViewData) -> int:
-    """The image to begin with: slip's onset, the grip, the first touch, whichever comes first in this list and shows
-    an event; else the busiest.
+    """Return the image to open with, which shows an event: at slip's onset, else the grip, else the first touch.
+
+    If there is none of these, it is the image with most events.
     """
     for at in (*view.onsets.values(), *view.contact_times.values()):
         if at is None:
@@ -126,14 +127,14 @@ def telling_frame(view: ViewData) -> int:
 
 
 def place_dots(view: ViewData, trial: OpenTrial) -> None:
-    """Places of the dots at the end of each image, tracked and true; NaN after the end of the tracks."""
+    """Set the positions of the dots at the end of each image, tracked and true; NaN after the end of the tracks."""
     ends = np.minimum(view.frame_times + view.shown_ms, view.span[1]) - 1
     if trial.tracks is not None:
         view.rest_xy_px = trial.tracks.read("sensor/dot_xy_px").reshape(-1, 2)
         tracked = trial.tracks.length("dot_xy_px")
         if tracked < view.slices:
             end_s, missing_ms = tracked / SLICES_PER_S, view.slices - tracked
-            view.notes.append(f"The tracks end at {end_s:.3f} s, {missing_ms} ms before the recording does.")
+            view.notes.append(f"The tracks end at {end_s:.3f} s, {missing_ms} ms before the end of the recording.")
         view.dot_xy_px = read_rows(trial.tracks, "dot_xy_px", ends, np.nan).astype(np.float32)
         view.lost = read_rows(trial.tracks, "lost", ends, 0).astype(np.uint8)
     recording = trial.recording
@@ -148,7 +149,7 @@ def place_dots(view: ViewData, trial: OpenTrial) -> None:
 
 
 def read_rows(file: StageFile, path: str, rows: NDArray[np.int64], absent: float) -> NDArray[Any]:
-    """Some rows of a dataset, in blocks; `absent` where it has already ended."""
+    """Return some rows of a dataset, read in blocks; `absent` for rows beyond its end."""
     length = file.length(path)
     shape = file.contents()[path][1]
     values = np.full((len(rows), *shape[1:]), absent)

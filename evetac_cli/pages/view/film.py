@@ -1,4 +1,4 @@
-"""The animation that view writes: event images, dots and displacement arrows, slip and events below; a GIF."""
+"""The GIF animation of view: event images, dots and displacement arrows, with slip and events below."""
 
 import io
 
@@ -20,12 +20,12 @@ PAPER, TEXT, QUIET, DOT, LOST, CURSOR = "#f6f7f8", "#1f2730", "#7f8790", "#ffb52
 
 
 def render_film(view: ViewData, title: str) -> bytes:
-    """A GIF of the event images of a page, evenly thinned to 300; ValueError if there is not one."""
+    """Return a GIF of a page's event images, evenly thinned to 300; raise ValueError if there are none."""
     if not view.pictures:
-        raise ValueError("expected at least one picture, found none")
+        raise ValueError("expected at least one event image, found none")
     chosen = np.unique(np.linspace(0, len(view.pictures) - 1, MOST_FRAMES).round().astype(np.int64)).tolist()
     below = _below(view)
-    # One palette for all frames, from a frame in the middle; frames are made one after the other, as they are written.
+    # One palette for all frames, from the middle frame; frames are generated one at a time while writing.
     palette = _frame(view, chosen[len(chosen) // 2], title, below).quantize(32, dither=Image.Dither.NONE)
     frames = (_frame(view, at, title, below).quantize(palette=palette, dither=Image.Dither.NONE) for at in chosen)
     written = io.BytesIO()
@@ -57,7 +57,7 @@ def _frame(view: ViewData, at: int, title: str, below: Image.Image) -> Image.Ima
 
 
 def _fitting(text: str, room: int, font: ImageFont.FreeTypeFont | ImageFont.ImageFont) -> str:
-    """As much of a text as fits into a width in px."""
+    """Return as much of a text as fits into a width in px."""
     plain = "".join(letter if letter.isprintable() else "?" for letter in text)
     if font.getlength(plain) <= room:
         return plain
@@ -69,7 +69,7 @@ def _fitting(text: str, room: int, font: ImageFont.FreeTypeFont | ImageFont.Imag
 def _dots(pen: ImageDraw.ImageDraw, view: ViewData, at: int, scale: float, left: int) -> None:
     if view.dot_xy_px is None or view.rest_xy_px is None or view.lost is None:
         return
-    limit = 10 * WIDTH_PX  # a mark farther off than this is not seen, and Pillow may not take it
+    limit = 10 * WIDTH_PX  # marks farther away are invisible, and Pillow may reject them
     for dot, rest, lost in zip(view.dot_xy_px[at], view.rest_xy_px, view.lost[at], strict=True):
         x, y = (float(value) * scale for value in dot)
         dx, dy = (float(value) * scale * ARROWS for value in dot - rest)
@@ -78,12 +78,12 @@ def _dots(pen: ImageDraw.ImageDraw, view: ViewData, at: int, scale: float, left:
         x, y = x + left, y + HEAD_PX
         colour = LOST if lost else DOT
         pen.ellipse((x - 3, y - 3, x + 3, y + 3), fill=colour, outline="#303030")
-        if not lost and dx * dx + dy * dy > 4:  # how far a lost dot has moved is not known
+        if not lost and dx * dx + dy * dy > 4:  # the displacement of a lost dot is unknown
             pen.line((x, y, x + dx, y + dy), colour, 2)
 
 
 def _below(view: ViewData) -> Image.Image:
-    """The chart of events per millisecond and the stretches of slip, with their times: the same under every frame."""
+    """Draw the chart of events per millisecond and the bars of slip, with times: the same below every frame."""
     image = Image.new("RGB", (WIDTH_PX, CHART_PX + LANE_PX * len(view.lanes) + FOOT_PX), PAPER)
     pen = ImageDraw.Draw(image)
     font = ImageFont.load_default(10)
@@ -104,13 +104,13 @@ def _below(view: ViewData) -> Image.Image:
 
 
 def _across(view: ViewData, t_s: float) -> float:
-    """The x coordinate of a time, in px."""
+    """Return the x coordinate of a time, in px."""
     first, last = (at / SLICES_PER_S for at in view.span)
     return GUTTER_PX + (t_s - first) / max(last - first, 1e-3) * (WIDTH_PX - 9 - GUTTER_PX)
 
 
 def _chart(pen: ImageDraw.ImageDraw, view: ViewData) -> None:
-    """Draw the first series of the page, which are the events where there are images: logarithmic, as there."""
+    """Draw the first series of the page, which is the events if there are images: logarithmic, as on the page."""
     line = view.panels[0].lines[0]
     value = np.log10(line.value)
     low, high = float(np.nanmin(value)), float(np.nanmax(value))

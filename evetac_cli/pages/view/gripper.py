@@ -1,4 +1,4 @@
-"""What view shows of a trial with a gripper: its motion, and of a grasp its phases, its outcome and its side view."""
+"""Gripper of a trial in view: its motion, and for grasps the phases, the outcome and the side view."""
 
 import json
 from typing import Any
@@ -16,12 +16,12 @@ from evetac_cli.pages.view.trial_files import OpenTrial, inner
 from evetac_cli.pages.view.view_data import Lane, Panel, Series, SideView
 from evetac_cli.store.recordings.read import Recording
 
-TOUCH_N = 0.03  # normal force that is contact, as in `evaluate data-rate`
+TOUCH_N = 0.03  # normal force that counts as contact, as in `evaluate data-rate`
 PHASES = (("contact", GraspPhase.CONTACT, INK), ("lift", GraspPhase.LIFT, BLUE), ("balance", GraspPhase.BALANCE, GREEN))
 
 
 def gripper_panels(trial: OpenTrial, span: tuple[int, int]) -> list[Panel]:
-    """Current and width; of a grasp goal and position instead of the width, height and distance moved."""
+    """Return current and width; for grasps goal and position instead of width, and the object's height and motion."""
     recording = trial.recording
     if recording is None or not recording.has("gripper"):
         return []
@@ -70,7 +70,7 @@ def _mm_per_px(trial: OpenTrial) -> float | None:
 
 
 def _gripped_at(recording: Recording) -> int | None:
-    """The last slice of light contact in a grasp; None where it never ends."""
+    """Return the last slice of light contact in a grasp; None if it never ends."""
     phase = recording.read("control/phase")
     light = np.flatnonzero(phase == GraspPhase.CONTACT)
     if not len(light) or light[-1] + 1 == len(phase):
@@ -79,7 +79,7 @@ def _gripped_at(recording: Recording) -> int | None:
 
 
 def phase_lanes(trial: OpenTrial, span: tuple[int, int]) -> list[Lane]:
-    """When a grasp was in which of its phases."""
+    """Return when a grasp was in each of its phases."""
     recording = trial.recording
     if recording is None or not recording.has("control"):
         return []
@@ -95,7 +95,7 @@ def phase_lanes(trial: OpenTrial, span: tuple[int, int]) -> list[Lane]:
 
 
 def contact_times(trial: OpenTrial, span: tuple[int, int]) -> dict[str, int]:
-    """When the object was gripped, or first touched: where a page opens if nothing slips."""
+    """Return when the object was gripped, or first touched; a page opens there if nothing slips."""
     recording = trial.recording
     times: dict[str, int | None] = {}
     if recording is None:
@@ -105,12 +105,12 @@ def contact_times(trial: OpenTrial, span: tuple[int, int]) -> dict[str, int]:
     if recording.has("truth"):
         force = rows_of(recording, "truth/normal_force_n", span[0])
         touched = first_row(span[1] - span[0], force, lambda force_n: force_n >= TOUCH_N)
-        times["first touch"] = span[0] + touched if touched else None  # where touch is how it begins, it is no moment
+        times["first touch"] = span[0] + touched if touched else None  # contact from the start is not a first touch
     return {name: at for name, at in times.items() if at is not None and span[0] <= at < span[1]}
 
 
 def outcome_badges(trial: OpenTrial) -> list[tuple[str, str]]:
-    """What became of a grasp, as its recording says; nothing where it does not."""
+    """Return the outcome of a grasp in its recording; empty if there is none."""
     recording = trial.recording
     if recording is None or not recording.has("control/outcome"):
         return []
@@ -127,15 +127,15 @@ def outcome_badges(trial: OpenTrial) -> list[tuple[str, str]]:
 
 
 def side_view(trial: OpenTrial, ends: NDArray[np.int64]) -> SideView | None:
-    """The grasp from the side at the end of each image; None unless truth tells all, and the grasp is from the top."""
-    recording, made, scale = trial.recording, trial.recording_parameters, _mm_per_px(trial)
+    """Return the grasp from the side at the end of each image; None without full truth, or for sideways grasps."""
+    recording, parameters, scale = trial.recording, trial.recording_parameters, _mm_per_px(trial)
     if recording is None or scale is None or not recording.has("truth/table_gap_mm"):
         return None
-    row = inner(made, "object_row") or {}
+    row = inner(parameters, "object_row") or {}
     width, height = row.get("grasped_width_mm", row.get("width_mm")), row.get("height_mm")
     if not (isinstance(width, (int, float)) and isinstance(height, (int, float))):
         return None
-    if inner(made, "scene", "gel", "sideways"):
+    if inner(parameters, "scene", "gel", "sideways"):
         return None
     heights, forces, moved = (
         read_rows(recording, f"truth/{name}", ends, np.nan)

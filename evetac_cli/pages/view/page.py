@@ -1,7 +1,7 @@
-"""The page that view writes: one HTML file that needs no network.
+"""The page of view: one HTML file that needs no network.
 
-Time series are drawn by Bokeh, whose script is put into the page (1.3 MB); the event images, and the dots over them, by
-the small script in page.html. Text from files is escaped and placed by this module: Bokeh gets numbers only.
+Time series are drawn by Bokeh, whose script is included in the page (1.3 MB). The event images and the dots over them
+are drawn by the small script in page.html. This module escapes and places text from files: Bokeh only gets numbers.
 """
 
 import html
@@ -21,12 +21,12 @@ from evetac_cli.pages.view.view_data import Lane, Panel, TouchView, ViewData
 from evetac_cli.resources import DATA, PACKAGE
 from evetac_cli.store.recordings.onset import LabelledOnset
 
-LOW_PX, TALL_PX, FEW_PANELS = 104, 180, 3  # height of a chart, and where they are few
-AXIS_PX = 24  # times below it
+LOW_PX, TALL_PX, FEW_PANELS = 104, 180, 3  # height of a chart; taller if there are few
+AXIS_PX = 24  # for the times below it
 
 
 def render_page(trial: OpenTrial, view: ViewData) -> bytes:
-    """The whole page; EvetacError where it would be larger than 20 MB."""
+    """Return the whole page; raise EvetacError if it would exceed 20 MB."""
     script, library, charts = _charts(view)
     title = trial.files[0].path.name
     width, height = view.frame_px
@@ -50,12 +50,12 @@ def render_page(trial: OpenTrial, view: ViewData) -> bytes:
         "SCRIPT": script,
     }
     template = PACKAGE / "pages" / "view" / "page.html"
-    hint = "fewer --images, or a part with --start-s and --stop-s"
+    hint = "use fewer --images, or a part with --start-s and --stop-s"
     return shared.fill(template, parts, trial.files[0].path, hint)
 
 
 def _base64(array: NDArray[Any] | None) -> str | None:
-    """Little-endian float32 (or bytes) for the page's script; null where there is none."""
+    """Return little-endian float32 (or bytes) for the page's script; None for None."""
     if array is None:
         return None
     kind = "<u1" if array.dtype.kind in "ub" else "<f4"
@@ -97,7 +97,7 @@ def _data(view: ViewData) -> dict[str, Any]:
 
 
 def _touch(touch: TouchView) -> dict[str, Any]:
-    """Touch maps as the page's script draws them."""
+    """Return touch maps in the form that the page's script draws."""
     return {
         "x": touch.x_mm.tolist(),
         "y": touch.y_mm.tolist(),
@@ -116,25 +116,25 @@ def _touch(touch: TouchView) -> dict[str, Any]:
 
 
 def _heading(trial: OpenTrial, title: str, simulated: bool) -> str:
-    made = trial.recording_parameters
+    parameters = trial.recording_parameters
     values = [
-        ("scene", inner(made, "scene", "name")),
-        ("object", inner(made, "object")),
-        ("object's material", inner(made, "object_row", "material")),
-        ("controller", inner(made, "controller")),
+        ("scene", inner(parameters, "scene", "name")),
+        ("object", inner(parameters, "object")),
+        ("object's material", inner(parameters, "object_row", "material")),
+        ("controller", inner(parameters, "controller")),
         *outcome_badges(trial),
-        ("imported from", inner(made, "source")),
-        ("sensor", inner(made, "sensor")),
+        ("imported from", inner(parameters, "source")),
+        ("sensor", inner(parameters, "sensor")),
     ]
     badges = shared.badges(values, simulated=simulated)
-    summary = inner(made, "scene", "summary")
+    summary = inner(parameters, "scene", "summary")
     lead = f'<p class="lead">{shared.short(summary)}</p>' if isinstance(summary, str) else ""
     id_ = f'<p class="id">recording <code>{html.escape(trial.recording_id)}</code></p>'
     return f"<h1>{html.escape(title)}</h1><div>{badges}</div>{lead}{id_}"
 
 
 def _cameras(view: ViewData) -> str:
-    """A place for the images of each other camera of the trial."""
+    """Return a figure element for the images of each other camera of the trial."""
     return "".join(
         f"<figure><img data-camera='{at}' alt='Image of {html.escape(camera.name)}'>"
         f"<figcaption>{html.escape(camera.name)}</figcaption></figure>"
@@ -145,10 +145,10 @@ def _cameras(view: ViewData) -> str:
 def _files(trial: OpenTrial) -> str:
     rows = []
     for file in trial.files:
-        made = file.header["parameters"]
+        parameters = file.header["parameters"]
         shown = ", ".join(
             f"{html.escape(str(name))} {shared.short(value)}"
-            for name, value in made.items()
+            for name, value in parameters.items()
             if not isinstance(value, (dict, list))
         )
         rows.append(
@@ -160,16 +160,16 @@ def _files(trial: OpenTrial) -> str:
 
 
 def _empty(view: ViewData) -> str:
-    """The sentence instead of images and series, where there is nothing to draw."""
+    """Return a sentence in place of images and series if there is nothing to draw."""
     if view.slices == 0:
-        return "<p class='empty'>This recording is empty: it holds not one slice of a millisecond.</p>"
+        return "<p class='empty'>This recording is empty: it has no slices.</p>"
     if view.pictures and not any(view.events) and view.panels and (view.panels[0].lines[0].value <= 1).all():
-        return "<p class='empty'>There is not one event in what is shown.</p>"
+        return "<p class='empty'>There are no events in the shown part.</p>"
     return ""
 
 
 def _onsets(view: ViewData) -> str:
-    """First slip by truth, label and model, and how far apart they are."""
+    """Return the first slip by truth, label and model, and the differences."""
     if not view.onsets:
         return ""
     reference = next((slice_ for slice_ in view.onsets.values() if slice_ is not None), None)
@@ -192,12 +192,12 @@ def _onsets(view: ViewData) -> str:
     return f"<div class='onsets'><h2>First slip{since}</h2>" + "".join(cells) + "</div>"
 
 
-def _sure(told: LabelledOnset) -> list[str]:
-    """How sure labels are of their onset: the interval in which it may lie, and their confidence."""
-    words = ["abstains"] if told.abstained else []
-    if told.earliest is not None and told.latest is not None:
-        words.append(f"within {told.earliest / SLICES_PER_S:.3f} to {told.latest / SLICES_PER_S:.3f} s")
-    return words if told.confidence is None else [*words, f"confidence {told.confidence:.2g}"]
+def _sure(labelled: LabelledOnset) -> list[str]:
+    """Return how certain labels are of their onset: its interval, and their confidence."""
+    words = ["abstains"] if labelled.abstained else []
+    if labelled.earliest is not None and labelled.latest is not None:
+        words.append(f"within {labelled.earliest / SLICES_PER_S:.3f} to {labelled.latest / SLICES_PER_S:.3f} s")
+    return words if labelled.confidence is None else [*words, f"confidence {labelled.confidence:.2g}"]
 
 
 def _notes(view: ViewData) -> list[str]:
@@ -206,10 +206,10 @@ def _notes(view: ViewData) -> list[str]:
     if len(view.frame_times):
         dense = ", ".join(f"{at / SLICES_PER_S:.3f} s ({why})" for why, at in view.dense.items())
         notes.append(
-            f"{len(view.frame_times):,} images of {view.shown_ms} ms, spread evenly"
+            f"{len(view.frame_times):,} images of {view.shown_ms} ms, evenly spaced"
             + (f" and, every 2 ms, around {dense}." if dense else ".")
         )
-    notes.append("Series: every value, or the least and the greatest of each of 3,000 stretches of time.")
+    notes.append("Series: every value, or the smallest and largest value in each of 3,000 time bins.")
     return notes + view.notes
 
 
@@ -217,7 +217,7 @@ def _notes(view: ViewData) -> list[str]:
 
 
 def _charts(view: ViewData) -> tuple[str, str, str]:
-    """Bokeh's script for this page, its library, and the HTML in which the charts stand."""
+    """Return Bokeh's script for this page, its library, and the HTML of the charts."""
     if not view.panels and not view.lanes:
         return "", "", ""
     from bokeh.models.ranges import Range1d
@@ -263,7 +263,7 @@ def _head(title: str, unit: str, simulated: bool, keys: str) -> str:
 
 
 def _time_figure(x_range: Any, **more: Any) -> Any:
-    """A figure with times below it that zooms in time: drag, or Ctrl and the wheel."""
+    """Return a figure with a time axis that zooms in time: drag, or Ctrl and the wheel."""
     from bokeh.models.annotations.geometry import Span
     from bokeh.models.formatters import PrintfTickFormatter
     from bokeh.models.tools import BoxZoomTool, WheelZoomTool
@@ -281,7 +281,7 @@ def _time_figure(x_range: Any, **more: Any) -> Any:
 
 
 def _panel_figure(panel: Panel, x_range: Any, number: int, height: int) -> Any:
-    """One axis with its series; their sources are named series0, series1, ... for the page's script."""
+    """Return one axis with its series; their sources are named series0, series1, ... for the page's script."""
     from bokeh.models.ranges import Range1d
     from bokeh.models.sources import ColumnDataSource
 
@@ -303,14 +303,14 @@ def _panel_figure(panel: Panel, x_range: Any, number: int, height: int) -> Any:
             chart.scatter("t", "v", source=source, size=4, fill_color=colour, line_color=None)
         else:
             chart.line("t", "v", source=source, line_color=colour, line_width=1.4, line_join="round")
-    for value in panel.levels.values():  # a line, and no annotation: the axis has to reach it
+    for value in panel.levels.values():  # a line, not an annotation, so that the axis includes it
         ends = [x_range.start, x_range.end]
         chart.line(ends, [value, value], line_color=NEUTRAL, line_dash="dashed", line_width=1.2)
     return chart
 
 
 def _lane_figure(lanes: list[Lane], x_range: Any) -> Any:
-    """Truth, label and model under each other: a bar where each says slip, a thin one where it did not examine."""
+    """Return rows for truth, label and model: a bar where each reports slip, a thin bar where it did not examine."""
     chart = _time_figure(
         x_range, height=AXIS_PX + 10 + 26 * len(lanes), y_range=[lane.name for lane in reversed(lanes)]
     )
@@ -325,6 +325,6 @@ def _lane_figure(lanes: list[Lane], x_range: Any) -> Any:
                 height=height,
                 fill_color=shown,
                 line_color=shown,
-                line_width=1,  # a slip of one millisecond is still seen
+                line_width=1,  # a slip of one millisecond is still visible
             )
     return chart

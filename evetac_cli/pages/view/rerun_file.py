@@ -1,20 +1,20 @@
 """The file that `view --rrd` writes for the viewer rerun: a trial on one timeline, and a layout of its views.
 
     gel/events            points of each slice; class 1 brighter, 0 darker
-    gel/dots              points of each slice, class 1 where the tracker lost the dot
-    gel/displacement      arrows to them from where the dots rest
+    gel/dots              points of each slice, class 1 if the tracker lost the dot
+    gel/displacement      arrows from the dots' rest positions to the dots
     gel/true_dots         points of each slice, known exactly in a simulation
-    touch/pressure        each touch map as colours, 0 to the end of the scale that `about` names, a pixel a cell
+    touch/pressure        each touch map as colours, one pixel per cell; `about` states the end of the scale
     touch/shear, centre   arrows of shear in its cells, and the centre of pressure
     images/events         the event images of the page; cameras/NAME those of other cameras
     series/NN_PANEL/LINE  the series of the page: events, gripper, forces, displacement, flow, slip probability;
-                          beside an estimated one, itself minus and plus its standard deviation
-    slip/SOURCE, phase    who says slip when; the phases of a grasp
+                          an estimate also has the lines minus and plus its standard deviation
+    slip/SOURCE, phase    when each source reports slip; the phases of a grasp
     about                 what is simulated, found and thinned, in words
 
-The timeline `t` counts from the start of the recording; what belongs to a slice stands at its start. Whole columns are
-handed over, block by block. A file does not grow without end: above MOST_EVENTS every nth event, above MOST_DOTS the
-dots of every nth slice are in it, above MOST_ROWS several slices share a row, and `about` says so.
+The timeline `t` counts from the start of the recording; the data of a slice are at its start. Whole columns are sent,
+block by block. The size of a file is limited: above MOST_EVENTS only every nth event is included, above MOST_DOTS only
+the dots of every nth slice; above MOST_ROWS several slices share a row. `about` states this.
 """
 
 import re
@@ -51,21 +51,21 @@ DOT_COLOURS = {"dot": "#ffb52e", "lost": PINK}
 TRUE_COLOURS = {"true place (simulated)": GREEN}
 DOT_RADIUS_PX, TRUE_RADIUS_PX = 3.0, 5.0
 ARROWS = "#ffffff"
-PALE = 128  # of 255: what a standard deviation bounds
-BEHIND = 29.0  # true places, of points that rerun draws at 30
+PALE = 128  # alpha of 255: lines at plus and minus one standard deviation
+BEHIND = 29.0  # draw order of true positions; rerun draws points at 30
 
 
 def load_rerun() -> Any:
-    """The module rerun; MissingLibrary where it is not installed."""
+    """Return the module rerun; raise MissingLibrary if it is not installed."""
     try:
         import rerun
     except ImportError as error:
-        raise missing_extra("rerun, which writes the file, is not installed", "view", error=error) from None
+        raise missing_extra("rerun, needed to write the file, is not installed", "view", error=error) from None
     return rerun
 
 
 def write_rrd(trial: OpenTrial, view: ViewData, path: Path, progress: Progress) -> None:
-    """Write the file; InputError if the disk does not take all of it."""
+    """Write the file; raise InputError if it is incomplete, for example because the disk is full."""
     with utf8_path(path) as plain:
         _write(trial, view, plain, progress)
 
@@ -74,7 +74,7 @@ def _write(trial: OpenTrial, view: ViewData, path: Path, progress: Progress) -> 
     rr = load_rerun()
     start, stop = view.span
     file = _File(rr, f"{trial.recording_id}-{start}-{stop}")
-    # rerun says of a disk that is full only in its log: so the file is read again when it is done
+    # rerun reports a full disk only in its log, so the finished file is read back
     file.stream.save(path, default_blueprint=_blueprint(rr.blueprint, trial, view))
     title = as_utf8(trial.files[0].path.name)
     file.stream.send_recording_name(f"{title} (simulated)" if view.simulated else title)
@@ -104,14 +104,14 @@ def _write(trial: OpenTrial, view: ViewData, path: Path, progress: Progress) -> 
 
 
 class _File:
-    """What is written of a trial, each part under its own path."""
+    """Writer for the parts of a trial, each under its own path."""
 
     def __init__(self, rr: Any, recording_id: str) -> None:
         self._rr = rr
         self.stream = rr.RecordingStream("evetac", recording_id=recording_id, send_properties=False)
 
     def static(self, path: str, content: Any) -> None:
-        """What holds at all times."""
+        """Log content that is valid at all times."""
         self.stream.log(path, content, static=True)
 
     def _columns(self, path: str, t_us: NDArray[Any], columns: Any) -> None:
@@ -123,7 +123,7 @@ class _File:
         self.static(path, self._rr.AnnotationContext(classes))
 
     def events(self, recording: Recording, span: tuple[int, int], progress: Progress) -> list[str]:
-        """A row of points for every slice, also without any; returns what was thinned."""
+        """Write a row of points for every slice, even without events; return notes on thinning."""
         start, stop = span
         first, last = (int(recording.starts[at]) for at in span)
         every, step = max(1, -(-(last - first) // MOST_EVENTS)), max(1, -(-(stop - start) // MOST_ROWS))
@@ -143,7 +143,7 @@ class _File:
     def dots(
         self, name: str, file: StageFile, path: str, span: tuple[int, int], rest: NDArray[np.float64] | None
     ) -> list[str]:
-        """A row of points a slice and, where they are tracked, of arrows from their rest; without unknown places."""
+        """Write a row of points per slice and, for tracked dots, of arrows from rest; without unknown positions."""
         rr, start = self._rr, span[0]
         stop = min(span[1], file.length(path))
         dots = file.contents()[path][1][1]
@@ -171,7 +171,7 @@ class _File:
         return [f"Of `gel/{name}` one slice in {every} is shown."] if every > 1 else []
 
     def images(self, view: ViewData) -> None:
-        """The event images, each at the first slice that it shows, and those of cameras where another one is shown."""
+        """Write the event images, each at its first slice, and the camera images whenever they change."""
         if view.pictures:
             self._images("images/events", "image/png", view.frame_times, view.pictures)
         for camera in view.cameras:
@@ -185,7 +185,7 @@ class _File:
             self._columns(path, at_ms * SLICE_US, self._rr.EncodedImage.columns(blob=images))
 
     def touch(self, view: ViewData, touch: TouchView) -> None:
-        """Touch maps where another one is shown, in pixels of a cell each, and the centre of pressure of each image."""
+        """Write touch maps whenever they change, one pixel per cell, and the centre of pressure of each image."""
         rr, changes = self._rr, np.flatnonzero(np.diff(touch.shown, prepend=-1))
         rows, t_us = touch.shown[changes], view.frame_times[changes] * SLICE_US
         self._images("touch/pressure", "image/png", view.frame_times[changes], [touch.png(row) for row in rows])
@@ -202,7 +202,7 @@ class _File:
         self._columns("touch/centre", view.frame_times * SLICE_US, places.partition(known.astype(np.int64)))
 
     def series(self, view: ViewData) -> None:
-        """The lines of all panels, one standard deviation below and above them as far as known, and levels across."""
+        """Write the lines of all panels, with one standard deviation below and above if known, and level lines."""
         for number, panel in enumerate(view.panels):
             path = _chart(number, panel)
             for line in panel.lines:
@@ -226,7 +226,7 @@ class _File:
         self._columns(path, np.rint(t_s * 1e6), self._rr.Scalars.columns(scalars=value))
 
     def states(self, path: str, lanes: list[Lane], start_s: float, names: list[str]) -> None:
-        """Which lane says its name when: empty in between, `not examined` where nothing is known."""
+        """Write each lane's name while it is active: empty in between, `not examined` where it is unknown."""
         known = [(name, part) for lane, name in zip(lanes, names, strict=True) for part in lane.slip]
         parts = known + [("not examined", part) for lane in lanes for part in lane.unknown]
         changes = {start_s: ""} | {last: "" for _, (_, last) in parts} | {first: name for name, (first, _) in parts}
@@ -236,7 +236,7 @@ class _File:
 
 
 def _blueprint(rrb: Any, trial: OpenTrial, view: ViewData) -> Any:
-    """The gel and its images on the left, series and slip in the middle, words on the right."""
+    """Return the layout: gel and images on the left, series and slip in the middle, text on the right."""
     pictures = []
     if trial.recording is not None or trial.tracks is not None:
         width, height = view.frame_px
@@ -266,7 +266,7 @@ def _blueprint(rrb: Any, trial: OpenTrial, view: ViewData) -> Any:
 
 
 def _about(title: str, trial: OpenTrial, view: ViewData, notes: list[str]) -> str:
-    """What this is, in Markdown."""
+    """Return a description of the file in Markdown."""
     start_s, stop_s = (at / SLICES_PER_S for at in view.span)
     onsets = [f"- {name}: {'none' if at is None else f'{at / SLICES_PER_S:.3f} s'}" for name, at in view.onsets.items()]
     lines = [
@@ -279,9 +279,9 @@ def _about(title: str, trial: OpenTrial, view: ViewData, notes: list[str]) -> st
         "\n".join(
             f"- {note}"
             for note in (
-                "A slice of 1 ms stands at its start.",
-                *(["Event images: white is brighter, black darker, grey no event."] if view.pictures else []),
-                "Series: every value, or the least and the greatest of each of 3,000 stretches of time.",
+                "Data of a 1 ms slice are at its start.",
+                *(["Event images: white is brighter, black is darker, grey is no event."] if view.pictures else []),
+                "Series: every value, or the smallest and largest value in each of 3,000 time bins.",
                 *(f"{panel.title}: {panel.says}" for panel in view.panels if panel.says),
                 *([] if view.touch is None else [view.touch.words]),
                 *notes,
@@ -293,15 +293,15 @@ def _about(title: str, trial: OpenTrial, view: ViewData, notes: list[str]) -> st
 
 
 def _chart(number: int, panel: Panel) -> str:
-    """Where the lines of a panel stand; its number keeps panels of one title apart."""
+    """Return the path for the lines of a panel; the number distinguishes panels with the same title."""
     return f"series/{number:02}_{_name(panel.title)}"
 
 
 def _name(text: str) -> str:
-    """A part of a path: small letters, digits and low lines."""
+    """Return part of a path: lower-case letters, digits and underscores."""
     return re.sub("[^a-z0-9]+", "_", text.lower()).strip("_")
 
 
 def _rgb(colour: str) -> list[int]:
-    """Red, green and blue, 0 to 255, of `#rrggbb`."""
+    """Return red, green and blue, 0 to 255, of `#rrggbb`."""
     return [int(colour[at : at + 2], 16) for at in (1, 3, 5)]

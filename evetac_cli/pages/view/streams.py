@@ -1,4 +1,4 @@
-"""What view shows of other streams of a trial: columns of numbers over time, and the images of cameras at each time."""
+"""Other streams of a trial in view: columns of numbers over time, and the camera images at each time."""
 
 import io
 from typing import Any
@@ -15,16 +15,16 @@ from evetac_cli.store.recordings import streams
 from evetac_cli.store.recordings.read import Recording
 from evetac_cli.text_files import parse_json
 
-COLOURS = (BLUE, ORANGE, GREEN, PINK, INK)  # as many columns are drawn on one axis
+COLOURS = (BLUE, ORANGE, GREEN, PINK, INK)  # as many columns per axis
 MOST_PANELS = 12
 MOST_CODES = 16
-MOST_IMAGES = 100  # of all cameras together: 1 MB of a page, 4 MB where they are noise
+MOST_IMAGES = 100  # of all cameras together: 1 MB of a page, 4 MB for noisy images
 LARGEST_IMAGE_PX = 320
 JPEG_QUALITY = 80
 
 
 def stream_panels(trial: OpenTrial, span: tuple[int, int], notes: list[str]) -> list[Panel]:
-    """Columns of each stream, those of one unit on one axis, at most five; a note where there are too many to draw."""
+    """Return the columns of each stream, up to five of one unit per axis; add a note if there are too many to draw."""
     recording = trial.recording
     if recording is None:
         return []
@@ -54,18 +54,18 @@ def stream_panels(trial: OpenTrial, span: tuple[int, int], notes: list[str]) -> 
                     Panel(title, unit, lines, marks=not unit and all(_are_codes(line.value) for line in lines))
                 )
     if left_out:
-        notes.append(f"Streams: {left_out} columns are not drawn, after the first {MOST_PANELS} charts.")
+        notes.append(f"Streams: {left_out} columns beyond the first {MOST_PANELS} charts are not drawn.")
     return [panel for panel in panels if panel.lines]
 
 
 def _are_codes(values: NDArray[np.float64]) -> bool:
-    """Whether numbers without a unit name what happened, such as the source of a trigger, and are no quantity."""
+    """Whether numbers without a unit are codes, such as the source of a trigger, and not a quantity."""
     known = np.unique(values[np.isfinite(values)])
     return len(known) <= MOST_CODES and bool((known == np.rint(known)).all())
 
 
 class _Columns:
-    """Rows of some columns of a stream, counted from the first that is shown."""
+    """Rows of some columns of a stream, counted from the first shown row."""
 
     def __init__(self, recording: Recording, group: str, columns: list[str], first: int) -> None:
         self._recording, self._paths, self._first = recording, [f"{group}/{name}" for name in columns], first
@@ -76,7 +76,7 @@ class _Columns:
 
 
 def draw_cameras(view: ViewData, trial: OpenTrial) -> None:
-    """Of each camera the last image before the end of each event image, made smaller; not all where they are many."""
+    """Add the last image of each camera before the end of each event image, reduced; thinned if there are too many."""
     recording = trial.recording
     if recording is None:
         return
@@ -85,12 +85,12 @@ def draw_cameras(view: ViewData, trial: OpenTrial) -> None:
     ends_us = np.minimum(view.frame_times + view.shown_ms, view.span[1]) * SLICE_US
     for name in named:
         group = f"{streams.GROUP}/{name}"
-        rows = np.searchsorted(recording.read(f"{group}/t_us"), ends_us) - 1  # -1 where it had not begun
+        rows = np.searchsorted(recording.read(f"{group}/t_us"), ends_us) - 1  # -1 before its first image
         wanted = np.unique(rows[rows >= 0])
         step = -(-len(wanted) // max(1, MOST_IMAGES // len(named)))
         kept = wanted[:: max(step, 1)]
         if step > 1:
-            view.notes.append(f"Images of {name}: one of {step} is kept, so that the page stays small.")
+            view.notes.append(f"Images of {name}: one in {step} is kept, to keep the page small.")
         images = [_jpeg(recording.read(f"{group}/frames", row, row + 1)[0]) for row in kept.tolist()]
         shown = np.searchsorted(kept, rows, side="right") - 1
         view.cameras.append(CameraImages(name, images, shown.tolist()))

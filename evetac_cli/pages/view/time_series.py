@@ -1,7 +1,7 @@
-"""The series and stretches of slip that view draws, decimated so that an hour is no larger than a second.
+"""Series and intervals of slip in view, decimated so that an hour needs no more space than a second.
 
-Series are cut into bins, about one per pixel column, of which the least and the greatest value are drawn. Arrays are
-read block by block: an hour of tracks is gigabytes.
+Series are divided into bins, about one per pixel column; only the smallest and the largest value of each are drawn.
+Arrays are read block by block, because an hour of tracks takes gigabytes.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -30,17 +30,17 @@ from evetac_cli.store.recordings.read import Recording, true_onset
 
 BINS = 3000
 BLOCK_ROWS = 16384
-LEAST_FLOW_PX = 0.01  # drawn: a logarithmic axis has no 0, and less is noise
-MOST_FLOW_PX = 10.0  # drawn, or three times the limit: beyond it nothing is decided any more
+LEAST_FLOW_PX = 0.01  # smallest drawn: a logarithmic axis has no 0, and less is noise
+MOST_FLOW_PX = 10.0  # largest drawn, or three times the limit if larger: higher values decide nothing
 
 Read = Callable[[int, int], NDArray[Any]]
 
 
 def extremes(length: int, read: Read) -> list[tuple[NDArray[np.int64], NDArray[np.float64]]]:
-    """Least and greatest value of every bin, in their order, for each column of read(start, stop) -> (rows, columns).
+    """Return the smallest and largest value of every bin, in order, for each column of read(start, stop).
 
-    All values where there are no more than two per bin. What is not finite comes out as NaN, where a bin holds nothing
-    else. Returns (row, value) per column.
+    read returns (rows, columns). If there are at most two values per bin, all are returned. Values that are not finite
+    are ignored; a bin without finite values becomes NaN. The result is (row, value) per column.
     """
     if length <= 2 * BINS:
         rows = read(0, length).astype(np.float64)
@@ -62,9 +62,9 @@ def extremes(length: int, read: Read) -> list[tuple[NDArray[np.int64], NDArray[n
 
 
 def stretches(length: int, read: Read) -> tuple[list[tuple[int, int]], list[tuple[int, int]]]:
-    """Rows [first, last) that are 1, and those that are negative (not examined), to within a bin.
+    """Return rows [first, last) that are 1, and those that are negative (not examined), to within a bin.
 
-    A bin with any 1 counts as 1, so that no short slip is lost. read(start, stop) -> (rows, 1).
+    A bin with any 1 counts as 1, so that no short slip is lost. read(start, stop) returns (rows, 1).
     """
     states: list[int] = []
     borders = [0]
@@ -83,7 +83,7 @@ def stretches(length: int, read: Read) -> tuple[list[tuple[int, int]], list[tupl
 
 
 def _blocks(length: int, read: Read) -> Iterator[tuple[int, NDArray[Any], list[int]]]:
-    """Rows in pieces of whole bins: (first row, the rows, edges of the bins counted from it)."""
+    """Yield rows in pieces of whole bins: (first row, the rows, edges of the bins relative to it)."""
     edges = np.linspace(0, length, min(length, BINS) + 1).astype(np.int64)
     at_once = max(1, int(BLOCK_ROWS * (len(edges) - 1) / max(length, 1)))
     for first in range(0, len(edges) - 1, at_once):
@@ -92,7 +92,7 @@ def _blocks(length: int, read: Read) -> Iterator[tuple[int, NDArray[Any], list[i
 
 
 def first_row(length: int, read: Read, wanted: Callable[[NDArray[Any]], NDArray[np.bool_]]) -> int | None:
-    """The first row of read(start, stop) -> (rows, 1) that is wanted, read block by block; None where there is none."""
+    """Return the first wanted row of read(start, stop) -> (rows, 1), read block by block; None if there is none."""
     for first in range(0, length, BLOCK_ROWS):
         rows = np.flatnonzero(wanted(read(first, min(first + BLOCK_ROWS, length))[:, 0]))
         if len(rows):
@@ -101,14 +101,14 @@ def first_row(length: int, read: Read, wanted: Callable[[NDArray[Any]], NDArray[
 
 
 def rows_of(file: StageFile, path: str, start: int) -> Read:
-    """Rows of a one-dimensional dataset, counted from `start`, as a column."""
+    """Return rows of a one-dimensional dataset, counted from `start`, as a column."""
     return lambda first, last: file.read(path, start + first, start + last)[:, None]
 
 
 def decimated(
     names: dict[str, str], start: int, length: int, read: Read, deviations: Mapping[str, Read] | None = None
 ) -> list[Series]:
-    """A line for each column of read, without those that are NaN all over; names -> colours.
+    """Return a series for each column of read, without columns that are all NaN; names -> colours.
 
     deviations: name -> (rows, 1), the standard deviation of each value of that column.
     """
@@ -122,14 +122,14 @@ def decimated(
 
 
 def _rows_at(rows: NDArray[np.int64], read: Read) -> NDArray[np.float64]:
-    """Some rows, in their order, of read(start, stop) -> (rows, 1), which is read block by block."""
+    """Return some rows, in order, of read(start, stop) -> (rows, 1), which is read block by block."""
     blocks = np.split(rows, np.searchsorted(rows, np.arange(BLOCK_ROWS, rows[-1] + 1, BLOCK_ROWS)))
     parts = [read(int(block[0]), int(block[-1]) + 1)[block - block[0], 0] for block in blocks if len(block)]
     return np.concatenate(parts).astype(np.float64)
 
 
 def own_clock(t_s: NDArray[np.float64], names: dict[str, str], read: Read) -> list[Series]:
-    """Series of rows that have their own clock, whose times are t_s."""
+    """Return series of rows with their own clock, whose times are t_s."""
     return [
         Series(line.name, line.colour, t_s[np.rint(line.t_s * SLICES_PER_S).astype(np.int64)], line.value)
         for line in decimated(names, 0, len(t_s), read)
@@ -139,9 +139,9 @@ def own_clock(t_s: NDArray[np.float64], names: dict[str, str], read: Read) -> li
 def series_panels(
     trial: OpenTrial, span: tuple[int, int], probability: NDArray[np.float32] | None, of_touch: Sequence[Panel] = ()
 ) -> list[Panel]:
-    """Series of the slices of the span, from all files of the trial.
+    """Return series of the slices of the span, from all files of the trial.
 
-    probability: of model_output. of_touch: panels of a touch file, which stand below what is true of the same.
+    probability: from model_output. of_touch: panels of a touch file, placed below the panels of the true values.
     """
     start, stop = span
     panels = []
@@ -177,7 +177,7 @@ def series_panels(
 
         def moved(first: int, last: int) -> NDArray[Any]:
             away = np.linalg.norm(tracks.read("dot_xy_px", start + first, start + last) - rest, axis=2)
-            # where a dot that the tracker has lost may be, hundreds of px away, is no displacement of the gel
+            # the position of a lost dot may be hundreds of px off: it is not a displacement of the gel
             away[~np.isfinite(away) | (tracks.read("lost", start + first, start + last) > 0)] = np.nan
             known = np.maximum(np.isfinite(away).sum(axis=1), 1)
             mean = np.where(np.isfinite(away).any(axis=1), np.nansum(away, axis=1) / known, np.nan)
@@ -201,9 +201,9 @@ def series_panels(
 
 
 def _flow(labels: StageFile, span: tuple[int, int]) -> Panel:
-    """What labels decided by, where they examined it and where not.
+    """Return the flow by which labels decided, where they examined it and where not.
 
-    Logarithmic, and cut: nothing is decided beyond.
+    The axis is logarithmic and cut, because larger values decide nothing.
     """
     start = span[0]
 
@@ -214,43 +214,43 @@ def _flow(labels: StageFile, span: tuple[int, int]) -> Panel:
 
     names = {"window against gel": GREEN, "not examined": UNKNOWN}
     lines = decimated(names, start, _length(labels, "relative_flow_px", span), flow)
-    made = labels.header["parameters"]
-    method = made.get("method")
+    parameters = labels.header["parameters"]
+    method = parameters.get("method")
     title = "Flow that labels slip" + (f", {method}" if isinstance(method, str) else "")
-    # Where images are compared the flow itself is held against a threshold, else the distance slid since it last held.
+    # Methods on images compare the flow with a threshold; event-flow uses the distance slid since the last stick.
     compared = method in (None, "farneback", "dis")
     name, limit = ("threshold", "threshold_px") if compared else ("onset at a slide of", "slip_distance_px")
-    if not (compared or method == "event-flow") or not isinstance(made.get(limit), (int, float)):
+    if not (compared or method == "event-flow") or not isinstance(parameters.get(limit), (int, float)):
         return Panel(title, "px", lines, logarithmic=True)
-    level = float(made[limit])
+    level = float(parameters[limit])
     ends = LEAST_FLOW_PX, max(MOST_FLOW_PX, 3 * level)
     if compared:
-        look_ahead = made.get("look_ahead_ms")
+        look_ahead = parameters.get("look_ahead_ms")
         time = f"in {look_ahead} ms" if isinstance(look_ahead, int) else "over the look-ahead"
-        says = f"Motion of the window against the gel {time}; more than {level:g} px is slip."
+        says = f"Motion of the window relative to the gel {time}; more than {level:g} px is slip."
     else:
         from evetac_cli.kernels.labelling.event_flow import EventFlowConstants
 
         says = (
-            f"How far the object goes against the gel in contact in the next {EventFlowConstants.look_ahead_ms} ms."
-            f" Slip begins where a slide that lasts exceeds {level:g} px."
+            f"Motion of the object relative to the gel in contact in the next {EventFlowConstants.look_ahead_ms} ms."
+            f" Slip begins when a lasting slide exceeds {level:g} px."
         )
     if any(line.name == "not examined" for line in lines):
         says += " Grey: not examined."
     if any(np.nanmax(line.value) > ends[1] for line in lines):
-        says += f" Not drawn beyond {ends[1]:g} px: once the object is lost, the flow soon measures no distance."
+        says += f" Not drawn beyond {ends[1]:g} px: once the object is lost, the flow soon has no meaning."
     return Panel(title, "px", lines, {name: level}, logarithmic=True, ends=ends, says=says)
 
 
 def timed(recording: Recording, path: str, span: tuple[int, int]) -> tuple[NDArray[np.float64], int, int]:
-    """Times in s of rows that have their own clock, and which of all rows lie in the span."""
+    """Return times in s of rows with their own clock, and the range of rows in the span."""
     t_us = recording.read(path)
     first, last = np.searchsorted(t_us, np.array(span) * SLICE_US).tolist()
     return t_us[first:last] / 1e6, first, last
 
 
 def _length(file: StageFile, path: str, span: tuple[int, int]) -> int:
-    """Rows that a file holds of the span: it may be shorter than the recording."""
+    """Return the number of rows of the span in a file, which may be shorter than the recording."""
     return max(0, min(file.length(path), span[1]) - span[0])
 
 
@@ -258,7 +258,7 @@ def _length(file: StageFile, path: str, span: tuple[int, int]) -> int:
 
 
 def model_output(trial: OpenTrial, span: tuple[int, int]) -> NDArray[np.float32] | None:
-    """Slip probability of each slice of the span, NaN before the first; None without a model or features."""
+    """Return the slip probability of each slice of the span, NaN before the first; None without a model or features."""
     if trial.model is None or trial.features is None:
         return None
     from evetac_cli.stages.slip_detectors import load_detector, read_series
@@ -269,7 +269,7 @@ def model_output(trial: OpenTrial, span: tuple[int, int]) -> NDArray[np.float32]
     probability = np.full(length, np.nan, np.float32)
     for first in range(0, length, BLOCK_ROWS):
         last = min(first + BLOCK_ROWS, length)
-        # a full history, and as far back as a prediction is held
+        # the full history, and the slices for which a prediction is held
         before = min(start + first, detector.architecture.history + detector.architecture.every - 2)
         rows = slice(start + first - before, start + last)
         series = read_series(trial.features, detector.architecture, rows.start, rows.stop)
@@ -280,10 +280,10 @@ def model_output(trial: OpenTrial, span: tuple[int, int]) -> NDArray[np.float32]
 def slip_onsets(
     trial: OpenTrial, span: tuple[int, int], probability: NDArray[np.float32] | None
 ) -> dict[str, int | None]:
-    """First slice of slip after the start of the span, by truth, label and model or detector, as far as known.
+    """Return the first slice of slip after the start of the span, by truth, label and model or detector, if known.
 
-    By truth and label a trial begins where the gripper's current begins to fall; for a grasp's detector, after the
-    light contact, of which it knows nothing: no trajectory that it was trained on holds one.
+    For truth and labels, the trial begins when the gripper's current begins to fall. For a grasp's detector it begins
+    after the light contact, because no trajectory in its training contains one.
     """
     start, stop = span
     onsets: dict[str, int | None] = {}
@@ -294,7 +294,7 @@ def slip_onsets(
     if source is not None:
         label = source.read("label", start, stop)
         onsets["label"] = _first(label == 1, start)
-        if abstains(source):  # its guess lies before the slices that surely slip
+        if abstains(source):  # its guess is before the slices that certainly slip
             guess = int(source.read("onset_slice"))
             onsets["label"] = guess if start <= guess < stop else None
         examined = _first(label >= 0, start) or start
@@ -315,7 +315,7 @@ def _first(slip: NDArray[np.bool_], start: int) -> int | None:
 
 
 def slip_lanes(trial: OpenTrial, span: tuple[int, int], probability: NDArray[np.float32] | None) -> list[Lane]:
-    """Stretches of slip in the span, by truth, label and model or detector, as far as known."""
+    """Return intervals of slip in the span, by truth, label and model or detector, if known."""
     start, stop = span
     lanes = []
 

@@ -1,7 +1,7 @@
-"""What view shows of a touch file: series of what every slice tells, and the maps that belong to the event images.
+"""Touch file in view: series of the values in every slice, and the maps that belong to the event images.
 
-A map is kept as a byte for each cell's pressure and shear, and only as many maps as images show and a page has room
-for; the numbers that stand beside it are those of the file.
+A map is stored as a byte per cell for pressure and for each component of shear. There are only as many maps as the
+images need and a page has room for. Numbers next to a map are the exact ones from the file.
 """
 
 from typing import Any
@@ -17,19 +17,19 @@ from evetac_cli.pages.view.trial_files import OpenTrial
 from evetac_cli.pages.view.view_data import LEVELS, SHEAR_LEVELS, Panel, TouchView, ViewData
 from evetac_cli.store.files import StageFile
 
-MAP_BYTES = 2_000_000  # of maps in a page; a third more as text
+MAP_BYTES = 2_000_000  # of maps per page; a third more as base64
 CELL_BYTES = 4  # pressure, two of shear, patch
-SHOWN_SHARE = 0.99  # of touched cells are within the scale: a few odd ones do not pale all others
+SHOWN_SHARE = 0.99  # of touched cells are within the scale, so that a few outliers do not fade all others
 
 
 def touch_panels(touch: StageFile, span: tuple[int, int]) -> list[Panel]:
-    """Forces, torsion, area and sticking share of the span, each with its standard deviation."""
+    """Return forces, torsion, area and sticking share of the span, each with its standard deviation."""
     start, length = span[0], max(0, min(touch.length("known"), span[1]) - span[0])
 
     def size(name: str) -> Read:
         return lambda first, last: np.hypot(*touch.read(name, start + first, start + last).T)[:, None]
 
-    def less_sure(name: str) -> Read:  # of the two axes
+    def less_sure(name: str) -> Read:  # larger deviation of the two axes
         return lambda first, last: touch.read(name, start + first, start + last).max(axis=1, keepdims=True)
 
     def panel(title: str, unit: str, says: str, *lines: tuple[str, str, Read, Read], **more: Any) -> Panel:
@@ -71,18 +71,18 @@ def touch_panels(touch: StageFile, span: tuple[int, int]) -> list[Panel]:
 
 
 def _how_sure(touch: StageFile) -> str:
-    """What the deviation of estimated forces is, and how well the gel's stiffness, their scale, is known."""
+    """Return the meaning of the band of estimated forces, and how well the gel's stiffness, their scale, is known."""
     known = {
         touch_words.ADAPTED: "The scale was adapted to this sensor with known forces.",
         touch_words.KNOWN: "The stiffness of this gel is taken as known.",
-        touch_words.UNKNOWN: "The stiffness of this gel is not known, and a typical one assumed: a curve may be off by"
-        " one constant factor. predict-touch --sensor takes a known stiffness.",
+        touch_words.UNKNOWN: "The stiffness of this gel is not known, and a typical value is assumed: a curve may be"
+        " wrong by one constant factor. Use predict-touch --sensor if the stiffness is known.",
     }
-    return f"Band: one standard deviation either way. {known[touch_words.stiffness(touch.header)]}"
+    return f"Band: plus and minus one standard deviation. {known[touch_words.stiffness(touch.header)]}"
 
 
 def place_touch(view: ViewData, trial: OpenTrial) -> None:
-    """The map that each event image is shown with, the last before its end, and what the slice at its end tells."""
+    """Add the map for each event image, the last before its end, and the values of the slice at its end."""
     touch = trial.touch
     if touch is None or not touch.has("map/slice") or not len(view.frame_times):
         return
@@ -93,13 +93,13 @@ def place_touch(view: ViewData, trial: OpenTrial) -> None:
     if not len(wanted):
         return
     if min(len(x_mm), len(y_mm)) < 2:
-        view.notes.append("Touch maps are not drawn: of one row or column of cells it is not known how large they are.")
+        view.notes.append("Touch maps are not drawn: with only one row or column of cells, their size is unknown.")
         return
     most = max(1, MAP_BYTES // (CELL_BYTES * len(x_mm) * len(y_mm)))
     step = -(-len(wanted) // most)
     kept = wanted[::step]
     if step > 1:
-        view.notes.append(f"Touch maps: one of {step} is kept, so that the page stays small.")
+        view.notes.append(f"Touch maps: one in {step} is kept, to keep the page small.")
     maps = [_one(touch, row) for row in kept.tolist()]
     pressure, shear, patch = (np.stack([one[name] for one in maps]) for name in ("pressure", "shear", "patch"))
     most_pa = _end_of_scale(pressure, patch)
@@ -121,7 +121,7 @@ def place_touch(view: ViewData, trial: OpenTrial) -> None:
 
 
 def _one(touch: StageFile, row: int) -> dict[str, Any]:
-    """A map of a file; `highest` in it: pressure and shear where each is highest, with their deviations, in Pa."""
+    """Return a map of a file; `highest`: largest pressure and largest shear with their deviations, in Pa."""
     names = ("patch", "pressure_pa", "pressure_sd_pa", "shear_pa", "shear_sd_pa")
     patch, pressure, pressure_sd, shear, shear_sd = (touch.read(f"map/{name}", row, row + 1)[0] for name in names)
     size, size_sd = np.hypot(*shear), shear_sd.max(axis=0)
@@ -133,12 +133,12 @@ def _one(touch: StageFile, row: int) -> dict[str, Any]:
 
 
 def _end_of_scale(values_pa: NDArray[Any], patch: NDArray[Any]) -> float:
-    """The end of a scale of colours or arrows for values of touched cells; above 0."""
-    touched = values_pa[(patch == 1) & (values_pa > 0)]  # without NaN
+    """Return the end of a scale of colours or arrows for values of touched cells; above 0."""
+    touched = values_pa[(patch == 1) & (values_pa > 0)]  # excludes NaN
     return float(np.quantile(touched, SHOWN_SHARE)) if len(touched) else 1.0
 
 
 def _levels(share: NDArray[Any], low: int, high: int) -> NDArray[np.float64]:
-    """Whole numbers from low to high for shares of high; what is not known is 0."""
+    """Return whole numbers from low to high for shares of high; unknown values become 0."""
     levels: NDArray[np.float64] = np.rint(np.clip(np.nan_to_num(share) * high, low, high))
     return levels

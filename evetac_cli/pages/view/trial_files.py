@@ -1,4 +1,4 @@
-"""The files of one trial, for view: those given, and those beside them that belong to the same recording."""
+"""The files of one trial for view: the given ones, and those next to them of the same recording."""
 
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -13,12 +13,12 @@ from evetac_cli.store.index import recording_of
 from evetac_cli.store.recordings.read import Recording
 
 KINDS = ("recording", "tracks", "labels", "features", "touch")
-MOST_NEIGHBOURS = 200  # recordings of other names among which the one that a file was made from is searched
+MOST_NEIGHBOURS = 200  # recordings with other names that are searched for a file's own recording
 
 
 @dataclass
 class OpenTrial:
-    """A recording and what was computed from it, all open, as far as it exists; and notes on what was left out."""
+    """A recording and the files made from it, all open; missing ones are None, and notes state what was left out."""
 
     recording_id: str
     recording: Recording | None = None
@@ -37,7 +37,7 @@ class OpenTrial:
 
     @property
     def slices(self) -> int:
-        """Length of the trial in ms: that of the recording, else of what was computed from it."""
+        """Length of the trial in ms: that of the recording, else of the files made from it."""
         if self.recording is not None:
             return len(self.recording)
         rows = (
@@ -50,7 +50,7 @@ class OpenTrial:
 
     @property
     def recording_parameters(self) -> Any:
-        """The parameters of the recording, which every file of a trial carries in its history."""
+        """The parameters of the recording, which every file of a trial has in its history."""
         if self.recording is not None:
             return self.recording.header["parameters"]
         return inner(self.files[0].header["history"], self.recording_id, "parameters")
@@ -61,7 +61,7 @@ class OpenTrial:
 
 
 def inner(table: Any, *names: str) -> Any:
-    """A value inside nested tables of a header, which may hold anything; None where there is none."""
+    """Return a value inside nested tables of a header, which may contain anything; None if there is none."""
     for name in names:
         table = table.get(name) if isinstance(table, dict) else None
     return table
@@ -69,9 +69,9 @@ def inner(table: Any, *names: str) -> Any:
 
 @contextmanager
 def open_trial(paths: list[Path]) -> Iterator[OpenTrial]:
-    """Open the files named and those beside them; InputError if those named are not of one trial.
+    """Open the given files and those next to them; raise InputError if the given files are not of one trial.
 
-    A file beside them that is damaged or of another recording is left out, with a note.
+    A file next to them that is damaged or of another recording is left out, with a note.
     """
     with ExitStack() as stack:
         named = [stack.enter_context(_open(path)) for path in dict.fromkeys(paths)]
@@ -104,7 +104,7 @@ def open_trial(paths: list[Path]) -> Iterator[OpenTrial]:
 
 
 def _open(path: Path) -> StageFile:
-    """Open a file of which all makes sense, before it is decided which files are shown."""
+    """Open a file after checking its contents, before deciding which files are shown."""
     with ExitStack() as stack:
         file = stack.enter_context(StageFile(path, (*KINDS, "model")))
         file.check()
@@ -119,7 +119,7 @@ def _kind_of(path: Path) -> str:
 
 
 def _recording_id(file: StageFile) -> str | None:
-    """The id of the recording itself, or of the one that a file, or the tracks behind it, was made from."""
+    """Return the id of the recording itself, or of the one from which a file, or its tracks, was made."""
     if file.kind == "recording":
         return str(file.header["id"])
     made_from = recording_of(file.header, file.header["history"])
@@ -127,27 +127,27 @@ def _recording_id(file: StageFile) -> str | None:
 
 
 def _one_recording(named: list[StageFile]) -> str:
-    """The recording that all files named belong to (a model belongs to any)."""
+    """Return the recording to which all given files belong (a model belongs to any)."""
     of_trial = [file for file in named if file.kind != "model"]
     if not of_trial:
         raise InputError(
             "a model alone has nothing to show",
             where=str(named[0].path),
             expected=", ".join(KINDS),
-            hint=f"name features too ({made_by('features')}), and the page shows the model's slip probability on them",
+            hint=f"give features too ({made_by('features')}): the page then shows the model's slip probability on them",
         )
     first = _recording_id(of_trial[0])
     for file in of_trial:
         if _recording_id(file) != first:
             raise InputError(
-                "these files are of two trials",
+                "these files are from two trials",
                 where=str(file.path),
-                expected=f"as {of_trial[0].path.name}, made from recording {(first or 'unknown')[:12]}",
+                expected=f"like {of_trial[0].path.name}, made from recording {(first or 'unknown')[:12]}",
                 found=f"recording {(_recording_id(file) or 'unknown')[:12]}",
-                hint="one page shows one trial: run evetac view once for each",
+                hint="a page shows one trial: run evetac view once per trial",
             )
     if first is None:
-        raise InputError("its header names no recording", where=str(of_trial[0].path))
+        raise InputError("the file's header names no recording", where=str(of_trial[0].path))
     return first
 
 
@@ -168,7 +168,7 @@ def _check_model(trial: OpenTrial) -> None:
 
 
 def _beside(named: list[StageFile]) -> list[Path]:
-    """Files of the same name and another kind, beside those named."""
+    """Return files of the same name and another kind next to the given ones."""
     paths = [
         file.path.with_name(f"{stem(file.path)}.{kind}.h5") for file in named if file.kind != "model" for kind in KINDS
     ]
@@ -187,4 +187,4 @@ def _search_recording(trial: OpenTrial, folder: Path, stack: ExitStack) -> None:
                 return
         except (InputError, UnavailableError):
             continue
-    trial.notes.append(f"The recording {trial.recording_id[:12]} is not beside these files: no event images.")
+    trial.notes.append(f"The recording {trial.recording_id[:12]} is not next to these files: no event images.")

@@ -1,4 +1,4 @@
-"""The data that view draws of a trial: series, stretches of slip, event images, dots."""
+"""The data of a trial that view draws: series, intervals of slip, event images, dots."""
 
 import io
 from dataclasses import dataclass, field
@@ -14,7 +14,7 @@ VIRIDIS = ((68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231,
 
 @dataclass(frozen=True)
 class Series:
-    """One series over time, of at most two values per bin, and the standard deviation of each where a file has it."""
+    """One series over time with at most two values per bin, and the standard deviation of each, if a file has it."""
 
     name: str
     colour: str
@@ -24,7 +24,7 @@ class Series:
 
     @property
     def band(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """One standard deviation below and above; ValueError where it is unknown. What is never negative stays so."""
+        """One standard deviation below and above, not below 0 if no value is; raises ValueError if it is unknown."""
         if self.sd is None:
             raise ValueError(f"{self.name}: expected a standard deviation, found none")
         low = self.value - self.sd
@@ -41,14 +41,14 @@ class Panel:
     levels: dict[str, float] = field(default_factory=dict)
     simulated: bool = False
     logarithmic: bool = False
-    ends: tuple[float, float] | None = None  # of the axis, where values beyond them mean nothing; else as the values
-    says: str = ""  # what is drawn, where title and unit leave it open
-    marks: bool = False  # each value by itself: no line between them means anything
+    ends: tuple[float, float] | None = None  # of the axis, if values beyond have no meaning; else fitted to the values
+    says: str = ""  # explanation, if title and unit are not enough
+    marks: bool = False  # separate points, if a line between them would have no meaning
 
 
 @dataclass(frozen=True)
 class Lane:
-    """Stretches of time, in s, in which one source (truth, label, model) says slip, and that it did not examine."""
+    """Intervals in s in which one source (truth, label, model) reports slip, and those that it did not examine."""
 
     name: str
     colour: str
@@ -58,18 +58,18 @@ class Lane:
 
 @dataclass(frozen=True)
 class SideView:
-    """Hand, fingers and object over the table, seen from the side, at the end of each image; simulated grasps only."""
+    """Side view of hand, fingers, object and table at the end of each image; only for simulated grasps."""
 
     object_mm: tuple[float, float]  # width between the fingers, height
     most_n: float
     height_mm: NDArray[np.float32]  # (frames,) of the object above the table
-    sunk_mm: NDArray[np.float32]  # (frames,) that it moved down in the gripper since the start
+    sunk_mm: NDArray[np.float32]  # (frames,) downward motion in the gripper since the start
     force_n: NDArray[np.float32]  # (frames,) of one finger
 
 
 @dataclass(frozen=True)
 class CameraImages:
-    """Images of another camera of the trial: JPEG, and which of them each event image is shown with; -1: none yet."""
+    """Images of another camera of the trial: JPEG, and the index for each event image; -1: none yet."""
 
     name: str
     images: list[bytes]
@@ -78,13 +78,14 @@ class CameraImages:
 
 @dataclass(frozen=True)
 class TouchView:
-    """Touch maps of a trial, and what the slice at the end of each event image tells.
+    """Touch maps of a trial, and the values of the slice at the end of each event image.
 
-    Pressure is 0 to 255 for 0 to most_pa, shear 0 to 254 for either way of most_shear_pa about 127; what lies beyond is
-    at the end. highest: pressure and its deviation, shear and its deviation where they are highest, in Pa.
+    Pressure is 0 to 255 for 0 to most_pa; shear is 0 to 254 for -most_shear_pa to +most_shear_pa, with 127 for 0.
+    Values beyond are clipped. highest: the largest pressure and its deviation, the largest shear and its deviation, in
+    Pa.
     """
 
-    x_mm: NDArray[np.float64]  # (columns,) middles of cells from the middle of the frame
+    x_mm: NDArray[np.float64]  # (columns,) centres of cells from the centre of the frame
     y_mm: NDArray[np.float64]  # (rows,)
     most_pa: float
     most_shear_pa: float
@@ -92,7 +93,7 @@ class TouchView:
     shear: NDArray[np.uint8]  # (maps, 2, rows, columns)
     patch: NDArray[np.uint8]  # (maps, rows, columns)
     highest: NDArray[np.float32]  # (maps, 4)
-    shown: NDArray[np.int64]  # (frames,) which map each event image is shown with; -1: none yet
+    shown: NDArray[np.int64]  # (frames,) index of the map for each event image; -1: none yet
     slices: dict[str, NDArray[np.float32]]  # (frames, ...) centre_mm, centre_sd_mm, sticking_share, slip_direction_rad
 
     @property
@@ -102,20 +103,20 @@ class TouchView:
 
     @property
     def words(self) -> str:
-        """What colours and arrows mean, in words."""
+        """The meaning of colours and arrows, in words."""
         return (
-            f"Touch map: a pixel is a cell, from dark for no pressure to yellow for {self.most_pa / 1e3:.3g} kPa and"
-            f" more; an arrow as long as a cell is {self.most_shear_pa / 1e3:.3g} kPa of shear."
+            f"Touch map: one pixel per cell, from dark for no pressure to yellow for {self.most_pa / 1e3:.3g} kPa and"
+            f" more; an arrow of one cell's length is {self.most_shear_pa / 1e3:.3g} kPa of shear."
         )
 
     def png(self, row: int) -> bytes:
-        """A map's pressure as a PNG, a pixel a cell, black where nothing touches."""
+        """Return a map's pressure as a PNG, one pixel per cell, black where there is no contact."""
         from PIL import Image
 
         shares = np.linspace(0.0, 1.0, LEVELS)
         stops = np.linspace(0.0, 1.0, len(VIRIDIS))
         colours = np.stack([np.interp(shares, stops, channel) for channel in np.array(VIRIDIS).T], axis=1)
-        shown = np.maximum(self.pressure[row], 1) * self.patch[row]  # 0 is kept for what is not touched
+        shown = np.maximum(self.pressure[row], 1) * self.patch[row]  # 0 is reserved for cells without contact
         image = Image.fromarray(shown.astype(np.uint8))
         image.putpalette(bytes([0, 0, 0, *np.rint(colours).astype(np.uint8).ravel().tolist()]))
         written = io.BytesIO()
@@ -125,7 +126,7 @@ class TouchView:
 
 @dataclass
 class ViewData:
-    """All that a page or an animation draws; frames are the times at which there is an event image."""
+    """All data that a page or an animation draws; frames are the times of the event images."""
 
     slices: int
     span: tuple[int, int]  # slices shown, end excluded
@@ -134,7 +135,7 @@ class ViewData:
     frame_px: tuple[int, int]
     window_px: tuple[int, int, int, int] | None
     onsets: dict[str, int | None]  # truth, label, model or detector -> first slice of slip
-    labelled: LabelledOnset | None  # what labels say of their onset
+    labelled: LabelledOnset | None  # onset in the labels
     panels: list[Panel]
     lanes: list[Lane]
     phases: list[Lane]  # of a grasp
@@ -143,12 +144,12 @@ class ViewData:
     dense: dict[str, int]  # slices around which images are dense, and why
     contact_times: dict[str, int]  # gripped, first touch -> slice
     pictures: list[bytes]  # PNG of each frame; none without a recording
-    events: list[int]  # in each picture
+    events: list[int]  # number in each picture
     rest_xy_px: NDArray[np.float64] | None  # (dots, 2)
-    dot_xy_px: NDArray[np.float32] | None  # (frames, dots, 2), at the end of what the picture shows
+    dot_xy_px: NDArray[np.float32] | None  # (frames, dots, 2), at the end of each picture
     lost: NDArray[np.uint8] | None  # (frames, dots)
     true_xy_px: NDArray[np.float32] | None  # (frames, dots, 2), simulated
     side: SideView | None  # simulated
-    opens_at: int = 0  # frame that tells most
+    opens_at: int = 0  # most informative frame
     cameras: list[CameraImages] = field(default_factory=list)
     touch: TouchView | None = None

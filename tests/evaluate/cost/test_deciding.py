@@ -73,7 +73,7 @@ def test_the_command_is_the_same_run_with_more_trials() -> None:
     assert other["decide_with"] == f"evetac evaluate cost grasp --trials {trials} --seed 7 --full --model 'my models'"
     assert other["decide_min"] == 3.0 * trials
     beyond = Effort(params, 4, 3.0).deciding(ConfidenceInterval(1e-9, -1.0, 1.0, 4))
-    assert beyond == {"decided": "no, not by 10,000 trials", "decide_with": None, "decide_min": None}
+    assert beyond == {"decided": "no, not with 10,000 trials", "decide_with": None, "decide_min": None}
 
 
 def test_columns_of_a_row() -> None:
@@ -97,5 +97,5 @@ def test_what_is_left_open() -> None:
 
     assert undecided([{"setting": "a"}, row("yes", None, None), row(None, None, None)]) == []
     open_rows = [row("yes", None, None), row("no", "long", 40.0), row("no", "short", 4.5)]
-    assert undecided(open_rows) == ["Undecided: 2 of 3 differences. The first is decided by: short (4.5 min)."]
+    assert undecided(open_rows) == ["Undecided: 2 of 3 differences. Decide the first with: short (4.5 min)."]
     assert undecided([row("no difference seen", None, None)]) == ["Undecided: 1 of 1 differences."]

@@ -168,7 +168,7 @@ def test_where_reports_go(files: dict[str, list[Path]], tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_what_is_refused(files: dict[str, list[Path]], quick: None, tmp_path: Path) -> None:
     """Assert that files for another part, models without their report, and reports on others are errors."""
-    with pytest.raises(InputError, match="measured without files"):
+    with pytest.raises(InputError, match="no files or models"):
         cost.jobs(files["features"], EvaluateCost(part="sim"), tmp_path)
     with pytest.raises(InputError, match="no model file"):
         cost.jobs(files["features"], EvaluateCost(part="model"), tmp_path)

@@ -97,7 +97,7 @@ def test_a_wrong_list_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     for change, said in (
         ({"class": "nearly"}, "expected a class"),
         ({"paper": [["no such figure"]]}, "has no figure"),
-        ({"counts": 30}, "counts 1 to 19"),
+        ({"counts": 30}, "from 1 to 19"),
     ):
         wrong = {"fact": [{**usual[0], **change}, *usual[1:]]}
         monkeypatch.setattr(listed.resources, "table", lambda name, wrong=wrong: wrong)

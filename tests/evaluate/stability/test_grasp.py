@@ -156,7 +156,7 @@ def test_the_report(tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:
         for told in ("", stability.TOLD)
     }
     assert outcome.rows[0]["quantity"] == bounds.HELD.quantity  # the hand rises by far less than 50 mm
-    assert outcome.rows[0]["outcome"].endswith("; not for the detector: this fails with the true slip too")
+    assert outcome.rows[0]["outcome"].endswith("; not because of the detector: this fails with the true slip too")
     assert outcome.summary["cases"] == 2
     assert outcome.summary["not_ok_by_controller"] == "paper 1 of 1, load-proportional 1 of 1"
 
@@ -181,7 +181,7 @@ def test_a_failed_detector_is_told_from_a_failed_grasp(
     if own_detector:
         assert rows[0]["outcome"] == "lost"
         return
-    verdict = "the detector fails: with the true slip this is ok" if holds else "not for the detector"
+    verdict = "the detector fails: with the true slip this is ok" if holds else "not because of the detector"
     assert rows[0]["outcome"].startswith(f"lost; {verdict}")
     assert [row["controller"] for row in rows] == ["paper"] * 2 + ["paper, detector truth"] * 2
 

@@ -87,7 +87,7 @@ def test_dots_that_leave_the_frame_are_as_far_off_as_they_are_until_they_are_fla
     worst, _ = track_rows(CASES["dots leave the frame at 5 px/ms"], "stable", slices=200)
     assert 5.0 < worst["value"] < 20.0
     assert worst["outcome"].startswith("63 of 63 dots flagged lost, 0 others")
-    assert "; a dot jumps by 5.0 px in a slice, of which at most 3 px are followed at once" in worst["outcome"]
+    assert "; a dot jumps by 5.0 px in a slice; the tracker follows at most 3 px" in worst["outcome"]
     without_flags, _ = track_rows(CASES["dots leave the frame at 5 px/ms"], "paper", slices=200)
     assert without_flags["value"] > 300.0
 
@@ -95,8 +95,8 @@ def test_dots_that_leave_the_frame_are_as_far_off_as_they_are_until_they_are_fla
 def test_why_a_row_is_out_of_bounds():
     """Assert that a row names a grid that is off and a jump, and says nothing of what a tracker can see."""
     assert "".join(stability._why_off(0.4, 2.9)) == ""
-    assert "told of dots 2.0 px from where they are" in "".join(stability._why_off(2.0, 2.9))
-    assert "jumps by 3.5 px in a slice, of which at most 3 px" in "".join(stability._why_off(0.1, 3.5))
+    assert "up to 2.0 px wrong" in "".join(stability._why_off(2.0, 2.9))
+    assert "jumps by 3.5 px in a slice" in "".join(stability._why_off(0.1, 3.5))
     assert stability._why_unseen(np.array([0.9])) == stability._why_unseen(np.empty(0)) == ""
     assert "; 2 dots that vanished, up to 1.9 px off, not flagged" in stability._why_unseen(np.array([1.9, 1.1]))
 

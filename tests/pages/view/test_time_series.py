@@ -115,7 +115,7 @@ def panel_of(data: ViewData, title: str) -> Panel:
             {"method": "event-flow", "slip_distance_px": 0.3},
             12_428.0,
             ONSET,
-            "a slide that lasts exceeds 0.3",
+            "slide exceeds 0.3",
         ),
         ({"method": "event-flow", "slip_distance_px": 1.5}, 640.0, ONSET - 40, "exceeds 1.5 px"),
         ({"method": "farneback", "look_ahead_ms": 7}, 30.0, ONSET, "in 7 ms"),

@@ -102,9 +102,9 @@ def test_errors_by_what_is_known(tmp_path: Path) -> None:
     assert outcome.summary["identified_sensors"] == 1
     assert report.with_suffix(".png").stat().st_size > 10_000
     for files, wrong, message in (
-        ([path], replace(chosen, identified=str(tmp_path / "none")), "no file of a sensor"),
+        ([path], replace(chosen, identified=str(tmp_path / "none")), "no file of any"),
         ([path], replace(chosen, adapt_on=str(path)), "evaluated on"),
-        ([write_contact(tmp_path, 22, None)], EvaluateForce(), "there is no contact"),
+        ([write_contact(tmp_path, 22, None)], EvaluateForce(), "have no contact"),
     ):
         with pytest.raises(InputError, match=message):
             run_valid(evaluate_force, files, wrong, tmp_path / "refused.h5")

@@ -133,7 +133,7 @@ def test_what_a_model_of_the_paper_is_for(fits: Path, tmp_path: Path) -> None:
     tracks = [fits / "trial3.tracks.h5"]
     refused(predict_touch, tracks, PredictTouch(model=model), "which only `evetac evaluate force` applies", tmp_path)
     for flags in ({"adapt_on": str(fits / "trial1.tracks.h5")}, {"identified": str(fits)}):
-        refused(evaluate_force, tracks, EvaluateForce(model=str(model), **flags), "trained on alone", tmp_path)
+        refused(evaluate_force, tracks, EvaluateForce(model=str(model), **flags), "works only for the sensor", tmp_path)
 
 
 def refused(stage: Any, files: list[Path], chosen: Any, message: str, tmp_path: Path) -> None:
@@ -167,7 +167,7 @@ def test_sensors_are_kept_apart(fits: Path, tmp_path: Path) -> None:
     events, frames = fits / "trial3.tracks.h5", fits / "rgb" / "trial3.tracks.h5"
     refused(train_force, [fits / "trial0.tracks.h5", frames], FIT, "different sensors", tmp_path)
     only = EvaluateForce(model=str(fits / "frames.force-model.h5"))
-    refused(evaluate_force, [events], only, "no model of dots tracked in events", tmp_path)
+    refused(evaluate_force, [events], only, "dots tracked in events", tmp_path)
     run_valid(
         train_force,
         [fits / "trial0.tracks.h5", fits / "trial1.tracks.h5"],
