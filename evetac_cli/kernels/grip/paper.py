@@ -56,7 +56,7 @@ class GripLaw:
         check_range("last_tick", self.last_tick, self.first_tick)
 
     def at(self, control_hz: float) -> "GripLaw":
-        """Return the law for another rate of control, with equal changes of u_ff per second. ValueError unless above 0."""
+        """Return the law for another control rate, with equal changes of u_ff per second. ValueError unless above 0."""
         check_range("control_hz", control_hz, above=True)
         times = PAPER_HZ / control_hz
         return replace(
