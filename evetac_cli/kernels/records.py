@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 
 def check_record(record: NDArray[np.void], state: np.dtype[np.void]) -> None:
-    """Raise ValueError unless the record is a writable array of one such state, which compiled code changes in place."""
+    """Raise ValueError unless the record is a writable array of one state, which compiled code changes in place."""
     if record.dtype != state or record.shape != (1,) or not record.flags.writeable:
         raise ValueError(
             f"record: expected a writable array of one STATE, {state.itemsize} bytes, found"

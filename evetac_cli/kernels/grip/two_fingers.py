@@ -35,7 +35,7 @@ def both(first: SlipSignal, second: SlipSignal) -> SlipSignal:
 
 
 def _chosen(choose: Callable[[float, float], float], first: float, second: float) -> float:
-    """Return the larger or smaller of two values, as `choose` decides; if one is NaN, which means unknown, the other."""
+    """Return the larger or smaller of two values, as `choose` decides; if one is NaN (unknown), the other."""
     if math.isnan(first):
         return second
     return first if math.isnan(second) else choose(first, second)

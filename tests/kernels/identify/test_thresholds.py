@@ -145,5 +145,5 @@ def test_equal_thresholds() -> None:
 def test_too_few_events_of_a_half() -> None:
     """Assert that a picture in which hardly anything moved is refused."""
     few = np.full(SHAPE, 3)
-    with pytest.raises(ValueError, match="20 events a half"):
+    with pytest.raises(ValueError, match="20 events"):
         thresholds.of_both_polarities(few, few, RATIO, np.random.default_rng(0))
