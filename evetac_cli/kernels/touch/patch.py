@@ -75,7 +75,7 @@ def tractions(
 
 
 def roughness(field: Singles) -> Singles:
-    """Return the gradient of half the summed squared differences of neighbours; the last two dimensions are the grid."""
+    """Return the gradient of half the summed squared differences of neighbours; the last two axes are the grid."""
     result = np.zeros_like(field)
     across = field[..., 1:] - field[..., :-1]
     result[..., 1:] += across

@@ -293,7 +293,7 @@ def _fitted(state: TouchState, moved_mm: Floats, kinds: int) -> Fitted:
 
 
 def _shares_beyond(state: TouchState, touched: Flags) -> tuple[float, float]:
-    """Return the share of a patch's ring, RING_CELLS wide, that no dots show, and the same of its part within the gel."""
+    """Return the share of a patch's ring, RING_CELLS wide, that no dots show, and that share of its part in the gel."""
     around = np.pad(touched, RING_CELLS)
     grown = around.copy()
     for _ in range(RING_CELLS):

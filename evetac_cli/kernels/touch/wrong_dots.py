@@ -99,7 +99,7 @@ def wrong(
 
 
 def _shown(known: LayerMotion, used: np.ndarray, patch: Flags) -> Floats | None:
-    """Return the covariance of dot motion (2 dots, 2 dots) by tractions on a patch, with mean 1; None without a patch."""
+    """Return the covariance of dot motion (2 dots, 2 dots) by tractions on a patch, mean 1; None without a patch."""
     if not patch.any():
         return None
     rows = np.stack([2 * used, 2 * used + 1], axis=1).ravel()
@@ -111,7 +111,7 @@ def _shown(known: LayerMotion, used: np.ndarray, patch: Flags) -> Floats | None:
 
 
 def _inverse(shown: Floats, errors: Floats, moved: Floats, usual: float) -> Floats:
-    """Return the inverse covariance of dot motion (2 dots, 2 dots), scaled so that the typical dot deviates as it should.
+    """Return the inverse covariance of dot motion (2 dots, 2 dots), scaled so that the typical error is right.
 
     Only the dots that the tractions move most count: the error of the others is the tracker's, which may be smaller
     than assumed.
