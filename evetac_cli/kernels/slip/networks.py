@@ -71,7 +71,7 @@ class SlipNet(nn.Module):
         self.fc5 = nn.Linear(FC4, 1)
 
     def forward(self, features: Tensor) -> Tensor:
-        """Return logits (batch,) of features (batch, dots row-major, inputs_per_dot); their sigmoid is the probability."""
+        """Return logits (batch,), whose sigmoid is the probability, of features (batch, dots by row, inputs_per_dot)."""
         logits: Tensor = self.outputs(self.last_hidden(features))
         return logits[:, 0]
 
@@ -161,7 +161,7 @@ class OtherNet(nn.Module):
             self.add_module(name, module)
 
     def forward(self, features: Tensor) -> Tensor:
-        """Return logits (batch,) of features (batch, dots row-major, inputs_per_dot) or images (batch, channels, ...)."""
+        """Return logits (batch,) of features (batch, dots by row, inputs_per_dot) or images (batch, channels, ...)."""
         logits: Tensor = self.outputs(self.last_hidden(features))
         return logits[:, 0]
 
