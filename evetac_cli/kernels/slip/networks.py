@@ -71,7 +71,7 @@ class SlipNet(nn.Module):
         self.fc5 = nn.Linear(FC4, 1)
 
     def forward(self, features: Tensor) -> Tensor:
-        """Return logits (batch,), whose sigmoid is the probability, of features (batch, dots by row, inputs_per_dot)."""
+        """Return logits (batch,), whose sigmoid is the probability, of features (batch, dots, inputs_per_dot)."""
         logits: Tensor = self.outputs(self.last_hidden(features))
         return logits[:, 0]
 

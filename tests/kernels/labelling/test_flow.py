@@ -194,5 +194,5 @@ def test_a_slide_that_comes_to_rest_is_doubted() -> None:
     labels = flow.label(moving(100, 0.5, 0.0, after=115), 200, WINDOW, GEL, constants)
     assert labels.onset > 0
     assert labels.confidence < flow.LEAST_CONFIDENCE
-    assert "came to rest" in labels.doubt
+    assert "the slide stopped" in labels.doubt
     assert (labels.label[labels.earliest : labels.latest + 1] == -1).all()
