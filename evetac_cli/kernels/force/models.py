@@ -73,7 +73,7 @@ def apply_regression(model: Regression, moved_px: Floats) -> Floats:
 
 
 def apply_network(model: Network, moved_px: Floats) -> Floats:
-    """Return forces (n, 2) in N from displacements (n, dots, 2); ValueError for another number of dots than in training."""
+    """Return forces (n, 2) in N from displacements (n, dots, 2); ValueError for a different number of dots."""
     inputs = model.layers[0].weight.shape[1]
     if moved_px[0:1].size not in (0, inputs):
         raise ValueError(f"expected {inputs // 2} dots, as in the network's training, found {moved_px.shape[1]}")
@@ -86,7 +86,7 @@ def apply_network(model: Network, moved_px: Floats) -> Floats:
 
 
 def check_samples(moved_px: Floats, force_n: Floats) -> None:
-    """Raise ValueError unless displacements (n, dots, 2) and forces (n, 2) are finite, of equal number, and at least 3."""
+    """Raise ValueError unless displacements (n, dots, 2) and forces (n, 2) are finite, equally many, at least 3."""
     if moved_px.ndim != 3 or moved_px.shape[2] != 2 or force_n.shape != (len(moved_px), 2) or len(moved_px) < 3:
         raise ValueError(f"expected shapes (n, dots, 2) and (n, 2), n >= 3, found {moved_px.shape}, {force_n.shape}")
     if not (np.isfinite(moved_px).all() and np.isfinite(force_n).all()):
