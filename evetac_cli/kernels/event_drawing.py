@@ -80,7 +80,7 @@ def step(state: ImageState, events: Events) -> NDArray[Any] | None:
 
 
 def fold(of: Representation, blocks: Iterable[SliceBlock]) -> Iterator[ImageBlock]:
-    """Yield the images of consecutive blocks of slices, several per block; the first block of slices starts at slice 0."""
+    """Yield the images of consecutive blocks of slices, several per block; the first block starts at slice 0."""
     state, kept = start(of), empty()
     at_once = max(1, AT_ONCE_BYTES // (int(np.prod(of.shape)) * np.dtype(of.dtype).itemsize))
     for block in blocks:

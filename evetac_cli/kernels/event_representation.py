@@ -23,13 +23,16 @@ MOST_WINDOW_MS, MOST_BINS, MOST_DECAY_MS = 100_000, 1_000, 100_000.0  # far beyo
 class Representation:
     """Contents of event images. ValueError for impossible numbers.
 
-    kind: `frames`, counts of the window (channels, height, width), int16; `histogram`, counts of each of its `bins`
-    (channels, bins, height, width), int16; `voxels`, ON as 1 and OFF as -1, distributed linearly over the two nearest
-    bins, (bins, height, width), float32; `surface`, exp(-(age of the last event) / decay_ms), 0 without an event,
-    (channels, height, width), float32.
-    frame_px: width and height of the sensor's frame. size_px: of the images, whose pixels sum those of the sensor.
-    rate_hz: image k ends with slice floor((k + 1) * 1000 / rate_hz). window_ms: time that an image covers (not
-    `surface`); the first images may cover less. polarity: `split` has two channels, OFF and ON; `signed` has one, ON
+    `kind` is one of:
+
+    - `frames`: counts of the window, (channels, height, width), int16.
+    - `histogram`: counts of each of its `bins`, (channels, bins, height, width), int16.
+    - `voxels`: ON as 1 and OFF as -1, distributed linearly over the two nearest bins, (bins, height, width), float32.
+    - `surface`: exp(-(age of the last event) / decay_ms), 0 without an event, (channels, height, width), float32.
+
+    `frame_px`: width and height of the sensor's frame. `size_px`: of the images, whose pixels sum those of the sensor.
+    `rate_hz`: image k ends with slice floor((k + 1) * 1000 / rate_hz). `window_ms`: time that an image covers (not
+    `surface`); the first images may cover less. `polarity`: `split` has two channels, OFF and ON; `signed` has one, ON
     minus OFF; `sum` has one of both. Voxels are always signed, surfaces never.
     """
 

@@ -7,9 +7,9 @@ tanh(kH) / (G k).
 
 Sheet: a simulator needs the inverse of the response, on a grid from node to node. Each surface node is held by a spring
 G/H to the back, and by a spring SPRING G/H to a sheet inside the layer. The sheet resists stretching with ALONG G H
-along a wave and with ACROSS G H across it. In equilibrium the sheet is the smoothed surface, and the stiffness of the
-surface to a pattern is G/H (1 + a x / (1 + a x / SPRING)), with x = (kH)^2 and a = ALONG or ACROSS: a Pade approximant
-of the exact one. `sheet_stiffness` is its matrix on a grid.
+along a wave and with ACROSS G H across it. In equilibrium the sheet is the smoothed surface. The stiffness of the
+surface to a pattern is then G/H (1 + a x / (1 + a x / SPRING)), with x = (kH)^2 and a = ALONG or ACROSS. This is a Pade
+approximant of the exact one. `sheet_stiffness` is its matrix on a grid.
 
 Pressure acts like a push of the surface by -H/2 grad p, with p smoothed by a Gaussian of SMOOTHING H. Multiplied by the
 layer's compliance along the wave, this gives the exact motion under pressure within 5 % of its maximum.
@@ -38,10 +38,10 @@ SMOOTHING = 0.82  # standard deviation of the smoothing of pressure, over H
 class Compliance(NamedTuple):
     """Motion of a layer at a number of wave numbers (n,), at its surface or below it, in m per Pa.
 
-    across, along: in the plane of the layer, under shear across and along the wave. aside: in the plane along the wave,
-    under pressure, as a factor on the pressure's slope over the wave number; negative, because gel moves away from high
-    pressure. down: into the layer under pressure. dip: into the layer under shear along the wave, as a factor on the
-    shear's slope over the wave number; at the surface it is -aside, by reciprocity.
+    `across`, `along`: in the plane of the layer, under shear across and along the wave. `aside`: in the plane along the
+    wave, under pressure, as a factor on the pressure's slope over the wave number. It is negative, because gel moves
+    away from high pressure. `down`: into the layer under pressure. `dip`: into the layer under shear along the wave, as
+    a factor on the shear's slope over the wave number. At the surface it is -aside, by reciprocity.
     """
 
     across: Floats

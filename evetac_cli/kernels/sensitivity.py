@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 class Sensitivity(NamedTuple):
     """Properties of one sensor, as estimated by `evetac identify`; None if unknown.
 
-    contrast_over_threshold: log contrast of a dot over the camera's threshold, which is the number of events of a pixel
-    when the rim of a dot passes. shear_modulus_pa: of the gel; under the same force a gel of twice the modulus moves
-    half as far. Stage files store them as datasets of these names, calibration files as keys.
+    `contrast_over_threshold`: log contrast of a dot over the camera's threshold, which is the number of events of a
+    pixel when the rim of a dot passes. `shear_modulus_pa`: of the gel; under the same force a gel of twice the modulus
+    moves half as far. Stage files store them as datasets of these names, calibration files as keys.
 
     >>> import evetac_cli as evetac
     >>> with evetac.open_recording("a.recording.h5") as recording:

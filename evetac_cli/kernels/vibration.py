@@ -6,7 +6,7 @@ contact adds half the tone, and slices of a millisecond alias everything above 5
 lines is sometimes the strongest.
 
 The other method follows motion. A pixel on a rim gets brighter while the rim moves forward and darker while it moves
-back, so brighter minus darker events is the rate of change of its brightness, at the frequency of the tone itself. In a
+back. So brighter minus darker events is the rate of change of its brightness, at the frequency of the tone itself. In a
 sum over the frame, both sides of a dot would cancel. So the frame is divided into cells smaller than a dot, each with
 its own spectrum, and their powers are summed. Neither the dots nor the direction of motion need to be known. Speed
 divided by frequency is the displacement of a line, and the tone is the line with the largest product of displacement
@@ -182,11 +182,11 @@ def _noise(powers: NDArray, duration_s: float, of_median: float = math.log(2)) -
 def find(sums: Spectrum, lowest_hz: float, highest_hz: float, false_alarms: float = 0.01) -> Finding:
     """Find the tone in [lowest_hz, highest_hz], its harmonics, and a stronger line above.
 
-    A line is a peak of the evidence. Noise alone would exceed the threshold anywhere above `lowest_hz` with a
-    probability of at most `false_alarms`: the tail of a gamma variate with as many terms as cells, divided by the
-    number of frequencies (Bonferroni). The tone is the line with the largest product of displacement and speed. If that
-    line is above the band, there is no tone, but `above_band`. ValueError unless 0 < lowest < highest and
-    0 < false_alarms < 1.
+    A line is a peak of the evidence above a threshold. Noise alone would exceed the threshold anywhere above
+    `lowest_hz` with a probability of at most `false_alarms`. It follows from the tail of a gamma variate with as many
+    terms as cells, with the probability divided by the number of frequencies (Bonferroni). The tone is the line with
+    the largest product of displacement and speed. If that line is above the band, there is no tone, but `above_band`.
+    ValueError unless 0 < lowest < highest and 0 < false_alarms < 1.
     """
     if not (0.0 < lowest_hz < highest_hz and math.isfinite(highest_hz)):
         raise ValueError(f"band: expected 0 < lowest < highest, found {lowest_hz} to {highest_hz} Hz")
@@ -238,12 +238,12 @@ def _lines(sums: Spectrum, lowest_hz: float, false_alarms: float) -> Iterator[Sp
 def locate(power: Floats, k: int, terms: float, resolution_hz: float) -> tuple[float, float]:
     """Return the frequency of the line whose highest bin is `k`, in Hz, and its sd.
 
-    power: power minus noise, a sum of `terms` terms. With a Hann window, a sine is at exactly k + (2 r - 1) / (1 + r),
-    where r is the amplitude of the next bin over that of bin k, and likewise on the other side. The result is the mean
-    of both positions, weighted by their bins' power.
+    `power`: power minus noise, a sum of `terms` terms. With a Hann window, a sine is at exactly k + (2 r - 1) / (1 +
+    r). Here r is the amplitude of the next bin over that of bin k; the same applies on the other side. The result is
+    the mean of both positions, weighted by their bins' power.
 
     The window correlates the noise of neighbouring bins. To first order, the position of a sine in the middle of a bin
-    has an sd of 0.608 bins over the root of power over noise, and less between bins; the Cramer-Rao bound of a window
+    has an sd of 0.608 bins over the root of power over noise, and less between bins. The Cramer-Rao bound of a window
     without taper is 0.32. With many terms, noise also interferes with noise. If the tone is not steady, the three bins
     do not have the shape of a sine. The deviation of their sum is then added to the sd, as that of their difference may
     be as large.

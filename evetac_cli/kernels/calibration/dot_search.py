@@ -66,9 +66,9 @@ def find(picture: RestImage) -> DotCentres:
 def fit(picture: RestImage, centre_xy_px: Floats, radius_px: float) -> DotCentres:
     """Fit dots near expected positions, (n, 2), and a common radius; NaN for a dot that is not visible.
 
-    A dot is rejected if its centre is more than 0.6 radii from the expected position, if its radius differs by more
-    than a fifth from the others', or if more than a quarter of its rim is hidden. ValueError if nothing moved in the
-    picture.
+    A dot is rejected if its centre is more than 0.6 radii from the expected position. It is also rejected if its radius
+    differs by more than a fifth from the others', or if more than a quarter of its rim is hidden. ValueError if nothing
+    moved in the picture.
     """
     events = contrast(picture)
     if events == 0.0:

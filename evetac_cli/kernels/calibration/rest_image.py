@@ -1,13 +1,13 @@
 """An image of the gel at rest, from the events of its motion.
 
-A dark dot that leaves a pixel brightens it, and one that moves over it darkens it. The number of events is the step of
-log brightness over the threshold. So the first run of events of one polarity after a rest shows how much brighter or
+A dark dot brightens each pixel that it leaves and darkens each pixel that it covers. The number of events is the step
+of log brightness over the threshold. So the first run of events of one polarity after a rest shows how much brighter or
 darker a pixel can become. Inside a dot the pixel brightens by the whole contrast, outside it darkens, and on the
 blurred rim the two shares measure its brightness at rest. Together they are an image of the gel at rest.
 
 Reasons:
 - Only the first run counts. The sum of all events would be simpler, but a camera merges the steps of a fast motion into
-  one event, and from then on the sum is wrong: with the simulated camera, by 20 events after one stroke.
+  one event. From then on the sum is wrong: with the simulated camera, by 20 events after one stroke.
 - Events can be processed backwards in time from the rest after a stroke, with reversed polarity. This gives a second
   first run, from the other side. The maximum over all strokes counts, because a fast motion can only remove events.
 - A single event of the other polarity within or before a run is noise and does not end the run.

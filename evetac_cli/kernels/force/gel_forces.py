@@ -6,8 +6,8 @@ the shear force, the terms are force over modulus, its parts faster than each of
 the normal force, they are force over modulus, the map's own deviation of it, and an offset. The stiffness of a sensor
 gives initial weights, and known forces improve them: `adapt`.
 
-Reason for the deviation as a term: a map takes the part of a normal force that the dots do not determine to be 0, so it
-underestimates the force more, the less the dots determine it.
+Reason for the deviation as a term: a map takes the part of a normal force that the dots do not determine to be 0. So
+the less the dots determine a force, the more the map underestimates it.
 """
 
 from typing import NamedTuple
@@ -37,9 +37,9 @@ NOT_TOLD_SD = 2.5  # sd of the deviation's weight: 2.3 for 219 contacts of 1 to 
 class ForceErrorModel(NamedTuple):
     """Errors of touch maps, apart from the uncertainty of the gel.
 
-    shear_share, normal_share: sd of the error that is the same in all of a contact, relative to the force; the map's
-    own deviation, which was fitted to contacts with it, includes it. shear_times, normal_times: ratio of the errors to
-    the map's own deviations.
+    `shear_share`, `normal_share`: sd of the error that is the same in all of a contact, relative to the force. The
+    map's own deviation, which was fitted to contacts with it, includes it. `shear_times`, `normal_times`: ratio of the
+    errors to the map's own deviations.
     """
 
     shear_share: float = SHEAR_SHARE
@@ -152,9 +152,9 @@ def predict(
 class KnownForces(NamedTuple):
     """Terms of forces at a number of samples, with the readings of a force sensor.
 
-    shear (n, 2, 4), normal (n, 3): terms. shear_sd_mm2 (n, 2), normal_sd_mm2 (n,): the map's own deviations. shear_n
-    (n, 2), normal_n (n,): readings, NaN for none. contact (n,): number of the contact that a sample belongs to. time_s
-    (n,): rising in each contact. Samples whose terms are NaN are ignored.
+    `shear` (n, 2, 4), `normal` (n, 3): terms. `shear_sd_mm2` (n, 2), `normal_sd_mm2` (n,): the map's own deviations.
+    `shear_n` (n, 2), `normal_n` (n,): readings, NaN for none. `contact` (n,): number of the contact that a sample
+    belongs to. `time_s` (n,): rising in each contact. Samples whose terms are NaN are ignored.
     """
 
     shear: Floats
@@ -253,9 +253,9 @@ def _update(
 ) -> tuple[Floats, Floats, float]:
     """Return mean and covariance of the weights after readings, and the factor on the expected errors.
 
-    Each contact also has its own factor, of sd `share`. free: additional variance (weights,) that the weights have once
-    there are readings. offsets: each contact also has its own offset, of sd `share` times its typical force, as a force
-    of both signs may have.
+    Each contact also has its own factor, of sd `share`. `free`: additional variance (weights,) that the weights have
+    once there are readings. `offsets`: each contact also has its own offset, of sd `share` times its typical force.
+    This is for forces of both signs.
     """
     terms, reading_n, size_n, variance, contact, time_s = readings
     known = np.isfinite(reading_n) & np.isfinite(terms).all(axis=1)

@@ -97,8 +97,8 @@ def sample_slices(normal_force_n: ArrayLike, count: int, every: int) -> NDArray[
     """Return `count` slices, evenly spread over the contact, at rest and in motion; shape (count,).
 
     The contact extends from the first to the last slice with a normal force (slices,) of at least CONTACT_N. Only
-    multiples of `every` slices are used, at which a slower camera has just taken a frame.
-    ValueError without contact, or if it is too short.
+    multiples of `every` slices are used, at which a slower camera has just taken a frame. ValueError without contact,
+    or if it is too short.
     """
     touching = np.flatnonzero(np.asarray(normal_force_n) >= CONTACT_N)
     if not len(touching):

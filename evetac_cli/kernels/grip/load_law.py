@@ -14,8 +14,9 @@ MARGIN, MOST_MARGIN = 1.4, 5.0  # safety factor of the grip: default and largest
 class Felt(NamedTuple):
     """Inputs of one step: slip since the previous step, and quantities estimated from the dots.
 
-    x_px, y_px: mean displacement of all dots, to the right and down. turn_px: rms displacement of the dots by their
-    rotation about their centre. sticking_share: share of the contact that sticks; NaN without contact or if unknown.
+    `x_px`, `y_px`: mean displacement of all dots, to the right and down. `turn_px`: rms displacement of the dots by
+    their rotation about their centre. `sticking_share`: share of the contact that sticks; NaN without contact or if
+    unknown.
     """
 
     slip: bool = False

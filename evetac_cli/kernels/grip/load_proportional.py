@@ -1,7 +1,7 @@
 """Grip law in proportion to the load: the grip is the shear load on the gel, times the ratio that its friction needs.
 
 The gel is a load cell. A layer bonded to its back answers a shear force with a displacement whose integral over the gel
-is the force over G/H, wherever the force acts and on whatever patch. So the mean displacement of the dots is the shear
+is the force over G/H, for any position and patch of the force. So the mean displacement of the dots is the shear
 force in pixels, and their rotation about their centre is its moment. An object is held by friction in proportion to the
 grip, and friction carries force and moment together (Howe and Cutkosky, Int. J. Robotics Research 15, 1996). So this
 controller closes at every step to

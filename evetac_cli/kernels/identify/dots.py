@@ -15,7 +15,7 @@ Reasons:
 - Dots are fitted one by one, because the mean rim of unequal dots would be more blurred than each of them.
 
 A lens bends the straight rows of dots. Its model is that of the simulated camera (sim/camera/lens.py) without its
-second term: a point at distance r from the middle of the frame is seen at r (1 + k1 r^2), with r = 1 at the corners.
+second term. A point at distance r from the middle of the frame is seen at r (1 + k1 r^2), with r = 1 at the corners.
 Print and picture may be shifted, rotated and scaled against each other.
 """
 
@@ -47,11 +47,12 @@ FEWEST_DOTS = 8  # for statistics over dots
 # Corrections of the fitted radius and blur. Their causes: camera scans, unequal events per threshold, and the largest
 # of several strokes. Fitted to simulated press scenes (sensors randomized:100 to 125 and, with few events, to 348).
 # Each "sd" is the scatter of single sensors about the correction.
+
 # Fitted radius minus true radius: a constant, plus a coefficient over the squared number of events from dot to gel.
 RADIUS_ADDED_PX, RADIUS_BY_EVENTS_PX, RADIUS_SD_PX = 0.04, 3.2, 0.08
-# ln(true blur / fitted blur): a constant, plus coefficients of: the excess of runs before strokes over runs after them;
-# 1 / n and 1 / n^2, with n the events from dot to gel or back, whichever are fewer; and the noise of a pixel in Hz,
-# which ends runs too early.
+# ln(true blur / fitted blur): a constant, plus coefficients of the excess, 1 / n, 1 / n^2 and the noise of a pixel in
+# Hz. The excess is that of runs before strokes over runs after them. Here n is the smaller number of events, from dot
+# to gel or back. Noise matters because it ends runs too early.
 BLUR, BLUR_BY_EXCESS, BLUR_BY_EVENTS, BLUR_BY_SQUARED_EVENTS, BLUR_BY_NOISE = -0.032, -0.65, 3.84, -12.5, -0.76
 BLUR_SD, BLUR_SD_FEW_EVENTS = 0.03, 0.5  # the second is divided by n^2
 # Events that a first run lacks compared with contrast over threshold: a constant, plus a multiple of the events merged

@@ -43,7 +43,7 @@ def lateness(
     """Return the times in ms between which each command took effect, (commands, 2); the second is inf if unseen.
 
     A row's current is measured before its command is issued. A command has taken effect when the current is nearer to
-    the new command than to the previous one. step_ms: shortest time after which a reading can show a command without
+    the new command than to the previous one. `step_ms`: shortest time after which a reading can show a command without
     delay; 1 in a simulation with steps of 1 ms.
     """
     time_ms = np.asarray(time_us, np.float64) * 1e-3

@@ -1,12 +1,12 @@
 """Pixel thresholds from events while dots are moved over the pixels: the ratio OFF over ON, and the pixel mismatch.
 
-Merged events. A camera scans its pixels periodically, so an event stands for one threshold plus the change until the
+Merged events. A camera scans its pixels periodically, so an event represents one threshold plus the change until the
 pixel is scanned again. If events of one polarity follow each other m scans apart, that further change is on average
-1 / (2 m) of the whole, so each such event stands for 1 / (1 - 1 / (2 m)) thresholds. This matters because a gel that
+1 / (2 m) of the whole. Each such event then counts as 1 / (1 - 1 / (2 m)) thresholds. This matters because a gel that
 sticks and slips moves slowly one way and snaps back the other way: scans then merge more events of one polarity.
 
-Separate thresholds per polarity. Over many strokes, the brightness of a pixel rises as much as it falls, whatever its
-dots do. So ON events times their threshold equal OFF events times theirs, up to less than one event of each. The ratio
+Separate thresholds per polarity. Over many strokes, the brightness of a pixel rises as much as it falls, however its
+dots move. So ON events times their threshold equal OFF events times theirs, up to less than one event of each. The ratio
 of the events is the inverse of the ratio of the thresholds. Its variation from pixel to pixel gives the mismatch if
 each pixel has an independent threshold per polarity; with one threshold for both it hardly varies.
 
@@ -54,8 +54,8 @@ CHANCE_SD, VARIANCE_SD = 0.12, 0.0001  # relative sd of that chance variance, an
 
 FEWEST_OF_HALF = 20  # events of a pixel in each half of the strokes
 FEWEST_PIXELS_OF_HALF = 5000
-# Both pairs were fitted to simulated press scenes (sensors evetac, with mismatches of 0, 0.03 and 0.08, second,
-# randomized:3 to 5; seeds 1 to 9; strokes of 15 to 60 mm/s); each "sd" is the scatter of single sensors.
+# Both pairs were fitted to simulated press scenes: sensors evetac (with mismatches of 0, 0.03 and 0.08), second, and
+# randomized:3 to 5; seeds 1 to 9; strokes of 15 to 60 mm/s. Each "sd" is the scatter of single sensors.
 # A threshold that is 1 % higher removes 1.22 % of the events: motion that reverses below the threshold makes none.
 SENSITIVITY, SENSITIVITY_SD = 1.22, 0.1
 # Pixels with equal thresholds also differ, equally in both halves because the strokes are alike: by 0.24 over (contrast

@@ -124,9 +124,9 @@ def find(
 ) -> LastingSlip | None:
     """Return the first slip that lasts, starting at slice `start`; None without one.
 
-    slip_distance_px: slide of the object at the onset. lasting_px: a slide is slip if it continues this far, with
-    pauses of up to pause_ms. search_ms: longest time from its beginning until then. trust: power of the posterior.
-    outside: posterior probability before the interval, and after it.
+    `slip_distance_px`: slide of the object at the onset. `lasting_px`: a slide is slip if it continues this far, with
+    pauses of up to pause_ms. `search_ms`: longest time from its beginning until then. `trust`: power of the posterior.
+    `outside`: posterior probability before the interval, and after it.
     """
     slid_px = np.maximum(told.slide_px, 0.0)
     sure = int(_lasting(told.log_odds, slid_px, start, lasting_px, pause_ms))

@@ -11,7 +11,7 @@ Reasons:
   move on for pixels.
 - The window's events per pixel decrease with the distance travelled. The pixels start anywhere between two thresholds,
   but later every reversal of the texture's slope needs a full threshold of brightness before events come again. After a
-  distance s there are fresh / (1 + s / fading_px) events per pixel, so N events stand for a distance of
+  distance s there are fresh / (1 + s / fading_px) events per pixel, so N events mean a distance of
   fading_px (exp(N / (fresh fading_px)) - 1).
 - `fresh` is the median over steps of 50 ms in which the dots that move most moved with the object. Only steps before a
   slice are used for it, because later ones may contain the slip.
@@ -35,7 +35,7 @@ REST_STEP_PX = 0.03  # dots that moved less than this in a step were at rest
 REST_STEPS = 4  # fewest steps at rest for a quartile of the noise
 QUARTILE_SD = 0.67  # standard deviations between quartile and mean of a normal distribution
 HOT_BLOCK_US = 100_000
-HOT_SHARE = 0.5  # a pixel with events in more than this share of the blocks is hot; edges pass a pixel less often
+HOT_SHARE = 0.5  # a pixel with events in more than this share of the blocks is hot; an edge passes less often
 MOST_FADED = 6.0  # exponent beyond which the window is no measure: four hundred times fading_px
 
 

@@ -1,8 +1,9 @@
 """Whether two recordings can be distinguished: windows of half a second, classified by logistic regression.
 
-The features of a window describe the camera, not the positions of dots or hot pixels: rates, polarities, times between
-events of a pixel, pixels that are busy without motion, the spectrum, the difference of a pixel from its neighbours, and
-the spatial correlation of events. Features that a window does not determine, for lack of rest or motion, are NaN.
+The features of a window describe the camera, not the positions of dots or hot pixels. They are rates, polarities, times
+between events of a pixel, pixels that are busy without motion, the spectrum, the difference of a pixel from its
+neighbours, and the spatial correlation of events. Features that a window does not determine, for lack of rest or
+motion, are NaN.
 
 The regression has no free choices: features are standardised, weights have a penalty, and windows are held out in
 blocks of time, the same times in both sets. The result is the area under the ROC curve (AUC): the probability that a

@@ -16,6 +16,7 @@ from evetac_cli.kernels.event_representation import Representation
 from evetac_cli.kernels.sensitivity import Sensitivity
 
 CHANNELS = ("distance", "events", "x", "y")  # features of every dot and slice; displacements in px
+
 # Optional inputs of every slice in addition to the dots: position and command of the fingers in ticks (extras.py), and
 # the share of the contact that sticks, 0 to 1.
 EXTRAS = ("position", "command", "sticking")

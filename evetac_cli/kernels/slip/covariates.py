@@ -17,9 +17,9 @@ gross slip:
 Events are counted in the paper's columns, without the window. Nothing more than 10.5 s before the onset is used,
 because a recording may take hours.
 
-Reason for 80 % and the creep instead of 20 or 50 %: for most of incipient slip the slipping share is a plateau, and the
-time at which it crosses a limit then depends on one row of nodes. Between grids of 0.83 and 0.5 mm the times from 20
-and 50 % change by 86 and 46 ms rms, while events and onset stay the same (n 8, simulated).
+Reason for 80 % and the creep instead of 20 or 50 %: for most of incipient slip the slipping share is a plateau. The
+time at which it crosses a limit there depends on a single row of nodes. Between grids of 0.83 and 0.5 mm the times from
+20 and 50 % change by 86 and 46 ms rms, while events and onset stay the same (n 8, simulated).
 """
 
 from collections.abc import Callable, Sequence

@@ -86,8 +86,8 @@ def scaled_inputs(architecture: DotArchitecture) -> NDArray[np.bool_]:
 def never_known(architecture: DotArchitecture, told: NDArray[np.float32] | None) -> NDArray[np.bool_]:
     """Return which inputs of a dot, (inputs,), belong to extras that are unknown in all training slices.
 
-    The network has not learned their meaning and must not see them later, so its scale for them is 0. told: (slices,
-    extras).
+    The network has not learned their meaning and must not see them later, so its scale for them is 0. The
+    argument is the extras of all training slices, (slices, extras).
     """
     unknown = np.zeros(architecture.inputs_per_dot, np.bool_)
     for extra, place in first_inputs(architecture).items():

@@ -2,8 +2,8 @@
 
 Labels are int8 per slice: 1 slip, 0 no slip, -1 not examined. The rule is the same in training, evaluation, grasp and
 view. It rounds both probability and threshold to float32 before `>=`. Probabilities are float32 but thresholds are
-stored as float64, so the result would otherwise depend on the precision of the comparison: of the grid of thresholds 18
-of 49 (0.7 and 0.95 among them) are larger than the nearest float32.
+stored as float64, so the result would otherwise depend on the precision of the comparison. Of the grid of thresholds,
+18 of 49 (0.7 and 0.95 among them) are larger than the nearest float32.
 """
 
 from typing import overload

@@ -92,10 +92,10 @@ def counts(label: NDArray[np.int8], detected: NDArray[np.bool_], onset: int) -> 
 class Prediction:
     """The probabilities of a detector for one trajectory, together with its labels.
 
-    probability: (slices,), NaN until the history is full. label: int8 (slices,) 1 slip, 0 no slip, -1 not examined,
-    shifted if slip is predicted. onset: first slice of slip in the labels before the shift, or -1. object: the name by
-    which scores are grouped. sensor: its name. timed: whether the labels determine the onset precisely enough for
-    timing.
+    `probability`: (slices,), NaN until the history is full. `label`: int8 (slices,) 1 slip, 0 no slip, -1 not examined,
+    shifted if slip is predicted. `onset`: first slice of slip in the labels before the shift, or -1. `object`: the name
+    by which scores are grouped. `sensor`: its name. `timed`: whether the labels determine the onset precisely enough
+    for timing.
     """
 
     probability: NDArray[np.floating]
@@ -130,7 +130,8 @@ def score(predictions: Sequence[Prediction], threshold: float) -> dict[str, floa
     - slip_early, slip_correct, slip_late: shares of the trajectories with an onset that their labels determine; None
       if there is no such trajectory.
     - f1: counts are pooled over each object's trajectories, and the F1 of all objects are averaged, as in the paper's
-      bars. f1_pooled, precision, recall and the counts pool all trajectories; with one object f1 equals f1_pooled.
+      bars.
+    - f1_pooled, precision, recall and the counts pool all trajectories; with one object f1 equals f1_pooled.
     - alarms_without_slip: trajectories without an onset in which slip was detected.
     """
     if not predictions:

@@ -12,8 +12,8 @@ of them, and an epoch is one pass over the busy pool.
 
 A fourth pool, `still`, contains trajectories in which nothing ever slips; the paper has none. These are opening
 fingers, pushes and shaking, and most of their slices are easy. If there are any, a batch has 16 more samples from this
-pool. 48 are drawn: the first 8 are used, and of the other 40 the 8 to which the present network assigns the most slip
-(training.py).
+pool. For these, 48 are drawn. The first 8 are used, and of the other 40 the 8 to which the present network assigns the
+highest probability of slip (training.py).
 """
 
 from collections.abc import Iterable, Iterator
@@ -224,7 +224,7 @@ def augment(
 ) -> NDArray[np.float32]:
     """Return a batch whose inputs are rotated by their quarter turns and multiplied by their factors.
 
-    A rotation stands for another direction of the grasp (paper).
+    A rotation simulates another direction of the grasp (paper).
     """
     return inputs.turn(samples.architecture, batch, samples.rows, samples.columns, turns, factors)
 

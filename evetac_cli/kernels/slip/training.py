@@ -148,8 +148,8 @@ class TrainingLimits(NamedTuple):
 class Hooks(NamedTuple):
     """Functions that are called while a network is trained.
 
-    progress: (step, steps), every 10 steps. save: every 50 steps, with a function that returns the run's state as named
-    arrays. point: for each point of the loss curve, with step, loss, and with patience the validation loss.
+    `progress`: (step, steps), every 10 steps. `save`: every 50 steps, with a function that returns the run's state as
+    named arrays. `point`: for each point of the loss curve, with step, loss, and with patience the validation loss.
     """
 
     progress: Callable[[int, int], None] | None = None
@@ -291,8 +291,8 @@ class _TrainingRun:
     ) -> None:
         """Take one step of the optimiser.
 
-        share: of the contact that slips, NaN if unknown. done: part of the run before this step, 0 to 1. still: number
-        of samples at the end of the batch from trajectories in which nothing slips; some of them are selected.
+        `share`: of the contact that slips, NaN if unknown. `done`: part of the run before this step, 0 to 1. `still`:
+        number of samples at the end of the batch from trajectories in which nothing slips; some of them are selected.
         """
         if still:
             kept = self._chosen(batch, still)

@@ -37,9 +37,9 @@ ENDLESS_MM = (-math.inf, -math.inf, math.inf, math.inf)  # edges of a gel that i
 class GelLayer(NamedTuple):
     """A gel layer on its stiff back, with what the camera sees of its dots.
 
-    print_depth_mm: depth of the dots below the surface. lens_mm: distance from the lens to the dots, infinite for no
-    parallax; 25 mm is the assumption of the simulation (sim/gel/dots.py). edges_mm: ends of the gel, x0, y0, x1, y1
-    from the axis of the lens, accurate to half a cell; infinite for ends far away.
+    `print_depth_mm`: depth of the dots below the surface. `lens_mm`: distance from the lens to the dots, infinite for
+    no parallax; 25 mm is the assumption of the simulation (sim/gel/dots.py). `edges_mm`: ends of the gel, x0, y0, x1,
+    y1 from the axis of the lens, accurate to half a cell, and infinite for ends far away.
     """
 
     height_mm: float = 4.0

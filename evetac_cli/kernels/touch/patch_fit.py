@@ -32,9 +32,9 @@ N_PER_PA = CELL_MM**2 * 1e-6  # force on a cell per traction
 class PatchFit(NamedTuple):
     """Linear estimate of tractions from the modes of dots, valid while the patch lasts; U cells may bear traction.
 
-    cells: (U,). patch: (rows, columns), cells in at least half of the weighted candidates. about_mm: (2,), reference
-    point of torque and moments. away_mm: (U, 2), cells relative to that point. gain: (kinds U + sums, modes),
-    tractions in Pa and the sums, per mm. traction_sd_pa: (kinds, rows, columns). sum_sd: (sums,).
+    `cells`: (U,). `patch`: (rows, columns), cells in at least half of the weighted candidates. `about_mm`: (2,),
+    reference point of torque and moments. `away_mm`: (U, 2), cells relative to that point. `gain`: (kinds U + sums,
+    modes), tractions in Pa and the sums, per mm. `traction_sd_pa`: (kinds, rows, columns). `sum_sd`: (sums,).
     """
 
     cells: Ints

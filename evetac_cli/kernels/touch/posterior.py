@@ -28,8 +28,8 @@ SIZES_PA = np.geomspace(3e2, 2e5, 40)
 class PatchPosterior(NamedTuple):
     """Posterior of the tractions on a patch of c cells, of `kinds` kinds each.
 
-    gain: (kinds, c, modes) in Pa per mm. variance: (kinds, c) in Pa^2. of_sums (sums, modes), sums_covariance (sums,
-    sums): for the requested sums. log_likelihood: of the data, up to a constant that all patches share.
+    `gain`: (kinds, c, modes) in Pa per mm. `variance`: (kinds, c) in Pa^2. `of_sums` (sums, modes), `sums_covariance`
+    (sums, sums): for the requested sums. `log_likelihood`: of the data, up to a constant that all patches share.
     """
 
     gain: Floats

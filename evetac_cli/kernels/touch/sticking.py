@@ -1,10 +1,10 @@
 """Share of a contact that sticks, and the direction in which the rest slips, from tracked dots, slice by slice.
 
-`start`, then `step` with each slice's dots. Every 5 ms a small network evaluates four fields on the lattice of
-dot_field, which makes it independent of the grid of dots: the displacement at the reference, the change since then, and
-the changes within the last 20 and 100 ms. All are divided by the present displacement. The reference is the field when
-it last came to rest (rest.py), or at first touch. The training data of the network are listed next to its weights
-(data/models/sticking.json).
+`start`, then `step` with each slice's dots. Every 5 ms a small network evaluates four fields: the displacement at the
+reference, the change since then, and the changes within the last 20 and 100 ms. They are on the lattice of
+dot_field.py, which makes the network independent of the grid of dots. All are divided by the present displacement. The
+reference is the field when it last came to rest (rest.py), or at first touch. The training data of the network are
+listed next to its weights (data/models/sticking.json).
 
 Reason for a network: a push on a firmly held object moves dots as far as a push on an object that is about to slip. The
 difference is in which dots stay behind, and that depends on the shape of the contact.

@@ -162,9 +162,9 @@ def start(
 ) -> TouchState:
     """Start a touch map from dots at rest; takes about a millisecond per dot.
 
-    rest_mm: (n, 2) from the axis of the lens, at least 4, a row of NaN is a missing dot. stiffness_error: relative sd
-    of the layer's shear modulus, which affects all forces alike. renews: `step` renews the patch itself.
-    compares: leave out dots whose motion contradicts the others (wrong_dots.py). This helps after minutes of pushes,
+    `rest_mm`: (n, 2) from the axis of the lens, at least 4, a row of NaN is a missing dot. `stiffness_error`: relative
+    sd of the layer's shear modulus, which affects all forces alike. `renews`: `step` renews the patch itself.
+    `compares`: leave out dots whose motion contradicts the others (wrong_dots.py). This helps after minutes of pushes,
     and costs some accuracy before: sometimes the dots that move most are rejected. ValueError for impossible dots or
     numbers, and for more than MOST_COMPARED dots to compare.
     """

@@ -27,6 +27,7 @@ COMMON = 4.0  # standard deviation of the common part over that of the varying p
 PRESSURE_RATIO = 2.0  # of pressure over shear, as in posterior.py
 LIMIT = 4.0  # largest error of a right dot, in deviations
 MOST_SHARE = 0.2  # of the dots: if more seem wrong, the patch is wrong, and no dot is rejected
+
 # Error of the tracker per axis after some time: 0.1 px of each dot and 0.3 px of all together, at 0.0329 mm per px.
 OWN_MM, COMMON_MM = 0.1 * 0.0329, 0.3 * 0.0329
 LEAST_MM = 0.3 * 0.0329  # a dot with a smaller error is never wrong

@@ -25,7 +25,7 @@ from evetac_cli.kernels.tracking import hot_pixels
 
 MARGIN_PX = 4.0  # motion of a dot after which the lists are rebuilt
 BLOCK = 256  # events processed together
-UNITS = 2.0**36  # the integer that stands for 1 in a sum
+UNITS = 2.0**36  # the integer that represents 1 in a sum
 DUMMY_DOT_XY_PX = (-1000.0, -1000.0)  # farther from every pixel than the reach of any dot
 _BITS = 4  # log2 of the bucket size
 SIZE_PX = 1 << _BITS

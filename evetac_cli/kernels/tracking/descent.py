@@ -4,8 +4,8 @@ Every event in the ring of a dot pulls it until the event is on its rim. An elas
 distance from its neighbours (paper, "Signal Processing - Dot Tracking").
 
 Reasons:
-- The paper moves a dot only "if more than 10 events are triggered at its location". evetac counts the events in the
-  ring, which are those that pull: events inside the dot carry no information about its position.
+- In the paper, a dot only moves "if more than 10 events are triggered at its location". This module counts the events
+  in the ring, which are those that pull: events inside the dot carry no information about its position.
 - Whether an event is in a ring is nearly random, and a mispredicted branch costs more than computing the pull. So every
   event adds its pull, times 0 or 1.
 """

@@ -24,9 +24,9 @@ CONVERGED_PX = 1e-3  # change of the centre, summed over both axes, that ends th
 def dots_in_flash(x: NDArray[np.uint16], y: NDArray[np.uint16], near_xy_px: Floats, radius_px: float) -> Floats:
     """Return the centres of dots (n, 2) in px from the events of a flash; NaN for dots with too few events.
 
-    x, y: columns of the events of one slice with the polarity of the change, in px. near_xy_px: (n, 2), approximate
-    positions, within a radius or so; NaN for a missing dot. radius_px: of the dots. ValueError for columns of different
-    lengths.
+    `x`, `y`: columns of the events of one slice with the polarity of the change, in px. `near_xy_px`: (n, 2),
+    approximate positions, within a radius or so; NaN for a missing dot. `radius_px`: of the dots. ValueError for
+    columns of different lengths.
     """
     if x.ndim != 1 or x.shape != y.shape:
         raise ValueError(f"expected two columns of equal length, found {x.shape} and {y.shape}")

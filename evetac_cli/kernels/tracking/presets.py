@@ -22,8 +22,8 @@ class TrackerConstants:
     the clips keep it bounded. ValueError if a constant is out of range.
 
     With `fit` (fit.py), a dot's rim is the middle of its ring, and all its neighbours together weigh as much as
-    8 * regulariser_weight of its events. gradient_clip and ascend have no effect then, and the constants from `sweeps`
-    on do. The steps are bounded for any values.
+    8 * regulariser_weight of its events. The constants `gradient_clip` and `ascend` then have no effect, and those from
+    `sweeps` on do. The steps are bounded for any values.
     """
 
     radius_px: float = 15.0  # of the dot's edge; also the largest motion of a dot per slice and axis
@@ -36,7 +36,7 @@ class TrackerConstants:
     gradient_clip: float = 400.0  # px per axis, on the data term: 1.2 px per slice; from the authors' published code
     ascend: bool = False  # step up the gradient of the data term, as the published code does, instead of down
     slices_per_step: int = 1  # slices whose events one step uses together; with `fit` always 1
-    # a pixel with more events, and far more than its neighbours, is hot (hot_pixels.py); 0: off
+    # any pixel with more events, and far more than its neighbours, is hot (hot_pixels.py); 0: off
     hot_pixel_events: int = 16
     rest_slices: int = 0  # slices of rest after which a lost dot is put back; 0: never
     fit: bool = False  # solve for the motion, with polarity, instead of a gradient step
@@ -74,7 +74,7 @@ class TrackerConstants:
         """Return the constants for dots of this radius: with `fit` the ring changes with it; otherwise nothing does.
 
         The widths of ring and count stay the same. A rim makes events in proportion to its length, so each event on a
-        longer rim stands for less motion. The radii of the paper's presets are part of their definition. ValueError if
+        longer rim represents less motion. The radii of the paper's presets are part of their definition. ValueError if
         the radius is not above half the width of the ring, or the ring is too large.
         """
         if not self.fit:

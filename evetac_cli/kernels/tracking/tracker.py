@@ -2,8 +2,8 @@
 
 Every event near the rim of a dot shows where the rim is. The paper's tracker and its variants (presets `paper`,
 `official`, `unregularised`) add up one gradient step per event, and an elastic term keeps dots at their initial
-distance from their neighbours (descent.py). The preset `stable` solves for the motion that the events of a slice stand
-for (fit.py). `start` and `step` are the only entry points, for files and for live cameras.
+distance from their neighbours (descent.py). The preset `stable` solves for the motion that caused the events of a
+slice (fit.py). `start` and `step` are the only entry points, for files and for live cameras.
 
 Reasons:
 - The whole state of the tracker is one numpy record of the dtype STATE. It is passed to numba as one argument, and is
