@@ -6,9 +6,9 @@ pixel is scanned again. If events of one polarity follow each other m scans apar
 sticks and slips moves slowly one way and snaps back the other way: scans then merge more events of one polarity.
 
 Separate thresholds per polarity. Over many strokes, the brightness of a pixel rises as much as it falls, however its
-dots move. So ON events times their threshold equal OFF events times theirs, up to less than one event of each. The ratio
-of the events is the inverse of the ratio of the thresholds. Its variation from pixel to pixel gives the mismatch if
-each pixel has an independent threshold per polarity; with one threshold for both it hardly varies.
+dots move. So ON events times their threshold equal OFF events times theirs, up to less than one event of each. The
+ratio of the events is the inverse of the ratio of the thresholds. Its variation from pixel to pixel gives the mismatch
+if each pixel has an independent threshold per polarity; with one threshold for both it hardly varies.
 
 One threshold for both polarities. A pixel is then compared with its neighbours, which see nearly the same motion. The
 difference of its log events from the mean of the eight around it comes from its own threshold and from chance. Chance

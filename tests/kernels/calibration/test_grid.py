@@ -123,7 +123,7 @@ def test_rows_that_lack_different_dots_are_refused() -> None:
     """Assert that rows of equal length are not enough: their dots must stand below each other."""
     grid = regular(3, 5)
     selected = np.concatenate([np.delete(row, lacking, axis=0) for row, lacking in zip(grid, (0, 2, 4), strict=True)])
-    with pytest.raises(ValueError, match="in another place"):
+    with pytest.raises(ValueError, match="below each other"):
         arrange(selected)
 
 
