@@ -64,10 +64,10 @@ def window(dot_xy_px: Grid, radius_px: float, frame_px: tuple[int, int]) -> tupl
     free = margins(dot_xy_px, frame_px)
     side = int(free.argmax())
     if free[side] < ROOM:
-        raise ValueError("no side of the dots has room for a window")
+        raise ValueError("there is no room for a window next to the dots")
     if free[side] < np.delete(free, side).max() + CLEARER:
         near = [name for name, room in zip(SIDES, free, strict=True) if room > free[side] - CLEARER]
-        raise ValueError(f"several sides have about the same room for a window: {', '.join(near)}")
+        raise ValueError(f"there is about the same room for a window on several sides: {', '.join(near)}")
     width, height = frame_px
     pitch_px = _without_gaps(dot_xy_px)[1][side % 2]
     depth_px = round(WINDOW_SHARE * max(frame_px))

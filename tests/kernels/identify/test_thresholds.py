@@ -107,7 +107,7 @@ def test_noise_and_hot_pixels_change_little() -> None:
 def test_too_few_events_of_either_polarity() -> None:
     """Assert that a picture in which hardly anything moved, or hot pixels alone, is refused."""
     few = np.full(WIDE, 3.0)
-    with pytest.raises(ValueError, match="10 events"):
+    with pytest.raises(ValueError, match="10 ON and OFF events"):
         thresholds.of_either_polarity(few, few, 0.0, np.random.default_rng(0))
     spots = np.where(np.random.default_rng(0).random(WIDE) < 0.1, 500.0, 0.0)
     with pytest.raises(ValueError, match="as busy as their neighbours"):

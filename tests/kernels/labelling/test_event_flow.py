@@ -205,13 +205,13 @@ def test_relative_flow_is_that_of_the_slide_or_not_given() -> None:
 
 def test_an_object_without_texture_is_refused() -> None:
     """Assert that a window without events while the gel is dragged along is an error that says so."""
-    with pytest.raises(ValueError, match="texture: expected at least 20 events a pixel"):
+    with pytest.raises(ValueError, match="texture: expected at least 20"):
         labels(*slide_of(0.02, 0.1, 600, 650), rate=0.0)
 
 
 def test_a_frame_in_which_dots_cannot_be_followed_is_refused() -> None:
     """Assert that a frame larger than the tracker's is an error that says so."""
-    with pytest.raises(ValueError, match="expected a frame of 640 x 480 px at most, found 1280 x 720"):
+    with pytest.raises(ValueError, match="640 x 480 px, found 1280 x 720"):
         event_flow.label(lambda a, b: empty(), 5, WINDOW, (1280, 720), DOTS, RADIUS_PX, CONSTANTS)
 
 

@@ -172,7 +172,7 @@ def test_a_window_without_texture_is_refused() -> None:
         x = np.arange(2000) % 500
         return columns(x, np.arange(2000) // 5)
 
-    with pytest.raises(ValueError, match="texture: expected 20 events in an image of the window"):
+    with pytest.raises(ValueError, match="texture: expected 20"):
         flow.label(between, 50, WINDOW, GEL, CONSTANTS)
 
 
