@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 LEVEL = 0.95  # confidence level of all intervals
-BLOCKS = 20  # blocks of time for the variation of a rate: enough for a variance
-ROUNDS = 2000  # of resampling: enough for 2.5 % and 97.5 % quantiles
+BLOCKS = 20  # equal blocks of time from which callers estimate the variation of a rate
+ROUNDS = 2000  # of resampling: 50 of them are beyond either end of a 95 % interval
 
 
 class Estimate(NamedTuple):
@@ -81,8 +81,8 @@ def cluster_weights(*factors: Sequence[Hashable]) -> NDArray[np.float64]:
     several = [factor for factor in factors if len(set(factor)) > 1] or [range(trials)]
     for factor in several if trials else []:
         known = {level: number for number, level in enumerate(dict.fromkeys(factor))}
-        drawn = rng.multinomial(len(known), np.full(len(known), 1 / len(known)), ROUNDS)
-        weights *= drawn[:, [known[level] for level in factor]]
+        counts = rng.multinomial(len(known), np.full(len(known), 1 / len(known)), ROUNDS)
+        weights *= counts[:, [known[level] for level in factor]]
     return weights
 
 

@@ -16,7 +16,7 @@ Kind = Literal["frames", "histogram", "voxels", "surface"]
 Polarity = Literal["split", "signed", "sum"]
 KINDS: tuple[Kind, ...] = ("frames", "histogram", "voxels", "surface")
 POLARITIES: tuple[Polarity, ...] = ("split", "signed", "sum")
-MOST_WINDOW_MS, MOST_BINS, MOST_DECAY_MS = 100_000, 1_000, 100_000.0  # far beyond any use; they only bound memory
+MOST_WINDOW_MS, MOST_BINS, MOST_DECAY_MS = 100_000, 1_000, 100_000.0  # upper limits, beyond any practical use
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,8 @@ along a wave and with ACROSS G H across it. In equilibrium the sheet is the smoo
 surface to a pattern is then G/H (1 + a x / (1 + a x / SPRING)), with x = (kH)^2 and a = ALONG or ACROSS. This is a Pade
 approximant of the exact one. `sheet_stiffness` is its matrix on a grid.
 
-Pressure acts like a push of the surface by -H/2 grad p, with p smoothed by a Gaussian of SMOOTHING H. Multiplied by the
-layer's compliance along the wave, this gives the exact motion under pressure within 5 % of its maximum.
+Pressure acts like a push of the surface by -H/2 grad p, with p smoothed by a Gaussian of SMOOTHING H. The exact motion
+under pressure, times the layer's stiffness along the wave, is equal to this push within 5 % of its maximum.
 
 The constants were fitted to the exact layer at wavelengths of 2 to 30 heights (8 to 120 mm), where the sheet is off by
 at most 2 %. It is too soft for shorter waves: along the wave by 14 % at 6 mm, a quarter at 5 mm, and half at 4 mm, the
@@ -62,7 +62,7 @@ def compliance(
 
     wave_number_per_m: (n,) above 0. poisson: up to 0.5, which is incompressible. depth_m: depth below the surface of
     the motion, for example of dots printed under a coat. The displacement is a sum of four functions of depth, two of
-    which have the depth as a factor. Zero displacement at the back and the given traction at the surface are four
+    which have the depth as a factor. Zero displacement at the back and the right_sides traction at the surface are four
     equations for each wave number.
     """
     wave = np.asarray(wave_number_per_m, dtype=np.float64) * height_m  # all lengths in heights
@@ -81,9 +81,9 @@ def compliance(
     slope_up = np.stack([wave, wave * (1.0 - ratio), wave * fades, -wave * (1.0 - (wave + ratio)) * fades], -1)
     swelling = np.stack([0 * wave, -4 * poisson * wave, 0 * wave, 4 * poisson * wave * fades], -1)
     equations = np.stack([*back, slope_along + wave[:, None] * top[1], swelling + 2 * slope_up], axis=1)
-    given = np.zeros((len(wave), 4, 2))
-    given[:, 2, 0], given[:, 3, 1] = 1.0, -1.0
-    weights = np.linalg.solve(equations, given)
+    right_sides = np.zeros((len(wave), 4, 2))
+    right_sides[:, 2, 0], right_sides[:, 3, 1] = 1.0, -1.0
+    weights = np.linalg.solve(equations, right_sides)
     depth = depth_m / height_m
     along, up = (np.einsum("ni,nij->nj", part, weights) for part in displacement(depth))
     scale = height_m / shear_modulus_pa

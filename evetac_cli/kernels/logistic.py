@@ -4,7 +4,7 @@ import numpy as np
 
 from evetac_cli.arrays import Floats
 
-ROUNDS = 50  # of Newton's method: far more than it needs to converge
+ROUNDS = 50  # of Newton's method, without any other stopping rule
 LONGEST_STEP = 3.0  # largest change of a weight per round: far from the optimum a whole Newton step would overshoot
 
 

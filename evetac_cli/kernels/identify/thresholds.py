@@ -218,8 +218,8 @@ def of_either_polarity(on: Floats, off: Floats, noise: float, rng: np.random.Gen
         return float(ratio), float(least), float(np.average(chance, weights=weight))
 
     value = of(np.ones(tiles))
-    drawn = rng.multinomial(tiles, np.full(tiles, 1.0 / tiles), RESAMPLES).astype(np.float64)
-    samples = np.array([of(weights) for weights in drawn])
+    draws = rng.multinomial(tiles, np.full(tiles, 1.0 / tiles), RESAMPLES).astype(np.float64)
+    samples = np.array([of(weights) for weights in draws])
     ratios = np.exp(samples[:, 0] + RATIO_SD * rng.standard_normal(RESAMPLES))
     unsure = np.hypot(ALIKE_VARIANCE_SD, CHANCE_SD * value[2])
     alike = ALIKE_VARIANCE + unsure * rng.standard_normal(RESAMPLES)
@@ -262,8 +262,8 @@ def of_both_polarities(
         return result
 
     value = spread(np.array([variance(np.ones(tiles))]), np.array([alike]), np.array([SENSITIVITY]))[0]
-    drawn = rng.multinomial(tiles, np.full(tiles, 1.0 / tiles), RESAMPLES).astype(np.float64)
-    own_variance = np.array([variance(weights) for weights in drawn])
+    draws = rng.multinomial(tiles, np.full(tiles, 1.0 / tiles), RESAMPLES).astype(np.float64)
+    own_variance = np.array([variance(weights) for weights in draws])
     of_alike = alike * np.maximum(1.0 + ALIKE_SQUARED_SD * rng.standard_normal(RESAMPLES), 0.0)
     sensitivity = SENSITIVITY + SENSITIVITY_SD * rng.standard_normal(RESAMPLES)
     return of_samples(float(value), spread(own_variance, of_alike, sensitivity))

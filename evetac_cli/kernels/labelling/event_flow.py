@@ -97,8 +97,8 @@ def label(
     window_events = np.zeros(slices + 1, np.int64)
     leading = [0.0]
     dragged = 0.0
-    given = between, slices, frame_px, dots, dot_radius_px
-    for first, events, away_px in follow(*given):
+    arguments = between, slices, frame_px, dots, dot_radius_px
+    for first, events, away_px in follow(*arguments):
         stop = first + len(away_px) - 1
         window_events[first + 1 : stop + 1] = window_travel.slice_counts(events, window, quiet, first, stop)
         led = np.sort(away_px, axis=1)[:, -LEADING_DOTS:].mean(axis=1)
@@ -114,8 +114,8 @@ def label(
             f"found {rate.per_px[-1]:.1f} while the gel was dragged by {dragged:.1f} px"
         )
     per_px = np.maximum(rate.per_px, constants.least_events_per_px)
-    told = _evidence(window_travel.travel(moved, per_px, constants.fading_px), follow(*given), constants.odds)
-    return _labels(told, rate.known, start, constants)
+    evidence = _evidence(window_travel.travel(moved, per_px, constants.fading_px), follow(*arguments), constants.odds)
+    return _labels(evidence, rate.known, start, constants)
 
 
 def follow(
@@ -173,19 +173,19 @@ def _evidence(object_px: Floats, blocks: Iterator[tuple[int, Events, Floats]], o
 _NOTHING = Evidence(np.zeros(0), np.zeros(0))
 
 
-def _labels(told: Evidence, rate_known: NDArray[np.bool_], start: int, constants: EventFlowConstants) -> Labels:
+def _labels(evidence: Evidence, rate_known: NDArray[np.bool_], start: int, constants: EventFlowConstants) -> Labels:
     """Return labels from the evidence of all slices."""
-    slices = len(told.log_odds)
-    gone_px = np.concatenate([[0.0], np.cumsum(told.slide_px)])
+    slices = len(evidence.log_odds)
+    gone_px = np.concatenate([[0.0], np.cumsum(evidence.slide_px)])
     ends = np.minimum(np.arange(slices) + constants.look_ahead_ms, slices)
     relative_px = (gone_px[ends] - gone_px[:-1]).astype(np.float32)
     labels = np.zeros(slices, np.int8)
     labels[:start] = -1
-    found = _find(told, start, constants, constants.trust)
+    found = _find(evidence, start, constants, constants.trust)
     if found is None:
         return Labels(labels, relative_px, -1, float("nan"), 0)
     stop = min(found.onset + max(constants.after_ms, 1), slices)
-    slides = told.log_odds[found.onset : stop] > 0.0
+    slides = evidence.log_odds[found.onset : stop] > 0.0
     labels[found.onset : stop] = slides
     labels[found.onset] = 1
     labels[stop:] = -1
@@ -193,17 +193,17 @@ def _labels(told: Evidence, rate_known: NDArray[np.bool_], start: int, constants
     relative_px[found.onset :][np.logical_or.accumulate(far[found.onset :])] = np.nan
     confidence = float(slides.mean())
     if found.width_px > constants.widest_px:
-        wider = _find(told, start, constants, constants.doubtful_trust)
+        wider = _find(evidence, start, constants, constants.doubtful_trust)
         found = found if wider is None else wider._replace(onset=found.onset)
     doubt = _doubt(found, confidence, bool(rate_known[found.onset]), constants)
-    made = Labels(labels, relative_px, found.onset, confidence, 0, found.earliest, found.latest, doubt)
-    return apart(made) if doubt else made
+    result = Labels(labels, relative_px, found.onset, confidence, 0, found.earliest, found.latest, doubt)
+    return apart(result) if doubt else result
 
 
-def _find(told: Evidence, start: int, constants: EventFlowConstants, trust: float) -> LastingSlip | None:
+def _find(evidence: Evidence, start: int, constants: EventFlowConstants, trust: float) -> LastingSlip | None:
     """Return the first slip that lasts, with an interval for this trust in the evidence."""
     return slide.find(
-        told,
+        evidence,
         start,
         slip_distance_px=constants.slip_distance_px,
         lasting_px=constants.lasting_px,

@@ -152,8 +152,8 @@ def label(
     doubt = ""
     if confidence < LEAST_CONFIDENCE:
         doubt = f"the slide stopped: only {confidence:.0%} of the slices after the onset slide"
-    made = Labels(labels, search.relative_px, onset, confidence, search.flow_pairs, earliest, latest, doubt)
-    return apart(made) if doubt else made
+    result = Labels(labels, search.relative_px, onset, confidence, search.flow_pairs, earliest, latest, doubt)
+    return apart(result) if doubt else result
 
 
 class _Search:

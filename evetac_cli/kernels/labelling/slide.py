@@ -112,7 +112,7 @@ def _windows(
 
 
 def find(
-    told: Evidence,
+    observed: Evidence,
     start: int,
     *,
     slip_distance_px: float,
@@ -128,12 +128,12 @@ def find(
     pauses of up to pause_ms. `search_ms`: longest time from its beginning until then. `trust`: power of the posterior.
     `outside`: posterior probability before the interval, and after it.
     """
-    slid_px = np.maximum(told.slide_px, 0.0)
-    sure = int(_lasting(told.log_odds, slid_px, start, lasting_px, pause_ms))
+    slid_px = np.maximum(observed.slide_px, 0.0)
+    sure = int(_lasting(observed.log_odds, slid_px, start, lasting_px, pause_ms))
     if sure < 0:
         return None
     low = max(sure - search_ms, start)
-    score = np.cumsum(told.log_odds[low : sure + 1][::-1])[::-1]
+    score = np.cumsum(observed.log_odds[low : sure + 1][::-1])[::-1]
     posterior = np.exp(trust * (score - score.max()))
     reached = np.cumsum(posterior / posterior.sum())
     so_far_px = np.concatenate([[0.0], np.cumsum(slid_px[low:])])

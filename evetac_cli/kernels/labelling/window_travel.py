@@ -30,7 +30,7 @@ from evetac_cli.kernels.labelling.flow import Region
 STEP_MS = 50  # duration of a step, for the window's events per pixel and its noise
 LAG_MS = 30  # a slice only uses steps that ended this long before: later ones may contain the slip itself
 LEAST_STEP_PX = 0.15  # a step is used if the gel moved at least this far
-LEAST_STEPS = 1  # used steps that determine the events per pixel
+LEAST_STEPS = 1  # fewest used steps that determine the events per pixel
 REST_STEP_PX = 0.03  # dots that moved less than this in a step were at rest
 REST_STEPS = 4  # fewest steps at rest for a quartile of the noise
 QUARTILE_SD = 0.67  # standard deviations between quartile and mean of a normal distribution

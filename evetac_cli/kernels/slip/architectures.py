@@ -95,6 +95,7 @@ class DotArchitecture:
     fc1: int  # widths of the two layers that encode a dot
     fc2: int
     every: int = 1  # slices from one prediction to the next; it is held in between
+
     # Whether displacements and events are scaled to one sensor, as far as the sensor's own properties are known. A gel
     # of half the modulus moves twice as far under the same force, and a camera of half the threshold makes twice the
     # events for the same motion. The paper's models use unscaled features.

@@ -49,10 +49,10 @@ def columns(
 ) -> NDArray[np.float32]:
     """Return extras (slices, extras) from the known quantities of each slice, (slices,) each; ValueError otherwise."""
     unknown = np.full(slices, np.nan, np.float32)
-    given = [unknown if each is None else each for each in (position_ticks, goal_ticks, goal_ma, sticking_share)]
-    if any(each.shape != (slices,) for each in given):
-        raise ValueError(f"expected {(slices,)} each, found {[each.shape for each in given]}")
-    position, goal, current, sticking = given
+    all_columns = [unknown if each is None else each for each in (position_ticks, goal_ticks, goal_ma, sticking_share)]
+    if any(each.shape != (slices,) for each in all_columns):
+        raise ValueError(f"expected {(slices,)} each, found {[each.shape for each in all_columns]}")
+    position, goal, current, sticking = all_columns
     command = np.where(np.isnan(goal), current * np.float32(TICKS_PER_MA), goal)
     return np.stack([position, command, sticking], axis=1).astype(np.float32)
 
@@ -83,15 +83,15 @@ def scaled_inputs(architecture: DotArchitecture) -> NDArray[np.bool_]:
     return scaled
 
 
-def never_known(architecture: DotArchitecture, told: NDArray[np.float32] | None) -> NDArray[np.bool_]:
+def never_known(architecture: DotArchitecture, training_extras: NDArray[np.float32] | None) -> NDArray[np.bool_]:
     """Return which inputs of a dot, (inputs,), belong to extras that are unknown in all training slices.
 
-    The network has not learned their meaning and must not see them later, so its scale for them is 0. The
-    argument is the extras of all training slices, (slices, extras).
+    The network has not learned their meaning and must not see them later, so its scale for them is 0.
+    training_extras: (slices, extras), of all training slices.
     """
     unknown = np.zeros(architecture.inputs_per_dot, np.bool_)
     for extra, place in first_inputs(architecture).items():
-        unknown[place] = told is None or not np.isfinite(told[:, EXTRAS.index(extra)]).any()
+        unknown[place] = training_extras is None or not np.isfinite(training_extras[:, EXTRAS.index(extra)]).any()
     return unknown
 
 

@@ -149,10 +149,10 @@ def at(architecture: Architecture, series: Series, slices: NDArray[np.integer]) 
     dots = np.empty((len(ends), of_dots.shape[1], architecture.inputs_per_dot), np.float32)
     fill(of_dots, ends, views, dots)
     if architecture.extras:
-        told = series.extras if isinstance(series, DotsAndExtras) else _unknown(len(of_dots))
-        if told.shape != (len(of_dots), len(EXTRAS)):
-            raise ValueError(f"{architecture.name}: expected extras {len(of_dots), len(EXTRAS)}, found {told.shape}")
-        extras.fill(told, ends, extras.table(architecture.extras), architecture.own_inputs, dots)
+        values = series.extras if isinstance(series, DotsAndExtras) else _unknown(len(of_dots))
+        if values.shape != (len(of_dots), len(EXTRAS)):
+            raise ValueError(f"{architecture.name}: expected extras {len(of_dots), len(EXTRAS)}, found {values.shape}")
+        extras.fill(values, ends, extras.table(architecture.extras), architecture.own_inputs, dots)
     return dots
 
 

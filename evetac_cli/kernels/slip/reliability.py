@@ -86,14 +86,14 @@ class ReliabilityBin(NamedTuple):
 def bins(probability: NDArray[np.float64], slips: NDArray[np.bool_]) -> list[ReliabilityBin]:
     """Return the bins of width 0.1, starting at 0.1; bins without a slice are left out."""
     place = np.minimum(np.searchsorted(BINS, probability, side="right") - 1, len(BINS) - 2)
-    made = []
+    result = []
     for number in range(len(BINS) - 1):
         of_bin = (place == number) & (probability > ABOVE)
         if of_bin.any():
             said, happened = float(probability[of_bin].mean()), float(slips[of_bin].mean())
             count = int(np.count_nonzero(of_bin))
-            made.append(ReliabilityBin(float(BINS[number]), float(BINS[number + 1]), count, said, happened))
-    return made
+            result.append(ReliabilityBin(float(BINS[number]), float(BINS[number + 1]), count, said, happened))
+    return result
 
 
 def expected_error(bins: Sequence[ReliabilityBin]) -> float | None:

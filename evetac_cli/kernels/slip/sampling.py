@@ -102,10 +102,10 @@ def _sorted(
             members = _members(trajectory.label, trajectory.onset, trajectory.events_outside, architecture, horizon_ms)
         except ValueError as error:
             raise ValueError(f"trajectory {index}: {error}") from error
-        drawn = np.logical_or.reduce([*members.values()])
-        if not drawn.any():
+        used = np.logical_or.reduce([*members.values()])
+        if not used.any():
             continue
-        slices, first = len(drawn), int(np.argmax(drawn)) - (history - 1)
+        slices, first = len(used), int(np.argmax(used)) - (history - 1)
         for name, mask in members.items():
             pools[name].append(begin - first + np.flatnonzero(mask))
         shares.append(_share_ahead(trajectory, horizon_ms)[first:slices])

@@ -469,8 +469,8 @@ def _network(
         scale = 1 / np.where(spread > 1e-6 * np.abs(offset), spread, 1)
     architecture = samples.architecture
     if isinstance(architecture, DotArchitecture) and architecture.extras and start is None:
-        told = samples.series.extras if isinstance(samples.series, DotsAndExtras) else None
-        unknown = extras.never_known(architecture, told)
+        values = samples.series.extras if isinstance(samples.series, DotsAndExtras) else None
+        unknown = extras.never_known(architecture, values)
         scale = np.where(unknown, 0.0, 1.0 if scale is None else scale)
     with torch.random.fork_rng(devices=[]):  # torch draws initial weights from its global generator only
         torch.manual_seed(seed)

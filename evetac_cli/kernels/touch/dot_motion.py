@@ -25,7 +25,7 @@ CELL_MM = 1.0  # half of the dots' pitch: shear finer than two pitches is aliase
 SHEAR_X, SHEAR_Y, PRESSURE = 0, 1, 2  # order of the tractions
 KINDS = 3  # kinds of traction
 MM_PER_M = 1e3
-# The response of a layer is 0 some heights away, but a sum of waves is periodic. Distance of its repetitions:
+# The response of a layer is 0 some heights away, but a sum of waves is periodic, with this period in heights.
 APART_HEIGHTS = 8
 # Points of the transform per cell. More points change the effect of a cell on the dot above it by 5 %, and the effect
 # of a contact of many cells by at most 0.5 %.

@@ -69,9 +69,9 @@ def fit(
     mean, square = np.zeros((2, kinds, len(cells)))
     for patch, one, part in zip(patches[:, cells], each, share.astype(np.float32), strict=True):
         gain[:, patch] += part * one.gain
-        told = one.gain @ data_mm
-        mean[:, patch] += part * told
-        square[:, patch] += part * (told**2 + one.variance)
+        estimate = one.gain @ data_mm
+        mean[:, patch] += part * estimate
+        square[:, patch] += part * (estimate**2 + one.variance)
     sums = np.stack([one.of_sums @ data_mm for one in each])
     spread = sums - share @ sums
     variance = share @ (np.stack([np.diag(one.sums_covariance) for one in each]) + spread**2)

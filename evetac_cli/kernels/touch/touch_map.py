@@ -287,9 +287,9 @@ def _fitted(state: TouchState, moved_mm: Floats, kinds: int) -> Fitted:
     assert state.found_pa is not None
     dots, moved = state.dots, moved_mm[state.dots.used]
     variance = dots.modes.variance_mm2(state.noise, moved)
-    told = fit(dots.modes, state.cell_mm, state.found_pa, dots.modes.of(moved), variance, kinds)
-    hidden, shear = _shares_beyond(state, told.patch)
-    return Fitted(dots, told, SHEAR_BEYOND * shear**3, EVEN_PA * told.area_mm2 * 1e-6 * hidden**3)
+    result = fit(dots.modes, state.cell_mm, state.found_pa, dots.modes.of(moved), variance, kinds)
+    hidden, shear = _shares_beyond(state, result.patch)
+    return Fitted(dots, result, SHEAR_BEYOND * shear**3, EVEN_PA * result.area_mm2 * 1e-6 * hidden**3)
 
 
 def _shares_beyond(state: TouchState, touched: Flags) -> tuple[float, float]:
@@ -336,17 +336,17 @@ def _reading(state: TouchState, fitted: Fitted) -> TouchReading:
     """Return the reading for the present dots and the last patch."""
     dots, now, shear_beyond, normal_beyond_n = fitted
     error = state.stiffness_error
-    told = now.gain @ dots.modes.of(state.moved_mm[dots.used]).astype(np.float32)
+    estimates = now.gain @ dots.modes.of(state.moved_mm[dots.used]).astype(np.float32)
     count = KINDS * len(now.cells)
-    field = _on_grid(state, now, told[:count].reshape(KINDS, -1))
-    sums = told[count:].astype(np.float64)
+    field = _on_grid(state, now, estimates[:count].reshape(KINDS, -1))
+    sums = estimates[count:].astype(np.float64)
     relative = np.full(len(sums), error)
     relative[:OF_SHEAR] = math.hypot(error, shear_beyond)
     sd = np.hypot(now.sum_sd, relative * sums)
     sd[NORMAL] = math.hypot(float(sd[NORMAL]), normal_beyond_n)
     field_sd = now.traction_sd_pa if not error else np.hypot(now.traction_sd_pa, error * field)
     # From pressures above 0 only, so that the centre is in the patch even if the normal force is poorly determined.
-    pushes = np.maximum(told[count - len(now.cells) : count], 1e-6)
+    pushes = np.maximum(estimates[count - len(now.cells) : count], 1e-6)
     away = pushes @ now.away_mm / pushes.sum()
     pressed = max(float(sums[NORMAL]), float(now.sum_sd[NORMAL]))
     since = state.no_since
@@ -377,9 +377,12 @@ def _reading(state: TouchState, fitted: Fitted) -> TouchReading:
 def _since(state: TouchState, fitted: Fitted, change_mm: Floats) -> tuple[Floats, Floats, Floats, Floats]:
     """Return the shear on the grid and net, with deviations, that moved the dots since `hold`."""
     dots, held, shear_beyond, _ = fitted
-    told = held.gain @ dots.modes.of(change_mm[dots.used]).astype(np.float32)
+    estimates = held.gain @ dots.modes.of(change_mm[dots.used]).astype(np.float32)
     count = PRESSURE * len(held.cells)
-    field, net = _on_grid(state, held, told[:count].reshape(PRESSURE, -1)), told[count : count + 2].astype(np.float64)
+    field, net = (
+        _on_grid(state, held, estimates[:count].reshape(PRESSURE, -1)),
+        estimates[count : count + 2].astype(np.float64),
+    )
     error = state.stiffness_error
     field_sd = held.traction_sd_pa if not error else np.hypot(held.traction_sd_pa, error * field)
     net_sd = np.hypot(held.sum_sd[:2], math.hypot(error, shear_beyond) * net)

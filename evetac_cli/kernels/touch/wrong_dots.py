@@ -133,8 +133,8 @@ def _inverse(shown: Floats, errors: Floats, moved: Floats, usual: float) -> Floa
 
 def _off(inverse: Floats, moved: Floats) -> tuple[Floats, Floats]:
     """Return the distance of each dot from its prediction by the others, in deviations and in mm."""
-    told = (inverse @ moved).reshape(-1, 2)
+    weighted = (inverse @ moved).reshape(-1, 2)
     xx, xy, yy = inverse[::2, ::2].diagonal(), inverse[::2, 1::2].diagonal(), inverse[1::2, 1::2].diagonal()
     area = xx * yy - xy * xy
-    x, y = (yy * told[:, 0] - xy * told[:, 1]) / area, (xx * told[:, 1] - xy * told[:, 0]) / area
-    return np.sqrt(np.maximum(x * told[:, 0] + y * told[:, 1], 0.0)), np.hypot(x, y)
+    x, y = (yy * weighted[:, 0] - xy * weighted[:, 1]) / area, (xx * weighted[:, 1] - xy * weighted[:, 0]) / area
+    return np.sqrt(np.maximum(x * weighted[:, 0] + y * weighted[:, 1], 0.0)), np.hypot(x, y)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from evetac_cli.events import FRAME_PX
 from evetac_cli.kernels.compiled import njit
 
-HOT_RATIO = 4  # a hot pixel has more than this many times the events of each neighbour
+HOT_RATIO = 4  # a hot pixel has at least this many times the events of each neighbour
 FADE_SLICES = 4  # slices after which the next row is halved
 COUNTS_SHAPE = (FRAME_PX[1] + 2, FRAME_PX[0] + 2)  # of pixel_events: the frame with a border of zeros
 HOT = np.uint16(0x8000)  # flag of a hot pixel in its entry pixel_events[y + 1, x + 1]
