@@ -16,7 +16,7 @@ CENTRE = (-0.15, -0.18)  # centre of an Evetac's dots relative to the middle of 
 CLEARLY = 0.05  # in pitches; beyond this, the dots are clearly on one side of the middle of the frame
 CENTRED = 0.3  # in pitches: largest offset of a whole gel from the middle of the frame; 0.25 in a simulated sensor
 ROOM = 1.5  # in pitches from the outermost dots to the border of the frame: room for another row or column
-CLEARER = 0.5  # in pitches: extra room that the side of a window has over every other side
+CLEARER = 0.5  # in pitches: extra room that the side of a window must have over every other side
 SIDES = ("left", "top", "right", "bottom")
 
 Grid = NDArray[np.float64]

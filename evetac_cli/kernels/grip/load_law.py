@@ -48,9 +48,7 @@ class LoadLaw:
     unfelt_ticks: float = 7.0  # ... if no contact was felt until its end: a gear with little friction kept closing
     turn: float = 2.5  # px of load per px of turn: about the spread of the dots over the lever arm of the friction
     least_px: float = 0.35  # smaller loads count as none: gripping alone moves the dots by this much
-    small_px: float = (
-        1.0  # an object found to be carried below this load was not, if the load rises above it in the lift
-    )
+    small_px: float = 1.0  # an object carried below this load goes back to the lift if the load rises above it
     first_ratio: float = 2.0  # ticks/px at the start of the lift
     most_ratio: float = 30.0  # ticks/px, upper bound
     most_ticks: float = 15.0  # upper bound of the grip without load
