@@ -62,7 +62,7 @@ def compliance(
 
     wave_number_per_m: (n,) above 0. poisson: up to 0.5, which is incompressible. depth_m: depth below the surface of
     the motion, for example of dots printed under a coat. The displacement is a sum of four functions of depth, two of
-    which have the depth as a factor. Zero displacement at the back and the right_sides traction at the surface are four
+    which have the depth as a factor. Zero displacement at the back and the given traction at the surface are four
     equations for each wave number.
     """
     wave = np.asarray(wave_number_per_m, dtype=np.float64) * height_m  # all lengths in heights

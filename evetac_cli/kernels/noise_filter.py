@@ -28,14 +28,14 @@ class NoiseFilter:
         self._last_us = np.full((height + 2, width + 2), LONG_AGO_US, np.int64)
         self.removed = 0
 
-    def keep(self, made: Columns) -> Columns:
+    def keep(self, columns: Columns) -> Columns:
         """Return the kept events of a slice, which must be sorted by time and follow those of previous slices.
 
-        The columns `made` are overwritten.
+        `columns` is overwritten.
         """
-        kept = _move_supported(*made, self._support_us, self._last_us)
-        self.removed += len(made[0]) - kept
-        return made[0][:kept], made[1][:kept], made[2][:kept], made[3][:kept]
+        kept = _move_supported(*columns, self._support_us, self._last_us)
+        self.removed += len(columns[0]) - kept
+        return columns[0][:kept], columns[1][:kept], columns[2][:kept], columns[3][:kept]
 
 
 @njit(cache=True, _nrt=False)
