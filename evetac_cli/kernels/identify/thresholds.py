@@ -167,8 +167,8 @@ def without_last_thresholds(off_over_on: Estimate, contrast_over_threshold: floa
 def of_either_polarity(on: Floats, off: Floats, noise: float, rng: np.random.Generator) -> Polarity:
     """Return ratio and mismatch from the ON and OFF events of each pixel (height, width).
 
-    noise: noise events per pixel in either polarity. ValueError if too few pixels had enough events. Intervals: bootstrap
-    over pieces of the picture, plus the scatter over simulated sensors.
+    noise: noise events per pixel in either polarity. ValueError if too few pixels had enough events. Intervals:
+    bootstrap over pieces of the picture, plus the scatter over simulated sensors.
     """
     busy = (on >= FEWEST_OF_EITHER) & (off >= FEWEST_OF_EITHER)
     if busy.sum() < FEWEST_PIXELS:

@@ -1,10 +1,10 @@
 """Slip labels from optical flow of the window relative to the gel (paper, "Data Labelling - Slip Classifier").
 
 Slices are drawn as images: grey, white for brighter pixels, black for darker ones. The flow from the image at t to the
-one `look_ahead_ms` later is Farneback's, computed separately in the window and in the region of the dots. A slice is slip if
-the two flows differ by more than a threshold. This is the paper's method, `farneback`. Alternatives are `dis`, another
-flow, and `event-count`, the paper's "simpler approach": many events in the window. event_flow.py finds slips that they
-miss.
+one `look_ahead_ms` later is Farneback's, computed separately in the window and in the region of the dots. A slice is
+slip if the two flows differ by more than a threshold. This is the paper's method, `farneback`. Alternatives are `dis`,
+another flow, and `event-count`, the paper's "simpler approach": many events in the window. event_flow.py finds slips
+that they miss.
 
 Choices where the paper gives no detail:
 - An image sums `accumulate_ms` slices. A single slice at the onset of slip has a few dozen events in the window, and
