@@ -1,8 +1,8 @@
-"""numba for all kernels, whose modules take `njit` from here: loaded with the first of them, and by nothing else.
+"""numba for all kernels: their modules import `njit` from here, and nothing else loads numba.
 
-Why so: loading numba and what is compiled takes five times as long as finding that a command has nothing to do. So a
-module that such a command needs imports kernels where it calls them; constants that recipes name lie in modules without
-kernels.
+Reason: loading numba and compiled code takes five times as long as finding that a command has nothing to do. A module
+that such a command needs therefore imports kernels only where it calls them, and constants that are part of recipes are
+in modules without kernels.
 """
 
 from numba import njit
@@ -16,10 +16,10 @@ _look_for_blas = linalg.ensure_blas
 
 
 def _blas_is_there() -> None:
-    """Stand in for what numba asks once, when it loads its functions of arrays.
+    """Replace a check that numba makes once, when it loads its array functions.
 
-    Why so: to see that scipy is there, it loads scipy.linalg, which takes a third of the time that kernels take to
-    load. scipy always comes with evetac. A kernel that calls BLAS still loads it when it is compiled.
+    The check loads scipy.linalg to see whether scipy exists, which takes a third of the loading time of the kernels.
+    scipy is always installed with evetac. A kernel that calls BLAS still loads it when it is compiled.
     """
     linalg.ensure_blas = _look_for_blas
 

@@ -1,6 +1,6 @@
 """An estimate with its 95 % interval, and the intervals of counts and shares.
 
-scipy.stats, which takes half a second to load, is imported where a distribution is asked for.
+scipy.stats takes half a second to load, so functions that need a distribution import it themselves.
 """
 
 from collections.abc import Hashable, Sequence
@@ -9,13 +9,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-LEVEL = 0.95
-BLOCKS = 20  # of time, over which a rate is seen to vary
-ROUNDS = 2000  # of resampling
+LEVEL = 0.95  # confidence level of all intervals
+BLOCKS = 20  # equal blocks of time from which callers estimate the variation of a rate
+ROUNDS = 2000  # of resampling: 50 of them are beyond either end of a 95 % interval
 
 
 class Estimate(NamedTuple):
-    """A value and the ends of its 95 % interval."""
+    """A value and the ends of its 95 % confidence interval."""
 
     value: float
     low: float
@@ -23,7 +23,7 @@ class Estimate(NamedTuple):
 
 
 def poisson_rate(events: int, exposure: float) -> Estimate:
-    """A rate from a Poisson count in an exposure (time, or pixels times time), with its exact interval."""
+    """Return a rate from a Poisson count in an exposure (time, or pixels times time), with its exact interval."""
     from scipy import stats
 
     tail = (1 - LEVEL) / 2
@@ -33,9 +33,9 @@ def poisson_rate(events: int, exposure: float) -> Estimate:
 
 
 def rate_over_blocks(counts: NDArray[np.integer], exposure: float) -> Estimate:
-    """A rate from counts in equal blocks of time; `exposure` is that of all blocks.
+    """Return a rate from counts in equal blocks of time; `exposure` is that of all blocks.
 
-    Poisson where the counts vary no more than that allows, else from their own spread (Student's t).
+    The interval is Poisson's if the counts vary no more than that allows, else Student's from their own variation.
     """
     from scipy import stats
 
@@ -52,7 +52,7 @@ def rate_over_blocks(counts: NDArray[np.integer], exposure: float) -> Estimate:
 
 
 def share(hits: int, count: int) -> Estimate:
-    """The share of `count` trials in which something holds, with Wilson's interval; 0 to 1 without trials."""
+    """Return the share of `count` trials with a hit, with Wilson's interval; 0 to 1 without trials."""
     if count == 0:
         return Estimate(float("nan"), 0.0, 1.0)
     from scipy import stats
@@ -62,17 +62,18 @@ def share(hits: int, count: int) -> Estimate:
 
 
 def of_samples(value: float, samples: NDArray[np.float64]) -> Estimate:
-    """A value with the interval that resampled values span (percentiles)."""
+    """Return a value with the interval of its resampled values (percentiles)."""
     low, high = np.percentile(samples, [50 * (1 - LEVEL), 50 * (1 + LEVEL)])
     return Estimate(value, float(min(low, value)), float(max(high, value)))
 
 
 def cluster_weights(*factors: Sequence[Hashable]) -> NDArray[np.float64]:
-    """How often each trial counts in each round of resampling, (ROUNDS, trials), where trials share objects, sensors.
+    """Return the weight of each trial in each round of resampling, (ROUNDS, trials), for trials that share factors.
 
-    factors: what each trial has of each, such as its object. The levels of a factor are drawn anew, and a trial counts
-    as often as all of its levels do; a factor of one level tells nothing, and without another one trials are drawn.
-    Always the same draws. Source: A. B. Owen, The pigeonhole bootstrap, 2007.
+    factors: for each factor, such as the object or the sensor, its level in each trial. Each round resamples the levels
+    of every factor, and a trial's weight is the product of its levels' counts. A factor with one level is left out; if
+    none is left, the trials are resampled. The random numbers are always the same. Source: A. B. Owen, The pigeonhole
+    bootstrap, 2007.
     """
     rng = np.random.default_rng(0)
     trials = len(factors[0])
@@ -80,17 +81,17 @@ def cluster_weights(*factors: Sequence[Hashable]) -> NDArray[np.float64]:
     several = [factor for factor in factors if len(set(factor)) > 1] or [range(trials)]
     for factor in several if trials else []:
         known = {level: number for number, level in enumerate(dict.fromkeys(factor))}
-        drawn = rng.multinomial(len(known), np.full(len(known), 1 / len(known)), ROUNDS)
-        weights *= drawn[:, [known[level] for level in factor]]
+        counts = rng.multinomial(len(known), np.full(len(known), 1 / len(known)), ROUNDS)
+        weights *= counts[:, [known[level] for level in factor]]
     return weights
 
 
 def ratio_of_clusters(
     above: NDArray[np.float64], below: NDArray[np.float64], weights: NDArray[np.float64]
 ) -> Estimate | None:
-    """The ratio of two sums over trials, (trials,) each, with its interval from `cluster_weights`; None over nothing.
+    """Return the ratio of two sums over trials, (trials,) each, with its interval from `cluster_weights`.
 
-    A mean of values in which some trials count less is that of values times shares, over shares.
+    None if the lower sum is 0. For a mean in which trials count by shares, pass values times shares, and shares.
     """
     if not below.sum() > 0:
         return None

@@ -1,8 +1,8 @@
-"""Events as images for networks, at a fixed rate: counts, histograms, voxels and time surfaces, online as offline.
+"""Events as images for networks, at a fixed rate: counts, histograms, voxels and time surfaces, online and offline.
 
-What they are is as in tonic (ToFrame, to_voxel_grid, to_timesurface); but a voxel grid is of a window of fixed length
-there and here, not from the first of its events to the last. `start` and `step` take one slice after the other, and
-give an image whenever one is due; `fold` takes blocks of slices, and gives the same bits.
+The images are those of tonic (ToFrame, to_voxel_grid, to_timesurface), except that a voxel grid covers a window of
+fixed length instead of the time from its first to its last event. `start` and `step` take one slice after the other,
+and return an image whenever one is due. `fold` takes blocks of slices, and returns identical bits.
 """
 
 from collections import deque
@@ -17,13 +17,13 @@ from evetac_cli.events import SLICE_US, Events, SliceBlock, concatenate, empty
 from evetac_cli.kernels.compiled import njit
 from evetac_cli.kernels.event_representation import POLARITIES, Representation
 
-MOST_COUNTED = np.iinfo(np.int16).max  # of a pixel: a count goes no further
-NEVER = -1  # time of the last event of a pixel that had none
-AT_ONCE_BYTES = 1 << 26  # of images in a block, unless a single one is larger; where less, numpy clears used memory
+MOST_COUNTED = np.iinfo(np.int16).max  # counts of a pixel saturate here
+NEVER = -1  # time of the last event of a pixel without events
+AT_ONCE_BYTES = 1 << 26  # of images in a block; smaller ones are slower, because numpy must clear reused memory
 
 
 class ImageBlock(NamedTuple):
-    """Consecutive images (n, ...) and the time in us that each ends at (n,), from the start of the recording.
+    """Consecutive images (n, ...) and the time in us at which each ends, (n,), from the start of the recording.
 
     torch.from_numpy(block.images) makes a tensor of them without a copy.
 
@@ -39,19 +39,19 @@ class ImageBlock(NamedTuple):
 
 @dataclass
 class ImageState:
-    """What is kept between slices: where pixels go, the slices of the window, and the last event of each pixel."""
+    """State between slices: the mapping of pixels, the slices of the window, and the last event of each pixel."""
 
     of: Representation
-    column: NDArray[np.int64]  # of the image, by that of the sensor
+    column: NDArray[np.int64]  # of the image, for each column of the sensor
     row: NDArray[np.int64]
-    last_us: NDArray[np.int64]  # of a surface, by channel; else empty
+    last_us: NDArray[np.int64]  # of a surface, per channel; else empty
     window: deque[Events] = field(default_factory=deque)
     slices: int = 0
     images: int = 0
 
 
 def start(of: Representation) -> ImageState:
-    """Before the first slice."""
+    """Return the state before the first slice."""
     column, row = (
         np.arange(frame, dtype=np.int64) * size // frame for frame, size in zip(of.frame_px, of.size_px, strict=True)
     )
@@ -61,9 +61,9 @@ def start(of: Representation) -> ImageState:
 
 
 def step(state: ImageState, events: Events) -> NDArray[Any] | None:
-    """Take one more slice; an image, a new array, where one ends with it, else None.
+    """Process one more slice; return a new image if one ends with it, else None.
 
-    Times are from the first slice on. ValueError for events beside the frame, or of another time than their slice's.
+    Times count from the first slice. ValueError for events outside the frame, or outside the time of their slice.
     """
     first_us = state.slices * SLICE_US
     if events.size and not first_us <= events.t[0] <= events.t[-1] < first_us + SLICE_US:
@@ -73,14 +73,14 @@ def step(state: ImageState, events: Events) -> NDArray[Any] | None:
     state.slices += 1
     due = state.slices >= state.of.end(state.images)
     images = np.zeros((int(due), *state.of.shape), state.of.dtype)
-    if due or state.of.kind == "surface":  # which has to see every event, but of its window the newest slice alone
+    if due or state.of.kind == "surface":  # a surface must see every event; its window holds only the newest slice
         _draw(state, concatenate(list(state.window)), np.full(int(due), state.slices), images)
     state.images += due
     return images[0] if due else None
 
 
 def fold(of: Representation, blocks: Iterable[SliceBlock]) -> Iterator[ImageBlock]:
-    """The images of consecutive blocks of slices, in blocks of some; the first block begins with slice 0."""
+    """Yield the images of consecutive blocks of slices, several per block; the first block starts at slice 0."""
     state, kept = start(of), empty()
     at_once = max(1, AT_ONCE_BYTES // (int(np.prod(of.shape)) * np.dtype(of.dtype).itemsize))
     for block in blocks:
@@ -103,9 +103,9 @@ def fold(of: Representation, blocks: Iterable[SliceBlock]) -> Iterator[ImageBloc
 
 
 def images_ending(of: Representation, events: Events, ends: NDArray[np.int64]) -> NDArray[Any]:
-    """The images (n, ...) that end before these slices, in order, of events whose times count from slice 0.
+    """Return the images (n, ...) that end before these slices, in order; times of events count from slice 0.
 
-    A surface knows these events alone. ValueError for events beside the frame.
+    A surface only uses these events. ValueError for events outside the frame.
     """
     images = np.zeros((len(ends), *of.shape), of.dtype)
     _draw(start(of), events, ends, images)
@@ -113,9 +113,9 @@ def images_ending(of: Representation, events: Events, ends: NDArray[np.int64]) -
 
 
 def _draw(state: ImageState, events: Events, ends: NDArray[np.int64], images: NDArray[Any]) -> None:
-    """Draw the images that end before these slices, of the events of their windows.
+    """Draw the images that end before these slices, from the events of their windows.
 
-    Of a surface, events are those since its last image; without an image they are remembered.
+    For a surface, the events are those since its last image; without an image they are only stored.
     """
     of = state.of
     t, x, y, p = events
@@ -138,7 +138,7 @@ def _draw(state: ImageState, events: Events, ends: NDArray[np.int64], images: ND
             inside = _count(t, x, y, p, *places, *windows, POLARITIES.index(of.polarity), binned)
     if not inside:
         width, height = of.frame_px
-        raise ValueError(f"expected events within {width} x {height} px, found others")
+        raise ValueError(f"expected events within {width} x {height} px, found events outside")
 
 
 @njit(cache=True)
@@ -147,9 +147,9 @@ def _count(
     column: NDArray[np.int64], row: NDArray[np.int64], first: NDArray[np.int64], last: NDArray[np.int64],
     begin_us: NDArray[np.int64], window_us: int, polarity: int, images: NDArray[np.int16],
 ) -> bool:  # fmt: skip
-    """Count the events [first, last) of each image by channel and bin; whether all were within the frame.
+    """Count the events [first, last) of each image by channel and bin; return whether all were within the frame.
 
-    polarity: its place in POLARITIES.
+    polarity: index in POLARITIES.
     """
     bins = images.shape[2]
     for number in range(images.shape[0]):
@@ -172,7 +172,7 @@ def _share(
     column: NDArray[np.int64], row: NDArray[np.int64], first: NDArray[np.int64], last: NDArray[np.int64],
     begin_us: NDArray[np.int64], window_us: int, images: NDArray[np.float32],
 ) -> bool:  # fmt: skip
-    """Share each event of an image between the two bins about it; whether all were within the frame."""
+    """Distribute each event of an image over the two nearest bins; return whether all were within the frame."""
     bins = images.shape[1]
     for number in range(images.shape[0]):
         image = images[number]
@@ -195,9 +195,9 @@ def _remember_and_decay(
     column: NDArray[np.int64], row: NDArray[np.int64], split: bool, edges: NDArray[np.int64],
     end_us: NDArray[np.int64], decay_us: float, last_us: NDArray[np.int64], images: NDArray[np.float32],
 ) -> bool:  # fmt: skip
-    """Note the time of the last event of each pixel, and how recent these are: 1 now, 0 never.
+    """Store the time of the last event of each pixel, and draw its decay: 1 now, 0 for no event.
 
-    Image k follows the events [edges[k], edges[k + 1]); whether all were within the frame.
+    Image k follows the events [edges[k], edges[k + 1]). Return whether all were within the frame.
     """
     for number in range(edges.shape[0] - 1):
         for i in range(edges[number], edges[number + 1]):

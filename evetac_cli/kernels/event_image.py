@@ -1,4 +1,4 @@
-"""Events as an image, for people and for video; without compiled code, which pages and exports do without."""
+"""Draw events as an image, for people and for video. Free of compiled code, so that pages and exports load no numba."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,7 +9,7 @@ from evetac_cli.events import FRAME_PX
 def event_image(
     x: NDArray[np.uint16], y: NDArray[np.uint16], p: NDArray[np.uint8], frame_px: tuple[int, int] = FRAME_PX
 ) -> NDArray[np.int8]:
-    """Draw events, given in the order of time: (height, width), +1 brighter, -1 darker, 0 none; the last event wins.
+    """Draw events, in order of time, as (height, width): +1 brighter, -1 darker, 0 none; a pixel's last event wins.
 
     frame_px is (width, height); events outside it are left out. ValueError if the columns differ in length.
     Source: paper, "Evetac Touch Features", the set of events in image form.
@@ -19,5 +19,5 @@ def event_image(
     width, height = frame_px
     image = np.zeros((height, width), np.int8)
     inside = (x < width) & (y < height)
-    image[y[inside], x[inside]] = np.where(p[inside], np.int8(1), np.int8(-1))  # of a pixel named twice the last stays
+    image[y[inside], x[inside]] = np.where(p[inside], np.int8(1), np.int8(-1))  # the last of several events stays
     return image

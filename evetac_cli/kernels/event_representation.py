@@ -1,6 +1,6 @@
-"""What images of events show: their kind, size, rate and window; without compiled code, which tables do without.
+"""Contents of event images: kind, size, rate and window. Free of compiled code, so that tables do not load numba.
 
-How they are drawn: event_drawing.py.
+event_drawing.py draws them.
 """
 
 import math
@@ -16,21 +16,24 @@ Kind = Literal["frames", "histogram", "voxels", "surface"]
 Polarity = Literal["split", "signed", "sum"]
 KINDS: tuple[Kind, ...] = ("frames", "histogram", "voxels", "surface")
 POLARITIES: tuple[Polarity, ...] = ("split", "signed", "sum")
-MOST_WINDOW_MS, MOST_BINS, MOST_DECAY_MS = 100_000, 1_000, 100_000.0
+MOST_WINDOW_MS, MOST_BINS, MOST_DECAY_MS = 100_000, 1_000, 100_000.0  # upper limits, beyond any practical use
 
 
 @dataclass(frozen=True)
 class Representation:
-    """What images show of events. ValueError for numbers that cannot be.
+    """Contents of event images. ValueError for impossible numbers.
 
-    kind: `frames`, counts of the window (channels, height, width), int16; `histogram`, counts of each of its `bins`
-    (channels, bins, height, width), int16; `voxels`, ON as 1 and OFF as -1, shared between the two nearest bins by how
-    near they are, (bins, height, width), float32; `surface`, exp(-(age of the last event) / decay_ms), 0 where there
-    was none, (channels, height, width), float32.
-    frame_px: width and height of the sensor's frame; size_px: of the images, whose pixels add up the sensor's.
-    rate_hz: image k ends with slice floor((k + 1) * 1000 / rate_hz); window_ms: what it looks back on (not `surface`);
-    one that ends earlier looks back on less. polarity: `split` has two channels, OFF and ON; `signed` has one, ON less
-    OFF; `sum` has one of both. Voxels are always signed, surfaces never.
+    `kind` is one of:
+
+    - `frames`: counts of the window, (channels, height, width), int16.
+    - `histogram`: counts of each of its `bins`, (channels, bins, height, width), int16.
+    - `voxels`: ON as 1 and OFF as -1, distributed linearly over the two nearest bins, (bins, height, width), float32.
+    - `surface`: exp(-(age of the last event) / decay_ms), 0 without an event, (channels, height, width), float32.
+
+    `frame_px`: width and height of the sensor's frame. `size_px`: of the images, whose pixels sum those of the sensor.
+    `rate_hz`: image k ends with slice floor((k + 1) * 1000 / rate_hz). `window_ms`: time that an image covers (not
+    `surface`); the first images may cover less. `polarity`: `split` has two channels, OFF and ON; `signed` has one, ON
+    minus OFF; `sum` has one of both. Voxels are always signed, surfaces never.
     """
 
     kind: Kind
@@ -61,7 +64,7 @@ class Representation:
 
     @property
     def used(self) -> tuple[str, ...]:
-        """The fields that matter for its kind."""
+        """The fields that matter for this kind."""
         of_kind = {
             "frames": ("window_ms", "polarity"),
             "histogram": ("window_ms", "bins", "polarity"),
@@ -72,7 +75,7 @@ class Representation:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Of one image."""
+        """Shape of one image."""
         width, height = self.size_px
         channels = 2 if self.polarity == "split" else 1
         if self.kind == "voxels":
@@ -81,15 +84,15 @@ class Representation:
 
     @property
     def dtype(self) -> type[Any]:
-        """Of its values."""
+        """Type of the values."""
         return np.int16 if self.kind in ("frames", "histogram") else np.float32
 
     def end(self, image: int) -> int:
-        """The slice that the image, counted from 0, ends before."""
+        """Return the slice before which an image, counted from 0, ends."""
         return math.floor((image + 1) * SLICES_PER_S / self.rate_hz + 1e-9)
 
     def images(self, slices: int) -> int:
-        """How many images end within so many slices."""
+        """Return the number of images that end within this number of slices."""
         images = math.floor(slices * self.rate_hz / SLICES_PER_S)
         return images + (self.end(images) <= slices)
 
@@ -98,7 +101,7 @@ def representation(
     kind: Kind, frame_px: tuple[int, int], size_px: tuple[int, int] | None, rate_hz: float, window_ms: int | None,
     **more: Any,
 ) -> Representation:  # fmt: skip
-    """A Representation of the size of the frame, and of a window from one image to the next, unless they are given."""
+    """Return a Representation; by default images have the size of the frame, and windows last until the next image."""
     check_range("rate_hz", rate_hz, 0.0, SLICES_PER_S, "1/s", above=True)
     window_ms = math.ceil(SLICES_PER_S / rate_hz - 1e-9) if window_ms is None else window_ms
     return Representation(kind, frame_px, frame_px if size_px is None else size_px, rate_hz, window_ms, **more)

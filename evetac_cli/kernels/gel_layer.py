@@ -1,21 +1,22 @@
-"""A soft layer bonded to a stiff back, and how its surface answers shear and pressure: exact, and by a sheet inside it.
+"""Response to shear and pressure of a soft layer bonded to a stiff back: the exact one, and a sheet model of it.
 
-Exact. A layer of height H and shear modulus G that keeps its volume answers a traction of wave number k at its surface
-as a vector: shear along the wave (L) moves it less than shear across (T), as it has to push gel up where it is thin,
-and pressure moves it sideways, too. `compliance` is the closed form; across the wave it is tanh(kH) / (G k).
+Exact: a traction of wave number k acts on the surface of an incompressible layer of height H and shear modulus G, and
+the response is a vector. Shear along the wave (L) moves the layer less than shear across it (T), because gel must then
+be pushed up where it is thin. Pressure also moves it sideways. `compliance` is the closed form; across the wave it is
+tanh(kH) / (G k).
 
-Sheet. A simulator wants the inverse of that on a grid, from node to node. Each surface node is held by a spring G/H to
-the back, and by a spring SPRING G/H to a sheet inside the layer that resists being stretched with ALONG G H along a
-wave and with ACROSS G H across it. In balance the sheet is the surface, smoothed, and the surface's stiffness to a
-pattern is G/H (1 + a x / (1 + a x / SPRING)), x = (kH)^2, a = ALONG or ACROSS: a Pade approximant of the exact one.
-`sheet_stiffness` is it on a grid.
+Sheet: a simulator needs the inverse of the response, on a grid from node to node. Each surface node is held by a spring
+G/H to the back, and by a spring SPRING G/H to a sheet inside the layer. The sheet resists stretching with ALONG G H
+along a wave and with ACROSS G H across it. In equilibrium the sheet is the smoothed surface. The stiffness of the
+surface to a pattern is then G/H (1 + a x / (1 + a x / SPRING)), with x = (kH)^2 and a = ALONG or ACROSS. This is a Pade
+approximant of the exact one. `sheet_stiffness` is its matrix on a grid.
 
-Pressure acts as if the surface were pushed by -H/2 grad p, p smoothed by a Gaussian of SMOOTHING H: what the exact
-layer moves under pressure, times its stiffness along the wave, is that within 5 % of its largest.
+Pressure acts like a push of the surface by -H/2 grad p, with p smoothed by a Gaussian of SMOOTHING H. The exact motion
+under pressure, times the layer's stiffness along the wave, is equal to this push within 5 % of its maximum.
 
-Constants were fitted to the exact layer at wavelengths of 2 to 30 heights (8 to 120 mm), where the sheet is off by 2 %
-at most. Shorter waves find it too soft: along the wave by 14 % at 6 mm, a quarter at 5 mm, half at 4 mm, the shortest
-that dots 2 mm apart show.
+The constants were fitted to the exact layer at wavelengths of 2 to 30 heights (8 to 120 mm), where the sheet is off by
+at most 2 %. It is too soft for shorter waves: along the wave by 14 % at 6 mm, a quarter at 5 mm, and half at 4 mm, the
+shortest wave that dots 2 mm apart resolve.
 """
 
 import math
@@ -25,22 +26,22 @@ import numpy as np
 
 from evetac_cli.arrays import Flags, Floats
 
-if TYPE_CHECKING:  # it takes 0.2 s to load, and who asks what a gel is needs none of it
+if TYPE_CHECKING:  # takes 0.2 s to load, and callers that only need the constants of a gel do not use it
     from scipy import sparse
 
-SPRING = 8.25
-ALONG = 1.675
-ACROSS = 0.305
-SMOOTHING = 0.82
+SPRING = 8.25  # stiffness of the spring between surface and sheet, over G/H
+ALONG = 1.675  # stretching stiffness of the sheet along a wave, over G H
+ACROSS = 0.305  # ... and across it
+SMOOTHING = 0.82  # standard deviation of the smoothing of pressure, over H
 
 
 class Compliance(NamedTuple):
-    """How a layer moves at some wave numbers (n,), at its surface or below it, in m per Pa.
+    """Motion of a layer at a number of wave numbers (n,), at its surface or below it, in m per Pa.
 
-    across, along: in its plane, under shear across and along the wave. aside: in its plane along the wave, under
-    pressure, as a factor on the pressure's slope over the wave number: negative, away from where it is high. down: into
-    the layer under pressure. dip: into the layer under shear along the wave, as a factor on the shear's slope over the
-    wave number: at the surface -aside, by reciprocity.
+    `across`, `along`: in the plane of the layer, under shear across and along the wave. `aside`: in the plane along the
+    wave, under pressure, as a factor on the pressure's slope over the wave number. It is negative, because gel moves
+    away from high pressure. `down`: into the layer under pressure. `dip`: into the layer under shear along the wave, as
+    a factor on the shear's slope over the wave number. At the surface it is -aside, by reciprocity.
     """
 
     across: Floats
@@ -57,19 +58,19 @@ def compliance(
     poisson: float = 0.5,
     depth_m: float = 0.0,
 ) -> Compliance:
-    """The exact answer of a bonded layer to tractions on its surface: the closed form in Fourier space.
+    """Return the exact response of a bonded layer to tractions on its surface: the closed form in Fourier space.
 
-    wave_number_per_m: (n,) above 0. poisson: up to 0.5, where the layer keeps its volume. depth_m: below the surface,
-    where the motion is asked for, as of dots that are printed under a coat. The displacement is a sum of
-    four functions of depth, in two of which the depth is a factor; that it is 0 at the back and the traction as given
-    at the surface are four equations for each wave number.
+    wave_number_per_m: (n,) above 0. poisson: up to 0.5, which is incompressible. depth_m: depth below the surface of
+    the motion, for example of dots printed under a coat. The displacement is a sum of four functions of depth, two of
+    which have the depth as a factor. Zero displacement at the back and the given traction at the surface are four
+    equations for each wave number.
     """
     wave = np.asarray(wave_number_per_m, dtype=np.float64) * height_m  # all lengths in heights
     ratio = 3.0 - 4.0 * poisson
     fades = np.exp(-wave)
 
     def displacement(depth: float) -> tuple[Floats, Floats]:
-        """Parts along the wave and up of the four functions, (n, 4), at a depth below the surface."""
+        """Return the parts along the wave and up of the four functions, (n, 4), at a depth below the surface."""
         rise, fall, below = np.exp(-wave * depth), np.exp(-wave * (1.0 - depth)), -depth
         along = np.stack([rise, wave * below * rise, fall, wave * (1.0 - depth) * fall], -1)
         up = np.stack([rise, (wave * below - ratio) * rise, -fall, -(wave * (1.0 - depth) + ratio) * fall], -1)
@@ -80,9 +81,9 @@ def compliance(
     slope_up = np.stack([wave, wave * (1.0 - ratio), wave * fades, -wave * (1.0 - (wave + ratio)) * fades], -1)
     swelling = np.stack([0 * wave, -4 * poisson * wave, 0 * wave, 4 * poisson * wave * fades], -1)
     equations = np.stack([*back, slope_along + wave[:, None] * top[1], swelling + 2 * slope_up], axis=1)
-    given = np.zeros((len(wave), 4, 2))
-    given[:, 2, 0], given[:, 3, 1] = 1.0, -1.0
-    weights = np.linalg.solve(equations, given)
+    right_sides = np.zeros((len(wave), 4, 2))
+    right_sides[:, 2, 0], right_sides[:, 3, 1] = 1.0, -1.0
+    weights = np.linalg.solve(equations, right_sides)
     depth = depth_m / height_m
     along, up = (np.einsum("ni,nij->nj", part, weights) for part in displacement(depth))
     scale = height_m / shear_modulus_pa
@@ -91,7 +92,7 @@ def compliance(
 
 
 def sheet_stiffness(node_xy_m: Floats, height_m: float) -> "sparse.csr_matrix":
-    """Stiffness over the shear modulus, in m, of a pad of nodes (rows, columns, 2) and its sheet; their edges are free.
+    """Return stiffness over shear modulus, in m, of a pad of nodes (rows, columns, 2) and its sheet, with free edges.
 
     (4 n, 4 n) for n nodes: displacements of the surface along x, along y, then those of the sheet.
     """
@@ -102,11 +103,11 @@ def sheet_stiffness(node_xy_m: Floats, height_m: float) -> "sparse.csr_matrix":
     one = sparse.eye(rows * columns)
 
     def step(count: int) -> "sparse.csr_matrix":
-        """Differences of neighbours along a line."""
+        """Return the differences of neighbours along a line."""
         return sparse.diags([-np.ones(count), np.ones(count - 1)], [0, 1], shape=(count - 1, count))
 
     def middle(count: int) -> "sparse.csr_matrix":
-        """Means of neighbours along a line."""
+        """Return the means of neighbours along a line."""
         return sparse.diags([np.full(count, 0.5), np.full(count - 1, 0.5)], [0, 1], shape=(count - 1, count))
 
     across, down = sparse.kron(sparse.eye(rows), step(columns)), sparse.kron(step(rows), sparse.eye(columns))
@@ -123,25 +124,25 @@ def sheet_stiffness(node_xy_m: Floats, height_m: float) -> "sparse.csr_matrix":
 
 
 class Squeeze:
-    """The force on each surface node with which pressure moves a layer aside: -H/2 grad p, smoothed."""
+    """The force on each surface node by which pressure moves a layer aside: -H/2 grad p, smoothed."""
 
     def __init__(self, node_xy_m: Floats, height_m: float) -> None:
-        """For a regular grid of nodes (rows, columns, 2); what they bear is spread over their cells' middles."""
+        """For a regular grid of nodes (rows, columns, 2); normal forces on nodes are spread over their cells."""
         self._smooth_x, slope_x = _gaussian(node_xy_m[0, :, 0], height_m)
         self._slope_x = np.ascontiguousarray(slope_x.T)
         self._smooth_y, self._slope_y = _gaussian(node_xy_m[:, 0, 1], height_m)
 
     def of(self, normal: Floats) -> Floats:
-        """Force (rows, columns, 2) in the unit of the nodes' normal forces (rows, columns)."""
+        """Return the force (rows, columns, 2) in the unit of the nodes' normal forces (rows, columns)."""
         aside = np.empty((*normal.shape, 2))
         np.matmul(self._smooth_y @ normal, self._slope_x, out=aside[..., 0])
         np.matmul(self._slope_y @ normal, self._smooth_x, out=aside[..., 1])
         return aside
 
     def transposed(self, weights: Floats) -> Floats:
-        """Weights on pressures (..., rows, columns) that are those given on the forces that they push with.
+        """Return weights on pressures (..., rows, columns) with the effect of given weights on the resulting forces.
 
-        weights: (..., rows, columns, 2). So what forces do, pressure does: for instance to a dot.
+        weights: (..., rows, columns, 2), for example the effect of the forces on a dot.
         """
         of_x = self._smooth_y.T @ weights[..., 0] @ self._slope_x.T
         of_y = self._slope_y.T @ weights[..., 1] @ self._smooth_x.T
@@ -150,10 +151,11 @@ class Squeeze:
 
 
 def moved_by(node_xy_m: Floats, height_m: float, sticks: Flags, squeezed_m2: Floats) -> Floats:
-    """How a pad lies in balance where nodes stick to an object: (rows, columns, 2, 3), along x and y.
+    """Return the equilibrium of a pad whose nodes partly stick to an object: (rows, columns, 2, 3), along x and y.
 
     sticks: (rows, columns). squeezed_m2: (rows, columns, 2), force of pressure over the shear modulus, see `Squeeze`.
-    The last index is: the object at rest while pressure squeezes, in m; the object moved by 1 along x; and along y.
+    The last index: displacement in m by pressure with the object at rest; displacement per unit of the object's motion
+    along x; and along y.
     """
     from scipy.sparse.linalg import splu
 
@@ -171,7 +173,7 @@ def moved_by(node_xy_m: Floats, height_m: float, sticks: Flags, squeezed_m2: Flo
 
 
 def _gaussian(line_m: Floats, height_m: float) -> tuple[Floats, Floats]:
-    """Matrices that smooth along a line of nodes, and that smooth and take -H/2 of the slope; see `Squeeze`."""
+    """Return matrices that smooth along a line of nodes, and that smooth and take -H/2 of the slope; see `Squeeze`."""
     pitch_m = line_m[1] - line_m[0] if len(line_m) > 1 else height_m
     sd_m = SMOOTHING * height_m
     apart = (line_m[:, None] - line_m[None, :]) / sd_m

@@ -1,20 +1,20 @@
-"""Logistic regression: weights of columns of numbers that make one of two labels likely, by Newton's method."""
+"""Logistic regression by Newton's method: weights of columns for the probability of a label."""
 
 import numpy as np
 
 from evetac_cli.arrays import Floats
 
-ROUNDS = 50
-LONGEST_STEP = 3.0  # of a weight in a round: from afar the curve is flat, and a whole step would go too far
+ROUNDS = 50  # of Newton's method, without any other stopping rule
+LONGEST_STEP = 3.0  # largest change of a weight per round: far from the optimum a whole Newton step would overshoot
 
 
 def fit(columns: Floats, label: Floats, penalty: Floats, importance: Floats) -> Floats:
-    """Weights (k,) from columns (n, k) and labels 0 or 1 (n,).
+    """Return weights (k,) from columns (n, k) and labels 0 or 1 (n,).
 
-    penalty (k,): half of it times the squared weight is added to what is least, minus the log likelihood;
-    importance (n,): how often a row counts.
+    They minimise the negative log likelihood plus half of penalty (k,) times the squared weights; importance (n,):
+    weight of each row.
     """
-    from scipy.special import expit  # here, as modules that share this one need none of it
+    from scipy.special import expit  # here, because other users of the module do not need scipy
 
     weights = np.zeros(columns.shape[1])
     for _ in range(ROUNDS):

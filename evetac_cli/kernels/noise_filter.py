@@ -1,8 +1,8 @@
-"""The filter against background activity: an event is left out that has no recent one beside it.
+"""Background activity filter: remove events without a recent event at a neighbouring pixel.
 
-It is that of the authors' readout, dv-processing's filter of background activity: an event is kept if one of the 8
-pixels around its own had an event less than a given time before, kept or not. What came at its own pixel does not
-count, so a hot pixel that lies alone is left out as well as noise.
+It is the background activity filter of dv-processing, which the authors' readout uses. An event is kept if one of the 8
+pixels around its own had an event less than a given time before, whether that event was kept or not. Events at its own
+pixel do not count, so isolated hot pixels are removed as well as noise.
 """
 
 import numpy as np
@@ -12,29 +12,30 @@ from evetac_cli.checks import check_range
 from evetac_cli.kernels.compiled import njit
 
 Columns = tuple[NDArray[np.int64], NDArray[np.uint16], NDArray[np.uint16], NDArray[np.uint8]]
-LONG_AGO_US = -(2**62)
-OWN = 4  # of the 9 pixels at and around an event, row by row, its own
+LONG_AGO_US = -(2**62)  # time of the last event of a pixel without events
+OWN = 4  # index of an event's own pixel among the 9 at and around it, row by row
 
 
 class NoiseFilter:
-    """The filter behind one camera, from slice to slice; `removed` counts the events that were left out."""
+    """The filter of one camera, from slice to slice; `removed` counts the events that were removed."""
 
     def __init__(self, support_ms: float, frame_px: tuple[int, int]) -> None:
-        """Keep what has an event beside it within so many ms before; ValueError if out of range."""
+        """Keep events with a neighbouring event within this many ms before; ValueError if out of range."""
         check_range("noise_filter.support_ms", support_ms, 0.001, 1e4)
         width, height = frame_px
         self._support_us = 1e3 * support_ms
-        self._last_us = np.full((height + 2, width + 2), LONG_AGO_US, np.int64)  # a border spares the frame's edges
+        # the border replaces checks at the frame's edges
+        self._last_us = np.full((height + 2, width + 2), LONG_AGO_US, np.int64)
         self.removed = 0
 
-    def keep(self, made: Columns) -> Columns:
-        """The events that are kept, of those of a slice, sorted by time, which follow those before.
+    def keep(self, columns: Columns) -> Columns:
+        """Return the kept events of a slice, which must be sorted by time and follow those of previous slices.
 
-        The columns `made` are used up.
+        `columns` is overwritten.
         """
-        kept = _move_supported(*made, self._support_us, self._last_us)
-        self.removed += len(made[0]) - kept
-        return made[0][:kept], made[1][:kept], made[2][:kept], made[3][:kept]
+        kept = _move_supported(*columns, self._support_us, self._last_us)
+        self.removed += len(columns[0]) - kept
+        return columns[0][:kept], columns[1][:kept], columns[2][:kept], columns[3][:kept]
 
 
 @njit(cache=True, _nrt=False)
@@ -46,9 +47,9 @@ def _move_supported(
     support_us: float,
     last_us: NDArray[np.int64],
 ) -> int:
-    """Move the events that are kept to the front and return their number.
+    """Move the kept events to the front and return their number.
 
-    `last_us` (height + 2, width + 2): when a pixel, one to the right and down, last had an event.
+    `last_us` (height + 2, width + 2): time of the last event of each pixel, shifted by one to the right and down.
     """
     kept = 0
     for event in range(len(t_us)):

@@ -1,11 +1,11 @@
-"""The record that holds the state of a kernel (why so: see tracking/tracker.py)."""
+"""Check of the record that holds the state of a kernel (reason for records: see tracking/tracker.py)."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 
 def check_record(record: NDArray[np.void], state: np.dtype[np.void]) -> None:
-    """ValueError unless the record is a writable array of one such state, which compiled code may change in place."""
+    """Raise ValueError unless the record is a writable array of one state, which compiled code changes in place."""
     if record.dtype != state or record.shape != (1,) or not record.flags.writeable:
         raise ValueError(
             f"record: expected a writable array of one STATE, {state.itemsize} bytes, found"

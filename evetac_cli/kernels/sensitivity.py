@@ -1,15 +1,15 @@
-"""What makes two sensors answer the same contact differently, as far as it is known of them."""
+"""Known properties of a sensor that make it respond differently from another sensor to the same contact."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 
 class Sensitivity(NamedTuple):
-    """Figures of one sensor, as `evetac identify` tells them; None where one is not known.
+    """Properties of one sensor, as estimated by `evetac identify`; None if unknown.
 
-    contrast_over_threshold: log contrast of a dot over the camera's threshold, so the events that a pixel gives as the
-    rim of a dot passes it. shear_modulus_pa: of the gel; under the same force a gel of twice the modulus moves half as
-    far. Stage files hold them as datasets of these names, calibration files as keys.
+    `contrast_over_threshold`: log contrast of a dot over the camera's threshold, which is the number of events of a
+    pixel when the rim of a dot passes. `shear_modulus_pa`: of the gel; under the same force a gel of twice the modulus
+    moves half as far. Stage files store them as datasets of these names, calibration files as keys.
 
     >>> import evetac_cli as evetac
     >>> with evetac.open_recording("a.recording.h5") as recording:
@@ -21,7 +21,7 @@ class Sensitivity(NamedTuple):
     shear_modulus_pa: float | None = None
 
     def known(self) -> dict[str, float]:
-        """The figures that are known, by name."""
+        """Return the known properties by name."""
         return {name: value for name, value in self._asdict().items() if value is not None}
 
 
@@ -30,5 +30,5 @@ DATASETS = {name: f"sensor/{name}" for name in Sensitivity._fields}
 
 
 def sensitivity_of(sensor: Mapping[str, Any]) -> Sensitivity:
-    """The figures among the datasets `sensor/...` of a file or a trial."""
+    """Return the properties among the datasets `sensor/...` of a file or a trial."""
     return Sensitivity(**{name: float(sensor[path]) for name, path in DATASETS.items() if path in sensor})

@@ -1,25 +1,27 @@
-"""Vibration in a stream of events: at which frequency the gel vibrates, or that it does not.
+"""Vibration in a stream of events: the frequency at which the gel vibrates, or that it does not.
 
-Two methods. The paper's takes the strongest line in the spectrum of the number of events a slice. A rim that swings
-back and forth makes events both ways, so that number also beats at twice the tone, a rattling contact adds half the
-tone, and slices of a millisecond fold all above 500 Hz down: in short windows one of these now and then wins.
+There are two methods. The paper's takes the strongest line in the spectrum of the number of events per slice. A rim
+that swings back and forth makes events in both directions, so this number also oscillates at twice the tone. A rattling
+contact adds half the tone, and slices of a millisecond alias everything above 500 Hz. In short windows one of these
+lines is sometimes the strongest.
 
-The other follows motion. A pixel on a rim gets brighter while the rim moves forward and darker while it moves back, so
-brighter minus darker events is the speed of its brightness, at the tone's own frequency. Both sides of a dot would
-cancel in a sum over the frame; so the frame is cut into cells smaller than a dot, each with a spectrum of its own, and
-powers are summed: neither the dots nor the direction of motion need to be known. Speed over frequency is how far a line
-moves the gel, and the tone is the line with the largest product of displacement and speed.
+The other method follows motion. A pixel on a rim gets brighter while the rim moves forward and darker while it moves
+back. So brighter minus darker events is the rate of change of its brightness, at the frequency of the tone itself. In a
+sum over the frame, both sides of a dot would cancel. So the frame is divided into cells smaller than a dot, each with
+its own spectrum, and their powers are summed. Neither the dots nor the direction of motion need to be known. Speed
+divided by frequency is the displacement of a line, and the tone is the line with the largest product of displacement
+and speed.
 
-Why so:
-- Events are counted at 5 kHz or more whatever band is asked for: the camera scans 5000 times a second, so nothing folds
-  into the band, and a line above it is reported as such.
-- In each cell, power is over the noise there, the median around a frequency. Without a line it is then exponential with
-  mean 1 in any cell, whatever the noise is like (hot pixels, slow motion), and a sum over cells a gamma variate, from
-  which the threshold follows. No cell counts for more than LARGEST: one pixel that blinks is not a vibration.
-- By speed alone the second harmonic of a speaker would win (simulated: up to 1.1 times the tone's), by displacement
-  alone a subharmonic, as the sensor sees large swings and misses small ones (up to 0.93 times the tone's). The product
-  of both is off by the same factor on either side: in it no other line came to more than 0.83.
-- Hann windows: what leaks from slow motion and strong lines falls with the cube of the distance.
+Reasons:
+- Events are counted at 5 kHz or more for any band: the camera scans 5000 times per second, so nothing is aliased into
+  the band, and a line above it is reported as such.
+- In each cell, power is divided by the noise there, the median around a frequency. Without a line the result is
+  exponential with mean 1 in any cell, for any kind of noise (hot pixels, slow motion). The sum over cells is then a
+  gamma variate, which gives the threshold. No cell counts for more than LARGEST: one blinking pixel is no vibration.
+- By speed alone, the second harmonic of a speaker would win (simulated: up to 1.1 times the tone). By displacement
+  alone a subharmonic would, as the sensor sees large swings and misses small ones (up to 0.93 times the tone). Their
+  product is off by the same factor on either side: in it no other line exceeded 0.83.
+- Hann windows are used, because their leakage from slow motion and strong lines falls with the cube of the distance.
 """
 
 import math
@@ -34,16 +36,16 @@ from evetac_cli.arrays import Floats, Singles
 from evetac_cli.checks import check_range
 from evetac_cli.kernels.compiled import njit
 
-FINEST_HZ = 5000  # the rate of the camera's scans
-CELL_PX = 16  # a dot's two sides are 30 px apart
+FINEST_HZ = 5000  # scan rate of the camera
+CELL_PX = 16  # side of a cell; a dot's two sides are 30 px apart
 HANN_SQUARED = 0.375  # mean square of the window
-LEAST_EVENTS = 10  # of a cell, to say anything
-LARGEST = 12.0  # of a cell's power over its noise, as evidence: noise has more once in 160,000
-NOISE_HZ = 50.0  # the noise is a median over so much of the spectrum
-NOISE_BINS = 32  # or over so many frequencies, if that is more
-CELLS_AT_ONCE = 64
+LEAST_EVENTS = 10  # of a cell; with fewer it is left out
+LARGEST = 12.0  # largest evidence of one cell, as power over noise: noise exceeds it once in 160,000
+NOISE_HZ = 50.0  # width of the spectrum over which the noise is a median
+NOISE_BINS = 32  # ... or this many frequencies, if that is more
+CELLS_AT_ONCE = 64  # processed together, to bound memory
 LINE_HALF_BINS = 2.0  # half the width of a line
-SPREAD_BINS = 0.608  # sd of a line's place times the root of its power over the noise, see `locate`
+SPREAD_BINS = 0.608  # sd of a line's position times the root of its power over the noise, see `locate`
 
 Tally = NDArray[np.int16]
 
@@ -59,9 +61,9 @@ def add_events(
     rate_hz: int,
     cells_across: int,
 ) -> None:
-    """Add to `tally` (cells, bins) +1 for every event that got brighter, -1 for every other, where and when it was.
+    """Add +1 for every brighter event and -1 for every other to `tally` (cells, bins), in its cell and time bin.
 
-    Bins are 1 / `rate_hz` long from `start_us` on; events outside of them, or of the cells, are left out.
+    Bins are 1 / `rate_hz` long, starting at `start_us`; events outside the bins or cells are left out.
     """
     cells = tally.shape[0]
     bins = tally.shape[1]
@@ -77,7 +79,7 @@ def add_events(
 
 
 def cell_grid(frame_px: tuple[int, int]) -> tuple[int, int]:
-    """Columns and rows of cells that cover a frame."""
+    """Return the columns and rows of cells that cover a frame."""
     width, height = frame_px
     if width < 1 or height < 1:
         raise ValueError(f"frame_px: expected at least 1 x 1, found {frame_px}")
@@ -85,18 +87,18 @@ def cell_grid(frame_px: tuple[int, int]) -> tuple[int, int]:
 
 
 class Spectrum(NamedTuple):
-    """Sums over cells (and windows) at `frequency_hz` (frequencies,), from 0 to half the rate."""
+    """Sums over cells and windows at `frequency_hz` (frequencies,), from 0 to half the rate."""
 
     frequency_hz: Floats
-    evidence: Floats  # power over noise, no cell above LARGEST
-    power: Floats  # power over noise, where that is at least what events at random times have
+    evidence: Floats  # power over noise, limited to LARGEST per cell
+    power: Floats  # power over the larger of the noise and the power of events at random times
     speed: Floats  # power of brighter minus darker events
-    terms: int  # cells, summed over windows
+    terms: int  # number of cells, summed over windows
 
     def plus(self, other: "Spectrum") -> "Spectrum":
-        """The sum with another window's, of the same length and rate."""
+        """Return the sum with another window's spectrum, of the same length and rate."""
         if not np.array_equal(self.frequency_hz, other.frequency_hz):
-            raise ValueError("frequencies: expected those of the same length and rate, found others")
+            raise ValueError("frequencies: expected a spectrum of the same length and rate, found another")
         return Spectrum(
             self.frequency_hz,
             self.evidence + other.evidence,
@@ -111,25 +113,25 @@ class SpectralLine(NamedTuple):
 
     frequency_hz: float
     uncertainty_hz: float  # one sd
-    motion: float  # how far it moves the gel, of no unit
+    motion: float  # displacement of the gel, in arbitrary units
     power: float  # over the noise
 
 
 class Finding(NamedTuple):
-    """The tone in a spectrum, or None; its harmonics; the line above the band that would otherwise be the tone."""
+    """The tone in a spectrum, or None; its harmonics; and a line above the band that would otherwise be the tone."""
 
     tone: SpectralLine | None
-    harmonics: dict[float, float]  # order (0.5, 2, 3, ...) -> motion over the tone's, 0 where there is no line
+    harmonics: dict[float, float]  # order (0.5, 2, 3, ...) -> displacement over the tone's, 0 without a line
     above_band: SpectralLine | None
 
 
 def spectrum(tally: Tally, rate_hz: float) -> Spectrum:
-    """Sum the cells' spectra over one window of signed events, `tally` (cells, bins) at `rate_hz`.
+    """Return the sum of the cells' spectra over one window of signed events, `tally` (cells, bins) at `rate_hz`.
 
-    ValueError if the window is too short to have noise beside a line (64 frequencies).
+    ValueError if the window is too short for an estimate of the noise (64 frequencies).
     """
     if tally.ndim != 2 or tally.shape[1] < 4 * NOISE_BINS:
-        raise ValueError(f"tally: expected (cells, {4 * NOISE_BINS} bins or more), found {tally.shape}")
+        raise ValueError(f"tally: expected (cells, bins) with at least {4 * NOISE_BINS} bins, found {tally.shape}")
     check_range("rate_hz", rate_hz, above=True)
     bins = tally.shape[1]
     window = _hann(bins)
@@ -158,7 +160,7 @@ def _hann(bins: int) -> Singles:
 
 
 def _noise(powers: NDArray, duration_s: float, of_median: float = math.log(2)) -> NDArray:
-    """Mean of the noise at all frequencies, (..., frequencies): medians over blocks, linear in between.
+    """Return the mean of the noise at all frequencies, (..., frequencies): medians over blocks, linear in between.
 
     `of_median` is the median of noise whose mean is 1; that of a periodogram is ln 2.
     """
@@ -167,7 +169,7 @@ def _noise(powers: NDArray, duration_s: float, of_median: float = math.log(2)) -
     blocks = frequencies // width
     parts = powers[..., 1 : 1 + blocks * width].reshape(*powers.shape[:-1], blocks, width)
     medians = np.median(parts, axis=-1) / of_median
-    # A cell with a handful of events can have no noise at all in a block; then its power there says nothing.
+    # A cell with a handful of events can have no noise at all in a block; its power there is then no evidence.
     medians = np.maximum(medians, 1e-3 * medians.max(axis=-1, keepdims=True) + 1e-12).astype(powers.dtype)
     place = np.clip((np.arange(frequencies + 1) - 0.5 - width / 2) / width, 0.0, blocks - 1.0)
     before = np.minimum(place.astype(np.int64), max(blocks - 2, 0))
@@ -180,10 +182,11 @@ def _noise(powers: NDArray, duration_s: float, of_median: float = math.log(2)) -
 def find(sums: Spectrum, lowest_hz: float, highest_hz: float, false_alarms: float = 0.01) -> Finding:
     """Find the tone in [lowest_hz, highest_hz], its harmonics, and a stronger line above.
 
-    A line is a peak of the evidence that noise alone would exceed anywhere from `lowest_hz` up with a probability of at
-    most `false_alarms`: the tail of a gamma variate of as many terms as cells, over the number of frequencies looked at
-    (Bonferroni). The tone is the line with the largest product of displacement and speed; if that lies above
-    the band, there is no tone, but `above_band`. ValueError unless 0 < lowest < highest and 0 < false_alarms < 1.
+    A line is a peak of the evidence above a threshold. Noise alone would exceed the threshold anywhere above
+    `lowest_hz` with a probability of at most `false_alarms`. It follows from the tail of a gamma variate with as many
+    terms as cells, with the probability divided by the number of frequencies (Bonferroni). The tone is the line with
+    the largest product of displacement and speed. If that line is above the band, there is no tone, but `above_band`.
+    ValueError unless 0 < lowest < highest and 0 < false_alarms < 1.
     """
     if not (0.0 < lowest_hz < highest_hz and math.isfinite(highest_hz)):
         raise ValueError(f"band: expected 0 < lowest < highest, found {lowest_hz} to {highest_hz} Hz")
@@ -201,13 +204,13 @@ def find(sums: Spectrum, lowest_hz: float, highest_hz: float, false_alarms: floa
 
 
 def _line_near(lines: list[SpectralLine], frequency_hz: float, resolution_hz: float) -> SpectralLine | None:
-    """The line nearest to a frequency, if it lies within its own width of it."""
+    """Return the line nearest to a frequency if it is within its own width; else None."""
     near = min(lines, key=lambda line: abs(line.frequency_hz - frequency_hz))
     return near if abs(near.frequency_hz - frequency_hz) <= LINE_HALF_BINS * resolution_hz else None
 
 
 def _lines(sums: Spectrum, lowest_hz: float, false_alarms: float) -> Iterator[SpectralLine]:
-    """All lines from `lowest_hz` up that exceed the noise."""
+    """Yield all lines above `lowest_hz` that exceed the noise."""
     if sums.terms == 0:
         return
     resolution_hz = float(sums.frequency_hz[1])
@@ -217,7 +220,7 @@ def _lines(sums: Spectrum, lowest_hz: float, false_alarms: float) -> Iterator[Sp
         return
     terms = float(sums.terms)
     duration_s = 1.0 / resolution_hz
-    # The noise is itself a median of few frequencies, so that means are not quite 1: medians of the sums put it right.
+    # The noise is itself a median of few frequencies, so means are not exactly 1; medians of the sums correct this.
     median_share = float(special.gammaincinv(terms, 0.5)) / terms
     evidence = sums.evidence / _noise(sums.evidence, duration_s, median_share) * terms
     power = sums.power - _noise(sums.power, duration_s, 1.0)
@@ -233,14 +236,17 @@ def _lines(sums: Spectrum, lowest_hz: float, false_alarms: float) -> Iterator[Sp
 
 
 def locate(power: Floats, k: int, terms: float, resolution_hz: float) -> tuple[float, float]:
-    """Frequency of the line whose highest bin is `k`, in Hz, and its sd; `power` less noise, a sum of so many terms.
+    """Return the frequency of the line whose highest bin is `k`, in Hz, and its sd.
 
-    A Hann window has a sine at exactly k + (2 r - 1) / (1 + r), r the amplitude of the next bin over that of bin k, and
-    likewise on the other side; of both places the mean is taken, by their bins' power. Noise of neighbouring bins is
-    correlated as the window has it: to first order the place has an sd of 0.608 bins over the root of the power over
-    noise where a sine is in the middle of a bin, less between bins; the Cramer-Rao bound of a window without taper is
-    0.32. With many terms noise beats with noise too. Where the tone is not steady the three bins do not have the shape
-    of a sine: their sum is off by so much, and their difference may be.
+    `power`: power minus noise, a sum of `terms` terms. With a Hann window, a sine is at exactly k + (2 r - 1) / (1 +
+    r). Here r is the amplitude of the next bin over that of bin k; the same applies on the other side. The result is
+    the mean of both positions, weighted by their bins' power.
+
+    The window correlates the noise of neighbouring bins. To first order, the position of a sine in the middle of a bin
+    has an sd of 0.608 bins over the root of power over noise, and less between bins. The Cramer-Rao bound of a window
+    without taper is 0.32. With many terms, noise also interferes with noise. If the tone is not steady, the three bins
+    do not have the shape of a sine. The deviation of their sum is then added to the sd, as that of their difference may
+    be as large.
     """
     below, at, above = np.sqrt(np.maximum(power[k - 1 : k + 2], 0.0)).tolist()
     places = ((at - 2.0 * below) / (at + below), (2.0 * above - at) / (at + above))
@@ -254,10 +260,10 @@ def locate(power: Floats, k: int, terms: float, resolution_hz: float) -> tuple[f
 
 
 def strongest_of_counts(counts: NDArray, rate_hz: float, lowest_hz: float) -> float | None:
-    """The paper's method ("Sensing Vibrations"): frequency of the largest amplitude of `counts` (bins,), in Hz.
+    """Return the frequency of the largest amplitude of `counts` (bins,), in Hz: the paper's "Sensing Vibrations".
 
-    Below `lowest_hz` all is removed; there is no threshold, so that noise has a frequency too. None if every bin has
-    the same number of events, or none is left.
+    Everything below `lowest_hz` is removed. There is no threshold, so noise has a frequency, too. None if every bin has
+    the same number of events, or if nothing remains.
     """
     amplitude = np.abs(fft.rfft(np.asarray(counts, np.float64) - np.mean(counts))) if len(counts) else np.zeros(0)
     frequency_hz = np.arange(len(amplitude)) * (rate_hz / max(len(counts), 1))

@@ -269,11 +269,11 @@ def test_the_size_that_is_said(seen: Show, truth: Grid) -> None:
     with pytest.raises(InputError, match="is the gel cut"):
         calibrated(path, rows=7, columns=4)
     for rows, columns, words in (
-        (6, 4, "there are more rows than that"),
-        (7, 3, "there are more columns than that"),
-        (4, 7, "there are more rows than that"),
-        (7, 5, "the dots do not say which column is missing"),
-        (8, 9, "more than 25% of them are missing|the dots do not say which"),
+        (6, 4, "more rows of dots"),
+        (7, 3, "more columns of dots"),
+        (4, 7, "more rows of dots"),
+        (7, 5, "the dots do not show which column is missing"),
+        (8, 9, "more than 25% of them are missing|the dots do not show which"),
     ):
         with pytest.raises(InputError, match=words) as refused:
             calibrated(path, rows=rows, columns=columns, gel="closed")

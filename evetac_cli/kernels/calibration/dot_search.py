@@ -1,11 +1,12 @@
-"""Finds dots in an image of the gel at rest (rest_image.py), without knowing their places or size.
+"""Find dots in an image of the gel at rest (rest_image.py), without knowing their positions or size.
 
-First a vote: brightness just inside a circle against just outside, for every pixel and radius; the radius whose best
-places have the most votes is that of the dots. Then a fit: each centre is moved, and its radius changed, until a round
-edge with a smooth step fits the pixels of the rim (Gauss-Newton with weights that forget what fits badly).
+First a vote: for every pixel and radius, the brightness just inside a circle is compared with that just outside. The
+radius whose best positions have the most votes is that of the dots. Then a fit: each centre and its radius are adjusted
+until a round edge with a smooth step fits the pixels of the rim (Gauss-Newton, with weights that reduce the influence
+of outliers).
 
-The radius is where log brightness is half way from dot to gel. Blur is one of brightness and not of its logarithm, so
-a dot five times darker than the gel looks smaller than it is printed, by half the blur: 0.6 px in the simulation.
+The radius is where log brightness is half way from dot to gel. Blur acts on brightness, not on its logarithm. So a dot
+five times darker than the gel looks smaller than it is printed, by half the blur: 0.6 px in the simulation.
 """
 
 from typing import NamedTuple
@@ -17,35 +18,35 @@ from numpy.typing import NDArray
 from evetac_cli.arrays import Floats
 from evetac_cli.kernels.calibration.rest_image import RestImage
 
-SMALLEST_RADIUS_PX = 4
-LARGEST_SHARE = 0.1  # of the shorter side of the frame: a larger radius is not tried
-LEAST_CONTRAST = 3.0  # events; less is noise
-LEAST_PIXELS = 100  # so many pixels have moved, or nothing has
-VOTE = 0.8  # inside against outside: 2 is a dot that was moved in all directions, 1 half of one
-WHOLE_RUN = 0.7  # a pixel counts in the fit if its brightness changed by so much of the contrast
-RIM_PX = 8.0  # from the edge to the furthest pixel of the fit
-SECTORS, SECTORS_SEEN = 8, 6  # around the rim; a dot is found if so many show it
-SECTOR_SHARE = 0.3  # of a sector's rim pixels must have been passed by the edge
-WORST_RESIDUAL = 0.2  # rms, share of the contrast
-ITERATIONS = 20
+SMALLEST_RADIUS_PX = 4  # that is tried
+LARGEST_SHARE = 0.1  # largest radius that is tried, as a share of the shorter side of the frame
+LEAST_CONTRAST = 3.0  # events; fewer are noise
+LEAST_PIXELS = 100  # with this contrast; with fewer, nothing has moved
+VOTE = 0.8  # smallest vote, inside minus outside: 2 for a dot that was moved in all directions, 1 for half a dot
+WHOLE_RUN = 0.7  # a pixel is fitted if its brightness changed by at least this share of the contrast
+RIM_PX = 8.0  # pixels farther from the edge than this are not fitted
+SECTORS, SECTORS_SEEN = 8, 6  # sectors around the rim, and the number that must show it
+SECTOR_SHARE = 0.3  # of a sector's rim pixels that the edge must have passed
+WORST_RESIDUAL = 0.2  # rms of a fit, as a share of the contrast; also the scale of the weights
+ITERATIONS = 20  # of Gauss-Newton
 
 
 class DotCentres(NamedTuple):
-    """Centres (n, 2) in px and radii (n,) in px; NaN where the rim did not show."""
+    """Centres (n, 2) in px and radii (n,) in px; NaN if the rim is not visible."""
 
     centre_xy_px: Floats
     radius_px: Floats
 
 
 def contrast(picture: RestImage) -> float:
-    """Events from dot to gel; 0 if too few pixels saw anything move."""
+    """Return the number of events from dot to gel; 0 if too few pixels saw motion."""
     span = picture.brighter.astype(np.int64) + picture.darker
     moved = span[span >= LEAST_CONTRAST]
     return float(np.percentile(moved, 90)) if len(moved) >= LEAST_PIXELS else 0.0
 
 
 def find(picture: RestImage) -> DotCentres:
-    """Find all dots of one size, in no order; none if nothing was seen to move."""
+    """Find all dots of one size, in no particular order; none if nothing moved."""
     events = contrast(picture)
     nothing = DotCentres(np.empty((0, 2)), np.empty(0))
     if events == 0.0:
@@ -63,14 +64,15 @@ def find(picture: RestImage) -> DotCentres:
 
 
 def fit(picture: RestImage, centre_xy_px: Floats, radius_px: float) -> DotCentres:
-    """Fit dots near given places, (n, 2), and a common radius, with NaN where no such dot shows.
+    """Fit dots near expected positions, (n, 2), and a common radius; NaN for a dot that is not visible.
 
-    A dot is refused whose centre is more than 0.6 radii from where it was looked for, whose radius is more than a fifth
-    from that of the others, or whose rim is hidden in more than a quarter. ValueError if nothing moved in the picture.
+    A dot is rejected if its centre is more than 0.6 radii from the expected position. It is also rejected if its radius
+    differs by more than a fifth from the others', or if more than a quarter of its rim is hidden. ValueError if nothing
+    moved in the picture.
     """
     events = contrast(picture)
     if events == 0.0:
-        raise ValueError(f"expected {LEAST_PIXELS} pixels with {LEAST_CONTRAST:g} events or more, found fewer")
+        raise ValueError(f"expected at least {LEAST_PIXELS} pixels with {LEAST_CONTRAST:g} events, found fewer")
     fitted = np.array([_fit_one(picture, events, place, radius_px) for place in centre_xy_px]).reshape(-1, 3)
     usual = np.median(fitted[np.isfinite(fitted[:, 2]), 2]) if np.isfinite(fitted[:, 2]).any() else np.nan
     fitted[~(np.abs(fitted[:, 2] - usual) <= 0.2 * usual)] = np.nan
@@ -78,7 +80,7 @@ def fit(picture: RestImage, centre_xy_px: Floats, radius_px: float) -> DotCentre
 
 
 def _vote(signed: NDArray[np.float32], radius: int) -> tuple[float, Floats]:
-    """Sum of the votes for a radius, and the places (n, 2) that have them."""
+    """Return the sum of the votes for a radius, and their positions (n, 2)."""
     width = max(2, radius // 3)
     reach = radius + width
     dy, dx = np.mgrid[-reach : reach + 1, -reach : reach + 1]
@@ -94,7 +96,7 @@ def _vote(signed: NDArray[np.float32], radius: int) -> tuple[float, Floats]:
 
 
 def _fit_one(picture: RestImage, events: float, place: Floats, radius: float) -> tuple[float, float, float]:
-    """Centre x, y and radius of one dot, NaN if it does not show; share of darkening = 1 / (1 + exp((r - rho) / s))."""
+    """Return centre x, y and radius of one dot, or NaN; model: share of darkening = 1 / (1 + exp((r - rho) / s))."""
     refused = (np.nan, np.nan, np.nan)
     height, width = picture.brighter.shape
     reach = 1.6 * radius + RIM_PX
@@ -138,7 +140,7 @@ def _fit_one(picture: RestImage, events: float, place: Floats, radius: float) ->
 
 
 def _distinct(dots: DotCentres) -> DotCentres:
-    """Dots that were found, each once: places within a radius of an earlier one are the same dot."""
+    """Return each dot once: positions within a radius of an earlier one are the same dot."""
     distinct: list[int] = []
     for index, centre in enumerate(dots.centre_xy_px):
         if np.isfinite(centre).all() and all(

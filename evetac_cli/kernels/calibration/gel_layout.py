@@ -1,8 +1,8 @@
-"""What the places of dots say about their gel: whether they fill the frame, where a window can be, how it is mounted.
+"""Layout of a gel from its dots: whether they fill the frame, where a window can be, and how the sensor is mounted.
 
 An Evetac has 7 rows of 9 dots, which fill the frame of its camera. A cut gel lacks the last column, where its window
-is (paper, "Evetac"). A closed gel whose last column is worn looks the same, and upright, mirrored and turned gels
-differ by a third of a pitch: so the dots alone give reason to ask, or to suspect, and never to know.
+is (paper, "Evetac"). A closed gel with a worn last column looks the same. Upright, mirrored and rotated gels differ by
+a third of a pitch. So the dots alone justify a question or a suspicion, but no certainty.
 """
 
 import numpy as np
@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from evetac_cli.kernels.calibration import grid
 
 ROWS, CLOSED_COLUMNS, CUT_COLUMNS = 7, 9, 8  # of an Evetac's gel
-WINDOW_SHARE = 100 / 640  # of the frame's longer side that an Evetac's window takes
-CENTRE = (-0.15, -0.18)  # of an Evetac's dots, from the middle of its frame, in pitches
-CLEARLY = 0.05  # pitches from the middle of the frame beyond which dots lie on the other side of it
-CENTRED = 0.3  # pitches that the middle of a whole gel may lie off that of the frame; it is 0.25 in a simulated sensor
-ROOM = 1.5  # pitches from the outermost dots to the border of the frame, where another row or column would fit
-CLEARER = 0.5  # pitches of room by which the side of a window exceeds every other side
+WINDOW_SHARE = 100 / 640  # width of an Evetac's window, as a share of the frame's longer side
+CENTRE = (-0.15, -0.18)  # centre of an Evetac's dots relative to the middle of its frame, in pitches
+CLEARLY = 0.05  # in pitches; beyond this, the dots are clearly on one side of the middle of the frame
+CENTRED = 0.3  # in pitches: largest offset of a whole gel from the middle of the frame; 0.25 in a simulated sensor
+ROOM = 1.5  # in pitches from the outermost dots to the border of the frame: room for another row or column
+CLEARER = 0.5  # in pitches: extra room that the side of a window must have over every other side
 SIDES = ("left", "top", "right", "bottom")
 
 Grid = NDArray[np.float64]
@@ -24,9 +24,9 @@ Window = tuple[int, int, int, int]  # x0, y0, x1, y1, ends excluded
 
 
 def margins(dot_xy_px: Grid, frame_px: tuple[int, int]) -> Grid:
-    """Distance in pitches from the outermost dots' centres to the border of the frame, in the order of SIDES.
+    """Return the distances in pitches from the outermost dots' centres to the border of the frame, as in SIDES.
 
-    dot_xy_px: (rows, columns, 2); of a dot that is missing its place counts, as the others say it.
+    dot_xy_px: (rows, columns, 2). A missing dot counts with the position that follows from the others.
     """
     dots, step_px = _without_gaps(dot_xy_px)
     margins_px: Grid = np.concatenate([dots.min(axis=0), np.array(frame_px) - dots.max(axis=0)])
@@ -34,15 +34,15 @@ def margins(dot_xy_px: Grid, frame_px: tuple[int, int]) -> Grid:
 
 
 def free_sides(dot_xy_px: Grid, frame_px: tuple[int, int]) -> list[str]:
-    """Sides of the frame at which there is room for another row or column of dots, or for a window."""
+    """Return the sides of the frame with room for another row or column of dots, or for a window."""
     return [side for side, free in zip(SIDES, margins(dot_xy_px, frame_px), strict=True) if free >= ROOM]
 
 
 def completed(dot_xy_px: Grid, size: tuple[int, int], frame_px: tuple[int, int]) -> Grid:
-    """The grid of a closed gel of so many (rows, columns): outer ones of which no dot was found are added as NaN.
+    """Return the grid of a closed gel of this size (rows, columns): outer ones without any found dot are NaN.
 
-    They are put where the whole grid is in the middle of the frame. ValueError if there is no such place, or if there
-    are more rows or columns already.
+    They are added so that the whole grid is in the middle of the frame. ValueError if that is impossible, or if more
+    rows or columns were found.
     """
     left, top, right, bottom = margins(dot_xy_px, frame_px)
     shown = dot_xy_px.shape[:2]
@@ -56,18 +56,18 @@ def completed(dot_xy_px: Grid, size: tuple[int, int], frame_px: tuple[int, int])
 
 
 def window(dot_xy_px: Grid, radius_px: float, frame_px: tuple[int, int]) -> tuple[str, Window]:
-    """The side at which the window of a cut gel lies, one of SIDES, and the strip x0, y0, x1, y1 there.
+    """Return the side of a cut gel's window, one of SIDES, and the strip x0, y0, x1, y1 there.
 
-    It lies where there is most room beside the dots, as deep as an Evetac's, or from half way to the column that was
-    cut away. ValueError if no side has room for it, or several have about as much.
+    The window is at the side with the most room next to the dots. It is as deep as an Evetac's, or begins half way to
+    the column that was cut away. ValueError if no side has room for it, or if several have about the same room.
     """
     free = margins(dot_xy_px, frame_px)
     side = int(free.argmax())
     if free[side] < ROOM:
-        raise ValueError("there is no room for a window beside the dots")
+        raise ValueError("there is no room for a window next to the dots")
     if free[side] < np.delete(free, side).max() + CLEARER:
         near = [name for name, room in zip(SIDES, free, strict=True) if room > free[side] - CLEARER]
-        raise ValueError(f"there is as much room for a window on several sides: {', '.join(near)}")
+        raise ValueError(f"there is about the same room for a window on several sides: {', '.join(near)}")
     width, height = frame_px
     pitch_px = _without_gaps(dot_xy_px)[1][side % 2]
     depth_px = round(WINDOW_SHARE * max(frame_px))
@@ -83,7 +83,7 @@ def window(dot_xy_px: Grid, radius_px: float, frame_px: tuple[int, int]) -> tupl
 
 
 def touches(window_px: Window, dot_xy_px: Grid, radius_px: float) -> bool:
-    """Whether a dot, or a part of one, lies in the window."""
+    """Whether a dot, or a part of one, is in the window."""
     dots = dot_xy_px.reshape(-1, 2)
     dots = dots[np.isfinite(dots).all(axis=1)]
     nearest = np.clip(dots, window_px[:2], window_px[2:])
@@ -91,18 +91,18 @@ def touches(window_px: Window, dot_xy_px: Grid, radius_px: float) -> bool:
 
 
 def mounting(dot_xy_px: Grid, frame_px: tuple[int, int], window_px: Window | None) -> str:
-    """In words, how a grid of an Evetac's size lies otherwise than in an upright sensor; empty if it does not."""
+    """Describe how a grid of an Evetac's size deviates from an upright sensor; empty if it does not."""
     rows, columns = dot_xy_px.shape[:2]
     upright = (ROWS, CLOSED_COLUMNS if window_px is None else CUT_COLUMNS)
     if (columns, rows) == upright:
         return f"the sensor seems to be turned by 90 degrees: an Evetac has {upright[0]} rows of {upright[1]} dots"
-    beside = window_px is None or (window_px[1] == 0 and window_px[3] == frame_px[1])  # and not above or below the dots
+    beside = window_px is None or (window_px[1] == 0 and window_px[3] == frame_px[1])  # not above or below the dots
     if (rows, columns) != upright or not beside:
         return ""
     free = margins(dot_xy_px, frame_px)
     off = (free[:2] - free[2:]) / 2
     if abs(off[1]) > CENTRED or (window_px is None and abs(off[0]) > CENTRED):
-        return ""  # however an Evetac is mounted, its dots are not so far from the middle of the frame
+        return ""  # in any mounting, an Evetac's dots are closer to the middle of the frame
     lower = bool(off[1] > CLEARLY)
     if window_px is not None and window_px[0] + window_px[2] < frame_px[0]:
         how = "turned by 180 degrees" if lower else "mirrored left to right"
@@ -117,9 +117,9 @@ def mounting(dot_xy_px: Grid, frame_px: tuple[int, int], window_px: Window | Non
 
 
 def _without_gaps(dot_xy_px: Grid) -> tuple[Grid, Grid]:
-    """Dots (n, 2), with places where they are missing by the plane through the others, and the pitch along x and y.
+    """Return dots (n, 2), with missing ones on the plane through the others, and the pitch along x and y.
 
-    The plane is exact for a grid that is shifted, turned or stretched. Dots in no grid, one row, have gaps nowhere.
+    The plane is exact for a grid that is shifted, rotated or stretched. Dots in no grid, one row, have no gaps.
     """
     shown = np.isfinite(dot_xy_px[..., 0])
     if len(dot_xy_px) == 1:
@@ -132,12 +132,12 @@ def _without_gaps(dot_xy_px: Grid) -> tuple[Grid, Grid]:
 
 
 def _missing_before(what: str, missing: int, before: float, after: float) -> int:
-    """How many of the rows or columns that are not there belong before the first that is; margins in pitches."""
+    """Return the number of missing rows or columns before the first one that was found; margins in pitches."""
     if missing < 0:
-        raise ValueError(f"there are more {what}s than that")
+        raise ValueError(f"more {what}s of dots were found")
     if missing == 0:
         return 0
     first = min(max(round((before - after + missing) / 2), 0), missing)
     if abs((before - first) - (after - (missing - first))) / 2 > CENTRED:
-        raise ValueError(f"the dots do not say which {what} is missing")
+        raise ValueError(f"the dots do not show which {what} is missing")
     return first

@@ -1,31 +1,31 @@
-"""The dot grid: which row and column every dot belongs to, and which dots are next to it.
+"""The dot grid: the row and column of every dot, and its neighbours.
 
-`arrange` takes all dots of a grid and refuses anything else; `lattice` finds the grid among measured places, where some
-dots may be missing and some places may be no dots. `neighbours` needs no grid: dots may come in any order.
+`arrange` takes all dots of a grid and rejects anything else. `lattice` finds the grid in measured positions, of which
+some may be no dots, and in which some dots may be missing. `neighbours` needs no grid: dots may come in any order.
 
-Dots that stand in no grid are one row of all of them, (1, n, 2), in any order.
+Dots in no grid are one row of all of them, (1, n, 2), in any order.
 """
 
 import numpy as np
 from numpy.typing import NDArray
 
-NEXT_DOOR = 0.3  # how far a step to the next dot may be from the usual one, in pitches
-OFF_LATTICE = 0.35  # ... and a dot from the plane of all
-TURNED = 0.8  # cosine of the most that a step to the right may point up or down
-OBLIQUE = 0.34  # ... and of the most that rows and columns may be off a right angle, 20 degrees
-LEAST_APART_PX = 1.0  # two dots that are closer are at one place
-MOST_DOTS = 256  # of a gel: what tracker and features have room for
+NEXT_DOOR = 0.3  # in pitches: largest deviation of a step to the next dot from the usual step
+OFF_LATTICE = 0.35  # ... and of a dot from the plane through all dots
+TURNED = 0.8  # cosine of the largest angle of a step to the right from the x axis
+OBLIQUE = 0.34  # cosine of the angle between rows and columns: at most 20 degrees off a right angle
+LEAST_APART_PX = 1.0  # two dots that are closer are at the same position
+MOST_DOTS = 256  # of a gel: capacity of tracker and features
 MAX_NEIGHBOURS = 8
-NEIGHBOUR_PITCHES = 1.7  # between the diagonal (1.41) and the next dot but one (2)
+NEIGHBOUR_PITCHES = 1.7  # between the diagonal (1.41) and the second next dot (2)
 
 
 def arrange(dot_xy_px: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Sort dots given in any order into (rows, columns, 2), rows from top to bottom, columns from left to right.
+    """Sort dots in any order into (rows, columns, 2), rows from top to bottom, columns from left to right.
 
-    Accepts (dots, 2) or an array already sorted as (rows, columns, 2), with NaN where a dot is missing; a single row is
-    taken as it is. Rows are separated by gaps in y that exceed half the pitch, so the grid may be tilted by up to about
-    half a pitch over its width. ValueError if the rows run into each other or are uneven, or
-    their dots do not stand below each other.
+    Accepts (dots, 2) or an already sorted array (rows, columns, 2) with NaN for missing dots; a single row is returned
+    unchanged. Rows are separated by gaps in y of more than half the pitch, so the grid may be tilted by up to about
+    half a pitch over its width. ValueError if rows overlap in y or have unequal length, or if their dots are not below
+    each other.
     """
     dots = np.asarray(dot_xy_px, dtype=np.float64)
     if dots.ndim not in (2, 3) or dots.shape[-1] != 2 or dots.size == 0:
@@ -45,34 +45,34 @@ def arrange(dot_xy_px: NDArray[np.float64]) -> NDArray[np.float64]:
     rows = np.split(by_row, breaks)
     sizes = {len(row) for row in rows}
     if len(sizes) != 1:
-        raise ValueError(f"expected rows of equal length, found {[len(row) for row in rows]} dots a row")
+        raise ValueError(f"expected rows of equal length, found {[len(row) for row in rows]} dots per row")
     grid = np.stack([row[np.argsort(row[:, 0], kind="stable")] for row in rows])
     if (np.diff(grid[..., 0], axis=1) <= half).any():
-        raise ValueError("expected dots of a row further apart; rows run into each other (tilted?), or dots come twice")
+        raise ValueError("expected dots of a row further apart; rows overlap (tilted?), or dots are listed twice")
     if (np.abs(np.diff(grid[..., 0], axis=0)) > half).any():
-        raise ValueError("expected dots below each other; every row lacks dots, or has too many, in another place")
+        raise ValueError("expected dots below each other; every row lacks dots, or has extra ones, in another column")
     return grid
 
 
 def lattice(places_xy_px: NDArray[np.float64], least: tuple[int, int] = (0, 0)) -> NDArray[np.float64]:
-    """Find the grid in places (n, 2) given in any order: (rows, columns, 2) like `arrange`, NaN for a missing dot.
+    """Find the grid in positions (n, 2) in any order: (rows, columns, 2) like `arrange`, NaN for a missing dot.
 
-    Steps from dot to dot lead through the largest connected piece of a grid that is tilted by up to about 20 degrees,
-    and whose rows may be farther apart than its columns; a plane through that says which row and column every place
-    belongs to. Places off the lattice are left out, and so is a first or last row or column with less than half of its
-    dots, as long as `least` rows and columns are left. ValueError if there are not two rows and two columns at about
-    right angles: staggered rows are no grid.
+    Steps from dot to dot connect the largest piece of a grid that is tilted by up to about 20 degrees; its rows may be
+    farther apart than its columns. A plane through that piece gives the row and column of every position. Positions off
+    the lattice are dropped, and so is a first or last row or column with less than half of its dots, as long as `least`
+    rows and columns remain. ValueError if there are not two rows and two columns at about right angles: staggered rows
+    are no grid.
     """
     places = np.asarray(places_xy_px, dtype=np.float64)
     if places.ndim != 2 or places.shape[1] != 2 or not np.isfinite(places).all():
-        raise ValueError(f"expected finite places (n, 2), found shape {places.shape}")
-    too_few = ValueError(f"expected dots in at least two rows and two columns, found {len(places)} places without them")
+        raise ValueError(f"expected finite positions (n, 2), found shape {places.shape}")
+    too_few = ValueError(f"expected at least two rows and two columns of dots, found none in {len(places)} positions")
     if len(places) < 4:
         raise too_few
     offset = places[None] - places[:, None]
     cells: dict[int, tuple[int, int]] = {}
     oblique = False
-    # Rows are as far apart as columns, or each as far as their own nearest dots: whichever connects more places.
+    # The row pitch is equal to the column pitch, or independent of it: the choice that connects more positions wins.
     for usual_px in (pitch(places), None):
         right, below = (_next_door(offset, axis, usual_px) for axis in (0, 1))
         if not right.any() or not below.any():
@@ -101,7 +101,7 @@ def lattice(places_xy_px: NDArray[np.float64], least: tuple[int, int] = (0, 0)) 
     on_lattice = np.flatnonzero(off < OFF_LATTICE * step_px)
     cell -= cell[on_lattice].min(axis=0)
     grid = np.full((*(cell[on_lattice].max(axis=0) + 1), 2), np.nan)
-    for place in on_lattice[np.argsort(-off[on_lattice], kind="stable")]:  # of two in one cell the better one stays
+    for place in on_lattice[np.argsort(-off[on_lattice], kind="stable")]:  # of two in one cell the better one remains
         grid[tuple(cell[place])] = places[place]
     grid = _without_weak_borders(grid, least)
     if min(grid.shape[:2]) < 2:
@@ -110,9 +110,9 @@ def lattice(places_xy_px: NDArray[np.float64], least: tuple[int, int] = (0, 0)) 
 
 
 def impossible(dot_xy_px: NDArray[np.float64], radius_px: float | None = None) -> tuple[str, str] | None:
-    """Expected and found of what the dots of no gel can be, where these are that; None where they can be.
+    """Return (expected, found) if the dots cannot be those of a gel; None if they can.
 
-    dot_xy_px: (rows, columns, 2), NaN for a missing dot. radius_px: of a dot, where it is known.
+    dot_xy_px: (rows, columns, 2), NaN for a missing dot. radius_px: of a dot, if known.
     """
     present = np.isfinite(dot_xy_px).all(axis=2)
     dots = dot_xy_px[present]
@@ -126,7 +126,7 @@ def impossible(dot_xy_px: NDArray[np.float64], radius_px: float | None = None) -
         return f"dots at least {LEAST_APART_PX:g} px apart", f"two at ({place[0]:.4g}, {place[1]:.4g})"
     if radius_px is not None and radius_px >= nearest:
         return "dots further apart than their radius", f"{nearest:.4g} px apart, radius {radius_px:.4g} px"
-    if (present.sum(axis=1) > 1).any() and (present.sum(axis=0) > 1).any():  # a line of dots is one row of them
+    if (present.sum(axis=1) > 1).any() and (present.sum(axis=0) > 1).any():  # dots on a line are one row
         across = np.linalg.svd(dots - dots.mean(axis=0), compute_uv=False)[1] / np.sqrt(len(dots))
         if across < LEAST_APART_PX:
             return "rows and columns", "all dots on one line"
@@ -134,19 +134,19 @@ def impossible(dot_xy_px: NDArray[np.float64], radius_px: float | None = None) -
 
 
 def one_row(places_xy_px: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Places (n, 2) in no grid, as (1, n, 2), from the top and then from the left."""
+    """Return positions (n, 2) in no grid as (1, n, 2), sorted from the top and then from the left."""
     return places_xy_px[np.lexsort(places_xy_px.T)][None]
 
 
 def in_words(rows: int, columns: int) -> str:
-    """What a layout of dots is called."""
+    """Describe a layout of dots."""
     return f"{rows} rows x {columns} columns" if rows > 1 else f"{columns} dots in no grid"
 
 
 def _next_door(offset: NDArray[np.float64], axis: int, step_px: float | None) -> NDArray[np.bool_]:
-    """Which places (n, n) are about a step from which others along +x or +y, by offsets (n, n, 2) from each to each.
+    """Return which positions (n, n) are about a step from others along +x or +y, by offsets (n, n, 2) between them.
 
-    step_px: None for the usual distance to the nearest place in that direction.
+    step_px: None for the usual distance to the nearest position in that direction.
     """
     distance = np.linalg.norm(offset, axis=2)
     towards = offset[..., axis] > TURNED * distance
@@ -163,7 +163,7 @@ def _largest_piece(
     offset: NDArray[np.float64],
     step_px: float,
 ) -> dict[int, tuple[int, int]]:
-    """Place -> (row, column) for the most places that single steps to the right or down connect."""
+    """Return position -> (row, column) for the largest set that single steps to the right or down connect."""
     links: dict[int, list[tuple[int, int, int]]] = {place: [] for place in range(len(offset))}
     for near, step, (down, right) in steps:
         fits = near & (np.linalg.norm(offset - step, axis=2) < NEXT_DOOR * step_px)
@@ -190,7 +190,7 @@ def _largest_piece(
 
 
 def _without_weak_borders(grid: NDArray[np.float64], least: tuple[int, int]) -> NDArray[np.float64]:
-    """Cut off first and last rows and columns with less than half of their dots, the emptiest first."""
+    """Remove first and last rows and columns with less than half of their dots, the emptiest first."""
     while grid.size:
         present = np.isfinite(grid[..., 0])
         borders = []
@@ -206,7 +206,7 @@ def _without_weak_borders(grid: NDArray[np.float64], least: tuple[int, int]) -> 
 
 
 def pitch(dot_xy_px: NDArray[np.float64]) -> float:
-    """Median distance from a dot to its nearest neighbour, in px; infinite for a single dot."""
+    """Return the median distance from a dot to its nearest neighbour, in px; infinite for a single dot."""
     dots = dot_xy_px.reshape(-1, 2)
     dots = dots[np.isfinite(dots).all(axis=1)]
     distance = np.linalg.norm(dots[:, None] - dots[None], axis=2)
@@ -215,7 +215,7 @@ def pitch(dot_xy_px: NDArray[np.float64]) -> float:
 
 
 def neighbours(dot_xy_px: NDArray[np.float64]) -> NDArray[np.int32]:
-    """Find the up to 8 grid neighbours of every dot: (n, 8) indices, nearest first, filled up with -1.
+    """Return the up to 8 grid neighbours of every dot: (n, 8) indices, nearest first, filled up with -1.
 
     Neighbours are the dots within 1.7 pitches: along rows, columns and both diagonals. Missing dots (NaN) have none.
     """

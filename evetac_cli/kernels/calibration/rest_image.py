@@ -1,16 +1,16 @@
 """An image of the gel at rest, from the events of its motion.
 
-A dark dot that leaves a pixel brightens it, one that comes over it darkens it, in as many events as the step of log
-brightness has thresholds. So the first run of events of one polarity after a rest says how much brighter a pixel can
-become, or how much darker: inside a dot it brightens by the whole contrast, outside it darkens, and on the blurred rim
-the two shares are a measure of the brightness at rest. Together they are an image of the gel at rest.
+A dark dot brightens each pixel that it leaves and darkens each pixel that it covers. The number of events is the step
+of log brightness over the threshold. So the first run of events of one polarity after a rest shows how much brighter or
+darker a pixel can become. Inside a dot the pixel brightens by the whole contrast, outside it darkens, and on the
+blurred rim the two shares measure its brightness at rest. Together they are an image of the gel at rest.
 
-Why so:
+Reasons:
 - Only the first run counts. The sum of all events would be simpler, but a camera merges the steps of a fast motion into
-  one event, and from then on the sum is wrong: with the simulated camera, by 20 events after one stroke.
-- Time may be played backwards from the rest after a stroke, with polarity reversed: that gives a second first run, and
-  from the other side. The most over all strokes counts, since a fast motion can only take events away.
-- One stray event of the other polarity, or one before the run, is noise and ends nothing.
+  one event. From then on the sum is wrong: with the simulated camera, by 20 events after one stroke.
+- Events can be processed backwards in time from the rest after a stroke, with reversed polarity. This gives a second
+  first run, from the other side. The maximum over all strokes counts, because a fast motion can only remove events.
+- A single event of the other polarity within or before a run is noise and does not end the run.
 """
 
 from dataclasses import dataclass
@@ -24,28 +24,28 @@ from evetac_cli.kernels.compiled import njit
 
 Pixels = NDArray[np.uint8]
 
-BIN_SLICES = 10
-SPELL_BINS = 5  # the shortest rest that counts
-QUIET_PERCENTILE = 2.0
+BIN_SLICES = 10  # slices per bin, for finding rests
+SPELL_BINS = 5  # shortest rest
+QUIET_PERCENTILE = 2.0  # of the running mean over SPELL_BINS: the level of the quietest time
 QUIET_RATIO, QUIET_EVENTS = 1.5, 30  # a bin with more than ratio * the quietest + this many events is in motion
-MOST_EVENTS = 200  # of a run; a dot's contrast is some 10
-TURNED_EVENTS = 2  # a run is over when it has gone back by so many
+MOST_EVENTS = 200  # of a run; a dot's contrast is about 10 events
+TURNED_EVENTS = 2  # a run ends when it has reversed by this many events
 
 
 class RestImage(NamedTuple):
-    """Events by which every pixel became brighter, and darker, in runs from rest: two of shape (height, width)."""
+    """Events by which every pixel became brighter, and darker, in runs from rest: two arrays (height, width)."""
 
     brighter: Pixels
     darker: Pixels
 
     def joined(self, other: "RestImage") -> "RestImage":
-        """The larger count of both, for every pixel."""
+        """Return the larger count of both, for every pixel."""
         return RestImage(np.maximum(self.brighter, other.brighter), np.maximum(self.darker, other.darker))
 
 
 @dataclass(slots=True)
 class RunState:
-    """First runs so far of one stroke, each of shape (height, width); `step` changes them in place."""
+    """First runs of one stroke so far, each (height, width); `step` changes them in place."""
 
     level: NDArray[np.int16]
     highest: NDArray[np.int16]
@@ -54,9 +54,10 @@ class RunState:
 
 
 def quiet_spells(events_a_slice: NDArray[np.integer]) -> list[tuple[int, int]]:
-    """Slices [first, stop) in which nothing moves, in order: at least 50 ms with hardly more events than the quietest.
+    """Return the slices [first, stop) of rests, in order: at least 50 ms with hardly more events than the quietest.
 
-    Empty if there are fewer than 50 slices. A gel that is never at rest has spells too, of its slowest motion.
+    Empty if there are fewer than 50 slices. A gel that is never at rest also has such times: those of its slowest
+    motion.
     """
     bins = len(events_a_slice) // BIN_SLICES
     if bins < SPELL_BINS:
@@ -69,7 +70,7 @@ def quiet_spells(events_a_slice: NDArray[np.integer]) -> list[tuple[int, int]]:
 
 
 def start(frame_px: tuple[int, int]) -> RunState:
-    """Start a stroke, at rest; frame_px is (width, height)."""
+    """Return the state at the start of a stroke, at rest; frame_px is (width, height)."""
     shape = (frame_px[1], frame_px[0])
     return RunState(
         level=np.zeros(shape, np.int16),
@@ -87,9 +88,9 @@ def step(
     *,
     backwards: bool = False,
 ) -> None:
-    """Take in the next events of a stroke, in order of time; updates `state` in place.
+    """Add the next events of a stroke, in order of time; updates `state` in place.
 
-    backwards: the stroke is played back from the rest after it, packet by packet; each packet is still in order of
+    backwards: the stroke is processed back from the rest after it, packet by packet; each packet is still in order of
     time. Events outside the frame are ignored. ValueError if the columns differ in length.
     """
     if not len(x) == len(y) == len(p):
@@ -98,7 +99,7 @@ def step(
 
 
 def image(state: RunState) -> RestImage:
-    """The picture after a stroke; hot and stray pixels are taken out by a median over 3 x 3."""
+    """Return the image after a stroke; a median over 3 x 3 removes hot and stray pixels."""
     up, down = state.highest, -state.lowest
     sides = (np.where(up >= down, up, 0), np.where(down > up, down, 0))
     return RestImage(*(cv2.medianBlur(side.astype(np.uint8), 3) for side in sides))

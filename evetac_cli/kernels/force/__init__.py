@@ -1,1 +1,1 @@
-"""Shear force from displacements of dots: two models, and the training of one of them."""
+"""Forces from displacements of the dots: two models of shear force with training, and forces from touch maps."""

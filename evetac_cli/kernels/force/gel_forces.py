@@ -1,13 +1,13 @@
-"""Forces in N from what touch maps tell and what is known of a gel's stiffness; known forces correct the latter.
+"""Forces in N from touch maps and the stiffness of the gel; known forces from a force sensor improve the stiffness.
 
-What dots show is force over the shear modulus, in mm2: a touch map's forces over the modulus that it was made with.
-Force is a sum of terms whose weights are known as well as the gel is: `Scale`, mean and covariance. For the shear
-force, of force over modulus, of its part faster than each of two times (creep), and an offset; for the normal force, of
-force over modulus, of the map's own deviation of it, and an offset. A sensor's stiffness gives the weights, and known
-forces correct them: `adapt`.
+Dots determine force over shear modulus, in mm2: a touch map's forces divided by the modulus that it assumed. A force is
+a weighted sum of terms. `Scale` has the weights as mean and covariance, which express how well the gel is known. For
+the shear force, the terms are force over modulus, its parts faster than each of two times (creep), and an offset. For
+the normal force, they are force over modulus, the map's own deviation of it, and an offset. The stiffness of a sensor
+gives initial weights, and known forces improve them: `adapt`.
 
-Why the deviation is a term: a map tells the less of a normal force the less the dots tell of it, as what they do not
-tell it takes to be 0.
+Reason for the deviation as a term: a map takes the part of a normal force that the dots do not determine to be 0. So
+the less the dots determine a force, the more the map underestimates it.
 """
 
 from typing import NamedTuple
@@ -18,28 +18,28 @@ from numpy.typing import NDArray
 from evetac_cli.arrays import Floats
 
 SLICE_S = 1e-3
-OFFSET_N = 0.1  # sd of an offset of the readings of shear force that is not yet known
-NORMAL_OFFSET_N = 0.3
-ROUNDS = 5  # in which errors are enlarged until they explain what readings are off by
-AGREES_S = 1.0  # errors this close in time are taken as one: so much less do many samples tell
+OFFSET_N = 0.1  # sd of an unknown offset of the shear force readings
+NORMAL_OFFSET_N = 0.3  # ... of the normal force readings
+ROUNDS = 5  # in which the error model is enlarged until it explains the residuals
+AGREES_S = 1.0  # errors of samples within this time count as a single one, because they are correlated
 CREEP_ARMS = 2
-# Of a force, sd, the same in all samples of a contact: what 40 simulated contacts of eight shapes are off by, seeds
-# 6100-6104 (evaluate/touch_contacts.py): of net shear 2.1 % (and 0.06 mm2, which the map's own deviation holds), of
-# normal force 5.2 % about the median of 95.6 %.
+# Error that is the same in all samples of a contact: sd as a share of the force. From 40 simulated contacts of eight
+# shapes, seeds 6100-6104 (evaluate/touch_contacts.py). Net shear: 2.1 %, plus 0.06 mm2, which is part of the map's own
+# deviation. Normal force: 5.2 % about the median of 95.6 %.
 SHEAR_SHARE, NORMAL_SHARE = 0.02, 0.05
-# sd of the factor by which a touch map's normal force is to be multiplied: it is 4 % low in the median of these
-# contacts, 10 % for the worst shape, and contacts of another gel or camera may have another.
+# sd of the correction factor on a touch map's normal force. The map is 4 % low in the median of these contacts and 10 %
+# for the worst shape, and may differ for contacts of another gel or camera.
 NORMAL_FACTOR_SD = 0.1
-MOST_SHARE = 0.5
-NOT_TOLD_SD = 2.5  # sd of the weight of its deviation: 2.3 by 219 contacts of 1 to 20 N (seeds 6200-6227)
+MOST_SHARE = 0.5  # largest deviation that counts as a term, as a share of the force
+NOT_TOLD_SD = 2.5  # sd of the deviation's weight: 2.3 for 219 contacts of 1 to 20 N (seeds 6200-6227)
 
 
 class ForceErrorModel(NamedTuple):
-    """How far touch maps are off, beside what is not known of the gel.
+    """Errors of touch maps, apart from the uncertainty of the gel.
 
-    shear_share, normal_share: sd of the part of an error that is the same in all of a contact, relative to the force;
-    the map's own deviation, which was fitted to contacts with it, has it already. shear_times, normal_times: how many
-    times as large as the map's own deviations errors are.
+    `shear_share`, `normal_share`: sd of the error that is the same in all of a contact, relative to the force. The
+    map's own deviation, which was fitted to contacts with it, includes it. `shear_times`, `normal_times`: ratio of the
+    errors to the map's own deviations.
     """
 
     shear_share: float = SHEAR_SHARE
@@ -49,9 +49,9 @@ class ForceErrorModel(NamedTuple):
 
 
 class Stiffness(NamedTuple):
-    """What is known of a gel: its shear modulus in MPa with the sd of its logarithm, and how it creeps.
+    """Known stiffness of a gel: its shear modulus in MPa with the sd of its logarithm, and its creep.
 
-    creep_share, creep_sd: (2,), part of the shear modulus that lasts creep_time_s (2,) only.
+    creep_share, creep_sd: (2,), part of the shear modulus that only lasts for creep_time_s (2,).
     """
 
     shear_mpa: float
@@ -62,7 +62,7 @@ class Stiffness(NamedTuple):
 
 
 class Scale(NamedTuple):
-    """Weights of the terms of a force, and how sure they are; those of x and y in the first dimension."""
+    """Weights of the terms of a force, and their covariance; for shear, x and y are the first dimension."""
 
     shear: Floats  # (2, 4) in MPa, the last in N
     shear_covariance: Floats  # (2, 4, 4)
@@ -71,7 +71,7 @@ class Scale(NamedTuple):
 
 
 class Forces(NamedTuple):
-    """Forces in N and their standard deviations, a sample each; NaN where the terms are."""
+    """Forces in N and their standard deviations, one per sample; NaN if the terms are."""
 
     shear_n: Floats  # (n, 2)
     shear_sd_n: Floats  # (n, 2)
@@ -80,7 +80,7 @@ class Forces(NamedTuple):
 
 
 class CreepMemory:
-    """What a gel that creeps remembers from one block of samples to the next: its slow parts and the last force."""
+    """State of a creeping gel from one block of samples to the next: its slow parts and the last force."""
 
     def __init__(self) -> None:
         self.slow_mm2 = np.zeros((CREEP_ARMS, 2))
@@ -90,12 +90,13 @@ class CreepMemory:
 def shear_terms(
     shear_mm2: Floats, creep_time_s: Floats, step_s: float = SLICE_S, memory: CreepMemory | None = None
 ) -> Floats:
-    """Terms (n, 2, 4) of the shear force from force over modulus (n, 2) at even times.
+    """Return the terms (n, 2, 4) of the shear force, from force over modulus (n, 2) at even times.
 
-    They are itself, its parts faster than each creep time, and 1. Samples without a value (NaN) move no slow part.
-    memory: of the samples before, which this changes; without, the gel was at rest.
+    The terms are force over modulus, its parts faster than each creep time, and 1. Samples that are NaN do not change
+    the slow parts. memory: state after earlier samples, which this updates; without it, the gel was at rest.
     """
-    from scipy import signal  # here, as it takes most of a second and a file that exists needs none of it
+    # here: scipy.signal takes most of a second to load, and is not needed if the file already exists
+    from scipy import signal
 
     memory = memory or CreepMemory()
     known = np.asarray(np.isfinite(shear_mm2).all(axis=1))
@@ -115,18 +116,18 @@ def shear_terms(
 
 
 def normal_terms(normal_mm2: Floats, normal_sd_mm2: Floats) -> Floats:
-    """Terms (n, 3) of the normal force: force over modulus (n,), the map's own deviation of it, and 1.
+    """Return the terms (n, 3) of the normal force: force over modulus (n,), the map's own deviation of it, and 1.
 
-    The deviation counts up to MOST_SHARE of the force: of what lies beyond the dots it is larger, and tells nothing.
+    The deviation is limited to MOST_SHARE of the force: it is larger for contact beyond the dots, without information.
     """
     not_told = np.minimum(normal_sd_mm2, MOST_SHARE * np.abs(normal_mm2))
     return np.column_stack([normal_mm2, not_told, np.ones(len(normal_mm2))])
 
 
 def scale_of(gel: Stiffness) -> Scale:
-    """The weights that a gel's stiffness gives, before any known force: no offset, and normal force as the map has it.
+    """Return the weights for a gel's stiffness before any known force: no offset, and the map's own normal force.
 
-    How far the map's normal force is off is in its own deviation, and not yet here.
+    The error of the map's normal force is in its own deviation, and not included here.
     """
     shear = gel.shear_mpa * np.array([1.0, *gel.creep_share, 0.0])
     covariance = np.outer(shear, shear) * gel.shear_log_sd**2
@@ -139,7 +140,7 @@ def scale_of(gel: Stiffness) -> Scale:
 def predict(
     scale: Scale, errors: ForceErrorModel, shear: Floats, normal: Floats, shear_sd_mm2: Floats, normal_sd_mm2: Floats
 ) -> Forces:
-    """Forces from their terms: shear (n, 2, 4), normal (n, 3), and the map's own deviations (n, 2) and (n,)."""
+    """Return forces from their terms: shear (n, 2, 4), normal (n, 3), and the map's own deviations (n, 2) and (n,)."""
     shear_n = np.einsum("nak,ak->na", shear, scale.shear)
     shear_variance = np.einsum("nak,akl,nal->na", shear, scale.shear_covariance, shear)
     shear_variance += (errors.shear_times * scale.shear[:, 0] * shear_sd_mm2) ** 2
@@ -149,11 +150,11 @@ def predict(
 
 
 class KnownForces(NamedTuple):
-    """Terms of forces at some samples, and what a force sensor read there.
+    """Terms of forces at a number of samples, with the readings of a force sensor.
 
-    shear (n, 2, 4), normal (n, 3): terms; shear_sd_mm2 (n, 2), normal_sd_mm2 (n,): the map's own deviations; shear_n
-    (n, 2), normal_n (n,): readings, NaN where there is none; contact (n,): the number of the contact that a sample
-    belongs to; time_s (n,): rising in each contact. Samples whose terms are NaN tell nothing.
+    `shear` (n, 2, 4), `normal` (n, 3): terms. `shear_sd_mm2` (n, 2), `normal_sd_mm2` (n,): the map's own deviations.
+    `shear_n` (n, 2), `normal_n` (n,): readings, NaN for none. `contact` (n,): number of the contact that a sample
+    belongs to. `time_s` (n,): rising in each contact. Samples whose terms are NaN are ignored.
     """
 
     shear: Floats
@@ -169,14 +170,14 @@ class KnownForces(NamedTuple):
 def adapt(
     scale: Scale, errors: ForceErrorModel, known: KnownForces, reading_sd_n: float
 ) -> tuple[Scale, ForceErrorModel]:
-    """The weights after known forces, by regression with the weights before as prior (ridge towards them), and errors.
+    """Return the weights and errors after known forces, by regression with the old weights as prior (ridge).
 
-    The errors are those given, or as much larger as readings are farther off than they allow: of dots that were tracked
-    badly, readings say little about the gel. What shear tells of the modulus holds for the normal force, too, which
-    has a factor of its own besides. Readings may have an offset, which is found and left behind.
+    The errors are the old ones, or larger by the factor by which the readings deviate more than these allow: if dots
+    were tracked badly, readings contain little information about the gel. The modulus from shear is also used for the
+    normal force, which has an additional factor of its own. An offset of the readings is fitted and discarded.
 
-    Why contacts count: the error of a contact is the same in all its samples, so each has an unknown part of its own
-    here, and a hundred samples of one contact tell less of the gel than ten of each of ten.
+    The error of a contact is the same in all its samples. So each contact has its own unknown part here, and a hundred
+    samples of one contact count less than ten of each of ten.
     """
 
     def variance(own_sd_mm2: Floats, modulus: float) -> Floats:
@@ -228,14 +229,15 @@ def adapt(
         of_normal * errors.normal_times,
     )
     for weights, sure in ((means, covariances), (normals[0], normals[1])):
-        weights[..., -1] = sure[..., -1, :] = sure[..., :, -1] = 0.0  # the offset is the force sensor's, not the gel's
+        # the offset belongs to the force sensor, not to the gel
+        weights[..., -1] = sure[..., -1, :] = sure[..., :, -1] = 0.0
     return Scale(means, covariances, normals[0], normals[1]), enlarged
 
 
 class _Readings(NamedTuple):
-    """Terms (n, k) and readings (n,) of a force, its size about, and the contact and time of each sample.
+    """Terms (n, k) and readings (n,) of a force, its approximate size, and the contact and time of each sample.
 
-    variance: of a reading that has no other within AGREES_S; so many as there are tell together what one does.
+    variance: of a single reading; all readings within AGREES_S together count as one.
     """
 
     terms: Floats
@@ -249,11 +251,11 @@ class _Readings(NamedTuple):
 def _update(
     mean: Floats, covariance: Floats, free: Floats, readings: _Readings, share: float, *, offsets: bool
 ) -> tuple[Floats, Floats, float]:
-    """Mean and covariance of weights after readings, and how many times as large as expected errors are.
+    """Return mean and covariance of the weights after readings, and the factor on the expected errors.
 
-    Each contact has a factor of its own besides, of sd `share`.
-    free: variance (weights,) that weights have beside their covariance as soon as there are readings.
-    offsets: and an offset of its own, of its typical force times `share`, as a force of both signs may have.
+    Each contact also has its own factor, of sd `share`. `free`: additional variance (weights,) that the weights have
+    once there are readings. `offsets`: each contact also has its own offset, of sd `share` times its typical force.
+    This is for forces of both signs.
     """
     terms, reading_n, size_n, variance, contact, time_s = readings
     known = np.isfinite(reading_n) & np.isfinite(terms).all(axis=1)
@@ -275,7 +277,7 @@ def _update(
     larger = 1.0
     for _ in range(ROUNDS):
         before[size:, size:] = np.eye(own.shape[1]) * (larger * share) ** 2
-        # in units of the prior's deviations: terms of any size are solved equally well, and what is sure stays
+        # In units of the prior's deviations, terms of any size are solved equally well, and certain weights stay fixed.
         values, vectors = np.linalg.eigh(before)
         root = vectors * np.sqrt(np.maximum(values, 0.0))
         scaled = everything @ root
@@ -290,7 +292,7 @@ def _update(
 
 
 def _beside(contact: NDArray[np.int64], time_s: Floats) -> Floats:
-    """How many samples (n,) lie within AGREES_S about each one in its contact, itself counted."""
+    """Return the number of samples (n,) within AGREES_S around each one in its contact, including itself."""
     many = np.empty(len(time_s))
     for number in np.unique(contact):
         of_contact = contact == number

@@ -1,7 +1,7 @@
 """Shear force from the displacements of dots (paper, "Dot-based Shear Force Reconstruction").
 
-Two models: a linear regression on the mean displacement of all dots, and a network that takes the displacement of each.
-Both are applied with numpy alone; training.py trains the network, which needs torch.
+There are two models: a linear regression on the mean displacement of all dots, and a network on the displacement of
+each dot. Both run with numpy alone; training.py trains the network, which needs torch.
 """
 
 from typing import NamedTuple
@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from evetac_cli.arrays import Floats
 
 AXES = ("x", "y")
-CONTACT_N = 0.03  # a lighter touch is no contact
+CONTACT_N = 0.03  # smallest normal force that counts as contact
 
 
 class Regression(NamedTuple):
@@ -30,7 +30,7 @@ class DenseLayer(NamedTuple):
 
 
 class Network(NamedTuple):
-    """Fully connected layers with ReLU between them, on displacements in units of scale_px, giving units of scale_n."""
+    """Fully connected layers with ReLU between them, from displacements in units of scale_px to forces in scale_n."""
 
     layers: tuple[DenseLayer, ...]
     scale_px: float
@@ -38,9 +38,9 @@ class Network(NamedTuple):
 
 
 def displacement(dot_xy_px: ArrayLike, rest_xy_px: ArrayLike) -> Floats:
-    """Displacements (n, dots, 2) of tracked dots (n, dots, 2) from their places at rest (dots, 2), in px.
+    """Return displacements (n, dots, 2) of tracked dots (n, dots, 2) from their positions at rest (dots, 2), in px.
 
-    ValueError if shapes do not fit or a dot's place is NaN.
+    ValueError if shapes do not fit or a dot's position is NaN.
     """
     dots, rest = np.asarray(dot_xy_px, float), np.asarray(rest_xy_px, float)
     if dots.ndim != 3 or dots.shape[1:] != rest.shape or rest.shape[-1] != 2:
@@ -48,14 +48,14 @@ def displacement(dot_xy_px: ArrayLike, rest_xy_px: ArrayLike) -> Floats:
     moved: Floats = dots - rest
     if not np.isfinite(moved).all():
         missing = np.flatnonzero(~np.isfinite(moved).all(axis=(0, 2)))
-        raise ValueError(f"expected every dot to have a place, found none for dots {missing[:8].tolist()}")
+        raise ValueError(f"expected every dot to have a position, found none for dots {missing[:8].tolist()}")
     return moved
 
 
 def fit_regression(moved_px: Floats, force_n: Floats) -> Regression:
-    """Least squares from the mean of displacements (n, dots, 2) to forces (n, 2).
+    """Fit forces (n, 2) to the mean of displacements (n, dots, 2) by least squares.
 
-    ValueError on other shapes, non-finite values, or displacements that do not span the plane.
+    ValueError for other shapes, non-finite values, or displacements that do not span the plane.
     """
     check_samples(moved_px, force_n)
     mean = moved_px.mean(axis=1)
@@ -67,16 +67,16 @@ def fit_regression(moved_px: Floats, force_n: Floats) -> Regression:
 
 
 def apply_regression(model: Regression, moved_px: Floats) -> Floats:
-    """Forces (n, 2) in N of displacements (n, dots, 2)."""
+    """Return forces (n, 2) in N from displacements (n, dots, 2)."""
     force: Floats = moved_px.mean(axis=1) @ model.slope_n_px + model.offset_n
     return force
 
 
 def apply_network(model: Network, moved_px: Floats) -> Floats:
-    """Forces (n, 2) in N of displacements (n, dots, 2); ValueError if the network is for another number of dots."""
+    """Return forces (n, 2) in N from displacements (n, dots, 2); ValueError for a different number of dots."""
     inputs = model.layers[0].weight.shape[1]
     if moved_px[0:1].size not in (0, inputs):
-        raise ValueError(f"expected {inputs // 2} dots as the network was trained on, found {moved_px.shape[1]}")
+        raise ValueError(f"expected {inputs // 2} dots, as in the network's training, found {moved_px.shape[1]}")
     code = (moved_px.reshape(len(moved_px), inputs) / model.scale_px).astype(np.float32)
     for number, layer in enumerate(model.layers):
         if number:
@@ -86,7 +86,7 @@ def apply_network(model: Network, moved_px: Floats) -> Floats:
 
 
 def check_samples(moved_px: Floats, force_n: Floats) -> None:
-    """ValueError unless displacements (n, dots, 2) and forces (n, 2) are finite and as many, at least 3."""
+    """Raise ValueError unless displacements (n, dots, 2) and forces (n, 2) are finite, equally many, at least 3."""
     if moved_px.ndim != 3 or moved_px.shape[2] != 2 or force_n.shape != (len(moved_px), 2) or len(moved_px) < 3:
         raise ValueError(f"expected shapes (n, dots, 2) and (n, 2), n >= 3, found {moved_px.shape}, {force_n.shape}")
     if not (np.isfinite(moved_px).all() and np.isfinite(force_n).all()):
@@ -94,15 +94,15 @@ def check_samples(moved_px: Floats, force_n: Floats) -> None:
 
 
 def sample_slices(normal_force_n: ArrayLike, count: int, every: int) -> NDArray[np.int64]:
-    """`count` slices, evenly spread over the contact, in rests and in moves; shape (count,).
+    """Return `count` slices, evenly spread over the contact, at rest and in motion; shape (count,).
 
-    The contact is all from the first to the last slice with a normal force (slices,) of at least CONTACT_N. Only
-    multiples of `every` slices are taken, at which a slower camera has just taken a frame.
-    ValueError without contact, or if it is too short.
+    The contact extends from the first to the last slice with a normal force (slices,) of at least CONTACT_N. Only
+    multiples of `every` slices are used, at which a slower camera has just taken a frame. ValueError without contact,
+    or if it is too short.
     """
     touching = np.flatnonzero(np.asarray(normal_force_n) >= CONTACT_N)
     if not len(touching):
-        raise ValueError(f"no contact: expected a normal force of at least {CONTACT_N} N somewhere")
+        raise ValueError(f"no contact: expected a normal force of at least {CONTACT_N} N in some slice, found none")
     first = -(-int(touching[0]) // every)
     last = int(touching[-1]) // every
     if count < 1 or last - first + 1 < count:
@@ -119,6 +119,6 @@ class ForceErrors(NamedTuple):
 
 
 def errors(predicted_n: Floats, measured_n: Floats) -> ForceErrors:
-    """Absolute errors of predicted against measured forces (n, 2), as in the paper's table."""
+    """Return the absolute errors of predicted against measured forces (n, 2), as in the paper's table."""
     off = np.abs(predicted_n - measured_n)
     return ForceErrors(off.mean(axis=0), off.std(axis=0))

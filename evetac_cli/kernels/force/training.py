@@ -1,15 +1,15 @@
-"""Training of the network that predicts the shear force from dots (paper, "Dot-based Shear Force Reconstruction").
+"""Train the network that predicts the shear force from dots (paper, "Dot-based Shear Force Reconstruction").
 
-Two hidden layers of 128 with ReLU and 25 % dropout, 50 epochs, and the weights of the epoch with the least loss on a
-trajectory held out. Where the paper is silent: Adam at 0.002 falling to 0 with a cosine, batches of 32, mean squared
-error; displacements and forces are each divided by their root mean square over the training samples; the first weights
-of the hidden layers are a fifth of torch's.
+From the paper: two hidden layers of 128 with ReLU and 25 % dropout, 50 epochs, and the weights of the epoch with the
+smallest loss on a held-out trajectory. Not given in the paper: Adam with a learning rate of 0.002 that falls to 0 as a
+cosine, batches of 32, mean squared error. Displacements and forces are each divided by their root mean square over the
+training samples. The initial weights of the hidden layers are a fifth of torch's.
 
-Why so: three trajectories show three places of contact, and other patterns of dots reach first weights that were never
-trained. These settings were among the best of some twenty on simulated trajectories that no report uses; a constant
-rate of 0.001, on first weights as torch draws them, had larger errors than the regression.
+Reason for small initial weights: three trajectories contain three contact positions, and other patterns of dots reach
+initial weights that were never trained. These settings were among the best of some twenty on simulated trajectories
+that no report uses. A constant rate of 0.001 with torch's initial weights had larger errors than the regression.
 
-Only `train-force` imports this module, as torch takes more than a second to import.
+Only `train-force` imports this module, because torch takes more than a second to import.
 """
 
 from collections.abc import Callable
@@ -24,20 +24,20 @@ from evetac_cli.arrays import Floats
 from evetac_cli.checks import check_range
 from evetac_cli.kernels.force.models import DenseLayer, Network, check_samples
 
-HIDDEN = (128, 128)
-DROPOUT = 0.25
-LEARNING_RATE = 2e-3
-BATCH = 32
-FIRST_WEIGHTS = 0.2  # of the hidden layers, as a share of torch's own
+HIDDEN = (128, 128)  # units of the hidden layers (paper)
+DROPOUT = 0.25  # share (paper)
+LEARNING_RATE = 2e-3  # of Adam, at the start
+BATCH = 32  # samples
+FIRST_WEIGHTS = 0.2  # factor on torch's initial weights of the hidden layers
 
 
 class ForceTraining(NamedTuple):
-    """A trained network, and how it came about: root mean squared errors after every epoch, in N."""
+    """A trained network, with its root mean squared errors after every epoch, in N."""
 
     network: Network
-    learned_n: NDArray[np.float64]  # (epochs,) on the samples trained on, with dropout
+    learned_n: NDArray[np.float64]  # (epochs,) on the training samples, with dropout
     held_out_n: NDArray[np.float64]  # (epochs,)
-    chosen: int  # the epoch, from 0, whose weights these are
+    chosen: int  # epoch of these weights, counted from 0
 
 
 def train(
@@ -49,22 +49,22 @@ def train(
     epochs: int = 50,
     on_progress: Callable[[int, int], None] | None = None,
 ) -> ForceTraining:
-    """Train on displacements (n, dots, 2) and forces (n, 2); choose the epoch on those held out.
+    """Train on displacements (n, dots, 2) and forces (n, 2); choose the epoch by the held-out samples.
 
-    ValueError on samples that do not fit, do not move, or have no force.
+    ValueError for samples that do not fit, do not move, or have no force.
     """
     check_samples(moved_px, force_n)
     check_samples(held_out_moved_px, held_out_force_n)
     check_range("epochs", epochs, 1)
     scale_px, scale_n = (float(np.sqrt(np.mean(values**2))) for values in (moved_px, force_n))
     if scale_px == 0 or scale_n == 0:
-        raise ValueError(f"expected dots that move and forces, found {scale_px} px and {scale_n} N in the mean")
-    torch.set_num_threads(1)  # too small to share, and one thread gives one result
+        raise ValueError(f"expected dots that move and forces, found {scale_px} px and {scale_n} N (rms)")
+    torch.set_num_threads(1)  # too small for several threads, and one thread gives reproducible results
     learn = _tensor(moved_px, scale_px), _tensor(force_n, scale_n)
     held_out = _tensor(held_out_moved_px, scale_px), _tensor(held_out_force_n, scale_n)
     learned_n, held_out_n = np.empty(epochs), np.empty(epochs)
     best: Network | None = None
-    with torch.random.fork_rng(devices=[]):  # first weights and dropout come from torch's global generator only
+    with torch.random.fork_rng(devices=[]):  # initial weights and dropout use torch's global generator only
         torch.manual_seed(int(rng.integers(2**63)))
         network = _build(learn[0].shape[1])
         optimiser = torch.optim.Adam(network.parameters(), lr=LEARNING_RATE)

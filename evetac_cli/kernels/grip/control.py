@@ -1,9 +1,10 @@
-"""The controllers of a grasp by name, behind one `step`: slip signal and finger position in, goal position out.
+"""The grasp controllers by name, behind one `step`: slip signal and finger position in, goal position out.
 
-Each is a law: a frozen dataclass of its constants. `PluginLaw` is what the laws of other packages have in common.
+Each controller is a law, a frozen dataclass of its constants. `PluginLaw` is the base class for laws of other packages.
 
-The paper's law with both readings of its latch, ours (`load-proportional`), and two that use no detector: `none`, the
-paper's control experiment, stays where light contact ended; `fixed:N` closes N ticks beyond it and stays there.
+Built in are the paper's law with both readings of its latch, evetac's `load-proportional`, and two laws without a
+detector. `none`, the paper's control experiment, stays where light contact ended; `fixed:N` closes N ticks beyond that
+and stays there.
 """
 
 import copy
@@ -29,29 +30,30 @@ MOST_FIXED_TICKS = 300
 
 
 class SlipSignal(NamedTuple):
-    """What the detector sends to the controller: few numbers, so that they fit into shared memory."""
+    """Message from the detector to the controller: a few numbers, so that they fit into shared memory."""
 
-    slips: int = 0  # slices with slip so far: a count that only rises
+    slips: int = 0  # slices with slip so far: never decreases
     probability: float = math.nan  # of slip, in the last slice
-    mean_displacement_x_px: float = 0.0  # of all dots: a load cell (see load_proportional.py)
+    mean_displacement_x_px: float = 0.0  # of all dots, which act as a load cell (see load_proportional.py)
     mean_displacement_y_px: float = 0.0
-    turn_px: float = 0.0  # of all dots about their middle, in rms; from here on only for a law that asks for it
-    sticking_share: float = math.nan  # of the contact; NaN where nothing is felt
+    # rms displacement of the dots by rotation about their centre; this and the next only on request
+    turn_px: float = 0.0
+    sticking_share: float = math.nan  # share of the contact that sticks; NaN without contact
 
 
 @dataclass(frozen=True)
 class FixedGrip:
-    """Close this far beyond light contact and stay, in ticks; 0: stay where light contact ended, without a push."""
+    """Close this many ticks beyond light contact and stay; 0: stay where light contact ended, without a push."""
 
     beyond: int
 
 
 @dataclass
 class LawState:
-    """What a law of another package remembers between steps; what it needs beside these is in a class below this one.
+    """State of another package's law between steps; a law that needs more derives a class from this one.
 
-    u_ff, x_ref: feed-forward term and reference position in ticks, as they are recorded. u_ff is finite, 0 where the
-    law has none; x_ref is NaN where it has none.
+    u_ff, x_ref: feed-forward term and reference position in ticks, as recorded. u_ff must be finite, 0 if the law has
+    none; x_ref is NaN if the law has none.
     """
 
     u_ff: float = 0.0
@@ -60,24 +62,25 @@ class LawState:
 
 @dataclass(frozen=True)
 class PluginLaw:
-    """A law of another package, a frozen dataclass below this one: its fields are its constants, and part of recipes.
+    """Base class for a law of another package: a frozen dataclass whose fields are its constants and part of recipes.
 
-    It is sent to the process that commands the gripper, and stepped there. A law has to set `method`: 1, and one more
-    whenever it commands other goals with the same constants; it is part of recipes, so that grasps are made anew then.
+    The law is sent to the process that commands the gripper and stepped there. A law must set `method`: 1 at first, and
+    one more whenever the same constants command other goals. The method version is part of recipes, so that grasps are
+    then simulated again.
     """
 
     method: ClassVar[int]
-    needs_detector: ClassVar[bool] = True  # whether its goals depend on the slip detector at all
-    needs_sticking: ClassVar[bool] = False  # ... on the turn of the dots and on what sticks, too
+    needs_detector: ClassVar[bool] = True  # whether the goals depend on the slip detector
+    needs_sticking: ClassVar[bool] = False  # whether the goals depend on the turn of the dots and the sticking share
 
     def start(self, control_hz: float) -> LawState:
-        """The state before the first step; control_hz: how many there will be a second."""
+        """Return the state before the first step; control_hz: control steps per second."""
         return LawState()
 
     def step(self, state: LawState, phase: GraspPhase, slip: bool, signal: SlipSignal, position_ticks: int) -> int:
-        """One control step: the goal position in whole ticks, from 0, open, to 740, closed.
+        """Do one control step and return the goal position in whole ticks, from 0 (open) to 740 (closed).
 
-        slip: whether the detector found any since the step before; position_ticks: where the fingers are.
+        slip: the detector reported slip since the previous step; position_ticks: measured position of the fingers.
         """
         raise NotImplementedError(f"{type(self).__name__} has no step")
 
@@ -86,10 +89,10 @@ Law = GripLaw | LoadLaw | FixedGrip | PluginLaw
 
 
 def make_law(name: str, gain: float = 1.0, margin: float = MARGIN) -> Law:
-    """The law of a controller: paper, paper-reset, load-proportional, none, or fixed:N.
+    """Return the law of a controller: paper, paper-reset, load-proportional, none, or fixed:N.
 
-    gain: K_p of the paper's law in balance, in multiples; margin: how many times what is needed load-proportional aims
-    at; the others have none. ValueError if there is no controller of this name, or none with a gain or margin.
+    gain: K_p of the paper's laws in balance, as a multiple of the servo's. margin: safety factor of load-proportional.
+    The other laws have neither. ValueError for an unknown name, or a gain or margin for a law without one.
     """
     if name.startswith(FIXED):
         ticks = name.removeprefix(FIXED)
@@ -104,38 +107,38 @@ def make_law(name: str, gain: float = 1.0, margin: float = MARGIN) -> Law:
         raise ValueError(f"expected {', '.join(LAWS)}, none or fixed:N, found {name}")
     if margin != MARGIN:
         if not isinstance(law, LoadLaw):
-            raise ValueError(f"a margin is for load-proportional, found {name} with margin {margin:g}")
+            raise ValueError(f"only load-proportional has a margin, found {name} with margin {margin:g}")
         law = replace(law, margin=margin)
     if gain != 1.0:
         if not isinstance(law, GripLaw):
-            raise ValueError(f"a gain is for paper and paper-reset, found {name} with gain {gain:g}")
+            raise ValueError(f"only paper and paper-reset have a gain, found {name} with gain {gain:g}")
         law = replace(law, gain=gain)
     return law
 
 
 def uses_detector(law: Law) -> bool:
-    """Whether the goals of a controller depend on the slip detector at all."""
+    """Whether the goals of a law depend on the slip detector."""
     return law.needs_detector if isinstance(law, PluginLaw) else not isinstance(law, FixedGrip)
 
 
 def uses_sticking(law: Law) -> bool:
-    """Whether the goals of a controller depend on the turn of the dots and on the share that sticks."""
+    """Whether the goals of a law depend on the turn of the dots and the sticking share."""
     return law.needs_sticking if isinstance(law, PluginLaw) else isinstance(law, LoadLaw)
 
 
 @dataclass
 class Control:
-    """A controller with its state, stepped at control_hz; slip, u_ff_ticks and x_ref_ticks are what is recorded of it.
+    """A controller with its state, stepped at control_hz; slip, u_ff_ticks and x_ref_ticks are recorded.
 
     name: of the controller, for errors. ValueError for a rate that is not finite and above 0; EvetacError, here and in
-    `step`, where a law of another package breaks its contract.
+    `step`, if a law of another package breaks its contract.
     """
 
     law: Law
     control_hz: float = paper.PAPER_HZ
     name: str = ""
-    slip: bool = False  # since the step before
-    _slips: int = 0  # slices with slip up to the step before
+    slip: bool = False  # since the previous step
+    _slips: int = 0  # slices with slip up to the previous step
     _state: Any = None
     _law: GripLaw = field(init=False, repr=False)
 
@@ -148,12 +151,12 @@ class Control:
         elif isinstance(self.law, PluginLaw):
             self._law, self._state = paper.PAPER, self.law.start(self.control_hz)
             if not isinstance(self._state, LawState):
-                raise self._fault("its start gives no LawState", self._state)
+                raise self._fault("its start does not return a LawState", self._state)
         else:
             self._law, self._state = paper.PAPER, paper.start()
 
     def step(self, phase: GraspPhase, signal: SlipSignal, position_ticks: int) -> int:
-        """One control step: the goal position in ticks."""
+        """Do one control step and return the goal position in ticks."""
         self.slip = signal.slips > self._slips
         self._slips = signal.slips
         if isinstance(self.law, LoadLaw):
@@ -170,9 +173,9 @@ class Control:
         return paper.step(self._state, phase, self.slip, position_ticks, self._law)
 
     def copy(self) -> "Control":
-        """A controller in the same state, whose steps change nothing here.
+        """Return a controller in the same state, whose steps do not change this one.
 
-        EvetacError for another package's state that cannot be copied; ours hold nothing that a step changes in place.
+        EvetacError if the state of another package's law cannot be copied. A shallow copy is enough for evetac's laws.
         """
         other = copy.copy(self)
         if not isinstance(self.law, PluginLaw):
@@ -185,7 +188,7 @@ class Control:
         return other
 
     def _step_other(self, law: PluginLaw, phase: GraspPhase, signal: SlipSignal, position_ticks: int) -> int:
-        """A step of another package's law, whose goal is clipped; EvetacError where it or the state is none."""
+        """Step another package's law and clip its goal; EvetacError if the goal or the state is not valid."""
         goal, state = law.step(self._state, phase, self.slip, signal, position_ticks), self._state
         try:
             goal = operator.index(goal)
@@ -198,15 +201,15 @@ class Control:
         return min(max(goal, paper.PAPER.first_tick), paper.PAPER.last_tick)
 
     def _fault(self, what: str, found: object) -> EvetacError:
-        """That a law of another package breaks its contract."""
+        """Return the error that a law of another package breaks its contract."""
         of = f"{type(self.law).__module__}.{type(self.law).__qualname__}"
         named = f"{self.name} ({of})" if self.name else of
-        hint = "tell its authors: evetac_cli.testing.check_controller shows it"
+        hint = "report it to the authors of the controller: evetac_cli.testing.check_controller reproduces it"
         return EvetacError(f"the controller {named} fails: {what}", where="--controller", found=repr(found), hint=hint)
 
     @property
     def u_ff_ticks(self) -> float:
-        """Feed-forward term of the paper's law; with the others, how far the goal is beyond the fingers. < 0 closes."""
+        """Feed-forward term of the paper's law; for other laws, the lead of the goal over the fingers. < 0 closes."""
         return float(self._state.u_ff)
 
     @property

@@ -1,12 +1,12 @@
-"""Moves fingers of a geared servo to a place that is finer than their encoder, by pushes of whole ticks of the goal.
+"""Position the fingers of a geared servo more finely than their encoder resolves, by pushes of whole ticks of the goal.
 
-Why so:
-- Fingers with a geared motor stand still within a wide band of the goal (1.94 ticks either side on the usual gripper,
-  1 to 3.3 on others), and whole ticks of the goal are steps of 2 N: a goal that wanders slowly moves them in jumps.
-  Here they are moved by pushes of single control steps, each of which moves them by a few hundredths of a tick, too
-  little for the encoder; how far is counted up, and corrected whenever the encoder changes.
-- How wide the band is shows in use: a push that moves nothing for a while is made harder.
-- An encoder's noise is measured while nothing is pushed, and corrects nothing.
+- Problem: a geared motor does not move while its goal is within a wide dead band around the fingers: 1.94 ticks on
+  either side on the usual gripper, 1 to 3.3 on others. One tick of the goal is a step of 2 N. If the goal changes
+  slowly, the fingers therefore move in jumps.
+- Method: push for single control steps. Each push moves the fingers by a few hundredths of a tick, too little for the
+  encoder. The pushes are added up, and the sum is corrected whenever the encoder changes.
+- The width of the dead band is learned in use: if pushes have no effect for a while, the next ones are harder.
+- The noise of the encoder is measured while nothing is pushed; changes within the noise correct nothing.
 """
 
 import math
@@ -14,27 +14,27 @@ from dataclasses import dataclass, fields
 
 from evetac_cli.checks import check_range
 
-SLOW = 0.02
-CLOSE_ENOUGH_TICKS = 0.25  # fingers that are no farther behind than this are not pushed
+SLOW = 0.02  # smoothing factor per control step of the mean encoder noise: averages over about 50 steps
+CLOSE_ENOUGH_TICKS = 0.25  # fingers less than this far behind their goal are not pushed
 
 
 @dataclass(frozen=True)
 class Gear:
-    """Constants of how fingers are moved; ticks are those of the encoder.
+    """Constants of the finger motion; ticks are encoder ticks, and a push is the lead of the goal over the fingers.
 
     Fitted to the gripper of the sensor `evetac` (sim/gripper.py has the same numbers in N).
     """
 
-    band_ticks: float = 1.94  # of push that the gear's friction takes
-    surplus_ticks: float = 0.5  # of push beyond that: moves them
-    push_per_tick: float = 0.125  # that the force of the object takes, for each tick closed
-    speed: float = 1.5  # ticks of push for each tick that the fingers are behind
-    most_push: float = 10.0  # ticks: 20 N
-    pulse_ticks: float = 0.05  # that one push of a control step opens
-    stride_ticks: float = 0.1  # ... closes, at least where the fingers are a tick behind; both are set right as they go
-    pause_s: float = 0.006  # after it, so that the fingers come to rest
-    dry_pulses: int = 40  # that open without a change of the encoder: push harder from then on
-    dry_s: float = 0.04  # of pushes that close without one
+    band_ticks: float = 1.94  # push that the friction of the gear absorbs
+    surplus_ticks: float = 0.5  # push beyond the friction band, so that the fingers move
+    push_per_tick: float = 0.125  # push that balances the grip force, per tick of closing beyond contact
+    speed: float = 1.5  # additional push per tick that the fingers are behind
+    most_push: float = 10.0  # largest push: 10 ticks are 20 N
+    pulse_ticks: float = 0.05  # distance that one push of one control step opens; corrected in use
+    stride_ticks: float = 0.1  # distance that one push closes if the fingers are a tick or more behind; also corrected
+    pause_s: float = 0.006  # wait after an opening push, so that the fingers come to rest
+    dry_pulses: int = 40  # opening pushes without a change of the encoder, after which the pushes become harder
+    dry_s: float = 0.04  # time of closing pushes without a change of the encoder, after which the pushes become harder
     last_tick: int = 740
 
     def __post_init__(self) -> None:
@@ -45,21 +45,21 @@ class Gear:
 
 @dataclass
 class FingerState:
-    """Where the fingers are as far as is known, and how hard they have to be pushed."""
+    """Estimated position of the fingers and the push that they have shown to need."""
 
-    place_ticks: float = 0.0  # finer than the encoder
-    position: int = 0  # of the encoder
-    pause_s: float = 0.0  # until the next push that opens
-    noise_ticks: float = 0.0  # mean change of a noisy encoder from step to step where nothing is pushed
-    holds: bool = False  # the last push was none
-    pulses: int = 0  # that open, since the encoder changed by more than its noise
-    open_more: int = 0  # ticks by which pushes that open have shown to have to be harder
-    dry_s: float = 0.0  # of pushes that close, since the encoder changed
-    harder_ticks: float = 0.0  # of push beyond the usual band, that this gear has shown to need to close
+    place_ticks: float = 0.0  # estimated position, finer than the encoder
+    position: int = 0  # last encoder reading
+    pause_s: float = 0.0  # time until the next opening push
+    noise_ticks: float = 0.0  # mean change of the encoder from step to step while nothing is pushed
+    holds: bool = False  # the last step did not push
+    pulses: int = 0  # opening pushes since the encoder changed by more than its noise
+    open_more: int = 0  # additional ticks that opening pushes have shown to need
+    dry_s: float = 0.0  # time of closing pushes since the encoder changed
+    harder_ticks: float = 0.0  # additional ticks beyond the usual band that closing pushes have shown to need
 
 
 def observe(state: FingerState, position_ticks: int) -> None:
-    """Correct the counted place by the encoder, which is right within one tick and its noise."""
+    """Correct the estimated position by the encoder, which is right within one tick plus its noise."""
     changed_ticks = abs(position_ticks - state.position)
     slack_ticks = 2.0 * state.noise_ticks
     if changed_ticks > 1.5 * slack_ticks:
@@ -71,16 +71,16 @@ def observe(state: FingerState, position_ticks: int) -> None:
 
 
 def push(state: FingerState, wanted_ticks: float, rest_ticks: float, dt_s: float, gear: Gear) -> int:
-    """How many whole ticks ahead of the fingers the goal has to be so that they move to where they are wanted.
+    """Return the lead of the goal over the fingers, in whole ticks, that moves them towards `wanted_ticks`.
 
-    rest_ticks: where they touch the object without a force.
+    rest_ticks: the position at which the fingers touch the object without force.
     """
     behind = wanted_ticks - state.place_ticks
-    grip_push = gear.push_per_tick * max(state.place_ticks - rest_ticks, 0.0)  # that the force of the grip takes
+    grip_push = gear.push_per_tick * max(state.place_ticks - rest_ticks, 0.0)  # push that balances the grip force
     state.pause_s -= dt_s
     state.holds = False
     if behind > CLOSE_ENOUGH_TICKS + state.noise_ticks:
-        if state.place_ticks >= state.position + 1.0:  # by count they are on, by the encoder they are not
+        if state.place_ticks >= state.position + 1.0:  # moved according to the count, but not according to the encoder
             state.dry_s += dt_s
             if state.dry_s > gear.dry_s:
                 state.dry_s, state.harder_ticks = 0.0, min(state.harder_ticks + 0.5, gear.most_push)
@@ -97,6 +97,6 @@ def push(state: FingerState, wanted_ticks: float, rest_ticks: float, dt_s: float
         least = math.ceil(gear.band_ticks - grip_push + gear.surplus_ticks)
         return -min(max(least, 1) + state.open_more, int(gear.most_push))
     state.holds = True
-    if opens:  # an encoder's noise is not to close them again
+    if opens:  # lower, so that noise of the encoder does not close the fingers again
         grip_push -= 0.5 * gear.band_ticks
     return round(min(grip_push, gear.most_push))

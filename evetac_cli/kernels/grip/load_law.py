@@ -1,4 +1,4 @@
-"""What the law load-proportional is told, its constants and what it remembers; what it does: load_proportional.py."""
+"""Inputs, constants and state of the law load-proportional; the algorithm is in load_proportional.py."""
 
 import math
 from dataclasses import dataclass, fields
@@ -8,14 +8,15 @@ from evetac_cli.checks import check_range
 from evetac_cli.kernels.grip.fingers import FingerState, Gear
 from evetac_cli.kernels.grip.paper import GraspPhase
 
-MARGIN, MOST_MARGIN = 1.4, 5.0
+MARGIN, MOST_MARGIN = 1.4, 5.0  # safety factor of the grip: default and largest that is accepted
 
 
 class Felt(NamedTuple):
-    """What a step of the law gets to know: slip since the step before, and what the dots show.
+    """Inputs of one step: slip since the previous step, and quantities estimated from the dots.
 
-    x_px, y_px: mean displacement of all dots to the right and down; turn_px: how far they have turned about their
-    middle, in rms; sticking_share: of the contact, NaN where nothing is felt or none is told.
+    `x_px`, `y_px`: mean displacement of all dots, to the right and down. `turn_px`: rms displacement of the dots by
+    their rotation about their centre. `sticking_share`: share of the contact that sticks; NaN without contact or if
+    unknown.
     """
 
     slip: bool = False
@@ -27,69 +28,74 @@ class Felt(NamedTuple):
 
 @dataclass(frozen=True)
 class LoadLaw:
-    """Constants of the law; ticks are those of the encoder, px those of the displacement of all dots.
+    """Constants of the law; ticks are encoder ticks, px are px of load, which is the displacement of all dots.
 
-    margin: how many times what is needed the grip aims at. The others were chosen on simulated grasps of seeds 0 to 35,
-    200 to 213, 100 to 124, 360 to 395 and 400 to 519 of scripts/grip_trials.py: on the first two, what light contact,
-    probes of the lift and fingers have; on the others, turn, rates, release, boost and bounds, with a detector
-    `disp-xy-grip` at about 4 false alarms per minute.
+    `margin` is a safety factor: the grip aims at this multiple of what just holds the object. The other constants were
+    chosen on simulated grasps of scripts/grip_trials.py. Seeds 0 to 35 and 200 to 213 served for light contact, probes
+    of the lift and finger motion. Seeds 100 to 124, 360 to 395 and 400 to 519 served for turn, rates, release, boost
+    and bounds, with a detector `disp-xy-grip` at about 4 false alarms per minute.
+
+    "Grip" is the closing beyond the position at which the fingers touch without force. "Ratio" is grip per load, in
+    ticks/px. "Spare" is the part of the grip that does not depend on the load. A "probe" closes a little to see
+    whether the load answers, that is whether it grows with the grip: it grows if the object slides, and stays the same
+    if the gripper carries the object.
     """
 
     margin: float = MARGIN
-    approach: float = 2.0  # ticks ahead in light contact, as the paper's law
-    approach_dry_s: float = 0.15  # without a motion of the encoder since the start: push harder
-    light_ticks: float = 2.5  # by which light contact has closed
-    unfelt_ticks: float = 7.0  # ... where nothing was felt until its end: a gear that rubs little went on closing
-    turn: float = 2.5  # px of load per px of turn: about the spread of the dots over the arm of the contact's friction
-    least_px: float = 0.35  # less than this counts as no load: a grip alone moves dots by as much
-    small_px: float = 1.0  # an object whose load was less when it was found to be carried was not, if it becomes more
-    first_ratio: float = 2.0  # ticks/px
-    most_ratio: float = 30.0
-    most_ticks: float = 15.0  # no grip is firmer than so much
-    most_ticks_px: float = 8.0  # ... and so much per px of load
-    first_ticks: float = 1.0  # of spare beyond light contact
-    search_ticks_s: float = 1.5  # the lift closes by while there is no load
-    most_spare_ticks: float = 6.0
-    rate_s: float = 0.015  # over which the growth of the load is taken
-    stalls: float = 0.75  # share of its fastest growth above which nothing slips in the lift
-    close_s: float = 0.08  # time constant of closing on slip
-    close_ticks_s: float = 10.0  # ... and so fast beside it
-    answer_s: float = 0.03  # after which the load is asked whether it answers to the grip
-    answer: float = 0.2  # share of the grip's growth by which the load has to grow where something slides
-    ignore_s: float = 0.3  # slip that was not confirmed is not believed for so long, twice as long the next time
-    most_ignore_s: float = 2.4
-    little_sticks: float = 0.3  # of the contact: a sign of slip
-    quiet_s: float = 0.06  # without a sign of slip: it is over
-    steady: float = 0.03  # share by which a load may change in quiet_s that is steady
-    mean_s: float = 0.15  # over which a load that swings is taken
-    wait_s: float = 0.4  # for a load to be steady, before it is asked all the same
-    probe: float = 0.15  # share by which the lift closes to ask whether the object is carried,
-    most_probe: float = 1.0  # ... twice as much after each answer, up to this,
-    probe_ticks: float = 1.5  # ... and by so much at least, which the encoder sees
-    probe_answer: float = 0.6  # as `answer`: dots that the grip itself moves are no answer
-    probe_s: float = 0.06
-    probe_most_s: float = 0.25  # fingers that have not closed by so much by then are at their limit
-    leaks_s: float = 2.0  # time constant of a grip that opens in the lift
-    calm_s: float = 0.2  # of a steady load, before a release
-    calm_most_s: float = 1.5  # ... or so long without: what is carried may swing
-    release_s: float = 1.7  # time constant of the release
-    lags_ticks: float = 1.0  # ... which waits for fingers that are farther behind
-    least_ticks: float = 1.5  # ... and goes no further: where fingers touch is known to about a tick
-    again: float = 0.8  # a sign counts that comes again before the ratio has fallen to this share
-    sure_steps: int = 10  # ... or a slip that lasts
-    window: float = 0.12  # share of the grip in whose release changes are looked at
-    moves: float = 0.05  # share of the load that a change in a window has to exceed
-    moves_px: float = 0.02
-    moves_times: float = 2.5  # ... and so many times the change in the first window
-    first_moves: float = 4.0  # ... in which it has to be so many times as large
-    slide: float = 1.8  # what stops a slide over what just holds at rest: friction falls to 0.5 to 0.7 as it slides
-    most_boost: float = 3.0  # ... while there is slip, growing by close_s
-    settle_s: float = 0.6  # for so long, and time constant of a load that settles and of a grip that opens
-    falls: float = 0.85  # a load that falls below this share of what was carried slides
-    forgets_s: float = 6.0  # time constant of what was carried
-    most_load: float = 2.0  # times what was carried first, that the grip follows
-    doubt: float = 1.2  # each time that something slips, what is needed becomes so much more,
-    most_doubt: float = 2.5  # ... up to so many times what the release found
+    approach: float = 2.0  # light contact: lead of the goal over the fingers, as in the paper's law
+    approach_dry_s: float = 0.15  # push harder if the encoder has not moved for this long since the start (stiff gear)
+    light_ticks: float = 2.5  # closing beyond first touch when light contact ends
+    unfelt_ticks: float = 7.0  # ... if no contact was felt until its end: a gear with little friction kept closing
+    turn: float = 2.5  # px of load per px of turn: about the spread of the dots over the lever arm of the friction
+    least_px: float = 0.35  # smaller loads count as none: gripping alone moves the dots by this much
+    small_px: float = 1.0  # an object carried below this load goes back to the lift if the load rises above it
+    first_ratio: float = 2.0  # ticks/px at the start of the lift
+    most_ratio: float = 30.0  # ticks/px, upper bound
+    most_ticks: float = 15.0  # upper bound of the grip without load
+    most_ticks_px: float = 8.0  # ... plus this many ticks per px of load
+    first_ticks: float = 1.0  # spare at the start of the lift, beyond light contact
+    search_ticks_s: float = 1.5  # ticks/s of closing in the lift while there is no load
+    most_spare_ticks: float = 6.0  # upper bound of the spare beyond light contact
+    rate_s: float = 0.015  # time constant of the growth rate of the load
+    stalls: float = 0.75  # in the lift, signs of slip count only below this share of the load's fastest growth so far
+    close_s: float = 0.08  # time constant of the ratio while closing on slip
+    close_ticks_s: float = 10.0  # ... plus this many ticks/s of spare
+    answer_s: float = 0.03  # time after which the answer of the load to the grip is checked
+    answer: float = 0.2  # a sliding load grows by at least this share of the relative growth of the grip
+    ignore_s: float = 0.3  # signs of slip are ignored for this long after unconfirmed slip; doubles each time
+    most_ignore_s: float = 2.4  # ... up to this
+    little_sticks: float = 0.3  # a smaller sticking share of the contact is a sign of slip
+    quiet_s: float = 0.06  # slip is over after this long without a sign
+    steady: float = 0.03  # a steady load differs from its mean over about quiet_s by at most this share
+    mean_s: float = 0.15  # averaging time constant of a load that swings
+    wait_s: float = 0.4  # longest wait for a steady load before a probe starts anyway
+    probe: float = 0.15  # first probe of the lift: closes by this share of the grip,
+    most_probe: float = 1.0  # ... doubled after each answer up to this share,
+    probe_ticks: float = 1.5  # ... and by at least this much, so that the encoder sees it
+    probe_answer: float = 0.6  # like `answer`, for probes; larger, because the grip itself also moves the dots
+    probe_s: float = 0.06  # duration of a probe's closing, and of the wait for its answer
+    probe_most_s: float = 0.25  # fingers that have not closed by the probe's ticks after this long are at their limit
+    leaks_s: float = 2.0  # time constant with which the grip may open in the lift
+    calm_s: float = 0.2  # steady load before the release begins,
+    calm_most_s: float = 1.5  # ... or this long without one: a carried object may swing
+    release_s: float = 1.7  # time constant of the ratio during the release
+    lags_ticks: float = 1.0  # the release waits while the fingers are farther behind than this
+    least_ticks: float = 1.5  # the release stops at this grip: the contact position is known to about a tick
+    again: float = 0.8  # a second sign counts if the ratio is still above this share of the ratio at the first sign,
+    sure_steps: int = 10  # ... and so does slip that lasts for this many control steps
+    window: float = 0.12  # changes of load are measured over windows in which the grip falls by this share
+    moves: float = 0.05  # change within a window that is a sign of slip: this share of the load,
+    moves_px: float = 0.02  # ... plus this many px,
+    moves_times: float = 2.5  # ... and at least this multiple of the change in the first window
+    first_moves: float = 4.0  # in the first window: this multiple of the first two terms
+    slide: float = 1.8  # boost of the grip that stops a slide: kinetic friction is 0.5 to 0.7 of static friction
+    most_boost: float = 3.0  # boost while slip continues, approached with time constant close_s
+    settle_s: float = 0.6  # duration of a boost; time constant of a settling load and of a grip that opens
+    falls: float = 0.85  # a load below this share of the carried load is a slide
+    forgets_s: float = 6.0  # time constant with which the carried load is forgotten
+    most_load: float = 2.0  # the grip follows the load up to this multiple of the load first carried
+    doubt: float = 1.2  # each slip multiplies the needed ratio by this,
+    most_doubt: float = 2.5  # ... up to this multiple of what the release found
     gear: Gear = Gear()
 
     def __post_init__(self) -> None:
@@ -114,56 +120,56 @@ _TIMES = frozenset(
 
 @dataclass
 class LoadState(FingerState):
-    """What the controller remembers between steps. Flat, so that a shallow copy is a copy."""
+    """State of the controller between steps; flat, so that a shallow copy is independent."""
 
     phase: GraspPhase = GraspPhase.CONTACT
-    first_position: int = -1  # of the encoder at the first step
-    approach_s: float = 0.0  # since the push was last made harder
-    approach_more: int = 0
+    first_position: int = -1  # encoder at the first step
+    approach_s: float = 0.0  # time since the push was last made harder
+    approach_more: int = 0  # additional ticks of push in light contact, for a stiff gear
     steps: int = 0
-    light_ticks: float = 0.0  # by which light contact has closed
-    rest_ticks: float = 0.0  # where the fingers touch without a force
+    light_ticks: float = 0.0  # closing beyond first touch when light contact ends
+    rest_ticks: float = 0.0  # position at which the fingers touch without force
     rest_px: tuple[float, float, float] = (0.0, 0.0, 0.0)  # displacement and turn in light contact
-    ratio: float = 0.0
-    spare: float = 0.0
-    wanted_ticks: float = 0.0
+    ratio: float = 0.0  # grip per load, ticks/px
+    spare: float = 0.0  # part of the grip that does not depend on the load, ticks
+    wanted_ticks: float = 0.0  # position that the fingers should reach
     load_px: float = 0.0
-    rate_px_s: float = 0.0  # of its growth
+    rate_px_s: float = 0.0  # growth rate of the load
     most_rate_px_s: float = 0.0
-    slow_px: float = 0.0  # load, over some quiet_s
-    mean_px: float = 0.0  # ... over some mean_s
-    settled_px: float = 0.0  # ... over some settle_s
-    steady_s: float = 0.0  # for which the load has been steady
-    slip_steps: int = 0  # in a row
-    quiet_s: float = math.inf  # since slip
-    begins: bool = False  # slip, after a while without
-    ignore_s: float = 0.0  # slip is not believed for so long
-    next_ignore_s: float = 0.0
-    closes: bool = False  # on slip
+    slow_px: float = 0.0  # load averaged over about quiet_s
+    mean_px: float = 0.0  # ... over about mean_s
+    settled_px: float = 0.0  # ... over about settle_s
+    steady_s: float = 0.0  # time for which the load has been steady
+    slip_steps: int = 0  # consecutive steps with slip
+    quiet_s: float = math.inf  # time since the last slip
+    begins: bool = False  # slip began in this step, after at least quiet_s without
+    ignore_s: float = 0.0  # remaining time for which signs of slip are ignored
+    next_ignore_s: float = 0.0  # length of the next such time
+    closes: bool = False  # closing on slip
     answered: bool = False  # ... and the load has grown with the grip since
-    asked_s: float = 0.0  # since the grip and the load were noted, below, to be asked whether one answers the other
+    asked_s: float = 0.0  # time since grip and load were noted in the next two fields, to check for an answer
     asked_ticks: float = 0.0
     asked_px: float = 0.0
     ratio_at_slip: float = 0.0
-    waited_s: float = 0.0  # with a load, for it to be steady
+    waited_s: float = 0.0  # time with a load, waiting for it to become steady
     probing: bool = False
     probe_share: float = 0.0
-    probe_ticks: float = 0.0  # by which this probe is to close
-    probed_s: float = 0.0  # since it has
-    tells: bool = False  # ... and the load was steady before
-    unanswered: int = 0  # probes in a row
-    carried: bool = False
-    carried_s: float = 0.0
-    base_px: float = 0.0  # load when it was found to be
-    held_px: float = 0.0  # load that was carried of late
+    probe_ticks: float = 0.0  # closing of the present probe
+    probed_s: float = 0.0  # time since the present probe has closed
+    tells: bool = False  # the load was steady before the probe, so that one answer is conclusive
+    unanswered: int = 0  # consecutive probes without an answer
+    carried: bool = False  # the gripper carries the object
+    carried_s: float = 0.0  # time since then, or since the last unconfirmed sign in the release
+    base_px: float = 0.0  # load when the object was found to be carried
+    held_px: float = 0.0  # load carried recently
     calm: bool = False  # a release may begin
-    doubted: float = 0.0  # ratio at which there was a sign last
-    stop_s: float = 0.0  # for which the grip is still to be what stops a slide
-    boost: float = 1.0  # by how much it is firmer for that
+    doubted: float = 0.0  # ratio at the last unconfirmed sign of slip
+    stop_s: float = 0.0  # remaining time of the boost that stops a slide
+    boost: float = 1.0  # present factor of that boost
     needed: float = 0.0  # ratio that the grip aims at, once a release has found it; 0 before
-    known: float = 0.0  # ... but for doubt
+    known: float = 0.0  # ... as the release found it, before later slips raised it
     seen_px: tuple[float, float, float] = (0.0, 0.0, 0.0)  # load at the start of a window of the release
-    seen_ticks: float = 0.0  # grip there; 0: none began
-    usual_px: float = -1.0  # change in the first window
-    u_ff: float = 0.0  # push, negative closes: for the record
-    x_ref: float = math.nan  # wanted position: for the record
+    seen_ticks: float = 0.0  # grip at the start of that window; 0: no window has begun
+    usual_px: float = -1.0  # change of load in the first window; -1: not yet measured
+    u_ff: float = 0.0  # push, negative closes; only recorded
+    x_ref: float = math.nan  # wanted position; only recorded

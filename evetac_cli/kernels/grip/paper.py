@@ -1,15 +1,16 @@
 """The paper's grasp controller (section VII-A), one step every 2 ms, in encoder ticks.
 
-The paper writes u_c = K_p (x_e + u_ff) with opening widths, so that a negative u_ff closes. The servo itself multiplies
-by K_p (its position P gain register); what the host writes is the goal position x_ref + u_ff. The encoder counts
-upwards when closing, hence goal_ticks = reference_ticks - u_ff.
+The paper writes u_c = K_p (x_e + u_ff) in opening widths, so a negative u_ff closes. The servo itself multiplies by K_p
+(its position P gain register). The host writes the goal position x_ref + u_ff. The encoder counts upwards when the
+gripper closes, hence goal_ticks = reference_ticks - u_ff.
 
-Why so:
-- A K_p of twice as much is a goal twice as far from where the gripper is. So a higher gain needs no register, and is
-  the same for every gripper; it doubles the errors by 2 ms old positions and by whole ticks, as the register would.
-- The states of the grip laws are dataclasses and not numpy records as those of the kernels in numba: a step is some
-  tens of operations on single numbers in plain Python. It takes 1.1 us here and 2.0 us in load_proportional.py; with
-  the fields of a record 20 and 32 us.
+Design:
+- Doubling K_p is the same as doubling the distance from the gripper to its goal. A higher gain therefore needs no
+  register access and is the same for every gripper. Like the register, it doubles the errors that come from 2 ms old
+  positions and whole ticks.
+- The states of the grip laws are dataclasses, not numpy records as in the numba kernels. A step is a few tens of
+  operations on single numbers in plain Python: 1.1 us here and 2.0 us in load_proportional.py. With the fields of a
+  numpy record the same steps take 20 and 32 us.
 """
 
 import math
@@ -18,7 +19,7 @@ from enum import IntEnum
 
 from evetac_cli.checks import check_range
 
-PAPER_HZ = 500.0  # rate of control for which the paper states the increments
+PAPER_HZ = 500.0  # rate of control for which the paper gives its increments
 
 
 class GraspPhase(IntEnum):
@@ -31,19 +32,19 @@ class GraspPhase(IntEnum):
 
 @dataclass(frozen=True)
 class GripLaw:
-    """Constants of the law, in ticks; the paper's values."""
+    """Constants of the law, in ticks; the defaults are the paper's values."""
 
-    approach: float = -2.0  # feed-forward in the contact phase: just sufficient to make the gripper move
-    lift_slip: float = -1.0  # increment of u_ff in a step with slip
-    lift_no_slip: float = 0.01  # ... without slip
+    approach: float = -2.0  # u_ff in the contact phase: just enough to make the gripper move
+    lift_slip: float = -1.0  # change of u_ff per step with slip
+    lift_no_slip: float = 0.01  # ... per step without slip
     balance_slip: float = -2.0
     balance_no_slip: float = 0.01
-    lowest: float = -5.0  # clip of u_ff, closing
-    highest_open: float = 2.0  # clip of u_ff in balance, until the first slip
+    lowest: float = -5.0  # lower limit of u_ff: the strongest closing
+    highest_open: float = 2.0  # upper limit of u_ff in balance until the first slip
     first_tick: int = 0
-    last_tick: int = 740  # closed; the authors' code stops at 660, where fingers without sensors are 10 mm apart
-    paper_reset: bool = False  # balance: x_ref is set anew wherever slip begins, and not the first time alone
-    gain: float = 1.0  # K_p in balance, in multiples of the servo's
+    last_tick: int = 740  # fully closed; the authors' code stops at 660, where fingers without sensors are 10 mm apart
+    paper_reset: bool = False  # balance: set x_ref at every onset of slip, not only at the first
+    gain: float = 1.0  # K_p in balance, as a multiple of the servo's
 
     def __post_init__(self) -> None:
         """Refuse constants that are out of range."""
@@ -55,7 +56,7 @@ class GripLaw:
         check_range("last_tick", self.last_tick, self.first_tick)
 
     def at(self, control_hz: float) -> "GripLaw":
-        """The law for another rate of control: the same change of u_ff a second. ValueError unless it is above 0."""
+        """Return the law for another control rate, with equal changes of u_ff per second. ValueError unless above 0."""
         check_range("control_hz", control_hz, above=True)
         times = PAPER_HZ / control_hz
         return replace(
@@ -73,34 +74,34 @@ PAPER_RESET = GripLaw(paper_reset=True)
 
 @dataclass
 class GripState:
-    """What the controller remembers between steps."""
+    """State of the controller between steps."""
 
     phase: GraspPhase = GraspPhase.CONTACT
     u_ff: float = 0.0
-    x_ref: float = math.nan  # ticks; NaN: x_e is zero, the reference is the present position
+    x_ref: float = math.nan  # ticks; NaN: x_e is zero and the reference is the present position
     slipped: bool = False  # s(t - 1)
     position: int = 0  # x_g(t - 1)
-    slipped_in_balance: bool = False  # the first slip of that phase has come
+    slipped_in_balance: bool = False  # there has been slip in this phase
 
 
 def start() -> GripState:
-    """The state before the first step."""
+    """Return the state before the first step."""
     return GripState()
 
 
 def step(state: GripState, phase: GraspPhase, slip: bool, position_ticks: int, law: GripLaw = PAPER) -> int:
-    """One control step: `slip` says whether the detector counted slip since the step before; returns the goal in ticks.
+    """Do one control step and return the goal in ticks; `slip`: the detector reported slip since the previous step.
 
-    Lift: each step with slip closes by one tick of u_ff, each without opens by 0.01; where slip ends, the present
-    position becomes the reference. Balance: opens by 0.01 a step until the first slip, which closes by 2 and makes the
-    position of the step before the reference (with `paper-reset` every beginning of slip does); from then on u_ff only
-    closes. (Paper, section VII-A.)
+    Lift: each step with slip closes by one tick of u_ff, each step without opens by 0.01. When slip ends, the present
+    position becomes the reference. Balance: each step opens by 0.01 until the first slip. The first slip closes by 2
+    and makes the position of the previous step the reference; with `paper-reset` every onset of slip does. After that
+    u_ff only closes. (Paper, section VII-A.)
     """
     if phase != state.phase:
         if phase is GraspPhase.LIFT:
             state.u_ff = 0.0  # "u_ff is initialized as zero"
-            state.slipped = False  # the detector counts from here on: making contact is not slip
-        else:  # balance goes on with the same u_ff, but x_e is zero again until slip begins in this phase
+            state.slipped = False  # slip counts from the lift onwards: making contact is not slip
+        else:  # balance keeps u_ff, but x_e is zero again until slip begins in this phase
             state.x_ref = math.nan
         state.phase = phase
     gain = 1.0
@@ -122,7 +123,7 @@ def step(state: GripState, phase: GraspPhase, slip: bool, position_ticks: int, l
         reference = position_ticks if math.isnan(state.x_ref) else state.x_ref
     state.slipped = slip
     state.position = position_ticks
-    away = gain * (round(reference - state.u_ff) - position_ticks)  # the servo's error, before it multiplies by K_p
+    away = gain * (round(reference - state.u_ff) - position_ticks)  # position error, before the servo multiplies by K_p
     return int(_clip(round(position_ticks + away), law.first_tick, law.last_tick))
 
 

@@ -1,18 +1,19 @@
-"""What the grip law is told where both fingers feel: one slip signal from those of two detectors.
+"""Combine the slip signals of two detectors, one per finger, into the single signal that a grip law reads.
 
-- Slip: the slices of both are counted together, so that the count rises where either slips. One finger that slips is
-  enough to lose an object: what it no longer bears the other has to.
-- Load: half of what both feel together. The object's weight hangs on both, and each carries what its gel resists, so
-  that the sum is known whichever finger holds more; half of it is what one of two equal fingers feels, for which the
-  constants of the law were chosen. Where one finger slips, the gel of the other takes over, and the half stays. The
-  largest of both would take what a stiffer grip holds for a heavier object.
-- The second sensor faces the first (sim/scenes/second_view.py): what moves down the image there, as it turns, has the
-  other sign. So both are subtracted; what moves along the fingers has the same sign in both.
-- What sticks: the smaller share, as that finger slips first.
-- Probability: the larger one. It is for whoever watches; no law of ours reads it.
+- Slip: the slip counts of both detectors are added, so the sum rises when either finger slips. One slipping finger is
+  enough to lose an object, because the other finger must then carry its share.
+- Load: the mean of both fingers. The object's weight is split between the two gels according to their stiffness, so
+  only the sum is independent of the split. Half of the sum is the load on each of two equal fingers, for which the
+  constants of the law were chosen. If one finger slips, the gel of the other takes over and the mean stays the same.
+  The maximum of both would mistake a stiffer grip for a heavier object.
+- Signs: the second sensor faces the first (sim/scenes/second_view.py), so downward motion and rotation have the
+  opposite sign in its image. Both are therefore subtracted. Motion along the fingers has the same sign in both images.
+- Sticking share: the smaller one, because that finger slips first.
+- Probability: the larger one. It is for display only; evetac's laws do not read it.
 
-Fingers whose gels differ in stiffness feel the same load otherwise; the law is not told which is which. It compares
-loads with each other, and each finger's share of them hardly changes while both stick.
+Fingers with gels of different stiffness feel different loads, and the law does not know which finger is the stiffer
+one. This does no harm: the law only compares loads with each other, and each finger's share of the load hardly changes
+while both stick.
 """
 
 import math
@@ -22,7 +23,7 @@ from evetac_cli.kernels.grip.control import SlipSignal
 
 
 def both(first: SlipSignal, second: SlipSignal) -> SlipSignal:
-    """The signal of two fingers: the second in the coordinates of its own image."""
+    """Return one signal for two fingers; each argument uses the coordinates of its own sensor's image."""
     return SlipSignal(
         first.slips + second.slips,
         _chosen(max, first.probability, second.probability),
@@ -34,7 +35,7 @@ def both(first: SlipSignal, second: SlipSignal) -> SlipSignal:
 
 
 def _chosen(choose: Callable[[float, float], float], first: float, second: float) -> float:
-    """The larger or smaller of two; NaN stands for not known, and says nothing where the other is."""
+    """Return the larger or smaller of two values, as `choose` decides; if one is NaN (unknown), the other."""
     if math.isnan(first):
         return second
     return first if math.isnan(second) else choose(first, second)

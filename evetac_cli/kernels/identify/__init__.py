@@ -1,1 +1,1 @@
-"""Identify: what a simulator needs to know of a camera, its gel and its gripper, from recordings, with intervals."""
+"""Identify what a simulator needs to know about a camera, its gel and its gripper, from recordings, with intervals."""

@@ -1,20 +1,22 @@
-"""Printed dots from images of the gel at rest (calibration/rest_image.py): rim of each, optics of all, and lens.
+"""Optics of printed dots from images of the gel at rest (calibration/rest_image.py): the rim of each, and the lens.
 
 The model of a rim is that of the simulated camera (sim/camera/optics.py): log brightness ln(ink + (1 - ink) Phi((r -
-radius) / sigma)) over the distance r from a dot's centre. A pixel that was moved onto the gel and onto a dot shows by
-its share of darkening events how far it is from one to the other at rest. Only the ratio of contrast and threshold
-makes events, so the contrast itself must be known: it shapes the rim a little.
+radius) / sigma)) at distance r from the centre of a dot. If a pixel is moved onto the gel and onto a dot, its share of
+darkening events shows its position between ink and gel at rest. Events only depend on the ratio of contrast to
+threshold, so the contrast itself must be known: it shapes the rim slightly.
 
-Why so:
-- Runs before a stroke count a little too much on a rim, as the largest of many strokes counts; runs after one, played
-  backwards, a little too little, as they end where the threshold was last passed. The mean of both is right.
-- Thresholds of ON and OFF may differ, and each run has events of one polarity: before a stroke a dot's inside shows by
-  ON and the gel by OFF, after it the other way round. Each is measured in the events of its own plateau.
-- Dots are fitted one by one. The mean of the rims of unequal dots would be more blurred than each of them.
+Reasons:
+- First runs before a stroke overcount slightly on a rim, because the largest of many strokes counts. Runs after a
+  stroke, taken backwards in time, undercount slightly, because they end where the threshold was last crossed. The mean
+  of both is right.
+- The thresholds of ON and OFF may differ, and each run has events of one polarity. Before a stroke, the inside of a dot
+  makes ON events and the gel makes OFF events; after it, the opposite. Each is measured in the events of its own
+  plateau.
+- Dots are fitted one by one, because the mean rim of unequal dots would be more blurred than each of them.
 
-A lens shows straight rows of dots curved. Its model is that of the simulated camera (sim/camera/lens.py) without its
-second term: a point at distance r from the middle of the frame is seen at r (1 + k1 r^2), the corners at r = 1. Print
-and picture may be shifted and turned against each other, and of another size.
+A lens bends the straight rows of dots. Its model is that of the simulated camera (sim/camera/lens.py) without its
+second term. A point at distance r from the middle of the frame is seen at r (1 + k1 r^2), with r = 1 at the corners.
+Print and picture may be shifted, rotated and scaled against each other.
 """
 
 from typing import NamedTuple
@@ -29,58 +31,59 @@ from evetac_cli.arrays import Floats
 from evetac_cli.kernels.calibration.rest_image import RestImage
 from evetac_cli.kernels.estimates import LEVEL, Estimate, of_samples
 
-WHOLE_RUN = 0.7  # a pixel counts if its brightness changed by so much of its dot's contrast
-RIM_PX = 7.0  # from the radius to the farthest pixel of the fit
-PLATEAU_PX = (4.5, 10.0)  # from the rim: pixels that see only ink, or only gel
-FARTHEST_PX = 5.0  # from where a dot was looked for
-FEWEST_PIXELS = 100
-MOST_LACKING = 0.5  # of the contrast, by a run after a stroke
-INK_SHARE = 0.3  # some pixel of a dot has less darkening, some of the gel more than the rest
-WORST_RESIDUAL = 0.12  # rms, share of the contrast
-BIN_PX = 0.25
+WHOLE_RUN = 0.7  # a pixel counts if its brightness changed by at least this share of its dot's contrast
+RIM_PX = 7.0  # pixels farther from the radius than this are not fitted
+PLATEAU_PX = (4.5, 10.0)  # distances from the rim between which pixels see only ink, or only gel
+FARTHEST_PX = 5.0  # farthest fitted centre from where the dot was expected
+FEWEST_PIXELS = 100  # of one dot, for a fit
+MOST_LACKING = 0.5  # a rim pixel counts if its run after the stroke has more than this share of the contrast
+INK_SHARE = 0.3  # a dot is fitted if some pixel has a share of darkening below this and another above 1 minus this
+WORST_RESIDUAL = 0.12  # rms of a fit, as a share of the contrast; worse fits are dropped
+BIN_PX = 0.25  # bin width of the rim profile
 
-RESAMPLES = 400
-FEWEST_DOTS = 8
+RESAMPLES = 400  # of the bootstrap
+FEWEST_DOTS = 8  # for statistics over dots
 
-# What scans, thresholds of some events each and the largest of several strokes add, chosen on simulated press scenes
-# (sensors randomized:100 to 125 and, with few events, to 348), and how far single sensors were from that (sd).
-RADIUS_ADDED_PX, RADIUS_BY_EVENTS_PX, RADIUS_SD_PX = 0.04, 3.2, 0.08  # the second over squared events from dot to gel
-# Logarithm of the blur over that which is seen: a constant, and what is added for each unit of by how much runs before
-# strokes count more than runs after them, of the inverse of the events from dot to gel or back, whichever are fewer, of
-# its square, and for each Hz of a pixel's noise, which ends runs too early. How far single sensors were from that (sd);
-# more over squared events.
+# Corrections of the fitted radius and blur. Their causes: camera scans, unequal events per threshold, and the largest
+# of several strokes. Fitted to simulated press scenes (sensors randomized:100 to 125 and, with few events, to 348).
+# Each "sd" is the scatter of single sensors about the correction.
+
+# Fitted radius minus true radius: a constant, plus a coefficient over the squared number of events from dot to gel.
+RADIUS_ADDED_PX, RADIUS_BY_EVENTS_PX, RADIUS_SD_PX = 0.04, 3.2, 0.08
+# ln(true blur / fitted blur): a constant, plus coefficients of the excess, 1 / n, 1 / n^2 and the noise of a pixel in
+# Hz. The excess is that of runs before strokes over runs after them. Here n is the smaller number of events, from dot
+# to gel or back. Noise matters because it ends runs too early.
 BLUR, BLUR_BY_EXCESS, BLUR_BY_EVENTS, BLUR_BY_SQUARED_EVENTS, BLUR_BY_NOISE = -0.032, -0.65, 3.84, -12.5, -0.76
-BLUR_SD, BLUR_SD_FEW_EVENTS = 0.03, 0.5
-# Events that a first run lacks of contrast over threshold: so many, and so many times those that scans merge. Those of
-# ON alone count: where OFF has but three, most of the gel's pixels show none of the whole contrast.
+BLUR_SD, BLUR_SD_FEW_EVENTS = 0.03, 0.5  # the second is divided by n^2
+# Events that a first run lacks compared with contrast over threshold: a constant, plus a multiple of the events merged
+# by scans. Only ON events are used: if OFF has as few as three, most gel pixels do not show the whole contrast.
 RUN_LACKS, RUN_LACKS_MERGED = 0.6, 0.7
-EVENTS_SD = 0.03
-# How far single dots of equal size, and of equal contrast, were from each other: relative sd, and its own sd.
+EVENTS_SD = 0.03  # relative sd of contrast over threshold
+# Scatter of the fits for dots of equal size, and of equal contrast: relative sd, and the sd of that sd.
 RADIUS_CHANCE, RADIUS_CHANCE_SD = 0.0025, 0.001
 CONTRAST_CHANCE, CONTRAST_CHANCE_SD = 0.012, 0.006
 
-FEWEST_FOR_LENS = 12
-LENS_ROUNDS = 3  # of distances that are taken in the flat picture instead of the seen one
+FEWEST_FOR_LENS = 12  # dots
+LENS_ROUNDS = 3  # iterations: the lens acts on undistorted distances, which k1 itself determines
 
 
 class Runs(NamedTuple):
-    """First runs of events from the rest before each stroke, and backwards from the rest after it."""
+    """First runs of events from the rest before each stroke, and backwards in time from the rest after it."""
 
     before: RestImage
     after: RestImage
 
     @property
     def joined(self) -> RestImage:
-        """The larger count of both."""
+        """Return the larger count of both, per pixel."""
         return self.before.joined(self.after)
 
 
 class DotOptics(NamedTuple):
-    """What each dot shows, (dots, 2) and (dots,), NaN where it does not show.
+    """Fitted optics per dot, (dots, 2) and (dots,); NaN for a dot that could not be fitted.
 
-    Places, radii and blur are in px; `inside_on` are events of the first runs from ink to gel, mean over the pixels of
-    a dot's inside. `excess` is by how much of their contrast pixels of the rim change more before strokes than after
-    them.
+    Positions, radii and blur are in px. `inside_on`: mean ON events of the first runs from ink to gel, over the pixels
+    inside a dot. `excess`: how much more rim pixels change before strokes than after them, in units of the contrast.
     """
 
     centre_xy_px: Floats
@@ -91,21 +94,21 @@ class DotOptics(NamedTuple):
 
 
 class RimProfile(NamedTuple):
-    """Share of darkening events over the distance from the edge (bins,), mean of all dots; NaN without pixels."""
+    """Mean share of darkening events over the distance from the edge, (bins,), over all dots; NaN for empty bins."""
 
     distance_px: Floats
     share: Floats
 
 
 def darkening_share(distance_px: Floats, radius_px: float, sigma_px: float, log_contrast: float) -> Floats:
-    """How far from dot (0) to gel (1) log brightness is at a distance from a dot's centre."""
+    """Return the position of the log brightness between dot (0) and gel (1) at a distance from a dot's centre."""
     ink = np.exp(-log_contrast)
     share: Floats = 1.0 + np.log(ink + (1.0 - ink) * ndtr((distance_px - radius_px) / sigma_px)) / log_contrast
     return share
 
 
 def fit_rims(runs: Runs, centre_xy_px: Floats, radius_px: float, log_contrast: float) -> tuple[DotOptics, RimProfile]:
-    """Fit every dot near its place (dots, 2), with a radius that is nearly right; ValueError where nothing moved."""
+    """Fit every dot near its expected centre (dots, 2) and radius; ValueError if no dot moved."""
     if not any(side.any() for picture in runs for side in picture):
         raise ValueError("expected pictures in which dots have moved, found none")
     events = _plateaus(runs, centre_xy_px, radius_px)
@@ -143,7 +146,7 @@ def fit_rims(runs: Runs, centre_xy_px: Floats, radius_px: float, log_contrast: f
 
 
 def _excess(before: Floats, after: Floats, dot: Floats) -> float:
-    """By how much pixels within 1 px of a rim change more before strokes than after them, in contrasts."""
+    """Return how much more pixels within 1 px of a rim change before strokes than after them, in contrasts."""
     box, distance = _box(dot[:2], dot[2] + 2.0, before.shape[1], before.shape[0])
     rim = np.abs(distance - dot[2]) < 1.0
     rim &= (before[box] > WHOLE_RUN) & (after[box] > MOST_LACKING)
@@ -151,9 +154,10 @@ def _excess(before: Floats, after: Floats, dot: Floats) -> float:
 
 
 def _plateaus(runs: Runs, centre_xy_px: Floats, radius_px: float) -> Floats:
-    """Events and pixels (dots, 4, 2) of inside and gel of each dot.
+    """Return the mean events and the number of pixels, (dots, 4, 2), of the inside and the gel around each dot.
 
-    Inside before strokes (ON) and after (OFF), gel before (OFF) and after (ON); of pixels that were moved wholly.
+    Order: inside before strokes (ON) and after (OFF), gel before (OFF) and after (ON). Only pixels that were moved
+    across the whole contrast count.
     """
     height, width = runs.before.brighter.shape
     reach = radius_px + PLATEAU_PX[1]
@@ -173,7 +177,7 @@ def _plateaus(runs: Runs, centre_xy_px: Floats, radius_px: float) -> Floats:
 
 
 def _box(place: Floats, reach: float, width: int, height: int) -> tuple[tuple[slice, slice], Floats]:
-    """The part of the frame around a place, and the distance of its pixels from there."""
+    """Return the part of the frame around a position, and the distance of its pixels from that position."""
     left, top = (max(0, int(value - reach)) for value in place)
     right, bottom = (
         max(begin, min(size, int(value + reach) + 2))
@@ -184,7 +188,7 @@ def _box(place: Floats, reach: float, width: int, height: int) -> tuple[tuple[sl
 
 
 def _around(whole: NDArray[np.int64], share: Floats, place: Floats, radius_px: float) -> tuple[Floats, Floats]:
-    """Places (pixels, 2) of the pixels near a dot's rim that were moved wholly, and their shares of darkening."""
+    """Return positions (pixels, 2) and darkening shares of pixels near a dot's rim that saw the whole contrast."""
     box, distance = _box(place, radius_px + RIM_PX, whole.shape[1], whole.shape[0])
     if not distance.size:
         return np.empty((0, 2)), np.empty(0)
@@ -199,7 +203,7 @@ def _around(whole: NDArray[np.int64], share: Floats, place: Floats, radius_px: f
 def _fit_one(
     pixels_xy: Floats, share: Floats, place: Floats, radius_px: float, log_contrast: float
 ) -> tuple[Floats, float]:
-    """Centre x, y, radius and blur that fit best (least squares), and the rms of what is left."""
+    """Return the best fit (least squares) of centre x, y, radius and blur, and its rms residual."""
 
     def off(guess: Floats) -> Floats:
         distance = np.hypot(pixels_xy[:, 0] - guess[0], pixels_xy[:, 1] - guess[1])
@@ -223,11 +227,11 @@ class Optics(NamedTuple):
 
 
 def optics(dots: DotOptics, kept_share: float, off_over_on: float, noise_hz: float, rng: np.random.Generator) -> Optics:
-    """What the rims tell of all dots; ValueError with fewer than FEWEST_DOTS.
+    """Return the optics over all dots; ValueError with fewer than FEWEST_DOTS.
 
-    `kept_share` of the events are left by scans (thresholds.py), `off_over_on` is the ratio of the thresholds, 1
-    where it is not known, `noise_hz` the noise of a pixel.
-    Intervals: bootstrap over dots, and the scatter of the corrections over simulated sensors.
+    `kept_share`: share of the events that camera scans leave (thresholds.py). `off_over_on`: ratio of the thresholds,
+    1 if unknown. `noise_hz`: noise events of a pixel per second. Intervals: bootstrap over dots, plus the scatter of
+    the corrections over simulated sensors.
     """
     shown = np.isfinite(dots.radius_px)
     if shown.sum() < FEWEST_DOTS:
@@ -257,15 +261,15 @@ def optics(dots: DotOptics, kept_share: float, off_over_on: float, noise_hz: flo
 
 
 def blur_over_seen(excess: float, events: float, noise_hz: float) -> float:
-    """The blur over that which rims show, by their excess, the events of a rim, and a pixel's noise."""
+    """Return true blur over fitted blur, from the excess of a rim, its events, and the noise of a pixel."""
     sensor = BLUR_BY_EVENTS / events + BLUR_BY_SQUARED_EVENTS / events**2 + BLUR_BY_NOISE * noise_hz
     return float(np.exp(BLUR + BLUR_BY_EXCESS * excess + sensor))
 
 
 def spread(values: Floats, chance: float, chance_sd: float) -> Estimate:
-    """Relative standard deviation of what values measure, without that of chance, and its interval for normal values.
+    """Return the relative standard deviation of the measured quantity, with the measurement's own scatter removed.
 
-    ValueError with fewer than FEWEST_DOTS values.
+    The interval assumes normal values. ValueError with fewer than FEWEST_DOTS values.
     """
     if len(values) < FEWEST_DOTS:
         raise ValueError(f"expected {FEWEST_DOTS} values or more, found {len(values)}")
@@ -280,9 +284,9 @@ def spread(values: Floats, chance: float, chance_sd: float) -> Estimate:
 
 
 def distortion(seen_xy_px: Floats, printed_xy: Floats, frame_px: tuple[int, int]) -> Estimate:
-    """k1 from dots (dots, 2) as they are seen and as they were printed, in any unit; ValueError with too few dots.
+    """Return k1 from dots (dots, 2) as seen and as printed, in any unit; ValueError with too few dots.
 
-    Least squares; the interval is Student's, from how irregularly dots lie.
+    Least squares; the interval is Student's, from the irregularity of the dot positions.
     """
     dots = len(seen_xy_px)
     if dots < FEWEST_FOR_LENS:
@@ -308,12 +312,12 @@ def distortion(seen_xy_px: Floats, printed_xy: Floats, frame_px: tuple[int, int]
 
 
 def without_lens(seen_xy_px: Floats, k1: float, frame_px: tuple[int, int]) -> Floats:
-    """Where points (..., 2) would be seen without the lens."""
+    """Return where points (..., 2) would be seen without the lens."""
     middle = np.array(frame_px, np.float64) / 2
     off_px = np.asarray(seen_xy_px, np.float64) - middle
     corner2 = float(middle @ middle)
     nearer = off_px
-    for _ in range(50):  # a contraction, as k1 is small: its error falls by 3 k1 a round
+    for _ in range(50):  # a contraction, because k1 is small: each round multiplies the error by about 3 k1
         nearer = off_px / (1.0 + k1 * (nearer**2).sum(axis=-1, keepdims=True) / corner2)
     result: Floats = nearer + middle
     return result

@@ -1,10 +1,12 @@
-"""What the rows of a gripper tell of it: how late its commands take effect, its encoder's noise, its servo's gain.
+"""Delay of commands, encoder noise and servo gain of a gripper, estimated from its recorded rows.
 
-A command takes effect after a delay and a random part of a jitter, uniform, as in the simulated gripper. Each command
-tells two readings between which it took effect; how likely delay and jitter make all of them is computed on a grid.
+A command takes effect after a fixed delay plus a uniform random part, the jitter, as in the simulated gripper. For each
+command, two readings bracket the time at which it took effect. The likelihood of all brackets is computed on a grid of
+delay and jitter.
 
-An encoder reads whole ticks: the whole part of the motor's place and normal noise. Where a motor rests between two
-ticks is not known, so it is summed over, all places equally likely; rests at several places tell more than a long one.
+An encoder reads whole ticks: the integer part of the motor's position plus normal noise. The exact position between two
+ticks is unknown while the motor rests, so the likelihood is summed over all positions with equal weight. Rests at
+several positions carry more information than one long rest.
 """
 
 from collections.abc import Sequence
@@ -16,32 +18,33 @@ from scipy import stats
 from evetac_cli.arrays import Floats
 from evetac_cli.kernels.estimates import LEVEL, Estimate
 
-ALONE_MS = 16.0  # a command counts that no other one precedes or follows by less
-FEWEST_COMMANDS = 20
-STEP_MS = 0.05  # of the grid
-DROP = 3.0  # of the log likelihood: 1.92 for 95 % if it were smooth, but whole ms make it one with corners
-STRAY = 1e-3  # share of commands that may be late by anything
+ALONE_MS = 16.0  # a command counts only if no other command is closer in time than this
+FEWEST_COMMANDS = 20  # for delay and jitter
+STEP_MS = 0.05  # grid step of delay and jitter
+# of the log likelihood at the ends of the interval: 1.92 is 95 % for a smooth one, but whole ms give it corners
+DROP = 3.0
+STRAY = 1e-3  # share of commands that may be late by any amount
 
-FEWEST_READINGS = 20  # of a rest
-MOST_TICKS = 5.0
-SPREADS = np.concatenate([[0.0], np.geomspace(0.005, MOST_TICKS, 300)])
-PLACES = (np.arange(200) + 0.5) / 200
+FEWEST_READINGS = 20  # of one rest
+MOST_TICKS = 5.0  # largest standard deviation on the grid
+SPREADS = np.concatenate([[0.0], np.geomspace(0.005, MOST_TICKS, 300)])  # standard deviations on the grid, in ticks
+PLACES = (np.arange(200) + 0.5) / 200  # positions within one tick on the grid
 
-STILL_MS = 16.0  # a goal has come to the servo after so long
-FEWEST_ROWS = 50
-RESAMPLES = 200
-LEAST_SHARE = 0.002  # half width of the interval at least
-MOST_PART = 0.98  # of the largest current: beyond it a limit may hold
+STILL_MS = 16.0  # time after which a goal has certainly reached the servo
+FEWEST_ROWS = 50  # in which the servo is behind its goal
+RESAMPLES = 200  # of the bootstrap
+LEAST_SHARE = 0.002  # smallest half width of the interval, as a share of the gain
+MOST_PART = 0.98  # rows above this share of the largest current are left out: a current limit may act there
 
 
 def lateness(
     time_us: NDArray[np.int64], commanded_ma: NDArray[np.float64], measured_ma: NDArray[np.float64], step_ms: float
 ) -> Floats:
-    """Between which times in ms each command took effect, (commands, 2); the second is infinite where none was seen.
+    """Return the times in ms between which each command took effect, (commands, 2); the second is inf if unseen.
 
-    A row's current is measured before its command is given. step_ms: what passes from a command without delay until a
-    reading can show it; 1 in a simulation of 1 ms. A command has taken effect where the current is nearer to the new
-    one than to that before.
+    A row's current is measured before its command is issued. A command has taken effect when the current is nearer to
+    the new command than to the previous one. `step_ms`: shortest time after which a reading can show a command without
+    delay; 1 in a simulation with steps of 1 ms.
     """
     time_ms = np.asarray(time_us, np.float64) * 1e-3
     changes = np.flatnonzero(np.diff(commanded_ma) != 0) + 1
@@ -61,7 +64,7 @@ def lateness(
 
 
 def delay_and_jitter(between_ms: Floats) -> tuple[Estimate, Estimate]:
-    """Delay and jitter in ms from what `lateness` found; ValueError with fewer than FEWEST_COMMANDS."""
+    """Return delay and jitter in ms from the brackets of `lateness`; ValueError with fewer than FEWEST_COMMANDS."""
     if len(between_ms) < FEWEST_COMMANDS:
         raise ValueError(f"too few commands: {len(between_ms)} of {FEWEST_COMMANDS}")
     if not np.isfinite(between_ms[:, 1]).mean() > 0.5:
@@ -80,10 +83,10 @@ def delay_and_jitter(between_ms: Floats) -> tuple[Estimate, Estimate]:
 
 
 def _of_axis(values: Floats, log_likelihood: Floats) -> Estimate:
-    """Mean of what the rows of a table stand for, and all that is likely enough with any column.
+    """Return the mean of the grid's row values, and an interval of all values that are likely with any column.
 
-    Why so: where commands always take as many ms, delay and jitter are only known to lie within one ms together, and
-    its ends are as likely as its middle.
+    Reason: if commands always take the same number of ms, delay and jitter are only known to add up to a value within
+    one ms. All values in that ms are equally likely, its ends as much as its middle.
     """
     weight = np.exp(log_likelihood - log_likelihood.max()).sum(axis=1)
     likely = values[log_likelihood.max(axis=1) >= log_likelihood.max() - DROP]
@@ -93,7 +96,7 @@ def _of_axis(values: Floats, log_likelihood: Floats) -> Estimate:
 
 
 def encoder_noise(rests: Sequence[NDArray[np.integer]]) -> Estimate:
-    """Standard deviation in ticks, from the readings of each rest; ValueError where none has FEWEST_READINGS."""
+    """Return the standard deviation in ticks from the readings of each rest; ValueError if all rests are too short."""
     rests = [rest for rest in rests if len(rest) >= FEWEST_READINGS]
     if not rests:
         raise ValueError("the motor never rests")
@@ -101,7 +104,7 @@ def encoder_noise(rests: Sequence[NDArray[np.integer]]) -> Estimate:
     for rest in rests:
         ticks, count = np.unique(np.asarray(rest, np.int64), return_counts=True)
         middle = int(np.round(np.median(rest)))
-        at = (middle - 1 + np.arange(3))[:, None] + PLACES  # the motor rests within a tick of what is read mostly
+        at = (middle - 1 + np.arange(3))[:, None] + PLACES  # the motor rests within a tick of the most frequent reading
         places = at.reshape(-1)
         each = np.empty((len(SPREADS), len(places)))
         for number, spread in enumerate(SPREADS):
@@ -118,7 +121,7 @@ def encoder_noise(rests: Sequence[NDArray[np.integer]]) -> Estimate:
 
 
 def _below(distance: Floats, spread: float) -> Floats:
-    """Share of the readings below a distance from the motor's place."""
+    """Return the share of readings that are below a distance from the motor's position."""
     if spread == 0.0:
         return (distance > 0).astype(np.float64)
     below: Floats = stats.norm.cdf(distance / spread)
@@ -132,14 +135,16 @@ def servo_gain(
     current_ma: Floats,
     rng: np.random.Generator,
 ) -> Estimate:
-    """Gain in mA a tick, from rows of goals (given after what the row measured) and of place and current.
+    """Return the servo gain in mA per tick, from rows of goal, position and current.
 
-    Rows count where the goal has been the same for STILL_MS and place and goal differ. ValueError with fewer than
-    FEWEST_ROWS of them, or where the current does not follow the goal.
+    A row's goal was given after its position and current were measured. Rows count if the goal has been the same for
+    STILL_MS and differs from the position. ValueError with fewer than FEWEST_ROWS of them, or if the current does not
+    follow the goal.
     """
     time_ms = np.asarray(time_us, np.float64) * 1e-3
-    new = np.flatnonzero(np.diff(goal_ticks, prepend=np.nan) != 0)  # the first row is one
-    last = new[np.searchsorted(new, np.arange(len(time_ms)), side="left") - 1]  # goal that was given before the row
+    new = np.flatnonzero(np.diff(goal_ticks, prepend=np.nan) != 0)  # the first row counts as a change
+    # the goal in force when the row was measured
+    last = new[np.searchsorted(new, np.arange(len(time_ms)), side="left") - 1]
     behind_ticks = goal_ticks[last] - place_ticks
     free = np.abs(current_ma) < MOST_PART * np.abs(current_ma).max(initial=0.0)
     counts = (np.arange(len(time_ms)) > last) & (time_ms - time_ms[last] >= STILL_MS) & (behind_ticks != 0)

@@ -1,8 +1,8 @@
-"""The stiffness and creep of a gel from how far its dots move when it takes over the weight of a held object.
+"""Stiffness and creep of a gel, from how far its dots move when the gel takes over the weight of a held object.
 
-The layer is that of the simulator (kernels/gel_layer). An object that does not slip moves the gel under it as one
-piece, and around it the displacement fades. Where the object touches is not known: a strip along the weight whose
-half width may differ at its ends, as of a cylinder between fingers that are not quite parallel. It is fitted to the
+The gel layer is that of the simulator (kernels/gel_layer). An object that does not slip moves the gel under it as one
+piece; around it the displacement fades. The contact area is unknown. It is modelled as a strip along the weight whose
+half width may differ at its two ends, as for a cylinder between fingers that are not quite parallel, and fitted to the
 dots.
 """
 
@@ -16,25 +16,26 @@ from scipy.sparse.linalg import spsolve
 from evetac_cli.arrays import Floats
 from evetac_cli.kernels.gel_layer import sheet_stiffness
 
-HOLDS = 300.0  # by how much the object's hold on a piece of gel is stiffer than the layer
-EDGE_M = 0.3e-3  # over which the border of the contact is blurred, so that a fit can move it
-QUICK_ARM = (0.15, 10e-3)  # share and time in s of the arm that every gel has (sim/gel)
-ARM_S = ((0.1, 1.0), (2.0, 10.0))  # times that the two slow arms may have
-MOST_SHARE = 0.3  # of an arm
-ARM_TIMES = 7  # tried of each
+HOLDS = 300.0  # stiffness of the bond between object and gel, as a multiple of the layer's: in effect rigid
+EDGE_M = 0.3e-3  # blur of the contact's border, so that the fit is differentiable
+QUICK_ARM = (0.15, 10e-3)  # share and time in s of the quick viscoelastic arm, the same for every gel (sim/gel)
+ARM_S = ((0.1, 1.0), (2.0, 10.0))  # ranges of the time constants of the two slow arms
+MOST_SHARE = 0.3  # upper bound on the share of one arm
+ARM_TIMES = 7  # time constants tried for each arm
 
 
 class Pad(NamedTuple):
-    """Nodes of a pad (rows, columns, 2) in m and its height."""
+    """Nodes of a pad, (rows, columns, 2) in m, and the height of the gel."""
 
     node_xy_m: Floats
     height_m: float
 
 
 class HeldFit(NamedTuple):
-    """Displacement of the held part of the gel in m along the weight, stiffness over shear modulus in m, and the fit.
+    """Displacement of the held part of the gel along the weight in m, and stiffness over shear modulus in m.
 
-    moved: share of the displacement at each dot. misfit: rms of what is left at the dots over the displacement.
+    moved: displacement at each dot, as a share of that of the held part. misfit: rms residual at the dots, as a share
+    of the displacement.
     """
 
     displacement_m: float
@@ -44,10 +45,10 @@ class HeldFit(NamedTuple):
 
 
 def shape(pad: Pad, stiffness: sparse.csr_matrix, strip: Floats) -> tuple[Floats, float]:
-    """How far each node moves for one of the object (rows, columns), and the force for that over the shear modulus.
+    """Return the displacement of each node per unit of the object's, (rows, columns), and force over shear modulus.
 
-    stiffness: of the layer, as from `gel_layer.sheet_stiffness`. strip: half width in m at the pad's first and last
-    column, and its middle, all across x.
+    stiffness: of the layer, from `gel_layer.sheet_stiffness`. strip: half width in m at the pad's first and last
+    column, and the middle of the strip, all across x.
     """
     nodes = pad.node_xy_m
     along = (nodes[..., 0] - nodes[0, 0, 0]) / (nodes[0, -1, 0] - nodes[0, 0, 0])
@@ -64,9 +65,9 @@ def shape(pad: Pad, stiffness: sparse.csr_matrix, strip: Floats) -> tuple[Floats
 
 
 def held(pad: Pad, dot_xy_m: Floats, displacement_m: Floats) -> HeldFit:
-    """Fit the contact and the displacement to the dots' displacement (dots,) along the weight, which is x of the pad.
+    """Fit contact and displacement to the displacement of the dots (dots,) along the weight, which is x of the pad.
 
-    ValueError with fewer than 12 dots on the pad, or where they do not move.
+    ValueError with fewer than 12 dots on the pad, or if they do not move.
     """
     nodes = pad.node_xy_m
     low, high = nodes[0, 0], nodes[-1, -1]
@@ -108,7 +109,7 @@ def held(pad: Pad, dot_xy_m: Floats, displacement_m: Floats) -> HeldFit:
 
 
 class Creep(NamedTuple):
-    """Shares and times in s of two slow arms, the displacement in the end, and the rms that is left over it."""
+    """Shares and times in s of two slow arms, the final displacement, and the rms residual as a share of it."""
 
     share: tuple[float, float]
     time_s: tuple[float, float]
@@ -117,10 +118,10 @@ class Creep(NamedTuple):
 
 
 def creep(time_s: Floats, displacement: Floats, loaded_s: float) -> Creep:
-    """Two slow arms from a displacement under a constant force that came on within loaded_s before time 0.
+    """Fit two slow arms to the displacement under a constant force that came on within loaded_s before time 0.
 
-    Every pair of times is tried; for one pair, shares and end follow from a search. ValueError where the displacement
-    ends at nothing.
+    Every pair of time constants is tried; shares and final displacement are fitted for each pair. ValueError if the
+    final displacement is not above 0.
     """
     if len(time_s) < 10 or not np.median(displacement[-len(displacement) // 4 :]) > 0:
         raise ValueError("nothing moves under the weight")
@@ -147,9 +148,10 @@ def creep(time_s: Floats, displacement: Floats, loaded_s: float) -> Creep:
 
 
 def response(time_s: Floats, loaded_s: float, shares: Floats, times_s: Floats) -> Floats:
-    """Displacement under a force over that in the end, at times after it came on, evenly, within loaded_s.
+    """Return displacement over final displacement, at times after a force that came on evenly within loaded_s.
 
-    A spring beside arms of a spring and a dashpot in series: under a constant force f = u + sum s v, v' = u' - v/T.
+    Generalised Maxwell model: a spring in parallel with arms of a spring and a dashpot in series. Under a constant
+    force f = u + sum s v, v' = u' - v/T.
     """
     share = np.append(shares, QUICK_ARM[0])
     rate = 1.0 / np.append(times_s, QUICK_ARM[1])

@@ -1,11 +1,12 @@
-"""The noise of a camera from events at rest: ordinary pixels, and a table of hot ones with the law of their intervals.
+"""The noise of a camera from events at rest: rates of ordinary pixels, and a table of hot pixels and their intervals.
 
-Nothing may move in the picture. A pixel is listed as hot above HOT_HZ, where the rate of ordinary pixels cannot explain
-its count. Why so low: a camera's pixels have all rates, and a sensor that is listed down to 5 Hz has as many pixels
-above 20 Hz, the usual limit, as the camera.
+Nothing may move in the picture. A pixel is listed as hot above HOT_HZ if the rate of ordinary pixels cannot explain its
+count. The limit is low because pixels of a real camera have all rates. Only a table down to 5 Hz gives a simulated
+sensor as many pixels above 20 Hz, the usual limit, as the camera has.
 
-Intervals are times between events of one hot pixel, in us: steps of the time stamps, the shortest time, and a law of
-two exponentials. Sources: none; what fits a real DVXplorer (sim/camera/noise.py).
+Intervals are the times between events of one hot pixel, in us. Their model: a time stamp step, a shortest time (dead
+time) and a mixture of two exponentials. It has no source in the literature; it fits a real DVXplorer
+(sim/camera/noise.py).
 """
 
 from typing import NamedTuple
@@ -18,33 +19,34 @@ from scipy.ndimage import convolve
 from evetac_cli.arrays import Floats, Ints
 from evetac_cli.kernels.estimates import BLOCKS, Estimate, of_samples, poisson_rate, rate_over_blocks, share
 
-HOT_HZ = 5.0
-SHOWN_HZ = 20.0
-RESAMPLES = 1000
+HOT_HZ = 5.0  # slowest pixel that is listed as hot
+SHOWN_HZ = 20.0  # usual limit for hot pixels, for the reported counts
+RESAMPLES = 1000  # of the bootstrap
 FEWEST_EVENTS = 6  # of a hot pixel
-FALSE_ALARMS = 0.01  # ordinary pixels of the whole frame that may be taken for hot ones
-MOST_HOT_SHARE = 0.02  # of the pixels; with more, something moves
-FEW_HOT = 10  # so many may lie side by side by chance
-MOST_SIDE_BY_SIDE = 0.5  # of the hot pixels; with more, something moves: hot pixels lie alone (97 % of a DVXplorer's)
-LONGEST_SHARE = 0.98  # of a pixel's mean interval that dead time and short intervals may take
+FALSE_ALARMS = 0.01  # expected number of ordinary pixels in the whole frame that are mistaken for hot ones
+MOST_HOT_SHARE = 0.02  # of all pixels; with more, something moves in the picture
+FEW_HOT = 10  # this many may be side by side by chance
+# share of hot pixels; with more, something moves: 97 % of a DVXplorer's hot pixels are isolated
+MOST_SIDE_BY_SIDE = 0.5
+LONGEST_SHARE = 0.98  # of a pixel's mean interval: most that dead time and short intervals may take up
 
-FEWEST_INTERVALS = 200  # for steps and dead time
-MOST_INTERVALS = 20_000  # of which steps are looked for
-LONGEST_INTERVAL_US = 20_000.0  # for steps: in longer ones an error of the step adds up to a whole step
-HIGHEST_HZ, STEP_HZ = 20_000.0, 5.0  # of scans
-SLOWEST_SCAN = 3.0  # in units of the mean rate: slower scans could not be told from slow pixels
-COHERENT = 0.8  # mean of the phases' unit vectors; 1 if all intervals are whole steps
-DEAD_SHARES = (0.02, 0.04)  # of the intervals, from which the shortest possible one is extrapolated
-DEAD_RESAMPLES = 200
-FEWEST_FOR_TWO = 15  # intervals of a pixel from which two exponentials are told from one
-WORTH_IT = 2.0  # log likelihood by which two must be better (Akaike: two more parameters)
-MEANS = np.geomspace(0.05, 1e4, 48)  # in steps: means of an exponential that are tried
-ROUNDS = 25  # of expectation maximisation for a share
-EXACT_BELOW, BINS_A_DECADE = 32, 20  # intervals of so many steps and more are counted in bins
+FEWEST_INTERVALS = 200  # for time stamp step and dead time
+MOST_INTERVALS = 20_000  # used for the time stamp step
+LONGEST_INTERVAL_US = 20_000.0  # for the step: in longer intervals a small error of the step adds up to a whole step
+HIGHEST_HZ, STEP_HZ = 20_000.0, 5.0  # range and resolution of the frequency scan for the step
+SLOWEST_SCAN = 3.0  # lowest scanned frequency over the mean rate; slower steps cannot be distinguished from slow pixels
+COHERENT = 0.8  # smallest mean of the phases' unit vectors for a step; 1 if all intervals are whole steps
+DEAD_SHARES = (0.02, 0.04)  # quantiles of the intervals from which the shortest possible interval is extrapolated
+DEAD_RESAMPLES = 200  # of the bootstrap
+FEWEST_FOR_TWO = 15  # intervals of a pixel, for a mixture of two exponentials
+WORTH_IT = 2.0  # gain in log likelihood that two exponentials must reach (Akaike: two more parameters)
+MEANS = np.geomspace(0.05, 1e4, 48)  # candidate means of an exponential, in steps
+ROUNDS = 25  # of expectation maximisation for the share of an exponential
+EXACT_BELOW, BINS_A_DECADE = 32, 20  # intervals of at least this many steps are binned
 
 
 class HotPixelRates(NamedTuple):
-    """Hot pixels, an entry for each; `low_hz` and `high_hz` are the 95 % intervals of `rate_hz`."""
+    """Hot pixels, one entry each; `low_hz` and `high_hz` are the 95 % intervals of `rate_hz`."""
 
     x_px: Ints
     y_px: Ints
@@ -58,13 +60,13 @@ class HotPixelRates(NamedTuple):
 
 
 class RestNoise(NamedTuple):
-    """What a camera shows at rest; None what the events do not tell."""
+    """Noise of a camera at rest; None for quantities that the events do not determine."""
 
     duration_s: float
     noise_hz: Estimate
     noise_on_share: Estimate
-    hot_pixels: Estimate  # how many are above SHOWN_HZ
-    hot_total_hz: Estimate  # their events a second, of all together
+    hot_pixels: Estimate  # number above SHOWN_HZ
+    hot_total_hz: Estimate  # events per second of all of them together
     hot_on_share: Estimate
     dead_time_us: Estimate | None
     timestamp_step_us: Estimate | None
@@ -82,12 +84,12 @@ def analyse(
 ) -> RestNoise:
     """Estimate the noise from events of `duration_us`, in order of time, t from 0; `rng` is for bootstrap intervals.
 
-    Rates and shares have exact or Wilson intervals, rates from their spread over blocks of time where that is wider.
-    ValueError where so many pixels are busy that something must move, or nothing was recorded.
+    Shares have Wilson intervals. Rates have exact intervals, or those of their spread over blocks of time if these are
+    wider. ValueError if so many pixels are busy that something must move, or if the recording is empty.
     """
     width, height = frame_px
     if duration_us <= 0:
-        raise ValueError("expected a recording that lasts, found none")
+        raise ValueError("expected a recording longer than 0 s, found an empty one")
     duration_s = duration_us * 1e-6
     pixel = y.astype(np.int64) * width + x
     counts = np.bincount(pixel, minlength=width * height)
@@ -122,20 +124,20 @@ def analyse(
 
 
 def check_still(is_hot: NDArray[np.bool_]) -> None:
-    """ValueError where hot pixels (height, width) are so many, or lie so close, that something must move."""
+    """Raise ValueError if hot pixels (height, width) are so many, or so clustered, that something must move."""
     around = convolve(is_hot.astype(np.int64), np.ones((3, 3), np.int64), mode="constant")
     hot = int(is_hot.sum())
     side_by_side = int((around[is_hot] > 1).sum())
     if is_hot.mean() > MOST_HOT_SHARE or (hot > FEW_HOT and side_by_side > MOST_SIDE_BY_SIDE * hot):
         raise ValueError(
-            f"expected few hot pixels that lie alone, found {hot}, {side_by_side} side by side: the picture moves"
+            f"expected few, isolated hot pixels, found {hot}, {side_by_side} side by side: the picture moves"
         )
 
 
 def find_hot(counts: Ints, duration_s: float) -> NDArray[np.bool_]:
-    """Which pixels are hot, from the events of each."""
+    """Return which pixels are hot, from the event count of each."""
     hot = counts > max(FEWEST_EVENTS - 1, HOT_HZ * duration_s)
-    for _ in range(2):  # the second time with the rate of those that are not hot
+    for _ in range(2):  # the second round uses the mean of the pixels that are not hot
         usual = counts[~hot].mean() if not hot.all() else 0.0
         limit = stats.poisson.isf(FALSE_ALARMS / len(counts), usual)
         hot = counts > max(FEWEST_EVENTS - 1, HOT_HZ * duration_s, limit)
@@ -145,7 +147,7 @@ def find_hot(counts: Ints, duration_s: float) -> NDArray[np.bool_]:
 def _table(
     t_us: Ints, pixel: Ints, p: NDArray, width: int, duration_s: float, dead_us: float, step_us: float
 ) -> HotPixelRates:
-    """The table of hot pixels from their events, sorted by pixel and then by time."""
+    """Return the table of hot pixels from their events, sorted by pixel and then by time."""
     numbers, first = np.unique(pixel, return_index=True)
     rows = [
         _row(times, signs, duration_s, dead_us, step_us)
@@ -159,11 +161,11 @@ def _table(
 def _row(
     t_us: Ints, p: Ints, duration_s: float, dead_us: float, step_us: float
 ) -> tuple[float, float, float, float, float, float, float]:
-    """Rate with its interval, share of ON, share of changes, and law of intervals of one pixel."""
+    """Return rate and interval, share of ON, share of polarity changes, and interval model of one pixel."""
     count = len(t_us)
     between_us = np.diff(t_us).astype(np.float64)
     rate = poisson_rate(count, duration_s)
-    # A renewal process counts with the variance of its intervals: more evenly than Poisson, or in bursts.
+    # The count of a renewal process varies as its intervals do: more evenly than Poisson, or in bursts.
     spread = between_us.std() / between_us.mean() if count > 2 and between_us.mean() > 0 else 1.0
     spread = max(spread, 0.1) if count > FEWEST_EVENTS * 4 else max(spread, 1.0)
     low, high = (max(0.0, rate.value + (end - rate.value) * spread) for end in rate[1:])
@@ -187,9 +189,9 @@ class TwoExponentials(NamedTuple):
 
 
 def time_step(interval_us: Floats) -> Estimate | None:
-    """The step of which all intervals are multiples, in us; 0 where there is none, None if there are too few.
+    """Return the step of which all intervals are multiples, in us; 0 if there is no step, None with too few intervals.
 
-    The longest step at which the phases agree as well as at any.
+    This is the longest step whose phase coherence is about as good as the best.
     """
     near = interval_us[(interval_us > 0) & (interval_us < LONGEST_INTERVAL_US)]
     if len(near) < FEWEST_INTERVALS:
@@ -218,9 +220,9 @@ def time_step(interval_us: Floats) -> Estimate | None:
 
 
 def dead_time(interval_us: Floats, step_us: float, rng: np.random.Generator) -> Estimate | None:
-    """The shortest time between two events of one pixel, in us; None if there are too few.
+    """Return the shortest time between two events of one pixel, in us; None with too few intervals.
 
-    Extrapolated from two small quantiles, so that rare shorter ones do not count, with a bootstrap interval.
+    Extrapolated from two small quantiles, so that rare shorter intervals do not count; bootstrap interval.
     """
     if len(interval_us) < FEWEST_INTERVALS:
         return None
@@ -233,7 +235,7 @@ def dead_time(interval_us: Floats, step_us: float, rng: np.random.Generator) -> 
         dead_us: Floats = np.maximum(2.0 * near - far, 0.0)
         return np.round(dead_us / step_us) * step_us if step_us else dead_us
 
-    # Where quantiles of a resample lie among the ordered values: shares of gamma variates.
+    # Positions of a resample's quantiles among the ordered values are shares of gamma variates.
     parts = rng.gamma(size * np.array([first, second - first, 1 - second]), size=(DEAD_RESAMPLES, 3))
     shares = np.cumsum(parts, axis=1) / parts.sum(axis=1, keepdims=True)
     value = extrapolated(np.array([first]), np.array([second]))[0]
@@ -241,9 +243,9 @@ def dead_time(interval_us: Floats, step_us: float, rng: np.random.Generator) -> 
 
 
 def two_exponentials(interval_us: Floats, dead_us: float, step_us: float) -> TwoExponentials:
-    """The law of a pixel's intervals beyond the dead time: two exponentials where they fit better than one.
+    """Return the model of a pixel's intervals beyond the dead time: two exponentials if they fit better than one.
 
-    Maximum likelihood over a table of means. Intervals are whole steps of `step_us` (0: of a microsecond).
+    Maximum likelihood over a table of means. Intervals are whole steps of `step_us`; 0 means steps of 1 us.
     """
     unit_us = max(step_us, 1.0)
     steps = np.maximum(np.round((interval_us - dead_us) / unit_us), 0.0)
@@ -272,7 +274,7 @@ def two_exponentials(interval_us: Floats, dead_us: float, step_us: float) -> Two
 
 
 def _share_of_steps(steps: Floats, mean: Floats) -> Floats:
-    """Share of the intervals that span so many whole steps, if they are exponential and start anywhere in a step."""
+    """Return the probability of each number of whole steps, for an exponential that starts anywhere within a step."""
     survival = np.exp(-1.0 / mean)
     some: Floats = np.where(
         steps <= 0, 1 - mean * (1 - survival), mean * (1 - survival) ** 2 * survival ** np.maximum(steps - 1, 0)

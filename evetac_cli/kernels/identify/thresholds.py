@@ -1,19 +1,19 @@
-"""The thresholds of pixels, from their events while dots are moved over them: OFF over ON, and how far pixels differ.
+"""Pixel thresholds from events while dots are moved over the pixels: the ratio OFF over ON, and the pixel mismatch.
 
-Scans merge events. An event says that brightness has changed by a threshold, and by what a scan lets it change further
-before the pixel is looked at again. Where a pixel's events of one polarity follow each other m scans apart, that
-further change is 1 / (2 m) of the whole in the mean, so such an event stands for 1 / (1 - 1 / (2 m)) thresholds. Why
-so: a gel that sticks and slips is drawn slowly one way and snaps back the other, so that scans merge more events of one
-polarity than of the other.
+Merged events. A camera scans its pixels periodically, so an event represents one threshold plus the change until the
+pixel is scanned again. If events of one polarity follow each other m scans apart, that further change is on average
+1 / (2 m) of the whole. Each such event then counts as 1 / (1 - 1 / (2 m)) thresholds. This matters because a gel that
+sticks and slips moves slowly one way and snaps back the other way: scans then merge more events of one polarity.
 
-Over many strokes the brightness of a pixel rises as much as it falls, whatever its dots do: its ON events times their
-threshold are its OFF events times theirs, but for less than one event of each. Their ratio is the inverse of that of
-the thresholds. How it differs from pixel to pixel tells how far thresholds do, where each pixel has one of its own for
-either polarity; where it has one for both, it hardly differs.
+Separate thresholds per polarity. Over many strokes, the brightness of a pixel rises as much as it falls, however its
+dots move. So ON events times their threshold equal OFF events times theirs, up to less than one event of each. The
+ratio of the events is the inverse of the ratio of the thresholds. Its variation from pixel to pixel gives the mismatch
+if each pixel has an independent threshold per polarity; with one threshold for both it hardly varies.
 
-Where a pixel has one for both, its neighbours tell: they see nearly the same, and what a pixel has more or less than
-the eight around it, in the logarithm, comes from its own threshold and from chance. Chance is another in every stroke,
-the threshold is not: the covariance of two halves of the strokes is that of the thresholds alone.
+One threshold for both polarities. A pixel is then compared with its neighbours, which see nearly the same motion. The
+difference of its log events from the mean of the eight around it comes from its own threshold and from chance. Chance
+differs from stroke to stroke, the threshold does not: the covariance of two halves of the strokes is that of the
+thresholds alone.
 """
 
 from dataclasses import dataclass
@@ -28,49 +28,50 @@ from evetac_cli.arrays import Floats, Ints
 from evetac_cli.kernels.compiled import njit
 from evetac_cli.kernels.estimates import Estimate, of_samples
 
-SCAN_US = 200.0  # of a DVXplorer
-LONGEST_US = 20_000  # between two events that one passing rim makes
-LONG_AGO_US = -(10**12)
+SCAN_US = 200.0  # scan period of a DVXplorer
+LONGEST_US = 20_000  # longest time between two events from the same passing rim
+LONG_AGO_US = -(10**12)  # time of the last event of a pixel without events
 
-FEWEST_OF_EITHER = 10  # of either polarity that a pixel counts with
+FEWEST_OF_EITHER = 10  # events of each polarity that a pixel needs to count
 FEWEST_PIXELS = 1500
-FARTHEST = 0.5  # from the usual ratio, or the neighbours, in the logarithm: more is a hot pixel, or an edge
-# Bounds between which pixels are looked at together.
+FARTHEST = 0.5  # largest deviation of a log from its median or the neighbours'; beyond it are hot pixels and edges
+# Pixels are pooled between these numbers of events (geometric mean of ON and OFF).
 EVENTS = (10.0, 13.0, 17.0, 22.0, 30.0, 40.0, 60.0, 90.0, 150.0, 400.0)
-FEWEST_TOGETHER = 300
-MOST_EVENTS = 90.0  # of pixels that tell the spread: those that are stroked most differ for other reasons, too
-HOT_TIMES = 2.0  # as many events as the pixels around
-TILE_PX = 40  # pieces of the picture that are resampled
-RESAMPLES = 200
-# Chosen on simulated press scenes (randomized:100 to 123): how much too high ratios were, over the squared events from
-# dot to gel, and how far single ones were off (sd); the variance of the logarithm that pixels of equal thresholds show,
-# with its sd; how far single spreads were off (sd).
+FEWEST_TOGETHER = 300  # pixels of one pool
+MOST_EVENTS = 90.0  # only pixels with fewer events give the mismatch: pixels stroked most also differ for other reasons
+HOT_TIMES = 2.0  # a pixel with this many times the events of the pixels around is hot
+TILE_PX = 40  # side of the pieces of the picture that the bootstrap resamples
+RESAMPLES = 200  # of the bootstrap
+# Corrections, fitted to simulated press scenes (randomized:100 to 123); each "sd" is the scatter of single sensors.
+# Relative excess of the ratio, divided by the squared number of events from dot to gel.
 RATIO_TOO_HIGH, RATIO_SD = 0.35, 0.007
+# Variance of the log ratio between pixels of equal thresholds.
 ALIKE_VARIANCE, ALIKE_VARIANCE_SD = 0.0005, 0.0002
-SPREAD_SD = 0.04
-# Variance of the logarithm times squared events that is due to unfinished thresholds and, for each event of noise that
-# a pixel had, to noise; how uncertain that is (share of it, sd), and how uncertain a variance is besides (sd).
+SPREAD_SD = 0.04  # relative sd of the mismatch
+# Chance variance of the log ratio times squared events: from unfinished thresholds, and per noise event of a pixel.
 UNFINISHED, OF_NOISE = 0.22, 1.2
-CHANCE_SD, VARIANCE_SD = 0.12, 0.0001
+CHANCE_SD, VARIANCE_SD = 0.12, 0.0001  # relative sd of that chance variance, and absolute sd of any variance
 
-FEWEST_OF_HALF = 20  # of a pixel in each half
+FEWEST_OF_HALF = 20  # events of a pixel in each half of the strokes
 FEWEST_PIXELS_OF_HALF = 5000
-# A threshold that is 1 % higher takes away 1.22 % of the events: what moves back before it has reached the threshold
-# makes none. Pixels with equal thresholds differ, too, in the same way in both halves, as they are stroked alike: by
-# 0.24 over contrast / threshold. Both chosen on simulated press scenes (sensors evetac, with mismatches of 0, 0.03 and
-# 0.08, second, randomized:3 to 5; seeds 1 to 9; strokes of 15 to 60 mm/s), and how far single ones were off (sd).
+# Both pairs were fitted to simulated press scenes: sensors evetac (with mismatches of 0, 0.03 and 0.08), second, and
+# randomized:3 to 5; seeds 1 to 9; strokes of 15 to 60 mm/s. Each "sd" is the scatter of single sensors.
+# A threshold that is 1 % higher removes 1.22 % of the events: motion that reverses below the threshold makes none.
 SENSITIVITY, SENSITIVITY_SD = 1.22, 0.1
-ALIKE, ALIKE_SQUARED_SD = 0.24, 0.35  # the second is a share of the first's square
+# Pixels with equal thresholds also differ, equally in both halves because the strokes are alike: by 0.24 over (contrast
+# / threshold). The sd is a share of the square of the first value.
+ALIKE, ALIKE_SQUARED_SD = 0.24, 0.35
 
 _AROUND = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]]) / 8.0
 
 
 @dataclass(slots=True)
 class StrokeEvents:
-    """Thresholds that each pixel has passed so far; `add` changes it in place.
+    """Thresholds that each pixel has crossed so far, in halves of the strokes; `add` changes it in place.
 
-    `events` as they came, `on` and `off` with those that were merged (halves of the strokes, height, width); `merged`
-    sums 1 / (2 m) over `intervals` of both polarities; of each pixel the last event, and whether it began its run.
+    `events`: raw counts, (2, height, width). `on`, `off`: counts with merged thresholds. `merged`: sum of 1 / (2 m)
+    over `intervals` of both polarities. `last_us`, `last_p`, `first`: last event of each pixel, and whether it was the
+    first of its run.
     """
 
     events: Ints
@@ -84,12 +85,12 @@ class StrokeEvents:
 
     @property
     def kept_share(self) -> float:
-        """Share of the events that scans leave; 1 where no events followed each other."""
+        """Share of the threshold crossings that scans leave as events; 1 if no events follow each other."""
         return float(1.0 - self.merged.sum() / max(1, self.intervals.sum()))
 
 
 def start(frame_px: tuple[int, int]) -> StrokeEvents:
-    """No events yet; frame_px is (width, height)."""
+    """Return the state without events; frame_px is (width, height)."""
     shape = frame_px[1], frame_px[0]
     return StrokeEvents(
         events=np.zeros((2, *shape), np.int64),
@@ -106,7 +107,7 @@ def start(frame_px: tuple[int, int]) -> StrokeEvents:
 def add(
     state: StrokeEvents, t_us: Ints, x: NDArray[np.uint16], y: NDArray[np.uint16], p: NDArray[np.uint8], half: int
 ) -> None:
-    """Take in the next events, in order of time, of one half of the strokes, 0 or 1; those outside the frame are not.
+    """Add the next events, in order of time, of one half of the strokes (0 or 1); events outside the frame are ignored.
 
     ValueError if the columns differ in length.
     """
@@ -140,7 +141,7 @@ def _add(
             merged[0] += share
             intervals[0] += 1
             thresholds = 1.0 / (1.0 - share)
-            if first[row, column]:  # it came as fast, but nothing before it told how fast
+            if first[row, column]:  # the event before was as fast, but its own interval was unknown
                 thresholds += thresholds - 1.0
         first[row, column] = not follows
         if polarity:
@@ -152,30 +153,30 @@ def _add(
 
 
 class Polarity(NamedTuple):
-    """Threshold of OFF over that of ON, as events have it, and the relative sd of thresholds if both differ apart."""
+    """Threshold of OFF over that of ON, and the relative sd of thresholds if both differ independently."""
 
     off_over_on: Estimate
     mismatch: Estimate
 
 
 def without_last_thresholds(off_over_on: Estimate, contrast_over_threshold: float) -> Estimate:
-    """The ratio of the thresholds, corrected for the last, unfinished one of each passing dot."""
+    """Return the ratio of the thresholds, corrected for the last, unfinished threshold of each passing dot."""
     return Estimate(*(one * (1.0 - RATIO_TOO_HIGH / contrast_over_threshold**2) for one in off_over_on))
 
 
 def of_either_polarity(on: Floats, off: Floats, noise: float, rng: np.random.Generator) -> Polarity:
-    """Ratio and spread from the ON and OFF events of each pixel (height, width); `noise` of each are a pixel's noise.
+    """Return ratio and mismatch from the ON and OFF events of each pixel (height, width).
 
-    ValueError where too few pixels had enough events. Intervals: bootstrap over pieces of the picture, and the scatter
-    over simulated sensors.
+    noise: noise events per pixel in either polarity. ValueError if too few pixels had enough events. Intervals:
+    bootstrap over pieces of the picture, plus the scatter over simulated sensors.
     """
     busy = (on >= FEWEST_OF_EITHER) & (off >= FEWEST_OF_EITHER)
     if busy.sum() < FEWEST_PIXELS:
-        raise ValueError(f"expected {FEWEST_PIXELS} pixels with {FEWEST_OF_EITHER} events of each polarity")
+        raise ValueError(f"expected {FEWEST_PIXELS} pixels with {FEWEST_OF_EITHER} ON and OFF events, found fewer")
     events = np.sqrt(on * off).astype(np.float32)
     busy &= events < HOT_TIMES * cv2.medianBlur(events, 5) + FEWEST_OF_EITHER
     if busy.sum() < FEWEST_PIXELS:
-        raise ValueError(f"expected {FEWEST_PIXELS} pixels as busy as their neighbours")
+        raise ValueError(f"expected {FEWEST_PIXELS} pixels about as busy as their neighbours, found fewer")
     log_ratio = np.log(np.maximum(on - noise, 0.5) / np.maximum(off - noise, 0.5))
     off_usual = log_ratio - np.median(log_ratio[busy])
     busy &= np.abs(off_usual) < FARTHEST
@@ -183,7 +184,7 @@ def of_either_polarity(on: Floats, off: Floats, noise: float, rng: np.random.Gen
     beyond = beyond - convolve(beyond, _AROUND)
     inside = busy & (convolve(busy.astype(np.float64), _AROUND, mode="constant") > 0.99)
     if inside.sum() < FEWEST_PIXELS:
-        raise ValueError(f"expected {FEWEST_PIXELS} such pixels side by side")
+        raise ValueError(f"expected {FEWEST_PIXELS} usable pixels surrounded by usable pixels, found fewer")
     tile = _tiles(inside)
     tiles = int(tile.max()) + 1
     of_pixel = events[inside].astype(np.float64)
@@ -199,26 +200,26 @@ def of_either_polarity(on: Floats, off: Floats, noise: float, rng: np.random.Gen
     sums = np.stack([by_tile(values) for values in columns])
 
     def of(weights: Floats) -> tuple[float, float, float]:
-        """Log of the ratio, the variance without that of chance, and that of chance."""
+        """Return the log of the ratio, the variance without that of chance, and that of chance."""
         rising, falling, squares, inverse, pixels = sums @ weights
         enough = pixels >= FEWEST_TOGETHER
         if not enough.any():
             enough = pixels == pixels.max()
-        # Of the busier half of the pixels: with few events, those of a last, unfinished threshold weigh more.
+        # Use the busier half of the pixels: the last, unfinished threshold weighs more in pixels with few events.
         many = enough & (np.cumsum(pixels[::-1])[::-1] <= pixels.sum() / 2)
         many[np.flatnonzero(enough)[-1]] = True
         ratio = np.log(rising[many].sum() / falling[many].sum())
         few = enough & (np.array(EVENTS[1:]) <= MOST_EVENTS)
         used = few if few.any() else enough
-        variance = squares[used] / pixels[used] / (1.0 + 1.0 / 8.0)  # the eight neighbours differ, too
+        variance = squares[used] / pixels[used] / (1.0 + 1.0 / 8.0)  # the mean of eight neighbours varies, too
         chance = (UNFINISHED + OF_NOISE * 2.0 * noise) * inverse[used] / pixels[used]
         weight = 1.0 / ((CHANCE_SD * chance) ** 2 + VARIANCE_SD**2)
         least = np.average(variance - chance, weights=weight)
         return float(ratio), float(least), float(np.average(chance, weights=weight))
 
     value = of(np.ones(tiles))
-    drawn = rng.multinomial(tiles, np.full(tiles, 1.0 / tiles), RESAMPLES).astype(np.float64)
-    samples = np.array([of(weights) for weights in drawn])
+    draws = rng.multinomial(tiles, np.full(tiles, 1.0 / tiles), RESAMPLES).astype(np.float64)
+    samples = np.array([of(weights) for weights in draws])
     ratios = np.exp(samples[:, 0] + RATIO_SD * rng.standard_normal(RESAMPLES))
     unsure = np.hypot(ALIKE_VARIANCE_SD, CHANCE_SD * value[2])
     alike = ALIKE_VARIANCE + unsure * rng.standard_normal(RESAMPLES)
@@ -233,16 +234,16 @@ def of_both_polarities(
     contrast_over_threshold: float,
     rng: np.random.Generator,
 ) -> Estimate:
-    """Relative sd of thresholds that are one for ON and OFF, from events of each pixel (height, width) in two halves.
+    """Return the relative sd of thresholds that ON and OFF share, from each pixel's events (height, width) in halves.
 
-    ValueError where too few pixels had enough events. Interval: bootstrap over pieces of the picture, and the scatter
+    ValueError if too few pixels had enough events. Interval: bootstrap over pieces of the picture, plus the scatter
     over simulated sensors.
     """
     busy = (first >= FEWEST_OF_HALF) & (second >= FEWEST_OF_HALF)
     usable = busy & (convolve(busy.astype(np.float64), _AROUND, mode="constant") > 0.99)
     if usable.sum() < FEWEST_PIXELS_OF_HALF:
         raise ValueError(
-            f"expected {FEWEST_PIXELS_OF_HALF} pixels with {FEWEST_OF_HALF} events a half, found {usable.sum()}"
+            f"expected {FEWEST_PIXELS_OF_HALF} pixels with {FEWEST_OF_HALF} events in each half, found {usable.sum()}"
         )
     own, other = (np.clip(_beyond_neighbours(half), -FARTHEST, FARTHEST)[usable] for half in (first, second))
     tile = _tiles(usable)
@@ -251,32 +252,32 @@ def of_both_polarities(
     alike = (ALIKE / contrast_over_threshold) ** 2
 
     def variance(weights: Floats) -> float:
-        """Of the pixels' own logarithms."""
+        """Return the variance of the pixels' own logarithms."""
         product, one, another, pixels = sums @ weights
         covariance = product / pixels - one * another / pixels**2
-        return float(covariance) / (1.0 + 1.0 / 8.0)  # the eight neighbours differ, too
+        return float(covariance) / (1.0 + 1.0 / 8.0)  # the mean of eight neighbours varies, too
 
     def spread(own_variance: Floats, of_alike: Floats, sensitivity: Floats) -> Floats:
         result: Floats = np.sqrt(np.maximum(own_variance - of_alike, 0.0)) / sensitivity
         return result
 
     value = spread(np.array([variance(np.ones(tiles))]), np.array([alike]), np.array([SENSITIVITY]))[0]
-    drawn = rng.multinomial(tiles, np.full(tiles, 1.0 / tiles), RESAMPLES).astype(np.float64)
-    own_variance = np.array([variance(weights) for weights in drawn])
+    draws = rng.multinomial(tiles, np.full(tiles, 1.0 / tiles), RESAMPLES).astype(np.float64)
+    own_variance = np.array([variance(weights) for weights in draws])
     of_alike = alike * np.maximum(1.0 + ALIKE_SQUARED_SD * rng.standard_normal(RESAMPLES), 0.0)
     sensitivity = SENSITIVITY + SENSITIVITY_SD * rng.standard_normal(RESAMPLES)
     return of_samples(float(value), spread(own_variance, of_alike, sensitivity))
 
 
 def _tiles(pixels: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """Number of the piece of the picture (height, width) that each of the chosen pixels lies in."""
+    """Return the number of the piece of the picture (height, width) that contains each chosen pixel."""
     y, x = np.nonzero(pixels)
     tile: NDArray[np.intp] = np.unique(y // TILE_PX * pixels.shape[1] + x // TILE_PX, return_inverse=True)[1]
     return tile
 
 
 def _beyond_neighbours(events: NDArray[np.integer]) -> Floats:
-    """The logarithm of each pixel's events less the mean of that of its neighbours."""
+    """Return the log events of each pixel, minus their mean over its neighbours."""
     log_events = np.log(np.maximum(events, 1).astype(np.float64))
     beyond: Floats = log_events - convolve(log_events, _AROUND)
     return beyond

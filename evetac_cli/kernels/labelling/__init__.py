@@ -1,1 +1,1 @@
-"""Onset of slip in a recording: motion of the window against the gel."""
+"""Labelling: onset of slip in a recording, from the motion of the window relative to the gel."""

@@ -1,16 +1,15 @@
-"""When an object slips, from counted events: motion of dots and window to a fraction of a pixel, without images.
+"""Slip labels from counted events: motion of dots and window to a fraction of a pixel, without images.
 
-The dots are followed by the tracker, preset `stable`; the object by the events of the window that shows its texture
-(window_travel.py). Whether it slides, and since when, are weighed slice by slice (slide.py). An optical flow of images
-needs events enough to recognise a pattern, which slow motion does not make.
+The tracker, preset `stable`, follows the dots. The events of the window, through which the object's texture is visible,
+give the motion of the object (window_travel.py). slide.py combines both slice by slice: whether the object slides, and
+since when. An optical flow of images needs enough events to recognise a pattern, which slow motion does not make.
 
-The onset is the slice in which the object has slid `slip_distance_px` since its slip began, and it comes with an
-interval in which it may lie. Labels abstain, and say why, where the interval is wide in pixels slid, where what slid
-came to rest, and where the recording never told what an event of the window stands for. Slices of such an interval have
-the label -1.
+The onset is the slice in which the object has slid `slip_distance_px` since its slip began. It has an interval in which
+it may be. Labels abstain, with a reason, in three cases: the object slides far within that interval, the slide stopped,
+or the recording did not determine the motion per event of the window. Slices of such an interval have the label -1.
 
-Constants are fitted to simulated slips of the twin as it is (dots of 9 px, one-threshold friction): scripts/seeds.json,
-group `labels`, says of which seeds, and scripts/judge_labels.py judges them on others.
+Constants are fitted to simulated slips of the digital twin (dots of 9 px, one-threshold friction). The seeds are listed
+in scripts/seeds.json, group `labels`; scripts/judge_labels.py evaluates them on other seeds.
 """
 
 import math
@@ -31,34 +30,34 @@ from evetac_cli.kernels.tracking import tracker
 from evetac_cli.kernels.tracking.presets import PRESETS
 
 PRESET = "stable"  # of the tracker
-BLOCK_SLICES = 1000  # events are asked for in blocks of so many slices
-LEADING_DOTS = 3  # the dots that go farthest went with the object
-TRAVEL_PX = 1.5  # when the gel was dragged so far, a texture would have been seen
+BLOCK_SLICES = 1000  # events are read in blocks of this many slices
+LEADING_DOTS = 3  # the dots that move farthest are taken to move with the object
+TRAVEL_PX = 1.5  # once the gel was dragged this far, a texture must have been seen
 
 
 @dataclass(frozen=True)
 class EventFlowConstants:
-    """Constants of slip labels by counting; ValueError unless all are finite and in range."""
+    """Constants of slip labels from counted events; ValueError unless all are finite and in range."""
 
-    slip_distance_px: float = 0.3  # the object has slid so far, as counted: the onset, at 0.5 px in truth
-    lasting_px: float = 1.5  # a slide that goes on so far is slip
-    pause_ms: int = 3  # with pauses of so many slices
-    search_ms: int = 200  # a slip began so long before at most
-    seen_px: float = 0.6  # whether a dot follows is seen over so much motion
-    bias: float = 4.2  # log odds of a slide: bias ...
-    follows: float = -3.1  # ... and so much for each pixel that a dot goes with a pixel of the object ...
-    speed: float = 1.35  # ... and so much for each e-fold of the speed against the gel in px/ms
-    most: float = 3.0  # log odds of a single slice, either way
-    trust: float = 0.45  # power of the posterior: slices share their mistakes ...
-    doubtful_trust: float = 0.1  # ... the more where the interval is wide, which it makes wider still
-    outside: float = 0.03  # share of the posterior on either side of the interval
-    widest_px: float = 1.2  # in a wider interval the label abstains
-    least_confidence: float = 0.5  # and where fewer of the slices after the onset slip
-    look_ahead_ms: int = 4  # relative flow is summed over so many slices
-    seen_slide_px: float = 10.0  # of a slide beyond, the window's events are no measure: relative flow is NaN
-    events_per_px: float = 500.0  # of the window before it has moved, until the recording tells
-    fading_px: float = 30.0  # after so much travel the window makes half the events per pixel
-    least_events_per_px: float = 20.0  # of the window: less is no texture
+    slip_distance_px: float = 0.3  # counted slide at the onset; 0.5 px in truth
+    lasting_px: float = 1.5  # a slide that continues this far is slip
+    pause_ms: int = 3  # longest pause within a slide, in slices
+    search_ms: int = 200  # longest time from the beginning of a slip to lasting_px
+    seen_px: float = 0.6  # motion over which it is measured whether a dot follows
+    bias: float = 4.2  # log odds of a slide: constant,
+    follows: float = -3.1  # ... plus this for each px that a dot moves per px of the object,
+    speed: float = 1.35  # ... plus this for each e-fold of the speed relative to the gel in px/ms
+    most: float = 3.0  # bound on the log odds of a single slice, either sign
+    trust: float = 0.45  # power of the posterior, below 1 because slices share their errors
+    doubtful_trust: float = 0.1  # ... smaller if the interval is wide, which widens it further
+    outside: float = 0.03  # posterior probability on either side of the interval
+    widest_px: float = 1.2  # the label abstains if the object slides farther within the interval,
+    least_confidence: float = 0.5  # ... or if a smaller share of the slices after the onset slips
+    look_ahead_ms: int = 4  # slices over which relative flow is summed
+    seen_slide_px: float = 10.0  # after a longer slide, the window's events are no measure and relative flow is NaN
+    events_per_px: float = 500.0  # of the window before it has moved, until the recording determines it
+    fading_px: float = 30.0  # travel after which the window makes half the events per px
+    least_events_per_px: float = 20.0  # of the window: with fewer it shows no texture
     after_ms: int = 60  # slices labelled after the onset
 
     def __post_init__(self) -> None:
@@ -70,7 +69,7 @@ class EventFlowConstants:
 
     @property
     def odds(self) -> Odds:
-        """How the evidence of a slide is weighed."""
+        """Weights of the evidence of a slide."""
         return Odds(self.bias, self.follows, self.speed, self.seen_px, self.most)
 
 
@@ -84,12 +83,12 @@ def label(
     constants: EventFlowConstants,
     start: int = 0,
 ) -> Labels:
-    """Label every slice, the onset searched from slice `start` on; `dot_xy_px` (dots, 2) at rest, NaN where missing.
+    """Label every slice, searching for the onset from slice `start`; `dot_xy_px` (dots, 2) at rest, NaN if missing.
 
-    Slices before `start`, and `after_ms` and more after the onset, are not examined. `relative_flow_px` is how far the
-    object goes against the gel in contact over the look-ahead, NaN from where the window is no measure; `confidence`
-    the share of the slices labelled from the onset on that slide. ValueError if the gel was dragged along and the
-    window showed nothing, or where the dots cannot be followed.
+    Slices before `start`, and more than `after_ms` after the onset, are not examined. `relative_flow_px` is the motion
+    of the object relative to the gel in contact over the look-ahead, NaN from where the window is no measure.
+    `confidence` is the share of slices that slide among those labelled from the onset on. ValueError if the gel was
+    dragged along but the window showed nothing, or if the dots cannot be followed.
     """
     dots = np.ascontiguousarray(dot_xy_px[np.isfinite(dot_xy_px).all(axis=1)], np.float64)
     if not len(dots) or not 0.0 < dot_radius_px < math.inf:
@@ -98,8 +97,8 @@ def label(
     window_events = np.zeros(slices + 1, np.int64)
     leading = [0.0]
     dragged = 0.0
-    given = between, slices, frame_px, dots, dot_radius_px
-    for first, events, away_px in follow(*given):
+    arguments = between, slices, frame_px, dots, dot_radius_px
+    for first, events, away_px in follow(*arguments):
         stop = first + len(away_px) - 1
         window_events[first + 1 : stop + 1] = window_travel.slice_counts(events, window, quiet, first, stop)
         led = np.sort(away_px, axis=1)[:, -LEADING_DOTS:].mean(axis=1)
@@ -111,24 +110,25 @@ def label(
     rate = window_travel.events_per_px(moved, np.array(leading), constants.events_per_px, constants.fading_px)
     if dragged > TRAVEL_PX and rate.per_px[-1] < constants.least_events_per_px:
         raise ValueError(
-            f"texture: expected at least {constants.least_events_per_px:g} events a pixel of motion in the window, "
+            f"texture: expected at least {constants.least_events_per_px:g} window events per pixel of motion, "
             f"found {rate.per_px[-1]:.1f} while the gel was dragged by {dragged:.1f} px"
         )
     per_px = np.maximum(rate.per_px, constants.least_events_per_px)
-    told = _evidence(window_travel.travel(moved, per_px, constants.fading_px), follow(*given), constants.odds)
-    return _labels(told, rate.known, start, constants)
+    evidence = _evidence(window_travel.travel(moved, per_px, constants.fading_px), follow(*arguments), constants.odds)
+    return _labels(evidence, rate.known, start, constants)
 
 
 def follow(
     between: Between, slices: int, frame_px: tuple[int, int], dots: Floats, radius_px: float
 ) -> Iterator[tuple[int, Events, Floats]]:
-    """Track the dots: first slice and events of blocks, and how far dots are from rest up to the start of every slice.
+    """Track the dots: yield blocks of first slice, events, and distances of the dots from rest (slices + 1, dots).
 
-    And after the last, (slices + 1, dots). ValueError for a frame in which the tracker cannot follow.
+    The distances are those at the start of every slice, and after the last. ValueError for a frame that is too large
+    for the tracker.
     """
     upright = frame_px[0] <= FRAME_PX[0] and frame_px[1] <= FRAME_PX[1]
     if not upright and not (frame_px[1] <= FRAME_PX[0] and frame_px[0] <= FRAME_PX[1]):
-        raise ValueError("dots: expected a frame of {} x {} px at most, found {} x {}".format(*FRAME_PX, *frame_px))
+        raise ValueError("dots: expected a frame of at most {} x {} px, found {} x {}".format(*FRAME_PX, *frame_px))
     rest_xy_px = dots if upright else np.ascontiguousarray(dots[:, ::-1])
     state = tracker.start(rest_xy_px, PRESETS[PRESET].for_dots(radius_px))
     before = np.zeros((1, len(dots)))
@@ -144,7 +144,7 @@ def follow(
 
 
 def _quiet_pixels(between: Between, slices: int, window: Region) -> NDArray[np.bool_]:
-    """Which pixels of the window are not hot."""
+    """Return which pixels of the window are not hot."""
     shape = window[3] - window[1], window[2] - window[0]
     last, busy = np.full(shape, -1, np.int64), np.zeros(shape, np.int64)
     for first in range(0, slices, BLOCK_SLICES):
@@ -153,11 +153,11 @@ def _quiet_pixels(between: Between, slices: int, window: Region) -> NDArray[np.b
 
 
 def _evidence(object_px: Floats, blocks: Iterator[tuple[int, Events, Floats]], odds: Odds) -> Evidence:
-    """The evidence of all slices; the motion of the dots comes in blocks."""
+    """Return the evidence of all slices; the motion of the dots comes in blocks."""
     slices = len(object_px) - 1
     parts: list[Evidence] = []
     away_px = np.zeros((1, 0))
-    base = done = 0  # away_px begins at row `base`; slices before `done` are told
+    base = done = 0  # away_px begins at row `base`; slices before `done` are finished
     for first, _, more_px in blocks:
         away_px = more_px if first == 0 else np.concatenate([away_px, more_px[1:]])
         known = first + len(more_px) - 1
@@ -173,19 +173,19 @@ def _evidence(object_px: Floats, blocks: Iterator[tuple[int, Events, Floats]], o
 _NOTHING = Evidence(np.zeros(0), np.zeros(0))
 
 
-def _labels(told: Evidence, rate_known: NDArray[np.bool_], start: int, constants: EventFlowConstants) -> Labels:
-    """Labels from the evidence of all slices."""
-    slices = len(told.log_odds)
-    gone_px = np.concatenate([[0.0], np.cumsum(told.slide_px)])
+def _labels(evidence: Evidence, rate_known: NDArray[np.bool_], start: int, constants: EventFlowConstants) -> Labels:
+    """Return labels from the evidence of all slices."""
+    slices = len(evidence.log_odds)
+    gone_px = np.concatenate([[0.0], np.cumsum(evidence.slide_px)])
     ends = np.minimum(np.arange(slices) + constants.look_ahead_ms, slices)
     relative_px = (gone_px[ends] - gone_px[:-1]).astype(np.float32)
     labels = np.zeros(slices, np.int8)
     labels[:start] = -1
-    found = _find(told, start, constants, constants.trust)
+    found = _find(evidence, start, constants, constants.trust)
     if found is None:
         return Labels(labels, relative_px, -1, float("nan"), 0)
     stop = min(found.onset + max(constants.after_ms, 1), slices)
-    slides = told.log_odds[found.onset : stop] > 0.0
+    slides = evidence.log_odds[found.onset : stop] > 0.0
     labels[found.onset : stop] = slides
     labels[found.onset] = 1
     labels[stop:] = -1
@@ -193,17 +193,17 @@ def _labels(told: Evidence, rate_known: NDArray[np.bool_], start: int, constants
     relative_px[found.onset :][np.logical_or.accumulate(far[found.onset :])] = np.nan
     confidence = float(slides.mean())
     if found.width_px > constants.widest_px:
-        wider = _find(told, start, constants, constants.doubtful_trust)
+        wider = _find(evidence, start, constants, constants.doubtful_trust)
         found = found if wider is None else wider._replace(onset=found.onset)
     doubt = _doubt(found, confidence, bool(rate_known[found.onset]), constants)
-    made = Labels(labels, relative_px, found.onset, confidence, 0, found.earliest, found.latest, doubt)
-    return apart(made) if doubt else made
+    result = Labels(labels, relative_px, found.onset, confidence, 0, found.earliest, found.latest, doubt)
+    return apart(result) if doubt else result
 
 
-def _find(told: Evidence, start: int, constants: EventFlowConstants, trust: float) -> LastingSlip | None:
-    """The first slip that lasts, with an interval by that much trust in the evidence."""
+def _find(evidence: Evidence, start: int, constants: EventFlowConstants, trust: float) -> LastingSlip | None:
+    """Return the first slip that lasts, with an interval for this trust in the evidence."""
     return slide.find(
-        told,
+        evidence,
         start,
         slip_distance_px=constants.slip_distance_px,
         lasting_px=constants.lasting_px,
@@ -215,12 +215,12 @@ def _find(told: Evidence, start: int, constants: EventFlowConstants, trust: floa
 
 
 def _doubt(found: LastingSlip, confidence: float, rate_known: bool, constants: EventFlowConstants) -> str:
-    """Why the onset cannot be told, in words; empty where it can."""
+    """Return the reason why the onset cannot be determined; empty if it can."""
     if not rate_known:
-        return "the object did not take the gel along before, so what an event of the window stands for is not known"
+        return "the object did not drag the gel along before slip, so the motion per window event is unknown"
     if confidence < constants.least_confidence:
-        return f"what slid came to rest: only {confidence:.0%} of the slices after the onset slide"
+        return f"the slide stopped: only {confidence:.0%} of the slices after the onset slide"
     if found.width_px > constants.widest_px:
         span_ms = found.latest - found.earliest
-        return f"the onset may lie anywhere in {span_ms} ms, in which the object slid {found.width_px:.1f} px"
+        return f"the onset is uncertain within {span_ms} ms, in which the object slid {found.width_px:.1f} px"
     return ""

@@ -1,21 +1,22 @@
-"""When an object slips: optical flow of the window against the gel (paper, "Data Labelling - Slip Classifier").
+"""Slip labels from optical flow of the window relative to the gel (paper, "Data Labelling - Slip Classifier").
 
-Slices are drawn as images (grey, white where it got brighter, black where darker), the flow from the image at t to the
-one `look_ahead_ms` later is Farneback's, in the window and in the marker region apart, and a slice is slip where the
-two differ by more than a threshold. That is the paper's method, `farneback`. Its alternatives: `dis`, another flow, and
-`event-count`, the paper's "simpler approach": many events in the window. What they miss, event_flow counts.
+Slices are drawn as images: grey, white for brighter pixels, black for darker ones. The flow from the image at t to the
+one `look_ahead_ms` later is Farneback's, computed separately in the window and in the region of the dots. A slice is
+slip if the two flows differ by more than a threshold. This is the paper's method, `farneback`. Alternatives are `dis`,
+another flow, and `event-count`, the paper's "simpler approach": many events in the window. event_flow.py finds slips
+that they miss.
 
-Why so, where the paper is silent:
-- An image sums `accumulate_ms` slices. One slice at the onset of slip has a few dozen events in the window, and the
-  next image shows others than those: in single slices nothing corresponds.
-- The flow of a region is its mean over the pixels with events. Elsewhere the image is flat, and the flow is 0.
-- Slip needs a window that moves by more than the threshold itself, too: gel that snaps back under an object at rest is
-  no slip of the object. The flow of the gel, which costs five times as much, is left out where that already fails, and
-  so are pairs of images whose window has hardly any events. `plain` computes them all, for the same answer.
-- Once the object falls, the answer is far from the threshold, and the flow of smaller images, which costs a tenth, is
-  enough: where window alone and window against gel both exceed the threshold by `clear_px`. In 47 slices
-  without slip of five simulated trials the window alone reached 0.43 px. `plain` leaves that out.
-- Slip holds for `confirm_ms` before it is an onset: a search in steps no longer than that cannot miss one.
+Choices where the paper gives no detail:
+- An image sums `accumulate_ms` slices. A single slice at the onset of slip has a few dozen events in the window, and
+  the next slice shows different ones, so single slices have no common pattern.
+- The flow of a region is its mean over the pixels with events. Elsewhere the image is uniform, and the flow is 0.
+- For slip, the window's own flow must exceed the threshold, too: gel that snaps back under an object at rest is no slip
+  of the object. The flow of the gel costs five times as much. It is skipped if the window's own flow is too small, and
+  if the window has hardly any events. With `plain`, all flows are computed; the result is the same.
+- Once the object falls, the flow is far above the threshold, and the flow of smaller images is sufficient, at a tenth
+  of the cost. It decides if the window alone, and relative to the gel, exceeds the threshold by `clear_px`. In 47
+  slices without slip of five simulated trials, the window alone reached at most 0.43 px. `plain` does not use it.
+- Slip must last for `confirm_ms` to be an onset, so a search in steps no longer than that cannot miss one.
 """
 
 import math
@@ -30,12 +31,12 @@ from evetac_cli.checks import check_range
 from evetac_cli.events import Events
 
 METHODS = ("farneback", "dis", "event-count")
-GREY = 128
-LEAST_SIDE_PX = 32  # smaller images have no flow
-SLIP_PX = 0.5  # of gross slip, which the interval is about
-LEAST_CONFIDENCE = 0.5  # labels abstain where fewer of the slices after the onset slip: what slid came to rest
-CLEAR_WINDOW, CLEAR_GEL = 2, 4  # times that images are shrunk for clear slip
-GEL_MOVES = 20  # times as many events in the gel as a window needs at least: the gel moves
+GREY = 128  # of a pixel without events
+LEAST_SIDE_PX = 32  # flow is not computed on smaller images
+SLIP_PX = 0.5  # slide at the onset of gross slip, which the interval is about
+LEAST_CONFIDENCE = 0.5  # labels abstain if a smaller share of the slices after the onset slips: the slide stopped
+CLEAR_WINDOW, CLEAR_GEL = 2, 4  # factors by which images are shrunk to find clear slip
+GEL_MOVES = 20  # the gel moves if it has this many times the events that the window needs
 
 Region = tuple[int, int, int, int]  # x0, y0, x1, y1, ends excluded
 Between = Callable[[int, int], Events]  # events of the slices [start, stop)
@@ -53,10 +54,10 @@ class FlowConstants:
     coarse_ms: int
     after_ms: int
     method: str = "farneback"  # one of METHODS
-    threshold_events: int = 200  # of event-count: so many in the window over the look-ahead are slip
-    shrink: int = 1  # flow is computed on images so many times smaller
-    clear_px: float = 0.6  # so much above the threshold on smaller images is slip; infinity: compute no smaller ones
-    plain: bool = False  # compute the flow of both regions even where it cannot change the answer
+    threshold_events: int = 200  # of event-count: more window events than this over the look-ahead are slip
+    shrink: int = 1  # factor by which images are shrunk before flow is computed
+    clear_px: float = 0.6  # margin above the threshold for clear slip on smaller images; infinity: do not compute them
+    plain: bool = False  # compute the flow of both regions even if it cannot change the result
 
     def __post_init__(self) -> None:
         if self.method not in METHODS:
@@ -68,27 +69,27 @@ class FlowConstants:
 
 
 class Labels(NamedTuple):
-    """The slip labels of a trajectory, and what they were derived from."""
+    """The slip labels of a trajectory, with the quantities that they were derived from."""
 
     label: NDArray[np.int8]  # (slices,) 1 slip, 0 no slip, -1 not examined
-    relative_flow_px: NDArray[np.float32]  # (slices,) NaN where not computed, of smaller images where these decide
-    onset: int  # first slice of slip, -1 if there is none
-    confidence: float  # share of the slices in the `after_ms` from the onset that are slip; NaN without onset
-    flow_pairs: int  # pairs of images of which flow was computed
-    earliest: int = -1  # first and last slice in which the onset may lie, -1 without onset
+    relative_flow_px: NDArray[np.float32]  # (slices,) NaN if not computed; from smaller images if these decided
+    onset: int  # first slice of slip, -1 for none
+    confidence: float  # share of slip in the `after_ms` slices from the onset; NaN without onset
+    flow_pairs: int  # number of image pairs for which flow was computed
+    earliest: int = -1  # first and last slice in which the onset may be, -1 without onset
     latest: int = -1
-    doubt: str = ""  # why the onset cannot be told, in words: the labels abstain; empty where it can
+    doubt: str = ""  # reason why the onset cannot be determined, so that the labels abstain; else empty
 
 
 def apart(labels: Labels) -> Labels:
-    """Labels that abstain: the slices of their interval are neither slip nor no slip."""
+    """Return labels that abstain: the slices of their interval are labelled neither slip nor no slip."""
     label = labels.label.copy()
     label[labels.earliest : labels.latest + 1] = -1
     return labels._replace(label=label)
 
 
 def event_picture(events: Events, region: Region) -> NDArray[np.uint8]:
-    """Events of a region as an image: grey, lighter where more events were brighter, darker where more were darker."""
+    """Return the events of a region as an image: grey, white where brighter events prevail, black where darker do."""
     x0, y0, x1, y1 = region
     inside = (events.x >= x0) & (events.x < x1) & (events.y >= y0) & (events.y < y1)
     place = (events.y[inside].astype(np.int64) - y0) * (x1 - x0) + (events.x[inside] - x0)
@@ -101,11 +102,11 @@ def event_picture(events: Events, region: Region) -> NDArray[np.uint8]:
 def region_flow(
     now: NDArray[np.uint8], later: NDArray[np.uint8], method: str = "farneback", shrink: int = 1
 ) -> NDArray[np.float64]:
-    """Mean flow (x, y) in px from one image to another, over the pixels with events in the first.
+    """Return the mean flow (x, y) in px from one image to another, over the pixels with events in the first.
 
     By `farneback` or `dis`, on images `shrink` times smaller. Zero without events, and for images that are too small.
     """
-    import cv2  # here, as event_flow.py, which shares the types of this module, does without
+    import cv2  # here, because event_flow.py shares the types of this module but does not need cv2
 
     if shrink > 1:
         size = (now.shape[1] // shrink, now.shape[0] // shrink)
@@ -125,18 +126,18 @@ def region_flow(
 def label(
     between: Between, slices: int, window: Region, gel: Region, constants: FlowConstants, start: int = 0
 ) -> Labels:
-    """Find the onset coarse to fine from slice `start`, and label the slices after it.
+    """Find the onset, coarse to fine from slice `start`, and label the slices after it.
 
-    `between(start, stop)` gives events of slices. The search looks at every `coarse_ms`-th slice; where one is slip it
-    goes back to the slice before and on one by one, up to the first slice from which slip holds for
-    `confirm_ms`. Slices before the onset are no slip; those before `start`, or later than `after_ms` after the onset,
-    are not examined. ValueError if the gel was seen to move and the window never showed enough: no texture.
+    `between(start, stop)` returns the events of slices. The search tests every `coarse_ms`-th slice. If one is slip, it
+    goes back to the previous one and tests all slices from there, up to the first from which slip lasts for
+    `confirm_ms`. Slices before the onset are no slip; those before `start`, or more than `after_ms` after the onset,
+    are not examined. ValueError if the gel moved but the window never had enough events: no texture.
     """
     search = _Search(between, slices, window, gel, constants)
     onset = search.onset(start)
     if search.gel_moved and not search.textured and constants.method != "event-count":
         raise ValueError(
-            f"texture: expected {constants.min_events} events in an image of the window, found fewer in all"
+            f"texture: expected {constants.min_events} pixels with events in an image of the window, found fewer in all"
         )
     labels = np.zeros(slices, np.int8)
     labels[:start] = -1
@@ -150,13 +151,13 @@ def label(
     earliest, latest = search.interval(onset, start)
     doubt = ""
     if confidence < LEAST_CONFIDENCE:
-        doubt = f"what slid came to rest: only {confidence:.0%} of the slices after the onset slide"
-    made = Labels(labels, search.relative_px, onset, confidence, search.flow_pairs, earliest, latest, doubt)
-    return apart(made) if doubt else made
+        doubt = f"the slide stopped: only {confidence:.0%} of the slices after the onset slide"
+    result = Labels(labels, search.relative_px, onset, confidence, search.flow_pairs, earliest, latest, doubt)
+    return apart(result) if doubt else result
 
 
 class _Search:
-    """Flow of a trajectory, computed only for the slices that the search needs, each once."""
+    """Flow of a trajectory, computed only for the slices that the search needs, once for each."""
 
     def __init__(self, between: Between, slices: int, window: Region, gel: Region, constants: FlowConstants) -> None:
         self._between = between
@@ -166,11 +167,11 @@ class _Search:
         self.relative_px = np.full(slices, np.nan, np.float32)
         self._known: dict[int, bool] = {}
         self.flow_pairs = 0
-        self.textured = False  # an image of the window once had events enough
-        self.gel_moved = False  # the gel had many more while the window had hardly any
+        self.textured = False  # an image of the window had enough events at least once
+        self.gel_moved = False  # the gel had many events while the window had hardly any
 
     def onset(self, start: int) -> int:
-        """First slice from which slip holds for `confirm_ms`, or -1."""
+        """Return the first slice from which slip lasts for `confirm_ms`, or -1."""
         checked = start - 1
         for coarse in range(start, self.slices, self._constants.coarse_ms):
             if not self.slips(coarse):
@@ -183,14 +184,14 @@ class _Search:
         return -1
 
     def interval(self, onset: int, start: int) -> tuple[int, int]:
-        """The earliest and the latest slice of the onset, as far as threshold and look-ahead tell.
+        """Return the earliest and the latest slice of the onset that threshold and look-ahead allow.
 
-        A slide just below the threshold goes SLIP_PX unseen before. Images that differ are look_ahead_ms apart and sum
-        accumulate_ms, and the motion may lie anywhere in them.
+        A slide just below the threshold can go on unseen for SLIP_PX. The compared images are look_ahead_ms apart and
+        sum accumulate_ms, and the motion may be anywhere in them.
         """
         constants = self._constants
         unseen_ms = constants.look_ahead_ms
-        if constants.method != "event-count":  # whose threshold is no distance
+        if constants.method != "event-count":  # its threshold is no distance
             unseen_ms = math.ceil(constants.look_ahead_ms * SLIP_PX / max(constants.threshold_px, 1e-3))
         later_ms = constants.look_ahead_ms + constants.accumulate_ms - 1
         return max(onset - unseen_ms, start), min(onset + later_ms, self.slices - 1)
@@ -200,7 +201,7 @@ class _Search:
         return all(self.slips(later) for later in range(index, stop))
 
     def slips(self, index: int) -> bool:
-        """Whether the window moves against the gel between this slice and the one `look_ahead_ms` later."""
+        """Whether the window moves relative to the gel between this slice and the one `look_ahead_ms` later."""
         if index not in self._known:
             self._known[index] = self._compute(index)
         return self._known[index]

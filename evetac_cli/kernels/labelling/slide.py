@@ -1,19 +1,19 @@
-"""Whether an object slides over the gel, slice by slice, from how far it and the dots went; and when its slip began.
+"""Whether an object slides over the gel, slice by slice, from the motion of object and dots; and when its slip began.
 
-The evidence of a slice are two numbers: how far the dot that follows the object best went for a pixel of the object,
-and how fast the object moves against the gel. Their weighted sum is the logarithm of the odds that the object slides
-as one body. The slides that begin in each slice and last are weighed against each other: a slide that begins in slice
-k has the sum of these logarithms from k on, so that what belongs to it counts for it, and what came before does not.
+The evidence of a slice is two numbers: how far the dot that follows the object best moves per pixel of the object, and
+how fast the object moves relative to the gel. Their weighted sum is the log odds that the object slides as one body.
+Slides that begin in different slices and last are compared with each other: the score of a beginning in slice k is the
+sum of all log odds from k on. Slices of the slide thus count, and earlier slices do not.
 
-Why so:
-- Only a slide that lasts is slip: one that ends before it has gone `lasting_px` is forgotten, however far.
-- Time is no measure of the evidence: where the object moves slowly a millisecond holds a dozen events, and where dots
-  snap back the whole slip may be in one. So what follows is seen over `seen_px` of motion of object or gel, half of it
-  before the slice and half after, and at most HALF_MS slices either way.
-- What moves against the object is the gel in contact, which snaps back when it is let go, so that an object may slide
-  by 5 px in a slice in which it hardly moves. The gel in contact is that of the dots which had gone farthest.
-- The logarithms are of slices that share their motion and their mistakes, so the posterior of the beginning is taken
-  to the power `trust`, which makes its intervals as wide as they have to be.
+Reasons:
+- Only a slide that lasts is slip: a slide that ends before `lasting_px` is discarded.
+- Time is no measure of evidence. If the object moves slowly, a millisecond contains a dozen events; if dots snap back,
+  the whole slip may take one. So following is measured over `seen_px` of motion of object or gel, half of it before the
+  slice and half after, within at most HALF_MS slices either way.
+- The object slides relative to the gel in contact. This gel snaps back when it is released, so an object may slide by 5
+  px in a slice in which it hardly moves itself. The gel in contact is that of the dots that had moved farthest.
+- Neighbouring slices share their motion and their errors, so their log odds are not independent. The posterior of the
+  beginning is therefore raised to the power `trust`, which makes its intervals wide enough.
 """
 
 from typing import NamedTuple
@@ -24,18 +24,18 @@ from numpy.typing import NDArray
 from evetac_cli.arrays import Floats
 from evetac_cli.kernels.compiled import njit
 
-HALF_MS = 6  # what follows is seen over so many slices at most before a slice, and after
-LAG_MS = 12  # which dots are in contact is asked of so many slices before
-IN_CONTACT = 0.3  # dots farther from rest than this share of the farthest are in contact, the more the farther
-LEAST_PX = 1e-3  # of motion: less is nothing
-RATIOS = (-1.0, 2.0)  # of a dot's motion to the object's; noise makes larger ones
-SLOW_PX_MS = 0.003  # speeds much below are alike
+HALF_MS = 6  # following is measured over at most this many slices before a slice, and after it
+LAG_MS = 12  # the dots in contact are determined this many slices earlier
+IN_CONTACT = 0.3  # dots farther from rest than this share of the farthest are in contact, weighted by their distance
+LEAST_PX = 1e-3  # smaller motion counts as this, to avoid division by zero
+RATIOS = (-1.0, 2.0)  # bounds on a dot's motion over the object's; noise makes larger values
+SLOW_PX_MS = 0.003  # added to speeds, so that much slower ones are treated alike
 
 
 class Odds(NamedTuple):
-    """How the evidence is weighed: log odds = bias + follows * share that follows + speed * log(speed in px/ms).
+    """Weights of the evidence: log odds = bias + follows * share that follows + speed * log(speed in px/ms).
 
-    seen_px: motion over which it is seen; most: log odds of a single slice, either way.
+    seen_px: motion over which the evidence is measured. most: bound on the log odds of a single slice, either sign.
     """
 
     bias: float
@@ -46,14 +46,14 @@ class Odds(NamedTuple):
 
 
 class Evidence(NamedTuple):
-    """Of some slices, (slices,) each."""
+    """Evidence of a number of slices, (slices,) each."""
 
     log_odds: Floats  # that the object slides as one body
-    slide_px: Floats  # how far it goes against the gel in contact; below 0 where the gel goes ahead
+    slide_px: Floats  # slide relative to the gel in contact; negative if the gel moves ahead
 
 
 class LastingSlip(NamedTuple):
-    """The onset of a slip that lasts, slices, and how far the object slid between the earliest and the latest."""
+    """The onset of a slip that lasts, in slices, and the slide of the object between the earliest and the latest."""
 
     onset: int
     earliest: int
@@ -62,10 +62,10 @@ class LastingSlip(NamedTuple):
 
 
 def evidence(object_px: Floats, away_px: Floats, base: int, first: int, stop: int, odds: Odds) -> Evidence:
-    """The evidence of the slices [first, stop); object_px (slices + 1,) is how far the object has gone.
+    """Return the evidence of the slices [first, stop); object_px (slices + 1,) is the distance travelled by the object.
 
-    away_px: how far dots are from rest, rows from `base` on: from HALF_MS + LAG_MS before `first`, where there are
-    such, to HALF_MS after `stop`.
+    away_px: distances of the dots from rest, with rows starting at slice `base`. They must cover HALF_MS + LAG_MS
+    slices before `first`, as far as these exist, to HALF_MS after `stop`.
     """
     slices = len(object_px) - 1
     low, high = max(first - HALF_MS, 0), min(stop + HALF_MS, slices)
@@ -89,9 +89,9 @@ def evidence(object_px: Floats, away_px: Floats, base: int, first: int, stop: in
 def _windows(
     slice_: NDArray[np.int64], low: int, slices: int, motion_px: Floats, gel_px: Floats, half_px: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], Floats]:
-    """For each slice the window [begin, end) around it in which `half_px` of motion lie either way, and the gel's sum.
+    """Return, per slice, the window [begin, end) with `half_px` of motion on either side, and the gel's motion in it.
 
-    motion_px, gel_px: of slices from `low` on. The slice itself is after, so that a window has one slice at least.
+    motion_px, gel_px: of slices starting at `low`. The slice itself counts as after, so a window is never empty.
     """
 
     def of(values: Floats, at: NDArray[np.int64]) -> Floats:
@@ -112,7 +112,7 @@ def _windows(
 
 
 def find(
-    told: Evidence,
+    observed: Evidence,
     start: int,
     *,
     slip_distance_px: float,
@@ -122,23 +122,23 @@ def find(
     trust: float,
     outside: float,
 ) -> LastingSlip | None:
-    """The first slip from slice `start` on that lasts; None without one.
+    """Return the first slip that lasts, starting at slice `start`; None without one.
 
-    slip_distance_px: the object has slid so far: the onset; lasting_px: a slide is slip when it goes on so far, with
-    pauses of up to pause_ms; search_ms: it began so long before that at most; trust: power of the posterior; outside:
-    share of it that may lie before the interval, and after it.
+    `slip_distance_px`: slide of the object at the onset. `lasting_px`: a slide is slip if it continues this far, with
+    pauses of up to pause_ms. `search_ms`: longest time from its beginning until then. `trust`: power of the posterior.
+    `outside`: posterior probability before the interval, and after it.
     """
-    slid_px = np.maximum(told.slide_px, 0.0)
-    sure = int(_lasting(told.log_odds, slid_px, start, lasting_px, pause_ms))
+    slid_px = np.maximum(observed.slide_px, 0.0)
+    sure = int(_lasting(observed.log_odds, slid_px, start, lasting_px, pause_ms))
     if sure < 0:
         return None
     low = max(sure - search_ms, start)
-    score = np.cumsum(told.log_odds[low : sure + 1][::-1])[::-1]
+    score = np.cumsum(observed.log_odds[low : sure + 1][::-1])[::-1]
     posterior = np.exp(trust * (score - score.max()))
     reached = np.cumsum(posterior / posterior.sum())
     so_far_px = np.concatenate([[0.0], np.cumsum(slid_px[low:])])
     begun_px = so_far_px[: len(score)]
-    # the onset, if the slide began in each slice: the first slice at whose end slip_distance_px are exceeded
+    # For a slide that began in each slice: the onset is the first slice at whose end slip_distance_px is exceeded.
     onset = np.minimum(np.searchsorted(so_far_px, begun_px + slip_distance_px, side="right") - 1, len(so_far_px) - 2)
     earliest = int(onset[np.searchsorted(reached, outside)])
     latest = int(onset[min(int(np.searchsorted(reached, 1.0 - outside)), len(onset) - 1)])
@@ -149,7 +149,7 @@ def find(
 
 @njit(cache=True)
 def _lasting(log_odds: Floats, slid_px: Floats, start: int, lasting_px: float, pause_ms: int) -> int:
-    """The slice by which a slide has gone on for lasting_px; -1 without one."""
+    """Return the slice by which a slide has continued for lasting_px; -1 without one."""
     gone_px = 0.0
     paused = 0
     for slice_ in range(start, len(log_odds)):

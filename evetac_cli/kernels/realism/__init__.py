@@ -1,1 +1,1 @@
-"""Realism: by which figures two recordings differ, and how well they can be told apart."""
+"""Realism: measures by which two recordings differ, and how well a classifier distinguishes them."""

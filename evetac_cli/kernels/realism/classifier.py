@@ -1,13 +1,14 @@
-"""Whether two recordings can be told apart: windows of half a second, and a logistic regression that judges them.
+"""Whether two recordings can be distinguished: windows of half a second, classified by logistic regression.
 
-The numbers that describe a window say how the camera is, not where its dots or hot pixels lie: rates, polarities, times
-between events of a pixel, pixels that are busy though nothing moves, the spectrum, how much more or less a pixel has
-than those around it, and how far events lie together. Each that a window cannot tell, as it lacks rest or motion, is
-NaN.
+The features of a window describe the camera, not the positions of dots or hot pixels. They are rates, polarities, times
+between events of a pixel, pixels that are busy without motion, the spectrum, the difference of a pixel from its
+neighbours, and the spatial correlation of events. Features that a window does not determine, for lack of rest or
+motion, are NaN.
 
-All of the regression is fixed: features are standardised, weights have a penalty, windows are left out in blocks of
-time, the same times in both sets. What counts is the area under the ROC curve (AUC): how often a window of the second
-set has a higher score than one of the first; 0.5 where they cannot be told apart, 1 where always.
+The regression has no free choices: features are standardised, weights have a penalty, and windows are held out in
+blocks of time, the same times in both sets. The result is the area under the ROC curve (AUC): the probability that a
+window of the second set has a higher score than one of the first. It is 0.5 if the sets cannot be distinguished, and 1
+if they always can.
 """
 
 import cv2
@@ -20,20 +21,20 @@ from evetac_cli.events import Events
 from evetac_cli.kernels import logistic
 from evetac_cli.kernels.realism.figures import BANDS_HZ, PixelEvents, spectrum, times_between
 
-WINDOW_SLICES = 500
-FEWEST_SLICES = 50  # of rest, or of motion
-FEWEST_EVENTS = 100
-BUSY_HZ = 20.0  # of a pixel at rest
-FEWEST_OF_PIXEL = 8  # events by which it is compared with its neighbours
-FEWEST_PIXELS = 200
-LAGS_PX = (2, 5)
-QUANTILES = (10, 50, 90)
+WINDOW_SLICES = 500  # of a window
+FEWEST_SLICES = 50  # of rest, or of motion, for their features
+FEWEST_EVENTS = 100  # in motion
+BUSY_HZ = 20.0  # rate of a busy pixel at rest
+FEWEST_OF_PIXEL = 8  # events of a pixel that is compared with its neighbours, or ON with OFF
+FEWEST_PIXELS = 200  # for such comparisons
+LAGS_PX = (2, 5)  # distances of the spatial correlation
+QUANTILES = (10, 50, 90)  # of the times between events
 FEATURES = (
-    "rest, log events a slice",
+    "rest, log events per slice",
     "rest, ON share",
     "rest, log busy pixels",
     "rest, busy pixels' share of events",
-    "motion, log events a slice",
+    "motion, log events per slice",
     "motion, ON share",
     "motion, log pixels with events",
     *(f"motion, log time between {side} events, {share} %" for side in ("ON", "OFF") for share in QUANTILES),
@@ -45,20 +46,20 @@ FEATURES = (
     *(f"motion, correlation over {lag} px" for lag in LAGS_PX),
 )
 
-FOLDS = 4
-BLOCK = 2  # windows next to each other that are left out together
+FOLDS = 4  # of the cross-validation
+BLOCK = 2  # adjacent windows that are held out together
 FEWEST_WINDOWS = 8  # of a set
-PENALTY, PENALTY_OF_OFFSET = 1.0, 1e-6
+PENALTY, PENALTY_OF_OFFSET = 1.0, 1e-6  # of the weights of standardised features; the offset is practically free
 LARGEST_VALUE = 1e12  # of a feature: squares must stay finite
-LARGEST = 6.0  # standard deviations: a window that is farther off counts as being so far
+LARGEST = 6.0  # in standard deviations: larger values are clipped
 
 
 def features(
     events: Events, starts: NDArray[np.int64], at_rest: NDArray[np.bool_], frame_px: tuple[int, int]
 ) -> Floats:
-    """FEATURES of a window from its events in order of time, where its slices start among them, and which are at rest.
+    """Return FEATURES of a window from its events, in order of time.
 
-    `starts` is one longer than `at_rest`, one for each slice.
+    starts: index of the first event of each slice, plus the end; at_rest: flag per slice.
     """
     counts = np.diff(starts)
     of_slice = np.repeat(at_rest, counts)
@@ -118,7 +119,7 @@ def _pixel(events: Events, frame_px: tuple[int, int]) -> NDArray[np.int64]:
 
 
 def _about_neighbours(picture: NDArray[np.int64]) -> float:
-    """Median of how far the logarithm of a pixel's events is from that of the mean around it, of busy pixels."""
+    """Return the median deviation of busy pixels' log events from the log of the mean around them."""
     around = cv2.blur(picture.astype(np.float32), (3, 3))
     chosen = (picture >= FEWEST_OF_PIXEL) & (around >= FEWEST_OF_PIXEL)
     return (
@@ -127,7 +128,7 @@ def _about_neighbours(picture: NDArray[np.int64]) -> float:
 
 
 def _apart(on: NDArray[np.int64], off: NDArray[np.int64]) -> float:
-    """Half of the range of the logarithm of ON over OFF that two thirds of the busy pixels have."""
+    """Return half of the range of log(ON / OFF) that contains two thirds of the busy pixels."""
     chosen = (on >= FEWEST_OF_PIXEL) & (off >= FEWEST_OF_PIXEL)
     if chosen.sum() < FEWEST_PIXELS:
         return np.nan
@@ -136,28 +137,28 @@ def _apart(on: NDArray[np.int64], off: NDArray[np.int64]) -> float:
 
 
 def _together(picture: NDArray[np.int64]) -> list[float]:
-    """Correlation of the logarithm of events with that of pixels some places to the right."""
+    """Return the correlation of log events with those of pixels at LAGS_PX to the right."""
     level = np.log1p(picture.astype(np.float64))
     return [float(np.corrcoef(level[:, lag:].ravel(), level[:, :-lag].ravel())[0, 1]) for lag in LAGS_PX]
 
 
 def area(first: Floats, second: Floats) -> float:
-    """Share of pairs in which the second score is higher, ties half; ValueError if either has none."""
+    """Return the share of pairs in which the second score is higher, ties half; ValueError if either has none."""
     if not len(first) or not len(second):
-        raise ValueError("expected scores of both sets")
+        raise ValueError("expected scores of both sets, found none of at least one")
     ranks = rankdata(np.concatenate([first, second]))[len(first) :]
     return float((ranks.sum() - len(second) * (len(second) + 1) / 2) / (len(first) * len(second)))
 
 
 def told_apart(first: Floats, second: Floats) -> float:
-    """AUC of held-out windows (windows, features) in order of time; NaN in a feature is its mean.
+    """Return the AUC of held-out windows (windows, features) in order of time; a feature that is NaN gets its mean.
 
-    Sets are cut to one length, window by window at the same times. ValueError with fewer than FEWEST_WINDOWS, or where
-    features differ in number.
+    The longer set is cut, so that both have windows at the same times. ValueError with fewer than FEWEST_WINDOWS, or if
+    the numbers of features differ.
     """
     windows = min(len(first), len(second))
     if windows < FEWEST_WINDOWS or first.shape[1:] != second.shape[1:]:
-        raise ValueError(f"expected {FEWEST_WINDOWS} windows or more of both, with the same features, found {windows}")
+        raise ValueError(f"expected at least {FEWEST_WINDOWS} windows of both, with the same features, found {windows}")
     first, second = (np.clip(part, -LARGEST_VALUE, LARGEST_VALUE) for part in (first, second))
     fold = np.arange(windows) // BLOCK % FOLDS
     penalty = np.concatenate([[PENALTY_OF_OFFSET], np.full(first.shape[1], PENALTY)])
@@ -180,5 +181,5 @@ def told_apart(first: Floats, second: Floats) -> float:
         weights = logistic.fit(columns, label, penalty, np.ones(len(train)))
         for score, of in zip(scores, (first, second), strict=True):
             score[held] = standardised(of[:windows][held]) @ weights[1:] + weights[0]
-    # Each fold has a regression of its own, whose scores are compared among themselves only.
+    # Each fold has its own regression, so scores are only compared within a fold.
     return float(np.mean([area(scores[0][fold == one], scores[1][fold == one]) for one in range(FOLDS)]))

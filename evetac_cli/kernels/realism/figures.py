@@ -1,6 +1,6 @@
-"""Figures by which two recordings are compared: rates, polarities, hot pixels, times between events, spectra.
+"""Measures by which two recordings are compared: rates, polarities, hot pixels, times between events, spectra.
 
-Hot here are pixels above 20 Hz, the usual limit, however a sensor lists them.
+Hot pixels are those above 20 Hz, the usual limit, whether or not the sensor lists them.
 """
 
 from typing import NamedTuple
@@ -12,15 +12,15 @@ from scipy import signal
 from evetac_cli.arrays import Floats, Ints
 from evetac_cli.events import SLICE_US, SLICES_PER_S
 
-HOT_HZ = 20.0
-FEWEST_INTERVALS = 10  # of a pixel that counts in the typical pixel's figures
+HOT_HZ = 20.0  # lowest rate of a hot pixel
+FEWEST_INTERVALS = 10  # of a pixel that counts in the measures of the typical pixel
 WINDOW_SLICES = 256  # of a spectrum
-BANDS_HZ = (3, 10, 30, 100, 500)  # of the spectrum's figures, the last up to half the slices a second
-POLARITIES = {"": None, "on_": 1, "off_": 0}  # of the events between which times are taken
+BANDS_HZ = (3, 10, 30, 100, 500)  # edges of the spectral bands, the last at half the slice rate
+POLARITIES = {"": None, "on_": 1, "off_": 0}  # of the events between which times are measured
 
 
 class PixelEvents(NamedTuple):
-    """Events of hot, or of ordinary pixels, sorted by pixel and then by time."""
+    """Events of a set of pixels, hot or ordinary, sorted by pixel and then by time."""
 
     pixel: Ints
     t_us: Ints
@@ -30,7 +30,7 @@ class PixelEvents(NamedTuple):
 def split_hot(
     t_us: Ints, x: NDArray, y: NDArray, p: NDArray, frame_px: tuple[int, int], duration_s: float
 ) -> tuple[PixelEvents, PixelEvents, int]:
-    """Events of hot pixels, those of all others, and how many pixels are hot."""
+    """Return the events of hot pixels, those of all other pixels, and the number of hot pixels."""
     pixel = y.astype(np.int64) * frame_px[0] + x
     is_hot = np.bincount(pixel, minlength=frame_px[0] * frame_px[1]) > HOT_HZ * duration_s
     order = np.lexsort((t_us, pixel))
@@ -41,7 +41,7 @@ def split_hot(
 
 
 def times_between(events: PixelEvents, polarity: int | None = None) -> tuple[Floats, Ints]:
-    """Times from each event to the next of the same pixel, in us, of one polarity or all, and the pixel of each."""
+    """Return the times in us between successive events of a pixel, of one polarity or all, and the pixel of each."""
     pixel, t_us = events.pixel, events.t_us
     if polarity is not None:
         pixel, t_us = pixel[events.p == polarity], t_us[events.p == polarity]
@@ -52,10 +52,10 @@ def times_between(events: PixelEvents, polarity: int | None = None) -> tuple[Flo
 def at_rest(
     t_us: Ints, x: NDArray, y: NDArray, p: NDArray, frame_px: tuple[int, int], duration_us: int
 ) -> dict[str, float]:
-    """Figures of events at rest, in order of time; NaN where there are too few events.
+    """Return the measures of events at rest, in order of time; NaN with too few events.
 
-    `interval_*` are quantiles over all times between events of hot pixels, `typical_*` medians over hot pixels of each
-    one's own quantile; `on_` and `off_` are times between events of one polarity.
+    `interval_*`: quantiles over all times between events of hot pixels. `typical_*`: medians over hot pixels of each
+    pixel's own quantile. `on_` and `off_`: times between events of one polarity.
     """
     duration_s = duration_us * 1e-6
     hot, ordinary, hot_pixels = split_hot(t_us, x, y, p, frame_px, duration_s)
@@ -80,7 +80,7 @@ def at_rest(
 
 
 def _own_quantiles(between_us: Floats, pixel: Ints) -> Floats:
-    """Median and 90th percentile of each pixel's times (pixels, 2), of those that have enough."""
+    """Return median and 90th percentile of each pixel's times (pixels, 2), for pixels with enough of them."""
     if not len(pixel):
         return np.empty((0, 2))
     first = np.flatnonzero(np.diff(pixel)) + 1
@@ -99,9 +99,9 @@ def _percentile(values: Floats, share: float) -> float:
 def in_motion(
     t_us: Ints, x: NDArray, y: NDArray, p: NDArray, frame_px: tuple[int, int], events_a_slice: Ints
 ) -> dict[str, float]:
-    """Figures of events while something moves, in order of time; NaN where there are too few events.
+    """Return the measures of events while something moves, in order of time; NaN with too few events.
 
-    `band_*` are shares of the variance of the events a slice, by frequency.
+    `band_*` are shares of the variance of the events per slice, by frequency.
     """
     pixel = y.astype(np.int64) * frame_px[0] + x
     order = np.lexsort((t_us, pixel))
@@ -125,7 +125,7 @@ def in_motion(
 
 
 def spectrum(events_a_slice: Ints) -> tuple[Floats, Floats]:
-    """Frequencies in Hz and power of the events a slice (Welch, windows of 256 ms), no mean; empty if too short."""
+    """Return frequencies in Hz and power of the events per slice (Welch, 256 ms), without mean; empty if too short."""
     counts = np.asarray(events_a_slice, np.float64)
     if len(counts) < WINDOW_SLICES:
         return np.empty(0), np.empty(0)
@@ -134,7 +134,7 @@ def spectrum(events_a_slice: Ints) -> tuple[Floats, Floats]:
 
 
 def largest_gap(first: NDArray, second: NDArray) -> float:
-    """The largest difference of two samples' cumulative shares (Kolmogorov and Smirnov); NaN if one is empty."""
+    """Return the largest difference of two samples' cumulative shares (Kolmogorov-Smirnov); NaN if one is empty."""
     if not len(first) or not len(second):
         return float("nan")
     first, second = np.sort(first), np.sort(second)

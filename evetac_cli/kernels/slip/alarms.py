@@ -1,11 +1,11 @@
-"""When a detector alarms, from its probabilities: the one rule of detector, controller, tables and pictures.
+"""The rule by which the probabilities of a detector raise an alarm; detector, controller, tables and figures share it.
 
-A slice alarms when it and the two before it reach the threshold: a node of the gel that lets go alone lifts the
-probability for a slice or two, and is no slip. Alarms are counted 200 ms apart. One that goes on counts again after
-200 ms, so that a detector that always alarms has five per second and not one in all.
+A slice alarms if it and the two slices before it reach the threshold. A single patch of gel that lets go raises the
+probability for a slice or two and is not slip. Counted alarms are at least 200 ms apart. An alarm that continues is
+counted again after 200 ms, so a detector that always alarms has five alarms per second, not a single one.
 
-Time is the slice index, one slice a millisecond. The first slice that reaches the threshold, by which the paper times
-its models, is in metrics.py.
+Time is the slice index, one slice per millisecond. The first slice that reaches the threshold, which the paper uses for
+timing, is in metrics.py.
 """
 
 from dataclasses import dataclass
@@ -15,29 +15,29 @@ from numpy.typing import NDArray
 
 from evetac_cli.kernels.slip.labels import is_slip
 
-ALARM_SLICES = 3  # in a row that reach the threshold
-APART_MS = 200  # from one alarm that counts to the next
-NEAR_SLIP_MS = 200  # so near to slip, before or after it, an alarm is not false
-LEADS_MS = (0, 5, 10, 20, 40)  # by which slips are to be warned of
+ALARM_SLICES = 3  # consecutive slices that reach the threshold
+APART_MS = 200  # from one counted alarm to the next
+NEAR_SLIP_MS = 200  # an alarm this close to slip, before or after, is not false
+LEADS_MS = (0, 5, 10, 20, 40)  # lead times of warnings that are reported
 
 
 @dataclass
 class AlarmState:
-    """The rule, slice by slice; alarms: slices that alarmed so far."""
+    """State of the rule, slice by slice; alarms: number of slices that alarmed so far."""
 
     threshold: float
     alarms: int = 0
-    alarming: bool = False  # the last slice
-    _on_end: int = 0  # slices that reach the threshold, up to the last
+    alarming: bool = False  # whether the last slice alarmed
+    _on_end: int = 0  # consecutive slices, up to the last, that reach the threshold
 
 
 def start(threshold: float) -> AlarmState:
-    """Begin before the first slice."""
+    """Return the state before the first slice."""
     return AlarmState(threshold)
 
 
 def step(state: AlarmState, probability: float) -> bool:
-    """Whether one more slice alarms; NaN does not."""
+    """Return whether the next slice alarms; NaN does not."""
     state._on_end = state._on_end + 1 if is_slip(probability, state.threshold) else 0
     state.alarming = state._on_end >= ALARM_SLICES
     state.alarms += state.alarming
@@ -45,9 +45,9 @@ def step(state: AlarmState, probability: float) -> bool:
 
 
 def levels(probability: NDArray[np.floating]) -> NDArray[np.float32]:
-    """The highest threshold at which each slice alarms, (slices,): the least of its probability and the two before.
+    """Return the highest threshold at which each slice alarms, (slices,): the minimum over it and the two before.
 
-    NaN where one of them is NaN or missing.
+    NaN if one of the three probabilities is NaN or missing.
     """
     single = probability.astype(np.float32)
     level = np.full(len(single), np.nan, np.float32)
@@ -57,12 +57,12 @@ def levels(probability: NDArray[np.floating]) -> NDArray[np.float32]:
 
 
 def alarming(probability: NDArray[np.floating], threshold: float) -> NDArray[np.bool_]:
-    """Which slices alarm, (slices,): what `step` tells of them in turn."""
+    """Return which slices alarm, (slices,): the same as `step` for one slice after the other."""
     return is_slip(levels(probability), threshold)
 
 
 def onsets(alarms: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """The slices at which alarms count, of (slices,) that alarm: the first, and each that is 200 ms after the last."""
+    """Return the slices of counted alarms, of (slices,) that alarm: the first, then each at least 200 ms later."""
     slices = np.flatnonzero(alarms)
     counted = []
     place = 0
@@ -73,9 +73,9 @@ def onsets(alarms: NDArray[np.bool_]) -> NDArray[np.int64]:
 
 
 def nothing_slips(label: NDArray[np.int8], onset: int = -1) -> NDArray[np.bool_]:
-    """In which slices an alarm is false: labelled no slip (0), and more than 200 ms from any slice that slips.
+    """Return the slices in which an alarm is false: labelled no slip (0), and over 200 ms from any slice that slips.
 
-    onset: first slice of slip where labels were shifted, -1 if there is none.
+    onset: first slice of slip in the labels before they were shifted, -1 for none.
     """
     slips = label == 1
     if onset >= 0:
@@ -88,9 +88,10 @@ def nothing_slips(label: NDArray[np.int8], onset: int = -1) -> NDArray[np.bool_]
 
 
 def lead_ms(alarms: NDArray[np.bool_], onset: int) -> int | None:
-    """How long before the onset of slip the last warning began that lasts until then, of (slices,) that alarm.
+    """Return how long before the onset the last uninterrupted warning began, of (slices,) that alarm.
 
-    Below 0 where the first alarm comes after the onset; None where none does. ValueError for an onset beyond.
+    Negative if the first alarm comes after the onset; None if there is none. ValueError for an onset outside the
+    slices.
     """
     if not 0 <= onset < len(alarms):
         raise ValueError(f"expected an onset within 0..{len(alarms) - 1}, found {onset}")
@@ -102,7 +103,7 @@ def lead_ms(alarms: NDArray[np.bool_], onset: int) -> int | None:
 
 
 def lead_level(level: NDArray[np.float32], onset: int, ahead_ms: int) -> float:
-    """The highest threshold at which slip is warned of for so long, from `levels` (slices,); NaN if at none."""
+    """Return the highest threshold that warns of slip this long ahead, from `levels` (slices,); NaN for none."""
     if onset < ahead_ms:
         return float("nan")
     return float(level[onset - ahead_ms : onset + 1].min())

@@ -1,7 +1,7 @@
-"""The table of slip detectors: the paper's model configurations, its image baselines, and our own; what plug-ins add.
+"""The table of slip detectors: the paper's model configurations, its image baselines and evetac's own, plus plug-ins.
 
-Why so: the table stands here and not beside the networks, because `grasp` and `evaluate` need a detector's history and
-inputs but must not import torch. This module needs numpy alone.
+The table is in this module and not with the networks because `grasp` and `evaluate` need a detector's history and
+inputs, but must not import torch. This module only needs numpy.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -16,50 +16,52 @@ from evetac_cli.kernels.event_representation import Representation
 from evetac_cli.kernels.sensitivity import Sensitivity
 
 CHANNELS = ("distance", "events", "x", "y")  # features of every dot and slice; displacements in px
-# What a network may be told beside the dots, of every slice: where the fingers are and what they are commanded, in
-# ticks (extras.py), and which share of the contact sticks, 0 to 1.
+
+# Optional inputs of every slice in addition to the dots: position and command of the fingers in ticks (extras.py), and
+# the share of the contact that sticks, 0 to 1.
 EXTRAS = ("position", "command", "sticking")
 IN_TICKS = ("position", "command")
-# Of the sensor `evetac`, to which others are scaled: events of a pixel as a dot's rim passes it, and of its gel.
+# Properties of the sensor `evetac`, to which others are scaled: events of a pixel as a dot's rim passes, and its gel.
 EVENTS_A_RIM = 8.0
 SHEAR_MODULUS_PA = 145e3
 GEL_PX = (540, 480)  # width and height of an event image: the frame without the window strip
 
-# Widths that are the same in all rows of the paper's table.
+# Layer widths that are the same in all rows of the paper's table.
 CONV1 = 16  # channels
 CONV2 = 32
 FC3 = 32
 FC4 = 10
-IMAGE_CONVS = (15, 20, 25, 32)  # channels of the baseline's convolutions
+IMAGE_CONVS = (15, 20, 25, 32)  # channels of the image baseline's convolutions
 IMAGE_KERNEL = 5
 IMAGE_FC = 10
-LEAST_ROWS, LEAST_COLUMNS = 2, 4  # of a grid of dots that a network over them can take
+LEAST_ROWS, LEAST_COLUMNS = 2, 4  # smallest grid of dots for a network over dots
 
 
 class ChannelView(NamedTuple):
-    """How a network sees one channel of a dot: newest slices as they are, then means over consecutive blocks.
+    """How a network sees one channel of a dot: the newest slices as they are, then means over consecutive blocks.
 
-    With `change`, all but the first value v are given as newest value - v: otherwise a displacement of many px would
-    hide that it grows by hundredths of a px.
+    With `change`, all values except the newest, v, are passed as v - value. Otherwise a displacement of many px would
+    mask a growth by hundredths of a px.
     """
 
     channel: str  # one of CHANNELS
     recent: int = 0  # newest slices, newest first
     block: int = 1  # slices of a block
-    means: int = 0  # blocks, the newest first
+    means: int = 0  # number of blocks, newest first
     change: bool = False
 
     @property
     def history(self) -> int:
-        """Slices that it reaches back, the newest one included."""
+        """Number of slices that the view covers, including the newest."""
         return max(self.recent, self.block * self.means)
 
 
 class ExtraView(NamedTuple):
-    """How a network sees one of EXTRAS: whether it is known, its newest value, and by how much it changed since.
+    """How a network sees one of EXTRAS: a flag that it is known, its newest value, and its changes until then.
 
-    Known is 1 where the newest value and all that changes are taken from are known; else all are 0. Why changes: where
-    the fingers are tells the object's width, and a network would know by it which object of its training it is.
+    The flag is 1 if the newest value and all values that changes are taken from are known; otherwise all inputs are 0.
+    Reason for changes: the position of the fingers shows the object's width, by which a network would recognise the
+    objects of its training.
     """
 
     extra: str  # one of EXTRAS
@@ -68,17 +70,17 @@ class ExtraView(NamedTuple):
 
     @property
     def width(self) -> int:
-        """Inputs."""
+        """Number of inputs."""
         return 1 + self.newest + len(self.changes_ms)
 
     @property
     def history(self) -> int:
-        """Slices that it reaches back, the newest one included."""
+        """Number of slices that the view covers, including the newest."""
         return 1 + max(self.changes_ms, default=0)
 
 
 class Factors(NamedTuple):
-    """What the features of a dot are multiplied by: displacements (distance, x, y), and events."""
+    """Factors on the features of a dot: on displacements (distance, x, y), and on events."""
 
     displacement: float = 1.0
     events: float = 1.0
@@ -86,18 +88,19 @@ class Factors(NamedTuple):
 
 @dataclass(frozen=True)
 class DotArchitecture:
-    """A network that encodes each dot, then looks at their grid: a row of the paper's table, or one of our own."""
+    """A network that encodes each dot, then looks at their grid: a row of the paper's table, or one of evetac's own."""
 
     name: str
     views: tuple[ChannelView, ...]  # in the order of the inputs
     fc1: int  # widths of the two layers that encode a dot
     fc2: int
-    every: int = 1  # slices from one prediction to the next; held in between
-    # Whether displacements and events are scaled to those of one sensor, as far as the sensor's own figures are known:
-    # a gel of half the modulus moves twice as far under the same force, and a camera of half the threshold gives twice
-    # the events for the same motion. The paper's models take what there is.
+    every: int = 1  # slices from one prediction to the next; it is held in between
+
+    # Whether displacements and events are scaled to one sensor, as far as the sensor's own properties are known. A gel
+    # of half the modulus moves twice as far under the same force, and a camera of half the threshold makes twice the
+    # events for the same motion. The paper's models use unscaled features.
     like_one_sensor: bool = False
-    extras: tuple[ExtraView, ...] = ()  # given to every dot, after its own inputs; any of them may be unknown
+    extras: tuple[ExtraView, ...] = ()  # passed to every dot, after its own inputs; any of them may be unknown
 
     def __post_init__(self) -> None:
         channels = [view.channel for view in self.views]
@@ -110,37 +113,37 @@ class DotArchitecture:
                 raise ValueError(f"view: expected a newest slice to take the change from, found {view}")
         across = [tuple(view[1:]) for view in self.views if view.channel in ("x", "y")]
         if len(across) == 1 or (across and across[0] != across[1]):
-            raise ValueError(f"views: expected x and y seen alike, so that they can be rotated, found {self.views}")
+            raise ValueError(f"views: expected the same view of x and y, to be able to rotate them, found {self.views}")
         seen = [view.extra for view in self.extras]
         if len(set(seen)) < len(seen) or not set(seen) <= set(EXTRAS):
             raise ValueError(f"extras: expected different ones of {', '.join(EXTRAS)}, found {seen}")
         if any(view.width < 2 or min(view.changes_ms, default=1) < 1 for view in self.extras):
-            raise ValueError(f"extras: expected a newest value, or changes over 1 ms or more, found {self.extras}")
+            raise ValueError(f"extras: expected a newest value, or changes over at least 1 ms, found {self.extras}")
         if min(self.fc1, self.fc2, self.every) < 1:
-            raise ValueError(f"at least one unit a layer and one slice a prediction are needed, found {self}")
+            raise ValueError(f"expected at least one unit per layer and one slice per prediction, found {self}")
 
     @property
     def history(self) -> int:
-        """Slices that one prediction needs."""
+        """Number of slices that one prediction needs."""
         return max(*(view.history for view in self.views), *(view.history for view in self.extras), 0)
 
     @property
     def inputs_per_dot(self) -> int:
-        """Length of the vector that describes one dot, l_i in the paper's table; with what it is told beside."""
+        """Number of inputs that describe one dot, l_i in the paper's table, including the extras."""
         return self.own_inputs + sum(view.width for view in self.extras)
 
     @property
     def own_inputs(self) -> int:
-        """How many of them are of the dot itself: the first."""
+        """Number of inputs of the dot itself, which come first."""
         return sum(view.recent + view.means for view in self.views)
 
     @property
     def sees_direction(self) -> bool:
-        """Whether it needs displacements with their direction."""
+        """Whether the network needs displacements with their direction."""
         return not {"x", "y"}.isdisjoint(view.channel for view in self.views)
 
     def channel_columns(self, channel: str) -> slice:
-        """Columns of a channel among the inputs of a dot; an empty slice if the network does not see it."""
+        """Return the columns of a channel among the inputs of a dot; an empty slice if the network does not see it."""
         first = 0
         for view in self.views:
             if view.channel == channel:
@@ -150,11 +153,11 @@ class DotArchitecture:
 
     @property
     def train_cut_ms(self) -> int:
-        """How much of a trajectory after its onset is trained on."""
+        """Length of the training data after the onset of a trajectory."""
         return _train_cut_ms(self.history)
 
     def factors(self, sensor: Sensitivity) -> Factors:
-        """What the features of a sensor are multiplied by."""
+        """Return the factors on the features of a sensor."""
         if not self.like_one_sensor:
             return Factors()
         stiffer = 1.0 if sensor.shear_modulus_pa is None else sensor.shear_modulus_pa / SHEAR_MODULUS_PA
@@ -166,8 +169,8 @@ class DotArchitecture:
 class ImageArchitecture:
     """The paper's baseline on event images of 540 x 480 px: four convolutions of 5 x 5 with max pooling, two layers.
 
-    `pool_px` sums the image over squares of so many px first, so that a CPU can train it; `pools` (width, height) are
-    those after each convolution, and must bring the image to a single pixel.
+    `pool_px`: the image is first summed over squares of this side, so that a CPU can train the network. `pools`
+    (width, height): max pooling after each convolution; together they must reduce the image to a single pixel.
     """
 
     name: str
@@ -183,58 +186,59 @@ class ImageArchitecture:
 
     @property
     def train_cut_ms(self) -> int:
-        """How much of a trajectory after its onset is trained on."""
+        """Length of the training data after the onset of a trajectory."""
         return _train_cut_ms(self.history)
 
 
 class PluginLayers:
-    """The layers of a network of another package, written down twice: as torch modules, and as nodes of a graph.
+    """Base class for the layers of another package's network, defined twice: as torch modules and as nodes of a graph.
 
-    A layer has arrays NAME.weight and NAME.bias, one value of it for each row of the weight. The graph in a model file
-    is never run for what it is: it is written anew by `add_layers` from the weights, and refused if it is another.
-    A network has to set `method`: 1, and one more whenever it computes other numbers under its name; it is part of
-    recipes, so that models are trained anew then.
+    A layer has arrays NAME.weight and NAME.bias, with one bias value per row of the weight. The graph in a model file
+    is never run: `add_layers` writes it again from the weights, and a file with a different graph is rejected. A
+    network must set `method`: 1 at first, and one more whenever it computes other numbers under the same name. The
+    method version is part of recipes, so that models are then trained again.
     """
 
     name: str
     method: ClassVar[int]
 
     def layers(self, rows: int, columns: int) -> dict[str, tuple[int, ...]]:
-        """Shape of the weight of each layer, by the layer's name, for so many rows and columns of dots."""
+        """Return the shape of the weight of each layer, by the layer's name, for a grid of dots."""
         raise NotImplementedError(f"{self.name} has no layers")
 
     def add_layers(self, graph: Any, value: str, rows: int, columns: int) -> str:
-        """Add nodes to an onnx_graphs.GraphWriter: from inputs (batch, ...) to logits (batch, 1)."""
+        """Add nodes to an onnx_graphs.GraphWriter: from inputs (batch, ...) to logits (batch, 1); return their name."""
         raise NotImplementedError(f"{self.name} has no layers")
 
     def modules(self, rows: int, columns: int) -> dict[str, Any]:
-        """The layers as torch modules, for `train`; the last, a Linear, makes the logit of what `hidden` gives."""
+        """Return the layers as torch modules, for `train`; the last, a Linear, computes the logit from `hidden`."""
         raise NotImplementedError(f"{self.name} cannot be trained")
 
     def hidden(self, modules: Any, inputs: Any) -> Any:
-        """Torch: from inputs (batch, ...) to those of the last layer; modules: by their names."""
+        """Return the inputs of the last layer, in torch, from inputs (batch, ...); modules: by their names."""
         raise NotImplementedError(f"{self.name} cannot be trained")
 
 
 @dataclass(frozen=True)
 class PluginArchitecture(PluginLayers, DotArchitecture):
-    """A network over dots of another package: its inputs are `views`, normalised as ours; its layers are its own.
+    """Another package's network over dots: its inputs are `views`, normalised as evetac's; its layers are its own.
 
     Its inputs are (batch, dots, inputs_per_dot).
     """
 
-    fc1: int = 1  # it has none of these
+    fc1: int = 1  # unused, as the next
     fc2: int = 1
 
 
 @dataclass(frozen=True)
 class PluginImageArchitecture(PluginLayers):
-    """A network over images of events of another package; rows and columns of dots mean nothing to its layers.
+    """Another package's network over event images; the rows and columns of dots do not concern its layers.
 
-    of: what an image shows of the events outside the window, of a frame of 640 x 480 px; one ends with every slice that
-    a prediction is made for, and each of the `images` - 1 before it 1000 / rate_hz slices earlier. Of a surface, events
-    more than window_ms before the end of the first image are not known. Its inputs are (batch, images * channels,
-    height, width), the newest image first, normalised by channel. ValueError where images are not whole slices apart.
+    of: the image representation of the events outside the window, for a frame of 640 x 480 px. The newest image ends
+    with the slice of the prediction, and each of the `images` - 1 others ends 1000 / rate_hz slices before the next. In
+    a surface, events older than window_ms before the end of the first image are unknown. Inputs are (batch, images *
+    channels, height, width), the newest image first, normalised per channel. ValueError if images are not a whole
+    number of slices apart.
     """
 
     name: str
@@ -249,12 +253,12 @@ class PluginImageArchitecture(PluginLayers):
 
     @property
     def every(self) -> int:
-        """Slices from one prediction to the next, and from one image to the next."""
+        """Number of slices from one prediction to the next, and from one image to the next."""
         return int(SLICES_PER_S // self.of.rate_hz)
 
     @property
     def history(self) -> int:
-        """Slices that one prediction needs."""
+        """Number of slices that one prediction needs."""
         return (self.images - 1) * self.every + self.of.window_ms
 
     @property
@@ -265,7 +269,7 @@ class PluginImageArchitecture(PluginLayers):
 
     @property
     def train_cut_ms(self) -> int:
-        """How much of a trajectory after its onset is trained on."""
+        """Length of the training data after the onset of a trajectory."""
         return _train_cut_ms(self.history)
 
 
@@ -276,16 +280,16 @@ Weights = NDArray[np.float32]
 
 
 def channels(architecture: Architecture) -> int:
-    """How many channels are normalised, each by itself: inputs of a dot, or channels of all images."""
+    """Return the number of channels that are normalised separately: inputs of a dot, or channels of all images."""
     if isinstance(architecture, DotArchitecture):
         return architecture.inputs_per_dot
     return architecture.input_shape[0]
 
 
 def joined(networks: Sequence[Mapping[str, Weights]]) -> dict[str, Weights]:
-    """The weights of a detector of these networks: of one as they are, of several named with the network's number.
+    """Return the weights of a detector made of these networks; with several, names begin with the network's number.
 
-    Such a detector's logit is the mean of those of its networks.
+    The detector's logit is the mean of its networks' logits.
     """
     if len(networks) == 1:
         return dict(networks[0])
@@ -293,13 +297,13 @@ def joined(networks: Sequence[Mapping[str, Weights]]) -> dict[str, Weights]:
 
 
 def prefixes(names: Iterable[str]) -> list[str]:
-    """What the names of each network's weights begin with: nothing where there is only one network."""
+    """Return the prefixes of the weights' names, one per network; an empty one for a single network."""
     numbers = {first for first, _, rest in (name.partition(".") for name in names) if first.isdigit() and rest}
     return [f"{number}." for number in range(len(numbers))] if numbers else [""]
 
 
 def parted(weights: Mapping[str, Weights]) -> list[dict[str, Weights]]:
-    """The weights of each network of a detector, by their names in it: what `joined` joined."""
+    """Return the weights of each network of a detector, by their names in the network: the inverse of `joined`."""
     return [
         {name.removeprefix(prefix): array for name, array in weights.items() if name.startswith(prefix)}
         for prefix in prefixes(weights)
@@ -309,9 +313,9 @@ def parted(weights: Mapping[str, Weights]) -> list[dict[str, Weights]]:
 def weight_shapes(
     architecture: Architecture, rows: int, columns: int, networks: Sequence[str] = ("",)
 ) -> dict[str, tuple[int, ...]]:
-    """Shape of every array of a detector's weights by its name; rows and columns of dots mean nothing for images.
+    """Return the shape of every array of a detector's weights by its name; the grid of dots does not matter for images.
 
-    networks: what the names of each network's weights begin with, as from `prefixes`.
+    networks: prefixes of the weights' names, as from `prefixes`.
     """
     layers: dict[str, tuple[int, ...]]
     wide = channels(architecture)
@@ -346,19 +350,19 @@ _DIRECTIONS = (
     ChannelView("events", 10, 10, 5),
 )
 _PAPER_POOLS = ((3, 3), (3, 3), (4, 4), (9, 7))
-# why so: 90 x 80 px hold the first of the paper's pools; then only these leave 5 x 5 px for every convolution
+# The first of the paper's pools needs 90 x 80 px images; only these others leave 5 x 5 px for every convolution.
 _POOLS_6X6 = ((3, 3), (2, 2), (1, 1), (4, 2))
 
 
 def last_layer(architecture: Architecture, rows: int, columns: int) -> str:
-    """The name of the layer that gives the logit, of networks over so many dots; of plug-ins it takes torch."""
+    """Return the name of the layer that computes the logit, for this grid of dots; for plug-ins this imports torch."""
     if isinstance(architecture, PluginLayers):
         return list(architecture.modules(rows, columns))[-1]
     return "fc2" if isinstance(architecture, ImageArchitecture) else "fc5"
 
 
 def with_scaled_logit(weights: Mapping[str, Weights], layer: str, scale: float, offset: float) -> dict[str, Weights]:
-    """Weights of a detector whose logit is scale * logit + offset of this one's; layer: the last of each network."""
+    """Return weights whose logit is scale * logit + offset of the original; layer: the last one of each network."""
     changed = dict(weights)
     for prefix in prefixes(weights):
         weight, bias = f"{prefix}{layer}.weight", f"{prefix}{layer}.bias"
@@ -368,7 +372,7 @@ def with_scaled_logit(weights: Mapping[str, Weights], layer: str, scale: float, 
 
 
 def _train_cut_ms(history: int) -> int:
-    """15 ms for a history of 10 or less, 20 ms to 20, 50 ms beyond (paper, Model Training & Data Selection)."""
+    """Return 15 ms for a history up to 10, 20 ms up to 20, 50 ms beyond (paper, Model Training & Data Selection)."""
     if history <= 10:
         return 15
     return 20 if history <= 20 else 50
@@ -394,11 +398,10 @@ ARCHITECTURES: dict[str, Architecture] = {
         ImageArchitecture("hist10-img", 10, _PAPER_POOLS),
         ImageArchitecture("no-hist-img-6x6", 1, _POOLS_6X6, pool_px=6),
         ImageArchitecture("hist10-img-6x6", 10, _POOLS_6X6, pool_px=6),
-        # Ours, on the time scales of fast-slow. In incipient slip the border of the contact moves while its middle
-        # sticks: what matters is the direction in which a dot moves against its neighbours, by hundredths of a px a
-        # ms. The paper's models see the distance from rest alone, which has no direction and hides changes as small.
-        # So: direction, and changes.
-        # Twice the time (100 ms) was no better on unseen objects.
+        # evetac's own, on the time scales of fast-slow. In incipient slip the border of the contact moves while its
+        # centre sticks. What matters is the direction in which a dot moves relative to its neighbours, by hundredths
+        # of a px per ms. The paper's models only see the distance from rest, which has no direction and masks such
+        # small changes. So these see direction and changes. Twice the time (100 ms) was no better on unseen objects.
         DotArchitecture(
             "disp-xy",
             _DIRECTIONS,
@@ -406,8 +409,8 @@ ARCHITECTURES: dict[str, Architecture] = {
             fc2=8,
             like_one_sensor=True,
         ),
-        # The same, and what the gripper does and how much of the contact sticks, where that is known: fingers that
-        # open a tick move the dots as a contact that begins to slip does.
+        # The same, plus the motion of the gripper and the sticking share, if known: fingers that open by a tick move
+        # the dots as a contact that begins to slip does.
         DotArchitecture(
             "disp-xy-grip",
             _DIRECTIONS,

@@ -1,9 +1,9 @@
 """Run a trained slip detector: slice by slice while grasping, or over a whole trajectory.
 
-Networks over dots run compiled (dot_network.py), those on images, and of plug-ins, behind onnxruntime.
+Networks over dots run compiled (dot_network.py); networks over images, and those of plug-ins, run in onnxruntime.
 
-Why so: online, a slice of events becomes a probability in one compiled call. Each call into compiled code costs about
-1 us, and what Python does between two of them as much, where the whole takes 20.
+Online, a slice of events becomes a probability in one compiled call. The reason: each call into compiled code costs
+about 1 us, and the Python code between two calls as much, while the whole takes 20 us.
 """
 
 from collections import deque
@@ -29,7 +29,7 @@ from evetac_cli.kernels.slip.architectures import (
 from evetac_cli.kernels.slip.features import EventImages, GelEvents
 from evetac_cli.kernels.tracking import tracker
 
-BATCH_VALUES = 1 << 22  # inputs at a time, 16 MiB
+BATCH_VALUES = 1 << 22  # inputs processed at a time: 16 MiB
 
 
 class Detector:
@@ -38,7 +38,7 @@ class Detector:
     def __init__(self, graph: bytes, architecture: Architecture) -> None:
         """Load the graph; ValueError for bytes that are no graph, and for dots unless `onnx_graphs.build` wrote it."""
         self.architecture = architecture
-        self.networks: dot_network.DotNetworks | None = None  # over dots
+        self.networks: dot_network.DotNetworks | None = None  # for networks over dots
         if isinstance(architecture, DotArchitecture) and not isinstance(architecture, PluginArchitecture):
             self.networks = dot_network.pack(architecture, *onnx_graphs.read(graph, architecture))
         else:
@@ -46,7 +46,7 @@ class Detector:
 
     @property
     def learned_extras(self) -> tuple[str, ...]:
-        """What it learned to be told beside the dots, of EXTRAS; of a plug-in's network, all that it has inputs for."""
+        """The extras, of EXTRAS, that the network has learned to use; for a plug-in's network, all of its extras."""
         architecture = self.architecture
         if not isinstance(architecture, DotArchitecture):
             return ()
@@ -56,7 +56,7 @@ class Detector:
         return extras.learned(architecture, self.networks.weights[:, wide : 2 * wide].max(axis=0))
 
     def probability(self, batch: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Slip probability (k,) of inputs (k, ...) as made by `inputs.at`; ValueError for inputs of another shape."""
+        """Return the slip probability (k,) of inputs (k, ...) from `inputs.at`; ValueError for another shape."""
         if self.networks is not None:
             rows, columns, wide = self.networks.sizes[:3].tolist()
             if batch.shape[1:] != (rows * columns, wide) or batch.dtype != np.float32:
@@ -71,26 +71,26 @@ class Detector:
         except Exception as error:  # as in _session
             wanted = self._session.get_inputs()[0].shape
             raise ValueError(f"expected inputs {wanted}, found {batch.shape}: {error}") from error
-        # onnxruntime's sigmoid is an approximation: a few logits about 18 give 1.0000001
+        # onnxruntime's sigmoid is an approximation: it returns 1.0000001 for some logits around 18.
         return np.minimum(probability, np.float32(1), out=probability)
 
     def check_dots(self, dots: int) -> None:
-        """ValueError unless a network over dots that runs behind onnxruntime is for so many."""
+        """Raise ValueError unless a network over dots that runs in onnxruntime is for this number of dots."""
         wanted = self._session.get_inputs()[0].shape[1]
         if wanted != dots:
             raise ValueError(f"expected {wanted} dots for the network, found {dots}")
 
     def over(self, series: inputs.Series, first: int = 0) -> NDArray[np.float32]:
-        """Slip probability of every slice of a trajectory, NaN until the history is full.
+        """Return the slip probability of every slice of a trajectory, NaN until the history is full.
 
-        `first`: which slice of the trajectory the series begins with, as a detector that predicts every 5th slice
-        counts from the trajectory's beginning.
+        `first`: slice of the trajectory at which the series begins. It matters for a detector that predicts every 5th
+        slice, counted from the beginning of the trajectory.
         """
         return over_each([self], series, first)[0]
 
 
 def over_each(detectors: Sequence[Detector], series: inputs.Series, first: int = 0) -> list[NDArray[np.float32]]:
-    """`Detector.over` of several detectors of one architecture, whose inputs are made once.
+    """Return `Detector.over` for several detectors of one architecture, whose inputs are computed only once.
 
     ValueError if their architectures differ.
     """
@@ -100,7 +100,7 @@ def over_each(detectors: Sequence[Detector], series: inputs.Series, first: int =
         raise ValueError(f"expected detectors of one architecture, found {names}")
     slices = inputs.length(series)
     every = [np.full(slices, np.nan, np.float32) for _ in detectors]
-    delay = -first % architecture.every  # after a full history, until the next prediction is due
+    delay = -first % architecture.every  # slices after a full history until the next prediction is due
     due = np.arange(architecture.history - 1 + delay, slices, architecture.every)
     at_once = max(1, BATCH_VALUES // max(1, _input_size(architecture, series)))
     for begin in range(0, len(due), at_once):
@@ -116,7 +116,7 @@ def over_each(detectors: Sequence[Detector], series: inputs.Series, first: int =
 
 
 def _input_size(architecture: Architecture, series: inputs.Series) -> int:
-    """Number of values of one input."""
+    """Return the number of values of one input."""
     if isinstance(architecture, OverImages):
         return int(np.prod(architecture.input_shape))
     if isinstance(series, inputs.OfEvents):
@@ -125,22 +125,22 @@ def _input_size(architecture: Architecture, series: inputs.Series) -> int:
 
 
 def _session(graph: bytes) -> Any:
-    """A graph behind onnxruntime, on one thread; ValueError if onnxruntime refuses it."""
-    import onnxruntime  # here, as networks over dots do without
+    """Load a graph into onnxruntime, on one thread; ValueError if onnxruntime rejects it."""
+    import onnxruntime  # here, because networks over dots do not need it
 
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = 1
     options.inter_op_num_threads = 1
     try:
         return onnxruntime.InferenceSession(graph, options, providers=["CPUExecutionProvider"])
-    except Exception as error:  # onnxruntime raises classes of its own without a common, importable base
-        raise ValueError(f"expected an ONNX graph, found bytes that onnxruntime refuses: {error}") from error
+    except Exception as error:  # onnxruntime's own exception classes have no common base that can be imported
+        raise ValueError(f"expected an ONNX graph, found bytes that onnxruntime rejects: {error}") from error
 
 
 class Live:
-    """A tracker and a detector that take one slice after the other.
+    """A tracker and a detector that process one slice after the other.
 
-    The probabilities are those of `Detector.over` on the tracks, bit for bit.
+    The probabilities are bit-identical to those of `Detector.over` on the tracks.
     """
 
     def __init__(
@@ -153,15 +153,15 @@ class Live:
     ) -> None:
         """Start before the first slice; tracking: of the dots at rest; the window (x0, y0, x1, y1) or None.
 
-        sensor: what is known of it; known: mask of the dots that the network sees, None: all. ValueError unless these
-        are as many as the network was trained for.
+        sensor: its known properties; known: mask of the dots that the network sees, None for all. ValueError unless
+        their number is the one that the network was trained for.
         """
         self.detector = detector
         self.tracking = tracking
         self._window_px = window_px
         self._probability = float("nan")
         architecture, networks = detector.architecture, detector.networks
-        self._told = np.full(len(EXTRAS), np.nan)  # what the next slice is told
+        self._told = np.full(len(EXTRAS), np.nan)  # extras of the next slice
         if isinstance(architecture, DotArchitecture) and networks is not None:
             seen = np.arange(len(tracking.rest_xy_px)) if known is None else np.flatnonzero(known)
             rows, columns = networks.sizes[:2].tolist()
@@ -170,14 +170,14 @@ class Live:
             dots = features.start(tracking.rest_xy_px[seen], architecture.history, architecture.factors(sensor))
             self._told = dots.record["extras"][0]
             batch = np.zeros((1, len(seen), architecture.inputs_per_dot), np.float32)
-            # Everything that the compiled call needs and changes, in its order, made once.
+            # All arguments of the compiled call, in its order, created once.
             self._dots = (
                 *(dots.record, seen, architecture.every, inputs.view_table(architecture.views)),
                 *(extras.table(architecture.extras), architecture.own_inputs),
                 *(batch, *networks, np.full(1, np.nan, np.float32)),
             )
             copied = (array.copy() if isinstance(array, np.ndarray) else array for array in self._dots)
-            none = np.empty(0, np.uint16)  # compiles or loads it now and not in the first slice
+            none = np.empty(0, np.uint16)  # compiles or loads the kernel now instead of in the first slice
             _predict_slice(tracking.record.copy(), none, none, np.empty(0, np.uint8), *copied)
         elif isinstance(architecture, PluginArchitecture):
             self._seen = np.arange(len(tracking.rest_xy_px)) if known is None else np.flatnonzero(known)
@@ -185,21 +185,21 @@ class Live:
             factors = architecture.factors(sensor)
             self._features = features.start(tracking.rest_xy_px[self._seen], architecture.history, factors)
             self._told = self._features.record["extras"][0]
-        self._slices = 0  # of images, or of dots for a network of a plug-in, so far
+        self._slices = 0  # number so far, for images and for dots of plug-ins
         self._newest = np.array([architecture.history - 1])
         self._images: deque[tuple[NDArray[Any], ...]] = deque(maxlen=architecture.history)  # columns of each slice
         self._blank = np.zeros(GEL_PX[::-1], np.int8)
 
     def tell(self, position_ticks: float, command_ticks: float, sticking_share: float = float("nan")) -> None:
-        """What is known beside the dots from the next slice on, until it is told anew; NaN for what is not.
+        """Set the extras from the next slice on, until they are set again; NaN for unknown ones.
 
-        command_ticks: as `extras.command_ticks` has it. A network that is told none of these does not mind.
+        command_ticks: as from `extras.command_ticks`. A network without extras ignores them.
         """
         self._told[:] = position_ticks, command_ticks, sticking_share
 
     @property
     def needs_times(self) -> bool:
-        """Whether the network sees when in a slice its events were."""
+        """Whether the network uses the times of events within a slice."""
         return isinstance(self.detector.architecture, PluginImageArchitecture)
 
     def step(
@@ -209,10 +209,10 @@ class Live:
         p: NDArray[np.uint8],
         t_us: NDArray[np.int64] | None = None,
     ) -> float:
-        """Slip probability after the events of one more slice; NaN until the history is full.
+        """Return the slip probability after the events of the next slice; NaN until the history is full.
 
-        t_us: of the events, from the start of any slice; only networks that `needs_times` read it. Takes and refuses
-        columns as `tracker.step` does; ValueError without times where they are needed.
+        t_us: times of the events, from the start of any slice; only networks with `needs_times` use them. Accepts the
+        same columns as `tracker.step`; ValueError if times are missing but needed.
         """
         if self.detector.networks is not None:
             p = tracker.checked_polarities(self.tracking, x, y, p)
@@ -266,10 +266,10 @@ def _predict_slice(
     sizes: NDArray[np.int64],
     probability: NDArray[np.float32],
 ) -> float:
-    """Track the dots, take in the features of those seen, and predict when it is due: `probability` holds it till then.
+    """Track the dots, add the features of those seen, and predict when due; `probability` holds the value in between.
 
-    tracking, dots: records of a `tracker.TrackerState` and a `features.FeatureState`; batch: work space (1, dots,
-    inputs); the rest as `inputs.fill`, `extras.fill` and `dot_network.predict` take it.
+    tracking, dots: records of a `tracker.TrackerState` and a `features.FeatureState`. batch: workspace (1, dots,
+    inputs). The rest as for `inputs.fill`, `extras.fill` and `dot_network.predict`.
     """
     tracker.take_slice(tracking, x, y, p)
     all_xy_px, all_events = tracking[0]["centre_xy_px"][:], tracking[0]["events"][:]

@@ -1,17 +1,17 @@
 """The networks over dots, compiled: from the inputs of a slice to its slip probability.
 
-The same layers, on the same weights, as the torch network (networks.py) and the ONNX graph (onnx_graphs.py) of a model.
+It has the same layers, on the same weights, as the torch network (networks.py) and the ONNX graph (onnx_graphs.py).
 
-Why so:
+Reasons:
 - Such a network is 100,000 multiplications. For one input, onnxruntime spends most of its time between them and takes
-  2.7 times as long (in batches of 1000 as long). Here every layer is one product of matrices, which scipy's BLAS does
-  for numba.
-- Inputs are taken one at a time, also where there are thousands. So a slice has the same bits alone and among others,
-  which nothing in a library for batches promises.
-- The matrices of a layer lie as BLAS takes them best: a row for every input, a column for every output. A convolution
-  is such a product too, once the 3 x 3 dots around each dot lie in one row.
-- Max pooling comes before bias and ReLU, which is the same, as both never turn the order around; and what it would not
-  take in, as the last of an odd number of rows, is not computed.
+  2.7 times as long (in batches of 1000 the times are equal). Here every layer is one matrix product, which scipy's BLAS
+  computes for numba.
+- Inputs are processed one at a time, even if there are thousands. So a slice has the same bits alone and in a batch,
+  which no batch library guarantees.
+- The matrices of a layer are stored in the layout that is fastest for BLAS: a row per input, a column per output. A
+  convolution is such a product too, once the 3 x 3 dots around each dot are copied into one row.
+- Max pooling comes before bias and ReLU. The result is the same, because both are monotonic, and outputs that pooling
+  would discard, such as the last of an odd number of rows, are not computed.
 """
 
 from collections.abc import Mapping
@@ -24,13 +24,13 @@ from numpy.typing import NDArray
 from evetac_cli.kernels.compiled import njit
 from evetac_cli.kernels.slip.architectures import CONV1, CONV2, FC3, FC4, DotArchitecture, parted
 
-_NAMES = ("fc1", "fc2", "conv1", "conv2", "fc3", "fc4", "fc5")  # layers in the order in which they are packed
-_SIDE = 3  # of the convolutions
+_NAMES = ("fc1", "fc2", "conv1", "conv2", "fc3", "fc4", "fc5")  # layers in packing order
+_SIDE = 3  # kernel size of the convolutions
 _ZERO = np.float32(0.0)
 
 
 class DotNetworks(NamedTuple):
-    """The networks of a detector, packed: `weights` (networks, values), and its `sizes`.
+    """The packed networks of a detector: `weights` (networks, values), and their `sizes`.
 
     sizes: rows and columns of dots, inputs of a dot, widths of fc1 and fc2.
     """
@@ -42,7 +42,7 @@ class DotNetworks(NamedTuple):
 def pack(
     architecture: DotArchitecture, weights: Mapping[str, NDArray[np.float32]], rows: int, columns: int
 ) -> DotNetworks:
-    """Pack the weights of a detector, by the names and in the shapes that `weight_shapes` gives."""
+    """Pack the weights of a detector, with the names and shapes of `weight_shapes`."""
     sizes = [rows, columns, architecture.inputs_per_dot, architecture.fc1, architecture.fc2]
     packed = [_packed(network, rows, columns) for network in parted(weights)]
     return DotNetworks(np.stack(packed), np.array(sizes, np.int64))
@@ -52,9 +52,9 @@ def _packed(network: Mapping[str, NDArray[np.float32]], rows: int, columns: int)
     pieces = [network["input_offset"], network["input_scale"]]
     for name in _NAMES:
         weight = network[f"{name}.weight"]
-        if name.startswith("conv"):  # (after, before, y, x): a row for every place and input, as _patches lays them
+        if name.startswith("conv"):  # (after, before, y, x) -> a row per position and input, in the order of _patches
             weight = weight.transpose(2, 3, 1, 0).reshape(-1, len(weight))
-        elif name == "fc3":  # whose inputs are in the order (channel, y, x) in the network, and (y, x, channel) here
+        elif name == "fc3":  # its inputs have the order (channel, y, x) in the network, and (y, x, channel) here
             grid = weight.reshape(len(weight), CONV2, rows // 2, (columns - 2) // 2)
             weight = grid.transpose(2, 3, 1, 0).reshape(-1, len(weight))
         else:
@@ -70,10 +70,10 @@ def predict(
     sizes: NDArray[np.int64],
     probability: NDArray[np.float32],
 ) -> None:
-    """Slip probability (k,) of inputs (k, dots, inputs of a dot), as `inputs.at` makes them; see `DotNetworks`."""
+    """Compute the slip probability (k,) of inputs (k, dots, inputs of a dot) from `inputs.at`; see `DotNetworks`."""
     rows, columns, wide, fc1, fc2 = sizes[0], sizes[1], sizes[2], sizes[3], sizes[4]
     dots, down, across = rows * columns, rows // 2, (columns - 2) // 2
-    # Work space for all inputs; the borders of the padded grids stay 0.
+    # Workspace for all inputs; the borders of the padded grids stay 0.
     normalised = np.empty((dots, wide), np.float32)
     code1 = np.empty((dots, fc1), np.float32)
     grid = np.zeros(((rows + 2) * columns, fc2), np.float32)
@@ -121,7 +121,7 @@ def _normalise(
 
 @njit(cache=True)
 def _product(inputs: NDArray[np.float32], values: NDArray[np.float32], begin: int, outputs: NDArray[np.float32]) -> int:
-    """Multiply inputs (n, before) by the matrix (before, after) at `begin`; returns where the bias behind it ends."""
+    """Multiply inputs (n, before) by the matrix (before, after) at `begin`; return the end of the bias after it."""
     before, after = inputs.shape[1], outputs.shape[1]
     bias: int = begin + before * after
     np.dot(inputs, values[begin:bias].reshape(before, after), outputs)
@@ -131,7 +131,7 @@ def _product(inputs: NDArray[np.float32], values: NDArray[np.float32], begin: in
 
 @njit(cache=True)
 def _layer(inputs: NDArray[np.float32], values: NDArray[np.float32], begin: int, outputs: NDArray[np.float32]) -> int:
-    """What `_product` does, then bias and ReLU."""
+    """Apply `_product`, then bias and ReLU; return the end of the bias."""
     end: int = _product(inputs, values, begin, outputs)
     _bias_and_relu(outputs, values[end - outputs.shape[1] : end])
     return end
@@ -146,9 +146,9 @@ def _bias_and_relu(outputs: NDArray[np.float32], bias: NDArray[np.float32]) -> N
 
 @njit(cache=True)
 def _patches(grid: NDArray[np.float32], columns: int, across: int, patches: NDArray[np.float32]) -> None:
-    """Lay 3 x 3 places of a grid (rows * columns, channels) in one row, for every place of an output `across` wide.
+    """Copy 3 x 3 positions of a grid (rows * columns, channels) into one row, for each position of a wide output.
 
-    Why so: places are counted up in flat arrays, and without a sign, which numba would test: 0.5 us instead of 16.
+    Positions are unsigned indices into flat arrays, because numba would test signed ones: 0.5 us instead of 16.
     """
     flat, filled = grid.reshape(grid.size), patches.reshape(patches.size)
     wide, step = np.uint64(_SIDE * grid.shape[1]), np.uint64(grid.shape[1])
@@ -164,7 +164,7 @@ def _patches(grid: NDArray[np.float32], columns: int, across: int, patches: NDAr
 
 @njit(cache=True)
 def _pool(grid: NDArray[np.float32], columns: int, pooled: NDArray[np.float32]) -> None:
-    """The most of each 2 x 2 places of a grid, (rows * columns, channels), into a grid with a border of one place."""
+    """Copy the maximum of each 2 x 2 positions of a grid, (rows * columns, channels), into a grid with a border."""
     across = columns // 2
     for place in range(grid.shape[0] // 4):
         row, column = place // across, place % across

@@ -1,10 +1,12 @@
-"""What a detector may be told beside the dots: where the fingers are, what they are commanded, which share sticks.
+"""Optional detector inputs in addition to the dots: finger position, finger command, and sticking share.
 
-Of each slice (extras,), in the order of EXTRAS, NaN where one is not known. A slice is told what was known when it
-began, as a detector that runs beside a gripper knows it: offline the last reading and command at or before its start.
+Per slice they are (extras,), in the order of EXTRAS, NaN for unknown ones. A slice has the values that were known at
+its start, as a detector that runs next to a gripper knows them; offline, the last reading and command at or before its
+start.
 
-Why one command for goals in ticks and in mA: which of them a gripper is given tells trials that end in slip, under a
-falling current, from grasps, and a network would learn that. A goal current is told as the ticks that press as hard.
+Goals in ticks and in mA are combined into one command. Otherwise a network would learn the difference between trials
+that end in slip, under a falling current, and grasps, which have goals in ticks. A goal current is converted to the
+ticks that press as hard.
 """
 
 from collections.abc import Sequence
@@ -16,21 +18,22 @@ from evetac_cli.events import SLICE_US
 from evetac_cli.kernels.compiled import njit
 from evetac_cli.kernels.slip.architectures import EXTRAS, IN_TICKS, DotArchitecture, ExtraView
 
-# Of a goal: 0.40 N/mA of the servo over some 0.2 N for each tick that fingers close further (simulated; neither is
-# known of a real gripper). Within a factor of two the network is told the same.
+# Conversion of a goal current: 0.40 N/mA of the servo over some 0.2 N per tick of further closing (both simulated; on a
+# real gripper neither has been measured). An error within a factor of two hardly changes the network's input.
 TICKS_PER_MA = 2.0
-# Beyond, changes are told as these: a change of mode is a step of 100 ticks, and one of it would set the scale of all.
+# Limit on changes in ticks: a change of the control mode is a step of 100 ticks, and one such step would set the
+# normalisation of the input.
 MOST_CHANGE = 10.0
 UNKNOWN = np.full(len(EXTRAS), np.nan, np.float32)
 
 
 def command_ticks(goal_ticks: float, goal_ma: float) -> float:
-    """What is commanded, as EXTRAS has it, from a goal position or a goal current; NaN for the other, or both."""
+    """Return the command in the unit of EXTRAS from a goal position or a goal current; the other, or both, are NaN."""
     return goal_ma * TICKS_PER_MA if np.isnan(goal_ticks) else goal_ticks
 
 
 def known_at_start(t_us: NDArray[np.int64], values: NDArray[np.number], slices: int) -> NDArray[np.float32]:
-    """The last of some values, of rising times (rows,), when each slice begins, (slices,); NaN before the first."""
+    """Return the last value, of rising times (rows,), at the start of each slice, (slices,); NaN before the first."""
     last = np.searchsorted(t_us, np.arange(slices, dtype=np.int64) * SLICE_US, side="right") - 1
     known = np.full(slices, np.nan, np.float32)
     known[last >= 0] = values[last[last >= 0]]
@@ -44,18 +47,18 @@ def columns(
     goal_ma: NDArray[np.float32] | None = None,
     sticking_share: NDArray[np.float32] | None = None,
 ) -> NDArray[np.float32]:
-    """Extras (slices, extras) from what is known of each slice, (slices,) each; ValueError for other shapes."""
+    """Return extras (slices, extras) from quantities per slice, (slices,) each; ValueError for other shapes."""
     unknown = np.full(slices, np.nan, np.float32)
-    given = [unknown if each is None else each for each in (position_ticks, goal_ticks, goal_ma, sticking_share)]
-    if any(each.shape != (slices,) for each in given):
-        raise ValueError(f"expected {(slices,)} each, found {[each.shape for each in given]}")
-    position, goal, current, sticking = given
+    all_columns = [unknown if each is None else each for each in (position_ticks, goal_ticks, goal_ma, sticking_share)]
+    if any(each.shape != (slices,) for each in all_columns):
+        raise ValueError(f"expected {(slices,)} each, found {[each.shape for each in all_columns]}")
+    position, goal, current, sticking = all_columns
     command = np.where(np.isnan(goal), current * np.float32(TICKS_PER_MA), goal)
     return np.stack([position, command, sticking], axis=1).astype(np.float32)
 
 
 def table(views: Sequence[ExtraView]) -> NDArray[np.int64]:
-    """The views for `fill`, flat: of each its extra, whether the newest, how many changes, and over how many slices."""
+    """Return the views for `fill`, flat: per view its extra, newest or not, number of changes, and their lengths."""
     numbers: list[int] = []
     for view in views:
         numbers += [EXTRAS.index(view.extra), int(view.newest), len(view.changes_ms), *view.changes_ms]
@@ -63,7 +66,7 @@ def table(views: Sequence[ExtraView]) -> NDArray[np.int64]:
 
 
 def first_inputs(architecture: DotArchitecture) -> dict[str, slice]:
-    """Which inputs of a dot are of each extra that a network is told."""
+    """Return the inputs of a dot that belong to each extra of a network."""
     first, places = architecture.own_inputs, {}
     for view in architecture.extras:
         places[view.extra] = slice(first, first + view.width)
@@ -72,7 +75,7 @@ def first_inputs(architecture: DotArchitecture) -> dict[str, slice]:
 
 
 def scaled_inputs(architecture: DotArchitecture) -> NDArray[np.bool_]:
-    """Which inputs of a dot, (inputs,), grow with the forces: all of its own, and changes in ticks."""
+    """Return which inputs of a dot, (inputs,), scale with the forces: all of its own, and changes in ticks."""
     scaled = np.arange(architecture.inputs_per_dot) < architecture.own_inputs
     for extra, place in first_inputs(architecture).items():
         if extra in IN_TICKS:
@@ -80,24 +83,25 @@ def scaled_inputs(architecture: DotArchitecture) -> NDArray[np.bool_]:
     return scaled
 
 
-def never_known(architecture: DotArchitecture, told: NDArray[np.float32] | None) -> NDArray[np.bool_]:
-    """Which inputs of a dot, (inputs,), are of extras that no slice knows, of all that are trained on (slices, extras).
+def never_known(architecture: DotArchitecture, training_extras: NDArray[np.float32] | None) -> NDArray[np.bool_]:
+    """Return which inputs of a dot, (inputs,), belong to extras that are unknown in all training slices.
 
-    A network has not learned what they mean, and must not see them when they are known one day: its scale of them is 0.
+    The network has not learned their meaning and must not see them later, so its scale for them is 0.
+    training_extras: (slices, extras), of all training slices.
     """
     unknown = np.zeros(architecture.inputs_per_dot, np.bool_)
     for extra, place in first_inputs(architecture).items():
-        unknown[place] = told is None or not np.isfinite(told[:, EXTRAS.index(extra)]).any()
+        unknown[place] = training_extras is None or not np.isfinite(training_extras[:, EXTRAS.index(extra)]).any()
     return unknown
 
 
 def learned(architecture: DotArchitecture, input_scale: NDArray[np.float32]) -> tuple[str, ...]:
-    """Which extras a network has learned to see, by what its inputs (inputs,) are multiplied by."""
+    """Return the extras that a network has learned to use, from the scale of its inputs (inputs,)."""
     return tuple(extra for extra, place in first_inputs(architecture).items() if input_scale[place].any())
 
 
 def leave_out(architecture: DotArchitecture, batch: NDArray[np.float32], left_out: NDArray[np.bool_]) -> None:
-    """In inputs (samples, dots, inputs), make unknown what is left out of each sample: the gripper, what sticks.
+    """Set extras to unknown in inputs (samples, dots, inputs): of the gripper, and of the sticking share.
 
     left_out: (samples, 2).
     """
@@ -113,9 +117,9 @@ def fill(
     first: int,
     inputs: NDArray[np.float32],
 ) -> None:
-    """Extras of a series (slices, extras), as seen at these slices, into inputs (samples, dots, inputs) from `first`.
+    """Write the extras of a series (slices, extras), for samples that end at these slices, into inputs from `first` on.
 
-    views: from `table`. Nothing is checked.
+    inputs: (samples, dots, inputs). views: from `table`. Nothing is checked.
     """
     for sample in range(ends.shape[0]):
         end, column, at = ends[sample], first, 0

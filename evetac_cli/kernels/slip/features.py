@@ -1,18 +1,19 @@
-"""What a slip detector may see of a slice: where each dot is, how many events it has, and the events as an image.
+"""Features of a slice for slip detectors: displacement and events of each dot, and the events as an image.
 
-The list is the paper's ("Evetac Touch Features"), and the displacement with its direction besides. The live form
-(`start`, `step`, `latest`) and the one for whole recordings (`displacement`, `displacement_xy`, `series`) give the same
-bits. Dots are flattened row by row from (rows, columns). What a network makes of some slices of them: inputs.py.
+The list is the paper's ("Evetac Touch Features"), plus the displacement with its direction. The live functions
+(`start`, `step`, `latest`) and those for whole recordings (`displacement`, `displacement_xy`, `series`) return
+identical bits. Dots are flattened row by row from (rows, columns). The inputs of a network are made of several slices
+in inputs.py.
 
-Why so:
-- Places are rounded to float32 before the distance is taken, because tracks are stored that way: a live track and the
-  same track read from a file then have the same features.
-- Event images are stored as their pixels that are not 0: a slice of 259,200 pixels has a few hundred of them, and
-  trials of images would not fit into memory.
-- The paper rotates windows of the 7 x 8 grid by quarter turns, "crop and pad" without saying how. `rotate` turns the
-  middle square of the grid counter-clockwise (as seen in the image) and leaves zeros beside it. The odd column over,
-  for 7 x 8 the leftmost, is the one cut (of a grid with more rows than columns, the uppermost row). So three quarter
-  turns undo one, and four give back the square in its place.
+Reasons:
+- Positions are rounded to float32 before the distance is computed, because tracks are stored that way. A live track and
+  the same track read from a file then have the same features.
+- Event images are stored as their non-zero pixels: a slice of 259,200 pixels has a few hundred of them, and trials of
+  whole images would not fit into memory.
+- The paper rotates windows of the 7 x 8 grid by quarter turns, "crop and pad" without details. `rotate` turns the
+  central square of the grid counter-clockwise (as seen in the image) and pads with zeros. The excess column, for 7 x 8
+  the leftmost, is cut (of a grid with more rows than columns, the uppermost row). So three quarter turns undo one, and
+  four return the square unchanged.
 """
 
 from math import isnan, sqrt
@@ -28,22 +29,22 @@ from evetac_cli.kernels.compiled import njit
 from evetac_cli.kernels.records import check_record
 from evetac_cli.kernels.slip.architectures import CHANNELS, EXTRAS, GEL_PX, Factors
 
-DOT_CAPACITY = MOST_DOTS  # dots that a state has room for
+DOT_CAPACITY = MOST_DOTS  # number of dots that a state has room for
 HISTORY_CAPACITY = 128  # slices
 UNSCALED = Factors()
 
 STATE = np.dtype(
     [
         ("dots", np.int64),  # n
-        ("history", np.int64),  # slices that `latest` gives
-        ("slices", np.int64),  # taken so far
+        ("history", np.int64),  # number of slices that `latest` returns
+        ("slices", np.int64),  # number so far
         ("displacement_factor", np.float64),
         ("events_factor", np.float64),
         ("rest_xy_px", np.float64, (DOT_CAPACITY, 2)),  # the first n rows are used
         # (2 * history, n, channels), flat: every slice is written twice, `history` rows apart, so that the last slices
-        # always lie in one piece, the newest last.
+        # are always contiguous, the newest last.
         ("ring", np.float32, 2 * HISTORY_CAPACITY * DOT_CAPACITY * len(CHANNELS)),
-        ("extras", np.float64, len(EXTRAS)),  # what the next slice is told, NaN where it is not known
+        ("extras", np.float64, len(EXTRAS)),  # extras of the next slice, NaN for unknown ones
         ("extras_ring", np.float32, (2 * HISTORY_CAPACITY, len(EXTRAS))),  # as the ring
     ],
     align=True,
@@ -53,8 +54,8 @@ STATE = np.dtype(
 class FeatureState:
     """The last `history` slices of n dots: `record`, an array of one STATE, and views of its fields.
 
-    `step` changes the record in place. `FeatureState(np.frombuffer(memory, STATE, 1))` is a state that was saved as
-    bytes, or lies in shared memory. Why so: as in tracker.py. ValueError if the record is not a writable array of one
+    `step` changes the record in place. `FeatureState(np.frombuffer(memory, STATE, 1))` restores a state from saved
+    bytes or shared memory; the reasons are those in tracker.py. ValueError if the record is not a writable array of one
     STATE.
     """
 
@@ -69,12 +70,12 @@ class FeatureState:
         self.ring: NDArray[np.float32] = record["ring"][0, : np.prod(shape)].reshape(shape)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Copies and pickles are of the record: the views of a copy are of its own record."""
+        """Copy and pickle the record, so that the views of a copy belong to its own record."""
         return FeatureState, (self.record.copy(),)
 
     @property
     def slices(self) -> int:
-        """How many slices were taken so far."""
+        """Number of slices so far."""
         return int(self.record["slices"][0])
 
     @property
@@ -84,10 +85,10 @@ class FeatureState:
 
 
 def start(rest_xy_px: NDArray[np.floating], history: int, factors: Factors = UNSCALED) -> FeatureState:
-    """Begin collecting features of dots whose places at rest are rest_xy_px, (n, 2), NaN for a missing dot.
+    """Start collecting features of dots with positions at rest rest_xy_px, (n, 2), NaN for a missing dot.
 
-    factors: what the features are multiplied by. ValueError if the places are infinite, of another shape or more than
-    DOT_CAPACITY, or if history is not from 1 to HISTORY_CAPACITY.
+    factors: on the features. ValueError if positions are infinite, of another shape or more than DOT_CAPACITY, or if
+    history is not from 1 to HISTORY_CAPACITY.
     """
     rest = _checked_rest(rest_xy_px)
     if len(rest) > DOT_CAPACITY:
@@ -98,24 +99,24 @@ def start(rest_xy_px: NDArray[np.floating], history: int, factors: Factors = UNS
     record["displacement_factor"], record["events_factor"] = factors
     record["rest_xy_px"][0, : len(rest)] = rest
     record["extras"] = np.nan
-    # Compiles or loads the kernel now and not in the first slice; on a copy, which is no slice.
+    # Compiles or loads the kernel now instead of in the first slice; on a copy, so that it does not count as a slice.
     take_slice(record.copy(), rest, np.zeros(len(rest), np.int32))
     return FeatureState(record)
 
 
 def step(state: FeatureState, dot_xy_px: NDArray[np.floating], events_per_dot: NDArray[np.integer]) -> None:
-    """Take in one slice: the dots' places, (n, 2) in px, and their events, (n,). ValueError for other shapes."""
+    """Add one slice: the dots' positions, (n, 2) in px, and their events, (n,). ValueError for other shapes."""
     rest = state.rest_xy_px
     if dot_xy_px.shape != rest.shape or events_per_dot.shape != dot_xy_px.shape[:1]:
         raise ValueError(
-            f"expected places {rest.shape} and events {rest.shape[:1]}, "
+            f"expected positions {rest.shape} and events {rest.shape[:1]}, "
             f"found {dot_xy_px.shape} and {events_per_dot.shape}"
         )
     take_slice(state.record, dot_xy_px, events_per_dot)
 
 
 def latest(state: FeatureState) -> NDArray[np.float32]:
-    """The last slices, (history, n, channels) as from `series`, the newest last: a view, valid until the next step.
+    """Return the last slices, (history, n, channels) as from `series`, newest last: a view, valid until the next step.
 
     ValueError as long as the state is not `full`.
     """
@@ -132,13 +133,13 @@ def series(
     displacement_xy_px: NDArray[np.float32] | None = None,
     factors: Factors = UNSCALED,
 ) -> NDArray[np.float32]:
-    """The channels of a recording, (slices, n, channels), from (slices, n) twice and (slices, n, 2).
+    """Return the channels of a recording, (slices, n, channels), from (slices, n) twice and (slices, n, 2).
 
-    Without displacement_xy_px there are the first two channels alone; all are multiplied by factors. ValueError where
-    the shapes differ.
+    Without displacement_xy_px there are only the first two channels. All are multiplied by factors. ValueError if the
+    shapes differ.
     """
     if displacement_px.ndim != 2 or displacement_px.shape != events_per_dot.shape:
-        raise ValueError(f"expected (slices, n) twice, found {displacement_px.shape} and {events_per_dot.shape}")
+        raise ValueError(f"expected two arrays (slices, n), found {displacement_px.shape} and {events_per_dot.shape}")
     channels = len(CHANNELS) if displacement_xy_px is not None else 2
     result = np.empty((*displacement_px.shape, channels), np.float32)
     result[..., 0] = factors.displacement * displacement_px
@@ -151,10 +152,10 @@ def series(
 
 
 def displacement(dot_xy_px: NDArray[np.floating], rest_xy_px: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Distance of every dot from its place at rest in px, 0 for a missing dot (NaN).
+    """Return the distance of every dot from its position at rest in px, 0 for a missing dot (NaN).
 
     dot_xy_px: (n, 2) or (slices, n, 2), rest_xy_px: (n, 2); returns (n,) or (slices, n). ValueError for other shapes
-    and infinite places. Source: paper, "Evetac Touch Features", D_C.
+    and infinite positions. Source: paper, "Evetac Touch Features", D_C.
     """
     dots, rest = _checked_dots(dot_xy_px, rest_xy_px)
     result = np.empty(dots.shape[:-1], np.float32)
@@ -163,9 +164,9 @@ def displacement(dot_xy_px: NDArray[np.floating], rest_xy_px: NDArray[np.floatin
 
 
 def displacement_xy(dot_xy_px: NDArray[np.floating], rest_xy_px: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Displacement of every dot to the right and down in px, (n, 2) or (slices, n, 2), 0 for a missing dot.
+    """Return the displacement of every dot, right and down in px, (n, 2) or (slices, n, 2), 0 for a missing dot.
 
-    Takes and refuses what `displacement` does, which is its length.
+    Accepts the same arrays as `displacement`, which returns its length.
     """
     dots, rest = _checked_dots(dot_xy_px, rest_xy_px)
     result = np.empty(dots.shape, np.float32)
@@ -174,9 +175,9 @@ def displacement_xy(dot_xy_px: NDArray[np.floating], rest_xy_px: NDArray[np.floa
 
 
 def rotate(windows: NDArray[np.float32], quarter_turns: int) -> NDArray[np.float32]:
-    """Turn windows (k, rows, columns, c) as if the object had been grasped in another direction; returns a new array.
+    """Return windows (k, rows, columns, c), turned as if the object had been grasped in another direction.
 
-    Half turns are exact; quarter turns keep only the middle square, see the head of this module. ValueError for other
+    Half turns are exact; quarter turns keep only the central square, see the module's docstring. ValueError for other
     shapes. Source: paper, "Model Training & Data Selection".
     """
     if windows.ndim != 4:
@@ -198,9 +199,10 @@ def events_outside(
     starts: NDArray[np.int64],
     window_px: tuple[int, int, int, int] | NDArray[np.int32] | None,
 ) -> NDArray[np.int32]:
-    """Count the events of each slice outside the window (x0, y0, x1, y1), ends excluded; None (closed gel) counts all.
+    """Return the number of events of each slice outside the window (x0, y0, x1, y1), ends excluded; None counts all.
 
-    Slice k has the events [starts[k], starts[k + 1]). ValueError if the columns differ in length.
+    None means a closed gel. Slice k has the events [starts[k], starts[k + 1]). ValueError if the columns differ in
+    length.
     """
     if x.ndim != 1 or x.shape != y.shape:
         raise ValueError(f"expected two columns of equal length, found {x.shape} and {y.shape}")
@@ -217,14 +219,14 @@ def events_outside(
 
 
 class EventImages(NamedTuple):
-    """The event image of every slice as its pixels that are not 0, in any order within a slice."""
+    """The event image of every slice as its non-zero pixels, in any order within a slice."""
 
-    start: NDArray[np.int64]  # (slices + 1,), where each slice begins
+    start: NDArray[np.int64]  # (slices + 1,), index of the first pixel of each slice
     pixel: NDArray[np.uint32]  # (pixels,), y * 540 + x
     sign: NDArray[np.int8]  # (pixels,), +1 brighter, -1 darker
 
     def part(self, first: int, last: int) -> "EventImages":
-        """The slices [first, last); pixels are views."""
+        """Return the slices [first, last); pixels are views."""
         start = self.start[first : last + 1]
         return EventImages(start - start[0], self.pixel[start[0] : start[-1]], self.sign[start[0] : start[-1]])
 
@@ -232,14 +234,14 @@ class EventImages(NamedTuple):
 class GelEvents(NamedTuple):
     """The events of every slice outside the window, in order of time."""
 
-    start: NDArray[np.int64]  # (slices + 1,), where each slice begins
+    start: NDArray[np.int64]  # (slices + 1,), index of the first event of each slice
     t_us: NDArray[np.uint16]  # (events,), from the start of their slice
     x: NDArray[np.uint16]
     y: NDArray[np.uint16]
     p: NDArray[np.uint8]
 
     def part(self, first: int, last: int) -> "GelEvents":
-        """The slices [first, last); events are views."""
+        """Return the slices [first, last); events are views."""
         start = self.start[first : last + 1]
         columns: list[Any] = [column[start[0] : start[-1]] for column in self[1:]]
         return GelEvents(start - start[0], *columns)
@@ -248,9 +250,9 @@ class GelEvents(NamedTuple):
 def gel_events(
     events: Events, starts: NDArray[np.int64], window_px: tuple[int, int, int, int] | NDArray[np.int32] | None
 ) -> GelEvents:
-    """The events of slices without those in the window (as for `events_outside`), whose times are the recording's.
+    """Return the events of slices outside the window (as for `events_outside`); times in `events` are the recording's.
 
-    starts: (slices + 1,), where each slice begins. Events beside a frame of 640 x 480 px are left out.
+    starts: (slices + 1,), index of the first event of each slice. Events outside a frame of 640 x 480 px are left out.
     """
     t, x, y, p = events
     kept = (x < FRAME_PX[0]) & (y < FRAME_PX[1])
@@ -269,10 +271,10 @@ def gel_image(
     window_px: tuple[int, int, int, int] | NDArray[np.int32] | None,
     blank: NDArray[np.int8],
 ) -> tuple[NDArray[np.uint32], NDArray[np.int8]]:
-    """The event image of one slice without the window: its pixels that are not 0, and their signs.
+    """Return the event image of one slice outside the window: its non-zero pixels, and their signs.
 
-    It is `event_image` of 540 x 480 px with the window (as for `events_outside`) cut out. `blank` (480, 540) is work
-    space, 0 before and after. ValueError if the columns differ in length. Source: paper, "Model Architectures".
+    It is `event_image` of 540 x 480 px with the window (as for `events_outside`) cut out. `blank` (480, 540) is
+    workspace, 0 before and after. ValueError if the columns differ in length. Source: paper, "Model Architectures".
     """
     if x.ndim != 1 or not x.shape == y.shape == p.shape:
         raise ValueError(f"expected three columns of equal length, found {x.shape}, {y.shape} and {p.shape}")
@@ -293,7 +295,7 @@ def _checked_dots(
     if dots.ndim not in (2, 3) or dots.shape[-2:] != rest.shape:
         raise ValueError(f"dot_xy_px: expected (n, 2) or (slices, n, 2) with n = {len(rest)}, found {dots.shape}")
     if np.isinf(dots).any():
-        raise ValueError("dot_xy_px: expected finite places, NaN for missing dots, found infinite ones")
+        raise ValueError("dot_xy_px: expected finite positions, NaN for missing dots, found infinite ones")
     return dots, rest
 
 
@@ -302,7 +304,7 @@ def _checked_rest(rest_xy_px: NDArray[np.floating]) -> NDArray[np.float64]:
     if rest.ndim != 2 or rest.shape[1] != 2:
         raise ValueError(f"rest_xy_px: expected shape (n, 2), found {rest.shape}")
     if np.isinf(rest).any():
-        raise ValueError("rest_xy_px: expected finite places, NaN for missing dots, found infinite ones")
+        raise ValueError("rest_xy_px: expected finite positions, NaN for missing dots, found infinite ones")
     return rest
 
 
@@ -347,10 +349,11 @@ def _offsets(
 
 @njit(cache=True)
 def take_slice(record: NDArray[np.void], dot_xy_px: NDArray[np.floating], events_per_dot: NDArray[np.integer]) -> None:
-    """What `step` does, unchecked, for compiled code; record: of a `FeatureState`."""
+    """Do the work of `step`, unchecked, for compiled code; record: of a `FeatureState`."""
     state = record[0]
     dots, history = state["dots"], state["history"]
-    moved, counted = np.float32(state["displacement_factor"]), state["events_factor"]  # as numpy multiplies in series
+    # multiplied in the precision that numpy uses in series
+    moved, counted = np.float32(state["displacement_factor"]), state["events_factor"]
     rest_xy_px, ring = state["rest_xy_px"][:dots], state["ring"][:]
     row = state["slices"] % history
     first, again = row * dots * len(CHANNELS), (row + history) * dots * len(CHANNELS)
@@ -387,7 +390,7 @@ def _count_outside(
 
 @njit(cache=True)
 def latest_slices(record: NDArray[np.void]) -> NDArray[np.float32]:
-    """What `latest` gives, unchecked, for compiled code; record: of a `FeatureState`."""
+    """Return the same as `latest`, unchecked, for compiled code; record: of a `FeatureState`."""
     state = record[0]
     dots, history = state["dots"], state["history"]
     first, row = state["slices"] % history, dots * len(CHANNELS)
@@ -397,7 +400,7 @@ def latest_slices(record: NDArray[np.void]) -> NDArray[np.float32]:
 
 @njit(cache=True)
 def latest_extras(record: NDArray[np.void]) -> NDArray[np.float32]:
-    """What was told of the slices that `latest` gives, (history, extras); record: of a `FeatureState`."""
+    """Return the extras of the slices that `latest` returns, (history, extras); record: of a `FeatureState`."""
     state = record[0]
     first, extras_ring = state["slices"] % state["history"], state["extras_ring"][:]
     latest: NDArray[np.float32] = extras_ring[first : first + state["history"]]
@@ -421,7 +424,7 @@ def _take_pixels(
     pixel: NDArray[np.uint32],
     sign: NDArray[np.int8],
 ) -> int:
-    """Move what the events drew from the image, outside the window, to lists; returns their length."""
+    """Move the drawn pixels outside the window from the image to lists; return their length."""
     height, width = image.shape
     x0, y0, x1, y1 = window_px
     pixels = 0

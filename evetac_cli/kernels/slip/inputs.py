@@ -1,7 +1,7 @@
 """The inputs of a network, from slices of features: numbers for each dot, or a stack of event images.
 
-One kernel serves training, a whole trajectory and the online detector, so all three see the same bits: it takes a
-series of slices and the slices at which inputs end. The online detector gives it its last slices as a series.
+One kernel serves training, whole trajectories and the online detector, so all three see identical bits. It takes a
+series of slices, and the slices at which inputs end. The online detector passes its last slices as a series.
 """
 
 from collections.abc import Iterable, Sequence
@@ -30,7 +30,7 @@ from evetac_cli.kernels.slip.features import EventImages, GelEvents
 
 
 class DotsAndExtras(NamedTuple):
-    """Features of dots (slices, n, channels), and what is known beside them (slices, extras), NaN where it is not."""
+    """Features of dots (slices, n, channels) and extras (slices, extras), NaN for unknown ones."""
 
     dots: NDArray[np.float32]
     extras: NDArray[np.float32]
@@ -43,16 +43,16 @@ Series = NDArray[np.float32] | DotsAndExtras | OfEvents
 class Trajectory(NamedTuple):
     """One labelled trajectory, slice by slice: to train a detector on, or to evaluate it."""
 
-    series: Series  # dots or images, as the architecture needs
+    series: Series  # dots or images, depending on the architecture
     events_outside: NDArray[np.int32]  # (slices,) events outside the window strip
     label: NDArray[np.int8]  # (slices,) 1 slip, 0 no slip, -1 not examined
     onset: int  # first slice of slip, -1 if there is none
     slip_share: NDArray[np.float32] | None = None  # (slices,) share of the visible contact that slips, if known
-    timed: bool = True  # whether the labels can tell the onset
+    timed: bool = True  # whether the labels are precise enough to determine the onset
 
 
 def part(series: Series, first: int, last: int) -> Series:
-    """The slices [first, last) of a series, a copy."""
+    """Return the slices [first, last) of a series, as a copy."""
     if isinstance(series, OfEvents):
         columns: list[Any] = [column.copy() for column in series.part(first, last)]
         return type(series)(*columns)
@@ -62,13 +62,13 @@ def part(series: Series, first: int, last: int) -> Series:
 
 
 class _EndToEnd:
-    """Arrays put end to end as they come, which memory never holds twice."""
+    """Concatenate arrays as they arrive, without holding any of them in memory twice."""
 
     def __init__(self, first: NDArray[Any]) -> None:
         self._rows, self._count = first.copy(), len(first)
 
     def add(self, rows: NDArray[Any]) -> None:
-        """Put these at the end."""
+        """Append rows."""
         count = self._count + len(rows)
         if count > len(self._rows):
             self._room_for(max(count, len(self._rows) * 9 // 8))
@@ -76,17 +76,17 @@ class _EndToEnd:
         self._count = count
 
     def joined(self) -> NDArray[Any]:
-        """All of them; nothing is added after that."""
+        """Return all rows; nothing can be added after that."""
         self._room_for(self._count)
         return self._rows
 
     def _room_for(self, rows: int) -> None:
-        """Grow or shrink where the rows lie: of large arrays the system moves the pages, not what is in them."""
+        """Grow or shrink the array: for large arrays the system moves memory pages instead of copying the contents."""
         self._rows.resize((rows, *self._rows.shape[1:]), refcheck=False)
 
 
 def join(parts: Iterable[Series]) -> Series:
-    """Put at least one series of one sort end to end; they are taken one by one, and none of them is kept."""
+    """Concatenate at least one series of one kind; they are taken one by one, and none of them is kept."""
     left = iter(parts)
     first = next(left)
     columns = [_EndToEnd(column) for column in _columns(first)]
@@ -102,30 +102,30 @@ def join(parts: Iterable[Series]) -> Series:
 
 
 def _columns(series: Series) -> Sequence[NDArray[Any]]:
-    """What of a series can be put end to end: dots, or how many pixels or events each slice has, and their columns."""
+    """Return the parts of a series that can be concatenated: dots, or pixels or events with their counts per slice."""
     if isinstance(series, OfEvents):
         return np.diff(series.start), *series[1:]
     return series if isinstance(series, DotsAndExtras) else (series,)
 
 
 def length(series: Series) -> int:
-    """Slices in a series."""
+    """Return the number of slices of a series."""
     return len(series.start) - 1 if isinstance(series, OfEvents) else len(dots_of(series))
 
 
 def dots_of(series: NDArray[np.float32] | DotsAndExtras) -> NDArray[np.float32]:
-    """The features of dots alone, (slices, n, channels)."""
+    """Return the features of dots alone, (slices, n, channels)."""
     return series.dots if isinstance(series, DotsAndExtras) else series
 
 
 def at(architecture: Architecture, series: Series, slices: NDArray[np.integer]) -> NDArray[np.float32]:
-    """Network inputs of the samples that end at these slices of a series.
+    """Return the network inputs of the samples that end at these slices of a series.
 
-    Dots: (slices, n, channels) as from `features.series`, which has to hold the channels that are viewed -> (samples,
-    n, inputs_per_dot); a network that is told extras knows none without them. Images: `EventImages` ->
-    (samples, history, height, width), and of plug-ins `GelEvents` -> (samples, images * channels, height, width), the
-    newest first. ValueError if the series is of the other sort, or if a slice
-    is outside of it or has fewer than history - 1 slices before it.
+    Dots: (slices, n, channels) as from `features.series`, with all channels that are viewed -> (samples, n,
+    inputs_per_dot); without extras, all extras are unknown. Images: `EventImages` -> (samples, history, height, width),
+    newest first. Images of plug-ins: `GelEvents` -> (samples, images * channels, height, width), newest first.
+    ValueError if the series is of another kind, or if a slice is outside it or has fewer than history - 1 slices
+    before.
     """
     ends = _checked_ends(slices, architecture.history, length(series))
     if isinstance(architecture, ImageArchitecture):
@@ -149,15 +149,15 @@ def at(architecture: Architecture, series: Series, slices: NDArray[np.integer]) 
     dots = np.empty((len(ends), of_dots.shape[1], architecture.inputs_per_dot), np.float32)
     fill(of_dots, ends, views, dots)
     if architecture.extras:
-        told = series.extras if isinstance(series, DotsAndExtras) else _unknown(len(of_dots))
-        if told.shape != (len(of_dots), len(EXTRAS)):
-            raise ValueError(f"{architecture.name}: expected extras {len(of_dots), len(EXTRAS)}, found {told.shape}")
-        extras.fill(told, ends, extras.table(architecture.extras), architecture.own_inputs, dots)
+        values = series.extras if isinstance(series, DotsAndExtras) else _unknown(len(of_dots))
+        if values.shape != (len(of_dots), len(EXTRAS)):
+            raise ValueError(f"{architecture.name}: expected extras {len(of_dots), len(EXTRAS)}, found {values.shape}")
+        extras.fill(values, ends, extras.table(architecture.extras), architecture.own_inputs, dots)
     return dots
 
 
 def _stack(architecture: PluginImageArchitecture, events: GelEvents) -> NDArray[Any]:
-    """The images of one sample, the newest first, from the events of its history."""
+    """Return the images of one sample, newest first, from the events of its history."""
     t_us = np.repeat(np.arange(architecture.history) * SLICE_US, np.diff(events.start)) + events.t_us
     ends = np.arange(architecture.of.window_ms, architecture.history + 1, architecture.every)
     images = images_ending(architecture.of, Events(t_us, *events[2:]), ends)
@@ -165,12 +165,12 @@ def _stack(architecture: PluginImageArchitecture, events: GelEvents) -> NDArray[
 
 
 def _unknown(slices: int) -> NDArray[np.float32]:
-    """Extras (slices, extras) of which none is known; a view, as all are the same."""
+    """Return extras (slices, extras) that are all unknown; a view, as all rows are the same."""
     return np.broadcast_to(extras.UNKNOWN, (slices, len(EXTRAS)))
 
 
 def _checked_ends(slices: NDArray[np.integer], history: int, available: int) -> NDArray[np.int64]:
-    """Slices at which inputs end, as int64; ValueError unless each has a full history within the available slices."""
+    """Return the ends of inputs as int64; ValueError unless each has a full history within the available slices."""
     ends = np.asarray(slices)
     if ends.ndim != 1 or ends.dtype.kind not in "iu":
         raise ValueError(f"expected slices as whole numbers in one dimension, found {ends.dtype} {ends.shape}")
@@ -187,10 +187,10 @@ def turn(
     turns: NDArray[np.int64],
     factors: NDArray[np.float32],
 ) -> NDArray[np.float32]:
-    """Turn each sample of a batch by its quarter turns, 0 to 3, and multiply it by its factor; a new array.
+    """Return a batch whose samples are rotated by their quarter turns, 0 to 3, and multiplied by their factors.
 
-    As `features.rotate` does, and the displacements that have a direction with it; extras are the same for each dot.
-    Why so: after a quarter turn counter-clockwise, what pointed right points up. So x becomes y and y becomes -x.
+    The rotation is that of `features.rotate`; displacements with a direction rotate with it, extras stay the same.
+    After a quarter turn counter-clockwise, right becomes up, so x becomes y and y becomes -x.
     """
     if isinstance(architecture, OverImages):
         images = batch * factors.reshape(-1, 1, 1, 1)
@@ -213,7 +213,7 @@ def turn(
 def _turning(
     architecture: DotArchitecture, rows: int, columns: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float32]]:
-    """After 0 to 3 turns: which dot each was, -1 for none, (4, n); which input it was, and its sign, (4, inputs)."""
+    """Return, for 0 to 3 turns, each dot's source dot or -1, (4, n); and each input's source and sign, (4, inputs)."""
     places = np.arange(1, rows * columns + 1, dtype=np.float32).reshape(1, rows, columns, 1)
     was = np.stack([features.rotate(places, times).reshape(-1) for times in range(4)]).astype(np.int64) - 1
     column = np.tile(np.arange(architecture.own_inputs), (4, 1))
@@ -227,7 +227,7 @@ def _turning(
 
 
 def view_table(views: Sequence[ChannelView]) -> NDArray[np.int64]:
-    """The views of an architecture for `fill`, (views, 5): channel, recent, block, means, whether as change."""
+    """Return the views of an architecture for `fill`, (views, 5): channel, recent, block, means, change or not."""
     rows = [(CHANNELS.index(view.channel), view.recent, view.block, view.means, view.change) for view in views]
     return np.array(rows, np.int64)
 
@@ -236,10 +236,10 @@ def view_table(views: Sequence[ChannelView]) -> NDArray[np.int64]:
 def fill(
     series: NDArray[np.float32], ends: NDArray[np.int64], views: NDArray[np.int64], inputs: NDArray[np.float32]
 ) -> None:
-    """What `at` does for dots, unchecked and into a given array: for the online detector, whose slices all fit.
+    """Do the work of `at` for dots, unchecked and into an existing array: for the online detector.
 
-    Why all channels are summed, also those of no view: as they lie side by side, that is one pass without gaps, which
-    serves all views with the same blocks.
+    All channels are summed, even those without a view. They are adjacent in memory, so this is one pass without gaps
+    that serves all views with the same blocks.
     """
     slices, dots, channels = series.shape
     flat = series.reshape(slices, dots * channels)
@@ -255,7 +255,7 @@ def fill(
             first += recent + means
         for view in range(views.shape[0]):
             block, means = views[view, 2:4]
-            done = False  # with an earlier view
+            done = False  # whether an earlier view has the same blocks
             for other in range(view):
                 done |= views[other, 2] == block and views[other, 3] == means
             for mean in range(0 if done else means):

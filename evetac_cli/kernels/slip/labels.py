@@ -1,9 +1,9 @@
-"""Slip labels as detectors are trained and evaluated on them, and the rule that turns a probability into a decision.
+"""Slip labels for training and evaluation, and the rule that turns a probability into a decision.
 
 Labels are int8 per slice: 1 slip, 0 no slip, -1 not examined. The rule is the same in training, evaluation, grasp and
-view. Why so: probabilities are float32 and thresholds are stored as float64, and the result of `>=` depends on the
-precision of the comparison: of the grid of thresholds 18 of 49 (0.7 and 0.95 among them) are larger than the float32
-nearest to them. So both are rounded to float32 first.
+view. It rounds both probability and threshold to float32 before `>=`. Probabilities are float32 but thresholds are
+stored as float64, so the result would otherwise depend on the precision of the comparison. Of the grid of thresholds,
+18 of 49 (0.7 and 0.95 among them) are larger than the nearest float32.
 """
 
 from typing import overload
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.checks import check_range
 
-BUSY_EVENTS = 25  # a slice with more, without those of the window, is busy (paper, Model Training & Data Selection)
+BUSY_EVENTS = 25  # a slice with more events outside the window is busy (paper, Model Training & Data Selection)
 
 
 def check_labels(label: NDArray[np.int8], onset: int) -> None:
@@ -27,10 +27,10 @@ def check_labels(label: NDArray[np.int8], onset: int) -> None:
 
 
 def shift_labels(label: NDArray[np.int8], horizon_ms: int) -> NDArray[np.int8]:
-    """Labels for predicting slip: slice t gets the label of slice t + horizon_ms (paper, Slip Prediction).
+    """Return labels for predicting slip: slice t gets the label of slice t + horizon_ms (paper, Slip Prediction).
 
-    Where that slice is past the end or was not examined, and where t itself was not, t keeps its own label. ValueError
-    for a negative horizon.
+    Slice t keeps its own label if that slice is past the end or either of them was not examined. ValueError for a
+    negative horizon.
     """
     check_range("horizon_ms", horizon_ms)
     future = np.full_like(label, -1)

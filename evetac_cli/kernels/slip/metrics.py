@@ -1,7 +1,7 @@
-"""How well a slip detector does: when it first detects slip, and F1; and which checkpoint and threshold make the best.
+"""Metrics of slip detectors: time of the first detection, and F1; and the choice of checkpoint and threshold.
 
-Both as in the paper, Evaluation Procedure & Metrics. Time is the slice index, one slice a millisecond. A slice before
-the history is full has no probability: it is NaN, is not a sample, and never counts as slip.
+Both follow the paper, Evaluation Procedure & Metrics. Time is the slice index, one slice per millisecond. A slice
+before the history is full has no probability: it is NaN, is not a sample, and never counts as slip.
 """
 
 from collections.abc import Sequence
@@ -13,16 +13,16 @@ from numpy.typing import NDArray
 
 from evetac_cli.kernels.slip.labels import check_labels, is_slip
 
-EARLIEST_MS = -50  # a first detection from here ...
-LATEST_MS = 20  # ... to here, both included, after the labels' onset is "correct"
-F1_CUT_MS = 20  # F1 ends here after the onset
+EARLIEST_MS = -50  # a first detection from this time relative to the labels' onset,
+LATEST_MS = 20  # ... until this time, both included, is "correct"
+F1_CUT_MS = 20  # F1 uses slices until this time after the onset
 
 Timing = Literal["early", "correct", "late"]
 
-# 0 to 1 by 0.025, as the paper; and closer to 1, where detectors that were trained on equal shares of slip and no slip
-# have theirs. Dividing keeps 0.5 and 1 exact.
+# 0 to 1 by 0.025, as in the paper; plus values close to 1, where the best thresholds of detectors trained on equal
+# shares of slip and no slip are. Dividing keeps 0.5 and 1 exact.
 THRESHOLDS = np.sort(np.concatenate([np.arange(41) / 40, 1 - np.array([16, 12, 8, 6, 4, 3, 2, 1]) / 1000]))
-LAST_CHECKPOINTS = 3  # the paper chooses among these
+LAST_CHECKPOINTS = 3  # the paper chooses among this many
 
 
 class Counts(NamedTuple):
@@ -34,12 +34,12 @@ class Counts(NamedTuple):
 
     @property
     def precision(self) -> float:
-        """Share of the detected slices that slip; 0 where nothing was detected."""
+        """Share of the detected slices that slip; 0 if none is detected."""
         return self.true_positives / max(self.true_positives + self.false_positives, 1)
 
     @property
     def recall(self) -> float:
-        """Share of the slipping slices that were detected; 0 where nothing slips."""
+        """Share of the slipping slices that are detected; 0 if none slips."""
         return self.true_positives / max(self.true_positives + self.false_negatives, 1)
 
     @property
@@ -51,16 +51,16 @@ class Counts(NamedTuple):
 
 
 def onset(detected: NDArray[np.bool_]) -> int:
-    """First slice of slip in (slices,) detections; -1 where there is none."""
+    """Return the first slice of slip in (slices,) detections; -1 for none."""
     if detected.ndim != 1 or detected.dtype != np.bool_:
         raise ValueError(f"expected detections as bool (slices,), found {detected.dtype} {detected.shape}")
     return int(np.argmax(detected)) if detected.any() else -1
 
 
 def timing(t_model: int, t_label: int) -> Timing:
-    """Timing of a first detection against the labels' onset, two slices (paper, Evaluation Procedure & Metrics).
+    """Return the timing of a first detection relative to the labels' onset (paper, Evaluation Procedure & Metrics).
 
-    Correct is -50 ms <= t_model - t_label <= +20 ms, both included. No detection (t_model -1) is late.
+    Both are slice indices. Correct means -50 ms <= t_model - t_label <= +20 ms. No detection (t_model -1) is late.
     """
     if t_label < 0 or t_model < -1:
         raise ValueError(f"expected an onset of at least 0 and a detection of at least -1, found {t_label}, {t_model}")
@@ -70,10 +70,10 @@ def timing(t_model: int, t_label: int) -> Timing:
 
 
 def counts(label: NDArray[np.int8], detected: NDArray[np.bool_], onset: int) -> Counts:
-    """Count the outcomes of one trajectory up to 20 ms after its onset.
+    """Return the outcomes of one trajectory up to 20 ms after its onset.
 
-    The cut keeps the slices [0, onset + 20), so exactly 20 slices from the onset on; with onset -1 it keeps all.
-    Slices labelled -1 never count: pass -1 also where the history was not yet full.
+    The cut keeps the slices [0, onset + 20), so exactly 20 slices starting at the onset; with onset -1 it keeps all.
+    Slices labelled -1 never count: pass -1 also for slices without a full history.
     """
     check_labels(label, onset)
     if detected.shape != label.shape or detected.dtype != np.bool_:
@@ -90,12 +90,12 @@ def counts(label: NDArray[np.int8], detected: NDArray[np.bool_], onset: int) -> 
 
 @dataclass(frozen=True)
 class Prediction:
-    """The probabilities of a detector for one trajectory, beside its labels.
+    """The probabilities of a detector for one trajectory, together with its labels.
 
-    probability (slices,), NaN until the history is full; label int8 (slices,) 1 slip, 0 no slip, -1 not examined,
-    shifted where slip is predicted; onset: first slice of slip in the labels as they were before the shift, or -1;
-    object: the name that scores are grouped by; sensor: the name of the sensor; timed: whether the labels can tell the
-    onset, so that timing is judged.
+    `probability`: (slices,), NaN until the history is full. `label`: int8 (slices,) 1 slip, 0 no slip, -1 not examined,
+    shifted if slip is predicted. `onset`: first slice of slip in the labels before the shift, or -1. `object`: the name
+    by which scores are grouped. `sensor`: its name. `timed`: whether the labels determine the onset precisely enough
+    for timing.
     """
 
     probability: NDArray[np.floating]
@@ -115,22 +115,23 @@ class Prediction:
             raise ValueError("expected probabilities within 0..1, NaN only before the history is full")
 
     def detected(self, threshold: float) -> NDArray[np.bool_]:
-        """Slices (slices,) that count as slip."""
+        """Return which slices (slices,) count as slip."""
         return is_slip(self.probability, threshold)
 
     def counts(self, threshold: float) -> Counts:
-        """Outcomes over the slices that have a probability and a label."""
+        """Return the outcomes over the slices with a probability and a label."""
         label = np.where(np.isnan(self.probability), np.int8(-1), self.label)
         return counts(label, self.detected(threshold), self.onset)
 
 
 def score(predictions: Sequence[Prediction], threshold: float) -> dict[str, float | int | None]:
-    """Score a detector over trajectories at one threshold, as a flat row.
+    """Return the scores of a detector over trajectories at one threshold, as a flat row.
 
-    - slip_early, slip_correct, slip_late: shares of the trajectories with an onset that their labels can tell; None
-      where no trajectory has one.
-    - f1: the counts are pooled over each object's trajectories, and the objects' F1 are averaged, as in the paper's
-      bars. f1_pooled, precision, recall and the counts pool all trajectories; with one object f1 equals f1_pooled.
+    - slip_early, slip_correct, slip_late: shares of the trajectories with an onset that their labels determine; None
+      if there is no such trajectory.
+    - f1: counts are pooled over each object's trajectories, and the F1 of all objects are averaged, as in the paper's
+      bars.
+    - f1_pooled, precision, recall and the counts pool all trajectories; with one object f1 equals f1_pooled.
     - alarms_without_slip: trajectories without an onset in which slip was detected.
     """
     if not predictions:
@@ -176,8 +177,8 @@ def _pool(outcomes: Sequence[Counts]) -> Counts:
 class Choice(NamedTuple):
     """The chosen checkpoint and threshold, and the best threshold and score of every checkpoint.
 
-    detected_share, slip_share: of the validation slices that have a label and a probability, those that are slip by the
-    chosen threshold, and by their label.
+    detected_share, slip_share: among the validation slices with a label and a probability, the share detected at the
+    chosen threshold, and the share labelled slip.
     """
 
     checkpoint: int
@@ -193,10 +194,10 @@ def choose_threshold(checkpoints: Sequence[Sequence[Prediction]]) -> Choice:
     """Choose checkpoint and threshold by the mean of slip-correct share and F1 (paper, Evaluation Procedure & Metrics).
 
     `checkpoints` holds, for each checkpoint in the order of training, its predictions for the same validation
-    trajectories. The grid is THRESHOLDS; F1 is `f1` of `score`. Only the last three checkpoints can be chosen,
-    but each one's best threshold is reported. Ties within a checkpoint go to the lower threshold, which reacts
-    earlier; ties between checkpoints go to the later one, which has seen more. ValueError where no trajectory slips,
-    because timing is then undefined.
+    trajectories. The grid is THRESHOLDS; F1 is `f1` of `score`. Only the last three checkpoints can be chosen, but the
+    best threshold of each is reported. Ties within a checkpoint go to the lower threshold, which reacts earlier; ties
+    between checkpoints go to the later one, which was trained longer. ValueError if no trajectory slips, because timing
+    is then undefined.
     """
     if not checkpoints:
         raise ValueError("expected at least one checkpoint, found none")
@@ -222,7 +223,7 @@ def _timing_and_f1(predictions: Sequence[Prediction], threshold: float) -> float
 
 
 def shares(predictions: Sequence[Prediction], threshold: float) -> tuple[float, float]:
-    """Of the slices that have a label and a probability, the share that is detected, and the share that slips."""
+    """Return, among the slices with a label and a probability, the share that is detected, and the share that slips."""
     judged = [(one.label >= 0) & ~np.isnan(one.probability) for one in predictions]
     pairs = list(zip(predictions, judged, strict=True))
     detected = np.concatenate([one.detected(threshold)[counts] for one, counts in pairs])

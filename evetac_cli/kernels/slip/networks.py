@@ -1,9 +1,9 @@
 """Slip detectors as torch networks, as named arrays, and as ONNX graphs that need no torch to run.
 
-The networks are the paper's (section Slip Detection, Model Architectures). `SlipNet`: each dot is encoded alone by two
-shared layers, the codes are laid out as the dots lie in the gel, two convolutions combine neighbours, and three layers
-classify the whole. `ImageNet`: four convolutions on event images, and two layers. Only `train` imports this module, as
-torch takes more than a second to import.
+The networks are the paper's (section Slip Detection, Model Architectures). `SlipNet`: two shared layers encode each dot
+separately, the codes are arranged in the grid of the dots, two convolutions combine neighbours, and three layers
+classify the whole. `ImageNet`: four convolutions on event images, and two layers. Only `train` imports this module,
+because torch takes more than a second to import.
 """
 
 from collections.abc import Mapping
@@ -35,8 +35,9 @@ from evetac_cli.kernels.slip.architectures import (
 class SlipNet(nn.Module):
     """Slip detector for a grid of dots.
 
-    Inputs are normalised first as (input - input_offset) * input_scale, both (inputs_per_dot,) and fixed; without them
-    this is the identity, as in the paper. They travel with the weights but are not trained nor counted as parameters.
+    Inputs are first normalised as (input - input_offset) * input_scale, both (inputs_per_dot,) and fixed. By default
+    this is the identity, as in the paper. Both are stored with the weights but are not trained or counted as
+    parameters.
     """
 
     input_offset: Tensor
@@ -61,7 +62,7 @@ class SlipNet(nn.Module):
         self.register_buffer("input_offset", _channels(0.0 if input_offset is None else input_offset, wide))
         self.fc1 = nn.Linear(wide, architecture.fc1)
         self.fc2 = nn.Linear(architecture.fc1, architecture.fc2)
-        # the kernel loses a column on each side but no row, as 7 x 8 dots give 7 x 6 in the paper's table
+        # The kernel loses a column on each side but no row: 7 x 8 dots give 7 x 6, as in the paper's table.
         self.conv1 = nn.Conv2d(architecture.fc2, CONV1, 3, padding=(1, 0))
         self.pool = nn.MaxPool2d(2)
         self.conv2 = nn.Conv2d(CONV1, CONV2, 3, padding=1)
@@ -70,7 +71,7 @@ class SlipNet(nn.Module):
         self.fc5 = nn.Linear(FC4, 1)
 
     def forward(self, features: Tensor) -> Tensor:
-        """Logits (batch,), whose sigmoid is the probability, of features (batch, dots row-major, inputs_per_dot)."""
+        """Return logits (batch,), whose sigmoid is the probability, of features (batch, dots, inputs_per_dot)."""
         logits: Tensor = self.outputs(self.last_hidden(features))
         return logits[:, 0]
 
@@ -80,7 +81,7 @@ class SlipNet(nn.Module):
         return self.fc5
 
     def last_hidden(self, features: Tensor) -> Tensor:
-        """The layer before the logits, (batch, FC4)."""
+        """Return the layer before the logits, (batch, FC4)."""
         code = (features - self.input_offset) * self.input_scale
         code = torch.relu(self.fc1(code))
         code = torch.relu(self.fc2(code))
@@ -92,7 +93,7 @@ class SlipNet(nn.Module):
 
 
 class ImageNet(nn.Module):
-    """Slip detector for event images, the paper's baseline; normalised as `SlipNet`, by one value for each image."""
+    """Slip detector for event images, the paper's baseline; normalised as `SlipNet`, with one value per image."""
 
     input_offset: Tensor
     input_scale: Tensor
@@ -116,7 +117,7 @@ class ImageNet(nn.Module):
         self.fc2 = nn.Linear(IMAGE_FC, 1)
 
     def forward(self, images: Tensor) -> Tensor:
-        """Logits (batch,) of images (batch, history, height, width), the newest first."""
+        """Return logits (batch,) of images (batch, history, height, width), newest first."""
         logits: Tensor = self.outputs(self.last_hidden(images))
         return logits[:, 0]
 
@@ -126,10 +127,10 @@ class ImageNet(nn.Module):
         return self.fc2
 
     def last_hidden(self, images: Tensor) -> Tensor:
-        """The layer before the logits, (batch, IMAGE_FC)."""
+        """Return the layer before the logits, (batch, IMAGE_FC)."""
         wide = self.architecture.history
         images = (images - self.input_offset.view(wide, 1, 1)) * self.input_scale.view(wide, 1, 1)
-        # why so: a step of training takes 0.7 to 0.8 of the time on a CPU
+        # With this layout a training step takes 0.7 to 0.8 of the time on a CPU.
         images = images.contiguous(memory_format=torch.channels_last)
         for conv, (across, down) in zip(self.convs, self.architecture.pools, strict=True):
             images = torch.relu(nn.functional.max_pool2d(conv(images), (down, across)))
@@ -160,7 +161,7 @@ class OtherNet(nn.Module):
             self.add_module(name, module)
 
     def forward(self, features: Tensor) -> Tensor:
-        """Logits (batch,) of features (batch, dots row-major, inputs_per_dot), or images (batch, channels, ...)."""
+        """Return logits (batch,) of features (batch, dots by row, inputs_per_dot) or images (batch, channels, ...)."""
         logits: Tensor = self.outputs(self.last_hidden(features))
         return logits[:, 0]
 
@@ -172,7 +173,7 @@ class OtherNet(nn.Module):
         return last
 
     def last_hidden(self, features: Tensor) -> Tensor:
-        """The layer before the logits."""
+        """Return the layer before the logits."""
         named = dict(self.named_children())
         offset, scale = self.input_offset.view(self._shape), self.input_scale.view(self._shape)
         hidden: Tensor = self.architecture.hidden(named, (features - offset) * scale)
@@ -189,7 +190,7 @@ def build(
     input_scale: ArrayLike | None = None,
     input_offset: ArrayLike | None = None,
 ) -> Network:
-    """A network with first weights from torch's generator; rows and columns of dots mean nothing to an `ImageNet`."""
+    """Return a network with initial weights from torch's generator; an `ImageNet` ignores the grid of dots."""
     if isinstance(architecture, ImageArchitecture):
         return ImageNet(architecture, input_scale, input_offset)
     if isinstance(architecture, PluginLayers):
@@ -198,19 +199,19 @@ def build(
 
 
 def parameters(network: Network) -> int:
-    """Number of trained weights and biases."""
+    """Return the number of trained weights and biases."""
     return sum(parameter.numel() for parameter in network.parameters())
 
 
 def weights(network: Network) -> dict[str, NDArray[np.float32]]:
-    """Copy out all weights and the input normalisation, by their names in the network."""
+    """Return copies of all weights and of the input normalisation, by their names in the network."""
     return {name: tensor.detach().cpu().numpy().copy() for name, tensor in network.state_dict().items()}
 
 
 def from_weights(
     architecture: Architecture, arrays: Mapping[str, NDArray[np.float32]], rows: int = 7, columns: int = 8
 ) -> Network:
-    """Build the network that `weights` came from; ValueError where names, shapes or values do not fit."""
+    """Build the network from the arrays that `weights` returned; ValueError if names, shapes or values do not fit."""
     network = build(architecture, rows, columns)
     state = network.state_dict()
     if set(arrays) != set(state):
@@ -226,7 +227,7 @@ def from_weights(
 
 
 def onnx_graph(network: Network) -> bytes:
-    """Build the ONNX file of the network: features (batch, ...) float32, as `inputs.at`, -> probability (batch,)."""
+    """Return the ONNX file of the network: features (batch, ...) float32, as `inputs.at`, -> probability (batch,)."""
     grid = (network.rows, network.columns) if not isinstance(network, ImageNet) else (0, 0)
     return onnx_graphs.build(network.architecture, weights(network), *grid)
 
@@ -234,5 +235,5 @@ def onnx_graph(network: Network) -> bytes:
 def _channels(values: ArrayLike, wide: int) -> Tensor:
     array = np.asarray(values, np.float32)
     if array.shape not in {(), (wide,)} or not np.isfinite(array).all():
-        raise ValueError(f"expected one finite value a channel, ({wide},), found shape {array.shape}: {array}")
+        raise ValueError(f"expected one finite value per channel, ({wide},), found shape {array.shape}: {array}")
     return torch.from_numpy(np.broadcast_to(array, wide).copy())

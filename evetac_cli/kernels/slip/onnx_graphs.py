@@ -1,14 +1,16 @@
-"""Slip detectors as ONNX graphs: written from their weights, and checked before anything runs them.
+"""Slip detectors as ONNX graphs: written from their weights, and checked before they are run.
 
-Why so:
-- Written node by node, because torch's exporters are deprecated or want more packages, and these graphs are short, the
-  same for every torch, and identical byte for byte for identical weights.
-- A graph from a file may hold a loop without end or a constant of 32 GB, and onnxruntime would run it. So `check` takes
-  out of it nothing but the weights, writes our graph for them, and refuses the one from the file if it is another. That
-  leaves no operator, attribute, constant, name or file that our own writer does not write, and bounds every size.
-- A detector may be several networks that were trained apart: its logit is the mean of theirs, and the names of their
-  weights begin with their number, as in `1.fc1.weight`.
-- Without torch, because `grasp`, `evaluate` and `validate` check graphs and must not wait for its import.
+Reasons:
+- Graphs are written node by node, because torch's exporters are deprecated or need more packages. The graphs are short,
+  the same for every torch version, and byte-identical for identical weights.
+- A graph from a file may contain an endless loop or a constant of 32 GB, and onnxruntime would run it. So `check` only
+  takes the weights from the file, writes evetac's graph for them, and rejects the file if its graph differs. A checked
+  graph thus has no operator, attribute, constant, name or external file that this module does not write, and every size
+  is bounded.
+- A detector may consist of several networks that were trained separately. Its logit is the mean of theirs, and the
+  names of their weights begin with their number, for example `1.fc1.weight`.
+- The module does not need torch, because `grasp`, `evaluate` and `validate` check graphs and must not wait for its
+  import.
 """
 
 from collections.abc import Mapping
@@ -31,17 +33,18 @@ from evetac_cli.kernels.slip.architectures import (
     weight_shapes,
 )
 
-# why so: the onnx package would stamp its newest versions, which the oldest onnxruntime we allow does not read
+# The onnx package would write its newest versions, which the oldest onnxruntime that evetac accepts does not read.
 OPSET = 17
 IR = 8
-PER_GRID = "per_grid"  # shape of the dots' codes: all inputs, rows, columns, channels
-STAMPS = ("ir_version", "producer_name", "producer_version", "doc_string")  # who wrote a file, not what it computes
+PER_GRID = "per_grid"  # name of the constant shape of the dots' codes: all inputs, rows, columns, channels
+# fields about the program that wrote a file, not about its computation
+STAMPS = ("ir_version", "producer_name", "producer_version", "doc_string")
 
 
 def build(
     architecture: Architecture, weights: Mapping[str, NDArray[np.float32]], rows: int = 7, columns: int = 8
 ) -> bytes:
-    """The ONNX file of a detector with these weights: features (batch, ...) float32 -> probability (batch,)."""
+    """Return the ONNX file of a detector with these weights: features (batch, ...) float32 -> probability (batch,)."""
     model = _model(architecture, weights, rows, columns)
     onnx.checker.check_model(model, full_check=True)
     serialised: bytes = model.SerializeToString()
@@ -55,15 +58,15 @@ def check(
     columns: int,
     weights: Mapping[str, NDArray[np.float32]] | None = None,
 ) -> None:
-    """Raise ValueError unless a graph is what `build` writes for this architecture and these weights, or any."""
+    """Raise ValueError unless a graph is what `build` writes for this architecture and these weights (None: any)."""
     model = _parsed(graph)
     if model.functions or model.training_info or model.metadata_props:
-        raise ValueError("expected one graph, found functions, training or metadata beside it")
+        raise ValueError("expected a graph only, found functions, training or metadata in addition")
     inside = _weights_inside(model, architecture, rows, columns)
     if weights is not None:
         for name in sorted({*weights, *inside}):
             if name not in inside or name not in weights or not np.array_equal(inside[name], weights[name]):
-                raise ValueError(f"expected the weights of the file, found others as {name}")
+                raise ValueError(f"expected the weights of the model file, found different ones for {name}")
     ours = _model(architecture, inside, rows, columns)
     for field in STAMPS:
         model.ClearField(field)
@@ -73,11 +76,11 @@ def check(
 
 
 def read(graph: bytes, architecture: DotArchitecture) -> tuple[dict[str, NDArray[np.float32]], int, int]:
-    """The weights that a graph holds, and rows and columns of its dots; ValueError unless `build` wrote it."""
+    """Return the weights of a graph, and rows and columns of its dots; ValueError unless `build` wrote it."""
     stored = {tensor.name: tensor for tensor in _parsed(graph).graph.initializer}
     per_grid = stored.get(PER_GRID)
     if per_grid is None or len(per_grid.raw_data) != 4 * 8:
-        raise ValueError(f"expected the graph of {architecture.name}, found none over a grid of dots")
+        raise ValueError(f"expected the graph of {architecture.name}, found a graph without a grid of dots")
     _, rows, columns, _ = np.frombuffer(per_grid.raw_data, "<i8").tolist()
     if rows < LEAST_ROWS or columns < LEAST_COLUMNS:
         raise ValueError(f"expected at least {LEAST_ROWS} x {LEAST_COLUMNS} dots, found {rows} x {columns}")
@@ -93,7 +96,7 @@ def _parsed(graph: bytes) -> Any:
 
 
 def _weights_inside(model: Any, architecture: Architecture, rows: int, columns: int) -> dict[str, NDArray[np.float32]]:
-    """The weights that a graph holds, in the shapes of the architecture; a normalisation left out is the identity."""
+    """Return the weights of a graph in the shapes of the architecture; a missing normalisation is the identity."""
     stored = {tensor.name: tensor for tensor in model.graph.initializer}
     arrays = {}
     for name, shape in weight_shapes(architecture, rows, columns, prefixes(stored)).items():
@@ -103,19 +106,19 @@ def _weights_inside(model: Any, architecture: Architecture, rows: int, columns: 
             continue
         size = int(np.prod(shape, dtype=np.int64))
         if tensor is None or tensor.data_type != TensorProto.FLOAT or len(tensor.raw_data) != 4 * size:
-            raise ValueError(f"expected {size} weights {name} inside, found none or others")
+            raise ValueError(f"expected {size} weights {name} in the graph, found none or a different number")
         arrays[name] = np.frombuffer(tensor.raw_data, "<f4").reshape(shape)
     return arrays
 
 
 def _difference(model: Any, ours: Any) -> str:
-    """Where a graph departs from ours, in words."""
+    """Describe the difference of a graph from evetac's."""
     operators, wanted = ([node.op_type for node in one.graph.node] for one in (model, ours))
     foreign = sorted(set(operators) - set(wanted))
     if foreign:
         return f"the operators {', '.join(name[:40] for name in foreign[:5])}"
     if operators != wanted:
-        return f"{len(operators)} operators in another order, where there are {len(wanted)}"
+        return f"{len(operators)} operators in another order, instead of {len(wanted)}"
     return "other constants or attributes"
 
 
@@ -176,7 +179,7 @@ def _image_layers(graph: "GraphWriter", architecture: ImageArchitecture, value: 
 
 
 class GraphWriter:
-    """Nodes and constants of an ONNX graph, as they are added."""
+    """The nodes and constants of an ONNX graph that is being written."""
 
     def __init__(self, arrays: Mapping[str, NDArray[np.float32]]) -> None:
         self.nodes: list[Any] = []
@@ -185,28 +188,28 @@ class GraphWriter:
         self.prefix = ""  # of the weights' names of the network that is being added
 
     def add(self, operator: str, value: str, *more: str, output: str = "", **attributes: Any) -> str:
-        """A node with these inputs and attributes; the name of its output."""
+        """Add a node with these inputs and attributes; return the name of its output."""
         output = output or f"value{len(self.nodes)}"
         self.nodes.append(helper.make_node(operator, [value, *more], [output], **attributes))
         return output
 
     def layer(self, operator: str, value: str, name: str, **attributes: Any) -> str:
-        """A node whose other inputs are weight and bias of a layer."""
+        """Add a node whose other inputs are weight and bias of a layer; return the name of its output."""
         names = [f"{self.prefix}{name}.weight", f"{self.prefix}{name}.bias"]
         self.used += names
         return self.add(operator, value, *names, **attributes)
 
     def constant(self, name: str, values: list[int]) -> str:
-        """Whole numbers, such as a shape, by a name that always has the same."""
-        if name not in self.used:  # which all networks of a detector share
+        """Add an integer constant, such as a shape, and return its name; one name must always have the same values."""
+        if name not in self.used:  # all networks of a detector share it
             self.arrays[name] = np.array(values, np.int64)
             self.used.append(name)
         return name
 
     def normalised(self, value: str, shape: list[int]) -> str:
-        """Offset and scale, left out where they are the identity.
+        """Subtract the offset and multiply by the scale, unless they are the identity; return the output's name.
 
-        Why so: not folded into the first layer, as a channel that hardly varies would cancel there.
+        They are not folded into the first layer, because a channel that hardly varies would lose its precision there.
         """
         offset, scale = f"{self.prefix}input_offset", f"{self.prefix}input_scale"
         if np.all(self.arrays[offset] == 0) and np.all(self.arrays[scale] == 1):

@@ -1,10 +1,11 @@
-"""Whether what a detector says happens as often as it says, and the two numbers that make it so.
+"""Reliability of a detector's probabilities, and the two numbers that calibrate them.
 
-A detector learns from batches with as much slip as not, where a trial has little: it says 0.75 of slices of which a
-fifth slip. A scale and an offset of its log odds, by maximum likelihood on trajectories that it did not learn from,
-change no order of two slices. Source: J. Platt, Probabilistic outputs for support vector machines, 1999.
+A detector is trained on batches with equal shares of slip and no slip, but a trial contains little slip. It returns
+0.75 for slices of which a fifth slip. The calibration is a scale and an offset of the log odds, fitted by maximum
+likelihood to trajectories that were not used for training. It does not change the order of any two slices. Source: J.
+Platt, Probabilistic outputs for support vector machines, 1999.
 
-Slices count up to 20 ms after the onset, as for F1: after that all slip, for as long as a trial happens to go on.
+Slices count up to 20 ms after the onset, as for F1. After that all slices slip, for as long as a trial happens to last.
 """
 
 from collections.abc import Sequence
@@ -16,10 +17,10 @@ from numpy.typing import NDArray
 from evetac_cli.kernels import logistic
 from evetac_cli.kernels.slip.metrics import F1_CUT_MS, Prediction
 
-ABOVE = 0.1  # calibration is judged on slices of which so much is said: of most others nothing is
+ABOVE = 0.1  # reliability only uses slices with a higher probability: most others are near 0
 BINS = np.linspace(0.1, 1.0, 10)  # edges
-PENALTY = 1e-6  # of both numbers; it only keeps the equations solvable where all slices say the same
-NEAREST = 1e-7  # to 0 and 1: float32 has no probability nearer to 1 but 1
+PENALTY = 1e-6  # on both numbers; it only keeps the equations solvable if all slices have the same probability
+NEAREST = 1e-7  # to 0 and 1: float32 has no probability closer to 1 except 1
 MOST_ODDS = 50.0  # log odds that are certain in float32
 
 
@@ -30,36 +31,36 @@ class OddsScale(NamedTuple):
     offset: float
 
     def inverse(self) -> "OddsScale":
-        """The one that takes this one back."""
+        """Return the inverse calibration."""
         return OddsScale(1 / self.scale, -self.offset / self.scale)
 
     def of(self, probability: NDArray[np.floating]) -> NDArray[np.float32]:
-        """Calibrated probabilities; NaN stays."""
+        """Return calibrated probabilities; NaN stays NaN."""
         odds = np.clip(self.scale * _log_odds(probability) + self.offset, -MOST_ODDS, MOST_ODDS)
         single: NDArray[np.float32] = (1.0 / (1.0 + np.exp(-odds))).astype(np.float32)
         return single
 
 
 def fit(predictions: Sequence[Prediction]) -> OddsScale:
-    """The calibration under which labels are likeliest.
+    """Return the calibration that makes the labels most likely.
 
-    ValueError without slices of both kinds, or where slip is the likelier the less of it the detector says.
+    ValueError without slices of both kinds, or if slip is more frequent at lower probabilities.
     """
     probability, slips = judged(predictions)
     if not 0 < np.count_nonzero(slips) < len(slips):
-        raise ValueError("expected slices that slip and others, found one kind")
+        raise ValueError("expected slices with slip and slices without, found only one kind")
     columns = np.stack([_log_odds(probability), np.ones(len(probability))], axis=1)
-    # Platt's targets: one more slice of each kind, so that slices told apart without error make nothing certain.
+    # Platt's targets: one more slice of each kind, so that a perfect separation does not make anything certain.
     count = np.count_nonzero(slips)
     target = np.where(slips, (count + 1) / (count + 2), 1 / (len(slips) - count + 2))
     scale, offset = logistic.fit(columns, target, np.full(2, PENALTY), np.ones(len(slips))).tolist()
     if not (np.isfinite([scale, offset]).all() and scale > 0):
-        raise ValueError(f"expected more slip where more is said, found a scale of {scale:g}")
+        raise ValueError(f"expected slip to be more frequent at higher probabilities, found a scale of {scale:g}")
     return OddsScale(scale, offset)
 
 
 def judged(predictions: Sequence[Prediction]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Probabilities of all slices that have one and a label, up to 20 ms after the onset, and which of them slip."""
+    """Return the probabilities of all slices with a label, up to 20 ms after the onset, and which of them slip."""
     parts = []
     for one in predictions:
         end = len(one.label) if one.onset < 0 else one.onset + F1_CUT_MS
@@ -73,7 +74,7 @@ def judged(predictions: Sequence[Prediction]) -> tuple[NDArray[np.float64], NDAr
 
 
 class ReliabilityBin(NamedTuple):
-    """Of the slices of which between low and high is said: how many, what is said, and how many of them slip."""
+    """The slices with a probability between low and high: their number, mean probability, and share that slips."""
 
     low: float
     high: float
@@ -83,20 +84,20 @@ class ReliabilityBin(NamedTuple):
 
 
 def bins(probability: NDArray[np.float64], slips: NDArray[np.bool_]) -> list[ReliabilityBin]:
-    """What is said and what happens, in steps of 0.1 from 0.1 on; steps without a slice are left out."""
+    """Return the bins of width 0.1, starting at 0.1; bins without a slice are left out."""
     place = np.minimum(np.searchsorted(BINS, probability, side="right") - 1, len(BINS) - 2)
-    made = []
+    result = []
     for number in range(len(BINS) - 1):
         of_bin = (place == number) & (probability > ABOVE)
         if of_bin.any():
             said, happened = float(probability[of_bin].mean()), float(slips[of_bin].mean())
             count = int(np.count_nonzero(of_bin))
-            made.append(ReliabilityBin(float(BINS[number]), float(BINS[number + 1]), count, said, happened))
-    return made
+            result.append(ReliabilityBin(float(BINS[number]), float(BINS[number + 1]), count, said, happened))
+    return result
 
 
 def expected_error(bins: Sequence[ReliabilityBin]) -> float | None:
-    """Mean difference of what is said and what happens over slices above 0.1; None where there are none."""
+    """Return the mean difference of probability and slipping share, over slices above 0.1; None without such slices."""
     slices = sum(one.slices for one in bins)
     if not slices:
         return None

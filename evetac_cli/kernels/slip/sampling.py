@@ -1,18 +1,19 @@
-"""Which slices a slip detector is trained on, how often each is drawn, and how samples are rotated.
+"""Select the slices that a slip detector is trained on, how often each is drawn, and how samples are rotated.
 
-Slip is rare, and most of the rest is silence, so samples are drawn from three pools (paper, Model Training & Data
+Slip is rare, and most other slices are silent, so samples are drawn from three pools (paper, Model Training & Data
 Selection):
 
 - slip: slices labelled slip;
 - busy: slices labelled no slip with more than 25 events;
 - quiet: all other slices labelled no slip.
 
-"Events" are those outside the window strip, because a detector must not see the window. A batch of 72 holds
-32, 32 and 8 of them, and an epoch is one pass over the busy pool.
+"Events" are those outside the window strip, because a detector must not see the window. A batch of 72 has 32, 32 and 8
+of them, and an epoch is one pass over the busy pool.
 
-Trajectories in which nothing ever slips, which the paper has none of, are a fourth pool, `still`: fingers that open,
-pushes, shaking, of which most slices are easy. However many there are, a batch holds 16 of them more: of 48 that
-are drawn the first 8, and of the other 40 the 8 that the network at that moment most takes for slip (training.py).
+A fourth pool, `still`, contains trajectories in which nothing ever slips; the paper has none. These are opening
+fingers, pushes and shaking, and most of their slices are easy. If there are any, a batch has 16 more samples from this
+pool. For these, 48 are drawn. The first 8 are used, and of the other 40 the 8 to which the present network assigns the
+highest probability of slip (training.py).
 """
 
 from collections.abc import Iterable, Iterator
@@ -32,19 +33,19 @@ SLIP_SHARE = 32  # samples of each pool in a batch
 BUSY_SHARE = 32
 QUIET_SHARE = 8
 STILL_SHARE = 16
-STILL_DRAWN = 48  # of which so many are trained on
-ROTATED_SHARE = 0.5
-NORMALISE_SAMPLES = 2000  # of each pool, enough for a mean and a spread
-NORMALISE_IMAGES = 200  # as many of images, which have some thousand values each
-NORMALISE_VALUES = 1 << 22  # at a time
+STILL_DRAWN = 48  # still samples that are drawn, of which STILL_SHARE are used
+ROTATED_SHARE = 0.5  # of the samples
+NORMALISE_SAMPLES = 2000  # of each pool, enough for a mean and a standard deviation
+NORMALISE_IMAGES = 200  # the same for images, each of which has some thousand values
+NORMALISE_VALUES = 1 << 22  # processed at a time: 32 MiB
 
 
 @dataclass(frozen=True)
 class SlipSamples:
     """Trajectories end to end, and for each pool the slices (int64) at which a sample's history ends.
 
-    Why so: inputs are gathered again for each batch, because all of them together hold every slice as often as the
-    history is long (2.4 GB for 360 trajectories of 1.5 s and hist10), and gathering takes a small part of a step.
+    Inputs are gathered again for each batch. All of them together would hold every slice once per step of the history
+    (2.4 GB for 360 trajectories of 1.5 s and hist10), and gathering takes a small part of a training step.
     """
 
     architecture: Architecture
@@ -54,11 +55,11 @@ class SlipSamples:
     slip: NDArray[np.int64]
     busy: NDArray[np.int64]
     quiet: NDArray[np.int64]
-    slip_share: NDArray[np.float32]  # (slices,) of the visible contact, as far ahead as the labels; NaN if not known
+    slip_share: NDArray[np.float32]  # (slices,) of the visible contact, as far ahead as the labels; NaN if unknown
     still: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
 
     def inputs(self, at: NDArray[np.int64]) -> NDArray[np.float32]:
-        """Network inputs (samples, ...) of the samples that end at these slices."""
+        """Return the network inputs (samples, ...) of the samples that end at these slices."""
         return inputs.at(self.architecture, self.series, at)
 
 
@@ -71,10 +72,10 @@ def gather(
 ) -> SlipSamples:
     """Sort the slices of trajectories into the pools; slices that no sample needs are left out.
 
-    A trajectory with an onset is cut to the slices [0, onset + cut): 15 ms for a history of 10 or less, 20 ms to 20,
-    50 ms beyond. A slice is a sample when its history is full and it is labelled. With `horizon_ms` the same slices are
-    labelled as by `shift_labels`. Trajectories are taken one by one, and what is not needed is not kept. ValueError
-    where shapes, values or the onset do not fit, or where the slip or the busy pool would be empty; the others may be.
+    A trajectory with an onset is cut to the slices [0, onset + cut): 15 ms for a history up to 10, 20 ms up to 20, 50
+    ms beyond. A slice is a sample if its history is full and it is labelled. With `horizon_ms` the same slices get the
+    labels of `shift_labels`. Trajectories are taken one by one, and unneeded parts are not kept. ValueError if shapes,
+    values or the onset do not fit, or if the slip or busy pool would be empty; the others may be.
     """
     pools: dict[str, list[NDArray[np.int64]]] = {name: [] for name in PoolSizes._fields}
     shares: list[NDArray[np.float32]] = []
@@ -91,7 +92,7 @@ def _sorted(
     pools: dict[str, list[NDArray[np.int64]]],
     shares: list[NDArray[np.float32]],
 ) -> Iterator[inputs.Series]:
-    """The slices of each trajectory that samples need; `pools` and `shares` are filled on the way."""
+    """Yield the slices of each trajectory that samples need; fills `pools` and `shares` on the way."""
     history = architecture.history
     begin = count = 0
     for index, trajectory in enumerate(trajectories):
@@ -101,10 +102,10 @@ def _sorted(
             members = _members(trajectory.label, trajectory.onset, trajectory.events_outside, architecture, horizon_ms)
         except ValueError as error:
             raise ValueError(f"trajectory {index}: {error}") from error
-        drawn = np.logical_or.reduce([*members.values()])
-        if not drawn.any():
+        used = np.logical_or.reduce([*members.values()])
+        if not used.any():
             continue
-        slices, first = len(drawn), int(np.argmax(drawn)) - (history - 1)
+        slices, first = len(used), int(np.argmax(used)) - (history - 1)
         for name, mask in members.items():
             pools[name].append(begin - first + np.flatnonzero(mask))
         shares.append(_share_ahead(trajectory, horizon_ms)[first:slices])
@@ -126,7 +127,7 @@ def _members(
     architecture: Architecture,
     horizon_ms: int,
 ) -> dict[str, NDArray[np.bool_]]:
-    """Of each pool, which slices of a trajectory are its samples, up to where the trajectory is cut."""
+    """Return, for each pool, which slices of a trajectory are its samples, up to the cut of the trajectory."""
     shifted = shift_labels(label, horizon_ms)
     slices = len(shifted) if onset < 0 else min(len(shifted), onset + architecture.train_cut_ms)
     full, shifted = np.arange(slices) >= architecture.history - 1, shifted[:slices]
@@ -139,7 +140,7 @@ def _members(
 
 
 class PoolSizes(NamedTuple):
-    """How many samples each pool has."""
+    """Number of samples in each pool."""
 
     slip: int
     busy: int
@@ -148,7 +149,7 @@ class PoolSizes(NamedTuple):
 
     @property
     def steps(self) -> int:
-        """Batches in one pass over the busy pool."""
+        """Number of batches in one pass over the busy pool."""
         return -(-self.busy // _busy_share(self.quiet))
 
 
@@ -159,14 +160,14 @@ def pool_sizes(
     architecture: Architecture,
     horizon_ms: int = 0,
 ) -> PoolSizes:
-    """How many samples a trajectory adds to each pool, as `gather` sorts them; ValueError for impossible labels."""
+    """Return the number of samples that `gather` adds to each pool from a trajectory; ValueError for invalid labels."""
     check_labels(label, onset)
     members = _members(label, onset, events_outside, architecture, horizon_ms)
     return PoolSizes(*(int(np.count_nonzero(mask)) for mask in members.values()))
 
 
 def _share_ahead(trajectory: Trajectory, horizon_ms: int) -> NDArray[np.float32]:
-    """Share of the contact that slips so much later, (slices,): 1 from the onset on, NaN if it is not known."""
+    """Return the slipping share of the contact this much later, (slices,): 1 starting at the onset, NaN if unknown."""
     slices = len(trajectory.label)
     if trajectory.slip_share is None:
         return np.full(slices, np.nan, np.float32)
@@ -176,7 +177,7 @@ def _share_ahead(trajectory: Trajectory, horizon_ms: int) -> NDArray[np.float32]
 
 
 class Batch(NamedTuple):
-    """One batch, by pool: the slices at which its samples end. Of `still` some are then chosen."""
+    """One batch, by pool: the slices at which its samples end. Of `still`, some are selected later."""
 
     slip: NDArray[np.int64]
     busy: NDArray[np.int64]
@@ -185,16 +186,16 @@ class Batch(NamedTuple):
 
 
 def steps_per_epoch(samples: SlipSamples) -> int:
-    """Batches in one pass over the busy pool."""
-    return PoolSizes(len(samples.slip), len(samples.busy), len(samples.quiet)).steps  # whatever is still
+    """Return the number of batches in one pass over the busy pool."""
+    return PoolSizes(len(samples.slip), len(samples.busy), len(samples.quiet)).steps  # still samples do not count
 
 
 def batches(samples: SlipSamples, rng: np.random.Generator) -> Iterator[Batch]:
-    """Draw batches without end; `steps_per_epoch` of them see every busy sample once.
+    """Draw batches without end; `steps_per_epoch` of them use every busy sample once.
 
-    Each pool is shuffled, dealt out, and shuffled again when it is used up; all but busy samples run on over the
-    borders of epochs. The last batch of an epoch holds what is left of the busy pool, and the other shares shrink with
-    it (rounded up), so that the proportions hold. An empty quiet pool leaves its share to the busy pool.
+    Each pool is shuffled, dealt out, and shuffled again when it is used up; except for busy samples, dealing continues
+    across epochs. The last batch of an epoch has the rest of the busy pool, and the other shares shrink with it
+    (rounded up), to keep the proportions. If the quiet pool is empty, its share goes to the busy pool.
     """
     share = _busy_share(len(samples.quiet))
     slip_deck = _deal(samples.slip, rng)
@@ -214,22 +215,22 @@ def batches(samples: SlipSamples, rng: np.random.Generator) -> Iterator[Batch]:
 
 
 def quarter_turns(samples: int, rng: np.random.Generator) -> NDArray[np.int64]:
-    """How often each sample is turned by 90 degrees: 1 to 3 times with probability 0.5, else not at all."""
+    """Return the number of rotations by 90 degrees of each sample: 1 to 3 with probability 0.5, else 0."""
     return np.where(rng.random(samples) < ROTATED_SHARE, rng.integers(1, 4, samples), 0)
 
 
 def augment(
     samples: SlipSamples, batch: NDArray[np.float32], turns: NDArray[np.int64], factors: NDArray[np.float32]
 ) -> NDArray[np.float32]:
-    """Rotate each input of a batch by its quarter turns, as if the object had been gripped so (paper); a new array.
+    """Return a batch whose inputs are rotated by their quarter turns and multiplied by their factors.
 
-    And multiply it by its factor.
+    A rotation simulates another direction of the grasp (paper).
     """
     return inputs.turn(samples.architecture, batch, samples.rows, samples.columns, turns, factors)
 
 
 def channel_stats(samples: SlipSamples) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Mean and standard deviation of each channel over what a batch holds: every pool counts by its share."""
+    """Return mean and standard deviation of each channel over an average batch: every pool counts by its share."""
     images = isinstance(samples.architecture, OverImages)
     axes = (0, 2, 3) if images else (0, 1)
     most = NORMALISE_IMAGES if images else NORMALISE_SAMPLES
@@ -249,7 +250,7 @@ def channel_stats(samples: SlipSamples) -> tuple[NDArray[np.float64], NDArray[np
 
 
 def pool_shares(samples: SlipSamples) -> list[tuple[int, NDArray[np.int64], float]]:
-    """Of each pool that is not empty its share of a batch, its slices, and their label."""
+    """Return, for each pool that is not empty, its share of a batch, its slices, and their label."""
     pools = (
         (SLIP_SHARE, samples.slip, 1.0),
         (_busy_share(len(samples.quiet)), samples.busy, 0.0),
@@ -295,4 +296,4 @@ def _check(trajectory: Trajectory, dots: int) -> None:
     if not np.isfinite(of_dots).all():
         raise ValueError("series: expected finite numbers")
     if isinstance(trajectory.series, DotsAndExtras) and np.isinf(trajectory.series.extras).any():
-        raise ValueError("series: expected finite extras, NaN for what is not known, found infinite ones")
+        raise ValueError("series: expected finite extras, NaN for unknown ones, found infinite ones")

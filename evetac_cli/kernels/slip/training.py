@@ -28,13 +28,14 @@ from evetac_cli.kernels.slip.sampling import (
     quarter_turns,
 )
 
-CURVE_POINTS = 100
-VALIDATION_SAMPLES = 2000  # of each pool, evenly spaced: a loss that is known to some percent
+CURVE_POINTS = 100  # of the loss curve
+VALIDATION_SAMPLES = 2000  # of each pool, evenly spaced: enough for the loss within some percent
 VALIDATION_BATCH = 200
-PROGRESS_STEPS = 10
-# Of the gripper, and of the share that sticks, each is left out of so many samples, so that one model does without.
+PROGRESS_STEPS = 10  # steps between two calls of the progress hook
+# Share of the samples in which the gripper is unknown; the same, independently, for the sticking share. So one model
+# also works without them.
 LEFT_OUT_SHARE = 0.3
-SAVE_STEPS = 50  # steps between two states that a run can be resumed from, see `train`
+SAVE_STEPS = 50  # steps between two saved states from which a run can be resumed, see `train`
 
 
 @dataclass(frozen=True)
@@ -44,15 +45,17 @@ class Preset:
     name: str
     optimiser: Literal["sgd", "adam", "adamw"]
     learning_rate: float
-    normalise: bool  # shift and scale each input channel to mean 0 and spread 1 over the training samples
+    normalise: bool  # shift and scale each input channel to mean 0 and standard deviation 1 over the training samples
     epochs: int
     checkpoint_every: int  # epochs
     weight_decay: float = 0.0
-    cosine: bool = False  # let the learning rate fall to 0 over the run, as half a cosine
-    average: float = 0.0  # keep the running mean of the weights, with this share of the old a step; 0: keep the last
+    cosine: bool = False  # reduce the learning rate to 0 over the run, as half a cosine
+    # decay per step of a running mean of the weights, which is the result; 0: use the last weights
+    average: float = 0.0
     gain: tuple[float, float] = (1.0, 1.0)  # each sample is multiplied by a factor from this range (log-uniform)
-    share_weight: float = 0.0  # of a second loss: how well a second output tells the true share that slips
-    # Whether probabilities are calibrated on what validates, and the threshold chosen by false alarms per minute.
+    # weight of a second loss: error of a second output that estimates the true share that slips
+    share_weight: float = 0.0
+    # Whether probabilities are calibrated on validation data, and the threshold chosen by false alarms per minute.
     calibrated: bool = True
 
 
@@ -60,11 +63,11 @@ PRESETS = {
     preset.name: preset
     for preset in [
         Preset("paper", "sgd", learning_rate=1e-3, normalise=False, epochs=70, checkpoint_every=10, calibrated=False),
-        # not the paper's: for trainings of few steps
+        # Not the paper's: for trainings of few steps.
         Preset("adam", "adam", learning_rate=1e-3, normalise=True, epochs=70, checkpoint_every=10),
-        # A single wrong slice spoils a trajectory's timing, and the mean of many late weights makes fewer of them. The
-        # gel is elastic and friction has no scale: an object half as heavy moves the dots half as far, with half the
-        # events, when it slips under half the force. So the factor makes lighter and heavier objects of those at hand.
+        # A single wrong slice spoils a trajectory's timing, and the mean of many late weights makes fewer such errors.
+        # The gel is elastic and friction has no scale: an object half as heavy moves the dots half as far, with half
+        # the events, when it slips under half the force. So the gain adds lighter and heavier objects to the data.
         Preset(
             "adamw",
             "adamw",
@@ -80,28 +83,28 @@ PRESETS = {
     ]
 }
 
-# From a trained network's weights to those for one sensor, of which there are few recordings: small steps.
+# Starts from a trained network's weights and adapts them to one sensor with few recordings: small steps.
 ADAPT = replace(PRESETS["adamw"], name="adapt", learning_rate=2e-4, average=0.99, gain=(0.6, 1.6))
 
 
 def with_true_slip_share(preset: Preset) -> Preset:
-    """The preset with a second loss, beside that on the labels: how well the true share that slips is told.
+    """Return the preset with a second loss, in addition to that on the labels: the error of the true slipping share.
 
-    Whether an object is lost in 10 ms hangs on how much of the contact slips already, which a simulation knows in every
-    slice. A label says less, and learned from labels alone the network calls a contact that slips in half for long,
-    under a slanted finger, lost. The second output is thrown away after training.
+    Whether an object is lost within 10 ms depends on how much of the contact already slips, which a simulation knows
+    for every slice. Labels contain less information. A network trained on labels alone reports an object as lost if
+    half of its contact slips for long, under a slanted finger. The second output is discarded after training.
     """
     return replace(preset, share_weight=1.0)
 
 
 def factors(preset: Preset, samples: int, rng: np.random.Generator) -> NDArray[np.float32]:
-    """Factors (samples,) that the samples are multiplied by, drawn log-uniformly from the preset's `gain`."""
+    """Return factors (samples,) on the samples, drawn log-uniformly from the preset's `gain`."""
     least, most = preset.gain
     return np.exp(rng.uniform(math.log(least), math.log(most), samples)).astype(np.float32)
 
 
 class Checkpoint(NamedTuple):
-    """The network after some steps, as `networks.weights` gives it."""
+    """The network after a number of steps, as returned by `networks.weights`."""
 
     step: int
     weights: dict[str, NDArray[np.float32]]
@@ -109,15 +112,15 @@ class Checkpoint(NamedTuple):
 
 @dataclass(frozen=True)
 class SlipTraining:
-    """The result of a run of training."""
+    """The result of a training run."""
 
     preset: Preset
     checkpoints: list[Checkpoint]  # the last is the end of the run
     curve_step: NDArray[np.int64]  # (points,)
     curve_loss: NDArray[np.float64]  # (points,) mean loss since the point before
     steps: int
-    steps_planned: int  # what all epochs would have taken
-    state: "TrainingState"  # at its end
+    steps_planned: int  # number of steps of all epochs
+    state: "TrainingState"  # of the run at its end
 
     @property
     def cut(self) -> bool:
@@ -129,10 +132,11 @@ TrainingState = dict[str, NDArray[Any]]  # an unfinished run, as named arrays
 
 
 class TrainingLimits(NamedTuple):
-    """When a run of training ends; `epochs` None takes the preset's.
+    """When a training run ends; `epochs` None uses the preset's.
 
-    With `patience` the loss on the samples for `validation` is taken at each point of the loss curve, and the run ends
-    when it has not fallen below its least for so many of them. The network of the least is then a checkpoint too.
+    With `patience`, the loss on the samples in `validation` is computed at each point of the loss curve. The run ends
+    when the loss has not fallen below its minimum for this many points. The network of the minimum becomes a
+    checkpoint.
     """
 
     epochs: int | None = None
@@ -142,10 +146,10 @@ class TrainingLimits(NamedTuple):
 
 
 class Hooks(NamedTuple):
-    """What is called while a network is trained.
+    """Functions that are called while a network is trained.
 
-    progress: (step, steps), every 10 steps. save: every 50 steps, with a function that returns the run's state as named
-    arrays. point: each point of the loss curve, step, loss, and with patience the loss on what validates.
+    `progress`: (step, steps), every 10 steps. `save`: every 50 steps, with a function that returns the run's state as
+    named arrays. `point`: for each point of the loss curve, with step, loss, and with patience the validation loss.
     """
 
     progress: Callable[[int, int], None] | None = None
@@ -169,15 +173,15 @@ def train(
 ) -> SlipTraining:
     """Train one network with binary cross entropy (paper, Model Training & Data Selection).
 
-    Checkpoints are taken every `preset.checkpoint_every` epochs and at the end; where `max_steps` cuts the run, as many
-    are spread evenly over its steps, and the result's `cut` is True. The result depends on the generator's state alone
-    (on one kind of machine and number of torch threads, which is the caller's to set).
+    Checkpoints are taken every `preset.checkpoint_every` epochs and at the end. If `max_steps` cuts the run, the same
+    number is spread evenly over its steps, and the result's `cut` is True. The result depends on the generator's state
+    alone, on one kind of machine and number of torch threads, which the caller sets.
 
-    Of samples in groups, the first says how inputs are normalised, and an epoch goes through all of them.
-    `start` holds weights and normalisation of a trained network to go on from, as `networks.weights` gives them.
-    With a state that was saved as `resume_from` and all other arguments as before, the run goes on from that step to
-    the same result: the random generators draw again, and discard, what had been drawn. ValueError when the loss stops
-    being finite, or where `resume_from` is the state of another run.
+    With samples in groups, the first group determines the normalisation, and an epoch goes through all groups. `start`:
+    weights and normalisation of a trained network to start from, as returned by `networks.weights`. `resume_from`: a
+    saved state; with all other arguments as before, the run continues from that step to the same result. To do so, the
+    random generators draw all earlier values again and discard them. ValueError if the loss becomes infinite or NaN, or
+    if `resume_from` is the state of another run.
     """
     epochs, max_steps, validation, patience = limits
     on_progress, on_save, on_point = hooks
@@ -236,7 +240,7 @@ def train(
 
 
 def ended(preset: Preset, saved: TrainingState) -> SlipTraining | None:
-    """The result of a run whose saved state is that at its end; None if it is of another run, or has not ended."""
+    """Return the result of a run from its saved state; None if it is of another run, or has not ended."""
     try:
         return _training(preset, saved) if int(saved["step"]) == int(saved["steps"]) else None
     except (KeyError, ValueError, TypeError):
@@ -250,7 +254,7 @@ def _training(preset: Preset, state: TrainingState) -> SlipTraining:
 
 
 class _TrainingRun:
-    """A run of training between two steps."""
+    """State of a training run between two steps."""
 
     def __init__(
         self,
@@ -276,8 +280,8 @@ class _TrainingRun:
         self.loss_sum = torch.zeros((), device=device)
         self.step = self.since = 0
         self.checkpoints: list[Checkpoint] = []
-        self.least, self.waited = math.inf, 0  # validation loss, and how many there were since
-        self.best: Checkpoint | None = None  # the network of the least
+        self.least, self.waited = math.inf, 0  # smallest validation loss, and points since then
+        self.best: Checkpoint | None = None  # the network of the smallest validation loss
         self.validated: float | None = None  # the last validation loss
         self.curve_step: list[int] = []
         self.curve_loss: list[float] = []
@@ -287,8 +291,8 @@ class _TrainingRun:
     ) -> None:
         """Take one step of the optimiser.
 
-        share: of the contact that slips, NaN where it is not known; done: the part of the run before it, 0 to 1; still:
-        how many at the end of the batch are of trajectories in which nothing slips, to be chosen from.
+        `share`: of the contact that slips, NaN if unknown. `done`: part of the run before this step, 0 to 1. `still`:
+        number of samples at the end of the batch from trajectories in which nothing slips; some of them are selected.
         """
         if still:
             kept = self._chosen(batch, still)
@@ -312,13 +316,13 @@ class _TrainingRun:
         self.loss_sum += loss.detach()
         self.step += 1
         if self.average:
-            # early weights are soon forgotten: the mean of a short run reaches back for a tenth of it
+            # forgets early weights: in a short run, the mean covers its last tenth
             old = min(self.preset.average, (1 + self.step) / (10 + self.step))
             new = [value.detach() for value in self.trained.values()]
             torch._foreach_lerp_(list(self.average.values()), new, 1 - old)
 
     def _chosen(self, batch: NDArray[np.float32], still: int) -> NDArray[np.int64]:
-        """Which samples of a batch are trained on: of the last `still`, some as they come, and the hardest others."""
+        """Return the samples of a batch to train on: of the last `still`, the first few, and the hardest others."""
         first, each = len(batch) - still, -(-still * STILL_SHARE // STILL_DRAWN // 2)
         others = torch.from_numpy(batch[first + each :]).to(self.device)
         with torch.no_grad():
@@ -327,7 +331,7 @@ class _TrainingRun:
         return np.concatenate([np.arange(first + each), first + each + hardest])
 
     def waits(self, validation: SlipSamples) -> int:
-        """Take the loss on samples for validation; how many such losses there were since the least."""
+        """Compute the loss on validation samples; return the number of such losses since the smallest."""
         now = Checkpoint(self.step, self.weights())
         self.validated = loss = validation_loss(validation, now.weights, self.device)
         if loss < self.least:
@@ -337,7 +341,7 @@ class _TrainingRun:
         return self.waited
 
     def end_here(self) -> None:
-        """Let this be the last step; the network of the least validation loss and this one are its last checkpoints."""
+        """Make this the last step; the last checkpoints are this network and that of the smallest validation loss."""
         assert self.best is not None
         more = [self.best, Checkpoint(self.step, self.weights())]
         known = {checkpoint.step: checkpoint for checkpoint in (*self.checkpoints, *more)}
@@ -345,7 +349,7 @@ class _TrainingRun:
         self.steps = self.step
 
     def mean_loss(self) -> float:
-        """Mean loss since the last call; it becomes a point of the loss curve."""
+        """Return the mean loss since the last call, and add it to the loss curve."""
         mean = float(self.loss_sum) / (self.step - self.since)
         self.curve_step.append(self.step)
         self.curve_loss.append(mean)
@@ -354,11 +358,11 @@ class _TrainingRun:
         return mean
 
     def weights(self) -> dict[str, NDArray[np.float32]]:
-        """Weights that a checkpoint holds: the last ones, or their running mean."""
+        """Return the weights of a checkpoint: the last ones, or their running mean."""
         return weights(self.network) | {name: value.cpu().numpy().copy() for name, value in self.average.items()}
 
     def state(self) -> TrainingState:
-        """The run as named arrays, from which `restore` goes on."""
+        """Return the run as named arrays, from which `restore` continues."""
         arrays: TrainingState = {
             "step": np.array(self.step),
             "since": np.array(self.since),
@@ -387,7 +391,7 @@ class _TrainingRun:
         return arrays
 
     def restore(self, saved: TrainingState) -> None:
-        """Go on from a saved state; ValueError if it is of another network or preset."""
+        """Continue from a saved state; ValueError if it is of another network or preset."""
         groups = _groups(saved)
         try:
             state = {name: torch.from_numpy(np.asarray(array)) for name, array in groups["weights"].items()}
@@ -414,7 +418,7 @@ class _TrainingRun:
 
 
 def _groups(saved: TrainingState) -> dict[str, TrainingState]:
-    """Arrays by the first part of their names."""
+    """Return the arrays by the first part of their names."""
     names = ("weights", "share", "average", "optimiser", "checkpoint", "best")
     groups: dict[str, TrainingState] = {name: {} for name in names}
     for name, array in saved.items():
@@ -425,9 +429,9 @@ def _groups(saved: TrainingState) -> dict[str, TrainingState]:
 
 
 def validation_loss(samples: SlipSamples, arrays: Mapping[str, NDArray[np.float32]], device: str = "cpu") -> float:
-    """Mean binary cross entropy of a network over samples, every pool with its share of a batch, none of them turned.
+    """Return the mean binary cross entropy of a network over samples, each pool with its share of a batch.
 
-    arrays: the network's weights, as from `networks.weights`.
+    Samples are not rotated. arrays: the network's weights, as from `networks.weights`.
     """
     network = from_weights(samples.architecture, arrays, samples.rows, samples.columns).to(device)
     total = weight = 0.0
@@ -445,7 +449,7 @@ def validation_loss(samples: SlipSamples, arrays: Mapping[str, NDArray[np.float3
 
 
 def _checkpoints(saved: TrainingState) -> list[Checkpoint]:
-    """Checkpoints from arrays that are named STEP/NAME, in their order."""
+    """Return the checkpoints, in order, from arrays that are named STEP/NAME."""
     checkpoints: dict[int, dict[str, NDArray[np.float32]]] = {}
     for name, array in saved.items():
         step, key = name.split("/")
@@ -456,19 +460,19 @@ def _checkpoints(saved: TrainingState) -> list[Checkpoint]:
 def _network(
     samples: SlipSamples, preset: Preset, seed: int, start: Mapping[str, NDArray[np.float32]] | None
 ) -> tuple[Network, nn.Linear | None]:
-    """The network to train, and the second output beside its own where the preset and the samples have one."""
+    """Return the network to train, and its second output if the preset and the samples have one."""
     shape = samples.rows, samples.columns
     scale = offset = None
     if preset.normalise and start is None:
         offset, spread = channel_stats(samples)
-        # a channel that varies by rounding alone carries nothing: it is shifted to 0 and not blown up
+        # a channel that varies only by rounding carries no information: it is shifted to 0, not amplified
         scale = 1 / np.where(spread > 1e-6 * np.abs(offset), spread, 1)
     architecture = samples.architecture
     if isinstance(architecture, DotArchitecture) and architecture.extras and start is None:
-        told = samples.series.extras if isinstance(samples.series, DotsAndExtras) else None
-        unknown = extras.never_known(architecture, told)
+        values = samples.series.extras if isinstance(samples.series, DotsAndExtras) else None
+        unknown = extras.never_known(architecture, values)
         scale = np.where(unknown, 0.0, 1.0 if scale is None else scale)
-    with torch.random.fork_rng(devices=[]):  # torch draws first weights from its global generator only
+    with torch.random.fork_rng(devices=[]):  # torch draws initial weights from its global generator only
         torch.manual_seed(seed)
         network = build(samples.architecture, *shape, scale, offset)
         if start is not None:
@@ -479,5 +483,5 @@ def _network(
 
 
 def _evenly(steps: int, points: int) -> list[int]:
-    """Up to `points` different steps, evenly spaced, of which the last is `steps`."""
+    """Return up to `points` different steps, evenly spaced; the last is `steps`."""
     return sorted({max(1, round(steps * (index + 1) / points)) for index in range(points)})

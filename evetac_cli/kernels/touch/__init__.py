@@ -1,1 +1,1 @@
-"""Touch maps: from the motion of a gel's dots to what touches it, where, how hard and in which direction."""
+"""Touch maps: contact patch, shear, pressure and forces, estimated from the motion of a gel's dots."""

@@ -1,11 +1,11 @@
-"""The motion of all dots as a few numbers whose errors are independent, and how large these errors are.
+"""The motion of all dots, reduced to modes whose errors are independent, with the variance of those errors.
 
-What dots are off by has a part of each dot's own, a part that all share, and what the gel is not quite like the layer.
-A tracker of events adds up motion, so its error drifts, most of it alike for all dots. In the modes below, the first
-two are the dots' mean along x and y and take the common error alone.
+The error of the dots has three parts: one per dot, one common to all dots, and the deviation of a real gel from the
+layer model. An event-based tracker integrates motion, so its error drifts, mostly by the same amount for all dots. The
+first two modes are the mean of the dots along x and y; they alone contain the common error.
 
-Why modes: with many dots most patterns of their motion are ones that no traction makes. Of 256 dots, 126 modes keep
-what 512 numbers tell, but for less than what a dot is off by, at a quarter of the cost.
+Reason for modes: with many dots, most patterns of motion are patterns that no traction causes. For 256 dots, 126 modes
+keep the information of all 512 numbers, up to less than the error of one dot, at a quarter of the computing time.
 """
 
 from typing import NamedTuple
@@ -14,14 +14,14 @@ import numpy as np
 
 from evetac_cli.arrays import Floats
 
-MOST_MODES = 126  # all that 63 dots have
+MOST_MODES = 126  # all modes of 63 dots
 
 
 class DotNoise(NamedTuple):
     """Standard deviations per axis: own_mm of each dot, common_mm of all dots together, and model_share.
 
-    model_share: of the dots' motion (rms), for all that a gel is not quite like the layer. 0.05 px, 0.2 px and 5 % are
-    those of a study of simulated contacts with the tracker `stable`, at 0.0329 mm per px.
+    model_share: error because a gel is not exactly the layer model, as a share of the dots' rms motion. The defaults,
+    0.05 px, 0.2 px and 5 %, come from a study of simulated contacts with the tracker `stable`, at 0.0329 mm per px.
     """
 
     own_mm: float = 0.05 * 0.0329
@@ -37,17 +37,17 @@ class DotModes(NamedTuple):
 
     @property
     def dots(self) -> int:
-        """How many dots these are of."""
+        """Number of dots."""
         count: int = self.basis.shape[1] // 2
         return count
 
     def of(self, moved_mm: Floats) -> Floats:
-        """The modes (modes,) of dots that moved (dots, 2), in mm."""
+        """Return the modes (modes,) of displacements (dots, 2), in mm."""
         data: Floats = self.basis @ moved_mm.ravel()
         return data
 
     def variance_mm2(self, noise: DotNoise, moved_mm: Floats) -> Floats:
-        """The variance of each mode's error (modes,) after dots have moved so far (dots, 2)."""
+        """Return the error variance of each mode (modes,) for dots with displacements (dots, 2)."""
         own_mm2 = noise.own_mm**2 + noise.model_share**2 * float(np.mean(moved_mm**2))
         variance = np.full(len(self.basis), own_mm2)
         variance[:2] += self.dots * noise.common_mm**2
@@ -55,13 +55,13 @@ class DotModes(NamedTuple):
 
 
 def modes_of(motion: Floats) -> DotModes:
-    """The modes of dots whose motion per traction is (dots, 2, KINDS, cells): their mean, then what tractions move."""
+    """Return the modes of dots whose motion per traction is (dots, 2, KINDS, cells): mean first, then by motion."""
     dots = len(motion)
     flat = motion.reshape(2 * dots, -1)
     mean = np.zeros((2, 2 * dots))
     mean[0, ::2] = mean[1, 1::2] = 1 / np.sqrt(dots)
     rest = flat - mean.T @ (mean @ flat)
-    _, vectors = np.linalg.eigh(rest @ rest.T)  # smallest first: the mean is among those that nothing moves
+    _, vectors = np.linalg.eigh(rest @ rest.T)  # smallest first; the mean is among those without motion
     kept = min(2 * dots, MOST_MODES) - 2
     others = vectors[:, ::-1][:, :kept].T
     others = others - (others @ mean.T) @ mean

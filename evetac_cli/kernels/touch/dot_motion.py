@@ -1,15 +1,15 @@
-"""How dots are seen to move when cells of the gel are sheared and pressed: the forward operator of touch maps.
+"""Seen motion of the dots when cells of the gel are sheared and pressed: the forward operator of touch maps.
 
-The layer is the exact bonded one (kernels/gel_layer.py), in Fourier space; a cell is a square on which the traction is
-even. Dots may lie under a coat, and a dot that comes nearer to the lens is seen farther from the axis.
+The layer is the exact bonded one (kernels/gel_layer.py), in Fourier space. A cell is a square with uniform traction.
+Dots may be printed under a coat. A dot that comes nearer to the lens is seen farther from the axis (parallax).
 
-Where a gel ends, as at the window of a cut one, nothing beyond drags along. Its free edge acts like a mirror: what a
-cell does is added to by its images, so that an even shear moves an even gel evenly, as it must. Of the push with which
-pressure moves a gel aside (kernels/gel_layer.py, `Squeeze`) only what is inside counts, so that pressed gel bulges out
-at the edge. That is no exact solution; beside a free edge none is known in closed form.
+Beyond the end of a gel, as at the window of a cut gel, nothing is dragged along. A free edge is modelled as a mirror:
+the images of the cells add to the cells' effect, so that uniform shear moves a uniform gel uniformly, as it must.
+Pressure pushes a gel aside (kernels/gel_layer.py, `Squeeze`); of this push only the part inside the gel counts, so that
+pressed gel bulges out at the edge. This is not an exact solution; no closed form is known near a free edge.
 
-Why by a Fourier transform per dot: what all cells of a grid do to one dot is one transform, which takes a fifth of a
-millisecond; cell by cell, it would be a sum over all waves for each.
+Reason for a Fourier transform per dot: one transform gives the effect of all cells of a grid on one dot, in a fifth of
+a millisecond. Cell by cell, each cell would need a sum over all waves.
 """
 
 import math
@@ -23,23 +23,23 @@ from evetac_cli.kernels.gel_layer import Squeeze, compliance
 
 CELL_MM = 1.0  # half of the dots' pitch: shear finer than two pitches is aliased, not damped
 SHEAR_X, SHEAR_Y, PRESSURE = 0, 1, 2  # order of the tractions
-KINDS = 3
+KINDS = 3  # kinds of traction
 MM_PER_M = 1e3
-# A layer's answer is 0 some heights away, and a sum of waves repeats itself: so far its images lie apart.
+# The response of a layer is 0 some heights away, but a sum of waves is periodic, with this period in heights.
 APART_HEIGHTS = 8
-# Points of the transform per cell: more change what a cell does to the dot over it by 5 %, and what a contact of many
-# cells does to dots by 0.5 % at most.
+# Points of the transform per cell. More points change the effect of a cell on the dot above it by 5 %, and the effect
+# of a contact of many cells by at most 0.5 %.
 POINTS_PER_CELL = 2
-IMAGES_HEIGHTS = 4  # images farther than so many heights beyond an edge are not felt
-ENDLESS_MM = (-math.inf, -math.inf, math.inf, math.inf)
+IMAGES_HEIGHTS = 4  # images of cells more than this many heights beyond an edge have no effect
+ENDLESS_MM = (-math.inf, -math.inf, math.inf, math.inf)  # edges of a gel that is large compared with the view
 
 
 class GelLayer(NamedTuple):
-    """A gel layer on its stiff back, and how its dots are seen.
+    """A gel layer on its stiff back, with what the camera sees of its dots.
 
-    print_depth_mm: of the dots below the surface. lens_mm: from the lens to the dots, infinite for no parallax; 25 mm
-    is the guess of the simulation (sim/gel/dots.py). edges_mm: where the gel ends, x0, y0, x1, y1 from the axis of the
-    lens, infinite where that is far; to half a cell.
+    `print_depth_mm`: depth of the dots below the surface. `lens_mm`: distance from the lens to the dots, infinite for
+    no parallax; 25 mm is the assumption of the simulation (sim/gel/dots.py). `edges_mm`: ends of the gel, x0, y0, x1,
+    y1 from the axis of the lens, accurate to half a cell, and infinite for ends far away.
     """
 
     height_mm: float = 4.0
@@ -50,7 +50,7 @@ class GelLayer(NamedTuple):
     edges_mm: tuple[float, float, float, float] = ENDLESS_MM
 
     def check(self) -> None:
-        """ValueError for numbers that no layer has."""
+        """Raise ValueError for impossible numbers."""
         check_range("height_mm", self.height_mm, 0.0, 1e3, "mm", above=True)
         check_range("shear_modulus_pa", self.shear_modulus_pa, 0.0, unit="Pa", above=True)
         check_range("poisson", self.poisson, 0.0, 0.5)
@@ -63,7 +63,7 @@ class GelLayer(NamedTuple):
 
 
 class CellGrid(NamedTuple):
-    """Square cells of CELL_MM: their middles along x and along y, in mm from the axis of the lens."""
+    """Square cells of CELL_MM: their centres along x and along y, in mm from the axis of the lens."""
 
     x_mm: Floats
     y_mm: Floats
@@ -75,18 +75,18 @@ class CellGrid(NamedTuple):
 
     @property
     def middle_mm(self) -> Floats:
-        """Middles of the cells, (cells, 2), row by row."""
+        """Centres of the cells, (cells, 2), row by row."""
         return np.stack(np.meshgrid(self.x_mm, self.y_mm), -1).reshape(-1, 2)
 
 
 def cells_about(dot_mm: Floats, margin_mm: float, edges_mm: tuple[float, float, float, float] = ENDLESS_MM) -> CellGrid:
-    """The cells that cover the dots (n, 2) and a margin around them, as far as there is gel.
+    """Return the cells that cover the dots (n, 2) and a margin around them, as far as there is gel.
 
-    Middles lie at whole multiples of a cell. ValueError for dots beyond the gel's edges.
+    Centres are whole multiples of a cell. ValueError for dots beyond the edges of the gel.
     """
     half = CELL_MM / 2
     if (dot_mm < np.array(edges_mm[:2]) - half).any() or (dot_mm > np.array(edges_mm[2:]) + half).any():
-        raise ValueError(f"dots lie beyond the edges of the gel: {edges_mm} mm")
+        raise ValueError(f"dots are beyond the edges of the gel: {edges_mm} mm")
     low = np.maximum(dot_mm.min(axis=0) - margin_mm, np.array(edges_mm[:2]) + half)
     high = np.minimum(dot_mm.max(axis=0) + margin_mm, np.array(edges_mm[2:]) - half)
     lines = [np.arange(round(a / CELL_MM), round(b / CELL_MM) + 1) * CELL_MM for a, b in zip(low, high, strict=True)]
@@ -94,10 +94,10 @@ def cells_about(dot_mm: Floats, margin_mm: float, edges_mm: tuple[float, float, 
 
 
 def dot_motion(layer: GelLayer, cells: CellGrid, dot_mm: Floats) -> Floats:
-    """Motion of each dot as seen, per traction on each cell: (dots, 2, KINDS, cells) in mm per Pa.
+    """Return the seen motion of each dot per traction on each cell: (dots, 2, KINDS, cells) in mm per Pa.
 
-    dot_mm: (dots, 2) at rest, from the axis of the lens. Tractions are those on the gel: shear along x and y, and
-    pressure into it. ValueError for a layer that cannot be.
+    dot_mm: (dots, 2) at rest, from the axis of the lens. Tractions act on the gel: shear along x and y, and pressure
+    into it. ValueError for an impossible layer.
     """
     layer.check()
     moved = _motion_by_cells(layer, cells, dot_mm, _images(layer, cells))
@@ -106,7 +106,7 @@ def dot_motion(layer: GelLayer, cells: CellGrid, dot_mm: Floats) -> Floats:
 
 
 def _images(layer: GelLayer, cells: CellGrid) -> list[tuple[int, int]]:
-    """How many cells beyond the grid's low and high end, along x and along y, stand for the images of cells inside."""
+    """Return the number of image cells beyond the grid's low and high end, along x and along y."""
     count = math.ceil(IMAGES_HEIGHTS * layer.height_mm / CELL_MM)
 
     def beyond(line: Floats, end_mm: float, edge_mm: float) -> int:
@@ -119,7 +119,7 @@ def _images(layer: GelLayer, cells: CellGrid) -> list[tuple[int, int]]:
 
 
 def _motion_by_cells(layer: GelLayer, cells: CellGrid, dot_mm: Floats, images: list[tuple[int, int]]) -> Floats:
-    """Motion of dots along x, y and into the layer, (dots, 3, KINDS, rows, columns), with images beyond the edges."""
+    """Return dot motion along x, y and into the layer, (dots, 3, KINDS, rows, columns), with images beyond edges."""
     (left, right), (above, below) = images
     if not (left or right or above or below):
         return _endless_motion(layer, cells, dot_mm)
@@ -136,13 +136,13 @@ def _motion_by_cells(layer: GelLayer, cells: CellGrid, dot_mm: Floats, images: l
         )
         for grid, moved in ((cells, folded), (wide, whole))
     )
-    # Exact but for what the edges change in the push of pressure, so that far from them nothing does.
+    # Only the push of pressure changes at the edges, so far from them the result stays exact.
     folded[:, :2, PRESSURE] = whole[:, :2, PRESSURE][inside] + with_edges - without[inside]
     return folded
 
 
 def _folded(moved: Floats, low: int, high: int, axis: int = -1) -> Floats:
-    """What cells do with the images beyond the low and high end of an axis added to them."""
+    """Return the effect of the cells, with the images beyond the low and high end of an axis added."""
     turned = np.moveaxis(moved, axis, -1)
     inside = turned[..., low : turned.shape[-1] - high].copy()
     if low:
@@ -153,7 +153,7 @@ def _folded(moved: Floats, low: int, high: int, axis: int = -1) -> Floats:
 
 
 def _endless_motion(layer: GelLayer, cells: CellGrid, dot_mm: Floats) -> Floats:
-    """Motion of dots along x, y and into a layer without edges, per traction, (dots, 3, KINDS, rows, columns)."""
+    """Return dot motion along x, y and into a layer without edges, per traction, (dots, 3, KINDS, rows, columns)."""
     reach_mm = max(
         float(np.abs(dot_mm[:, axis, None] - line[None]).max(initial=0.0)) for axis, line in enumerate(cells)
     )
@@ -171,7 +171,7 @@ def _endless_motion(layer: GelLayer, cells: CellGrid, dot_mm: Floats) -> Floats:
 
 
 def _answer(layer: GelLayer, waves_per_mm: Floats, box_mm: float) -> np.ndarray:
-    """Waves of the motion along x, y and into the layer (3) per traction on a cell (KINDS), over ky and kx."""
+    """Return the waves of motion along x, y and into the layer (3) per traction on a cell (KINDS), over ky and kx."""
     kx, ky = np.meshgrid(waves_per_mm, waves_per_mm)
     k = np.hypot(kx, ky)
     distinct, which = np.unique(k, return_inverse=True)
@@ -183,7 +183,7 @@ def _answer(layer: GelLayer, waves_per_mm: Floats, box_mm: float) -> np.ndarray:
         layer.print_depth_mm / MM_PER_M,
     )
     below_mm = layer.height_mm - layer.print_depth_mm
-    shifts = below_mm / layer.shear_modulus_pa  # a wave without end
+    shifts = below_mm / layer.shear_modulus_pa  # the wave of zero frequency
     thins = shifts * (1 - 2 * layer.poisson) / (2 * (1 - layer.poisson))
     first = (shifts, shifts, 0.0, thins, 0.0)
     across, along, aside, down, dip = (
@@ -201,7 +201,7 @@ def _answer(layer: GelLayer, waves_per_mm: Floats, box_mm: float) -> np.ndarray:
     answer[2, PRESSURE] = down
     answer[0, :, 0, 0] = answer[1, :, 0, 0] = 0.0
     answer[0, SHEAR_X, 0, 0] = answer[1, SHEAR_Y, 0, 0] = shifts
-    half = len(waves_per_mm) // 2  # the wave whose two directions are one: it has no slope
+    half = len(waves_per_mm) // 2  # the Nyquist wave, whose two directions coincide: it has no slope
     answer[..., half, :] = answer[..., :, half] = 0.0
     spread = np.sinc(kx * CELL_MM / (2 * math.pi)) * np.sinc(ky * CELL_MM / (2 * math.pi))
     return answer * (spread * (CELL_MM / box_mm) ** 2)

@@ -1,14 +1,15 @@
-"""Which cells of a gel are touched: the tractions within friction that explain the dots with the least pressure.
+"""Find the touched cells of a gel: tractions within friction that explain the dots with the least pressure.
 
-Dots tell two of three unknowns per wave, so a patch has to be found first. Tractions minimise the misfit, plus how much
-neighbours differ, plus a cost on pressure, and no cell has more shear than friction gives its pressure: the cost makes
-the patch small, and the cone keeps pressure where shear is. Pressure comes out too low by this; it tells where, not how
-hard. By accelerated proximal gradient (FISTA, Beck and Teboulle 2009) with the projection on the cone in closed form,
-in units of the traction that moves an even layer twice as far as the dots have moved (rms).
+Dots determine two of the three unknowns per wave, so the patch must be found first. The tractions minimise the misfit,
+plus the differences of neighbours, plus a cost on pressure; the shear of each cell is limited by friction times its
+pressure. The cost makes the patch small, and the friction cone keeps pressure where there is shear. This makes the
+pressure too low: the result shows where the gel is pressed, not how hard. The method is accelerated proximal gradient
+(FISTA, Beck and Teboulle 2009) with the projection on the cone in closed form. Its unit is the traction that moves a
+uniform layer twice as far as the dots have moved (rms).
 
-FRICTION and SMOOTHNESS are those of a study, chosen among some 25 settings on 40 simulated contacts (seeds
-58000-58004). PRESSURE_COST (3 in the study), CUTS, and that holes are filled, were chosen on contacts of seeds
-6000-6014, by how well patches fit.
+FRICTION and SMOOTHNESS come from a study, where they were the best of some 25 settings on 40 simulated contacts (seeds
+58000-58004). PRESSURE_COST (3 in the study), CUTS and the filling of holes were chosen on contacts of seeds 6000-6014,
+by the fit of the patches.
 """
 
 from typing import NamedTuple
@@ -19,25 +20,25 @@ from evetac_cli.arrays import Flags, Floats, Singles
 from evetac_cli.kernels.touch.dot_modes import DotModes
 from evetac_cli.kernels.touch.dot_motion import KINDS, PRESSURE
 
-FRICTION = 0.9  # most shear over pressure of a cell
-SMOOTHNESS = 1.0  # weight of squared differences of neighbours
-PRESSURE_COST = 1.5
-COLD, WARM = 150, 20  # iterations from nothing, and from the tractions before
-CUTS = (0.25, 0.35, 0.45)  # of the largest pressure: the patches that are thought possible
+FRICTION = 0.9  # largest shear over pressure of a cell
+SMOOTHNESS = 1.0  # weight of the squared differences of neighbours
+PRESSURE_COST = 1.5  # weight of the pressure
+COLD, WARM = 150, 20  # iterations from zero, and from the previous tractions
+CUTS = (0.25, 0.35, 0.45)  # candidate patches: cells above these shares of the largest pressure
 _MOST_NEIGHBOURS = 8.0  # largest eigenvalue of the squared differences on a grid
 
 
 class PatchFinder(NamedTuple):
-    """What finding patches needs of some dots: motion (modes, KINDS cells) in mm per Pa, and its squared norm."""
+    """Constants for finding patches from some dots: motion (modes, KINDS cells) in mm per Pa, and its squared norm."""
 
     motion: Singles
     squared_norm: float
     shape: tuple[int, int]
-    unit_pa_per_mm: float  # see the module
+    unit_pa_per_mm: float  # see the module's docstring
 
 
 def finder(modes: DotModes, shape: tuple[int, int], even_mm_per_pa: float) -> PatchFinder:
-    """For the modes of some dots and a grid of a shape; even_mm_per_pa: motion of the layer under an even shear."""
+    """Return the constants for some modes and a grid's shape; even_mm_per_pa: layer motion under uniform shear."""
     flat = modes.motion.reshape(len(modes.motion), -1)
     squared = float(np.linalg.eigvalsh(flat @ flat.T)[-1])
     return PatchFinder(flat.astype(np.float32), squared, shape, 2.0 / even_mm_per_pa)
@@ -46,10 +47,10 @@ def finder(modes: DotModes, shape: tuple[int, int], even_mm_per_pa: float) -> Pa
 def tractions(
     known: PatchFinder, data_mm: Floats, variance_mm2: Floats, rms_mm: float, before_pa: Floats | None = None
 ) -> Floats:
-    """Tractions (KINDS, rows, columns) in Pa within the cone, from the modes of dots (modes,); where, not how hard.
+    """Return tractions (KINDS, rows, columns) in Pa within the cone, from the modes of dots (modes,).
 
-    rms_mm: of the dots' motion, above 0. before_pa: what was found a little earlier, to start from: then fewer
-    iterations do.
+    They show where the gel is touched, not how hard. rms_mm: of the dots' motion, above 0. before_pa: a slightly
+    earlier result to start from; then fewer iterations are enough.
     """
     unit_pa = known.unit_pa_per_mm * rms_mm
     own_mm = float(np.sqrt(variance_mm2.min()))
@@ -74,7 +75,7 @@ def tractions(
 
 
 def roughness(field: Singles) -> Singles:
-    """Gradient of half the summed squared differences of neighbours, on a grid in the last two dimensions."""
+    """Return the gradient of half the summed squared differences of neighbours; the last two axes are the grid."""
     result = np.zeros_like(field)
     across = field[..., 1:] - field[..., :-1]
     result[..., 1:] += across
@@ -86,7 +87,7 @@ def roughness(field: Singles) -> Singles:
 
 
 def within_friction(field: Singles) -> Singles:
-    """The nearest tractions (KINDS, ...) whose shear is at most FRICTION times their pressure."""
+    """Return the nearest tractions (KINDS, ...) whose shear is at most FRICTION times their pressure."""
     pressure = field[PRESSURE]
     shear = np.hypot(field[0], field[1])
     on_cone = np.maximum((FRICTION * shear + pressure) / (1 + FRICTION**2), 0.0)
@@ -98,8 +99,9 @@ def within_friction(field: Singles) -> Singles:
 
 
 def patch_of(found_pa: Floats, cut: float) -> Flags:
-    """The cells (rows, columns) whose pressure is above a share of the largest, and those that they enclose."""
-    from scipy import ndimage  # here, as it takes 0.2 s to load, and whoever only opens files loads this module
+    """Return the cells (rows, columns) above a share of the largest pressure, and the cells that they enclose."""
+    # here: scipy.ndimage takes 0.2 s to load, and commands that only open files load this module
+    from scipy import ndimage
 
     pressure = found_pa[PRESSURE]
     above = (pressure > cut * pressure.max(initial=0.0)) & (pressure > 0)

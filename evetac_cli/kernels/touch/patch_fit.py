@@ -1,9 +1,9 @@
-"""One linear estimate from several patches that are thought possible: gain, deviations, and what patches disagree in.
+"""One linear estimate from several candidate patches: gain, deviations, and the disagreement of the patches.
 
-The dots tell the cut of the largest pressure only roughly, so each cut's posterior is kept, weighted by how well its
-patch explains the dots; differences between patches are part of the deviations. Gaussians are surer of a patch than the
-truth allows, so their likelihoods are tempered, and deviations are multiplied by factors that were fitted to known
-contacts.
+The dots determine the cut of the largest pressure only roughly. So the posterior of each cut is kept, weighted by how
+well its patch explains the dots, and differences between patches are part of the deviations. Gaussian likelihoods are
+too certain about the patch, so they are tempered. Deviations are multiplied by factors that were fitted to contacts
+with known forces.
 """
 
 from typing import NamedTuple
@@ -16,25 +16,25 @@ from evetac_cli.kernels.touch.dot_motion import CELL_MM, KINDS, PRESSURE
 from evetac_cli.kernels.touch.patch import CUTS, patch_of
 from evetac_cli.kernels.touch.posterior import posterior
 
-# Sums over the tractions: forces in N; torque about the fit's point from x towards y, and moments of pressure, in N mm.
+# Sums over the tractions: forces in N; torque from x towards y, and moments of pressure, in N mm about one point.
 FORCE_X, FORCE_Y, TORSION, NORMAL, MOMENT_X, MOMENT_Y = range(6)
 OF_SHEAR = 3  # sums that need no pressure
-TEMPER = 0.1  # of the log likelihoods of patches, chosen on seeds 6000-6011 with CUTS
-# Factors on the deviations, with which coverage is least off 68 and 95 %: fitted to simulated contacts of seeds
-# 6000-6049, 400 of eight shapes (scripts/touch_contacts.py --calibrate); those of sums are for FORCE_X and so on.
+TEMPER = 0.1  # factor on the patches' log likelihoods, chosen on seeds 6000-6011 together with CUTS
+# Factors on the deviations that bring coverage closest to 68 and 95 %. Fitted to 400 simulated contacts of eight
+# shapes, seeds 6000-6049 (scripts/touch_contacts.py --calibrate). Those of sums are in the order FORCE_X, FORCE_Y, ...
 SUM_FACTORS = np.array([1.07, 1.07, 1.23, 2.18, 1.06, 1.06])
 TRACTION_FACTORS = np.array([0.82, 0.82, 1.62])
-AREA_FACTOR = 1.86  # on how much patches differ in it; against cells above 5 % of the largest pressure
-SINCE_FACTOR = 1.06  # on those of forces, for fits without pressure
-N_PER_PA = CELL_MM**2 * 1e-6
+AREA_FACTOR = 1.86  # on the patches' sd of the area; truth: cells above 5 % of the largest pressure
+SINCE_FACTOR = 1.06  # further factor on the deviations of forces for fits without pressure
+N_PER_PA = CELL_MM**2 * 1e-6  # force on a cell per traction
 
 
 class PatchFit(NamedTuple):
-    """What tells tractions from the modes of dots while a patch lasts; U cells may bear some.
+    """Linear estimate of tractions from the modes of dots, valid while the patch lasts; U cells may bear traction.
 
-    cells: (U,). patch: (rows, columns), the cells that at least half of the patches have. about_mm: (2,), where torque
-    and moments are about; away_mm: (U, 2), of the cells from there. gain: (kinds U + sums, modes), tractions in Pa and
-    the sums, per mm. traction_sd_pa: (kinds, rows, columns). sum_sd: (sums,).
+    `cells`: (U,). `patch`: (rows, columns), cells in at least half of the weighted candidates. `about_mm`: (2,),
+    reference point of torque and moments. `away_mm`: (U, 2), cells relative to that point. `gain`: (kinds U + sums,
+    modes), tractions in Pa and the sums, per mm. `traction_sd_pa`: (kinds, rows, columns). `sum_sd`: (sums,).
     """
 
     cells: Ints
@@ -51,9 +51,9 @@ class PatchFit(NamedTuple):
 def fit(
     modes: DotModes, cell_mm: Floats, found_pa: Floats, data_mm: Floats, variance_mm2: Floats, kinds: int = KINDS
 ) -> PatchFit:
-    """The fit to the patches that tractions (KINDS, rows, columns) within friction tell, for modes (modes,) of dots.
+    """Fit the patches given by tractions within friction (KINDS, rows, columns) to the modes (modes,) of dots.
 
-    kinds: KINDS, or without pressure the two of shear, for changes of shear since the dots were pressed.
+    kinds: KINDS; or the two of shear without pressure, for changes of shear since the dots were pressed.
     """
     patches = np.stack([patch_of(found_pa, cut).ravel() for cut in CUTS])
     pressure = found_pa[PRESSURE].ravel()
@@ -69,9 +69,9 @@ def fit(
     mean, square = np.zeros((2, kinds, len(cells)))
     for patch, one, part in zip(patches[:, cells], each, share.astype(np.float32), strict=True):
         gain[:, patch] += part * one.gain
-        told = one.gain @ data_mm
-        mean[:, patch] += part * told
-        square[:, patch] += part * (told**2 + one.variance)
+        estimate = one.gain @ data_mm
+        mean[:, patch] += part * estimate
+        square[:, patch] += part * (estimate**2 + one.variance)
     sums = np.stack([one.of_sums @ data_mm for one in each])
     spread = sums - share @ sums
     variance = share @ (np.stack([np.diag(one.sums_covariance) for one in each]) + spread**2)
@@ -94,7 +94,7 @@ def fit(
 
 
 def weights_of_sums(away_mm: Floats) -> Floats:
-    """What the tractions of cells at (cells, 2) from a point count in each sum: (sums, KINDS, cells)."""
+    """Return the weights of the tractions of cells at (cells, 2) from a point in each sum: (sums, KINDS, cells)."""
     weights = np.zeros((6, KINDS, len(away_mm)))
     x, y = away_mm.T
     weights[FORCE_X, 0] = weights[FORCE_Y, 1] = weights[NORMAL, PRESSURE] = 1.0

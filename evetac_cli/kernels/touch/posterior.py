@@ -1,12 +1,12 @@
-"""Tractions on a known patch, from dots: mean and covariance of a Gaussian that knows how patches tend to look.
+"""Tractions on a known patch, from dots: mean and covariance of a Gaussian with a prior on the fields of patches.
 
-Before the dots are seen, each kind of traction has a part that is common to the patch and one that varies over it, with
-an exponential covariance; pressure is twice as large as shear. By how much all of it is to be multiplied, and by how
-much the errors of the dots, if they are larger than told, the dots decide (largest marginal likelihood): what no even
-field on the patch explains is error, and makes no wild field. What comes out is linear in the dots: a gain, kept as
-long as the patch is.
+In the prior, each kind of traction has a part that is common to the patch and one that varies over it, with an
+exponential covariance; pressure is twice as large as shear. Two scales are chosen by the dots (largest marginal
+likelihood): the size of all tractions, and the size of the dots' errors if these are larger than assumed. Motion that
+no smooth field on the patch explains is thus treated as error and does not cause rough fields. The result is linear in
+the dots: a gain that is kept as long as the patch lasts.
 
-The constants are those of a study of simulated contacts (seeds 58000-58105), where other lengths gave the same fields.
+The constants come from a study of simulated contacts (seeds 58000-58105); other lengths gave the same fields.
 """
 
 from typing import NamedTuple
@@ -18,17 +18,18 @@ from evetac_cli.arrays import Flags, Floats
 from evetac_cli.kernels.touch.dot_modes import DotModes
 from evetac_cli.kernels.touch.dot_motion import PRESSURE
 
-LENGTH_MM = 1.5  # of the exponential covariance
-COMMON = 4.0  # sd of the common part over that of the varying one
+LENGTH_MM = 1.5  # correlation length of the exponential covariance
+COMMON = 4.0  # standard deviation of the common part over that of the varying part
 PRESSURE_RATIO = 2.0  # of pressure over shear
-SIZES_PA = np.geomspace(3e2, 2e5, 40)  # sd of the varying part: from less than dots show to more than gels bear
+# candidate sd of the varying part: from below what dots resolve to above what gels bear
+SIZES_PA = np.geomspace(3e2, 2e5, 40)
 
 
 class PatchPosterior(NamedTuple):
-    """What modes of dots tell of the tractions on a patch of c cells, of `kinds` kinds each.
+    """Posterior of the tractions on a patch of c cells, of `kinds` kinds each.
 
-    gain: (kinds, c, modes) in Pa per mm. variance: (kinds, c) in Pa^2. of_sums (sums, modes), sums_covariance (sums,
-    sums): of the sums asked for. log_likelihood: of the data, up to a constant that all patches share.
+    `gain`: (kinds, c, modes) in Pa per mm. `variance`: (kinds, c) in Pa^2. `of_sums` (sums, modes), `sums_covariance`
+    (sums, sums): for the requested sums. `log_likelihood`: of the data, up to a constant that all patches share.
     """
 
     gain: Floats
@@ -41,10 +42,10 @@ class PatchPosterior(NamedTuple):
 def posterior(
     modes: DotModes, cell_mm: Floats, patch: Flags, data_mm: Floats, variance_mm2: Floats, sums: Floats
 ) -> PatchPosterior:
-    """The posterior on a patch (cells,) of one cell or more, from modes (modes,) and the variance of their errors.
+    """Return the posterior on a patch (cells,) of at least one cell, from modes (modes,) and their error variance.
 
-    cell_mm: (cells, 2). sums: (sums, kinds, cells), weights of sums over the tractions that are asked for, of all kinds
-    or of shear alone: what it leaves out is taken to be 0.
+    cell_mm: (cells, 2). sums: (sums, kinds, cells), weights of the requested sums over the tractions. `kinds` is all
+    kinds, or shear alone: omitted tractions are taken to be 0.
     """
     chosen = np.nonzero(patch)[0]
     kinds, count = sums.shape[1], len(chosen)
@@ -53,10 +54,10 @@ def posterior(
     weight = np.where(np.arange(kinds) == PRESSURE, PRESSURE_RATIO**2, 1.0)
     whiten = 1 / np.sqrt(variance_mm2)
     white = modes.motion[:, :kinds, chosen] * whiten[:, None, None]
-    # Single precision halves the time of what takes longest; sums that dots tell well need double, see below.
+    # Single precision halves the time of the slowest part; accurate sums need double precision, see below.
     single = white.astype(np.float32)
     shared = ((single @ varies.astype(np.float32)) * weight[:, None].astype(np.float32)).reshape(len(white), -1)
-    told_by = shared @ single.reshape(len(white), -1).T  # covariance of the data, but for their errors
+    told_by = shared @ single.reshape(len(white), -1).T  # covariance of the data without their errors
     values, vectors = linalg.eigh(told_by, driver="evd", check_finite=False)
     values = np.maximum(values.astype(np.float64), 0.0)
     turned = vectors.T @ (whiten * data_mm)

@@ -1,10 +1,10 @@
-"""Whether the field of dots rests: for REST_MS no dot has moved by more than what its tracker errs by.
+"""Whether the dots are at rest: for REST_MS no dot has moved by more than the error of its tracker.
 
-`start`, then `step` with each slice's dots. Means of BLOCK_MS are compared with an anchor, the mean of the rest before,
-or the first block after motion. All dots together may be off by more than each of them against the others, as a
-tracker's common error drifts.
+`start`, then `step` with each slice's dots. Means over BLOCK_MS are compared with an anchor: the mean of the previous
+rest, or the first block after motion. The limit on the motion common to all dots is wider than that on motion relative
+to each other, because the common error of a tracker drifts.
 
-An object that slides at an even speed moves no dot: this is a rest, too.
+An object that slides at constant speed moves no dot, so this counts as rest, too.
 """
 
 import math
@@ -15,24 +15,25 @@ from evetac_cli.arrays import Flags, Floats, Ints
 from evetac_cli.kernels.compiled import njit
 from evetac_cli.kernels.touch.dot_modes import DotNoise
 
-BLOCK_MS = 5
+BLOCK_MS = 5  # ms per mean
 REST_MS = 200
 REST_BLOCKS = REST_MS // BLOCK_MS
-# Changes in so many deviations of the tracker's error that are none. In 200 ms the errors of scripts/sticking_trials.py
-# change by 0.6 deviations, of which the largest of 40 blocks is to stay below in most rests: judgement.
+# Changes within this many deviations of the tracker's error count as none: of each dot, and of all together. In 200 ms
+# the errors in scripts/sticking_trials.py change by 0.6 deviations. The limits leave room for the largest of 40 blocks
+# in most rests; chosen by judgement.
 OWN, COMMON = 1.6, 2.0
-LEAST_DOTS = 4  # that are tracked: with fewer nothing rests
+LEAST_DOTS = 4  # tracked dots: with fewer, the state is never rest
 
 
 class RestState:
-    """What is known after the slices so far; `step` changes it.
+    """State after the slices so far; `step` changes it.
 
-    seen_mm: (dots, 2), where each dot was last tracked. block_mm: mean of the last whole block. rest_mm: mean of the
-    last rest, at whose end `rested` was (slices, -1 before the first); rests: whether it goes on.
+    seen_mm: (dots, 2), last tracked position of each dot. block_mm: mean of the last whole block. rest_mm: mean of the
+    last rest. rested: slice at its end, -1 before the first. rests: whether it continues.
     """
 
     def __init__(self, at_mm: Floats, noise: DotNoise) -> None:
-        """For dots that are expected at (dots, 2)."""
+        """For dots expected at (dots, 2)."""
         self.noise = noise
         self.slices = 0
         self.seen_mm = np.where(np.isfinite(at_mm), at_mm, 0.0)
@@ -40,25 +41,25 @@ class RestState:
         self.rest_mm = self.seen_mm.copy()
         self.rested = -1
         self.rests = False
-        self.tracked: Flags = np.zeros(len(at_mm), np.bool_)  # in all of the last whole block
+        self.tracked: Flags = np.zeros(len(at_mm), np.bool_)  # in all slices of the last whole block
         self._sum_mm = np.zeros_like(self.seen_mm)
         self._counted = np.zeros(len(at_mm), np.int64)
         self._anchor_mm = self.seen_mm.copy()
         self._since_anchor_mm = np.zeros_like(self.seen_mm)
-        self._blocks = 0  # within the tolerance of the anchor
+        self._blocks = 0  # number within the tolerance of the anchor
 
 
 def start(at_mm: Floats, noise: DotNoise = DotNoise()) -> RestState:  # noqa: B008 - it is constant
-    """Begin with dots that are expected at (dots, 2) in mm, a row of NaN where one is missing; ValueError else."""
+    """Start with dots expected at (dots, 2) in mm, a row of NaN for a missing dot; ValueError for anything else."""
     if at_mm.ndim != 2 or at_mm.shape[1] != 2 or np.isinf(at_mm).any():
         raise ValueError(f"at_mm: expected finite numbers (dots, 2) or NaN, found shape {at_mm.shape}")
     return RestState(np.array(at_mm, np.float64), noise)
 
 
 def step(state: RestState, dot_mm: Floats, lost: Flags) -> bool:
-    """Take in the dots (dots, 2) of one more slice; returns whether a block has ended with it.
+    """Add the dots (dots, 2) of the next slice; return whether a block has ended with it.
 
-    Dots that are lost (dots,), or not finite, stay where they were last seen. ValueError for other numbers of dots.
+    Dots that are lost (dots,) or not finite keep their last position. ValueError for another number of dots.
     """
     if dot_mm.shape != state.seen_mm.shape or lost.shape != state.tracked.shape:
         expected = f"{state.seen_mm.shape} and {state.tracked.shape}"
@@ -102,7 +103,7 @@ def _add(dot_mm: Floats, lost: Flags, seen_mm: Floats, sum_mm: Floats, counted: 
 
 @njit(cache=True, _nrt=False)
 def _end_block(sum_mm: Floats, counted: Ints, block_mm: Floats, tracked: Flags) -> int:
-    """Mean of a block, and which dots were tracked in all of it; begins the next. Returns how many were."""
+    """Compute the mean of a block and which dots were tracked throughout, and start the next. Return their number."""
     count = 0
     for dot in range(len(sum_mm)):
         for axis in range(2):
@@ -116,7 +117,7 @@ def _end_block(sum_mm: Floats, counted: Ints, block_mm: Floats, tracked: Flags) 
 
 @njit(cache=True, _nrt=False)
 def _change(now_mm: Floats, before_mm: Floats, tracked: Flags) -> tuple[float, float]:
-    """How far dots moved against each other, rms per axis, and all together, the farther axis."""
+    """Return the motion of dots relative to each other, rms per axis, and the larger component of their mean motion."""
     count = 0
     x = y = square = 0.0
     for dot in range(len(now_mm)):

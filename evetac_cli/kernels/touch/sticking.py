@@ -1,13 +1,13 @@
 """Share of a contact that sticks, and the direction in which the rest slips, from tracked dots, slice by slice.
 
-`start`, then `step` with each slice's dots. A small network looks every 5 ms at four fields on the lattice of
-dot_field, which makes it one for any grid of dots: how far dots were displaced at the reference, what changed since,
-and within the last 20 and 100 ms; all relative to how far dots are displaced. The reference is the field when it last
-came to rest (rest.py), or at first touch. What the network is trained on stands beside its weights
-(data/models/sticking.json).
+`start`, then `step` with each slice's dots. Every 5 ms a small network evaluates four fields: the displacement at the
+reference, the change since then, and the changes within the last 20 and 100 ms. They are on the lattice of
+dot_field.py, which makes the network independent of the grid of dots. All are divided by the present displacement. The
+reference is the field when it last came to rest (rest.py), or at first touch. The training data of the network are
+listed next to its weights (data/models/sticking.json).
 
-Why a network: a push on an object that is held well moves dots as far as one that is about to slip does. What tells
-them apart is which dots stay behind which, and that depends on the shape of the contact.
+Reason for a network: a push on a firmly held object moves dots as far as a push on an object that is about to slip. The
+difference is in which dots stay behind, and that depends on the shape of the contact.
 """
 
 import math
@@ -24,24 +24,25 @@ from evetac_cli.kernels.touch.dot_field import LATTICE_MM, LEAST_DOTS, lattice_w
 from evetac_cli.kernels.touch.dot_modes import DotNoise
 from evetac_cli.kernels.touch.rest import RestState
 
-LOOKS_BACK = (4, 20)  # of 5 ms
-KEPT_LOOKS = LOOKS_BACK[-1] + 1
+LOOKS_BACK = (4, 20)  # changes over 20 and 100 ms, in blocks of 5 ms
+KEPT_LOOKS = LOOKS_BACK[-1] + 1  # a "look" is one evaluation of the network, one per block
 FIELDS = 2 + len(LOOKS_BACK)
-INPUTS = FIELDS * 2 * len(LATTICE_MM) + 1
-SMALLEST_MM = 0.01  # displacements of dots that are smaller count as this
-USUAL_MM = 0.1
-MOST_TOLD = 30.0  # log odds
-MOST_MASKS = 8  # sets of tracked dots whose weights are kept
-ALL_STICKS = 0.95  # from this share on there is no direction of slip
-# An alarm: the probability that slip has begun is at least this, PATIENCE looks in a row. Chosen on objects 4, 7 and
-# 17, seeds 2000 to 2003: 22 of 24 ramps are called 20 ms ahead, 20 at 0.9, for 1.4 and 1.1 false alarms per minute.
+INPUTS = FIELDS * 2 * len(LATTICE_MM) + 1  # the last one is the log of the displacement
+SMALLEST_MM = 0.01  # lower bound of the displacement that the fields are divided by
+USUAL_MM = 0.1  # unit of the displacement in the last input
+MOST_TOLD = 30.0  # bound on log odds
+MOST_MASKS = 8  # sets of tracked dots whose weights are cached
+ALL_STICKS = 0.95  # at or above this sticking share there is no direction of slip
+# An alarm: the probability that slip has begun is at least ALARM in PATIENCE consecutive looks. Chosen on objects 4, 7
+# and 17, seeds 2000 to 2003: 22 of 24 ramps are detected 20 ms ahead, with 1.4 false alarms per minute. With an ALARM
+# of 0.9, 20 of 24 are, with 1.1 false alarms per minute.
 ALARM, PATIENCE = 0.85, 3
 
 
 class StickingNetwork(NamedTuple):
-    """Weights as (in, out), and the deviation of the estimated share that sticks at some values of it.
+    """Weights as (in, out), and the standard deviation of the estimated sticking share over its value.
 
-    The last layer tells log odds: of the share that slips, and that slip has begun.
+    The last layer returns log odds: of the share that slips, and that slip has begun.
     """
 
     first: Singles
@@ -50,11 +51,11 @@ class StickingNetwork(NamedTuple):
     second_bias: Singles
     third: Singles
     third_bias: Singles
-    share_sd: Singles  # at shares that are evenly spaced from 0 to 1
+    share_sd: Singles  # at evenly spaced shares from 0 to 1
 
     @classmethod
     def of_arrays(cls, arrays: Mapping[str, NDArray[np.generic]]) -> "StickingNetwork":
-        """A network from named arrays; ValueError where they make none."""
+        """Return the network of named arrays; ValueError if arrays are missing or invalid."""
         missing = sorted(set(cls._fields) - set(arrays))
         if missing:
             raise ValueError(f"expected an array {missing[0]}, found {sorted(arrays)}")
@@ -68,10 +69,10 @@ class StickingNetwork(NamedTuple):
 
 
 class StickingReading(NamedTuple):
-    """What a slice tells: NaN and -1 without a touch.
+    """Result of a slice: NaN and -1 without a touch.
 
-    sticking_share: 0 to 1, with its standard deviation; slip_direction_rad: from x towards y, NaN while all sticks;
-    reference_slice: when the reference was taken; alarm: whether slip has been seen to have begun, some looks in a row.
+    sticking_share: 0 to 1, with its standard deviation. slip_direction_rad: from x towards y, NaN while all sticks.
+    reference_slice: slice of the reference. alarm: slip was judged to have begun in several consecutive looks.
     """
 
     sticking_share: float
@@ -85,14 +86,14 @@ NO_TOUCH = StickingReading(math.nan, math.nan, math.nan, -1, False)
 
 
 class StickingState:
-    """What is known after the slices so far; `step` changes it.
+    """State after the slices so far; `step` changes it.
 
-    rest: of the field; reference_mm: (dots, 2), what changes are counted from, taken at reference_slice; inputs: of the
-    network at the last look, and has_begun, the probability of slip that it told.
+    rest: state of the rest detection. reference_mm: (dots, 2), origin of the changes, taken at reference_slice.
+    inputs: network inputs of the last look. has_begun: probability of slip from that look.
     """
 
     def __init__(self, rest_mm: Floats, network: StickingNetwork, noise: DotNoise) -> None:
-        """For dots at rest (dots, 2) from the middle of the image, NaN where one is missing."""
+        """For dots at rest (dots, 2) from the middle of the image, NaN for a missing one."""
         self.network = network
         self.there: Flags = np.asarray(np.isfinite(rest_mm).all(axis=1))
         self.at_mm = np.where(self.there[:, None], rest_mm, 0.0)
@@ -102,9 +103,9 @@ class StickingState:
         self.inputs = np.zeros(INPUTS, np.float32)
         self.has_begun = math.nan
         self.reading = NO_TOUCH
-        self._looks_mm = np.repeat(self.at_mm[None], KEPT_LOOKS, axis=0)  # a ring
+        self._looks_mm = np.repeat(self.at_mm[None], KEPT_LOOKS, axis=0)  # a ring buffer
         self._looks = 0
-        self._seen_slipping = 0  # looks in a row
+        self._seen_slipping = 0  # consecutive looks
         self._weights: dict[bytes, tuple[Singles, int]] = {}
 
 
@@ -113,20 +114,20 @@ def start(
     network: StickingNetwork,
     noise: DotNoise = DotNoise(),  # noqa: B008 - it is constant
 ) -> StickingState:
-    """Begin with dots at rest (dots, 2) in mm from the middle of the image, NaN where one is missing.
+    """Start with dots at rest (dots, 2) in mm from the middle of the image, NaN for a missing one.
 
-    network: such as the package's (stages/touch/sticking_network.py). ValueError for dots that cannot be.
+    network: for example the pretrained one (stages/touch/sticking_network.py). ValueError for impossible dots.
     """
     rest_mm = np.asarray(rest_mm, np.float64)
     if rest_mm.ndim != 2 or rest_mm.shape[1] != 2 or np.isfinite(rest_mm).all(axis=1).sum() < LEAST_DOTS:
-        raise ValueError(f"rest_mm: expected (dots, 2), {LEAST_DOTS} not missing or more, found {rest_mm.shape}")
+        raise ValueError(f"rest_mm: expected (dots, 2) with at least {LEAST_DOTS} present dots, found {rest_mm.shape}")
     return StickingState(rest_mm, network, noise)
 
 
 def step(state: StickingState, dot_mm: Floats, lost: Flags, touches: bool) -> StickingReading:
-    """Take in the dots (dots, 2) of one more slice, of which some are lost (dots,), and whether anything touches.
+    """Process the dots (dots, 2) of the next slice, of which some are lost (dots,), and whether anything touches.
 
-    Between looks, every BLOCK_MS slices, the last reading holds. ValueError for other numbers of dots.
+    Between looks, every BLOCK_MS slices, the last reading is returned. ValueError for another number of dots.
     """
     ended = rest.step(state.rest, dot_mm, lost)
     if ended:
@@ -150,7 +151,7 @@ def step(state: StickingState, dot_mm: Floats, lost: Flags, touches: bool) -> St
 
 
 def _look(state: StickingState) -> StickingReading:
-    """What the network tells of the last block, if enough dots are tracked; else what it told before."""
+    """Return the network's result for the last block if enough dots are tracked; else the previous result."""
     tracked = state.rest.tracked & state.there
     known = _weights_of(state, tracked)
     if known is None:
@@ -177,10 +178,10 @@ def _look(state: StickingState) -> StickingReading:
 def _fields(
     places_mm: tuple[Floats, Floats, Floats, Floats, Floats], weights: Singles, places: int, inputs: Singles
 ) -> tuple[float, float]:
-    """Fill the network's inputs, and return the mean displacement of the lattice's places that have one, x and y.
+    """Fill the network's inputs, and return the mean displacement, x and y, of the lattice positions with a value.
 
-    places_mm: of the dots at rest, at the reference, now, and some time and longer ago, (dots, 2) each; weights:
-    (lattice, dots), of which so many places have any.
+    places_mm: the dots at rest, at the reference, now, a short and a long time ago, (dots, 2) each. weights: (lattice,
+    dots). places: number of lattice positions with any weight.
     """
     at_mm, reference_mm, now_mm, short_mm, long_mm = places_mm
     dots = len(at_mm)
@@ -213,9 +214,9 @@ def _fields(
 
 @njit(cache=True)
 def told(network: StickingNetwork, inputs: Singles) -> tuple[float, float]:
-    """The share that slips, and the probability that slip has begun, by a network, of inputs (INPUTS,).
+    """Return the share that slips and the probability that slip has begun, for inputs (INPUTS,).
 
-    A product by BLAS takes as long as both layers do so.
+    The loops take as long as a single BLAS product.
     """
     wide = network.first_bias.copy()
     for place in range(len(inputs)):
@@ -241,7 +242,7 @@ def _probability(odds: float) -> float:
 
 
 def _deviation(share_sd: Singles, sticks: float) -> float:
-    """The deviation of a share that sticks, between the points of a table."""
+    """Return the standard deviation of a sticking share, interpolated in a table."""
     at = sticks * (len(share_sd) - 1)
     low = min(int(at), len(share_sd) - 2)
     before, after = float(share_sd[low]), float(share_sd[low + 1])
@@ -249,7 +250,7 @@ def _deviation(share_sd: Singles, sticks: float) -> float:
 
 
 def _weights_of(state: StickingState, tracked: Flags) -> tuple[Singles, int] | None:
-    """Weights (places, dots) of the tracked dots and how many places have any; None where dots are too few."""
+    """Return weights (positions, dots) of the tracked dots and the number of positions with any; None with few dots."""
     key = tracked.tobytes()
     known = state._weights.get(key)
     if known is not None:

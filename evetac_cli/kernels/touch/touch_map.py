@@ -1,10 +1,12 @@
 """Touch maps, slice by slice: patch, shear and pressure on it, forces and torsion, from the tracked dots of a gel.
 
-`start`, then `step` with each slice's dots. A patch and its gain are found anew every RENEWAL_SLICES slices, which
-takes some milliseconds and is done in parts, one per slice; in between a slice is a product with the gain. A program
-that must answer each millisecond starts with `renews=False` and calls `renew`, or `renew_part`, where it has the time.
+`start`, then `step` with each slice's dots. Every RENEWAL_SLICES slices, the patch and its gain are estimated again.
+This takes some milliseconds and is split into parts, one per slice. In between, a slice is one product with the gain. A
+program that must answer every millisecond starts with `renews=False` and calls `renew`, or `renew_part`, when it has
+time.
 
-The layer is linear: it neither sinks in by millimetres nor creeps. Shear finer than two pitches of the dots is gone.
+The layer model is linear: it does not describe indentation by millimetres or creep. Shear finer than two pitches of the
+dots is not resolved.
 """
 
 import math
@@ -28,28 +30,29 @@ from evetac_cli.kernels.touch.patch_fit import (
     fit,
 )
 
-LEAST_DOTS = 4  # that are tracked: with fewer nothing is told
+LEAST_DOTS = 4  # tracked dots: with fewer, the reading is unknown
 RENEWAL_SLICES = 20
-# Dots that move otherwise than all together by so many times their own error (rms) are touched, and no longer. Between
-# the two, a touch that lasts goes on and none begins. Judgement: 0.2 and 0.125 px; 1 N moves dots by 0.4 px or more.
+# A touch begins if the dots move relative to their mean by BEGINS times their own error (rms), and ends below ENDS
+# times it. By judgement: 0.2 and 0.125 px; 1 N moves dots by 0.4 px or more.
 BEGINS, ENDS = 4.0, 2.5
-# The gel about a patch tells its normal force, as even pressure moves no dot. Where no dots show that gel, an even
-# pressure of this size may be there or not: that of simulated grips and presses, 35 to 57 kPa. The sd goes with the
-# third power of the share that is not shown. Of shear, where the gel's edges are not told, 1.3 times too much is told
-# then. By faces, discs and objects as wide as the view, of seeds 100-102 and 6001.
+# Uniform pressure moves no dots, so the normal force follows from the gel around a patch. If no dots show that gel, a
+# uniform pressure of EVEN_PA may be present or not: 35 to 57 kPa in simulated grips and presses. Its sd is scaled by
+# the third power of the share of the surrounding gel that is not shown. Shear has a relative sd of SHEAR_BEYOND in the
+# same case, because it is overestimated by a factor of 1.3 if the edges of the gel are not given. From faces, discs and
+# objects as wide as the view, seeds 100-102 and 6001.
 EVEN_PA, SHEAR_BEYOND = 50e3, 0.3
-RING_CELLS = 3
+RING_CELLS = 3  # width of the ring around a patch that counts as its surroundings
 MOST_CELLS = 4000  # of a grid
 MOST_DOTS = 1024
-MOST_COMPARED = 80  # dots, which takes 4 ms, and grows with their cube
+MOST_COMPARED = 80  # dots: comparing takes 4 ms and grows with the cube of their number
 
 
 class TouchReading(NamedTuple):
-    """What the dots of one slice tell; x and y as in the image, pressure into the gel, `sd`: standard deviation.
+    """Estimates from the dots of one slice; x and y as in the image, pressure into the gel, `sd`: standard deviation.
 
-    Where nothing touches, patch, tractions and forces are 0 and places and deviations NaN; where fewer than 4 dots are
-    tracked, `known` is false and all numbers are NaN. Without `TouchMap.hold` all that is `since` it is NaN. Deviations
-    hold for contacts like those that they were fitted to (docs/touch-maps.md). Grids have (rows, columns); the middles
+    Without a touch, patch, tractions and forces are 0, and positions and deviations are NaN. With fewer than 4 tracked
+    dots, `known` is false and all numbers are NaN. Before `TouchMap.hold`, everything with `since` is NaN. Deviations
+    are valid for contacts like those they were fitted to (docs/touch-maps.md). Grids have (rows, columns); the centres
     of their cells are `TouchMap.x_mm` and `y_mm`.
 
     >>> import math
@@ -65,7 +68,7 @@ class TouchReading(NamedTuple):
     patch: Flags  # (rows, columns)
     area_mm2: float
     area_sd_mm2: float
-    centre_mm: Floats  # (2,), of pressure, from the middle of the image
+    centre_mm: Floats  # (2,), centre of pressure, from the middle of the image
     centre_sd_mm: Floats
     shear_pa: Floats  # (2, rows, columns)
     shear_sd_pa: Floats
@@ -77,14 +80,15 @@ class TouchReading(NamedTuple):
     normal_sd_n: float
     torsion_n_mm: float  # about centre_mm, from x towards y
     torsion_sd_n_mm: float
-    shear_since_pa: Floats  # (2, rows, columns), since `hold`: needs no pressure, as long as it stays
+    # (2, rows, columns), since `hold`: needs no pressure estimate as long as the pressure stays constant
+    shear_since_pa: Floats
     shear_since_sd_pa: Floats
     shear_since_n: Floats  # (2,)
     shear_since_sd_n: Floats
 
 
 class DotsInUse(NamedTuple):
-    """Some of the dots (those that are `used`, of all), and what finding patches and fits needs of them."""
+    """A subset of the dots (those that are `used`, of all), and the constants for patches and fits from them."""
 
     used: Flags
     modes: DotModes
@@ -92,7 +96,7 @@ class DotsInUse(NamedTuple):
 
 
 class Fitted(NamedTuple):
-    """A fit, the dots that it is for, and further sd for what no dots show: of shear, relative, and of normal force."""
+    """A fit, its dots, and additional sd for gel that no dots show: of shear, relative, and of the normal force."""
 
     dots: DotsInUse
     fit: PatchFit
@@ -101,16 +105,16 @@ class Fitted(NamedTuple):
 
 
 class TouchState:
-    """What a touch map knows after the slices so far; `step` changes it, `copy.deepcopy` and pickle keep it.
+    """State of a touch map after the slices so far; `step` changes it, `copy.deepcopy` and pickle preserve it.
 
-    cells: of the grid. moved_mm: (dots, 2), where each dot has last been seen, from its rest. trusted: (dots,), whether
-    it was in the last slice.
+    cells: of the grid. moved_mm: (dots, 2), last displacement of each dot from rest. trusted: (dots,), whether the dot
+    was tracked in the last slice.
     """
 
     def __init__(
         self, rest_mm: Floats, layer: GelLayer, noise: DotNoise, stiffness_error: float, renews: bool, compares: bool
     ) -> None:
-        """For dots (n, 2) from the axis; NaN where one is missing."""
+        """For dots (n, 2) from the axis; NaN for a missing one."""
         self.rest_mm, self.layer, self.noise = rest_mm, layer, noise
         self.stiffness_error, self.renews = stiffness_error, renews
         self.there: Flags = np.asarray(np.isfinite(rest_mm).all(axis=1))
@@ -136,7 +140,7 @@ class TouchState:
         self.held: Fitted | None = None
 
     def _in_use(self, used: Flags) -> DotsInUse:
-        """What is needed of some of the dots."""
+        """Return the constants for a subset of the dots."""
         modes = modes_of(self.motion[used])
         below_mm = self.layer.height_mm - self.layer.print_depth_mm
         return DotsInUse(
@@ -144,7 +148,7 @@ class TouchState:
         )
 
     def use(self, used: Flags) -> None:
-        """Take these dots for patches and fits from now on."""
+        """Use these dots for patches and fits from now on."""
         self.dots = self._in_use(used)
 
 
@@ -156,14 +160,13 @@ def start(
     renews: bool = True,
     compares: bool = False,
 ) -> TouchState:
-    """Begin a touch map of dots at rest.
+    """Start a touch map from dots at rest; takes about a millisecond per dot.
 
-    rest_mm: (n, 2) from the axis of the lens, at least 4, a row of NaN is a missing dot. stiffness_error: relative
-    sd of the layer's shear modulus, which all forces share. renews: whether `step` renews the patch itself.
-    compares: leave out dots that moved otherwise than the others allow (wrong_dots.py), which helps after minutes
-    of pushes and costs some accuracy before: now and then the dots that move most are thought wrong. ValueError for
-    dots or numbers that cannot be, and for more than MOST_COMPARED dots to compare. Takes about a millisecond per
-    dot.
+    `rest_mm`: (n, 2) from the axis of the lens, at least 4, a row of NaN is a missing dot. `stiffness_error`: relative
+    sd of the layer's shear modulus, which affects all forces alike. `renews`: `step` renews the patch itself.
+    `compares`: leave out dots whose motion contradicts the others (wrong_dots.py). This helps after minutes of pushes,
+    and costs some accuracy before: sometimes the dots that move most are rejected. ValueError for impossible dots or
+    numbers, and for more than MOST_COMPARED dots to compare.
     """
     rest = np.array(rest_mm, np.float64)
     if rest.ndim != 2 or rest.shape[1] != 2:
@@ -179,15 +182,15 @@ def start(
     check_range("stiffness_error", stiffness_error, 0.0, 2.0)
     if compares and len(rest) > MOST_COMPARED:
         raise ValueError(f"rest_mm: expected up to {MOST_COMPARED} dots to compare, found {len(rest)}")
-    patch.patch_of(np.zeros((KINDS, 1, 1)), 0.0)  # what it loads is then there at the first touch
+    patch.patch_of(np.zeros((KINDS, 1, 1)), 0.0)  # loads scipy.ndimage before the first touch
     return TouchState(rest, layer, noise, stiffness_error, renews, compares)
 
 
 def step(state: TouchState, dot_mm: Floats, lost: Flags | None = None) -> TouchReading:
-    """What the dots of one more slice tell: dot_mm (n, 2) as `rest_mm`, lost (n,) those not to be trusted.
+    """Return the reading of the next slice: dot_mm (n, 2) as `rest_mm`, lost (n,) dots that must not be trusted.
 
-    A dot that is lost, or not finite, keeps the motion that it was last seen with until the patch is renewed, and is
-    left out of the next patch. ValueError for other numbers of dots.
+    A dot that is lost or not finite keeps its last displacement until the patch is renewed, and is left out of the next
+    patch. ValueError for another number of dots.
     """
     if dot_mm.shape != state.rest_mm.shape:
         raise ValueError(f"dot_mm: expected shape {state.rest_mm.shape}, found {dot_mm.shape}")
@@ -214,32 +217,32 @@ def step(state: TouchState, dot_mm: Floats, lost: Flags | None = None) -> TouchR
 
 
 def hold(state: TouchState) -> None:
-    """Count what is `since` from the dots as they are now, for instance when a grip has closed.
+    """Start measuring changes (`since`) from the present dots, for example when a grip has closed.
 
-    Before the first, and until the patch is next renewed, nothing is told of it.
+    Before the first call, and until the patch is next renewed, these changes are NaN.
     """
     state.held_mm = state.moved_mm.copy()
 
 
 def renew(state: TouchState) -> None:
-    """Find the patch anew from the dots of the last slice, and its gain; nothing where nothing touches."""
+    """Estimate the patch and its gain again from the dots of the last slice; does nothing without a touch."""
     state.next_part = 0
     while not renew_part(state):
         pass
 
 
 def renew_part(state: TouchState) -> bool:
-    """The next part of a renewal, some milliseconds each, and whether it was the last, or nothing touches.
+    """Do the next part of a renewal, some milliseconds each; return True after the last part or without a touch.
 
-    In turn: the dots that are tracked now and not wrong, where they are others; the patch; its fit; and that of what
-    changed since `hold`. Until a part is done, what was found before is used.
+    The parts: select the dots that are tracked and not wrong; find the patch; fit it; fit the changes since `hold`.
+    Until a part is done, the previous result is used.
     """
     state.next_part = _PARTS[state.next_part](state) if state.touches else 0
     return state.next_part == 0
 
 
 def _renew_dots(state: TouchState) -> int:
-    """Take the dots that are tracked now, but for those that are wrong; the number of the part that is next."""
+    """Use the tracked dots without those that are wrong; return the number of the next part."""
     used = state.trusted
     if state.now is not None and state.compared is not None:
         used = used & ~wrong_dots.wrong(state.compared, state.moved_mm, used, state.now.fit.patch)
@@ -250,7 +253,7 @@ def _renew_dots(state: TouchState) -> int:
 
 
 def _renew_patch(state: TouchState) -> int:
-    """Find the patch."""
+    """Find the patch; return the number of the next part."""
     dots = state.dots
     moved = state.moved_mm[dots.used]
     variance, rms_mm = dots.modes.variance_mm2(state.noise, moved), float(np.sqrt(np.mean(moved**2)))
@@ -263,14 +266,14 @@ def _renew_patch(state: TouchState) -> int:
 
 
 def _renew_fit(state: TouchState) -> int:
-    """Fit to the patch."""
+    """Fit the patch; return the number of the next part, 0 for none."""
     state.now = _fitted(state, state.moved_mm, KINDS)
     state.renewed_at = state.slices
     return 0 if state.held_mm is None else _PARTS.index(_renew_held)
 
 
 def _renew_held(state: TouchState) -> int:
-    """Fit what changed since `hold`, shear alone, to the patch."""
+    """Fit the changes since `hold`, shear alone, to the patch."""
     if state.held_mm is not None:
         state.held = _fitted(state, state.moved_mm - state.held_mm, OF_SHEAR - 1)
     return 0
@@ -280,17 +283,17 @@ _PARTS = (_renew_dots, _renew_patch, _renew_fit, _renew_held)
 
 
 def _fitted(state: TouchState, moved_mm: Floats, kinds: int) -> Fitted:
-    """The fit to the patch that was found, of dots (all of them) that moved so far."""
+    """Return the fit to the present patch, for displacements of all dots."""
     assert state.found_pa is not None
     dots, moved = state.dots, moved_mm[state.dots.used]
     variance = dots.modes.variance_mm2(state.noise, moved)
-    told = fit(dots.modes, state.cell_mm, state.found_pa, dots.modes.of(moved), variance, kinds)
-    hidden, shear = _shares_beyond(state, told.patch)
-    return Fitted(dots, told, SHEAR_BEYOND * shear**3, EVEN_PA * told.area_mm2 * 1e-6 * hidden**3)
+    result = fit(dots.modes, state.cell_mm, state.found_pa, dots.modes.of(moved), variance, kinds)
+    hidden, shear = _shares_beyond(state, result.patch)
+    return Fitted(dots, result, SHEAR_BEYOND * shear**3, EVEN_PA * result.area_mm2 * 1e-6 * hidden**3)
 
 
 def _shares_beyond(state: TouchState, touched: Flags) -> tuple[float, float]:
-    """Share of the ring about a patch, RING_CELLS wide, that no dots show; and of it what is within the gel."""
+    """Return the share of a patch's ring, RING_CELLS wide, that no dots show, and that share of its part in the gel."""
     around = np.pad(touched, RING_CELLS)
     grown = around.copy()
     for _ in range(RING_CELLS):
@@ -309,13 +312,13 @@ def _shares_beyond(state: TouchState, touched: Flags) -> tuple[float, float]:
 
 
 def _let_go(state: TouchState) -> None:
-    """Forget the patch: the next touch begins without one."""
+    """Forget the patch, so that the next touch starts without one."""
     state.now = state.held = state.found_pa = None
     state.next_part = 0
 
 
 def apart_rms(moved_mm: Floats) -> float:
-    """How far dots (n, 2) moved otherwise than all together, rms per axis."""
+    """Return the motion of dots (n, 2) relative to their mean, rms per axis."""
     x, y = moved_mm.T
     dots = len(x)
     square = float(x @ x + y @ y) / dots - (float(x.sum()) / dots) ** 2 - (float(y.sum()) / dots) ** 2
@@ -323,27 +326,27 @@ def apart_rms(moved_mm: Floats) -> float:
 
 
 def _on_grid(state: TouchState, of: PatchFit, values: Singles) -> Floats:
-    """Values (kinds, U) of a fit's cells on the grid, (kinds, rows, columns)."""
+    """Return the values (kinds, U) of a fit's cells on the grid, (kinds, rows, columns)."""
     whole = np.zeros((len(values), len(state.cell_mm)))
     whole[:, of.cells] = values
     return whole.reshape(len(values), *state.cells.shape)
 
 
 def _reading(state: TouchState, fitted: Fitted) -> TouchReading:
-    """What the dots tell with the patch as it was last found."""
+    """Return the reading for the present dots and the last patch."""
     dots, now, shear_beyond, normal_beyond_n = fitted
     error = state.stiffness_error
-    told = now.gain @ dots.modes.of(state.moved_mm[dots.used]).astype(np.float32)
+    estimates = now.gain @ dots.modes.of(state.moved_mm[dots.used]).astype(np.float32)
     count = KINDS * len(now.cells)
-    field = _on_grid(state, now, told[:count].reshape(KINDS, -1))
-    sums = told[count:].astype(np.float64)
+    field = _on_grid(state, now, estimates[:count].reshape(KINDS, -1))
+    sums = estimates[count:].astype(np.float64)
     relative = np.full(len(sums), error)
     relative[:OF_SHEAR] = math.hypot(error, shear_beyond)
     sd = np.hypot(now.sum_sd, relative * sums)
     sd[NORMAL] = math.hypot(float(sd[NORMAL]), normal_beyond_n)
     field_sd = now.traction_sd_pa if not error else np.hypot(now.traction_sd_pa, error * field)
-    # Of the pressure that is above 0, so that it lies in the patch even where dots hardly tell the normal force.
-    pushes = np.maximum(told[count - len(now.cells) : count], 1e-6)
+    # From pressures above 0 only, so that the centre is in the patch even if the normal force is poorly determined.
+    pushes = np.maximum(estimates[count - len(now.cells) : count], 1e-6)
     away = pushes @ now.away_mm / pushes.sum()
     pressed = max(float(sums[NORMAL]), float(now.sum_sd[NORMAL]))
     since = state.no_since
@@ -372,11 +375,14 @@ def _reading(state: TouchState, fitted: Fitted) -> TouchReading:
 
 
 def _since(state: TouchState, fitted: Fitted, change_mm: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-    """Shear on the grid and net, with deviations, that moved the dots (all of them) since they were held."""
+    """Return the shear on the grid and net, with deviations, that moved the dots since `hold`."""
     dots, held, shear_beyond, _ = fitted
-    told = held.gain @ dots.modes.of(change_mm[dots.used]).astype(np.float32)
+    estimates = held.gain @ dots.modes.of(change_mm[dots.used]).astype(np.float32)
     count = PRESSURE * len(held.cells)
-    field, net = _on_grid(state, held, told[:count].reshape(PRESSURE, -1)), told[count : count + 2].astype(np.float64)
+    field, net = (
+        _on_grid(state, held, estimates[:count].reshape(PRESSURE, -1)),
+        estimates[count : count + 2].astype(np.float64),
+    )
     error = state.stiffness_error
     field_sd = held.traction_sd_pa if not error else np.hypot(held.traction_sd_pa, error * field)
     net_sd = np.hypot(held.sum_sd[:2], math.hypot(error, shear_beyond) * net)
@@ -384,7 +390,7 @@ def _since(state: TouchState, fitted: Fitted, change_mm: Floats) -> tuple[Floats
 
 
 def _nothing(state: TouchState, value: float) -> TouchReading:
-    """Where nothing touches (value 0) or nothing is known (NaN)."""
+    """Return the reading without a touch (value 0) or with too few dots (NaN)."""
     shape = state.cells.shape
     unknown, _, two, _ = state.no_since
     none = np.full((2, *shape), value)

@@ -1,13 +1,13 @@
-"""When nothing touches the gel any more: then its dots are at rest, wherever a tracker has them.
+"""Detect the end of a touch: the dots are then at rest, wherever a tracker reports them.
 
-`start`, then `step` with each slice's dots, which says so once after each touch; who follows the dots then puts them
-back (`tracker.place`). Nothing touches where a touch has been, most dots have come back near their rest, and they have
-been still for STILL_SLICES.
+`start`, then `step` with each slice's dots. `step` reports the end once per touch; the caller then resets the tracker
+to the dots at rest (`tracker.place`). A touch has ended if most dots are back near their rest and have not moved for
+STILL_SLICES.
 
-A touch that begins from rest and stays light is never taken for rest, as it has to be followed by more: only where dots
-have been displaced by TOUCHED_PX, which takes 0.5 to 2 N, may they be put back. What stays at less than NEAR_PX after
-that, some 0.4 N (0.2 to 0.9; contacts of seeds 7000-7011), is taken for rest. After a minute of pushes a fifth of
-the dots are 0.3 to 0.4 px off (seeds 7010-7012).
+A touch that starts from rest and stays light is never mistaken for rest: dots may only be reset after a displacement by
+TOUCHED_PX, which takes 0.5 to 2 N. After such a displacement, a remaining touch below NEAR_PX, some 0.4 N (0.2 to 0.9;
+contacts of seeds 7000-7011), is mistaken for rest. NEAR_PX is needed because after a minute of pushes a fifth of the
+dots are off by 0.3 to 0.4 px (seeds 7010-7012).
 """
 
 import numpy as np
@@ -16,16 +16,16 @@ from evetac_cli.arrays import Flags, Floats
 from evetac_cli.checks import check_range
 
 STILL_SLICES = 400
-STILL_PX = 0.1  # dots that move by less in that time are still
-NEAR_PX = 0.5  # of rest, but for a way that all dots have in common ...
-COMMON_PX = 1.0  # ... of at most so much
-TOUCHED_PX = 1.0
-MOST = 0.8  # of the dots have to be still and near, and fewer be within TOUCHED_PX in a touch
-LEAST_DOTS = 4
+STILL_PX = 0.1  # dots that move less than this in STILL_SLICES are still
+NEAR_PX = 0.5  # from rest, after the displacement common to all dots is removed
+COMMON_PX = 1.0  # largest common displacement at rest
+TOUCHED_PX = 1.0  # displacement of a touch
+MOST = 0.8  # share of dots that must be still and near; in a touch, fewer dots than this are within TOUCHED_PX
+LEAST_DOTS = 4  # tracked dots: with fewer, nothing is decided
 
 
 class UntouchedState:
-    """What is known after the slices so far; `step` changes it. rest_xy_px: (dots, 2); touched: whether a touch was."""
+    """State after the slices so far; `step` changes it. rest_xy_px: (dots, 2); touched: a touch has been seen."""
 
     def __init__(self, rest_xy_px: Floats, still_slices: int) -> None:
         self.rest_xy_px = rest_xy_px
@@ -36,7 +36,7 @@ class UntouchedState:
 
 
 def start(rest_xy_px: Floats, still_slices: int = STILL_SLICES) -> UntouchedState:
-    """Begin with dots at rest (n, 2) in px, NaN for a missing one; ValueError with fewer than 4, or another shape."""
+    """Start with dots at rest (n, 2) in px, NaN for a missing one; ValueError for fewer than 4 or another shape."""
     rest: Floats = np.array(rest_xy_px, np.float64)
     if rest.ndim != 2 or rest.shape[1] != 2:
         raise ValueError(f"rest_xy_px: expected shape (dots, 2), found {rest.shape}")
@@ -48,10 +48,10 @@ def start(rest_xy_px: Floats, still_slices: int = STILL_SLICES) -> UntouchedStat
 
 
 def step(state: UntouchedState, dot_xy_px: Floats, lost: Flags | None = None) -> bool:
-    """Whether one more slice has shown that nothing touches any more; dot_xy_px (n, 2) as tracked, lost (n,).
+    """Return True, once per touch, when this slice shows that the touch has ended.
 
-    True once after each touch. Lost dots and those that are not finite are not looked at. ValueError for other numbers
-    of dots.
+    dot_xy_px: (n, 2) as tracked; lost: (n,). Dots that are lost or not finite are ignored. ValueError for another
+    number of dots.
     """
     if dot_xy_px.shape != state.rest_xy_px.shape:
         raise ValueError(f"dot_xy_px: expected shape {state.rest_xy_px.shape}, found {dot_xy_px.shape}")
@@ -78,7 +78,7 @@ def step(state: UntouchedState, dot_xy_px: Floats, lost: Flags | None = None) ->
 
 
 def _near(state: UntouchedState, dot_xy_px: Floats, seen: Flags, within_px: float) -> int:
-    """How many of the dots that are seen are near rest, but for a way that all have in common; 0 where that is long."""
+    """Return the number of seen dots near rest without their common displacement; 0 if that exceeds COMMON_PX."""
     moved = (dot_xy_px - state.rest_xy_px)[seen]
     common = np.median(moved, axis=0)
     if np.hypot(*common) > COMMON_PX:

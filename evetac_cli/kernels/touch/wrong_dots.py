@@ -1,16 +1,17 @@
-"""Which dots have moved otherwise than a layer that is touched on a patch can have moved them, given all the others.
+"""Find dots whose motion contradicts the others, given a layer that is touched on a patch.
 
-A tracker that has lost a dot without notice shows it somewhere else. Here tractions on the patch are thought to have a
-part that is common to it and one that varies smoothly; by their size the typical dot is as far off as it should be.
-Each dot then has a place that is expected given the others (leave one out, in closed form) and a deviation, small
-outside of the patch and large within. The dot that is farthest off, over its deviation, is taken out while it is off by
-more than LIMIT, and all are judged anew without it: several may be wrong, and those that are make their neighbours look
-so.
+A tracker that has lost a dot without noticing reports it in a wrong position. The model: tractions on the patch have a
+part that is common to it and a part that varies smoothly. Their size is set so that the typical dot deviates by as much
+as it should. The other dots then predict each dot's position (leave one out, in closed form) with a deviation that is
+small outside the patch and large within. The dot with the largest error over its deviation is removed while that ratio
+exceeds LIMIT, and all others are evaluated again. This repetition is needed because several dots may be wrong, and
+wrong dots make their neighbours look wrong.
 
-Why not by the size that makes the dots most likely: wrong dots would make it so large that all are right.
+The size of the tractions is not the one that makes the dots most likely, because wrong dots would raise it until all
+dots look right.
 
-LIMIT, SMOOTH_CELLS and COMMON were chosen on contacts of seeds 7000-7011, patches found with the wrong dots among the
-others. The time grows with the cube of the dots: 2 ms for 63.
+LIMIT, SMOOTH_CELLS and COMMON were chosen on contacts of seeds 7000-7011, with patches found from right and wrong dots
+together. The time grows with the cube of the number of dots: 2 ms for 63.
 """
 
 from typing import NamedTuple
@@ -21,35 +22,37 @@ from scipy import linalg
 from evetac_cli.arrays import Flags, Floats
 from evetac_cli.kernels.touch.dot_motion import KINDS, PRESSURE
 
-SMOOTH_CELLS = 1.0  # sd of the window that makes the varying part smooth
-COMMON = 4.0  # sd of the common part over that of the varying one, as in posterior.py
+SMOOTH_CELLS = 1.0  # standard deviation of the window that smooths the varying part, in cells
+COMMON = 4.0  # standard deviation of the common part over that of the varying part, as in posterior.py
 PRESSURE_RATIO = 2.0  # of pressure over shear, as in posterior.py
-LIMIT = 4.0  # deviations that a dot may be off
-MOST_SHARE = 0.2  # of the dots: where more seem wrong, it is the patch that is, and none is called so
-# Of the tracker per axis: 0.1 px of each dot and 0.3 px of all together, at 0.0329 mm per px, as after some time.
+LIMIT = 4.0  # largest error of a right dot, in deviations
+MOST_SHARE = 0.2  # of the dots: if more seem wrong, the patch is wrong, and no dot is rejected
+
+# Error of the tracker per axis after some time: 0.1 px of each dot and 0.3 px of all together, at 0.0329 mm per px.
 OWN_MM, COMMON_MM = 0.1 * 0.0329, 0.3 * 0.0329
-LEAST_MM = 0.3 * 0.0329  # none that is off by less is wrong
-MODEL_SHARE = 0.05  # of the dots' motion (rms): what the gel is not quite like the layer, as in dot_modes.py
-LEAST_DOTS = 6
-MEDIAN_OFF = 1.1774  # of what is normally distributed in two dimensions, in deviations
-SHARE_OF_SIZE = 0.4  # of the dots: those that tractions move most tell their size
-SIZES, HALVINGS = (1e-3, 30.0), 5  # of the tractions' part in the motion's mean square: bounds, and how often halved
+LEAST_MM = 0.3 * 0.0329  # a dot with a smaller error is never wrong
+MODEL_SHARE = 0.05  # deviation of gel and layer model, as a share of the dots' motion (rms), as in dot_modes.py
+LEAST_DOTS = 6  # fewer dots cannot be compared
+MEDIAN_OFF = 1.1774  # median distance of a two-dimensional normal distribution, in deviations
+SHARE_OF_SIZE = 0.4  # of the dots, those that tractions move most: they determine the size of the tractions
+SIZES, HALVINGS = (1e-3, 30.0), 5  # bisection of the size: bounds in units of the mean square motion, and rounds
 
 
 class LayerMotion(NamedTuple):
-    """Motion of dots per traction: that varies over the cells (2 dots, KINDS, rows, columns), and per cell as it is."""
+    """Motion of dots per traction: smoothed over the cells (2 dots, KINDS, rows, columns), and per single cell."""
 
     varying: Floats
     each: Floats
 
 
 def start(motion: Floats, shape: tuple[int, int]) -> LayerMotion:
-    """From the motion of dots per traction (dots, 2, KINDS, cells) of dot_motion.py, on a grid of a shape."""
-    from scipy import ndimage  # here, as it takes 0.2 s to load, and whoever only opens files loads this module
+    """Return the constants from the motion of dots per traction (dots, 2, KINDS, cells) of dot_motion.py, on a grid."""
+    # here: scipy.ndimage takes 0.2 s to load, and commands that only open files load this module
+    from scipy import ndimage
 
     each = motion.reshape(-1, KINDS, *shape).copy()
     each[:, PRESSURE] *= PRESSURE_RATIO
-    unit = 2 * np.sqrt(np.pi) * SMOOTH_CELLS  # after which a smooth part of white tractions has their variance
+    unit = 2 * np.sqrt(np.pi) * SMOOTH_CELLS  # restores the variance of white tractions after smoothing
     return LayerMotion(unit * ndimage.gaussian_filter(each, (0, 0, SMOOTH_CELLS, SMOOTH_CELLS)), each)
 
 
@@ -61,11 +64,11 @@ def wrong(
     own_mm: float = OWN_MM,
     common_mm: float = COMMON_MM,
 ) -> Flags:
-    """Flags (dots,) of the trusted dots that have moved otherwise than the others and the patch allow.
+    """Return flags (dots,) of the trusted dots whose motion contradicts the others and the patch.
 
-    moved_mm: (dots, 2) from rest. patch: (rows, columns), what is touched, none where nothing is. own_mm, common_mm: sd
-    of the tracker's error per axis, of each dot and of all together. With fewer than LEAST_DOTS dots none is wrong, nor
-    where more than MOST_SHARE of them would be.
+    moved_mm: (dots, 2) from rest. patch: (rows, columns), touched cells, none without a touch. own_mm, common_mm: sd of
+    the tracker's error per axis, of each dot and of all together. No dot is flagged with fewer than LEAST_DOTS dots, or
+    if more than MOST_SHARE of them would be.
     """
     flags: Flags = np.zeros(len(trusted), np.bool_)
     used = np.flatnonzero(trusted)
@@ -74,7 +77,7 @@ def wrong(
         return flags
     apart = moved_mm[used] - np.median(moved_mm[used], axis=0)
     moved = apart.ravel().copy()
-    usual = np.minimum(moved**2, np.quantile(moved**2, 0.9)).mean()  # mean square but for some dots that are far off
+    usual = np.minimum(moved**2, np.quantile(moved**2, 0.9)).mean()  # mean square, limited for the few largest
     errors = np.eye(2 * count) * (own_mm**2 + MODEL_SHARE**2 * usual)
     errors[::2, ::2] += common_mm**2
     errors[1::2, 1::2] += common_mm**2
@@ -91,13 +94,13 @@ def wrong(
         left[worst] = False
         out = slice(2 * worst, 2 * worst + 2)
         inverse = inverse - inverse[:, out] @ np.linalg.solve(inverse[out, out], inverse[out])
-        inverse[out, out] = np.eye(2)  # never looked at again, and of no effect on the others
+        inverse[out, out] = np.eye(2)  # never considered again, and without effect on the others
         moved[out] = 0.0
     return flags
 
 
 def _shown(known: LayerMotion, used: np.ndarray, patch: Flags) -> Floats | None:
-    """Covariance of the motion of some dots (2 dots, 2 dots) by tractions on a patch, 1 in the mean; None without."""
+    """Return the covariance of dot motion (2 dots, 2 dots) by tractions on a patch, mean 1; None without a patch."""
     if not patch.any():
         return None
     rows = np.stack([2 * used, 2 * used + 1], axis=1).ravel()
@@ -109,10 +112,10 @@ def _shown(known: LayerMotion, used: np.ndarray, patch: Flags) -> Floats | None:
 
 
 def _inverse(shown: Floats, errors: Floats, moved: Floats, usual: float) -> Floats:
-    """Inverse of the covariance of the dots' motion (2 dots, 2 dots), of a size by which a typical dot is right.
+    """Return the inverse covariance of dot motion (2 dots, 2 dots), scaled so that the typical error is right.
 
-    Typical of those that the tractions move most: what the others are off by is the tracker's error, which may be less
-    than told.
+    Only the dots that the tractions move most count: the error of the others is the tracker's, which may be smaller
+    than assumed.
     """
     low, high = (np.log(size * usual + 1e-30) for size in SIZES)
     variance = shown.diagonal()[::2] + shown.diagonal()[1::2]
@@ -129,9 +132,9 @@ def _inverse(shown: Floats, errors: Floats, moved: Floats, usual: float) -> Floa
 
 
 def _off(inverse: Floats, moved: Floats) -> tuple[Floats, Floats]:
-    """How far each dot is from where the others place it, in deviations and in mm, by the inverse of a covariance."""
-    told = (inverse @ moved).reshape(-1, 2)
+    """Return the distance of each dot from its prediction by the others, in deviations and in mm."""
+    weighted = (inverse @ moved).reshape(-1, 2)
     xx, xy, yy = inverse[::2, ::2].diagonal(), inverse[::2, 1::2].diagonal(), inverse[1::2, 1::2].diagonal()
     area = xx * yy - xy * xy
-    x, y = (yy * told[:, 0] - xy * told[:, 1]) / area, (xx * told[:, 1] - xy * told[:, 0]) / area
-    return np.sqrt(np.maximum(x * told[:, 0] + y * told[:, 1], 0.0)), np.hypot(x, y)
+    x, y = (yy * weighted[:, 0] - xy * weighted[:, 1]) / area, (xx * weighted[:, 1] - xy * weighted[:, 0]) / area
+    return np.sqrt(np.maximum(x * weighted[:, 0] + y * weighted[:, 1], 0.0)), np.hypot(x, y)

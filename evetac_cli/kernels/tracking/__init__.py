@@ -1,1 +1,1 @@
-"""Where the dots are, from events or from frames."""
+"""Tracking: positions of the dots, from events or from frames."""

@@ -1,19 +1,19 @@
-"""Which dots an event may belong to: buckets of 16 x 16 px that list the dots within reach, and events block by block.
+"""Assign events to dots: buckets of 16 x 16 px list the dots within reach, and events are processed in blocks.
 
-The lists allow for MARGIN_PX of motion and are made again only when a dot has left that margin, so a slice without
-motion does not pay for them. Most buckets list one dot or none: `first_dot` says which, or that several dots share the
-bucket, and only then is its list read. (A loop over a list of one entry costs more than all else that is done here.)
+The lists allow for MARGIN_PX of motion and are rebuilt only when a dot has left that margin, so a slice without motion
+does not rebuild them. Most buckets list one dot or none. `first_dot` stores that dot, or that several dots share the
+bucket; only then is the list read. (A loop over a list of one entry costs more than everything else here.)
 
-Why so:
-- Events are taken in blocks that stay in the processor's first cache. Their terms are computed for a whole block at
-  once, several events in one instruction, and added to the dots last.
-- An event near no dot, of a hot pixel or outside the frame belongs to the dummy dot: the last row of the arrays of
-  dots, far away from all pixels. So every event runs through the same instructions, without a branch to mispredict.
+Reasons:
+- Events are processed in blocks that stay in the processor's first-level cache. The terms of a whole block are computed
+  at once, several events per instruction, and added to the dots afterwards.
+- An event near no dot, from a hot pixel or outside the frame is assigned to the dummy dot: the last row of the dots'
+  arrays, far away from all pixels. So every event runs through the same instructions, without mispredicted branches.
 - Terms are summed as integers of 2**-36. Integer sums do not depend on the order of their terms, so the positions are
-  the same bits in whatever order the events of a slice arrive. A term is cut off by less than 1.5e-11.
-- How many events a dot has, and how many of them are in its ring, are one integer of the same sums: the first in its
-  low 32 bits, the second above. So counting costs one addition an event, and no array of another type, which would
-  keep numba from computing several terms in one instruction (6.4 -> 3.5 ns an event).
+  bit-identical for any order of the events in a slice. Truncating a term loses less than 1.5e-11.
+- The number of events of a dot and the number in its ring share one integer: the first in the low 32 bits, the second
+  above. Counting then costs one addition per event. An array of another type would keep numba from computing several
+  terms per instruction (3.5 ns per event instead of 6.4).
 """
 
 import numpy as np
@@ -23,31 +23,31 @@ from evetac_cli.events import FRAME_PX
 from evetac_cli.kernels.compiled import njit
 from evetac_cli.kernels.tracking import hot_pixels
 
-MARGIN_PX = 4.0
-BLOCK = 256  # events
-UNITS = 2.0**36  # a sum's integer for 1
-DUMMY_DOT_XY_PX = (-1000.0, -1000.0)  # farther from every pixel than any event may be from its dot
-_BITS = 4
+MARGIN_PX = 4.0  # motion of a dot after which the lists are rebuilt
+BLOCK = 256  # events processed together
+UNITS = 2.0**36  # the integer that represents 1 in a sum
+DUMMY_DOT_XY_PX = (-1000.0, -1000.0)  # farther from every pixel than the reach of any dot
+_BITS = 4  # log2 of the bucket size
 SIZE_PX = 1 << _BITS
 COLUMNS = -(-FRAME_PX[0] // SIZE_PX)
 ROWS = -(-FRAME_PX[1] // SIZE_PX)
 BUCKETS = COLUMNS * ROWS
-OUTSIDE = np.uint16(BUCKETS)  # the bucket of what is outside the frame
+OUTSIDE = np.uint16(BUCKETS)  # bucket of events outside the frame
 
-RING_EVENT = np.int64(1) << np.int64(32)  # of a count: one event in the ring
+RING_EVENT = np.int64(1) << np.int64(32)  # in a count: one event in the ring
 _EVENTS = RING_EVENT - np.int64(1)
 _ONE = np.uint64(1)
 
 
 def most_entries(dots: int, reach_px: float) -> int:
-    """How many entries the lists of so many dots can have."""
+    """Return the largest number of entries that the lists of this many dots can have."""
     across = int(2 * (reach_px + MARGIN_PX)) // SIZE_PX + 2
     return dots * min(BUCKETS, across**2)
 
 
 @njit(cache=True)
 def split_counts(counts: NDArray[np.int64], events: NDArray[np.int32], ring_events: NDArray[np.int32]) -> None:
-    """Split the sums of counts (n,), see the head of this module, into events and ring events."""
+    """Split the combined counts (n,), described in the module's docstring, into events and ring events."""
     for i in range(counts.shape[0]):
         events[i] = counts[i] & _EVENTS
         ring_events[i] = counts[i] >> np.int64(32)
@@ -55,7 +55,7 @@ def split_counts(counts: NDArray[np.int64], events: NDArray[np.int32], ring_even
 
 @njit(cache=True)
 def left_margin(centre_xy_px: NDArray[np.float64], listed_xy_px: NDArray[np.float64]) -> bool:
-    """Whether a dot is too far from where it was when the buckets were filled."""
+    """Whether a dot has moved more than the margin since the buckets were filled."""
     for i in range(listed_xy_px.shape[0]):
         if abs(centre_xy_px[i, 0] - listed_xy_px[i, 0]) > MARGIN_PX:
             return True
@@ -66,7 +66,7 @@ def left_margin(centre_xy_px: NDArray[np.float64], listed_xy_px: NDArray[np.floa
 
 @njit(cache=True)
 def _within(x_px: float, y_px: float, reach_px: float) -> tuple[int, int, int, int]:
-    """First and one past the last bucket row, the same of columns, that a square of half width reach_px touches."""
+    """Return the first and one past the last bucket row, then column, of a square of half width reach_px."""
     first_row = max(0, int(y_px - reach_px) >> _BITS)
     first_column = max(0, int(x_px - reach_px) >> _BITS)
     last_row = min(ROWS - 1, int(y_px + reach_px) >> _BITS)
@@ -83,10 +83,10 @@ def fill(
     bucket_start: NDArray[np.uint32],
     bucket_dots: NDArray[np.uint32],
 ) -> None:
-    """List the dots (n + 1, 2) within reach_px, and the margin, of bucket b in bucket_dots[bucket_start[b]:...[b + 1]].
+    """List the dots (n + 1, 2) within reach_px plus the margin of bucket b in bucket_dots[bucket_start[b]:...[b + 1]].
 
-    listed_xy_px, (n, 2), is where they are then; first_dot[b] is the only dot, n (the dummy dot) for none, n + 1 for
-    several. A missing dot (NaN) is on no list.
+    listed_xy_px, (n, 2), is set to their present positions. first_dot[b] is the only dot, n (the dummy dot) for none,
+    n + 1 for several. A missing dot (NaN) is on no list.
     """
     dots = listed_xy_px.shape[0]
     reach_px += MARGIN_PX
@@ -100,7 +100,7 @@ def fill(
         for r in range(row, row_stop):
             for c in range(column, column_stop):
                 bucket_start[r * COLUMNS + c] += 1
-    # From counts to the end of every bucket; filling from the end then leaves its beginning.
+    # Turn the counts into the end of every bucket; filling from the end then leaves its beginning.
     total = 0
     for b in range(BUCKETS):
         total += bucket_start[b]
@@ -132,10 +132,10 @@ def nearby_dot(
     near_dot: NDArray[np.uint32],
     near_px: NDArray[np.float64],
 ) -> bool:
-    """Find the dot near each of up to BLOCK events; returns whether some of them are in buckets of several dots.
+    """Find the dot near each of up to BLOCK events; return whether some of them are in buckets of several dots.
 
     Fills near_dot, near_px (2, ...) from the dot's centre to the event, and bucket. If `any_hot`, events of hot pixels
-    (hot_pixels.py) go to the dummy dot. So do those in buckets of several dots, until `nearby_dots` pairs them.
+    (hot_pixels.py) go to the dummy dot. So do events in buckets of several dots, until `nearby_dots` pairs them.
     state: tracker.STATE.
     """
     centre_xy_px, first_dot = state["centre_xy_px"][: state["dots"] + 1], state["first_dot"][:]
@@ -146,14 +146,14 @@ def nearby_dot(
         bucket[k] = b if inside else OUTSIDE
     if any_hot:
         for k in range(x.shape[0]):
-            # Outside the frame, any pixel will do: the bucket is OUTSIDE already.
+            # Outside the frame any pixel can be read: the bucket is OUTSIDE already.
             row = np.uint64(min(y[k], np.uint16(FRAME_PX[1] - 1))) + _ONE
             column = np.uint64(min(x[k], np.uint16(FRAME_PX[0] - 1))) + _ONE
             bucket[k] = OUTSIDE if pixel_events[row, column] & hot_pixels.HOT else bucket[k]
     dummy_dot = np.uint32(centre_xy_px.shape[0] - 1)
     several = False
     for k in range(x.shape[0]):
-        # Unsigned, as are the buckets: numba then makes no test for negative indices.
+        # Unsigned, as the buckets are: numba then does not check for negative indices.
         i = first_dot[bucket[k]]
         several |= i > dummy_dot
         i = min(i, dummy_dot)
@@ -178,10 +178,10 @@ def nearby_dots(
     near_px: NDArray[np.float64],
     near_p: NDArray[np.uint8],
 ) -> tuple[int, int]:
-    """Pair the events of a block in buckets of several dots, from `begin` on, with every dot that they may belong to.
+    """Pair the events of a block in buckets of several dots, starting at `begin`, with every dot they may belong to.
 
-    Fills near_dot, near_px and, where p is not empty, near_p; returns where to go on, and how many pairs. There is room
-    for BLOCK pairs and as many as there are dots. `bucket` as from `nearby_dot`; state: tracker.STATE.
+    Fills near_dot, near_px and, if p is not empty, near_p. Returns the event to continue at, and the number of pairs.
+    There is room for BLOCK pairs plus one per dot. `bucket` comes from `nearby_dot`; state: tracker.STATE.
     """
     centre_xy_px, first_dot = state["centre_xy_px"][: state["dots"] + 1], state["first_dot"][:]
     bucket_start, bucket_dots = state["bucket_start"][:], state["bucket_dots"][:]

@@ -1,13 +1,13 @@
-"""A gradient step a slice: events pull the rims of dots, neighbours hold them (all presets but `stable`).
+"""One gradient step per slice: events pull the rims of dots, and neighbours hold them (all presets except `stable`).
 
-Every event in the ring of a dot pulls it until the event lies on its rim, and an elastic term keeps the dot at the
-distance from its neighbours that it had at the start (paper, "Signal Processing - Dot Tracking").
+Every event in the ring of a dot pulls it until the event is on its rim. An elastic term keeps the dot at its initial
+distance from its neighbours (paper, "Signal Processing - Dot Tracking").
 
-Why so:
-- The paper moves a dot only "if more than 10 events are triggered at its location". We count the events in the ring,
-  those that pull: events inside the dot carry no information about where it is.
-- Whether an event lies in a ring is close to a coin toss, and a wrong guess of the processor costs more than the pull.
-  So every event adds its pull, times 0 or 1.
+Reasons:
+- In the paper, a dot only moves "if more than 10 events are triggered at its location". This module counts the events
+  in the ring, which are those that pull: events inside the dot carry no information about its position.
+- Whether an event is in a ring is nearly random, and a mispredicted branch costs more than computing the pull. So every
+  event adds its pull, times 0 or 1.
 """
 
 from math import sqrt
@@ -20,8 +20,8 @@ from evetac_cli.kernels.compiled import njit
 from evetac_cli.kernels.tracking import buckets
 from evetac_cli.kernels.tracking.buckets import RING_EVENT, UNITS
 
-SUMS = 3  # of every dot: pull (x, y), counts (buckets.py)
-COUNTS = 2  # which of the three are the counts
+SUMS = 3  # per dot: pull (x, y), counts (buckets.py)
+COUNTS = 2  # index of the counts
 
 
 @njit(cache=True)
@@ -30,7 +30,7 @@ def pull_dots(
 ) -> None:
     """Add every event to the sums of the dots it is near: its pull d - r d / |d|, d from centre to event, and counts.
 
-    state: tracker.STATE; sums: (dots + 1, SUMS), zero before.
+    state: tracker.STATE; sums: (dots + 1, SUMS), initially zero.
     """
     if x.shape[0] == 0:
         return
@@ -62,7 +62,7 @@ def _add_pulls(
     terms: NDArray[np.int64],
     sums: NDArray[np.int64],
 ) -> None:
-    """Add pairs of an event and a dot to the dots' sums; terms is work space."""
+    """Add pairs of an event and a dot to the dots' sums; terms is workspace."""
     radius_px, ring_inner_px, ring_outer_px, count_radius_px = constants
     ring_inner_px2 = ring_inner_px * ring_inner_px
     ring_outer_px2 = ring_outer_px * ring_outer_px
@@ -72,7 +72,7 @@ def _add_pulls(
         dy = near_px[1, k]
         distance_px2 = dx * dx + dy * dy
         in_ring = (distance_px2 > ring_inner_px2) & (distance_px2 < ring_outer_px2)
-        # An event on the very centre has no direction and is in no ring: any finite stretch will do.
+        # An event exactly on the centre has no direction and is in no ring: any finite stretch is correct.
         stretch = (1.0 - radius_px / sqrt(max(distance_px2, 1e-12))) * (in_ring * UNITS)
         terms[0, k] = int(stretch * dx)
         terms[1, k] = int(stretch * dy)
@@ -88,7 +88,7 @@ def _add_pulls(
 def _regulariser_gradient(
     i: int, centre_xy_px: NDArray[np.float64], neighbours: NDArray[np.int32], rest_distance_px2: NDArray[np.float64]
 ) -> tuple[float, float]:
-    """Gradient of (8 / n) sum_j (|c_i - c_j|^2 - d_ij)^2 over the n neighbours j of dot i, with respect to c_i."""
+    """Return the gradient of (8 / n) sum_j (|c_i - c_j|^2 - d_ij)^2, over n neighbours j of dot i, by c_i."""
     gradient_x = 0.0
     gradient_y = 0.0
     count = 0
@@ -108,13 +108,13 @@ def _regulariser_gradient(
 
 @njit(cache=True)
 def gather(state: np.void, sums: NDArray[np.int64]) -> bool:
-    """Whether a step is due; then sums (dots + 1, SUMS) of this slice become those of all slices since the last step.
+    """Whether a step is due; if so, sums (dots + 1, SUMS) become those of all slices since the last step.
 
-    state: tracker.STATE, in which they are gathered. `start` runs a slice of its own: the next is number 1.
+    They are collected in `state`, tracker.STATE. `start` processes one empty slice, so the first real one is number 1.
     """
     gathered = state["gathered"]
     due = state["slices"] % state["slices_per_step"] == 0
-    for i in range(sums.shape[0]):  # one by one: as whole arrays they take seconds to compile
+    for i in range(sums.shape[0]):  # element by element: operations on whole arrays take seconds to compile
         for column in range(sums.shape[1]):
             so_far = gathered[i, column] + sums[i, column]
             gathered[i, column] = so_far
@@ -128,9 +128,9 @@ def gather(state: np.void, sums: NDArray[np.int64]) -> bool:
 def gradient_step(
     state: np.void, sums: NDArray[np.int64], ring_events: NDArray[np.int32], shift_px: NDArray[np.float64]
 ) -> bool:
-    """Fill shift_px (dots, 2) of the dots with enough events; returns whether there is one.
+    """Fill shift_px (dots, 2) for the dots with enough events; return whether there are any.
 
-    All are taken from the positions before. state: tracker.STATE.
+    All shifts are computed from the positions before the step. state: tracker.STATE.
     """
     dots = state["dots"]
     centre_xy_px = state["centre_xy_px"][: dots + 1]

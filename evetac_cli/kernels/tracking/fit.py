@@ -1,35 +1,38 @@
-"""How far all dots moved in a slice, solved for from the events of their rims: the preset `stable` of the tracker.
+"""Solve for the motion of all dots in a slice, from the events of their rims: the preset `stable` of the tracker.
 
-An event of a dot's ring at distance d from its centre, in direction n, is evidence of three things:
-- The rim is there. beyond = d - rim is how far the dot has to go along n; a least-squares problem over all of its
-  events (Gauss-Newton of the paper's data term), damped by 1 / (2 step_size) so that few events move a dot as the
-  paper's step would.
-- Which side it is on. A dark dot makes events that get darker on its leading rim and brighter ones on its trailing rim,
-  so the sum of +n and -n points where it goes, and grows with the motion: `event_px` for each event, the motion seen.
-  Both rims agree, where it is the dot that moves.
-- It came late. A pixel has an event when its level has changed by the contrast threshold, so the rim of either side is
-  found `rim_lag_px` behind the motion; knowing the side takes that away.
+An event in a dot's ring, at distance d from the centre in direction n, is evidence of three things:
+- The rim is at the event. beyond = d - rim is the distance that the dot must move along n. This is a least-squares
+  problem over all of the dot's events (Gauss-Newton on the paper's data term), damped by 1 / (2 step_size) so that few
+  events move a dot as the paper's step would.
+- The event is on the leading or the trailing rim. A moving dark dot makes OFF events (darker) on its leading rim and ON
+  events (brighter) on its trailing rim. So the sum of +n and -n points along the motion and grows with it: each event
+  counts as `event_px` of motion. This sum is called the motion seen. Both rims agree if the dot itself moves.
+- The event came late. A pixel makes an event after its level has changed by the contrast threshold, so either rim is
+  seen `rim_lag_px` behind the motion. Since the side is known, this lag is subtracted.
 
-Events come evenly during the slice, so the rims are found where they were half way: with H = sum w n n^T,
-s = sum w beyond n and f the motion seen, the correction c to f solves H c = s - H f / 2.
+Events are spread evenly over the slice, so the rims are seen where they were half way through. With H = sum w n n^T,
+s = sum w beyond n and the motion seen f, the correction c to f solves H c = s - H f / 2.
 
-Why so:
-- What neighbours share is the correction, not the motion: next to a gel that slips, a dot without events stands still
-  because it has seen no motion, and yet eight dots find together what the few events of one leave open.
-- H and s are scaled down to `most_events`: a flood of 10,000 events on a dot is outvoted by neighbours that have seen
-  nothing. A dot that goes 2 px in a slice makes 600, and all of them have to count: f sees too little of such a jump,
-  as a pixel has one event a scan. (With 200, dots that swing at 498 Hz, 2 px a slice, were off by 2 px.)
-- An edge of something that slides over the gel is brighter or darker than what it covers: its events have one polarity.
-  A dot that moves makes as many of both. So what one rim shows beyond the other, and beyond chance, is not the dot's
-  motion; and the more a dot's events have one polarity, the less they show of its rim: H and s are scaled down by as
-  much. Without this, every rub of an edge over a dot takes it along by some tenths of a pixel. (A camera that
-  has sent only one polarity up to now cannot be judged so.)
-- w = (1 - (beyond / half ring)^2)^2 falls to zero at the sides of the ring: events that fit the rim badly, badly count.
-- Every sweep takes a mean of bounded values with weights that are not negative, or a damped solution of a positive
-  definite system, for any finite constants; the step is limited to `trust_px` in the end.
-- No divisor is zero, so numba need not test for it (error_model="numpy"): 0.6 us less a slice.
+Reasons:
+- Neighbours share the correction, not the motion. Next to a gel that slips, a dot without events stays in place because
+  it has seen no motion; still, eight dots together find what the few events of one leave undetermined.
+- H and s are scaled down to `most_events`, so that neighbours that have seen nothing outvote a flood of 10,000 events
+  on one dot. A dot that moves 2 px in a slice makes 600 events, and all of them must count: f underestimates such a
+  jump, because a pixel has one event per scan. (With a limit of 200, dots that swing at 498 Hz, 2 px per slice, were
+  off by 2 px.)
+- An object's edge that slides over the gel is brighter or darker than what it covers, so its events have one polarity.
+  A moving dot makes as many events of both. So the part that one rim shows beyond the other, and beyond chance, is not
+  motion of the dot. The more a dot's events have one polarity, the less they show of its rim, and H and s are scaled
+  down accordingly. Otherwise every edge that rubs over a dot would drag it along by some tenths of a pixel. (This does
+  not work for a camera that has sent only one polarity so far.)
+- The weight w = (1 - (beyond / half ring)^2)^2 falls to zero at the sides of the ring, so that events that fit the rim
+  badly count little.
+- The result is bounded for any finite constants: every sweep takes a mean of bounded values with non-negative weights,
+  or a damped solution of a positive definite system. The step is finally limited to `trust_px`.
+- No divisor can be zero, so numba need not test for it (error_model="numpy"). This saves 0.6 us per slice.
 
-Measured on simulated slip, shear and rubbing edges. The paper's preset stands still below 11 events a dot and slice.
+Tested on simulated slip, shear and rubbing edges. The paper's preset does not move a dot with fewer than 11 events per
+slice.
 """
 
 from math import sqrt
@@ -43,21 +46,20 @@ from evetac_cli.kernels.tracking import buckets
 from evetac_cli.kernels.tracking.buckets import RING_EVENT, UNITS
 
 SIDE = 4
-SUMS = (
-    3 * SIDE
-)  # of every dot: w beyond n (2), w n n^T (xx, xy); of events that get darker w, w n (2), counts; of brighter
+# Per dot: w beyond n (2), w n n^T (xx, xy); of OFF events w, w n (2), counts; the same of ON events.
+SUMS = 3 * SIDE
 DARKER = SIDE
 BRIGHTER = 2 * SIDE
-COUNTS = 3  # of either side, which of its four are its counts (buckets.py)
-SYSTEM = 8  # numbers of every dot: inverse matrix (xx, xy, yy), right side (2), correction (2), weight of a neighbour
-CHANCE = 1.0  # both sides may differ by so many standard deviations: sqrt of the sum of w
-UNLIMITED = 1e12  # ... so many explain every difference
-LEAST_SHARE = 0.01  # less than this of one polarity: the camera sends only the other
-LIGHT_DOTS = 0.75  # so many of the dots have events of one polarity, ...
-LIGHT_AHEAD = 0.6  # ... which is so far ahead of the other, of all their events: the light changes, and nothing moves
-LIGHT_SLICES = 50.0  # such slices are counted over about so many
-LEAST_DAMPING = 1e-9  # of the matrix: below this, rounding would decide
-MOST_WEIGHT = 1e12  # beyond this, neighbours are one body to the last bit
+COUNTS = 3  # index of the counts (buckets.py) among the four numbers of either polarity
+SYSTEM = 8  # numbers per dot: inverse matrix (xx, xy, yy), right side (2), correction (2), weight of a neighbour
+CHANCE = 1.0  # both rims may differ by this many standard deviations, each the square root of the sum of w
+UNLIMITED = 1e12  # ... this many explain every difference
+LEAST_SHARE = 0.01  # with a smaller share of one polarity, the camera is taken to send only the other
+LIGHT_DOTS = 0.75  # the light changes, and nothing moves, if this share of the dots has events of one polarity,
+LIGHT_AHEAD = 0.6  # ... and it exceeds the other polarity by this share of all events
+LIGHT_SLICES = 50.0  # time constant, in slices, of the count of such slices
+LEAST_DAMPING = 1e-9  # of the matrix: with less, rounding would decide
+MOST_WEIGHT = 1e12  # of neighbours: beyond this, they move as one body to the last bit
 
 
 @njit(cache=True)
@@ -69,9 +71,9 @@ def measure_rims(
     any_hot: bool,
     sums: NDArray[np.int64],
 ) -> None:
-    """Add every event to the sums of the dots it is near: where it shows the rim to be, and counts.
+    """Add every event to the sums of the dots it is near: the rim position that it shows, and counts.
 
-    state: tracker.STATE; sums: (dots + 1, SUMS), zero before.
+    state: tracker.STATE; sums: (dots + 1, SUMS), initially zero.
     """
     if x.shape[0] == 0:
         return
@@ -106,14 +108,14 @@ def _add_rims(
     terms: NDArray[np.int64],
     sums: NDArray[np.int64],
 ) -> None:
-    """Add pairs of an event and a dot to the dots' sums; terms is work space."""
+    """Add pairs of an event and a dot to the dots' sums; terms is workspace."""
     radius_px, half_ring_px, rim_lag_px, count_radius_px = constants
     per_half_ring = 1.0 / half_ring_px
     count_radius_px2 = count_radius_px * count_radius_px
     for k in range(pairs):
         dx = near_px[0, k]
         dy = near_px[1, k]
-        # A leading rim makes events that get darker (p = 0), a trailing rim brighter ones, both too late.
+        # A leading rim makes OFF events (p = 0), a trailing rim ON events, both late.
         leading = 1.0 if near_p[k] == 0 else -1.0
         rim_px = radius_px - leading * rim_lag_px
         distance_px2 = max(dx * dx + dy * dy, 1e-12)
@@ -134,7 +136,7 @@ def _add_rims(
         terms[DARKER + COUNTS, k] = (shape > 0.0) * RING_EVENT + (distance_px2 < count_radius_px2)
     for k in range(pairs):
         i = np.uint64(near_dot[k])
-        side = np.uint64(DARKER + SIDE * (near_p[k] != 0))  # no branch: the processor could not guess it
+        side = np.uint64(DARKER + SIDE * (near_p[k] != 0))  # no branch: the processor could not predict it
         sums[i, 0] += terms[0, k]
         sums[i, 1] += terms[1, k]
         sums[i, 2] += terms[2, k]
@@ -149,7 +151,7 @@ def _add_rims(
 def solve(
     state: np.void, sums: NDArray[np.int64], ring_events: NDArray[np.int32], shift_px: NDArray[np.float64]
 ) -> bool:
-    """Fill shift_px (dots, 2) with every dot's motion, if a dot has more than min_events events; returns whether.
+    """Fill shift_px (dots, 2) with every dot's motion if a dot has more than min_events events; return whether one has.
 
     state: tracker.STATE.
     """
@@ -194,7 +196,7 @@ def solve(
 
 @njit(cache=True, error_model="numpy")
 def _light_changes(dots: int, sums: NDArray[np.int64]) -> bool:
-    """Whether the events of nearly all dots at once have one polarity: the light, and no motion, has made them."""
+    """Whether the events of nearly all dots have one polarity at once, which a change of light causes, not motion."""
     darker = 0
     brighter = 0
     only_darker = 0
@@ -219,9 +221,9 @@ def _set_up(
     one_rim_px: NDArray[np.float64],
     too_far: NDArray[np.uint8],
 ) -> None:
-    """The motion seen by dot i, into shift_px, and its row of the system for the correction, which starts at 0.
+    """Set shift_px of dot i to the motion seen, and fill its row of the system for the correction, which starts at 0.
 
-    What one rim alone shows is added to one_rim_px; too_far is set where both show more than a slice may follow.
+    Motion shown by one rim alone is added to one_rim_px; too_far is set if the rims show more than a slice may follow.
     """
     damping, regulariser_weight, trust_px, event_px, most_events, chance = constants
     xx = sums[i, 2] / UNITS
@@ -243,7 +245,7 @@ def _set_up(
     a = scale * xx + damping + weight * neighbour_count
     b = scale * xy
     c = scale * yy + damping + weight * neighbour_count
-    # Divided by a, not by the determinant: that of huge numbers is infinite.
+    # Divided by a instead of the determinant, which overflows for huge numbers.
     rest = c - b * (b / a)
     system[i, 2] = 1.0 / rest
     system[i, 1] = -(b / a) / rest
@@ -259,7 +261,7 @@ def _set_up(
 
 @njit(cache=True, error_model="numpy")
 def _both_rims(i: int, sums: NDArray[np.int64], by_chance: float) -> tuple[float, float, float, float]:
-    """Sum of +n on the leading, -n on the trailing rim of dot i as far as they agree but for chance; and the rest."""
+    """Return the sum of +n (leading rim) and -n (trailing rim), as far as they agree within chance; and the rest."""
     leading_x = sums[i, DARKER + 1] / UNITS
     leading_y = sums[i, DARKER + 2] / UNITS
     trailing_x = -sums[i, BRIGHTER + 1] / UNITS
@@ -271,8 +273,8 @@ def _both_rims(i: int, sums: NDArray[np.int64], by_chance: float) -> tuple[float
     both_y = leading_y + trailing_y
     if off2 <= by_chance * by_chance:
         return both_x, both_y, 0.0, 0.0
-    # Take off what the louder rim has too much, but never so much that the sum begins to grow again.
-    louder = (both_x * off_x + both_y * off_y) / off2  # > 0: the leading one
+    # Subtract the excess of the stronger rim, but never so much that the sum begins to grow again.
+    louder = (both_x * off_x + both_y * off_y) / off2  # > 0: the leading rim is stronger
     beyond_chance = 1.0 - by_chance / sqrt(off2)
     share = min(max(louder, -beyond_chance), beyond_chance)
     return both_x - share * off_x, both_y - share * off_y, share * off_x, share * off_y
@@ -280,7 +282,7 @@ def _both_rims(i: int, sums: NDArray[np.int64], by_chance: float) -> tuple[float
 
 @njit(cache=True, error_model="numpy")
 def _limited(x: float, y: float, most: float) -> tuple[float, float]:
-    """A vector, shortened to a length of `most` if it is longer."""
+    """Return a vector, shortened to the length `most` if it is longer."""
     length = sqrt(x * x + y * y)
     if length <= most:
         return x, y

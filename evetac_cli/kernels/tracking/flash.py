@@ -1,12 +1,12 @@
-"""Where dots are by themselves, from a flash under which the print gets brighter and bare gel does not.
+"""Absolute positions of the dots, from a flash of light that brightens the print but not the bare gel.
 
-Each pixel of a dot has an event when the flash comes on and one when it goes off, and no other has one but for motion
-and noise: the middle of these pixels is the middle of the dot, whatever has happened before. A tracker that has drifted
-is put there (`tracker.place`).
+Each pixel of a dot has an event when the flash comes on and one when it goes off. Other pixels have none, except for
+motion and noise. So the mean position of these pixels is the centre of the dot, independently of its history. A tracker
+that has drifted can be reset there (`tracker.place`).
 
-What a pixel has seen before decides by how much more light it has an event, and this differs between the side that a
-dot came from and the one it went to. So there are two pulses, a bright one that sets the pixels of the dots and a
-fainter one, and what counts is the slice in which the second goes off: the first alone is off by a pixel (simulated).
+The change of light at which a pixel makes an event depends on its history, which differs between the side that a dot
+came from and the side it moved to. So there are two pulses: a bright one that sets the pixels of the dots, and a
+fainter one. The slice in which the second pulse goes off is used. The first pulse alone is off by a pixel (simulated).
 """
 
 import numpy as np
@@ -15,18 +15,18 @@ from numpy.typing import NDArray
 from evetac_cli.arrays import Floats
 from evetac_cli.kernels.compiled import njit
 
-REACH_PX = 4.0  # beyond the rim: pixels from there on are no part of a dot
-LEAST_SHARE = 0.6  # of a dot's area in events: with fewer it is hidden in part, and its middle is not theirs
-ROUNDS = 8  # the middle is taken anew about the last one, so that a dot may be found that is some pixels off
-CONVERGED_PX = 1e-3
+REACH_PX = 4.0  # beyond the rim: pixels farther away are not part of a dot
+LEAST_SHARE = 0.6  # of a dot's area in events: with less, the dot is partly hidden and the centre is wrong
+ROUNDS = 8  # the centre is computed again around the previous one, so that dots some pixels off are found
+CONVERGED_PX = 1e-3  # change of the centre, summed over both axes, that ends the rounds
 
 
 def dots_in_flash(x: NDArray[np.uint16], y: NDArray[np.uint16], near_xy_px: Floats, radius_px: float) -> Floats:
-    """Middles of dots (n, 2) in px from the events that a flash made; NaN where too few show a dot.
+    """Return the centres of dots (n, 2) in px from the events of a flash; NaN for dots with too few events.
 
-    x, y: columns of the events of one slice and of the polarity of its change, in px. near_xy_px: (n, 2), where dots
-    are thought to be, within a radius or so; NaN for a missing one. radius_px: of dots. ValueError for columns of
-    different lengths.
+    `x`, `y`: columns of the events of one slice with the polarity of the change, in px. `near_xy_px`: (n, 2),
+    approximate positions, within a radius or so; NaN for a missing dot. `radius_px`: of the dots. ValueError for
+    columns of different lengths.
     """
     if x.ndim != 1 or x.shape != y.shape:
         raise ValueError(f"expected two columns of equal length, found {x.shape} and {y.shape}")
@@ -37,7 +37,7 @@ def dots_in_flash(x: NDArray[np.uint16], y: NDArray[np.uint16], near_xy_px: Floa
 
 @njit(cache=True)
 def _find(x: NDArray[np.uint16], y: NDArray[np.uint16], dot_xy_px: Floats, radius_px: float) -> None:
-    """Move dots (n, 2) to the middles of the events about them; NaN where there are too few."""
+    """Move dots (n, 2) to the centres of the events around them; NaN for dots with too few."""
     reach_px2 = (radius_px + REACH_PX) ** 2
     least = LEAST_SHARE * np.pi * radius_px**2
     for i in range(dot_xy_px.shape[0]):

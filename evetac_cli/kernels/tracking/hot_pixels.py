@@ -1,12 +1,12 @@
-"""Which pixels are hot: their events are left out.
+"""Find hot pixels, whose events are ignored.
 
 A hot pixel in the ring of a dot would pull it for ever; a DVXplorer has hundreds, some above 1000 events/s. So the
-events of every pixel are counted, and a pixel that is ahead of all its neighbours by far is left out. Rows are halved
-in turn, one every FADE_SLICES: so a count halves every 1.9 s. Edges are not taken for hot pixels, also when they
-vibrate: along an edge, neighbouring pixels have as many events.
+events of every pixel are counted, and a pixel with far more than all of its neighbours is ignored. The counts decay:
+every FADE_SLICES slices the next row is halved, so each count halves every 1.9 s. Edges are not mistaken for hot
+pixels, even if they vibrate: along an edge, neighbouring pixels have about as many events.
 
-Why so: counting in the loop that assigns events to dots costs more than a loop of its own, whose accesses to pixels all
-over the frame do not wait for each other. While no pixel is hot, the counts are not read again.
+Reason for a separate loop: counting in the loop that assigns events to dots costs more, because its accesses to pixels
+all over the frame would wait for each other. While no pixel is hot, the counts are not read again.
 """
 
 import numpy as np
@@ -15,18 +15,18 @@ from numpy.typing import NDArray
 from evetac_cli.events import FRAME_PX
 from evetac_cli.kernels.compiled import njit
 
-HOT_RATIO = 4
-FADE_SLICES = 4
-COUNTS_SHAPE = (FRAME_PX[1] + 2, FRAME_PX[0] + 2)  # of pixel_events: the frame, with zeros around
-HOT = np.uint16(0x8000)  # of a pixel's entry in pixel_events, [y + 1, x + 1]: whether it is hot
-_COUNT = np.uint16(0x7FFF)  # ... and its recent events
+HOT_RATIO = 4  # a hot pixel has at least this many times the events of each neighbour
+FADE_SLICES = 4  # slices after which the next row is halved
+COUNTS_SHAPE = (FRAME_PX[1] + 2, FRAME_PX[0] + 2)  # of pixel_events: the frame with a border of zeros
+HOT = np.uint16(0x8000)  # flag of a hot pixel in its entry pixel_events[y + 1, x + 1]
+_COUNT = np.uint16(0x7FFF)  # ... and the bits of its recent events
 _ONE = np.uint64(1)
-_ROW_BITS = np.uint32(16)  # of a pixel in `at_limit`: row above, column below
+_ROW_BITS = np.uint32(16)  # bit position of the row in an entry of `at_limit`, above the column
 
 
 @njit(cache=True)
 def _fade(pixel_events: NDArray[np.uint16], halved_row: int, limit: int) -> None:
-    """Halve the counts of one row of pixel_events, COUNTS_SHAPE, and judge its pixels anew."""
+    """Halve the counts of one row of pixel_events, COUNTS_SHAPE, and find its hot pixels again."""
     busiest = np.uint16(0)
     row = pixel_events[halved_row]
     for column in range(row.shape[0]):
@@ -46,11 +46,11 @@ def count(
     slices: int,
     limit: int,
 ) -> bool:
-    """Count the events of every pixel into pixel_events; returns whether any of them comes from a hot pixel.
+    """Count the events of every pixel into pixel_events; return whether any of them comes from a hot pixel.
 
-    A pixel is judged when its count goes beyond the limit, and when its row fades: so nearly every event costs one
-    access to its pixel. All are counted before any is judged, so that the order of events within the slice does not
-    matter. slices: how many there were before, from 0.
+    A pixel is checked when its count exceeds the limit, and when its row fades, so nearly every event costs one access.
+    All events are counted before any pixel is checked, so that the order of events within the slice does not matter.
+    slices: number of slices before, from 0.
     """
     if slices % FADE_SLICES == 0:
         _fade(pixel_events, 1 + slices // FADE_SLICES % FRAME_PX[1], limit)
@@ -79,7 +79,7 @@ def count(
 
 @njit(cache=True)
 def _is_hot(pixel_events: NDArray[np.uint16], row: int, column: int, limit: int) -> bool:
-    """Whether a pixel has more events than the limit and is far ahead of its eight neighbours."""
+    """Whether a pixel has more events than the limit and far more than its eight neighbours."""
     events = pixel_events[row, column] & _COUNT
     if events <= limit:
         return False

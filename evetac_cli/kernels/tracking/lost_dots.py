@@ -1,23 +1,23 @@
-"""Dots that have lost track: flagged, so that nobody trusts them, and put back at rest.
+"""Dots that have lost track: they are flagged, so that they are not trusted, and put back at rest.
 
-A dot is lost where it is far from where its neighbours place it. With `fit` there are four more signs, of which each
-comes long before a dot is far:
-- Its neighbours go on and it stays, and one of its rims shows the motion alone: the other is hidden, behind the edge of
-  the window or of the frame.
-- It lies amid eight neighbours that all go on, and stays: it has vanished. At the edge of the grid this is no sign, as
-  gel beside a contact does stay.
-- Both rims show more motion in a slice than a slice may follow, or most of many events lie inside of the dot: it has
-  gone faster than that, and its rims with it.
-- The light flickers, which makes events at every rim, and all dots drift by 1 to 2 px a second. This flag goes when the
-  flicker does.
+A dot is lost if it is far from where its neighbours predict it. With `fit` there are four more signs, each of which
+appears long before a dot is far off:
+- Hidden: its neighbours move on and it stays, and only one of its rims shows the motion. The other rim is hidden behind
+  the edge of the window or of the frame.
+- Vanished: it stays in the middle of eight neighbours that all move on. At the edge of the grid this is no sign,
+  because gel next to a contact does stay.
+- Jumped: both rims show more motion than may be followed in a slice, or most of many events are inside the dot. The dot
+  and its rims have then moved faster than the tracker.
+- Flicker: flickering light makes events at every rim, and all dots drift by 1 to 2 px per second. This flag ends with
+  the flicker.
 
-Why so: a dot that has lost track finds no rim of its own. When few events have come for a while and its neighbours are
-back where they began, its place is known without events, and it starts anew from there (only with `rest_slices`, so
-that the paper's presets stay what they are).
+Putting back: a dot that has lost track cannot find its own rim again. When few events have come for a while and its
+neighbours are back where they began, its position is known without events, and tracking restarts from there. This is
+only done with `rest_slices`, so that the paper's presets remain unchanged.
 
-The constants of these signs were chosen on fourteen simulated slips, rubs and shears with seeds below 10,000, none of
-whose dots they flag: these are followed within 2.3 px, gel beside the contact of a heavy object among them. Beside them
-stand what was lost in `evaluate stability track` and in the scene `press`.
+The constants of these signs were chosen on fourteen simulated slips, rubs and shears with seeds below 10,000. Their
+dots are followed within 2.3 px, including gel next to the contact of a heavy object, and none of them is flagged.
+Examples of lost dots came from `evaluate stability track` and from the scene `press`.
 """
 
 from math import sqrt
@@ -29,28 +29,31 @@ from evetac_cli.events import FRAME_PX
 from evetac_cli.kernels.calibration.grid import MAX_NEIGHBOURS
 from evetac_cli.kernels.compiled import njit
 
-LOST_PX = 40.0  # with the paper's constants, no event of a dot's own edge is in its ring from 35 px on
-AT_REST_PX = 3.0  # neighbours displaced by less than this, in the mean, are at rest
-WAY_PX = 3.0  # ways are remembered over about so much motion of the neighbours
-ONE_RIM_SLICES = 100.0  # what one rim alone shows is remembered over about so many slices
-GONE_PX = 0.75  # neighbours that have gone so far, ...
-FOLLOWS = 0.6  # ... of which a dot has gone less than this along with them, ...
-BY_MOTION = 1.5  # ... its events no more than this much of what their way makes, as those of an edge that rubs are, ...
-ONE_RIM_PX = 0.5  # ... and one of its rims shows so much of it: of dots that were followed, 0.3 at the most
-TOGETHER = 0.35  # ... each of these neighbours having gone so much of the way
-GONE_AROUND_PX = 1.0  # neighbours all around that have gone so far, ...
-STAYS = 0.27  # ... and a dot amid them less than this of it, in any direction, with as few events, ...
-ALL_TOGETHER = 0.5  # ... each having gone so much of the way: gel that an edge holds had neighbours that went 0.36
-# So many times as many events inside of a dot as in its ring, and so many more, in a slice: an edge across its middle
-# makes 1.4 times as many, corners that rubbed 2.1 times, up to 107; dots that jumped 1.6 to 3.6 times, up to 600.
+LOST_PX = 40.0  # error of a lost dot; with the paper's constants, a dot sees no event of its own edge from 35 px on
+AT_REST_PX = 3.0  # neighbours with a smaller mean displacement are at rest
+WAY_PX = 3.0  # distance constant: paths are remembered over about this much motion of the neighbours
+ONE_RIM_SLICES = 100.0  # time constant in slices: motion shown by one rim alone is remembered about this long
+# Hidden: all of the following.
+GONE_PX = 0.75  # the neighbours have moved at least this far,
+FOLLOWS = 0.6  # ... the dot has followed less than this share of their path,
+BY_MOTION = 1.5  # ... has at most this multiple of the events of such a path (a rubbing edge makes more),
+ONE_RIM_PX = 0.5  # ... one of its rims shows more than this share of it (followed dots: 0.3 at most),
+TOGETHER = 0.35  # ... and each of its neighbours has moved at least this share of their mean path
+# Vanished: all of the following.
+GONE_AROUND_PX = 1.0  # eight neighbours have moved farther than this,
+STAYS = 0.27  # ... the dot has moved less than this share of it, in any direction, with as few events as above,
+ALL_TOGETHER = 0.5  # ... and each neighbour has moved at least this share (around gel held by an edge: 0.36)
+# Jumped: events inside the dot exceed those in its ring times a factor, plus a number, in one slice. An edge across its
+# centre makes 1.4 times as many inside; rubbing corners 2.1 times, up to 107; dots that jumped 1.6 to 3.6 times, up to
+# 600.
 INSIDE = ((2.0, 50), (2.7, 0))
-INSIDE_EVENTS = 100  # at the least
-FLICKERS = 8.0  # light that changes once, or is switched on, does so in fewer slices (fit.py)
+INSIDE_EVENTS = 100  # smallest number of events inside for this sign
+FLICKERS = 8.0  # slices with changing light (fit.py): one change, or switching the light, takes fewer
 
 
 @njit(cache=True)
 def update(state: np.void, moved: bool, ring_events: NDArray[np.int32], shift_px: NDArray[np.float64]) -> None:
-    """Flag the lost dots when something moved; put them back after `rest_slices` slices of rest.
+    """Flag the lost dots if something moved; put them back after `rest_slices` slices of rest.
 
     state: tracker.STATE; ring_events: (dots + 1,) of this slice; shift_px: (dots, 2) of the dots that moved in it.
     """
@@ -79,7 +82,7 @@ def update(state: np.void, moved: bool, ring_events: NDArray[np.int32], shift_px
 def _find_left_behind(
     state: np.void, ring_events: NDArray[np.int32], shift_px: NDArray[np.float64], left_behind: NDArray[np.uint8]
 ) -> None:
-    """Flag the dots that stay where their neighbours go, or that go farther than a slice may follow."""
+    """Flag the dots that stay while their neighbours move, or that move farther than a slice may follow."""
     dots = left_behind.shape[0]
     one_rim_px, too_far, events = state["one_rim_px"][:dots], state["too_far"][:dots], state["events"][:dots]
     own_way_px, near_way_px = state["own_way_px"][:dots], state["near_way_px"][:dots]
@@ -116,7 +119,7 @@ def _find_left_behind(
 def _follow_ways(
     state: np.void, ring_events: NDArray[np.int32], shift_px: NDArray[np.float64], left_behind: NDArray[np.uint8]
 ) -> None:
-    """How far every dot and the mean of its neighbours have gone lately, and how many events it has had on the way."""
+    """Update the recent paths of every dot and of the mean of its neighbours, and the dot's events along the path."""
     dots = left_behind.shape[0]
     neighbours, neighbour_count = state["neighbours"][:dots], state["neighbour_count"][:dots]
     own_way_px, near_way_px, one_rim_px = state["own_way_px"][:dots], state["near_way_px"][:dots], state["one_rim_px"]
@@ -148,7 +151,7 @@ def _follow_ways(
 
 @njit(cache=True)
 def _go_together(i: int, state: np.void, left_behind: NDArray[np.uint8], share: float) -> bool:
-    """Whether each neighbour of dot i but those that are left behind has gone this share of the mean way or more."""
+    """Whether each neighbour of dot i that is not left behind has moved at least this share of their mean path."""
     near_x = state["near_way_px"][i, 0]
     near_y = state["near_way_px"][i, 1]
     least_px2 = share * (near_x * near_x + near_y * near_y)
@@ -171,7 +174,7 @@ def _mean_displacement(
     neighbours: NDArray[np.int32],
     left_out: NDArray[np.uint8],
 ) -> tuple[float, float, int]:
-    """Mean displacement (x, y) of those neighbours of dot i that are not to be left out, and how many those are."""
+    """Return the mean displacement (x, y) of the neighbours of dot i that are not left out, and their number."""
     displacement_x = 0.0
     displacement_y = 0.0
     count = 0
@@ -195,15 +198,15 @@ def _find_lost(
     left_behind: NDArray[np.uint8],
     lost: NDArray[np.uint8],
 ) -> None:
-    """Flag the dots that are left behind, or more than LOST_PX from the mean displacement of all their neighbours."""
+    """Flag the dots that are left behind, or farther than LOST_PX from the mean displacement of their neighbours."""
     furthest_px2 = 0.0
     for i in range(lost.shape[0]):
         displacement_x = centre_xy_px[i, 0] - rest_xy_px[i, 0]
         displacement_y = centre_xy_px[i, 1] - rest_xy_px[i, 1]
         furthest_px2 = max(furthest_px2, displacement_x * displacement_x + displacement_y * displacement_y)
-    for i in range(lost.shape[0]):  # assigned as a whole, arrays bring along errors about shapes, slow to compile
+    for i in range(lost.shape[0]):  # element by element: assigning whole arrays compiles slowly
         lost[i] = left_behind[i]
-    if 4.0 * furthest_px2 <= LOST_PX * LOST_PX:  # then no two are further apart
+    if 4.0 * furthest_px2 <= LOST_PX * LOST_PX:  # then no two displacements differ by more
         return
     none = np.zeros_like(lost)
     for i in range(lost.shape[0]):
@@ -224,7 +227,7 @@ def _put_back(
     neighbours: NDArray[np.int32],
     lost: NDArray[np.uint8],
 ) -> None:
-    """Put lost dots where their neighbours place them, if these are at rest, and clear their flags."""
+    """Put lost dots where their neighbours predict them, if these are at rest, and clear their flags."""
     for i in range(lost.shape[0]):
         if not lost[i]:
             continue
@@ -237,7 +240,7 @@ def _put_back(
 
 @njit(cache=True)
 def start_anew(state: np.void, i: int) -> None:
-    """Forget that dot i was lost, and by what signs; state: tracker.STATE."""
+    """Clear the lost flag of dot i and all its signs; state: tracker.STATE."""
     state["lost"][i] = 0
     state["left_behind"][i] = 0
     for axis in range(2):

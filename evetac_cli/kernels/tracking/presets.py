@@ -1,6 +1,7 @@
-"""The constants of the tracker and the presets of them, which headers of tracks name.
+"""The constants of the tracker and its presets, which the headers of tracks name.
 
-Why so: a command compares them with those of a file that exists, and needs no kernel where they are the same.
+They are in a module without kernels: a command compares them with those of an existing file, and loads no kernel if
+they are equal.
 """
 
 from dataclasses import dataclass, replace
@@ -14,38 +15,39 @@ MAX_REACH_PX = 128.0  # keeps the integer sum of 1e6 pulls below 2**63
 class TrackerConstants:
     """All constants of the tracker; lengths in px, the defaults are the preset `paper`.
 
-    The ring bounds are exclusive and hold for the distance of an event from the dot's centre (the paper prints them on
-    its square). The paper gives no regulariser weight: ours is the effective one of the authors' published code,
-    step_size * regulariser_weight = 2.25e-7 per px**2. The explicit step is stable near the rest grid while
-    step_size * (4 N / 3 + 98.8 * regulariser_weight * pitch**2) < 2, N ring events per dot and slice; beyond that the
-    clips keep it bounded. ValueError if a constant is out of range.
+    The ring bounds are exclusive and apply to the distance of an event from the dot's centre (the paper prints them for
+    its square). The paper gives no regulariser weight. evetac uses the effective one of the authors' published code,
+    step_size * regulariser_weight = 2.25e-7 per px**2. The explicit step is stable near the rest grid if
+    step_size * (4 N / 3 + 98.8 * regulariser_weight * pitch**2) < 2, with N ring events per dot and slice; otherwise
+    the clips keep it bounded. ValueError if a constant is out of range.
 
-    With `fit` (fit.py), a dot's rim is the middle of its ring, all its neighbours together weigh as much as
-    8 * regulariser_weight of its events, gradient_clip and ascend do not count, and the constants from `sweeps` on do.
-    The steps are bounded for any of them.
+    With `fit` (fit.py), a dot's rim is the middle of its ring, and all its neighbours together weigh as much as
+    8 * regulariser_weight of its events. The constants `gradient_clip` and `ascend` then have no effect, and those from
+    `sweeps` on do. The steps are bounded for any values.
     """
 
-    radius_px: float = 15.0  # of the dot's edge; also the furthest a dot moves in one slice, per axis
-    ring_inner_px: float = 10.0  # only events further away than this pull
+    radius_px: float = 15.0  # of the dot's edge; also the largest motion of a dot per slice and axis
+    ring_inner_px: float = 10.0  # only events farther away than this pull
     ring_outer_px: float = 20.0  # ... and nearer than this
-    count_radius_px: float = 20.0  # events nearer than this are the dot's (`events_per_dot`)
-    step_size: float = 0.003
-    regulariser_weight: float = 7.5e-5  # per px**2
+    count_radius_px: float = 20.0  # events nearer than this are counted for the dot (`events_per_dot`)
+    step_size: float = 0.003  # of the gradient step; with `fit` it sets the damping
+    regulariser_weight: float = 7.5e-5  # of the elastic term, per px**2
     min_events: int = 10  # a dot moves only if more ring events than this pull it
-    gradient_clip: float = 400.0  # px per axis, on the data term: 1.2 px a slice; from the authors' published code
-    ascend: bool = False  # up the gradient of the data term, as the published code does, instead of down
-    slices_per_step: int = 1  # a step takes the events of so many slices together; with `fit` each has its own
-    hot_pixel_events: int = 16  # a pixel with more, far ahead of its neighbours, is hot (hot_pixels.py); 0: none is
-    rest_slices: int = 0  # a lost dot is put back after as many slices of rest; 0: never
+    gradient_clip: float = 400.0  # px per axis, on the data term: 1.2 px per slice; from the authors' published code
+    ascend: bool = False  # step up the gradient of the data term, as the published code does, instead of down
+    slices_per_step: int = 1  # slices whose events one step uses together; with `fit` always 1
+    # any pixel with more events, and far more than its neighbours, is hot (hot_pixels.py); 0: off
+    hot_pixel_events: int = 16
+    rest_slices: int = 0  # slices of rest after which a lost dot is put back; 0: never
     fit: bool = False  # solve for the motion, with polarity, instead of a gradient step
     sweeps: int = 8  # of Gauss-Seidel over all dots
-    trust_px: float = 1.5  # most motion seen in a slice, and most correction of it
-    rim_lag_px: float = 0.2  # events come when the rim has gone so far beyond their pixel (hysteresis of the threshold)
-    event_px: float = 1.0 / 300.0  # how far a dot has moved for each of its ring events, as far as they agree
-    most_events: float = 1000.0  # a dot's rim weighs no more than so many events, however many there are
+    trust_px: float = 1.5  # largest motion seen in a slice, and largest correction of it
+    rim_lag_px: float = 0.2  # events come when the rim is this far beyond their pixel (hysteresis of the threshold)
+    event_px: float = 1.0 / 300.0  # motion of a dot per ring event, as far as both rims agree
+    most_events: float = 1000.0  # weight limit of a dot's rim, in events
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be tracked with."""
+        """Raise ValueError for constants that the tracker cannot use."""
         check_range("radius_px", self.radius_px, 0.0, MAX_REACH_PX, above=True)
         check_range("ring_outer_px", self.ring_outer_px, 0.0, MAX_REACH_PX, above=True)
         check_range("ring_inner_px", self.ring_inner_px, 0.0, self.ring_outer_px, below=True)
@@ -69,11 +71,11 @@ class TrackerConstants:
             )
 
     def for_dots(self, dot_radius_px: float) -> "TrackerConstants":
-        """The constants for dots of this radius: with `fit` the ring moves along, without they stay what they are.
+        """Return the constants for dots of this radius: with `fit` the ring changes with it; otherwise nothing does.
 
-        The widths of ring and count stay. A rim makes events in proportion to its length, so on a longer rim each
-        stands for a shorter motion. The paper's presets name their radii as part of what they are. ValueError if the
-        radius is not above half the width of the ring, or the ring out of reach.
+        The widths of ring and count stay the same. A rim makes events in proportion to its length, so each event on a
+        longer rim represents less motion. The radii of the paper's presets are part of their definition. ValueError if
+        the radius is not above half the width of the ring, or the ring is too large.
         """
         if not self.fit:
             return self
@@ -89,22 +91,22 @@ class TrackerConstants:
         )
 
 
-# What the published code takes for the radius of its dots, from its calibration file, in which it is a blob's diameter;
-# its ring is the outer 13.75 px of that, its edge 1.25 times as wide.
+# Radius of the dots in the published code. It comes from its calibration file, where it is a blob's diameter. The
+# code's ring is the outer 13.75 px of it, and the edge is 1.25 times as large.
 _OFFICIAL_DOT_PX = 20.62
 _OFFICIAL = TrackerConstants(
     radius_px=1.25 * _OFFICIAL_DOT_PX,
     ring_inner_px=_OFFICIAL_DOT_PX - 13.75,
     ring_outer_px=_OFFICIAL_DOT_PX,
-    min_events=4,  # it asks for 10 table entries, and an event makes two
+    min_events=4,  # the code requires 10 table entries, and an event makes two
     ascend=True,
 )
 
 PRESETS: dict[str, TrackerConstants] = {
     "paper": TrackerConstants(),
     "official": _OFFICIAL,
-    # Both readouts of that code, that of 2024 and its rewrite without ROS (evetac_noros), run it so unless told
-    # otherwise: on slices of 5 ms, each of which must then make 10 + 3 * 4 entries.
+    # Both versions of that code, of 2024 and its rewrite without ROS (evetac_noros), use slices of 5 ms by default.
+    # Each slice must then make 10 + 3 * 4 entries.
     "official-5ms": replace(_OFFICIAL, slices_per_step=5, min_events=10),
     "unregularised": TrackerConstants(regulariser_weight=0.0),
     "stable": TrackerConstants(
@@ -113,7 +115,7 @@ PRESETS: dict[str, TrackerConstants] = {
         step_size=0.1,
         regulariser_weight=50.0,
         min_events=0,
-        hot_pixel_events=8,  # without a gate, every event of a hot pixel counts
+        hot_pixel_events=8,  # without a minimum of events, every event of a hot pixel counts
         rest_slices=100,
         fit=True,
     ),

@@ -1,18 +1,18 @@
-"""Where the dots are: one slice of events at a time, by the paper's descent or by fitting the rims of the dots.
+"""Track the dots, one slice of events at a time, by the paper's gradient descent or by fitting the rims of the dots.
 
-Every event near the rim of a dot shows where the rim is. The paper's tracker and its relatives (presets `paper`,
-`official`, `unregularised`) add up a gradient step an event, and an elastic term keeps dots at the distance from their
-neighbours that they had at the start (descent.py). The preset `stable` solves for the motion that the events of
-a slice stand for (fit.py). `start` and `step` are the only way in, for a file and for a live camera alike.
+Every event near the rim of a dot shows where the rim is. The paper's tracker and its variants (presets `paper`,
+`official`, `unregularised`) add up one gradient step per event, and an elastic term keeps dots at their initial
+distance from their neighbours (descent.py). The preset `stable` solves for the motion that caused the events of a
+slice (fit.py). `start` and `step` are the only entry points, for files and for live cameras.
 
-Why so:
-- All that the tracker remembers is one numpy record of the dtype STATE: it is handed to numba as one argument, and is
-  copied, saved, compared and laid into shared memory as a whole. Its size depends neither on the dots nor on the
-  preset, because numba compiles anew for every dtype. What a slice needs besides is made anew for it.
-- The record is handed over as an array of one: for a numpy scalar numba asks for its buffer, which takes 3.2 us longer.
-- The published code moves centres up the gradient of its data term, with an edge 1.25 times as wide as the dots it was
-  calibrated with and a ring inside them: sign, edge and ring hold each other up. So `official` is one setting, for dots
-  whose true radius is about 8 px; with dots of 15 px it loses them, as the code does.
+Reasons:
+- The whole state of the tracker is one numpy record of the dtype STATE. It is passed to numba as one argument, and is
+  copied, saved, compared and placed in shared memory as a whole. Its size depends neither on the dots nor on the
+  preset, because numba compiles again for every dtype. Everything else is allocated per slice.
+- The record is passed as an array of one: for a numpy scalar, numba requests its buffer, which takes 3.2 us longer.
+- The published code moves centres up the gradient of its data term. Its edge is 1.25 times as large as the dots it was
+  calibrated with, and its ring is inside them: sign, edge and ring only work together. So `official` is one setting,
+  for dots whose true radius is about 8 px. It loses dots of 15 px, as that code does.
 """
 
 import math
@@ -31,56 +31,56 @@ from evetac_cli.kernels.records import check_record
 from evetac_cli.kernels.tracking import buckets, descent, fit, hot_pixels, lost_dots
 from evetac_cli.kernels.tracking.presets import MAX_REACH_PX, TrackerConstants
 
-CAPACITY = grid.MOST_DOTS  # dots that a state has room for
-# Largest curvature of the distance term over regulariser_weight * pitch**2: one pattern of dots, its edges included.
+CAPACITY = grid.MOST_DOTS  # number of dots that a state has room for
+# Largest curvature of the distance term over regulariser_weight * pitch**2, over all patterns of dots with edges.
 STIFFNESS = 98.8
 _PIXEL, _POLARITY = np.dtype(np.uint16), np.dtype(np.uint8)
 _NO_POLARITY = np.empty(0, np.uint8)
 
 
-# n is the number of dots; of the arrays with room for CAPACITY dots, the first n rows are used. Ordered by the size of
-# their numbers, the fields have no gaps, whose bytes would differ between equal states.
+# n is the number of dots. Arrays have room for CAPACITY dots, of which the first n rows are used. The fields are
+# ordered by the size of their numbers, so that there are no gaps whose bytes would differ between equal states.
 STATE = np.dtype(
     [
         ("dots", np.int64),  # n
-        ("slices", np.int64),  # so far
-        ("slices_at_rest", np.int64),  # up to now, see lost_dots.py
+        ("slices", np.int64),  # number so far
+        ("slices_at_rest", np.int64),  # consecutive, until now; see lost_dots.py
         *((item.name, np.int64) for item in fields(TrackerConstants) if item.type is int),
         *((item.name, np.float64) for item in fields(TrackerConstants) if item.type is float),
         ("gathered", np.int64, (CAPACITY + 1, descent.SUMS)),  # sums of the slices since the last step, see descent.py
-        ("light_slices", np.float64),  # slices lately in which the light has changed, see fit.py
-        ("polarity_weight", np.float64, 2),  # sum of the weights of ring events, darker and brighter, up to now
+        ("light_slices", np.float64),  # recent slices with changing light, see fit.py
+        ("polarity_weight", np.float64, 2),  # sum of the weights of ring events so far, darker and brighter
         ("centre_xy_px", np.float64, (CAPACITY + 1, 2)),  # see dot_xy_px; row n is the dummy dot (buckets.py)
         ("rest_xy_px", np.float64, (CAPACITY, 2)),  # centres at the start
         ("rest_distance_px2", np.float64, (CAPACITY, grid.MAX_NEIGHBOURS)),  # squared, to each neighbour at the start
         ("listed_xy_px", np.float64, (CAPACITY, 2)),  # centres when the buckets were filled, see buckets.py
-        # With `fit`, for lost_dots.py: what one rim alone has shown lately, the ways of dots and neighbours.
+        # With `fit`, for lost_dots.py: recent motion shown by one rim alone, recent paths of dots and neighbours.
         ("one_rim_px", np.float64, (CAPACITY, 2)),
         ("own_way_px", np.float64, (CAPACITY, 2)),
         ("near_way_px", np.float64, (CAPACITY, 2)),
         ("way_events", np.float64, CAPACITY),
         ("neighbours", np.int32, (CAPACITY, grid.MAX_NEIGHBOURS)),  # indices first, then -1
-        ("neighbour_count", np.int32, CAPACITY),  # how many indices that are
+        ("neighbour_count", np.int32, CAPACITY),  # number of those indices
         ("events", np.int32, CAPACITY + 1),  # see events_per_dot; row n is the dummy dot
-        ("first_dot", np.uint32, buckets.BUCKETS + 1),  # which dot is near, if only one is
-        ("bucket_start", np.uint32, buckets.BUCKETS + 1),  # where each bucket's dots begin in bucket_dots
+        ("first_dot", np.uint32, buckets.BUCKETS + 1),  # the dot near a bucket, if only one is
+        ("bucket_start", np.uint32, buckets.BUCKETS + 1),  # index in bucket_dots at which each bucket's dots begin
         ("bucket_dots", np.uint32, buckets.most_entries(CAPACITY, MAX_REACH_PX)),
         ("pixel_events", np.uint16, hot_pixels.COUNTS_SHAPE),  # recent events of every pixel, see hot_pixels.py
         ("lost", np.uint8, CAPACITY),  # 1: not to be trusted, see lost_dots.py
         ("left_behind", np.uint8, CAPACITY),  # 1: lost for another reason than its distance
-        ("too_far", np.uint8, CAPACITY),  # 1: in this slice both rims show more than may be followed
+        ("too_far", np.uint8, CAPACITY),  # 1: in this slice both rims show more motion than may be followed
         *((item.name, np.uint8) for item in fields(TrackerConstants) if item.type is bool),
-        ("_end", np.uint8, 2),  # up to a multiple of 8 bytes
+        ("_end", np.uint8, 2),  # padding to a multiple of 8 bytes
     ],
     align=True,
 )
 
 
 class TrackerState:
-    """What the tracker knows after the slices so far: `record`, of dtype STATE, and views of the fields to be read.
+    """State of the tracker after the slices so far: `record`, of dtype STATE, and views of its main fields.
 
-    `step` changes the record in place. `TrackerState(np.frombuffer(memory, STATE, 1))` is a state that was saved as
-    bytes, or lies in shared memory. ValueError if the record is not a writable array of one STATE.
+    `step` changes the record in place. `TrackerState(np.frombuffer(memory, STATE, 1))` restores a state from saved
+    bytes or shared memory. ValueError if the record is not a writable array of one STATE.
     """
 
     __slots__ = ("dot_xy_px", "events_per_dot", "lost", "neighbours", "record", "rest_xy_px")
@@ -97,12 +97,12 @@ class TrackerState:
         self.neighbours: NDArray[np.int32] = record["neighbours"][0, :n]  # (n, 8) indices first, then -1
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Copies and pickles are of the record: the views of a copy are of its own record."""
+        """Copy and pickle the record, so that the views of a copy belong to its own record."""
         return TrackerState, (self.record.copy(),)
 
     @property
     def constants(self) -> TrackerConstants:
-        """What the tracker was started with."""
+        """The constants that the tracker was started with."""
         return TrackerConstants(
             **{item.name: item.type(self.record[item.name][0]) for item in fields(TrackerConstants)}  # type: ignore[operator]
         )
@@ -111,12 +111,12 @@ class TrackerState:
 def start(
     dot_xy_px: NDArray[np.float64], constants: TrackerConstants, neighbours: NDArray[np.int32] | None = None
 ) -> TrackerState:
-    """Begin tracking dots from their centres at rest.
+    """Start tracking dots from their centres at rest.
 
-    dot_xy_px: (n, 2) in any order, n up to CAPACITY, inside the frame and apart from each other; a row of NaN is a
-    missing dot, which never moves, never has events and is no dot's neighbour. neighbours: (n, 8) indices filled up
-    with -1; from `grid.neighbours` if not given. ValueError if the dots or the neighbours are not like this, or the
-    constants overshoot or stall on these dots (`require_followable`).
+    dot_xy_px: (n, 2) in any order, n up to CAPACITY, inside the frame and all different. A row of NaN is a missing dot,
+    which never moves, never has events and is no dot's neighbour. neighbours: (n, 8) indices filled up with -1; by
+    default from `grid.neighbours`. ValueError if the dots or the neighbours are not valid, or if the constants
+    overshoot or stall on these dots (`require_followable`).
     """
     rest = _checked_dots(dot_xy_px)
     n = len(rest)
@@ -134,20 +134,20 @@ def start(
     record["neighbours"][:n] = pairs
     record["neighbour_count"][:n] = (pairs >= 0).sum(axis=1)
     record["rest_distance_px2"][:n] = rest_distance_px2
-    record["listed_xy_px"][:n] = -inf  # far from everywhere: the first step fills the buckets
+    record["listed_xy_px"][:n] = -inf  # far from everything: the first step fills the buckets
     state = TrackerState(array)
     no_events = np.empty(0, np.uint16)
-    step(state, no_events, no_events, _NO_POLARITY)  # compiles or loads the kernel now and not in the first slice
+    step(state, no_events, no_events, _NO_POLARITY)  # compiles or loads the kernel now instead of in the first slice
     return state
 
 
 def require_followable(constants: TrackerConstants, rest_distance_px2: NDArray[np.float64]) -> None:
-    """Refuse constants with which no dot could be followed; ValueError says which is to be smaller, and than what.
+    """Raise ValueError for constants with which no dot could be followed; the message says which to reduce.
 
-    rest_distance_px2: (n, 8) to neighbours, squared, 0 where there is none. Without `fit`, a step overshoots by more
-    than it corrects where step_size * (4 N / 3 + STIFFNESS * regulariser_weight * pitch**2) is 2 or more. N is taken as
-    the fewest ring events that move a dot: what is unstable with those is so with all. With `fit`, the sweeps end
-    before even a dot with most_events is heard where its neighbours weigh as much as that in every sweep.
+    rest_distance_px2: (n, 8) squared distances to neighbours, 0 for none. Without `fit`, a step overshoots by more than
+    it corrects if step_size * (4 N / 3 + STIFFNESS * regulariser_weight * pitch**2) is 2 or more. N is the smallest
+    number of ring events that move a dot: constants that are unstable with these are unstable with all. With `fit`, the
+    sweeps end before even a dot with most_events moves if its neighbours weigh as much as that in every sweep.
     """
     weight, step_size = constants.regulariser_weight, constants.step_size
     if constants.fit:
@@ -155,7 +155,7 @@ def require_followable(constants: TrackerConstants, rest_distance_px2: NDArray[n
         if weight > most:
             raise ValueError(
                 f"regulariser_weight: expected at most {most:g} (sweeps * most_events / {grid.MAX_NEIGHBOURS}: with"
-                f" more, neighbours hold every dot where it is), found {weight:g}; choose a smaller regulariser_weight"
+                f" more, neighbours keep every dot in place), found {weight:g}; choose a smaller regulariser_weight"
             )
         return
     nearest_px2 = np.min(rest_distance_px2, axis=1, where=rest_distance_px2 > 0.0, initial=inf)
@@ -183,11 +183,11 @@ def step(state: TrackerState, x: NDArray[np.uint16], y: NDArray[np.uint16], p: N
     """Move the dots by the events of one slice, in any order, as columns x and y in px, p 0 or 1; updates `state`.
 
     A dot moves if it has more than min_events ring events. Without `fit` it moves by -step_size * (gradient of the data
-    term + regulariser_weight * gradient of the distance term), all taken at the positions before the slice. The data
-    gradient is clipped to gradient_clip, the motion to radius_px, per axis. With `fit` see fit.py: this needs the
-    polarities p, which the others ignore. A dot stays inside the frame. Events outside the frame are ignored. Read-only
-    or strided columns do, but the first of them costs a compilation. ValueError if x, y (uint16) and p (uint8) are no
-    columns of equal length. Source: paper, "Signal Processing - Dot Tracking", the last three equations.
+    term + regulariser_weight * gradient of the distance term), all at the positions before the slice. The data gradient
+    is clipped to gradient_clip, the motion to radius_px, per axis. With `fit` see fit.py; only this mode needs the
+    polarities p. A dot stays inside the frame, and events outside it are ignored. Read-only or strided columns are
+    accepted, but the first of them costs a compilation. ValueError if x, y (uint16) and p (uint8) are not columns of
+    equal length. Source: paper, "Signal Processing - Dot Tracking", the last three equations.
     """
     take_slice(state.record, x, y, checked_polarities(state, x, y, p))
 
@@ -195,32 +195,32 @@ def step(state: TrackerState, x: NDArray[np.uint16], y: NDArray[np.uint16], p: N
 def checked_polarities(
     state: TrackerState, x: NDArray[np.uint16], y: NDArray[np.uint16], p: NDArray[np.uint8] | None
 ) -> NDArray[np.uint8]:
-    """The polarities for `take_slice`; ValueError for columns that `step` refuses."""
+    """Return the polarities for `take_slice`; ValueError for columns that `step` does not accept."""
     if x.dtype != _PIXEL or y.dtype != _PIXEL or x.ndim != 1 or x.shape != y.shape:
         raise ValueError(
             f"expected two uint16 columns of equal length, found {x.dtype} {x.shape} and {y.dtype} {y.shape}"
         )
     if p is None:
         if state.record["fit"][0]:
-            raise ValueError(f"p: expected uint8 polarities, as many as events {x.shape}, found none")
+            raise ValueError(f"p: expected uint8 polarities, as many as the events {x.shape}, found none")
         return _NO_POLARITY
     if p.dtype != _POLARITY or p.shape != x.shape:
-        raise ValueError(f"p: expected uint8 polarities, as many as events {x.shape}, found {p.dtype} {p.shape}")
+        raise ValueError(f"p: expected uint8 polarities, as many as the events {x.shape}, found {p.dtype} {p.shape}")
     return p
 
 
 def place(state: TrackerState, dot_xy_px: NDArray[np.float64], share: float = 1.0) -> None:
-    """Move dots to where something else than their events shows them, or a share of the way; updates `state`.
+    """Move dots to positions from another source than their events, or by a share of the way; updates `state`.
 
-    dot_xy_px: (n, 2) in px; a dot with NaN stays as it is, the others are followed from there on and no longer lost.
-    ValueError for another shape or share, an infinite place, or one for a missing dot.
+    dot_xy_px: (n, 2) in px. Dots with NaN stay as they are; the others are followed from the new position and are no
+    longer lost. ValueError for another shape or share, an infinite position, or a position for a missing dot.
     """
     if dot_xy_px.shape != state.dot_xy_px.shape:
         raise ValueError(f"dot_xy_px: expected shape {state.dot_xy_px.shape}, found {dot_xy_px.shape}")
     check_range("share", share, 0.0, 1.0)
     seen = ~np.isnan(dot_xy_px).any(axis=1)
     if not np.isfinite(dot_xy_px[seen]).all() or np.isnan(state.rest_xy_px[seen]).any():
-        raise ValueError("dot_xy_px: expected finite places, and NaN for missing dots")
+        raise ValueError("dot_xy_px: expected finite positions, and NaN for missing dots")
     most_px = np.array(FRAME_PX) - 1.0
     moved = state.dot_xy_px[seen] + share * (dot_xy_px[seen] - state.dot_xy_px[seen])
     state.dot_xy_px[seen] = np.clip(moved, 0.0, most_px)
@@ -236,7 +236,7 @@ def _start_anew(record: NDArray[np.void], which: NDArray[np.bool_]) -> None:
 
 
 class Tracks(NamedTuple):
-    """What a tracker says after each of some slices, (slices, n, ...)."""
+    """Output of a tracker after each of a number of slices, (slices, n, ...)."""
 
     dot_xy_px: NDArray[np.float32]
     events_per_dot: NDArray[np.int32]
@@ -250,9 +250,9 @@ def fold(
     p: NDArray[np.uint8] | None,
     starts: NDArray[np.int64],
 ) -> Tracks:
-    """As `step` for one slice after the other, for recordings: slice k has the events [starts[k], starts[k + 1]).
+    """Apply `step` to one slice after the other, for recordings: slice k has the events [starts[k], starts[k + 1]).
 
-    Takes and refuses what `step` does, and ValueError for starts that decrease or reach beyond the events.
+    Accepts the same columns as `step`; ValueError for starts that decrease or exceed the number of events.
     """
     p = checked_polarities(state, x, y, p)
     if starts.ndim != 1 or len(starts) < 1 or starts[0] < 0 or starts[-1] > len(x) or (np.diff(starts) < 0).any():
@@ -289,7 +289,7 @@ def _fold(
 
 @njit(cache=True)
 def take_slice(record: NDArray[np.void], x: NDArray[np.uint16], y: NDArray[np.uint16], p: NDArray[np.uint8]) -> None:
-    """What `step` does, unchecked, for compiled code; record: of a `TrackerState`.
+    """Do the work of `step`, unchecked, for compiled code; record: of a `TrackerState`.
 
     Count hot pixels, refill the buckets, sum over the events, move the dots, look for lost dots.
     """
@@ -331,7 +331,7 @@ def take_slice(record: NDArray[np.void], x: NDArray[np.uint16], y: NDArray[np.ui
 
 @njit(cache=True)
 def mean_displacement_px(record: NDArray[np.void]) -> tuple[float, float]:
-    """Mean displacement of all dots but the missing ones to the right and down; record: of a `TrackerState`."""
+    """Return the mean displacement, right and down, of all dots that are present; record: of a `TrackerState`."""
     state = record[0]
     centre_xy_px, rest_xy_px = state["centre_xy_px"][:], state["rest_xy_px"][: state["dots"]]
     x_px = y_px = 0.0
@@ -346,7 +346,7 @@ def mean_displacement_px(record: NDArray[np.void]) -> tuple[float, float]:
 
 @njit(cache=True)
 def turn_px(record: NDArray[np.void]) -> float:
-    """How far all dots but the missing ones have turned about their middle, in rms; > 0 from right to down.
+    """Return the rms displacement of all present dots by rotation about their centre; > 0 from right to down.
 
     record: of a `TrackerState`.
     """
@@ -385,7 +385,7 @@ def _checked_dots(dot_xy_px: NDArray[np.float64]) -> NDArray[np.float64]:
     if not ((present >= 0) & (present <= np.array(FRAME_PX) - 1)).all():
         raise ValueError(f"dot_xy_px: expected centres inside the frame {FRAME_PX}, found {present.tolist()}")
     if len(np.unique(present, axis=0)) != len(present):
-        raise ValueError("dot_xy_px: expected dots apart from each other, found two at the same place")
+        raise ValueError("dot_xy_px: expected all dots at different positions, found two at the same position")
     return dots
 
 

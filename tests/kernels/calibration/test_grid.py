@@ -109,13 +109,13 @@ def test_unsorted_grids_are_refused(turn: object) -> None:
 def test_uneven_rows_are_refused() -> None:
     """Assert that a dot too few or too many is refused with the dots of every row."""
     flat = regular(3, 4).reshape(-1, 2)
-    with pytest.raises(ValueError, match="dots come twice"):
+    with pytest.raises(ValueError, match="listed twice"):
         arrange(np.repeat(flat, 2, axis=0))
-    with pytest.raises(ValueError, match="dots come twice"):
+    with pytest.raises(ValueError, match="listed twice"):
         arrange(np.concatenate([flat, flat[::4] + 1.0]))
-    with pytest.raises(ValueError, match=r"found \[3, 4, 4\] dots a row"):
+    with pytest.raises(ValueError, match=r"found \[3, 4, 4\] dots per row"):
         arrange(flat[1:])
-    with pytest.raises(ValueError, match=r"found \[4, 4, 5\] dots a row"):
+    with pytest.raises(ValueError, match=r"found \[4, 4, 5\] dots per row"):
         arrange(np.concatenate([flat, flat[-1:] + 3.0]))
 
 
@@ -123,7 +123,7 @@ def test_rows_that_lack_different_dots_are_refused() -> None:
     """Assert that rows of equal length are not enough: their dots must stand below each other."""
     grid = regular(3, 5)
     selected = np.concatenate([np.delete(row, lacking, axis=0) for row, lacking in zip(grid, (0, 2, 4), strict=True)])
-    with pytest.raises(ValueError, match="in another place"):
+    with pytest.raises(ValueError, match="below each other"):
         arrange(selected)
 
 
@@ -211,7 +211,7 @@ def test_no_lattice(places: Grid) -> None:
 @pytest.mark.parametrize("places", [np.zeros((3, 3)), np.zeros(4), np.full((5, 2), np.nan)])
 def test_lattice_wants_finite_places(places: Grid) -> None:
     """Assert that other shapes and places that are nowhere are refused."""
-    with pytest.raises(ValueError, match="expected finite places"):
+    with pytest.raises(ValueError, match="finite positions"):
         lattice(places)
 
 

@@ -102,7 +102,7 @@ def test_a_slow_slide_has_an_interval_and_the_labels_abstain() -> None:
     result = labels(dot_px, object_px)
     true = 600 + int(np.argmax(np.cumsum(speed) > 0.5))
     assert result.earliest <= true <= result.latest
-    assert "the onset may lie anywhere in" in result.doubt
+    assert "the onset is uncertain within" in result.doubt
     assert (result.label[result.earliest : result.latest + 1] == -1).all()
     assert result.label[result.earliest - 1] == 0
     assert set(result.label[result.latest + 1 : result.onset + CONSTANTS.after_ms]) <= {0, 1}
@@ -152,7 +152,7 @@ def test_a_slip_that_comes_to_rest_is_doubted() -> None:
     result = labels(dot_px, object_px)
     assert abs(result.onset - 601) <= 2
     assert result.confidence < CONSTANTS.least_confidence
-    assert "came to rest" in result.doubt
+    assert "the slide stopped" in result.doubt
     assert (result.label[result.earliest : result.latest + 1] == -1).all()
 
 
@@ -161,7 +161,7 @@ def test_without_load_before_the_slip_labels_abstain() -> None:
     dot_px, object_px = np.zeros((301, len(DOTS), 2)), np.maximum(0.3 * (np.arange(301) - 200), 0.0)
     result = labels(dot_px, object_px, start=0)
     assert abs(result.onset - 201) <= 3
-    assert "did not take the gel along" in result.doubt
+    assert "did not drag the gel" in result.doubt
 
 
 def test_gel_that_snaps_back_under_an_object_slides() -> None:
@@ -205,13 +205,13 @@ def test_relative_flow_is_that_of_the_slide_or_not_given() -> None:
 
 def test_an_object_without_texture_is_refused() -> None:
     """Assert that a window without events while the gel is dragged along is an error that says so."""
-    with pytest.raises(ValueError, match="texture: expected at least 20 events a pixel"):
+    with pytest.raises(ValueError, match="texture: expected at least 20"):
         labels(*slide_of(0.02, 0.1, 600, 650), rate=0.0)
 
 
 def test_a_frame_in_which_dots_cannot_be_followed_is_refused() -> None:
     """Assert that a frame larger than the tracker's is an error that says so."""
-    with pytest.raises(ValueError, match="expected a frame of 640 x 480 px at most, found 1280 x 720"):
+    with pytest.raises(ValueError, match="640 x 480 px, found 1280 x 720"):
         event_flow.label(lambda a, b: empty(), 5, WINDOW, (1280, 720), DOTS, RADIUS_PX, CONSTANTS)
 
 

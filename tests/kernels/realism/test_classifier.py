@@ -25,8 +25,8 @@ def test_rest_and_motion_are_told_apart() -> None:
     at_rest = np.arange(500) < 250
     numbers = classifier.features(*drawn(np.where(at_rest, 5.0, 200.0), 0.6, 0), at_rest, FRAME_PX)
     of = dict(zip(classifier.FEATURES, numbers, strict=True))
-    assert abs(of["rest, log events a slice"] - np.log(5.0)) < 0.1
-    assert abs(of["motion, log events a slice"] - np.log(200.0)) < 0.02
+    assert abs(of["rest, log events per slice"] - np.log(5.0)) < 0.1
+    assert abs(of["motion, log events per slice"] - np.log(200.0)) < 0.02
     assert abs(of["motion, ON share"] - 0.6) < 0.01 and abs(of["rest, ON share"] - 0.6) < 0.05
     between = [of[f"motion, log time between ON events, {share} %"] for share in classifier.QUANTILES]
     assert between == sorted(between)

@@ -47,7 +47,7 @@ def test_several_networks_are_one_graph(name: str) -> None:
     onnx_graphs.check(graph, ARCHITECTURES[name], 7, 8)
     assert [sorted(one) for one in parted(both)] == [sorted(first), sorted(second)]
     for others in (first, joined([second, first]), joined([first, second, second]), joined([first, {}])):
-        with pytest.raises(ValueError, match="found others as"):
+        with pytest.raises(ValueError, match="expected the weights"):
             onnx_graphs.check(graph, ARCHITECTURES[name], 7, 8, others)
     model = onnx.load_model_from_string(graph)
     (mean,) = (node for node in model.graph.node if node.op_type == "Mean")
@@ -71,7 +71,7 @@ def test_weights_are_read_back() -> None:
     with pytest.raises(ValueError, match="the operators Abs"):
         onnx_graphs.read(model.SerializeToString(), HIST10)
     images = onnx_graphs.build(ARCHITECTURES["hist10-img-6x6"], weights_of("hist10-img-6x6"))
-    with pytest.raises(ValueError, match="none over a grid of dots"):
+    with pytest.raises(ValueError, match="grid of dots"):
         onnx_graphs.read(images, HIST10)
 
 
@@ -89,15 +89,15 @@ def test_other_weights_grids_and_architectures_are_refused() -> None:
     graph = onnx_graphs.build(HIST10, weights)
     last_bit = {name: array.copy() for name, array in weights.items()}
     last_bit["fc4.bias"].view(np.uint32)[0] ^= 1
-    with pytest.raises(ValueError, match=r"found others as fc4\.bias"):
+    with pytest.raises(ValueError, match=r"fc4\.bias"):
         onnx_graphs.check(graph, HIST10, 7, 8, last_bit)
-    with pytest.raises(ValueError, match="found others as more"):
+    with pytest.raises(ValueError, match="more"):
         onnx_graphs.check(graph, HIST10, 7, 8, {**weights, "more": weights["fc4.bias"]})
-    with pytest.raises(ValueError, match=r"weights fc3\.weight inside"):
+    with pytest.raises(ValueError, match=r"weights fc3\.weight"):
         onnx_graphs.check(graph, HIST10, 9, 9)
     with pytest.raises(ValueError, match="other constants or attributes"):
         onnx_graphs.check(graph, HIST10, 6, 9)  # for which there are as many weights
-    with pytest.raises(ValueError, match=r"weights input_scale inside|weights fc1\.weight inside"):
+    with pytest.raises(ValueError, match=r"weights input_scale|weights fc1\.weight"):
         onnx_graphs.check(graph, ARCHITECTURES["hist20"], 7, 8)
 
 

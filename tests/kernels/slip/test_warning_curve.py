@@ -49,7 +49,7 @@ def test_the_threshold_is_the_lowest_that_keeps_to_the_number() -> None:
 def test_without_quiet_slices_no_threshold_is_chosen() -> None:
     """Assert that a choice by false alarms is refused where every slice is near slip, and that all then is unknown."""
     curve = warning_curve.of_predictions([prediction(np.full(300, 0.5), 150)])
-    with pytest.raises(ValueError, match="nothing slips"):
+    with pytest.raises(ValueError, match="without slip"):
         curve.threshold_for(1.0)
 
 
