@@ -89,7 +89,7 @@ def said(of: list[Fact], known: Mapping[str, Measured]) -> list[str]:
         found = counts(of, measured)
         lines.append(
             f"{when.capitalize()}: {found['known']} of these {found['facts']} facts are measured; {found[WITHIN]} are"
-            f" within the published spread, {found[NEAR]} more are within half to twice of the public figure."
+            f" within the published spread, {found[NEAR]} more are between half and twice the public figure."
         )
     return lines
 
