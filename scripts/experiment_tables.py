@@ -119,7 +119,7 @@ TRUTH_NOTE = (
     " simulation's ground truth (truth), which no real sensor provides."
 )
 SLIP_NOTE = (
-    "Other method: the tracker `stable` and the labels `event-flow` are evetac's, also with the training preset `paper`."
+    "Other method: the tracker `stable` and the labels `event-flow` are evetac's, also with the preset `paper`."
     " The sd is over trainings alone; a share of 0.79 on 80 trajectories has an additional binomial error of 0.05."
 )
 
