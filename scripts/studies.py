@@ -165,8 +165,8 @@ PART_EFFECTS = measured(
     ),
     notes=(
         "A figure is followed by the 95 % interval of its change (bootstrap over pairs of trials) if the interval"
-        " excludes 0. With fewer than some ten pairs the interval is too narrow, and one in 20 figures would have one by"
-        " chance. Run times are processor times, measured while other work ran.",
+        " excludes 0. With fewer than some ten pairs the interval is too narrow, and one in 20 figures would have one"
+        " by chance. Run times are processor times, measured while other work ran.",
     ),
 )
 

@@ -261,8 +261,8 @@ def grasps_table(rows: Rows) -> Row:
     named = {part: f"{min(each)}-{max(each)}" for part, each in seeds.items() if each}
     commands = " and ".join(f"--part {part} --seeds {each}" for part, each in named.items())
     note = (
-        f"The second finger's sensor differs from the first's. Prepared events, {EVENTS_S:,} per s and camera, arrive by"
-        " the computer's clock; the other virtual devices wait for a computer that is too slow. All on 2 cores that"
+        f"The second finger's sensor differs from the first's. Prepared events, {EVENTS_S:,} per s and camera, arrive"
+        " by the computer's clock; the other virtual devices wait for a computer that is too slow. All on 2 cores that"
         " other programs shared; the load counts processes that run or wait for a core."
     )
     title, sizes = "Grasps with a camera at each finger", {"seeds": named}
