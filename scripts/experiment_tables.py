@@ -115,12 +115,12 @@ SLIP_COLUMNS = (
     Column("sd of seeds, F1", "{f1_sd_seeds:.2f}"),
 )
 TRUTH_NOTE = (
-    "Rows with `true slip share` also learned, beside the labels, which share of the visible contact slips, from the"
-    " simulation's truth, which no real sensor has."
+    "Rows with `true slip share` were also trained on the share of the visible contact that slips, from the"
+    " simulation's ground truth (truth), which no real sensor provides."
 )
 SLIP_NOTE = (
-    "Other method: the tracker `stable` and the labels `event-flow` are ours, also under the training preset `paper`."
-    " The sd is over trainings alone; a share of 0.79 on 80 trajectories has a binomial error of 0.05 besides."
+    "Other method: the tracker `stable` and the labels `event-flow` are evetac's, also with the preset `paper`."
+    " The sd is over trainings alone; a share of 0.79 on 80 trajectories has an additional binomial error of 0.05."
 )
 
 
@@ -231,8 +231,8 @@ SLIP_UNSEEN_OBJECTS = Table(
 
 TRUE_SLIP_SHARE = Table(
     "true-slip-share",
-    "What the true share of the contact that slips is worth: {recordings} trajectories of objects {objects}, trained on"
-    " objects {training_objects} for {training_steps} steps",
+    "Effect of training on the true share of the contact that slips: {recordings} trajectories of objects {objects},"
+    " trained on objects {training_objects} for {training_steps} steps",
     ("true-slip-share",),
     slip_rows,
     SLIP_COLUMNS,
@@ -246,7 +246,7 @@ PAPER_RECIPE = Table(
     ("recipe-nothing-known", "recipe-nothing-unseen"),
     recipe_rows,
     (Column("objects", "{objects_words}"), *SLIP_COLUMNS),
-    notes=("The paper's tracker, labels by Farneback's flow, training and way to choose a threshold, at its sizes.",),
+    notes=("The paper's tracker, labels by Farneback's flow, training and choice of threshold, at the paper's sizes.",),
 )
 RECIPE_CHANGES = Table(
     "paper-recipe-changes",
@@ -254,12 +254,12 @@ RECIPE_CHANGES = Table(
     tuple(f"recipe-{change}-{role}" for change in RECIPE_CHANGED for role in ("known", "unseen")),
     recipe_rows,
     (Column("changed", "{change_words}"), Column("objects", "{objects_words}"), *SLIP_COLUMNS),
-    notes=("Rows of other labels are judged by these, too.",),
+    notes=("Rows with other labels are also evaluated against these labels.",),
 )
 
 MODEL_COST = Table(
     "model-cost",
-    "What a detector costs, one core, median, and how well it judges {recordings} trajectories of objects {objects}",
+    "Run time of a detector, one core, median, and its accuracy on {recordings} trajectories of objects {objects}",
     ("model-cost",),
     cost_rows,
     (
@@ -271,7 +271,7 @@ MODEL_COST = Table(
         Column("F1", "{f1:.2f}"),
         Column("Pareto front", "{pareto}"),
     ),
-    notes=("Detectors that warn 0, 10 and 20 ms ahead have a front each.", TRUTH_NOTE),
+    notes=("There is one Pareto front for each of 0, 10 and 20 ms ahead.", TRUTH_NOTE),
 )
 IMAGES_TRAINING_OBJECTS, IMAGES_UNSEEN_OBJECTS, IMAGE_MODEL_COST = (
     replace(table, name=name, evaluations=(name,))
@@ -297,7 +297,7 @@ TRACKING_EDGE = Table(
         Column("dots lost where not (paper)", "{dots_lost_mean:.1f}", "{paper_dots_lost_mean:.1f}"),
     ),
     notes=(
-        "Contrast and blur of the edges were adjusted until `paper` came to about the paper's"
+        "Contrast and blur of the edges were adjusted until the preset `paper` reached about the paper's"
         f" {FIGURES['consistent', 'paper'].value:.0%}.",
     ),
 )
@@ -318,7 +318,7 @@ TRACKING_DISTANCE = Table(
 
 DATA_RATE = Table(
     "data-rate",
-    "Bytes a second, as a share of an RGB sensor's, {recordings} trajectories of object {objects}",
+    "Bytes per second, as a share of an RGB sensor's, {recordings} trajectories of object {objects}",
     ("data-rate",),
     interval_rows,
     (
@@ -340,7 +340,7 @@ DATA_RATE = Table(
 
 VIBRATION = Table(
     "vibration",
-    "Vibration, {tone_s:g} s a tone: windows whose tone is right within 1 Hz (2 Hz in 0.25 s; paper)",
+    "Vibration, {tone_s:g} s per tone: windows whose tone is correct within 1 Hz (2 Hz in 0.25 s; paper)",
     ("vibration",),
     window_rows,
     VIBRATION_COLUMNS,
@@ -350,7 +350,7 @@ VIBRATION = Table(
 
 VIBRATION_RANDOMIZED = Table(
     "vibration-randomized",
-    "Vibration, {tone_s:g} s a tone, random loudness, place and harmonics: windows whose tone is right"
+    "Vibration, {tone_s:g} s per tone, random loudness, position and harmonics: windows whose tone is correct"
     " within 1 Hz (2 Hz in 0.25 s; paper)",
     ("vibration-randomized",),
     window_rows,
@@ -372,14 +372,14 @@ FORCE = Table(
     (Column("camera", "{camera}"), Column("model", "{model_words}")),
     across=Column("{sensor_name}", "{mae_n_x:.2f}, {mae_n_y:.2f}", "{paper_mae_n_x:g}, {paper_mae_n_y:g}"),
     notes=(
-        "Other method: the paper tracked the dots in events with its own tracker, we with `stable`. With"
+        "Other method: the paper tracked the dots in events with its own tracker, evetac with `stable`. With"
         " `--preset paper` the regression's error was 4.2, 2.1 N in a smaller run (with `stable` 0.19, 0.12).",
     ),
 )
 
 GRASPS = Table(
     "grasps",
-    "Grasps, {recordings} trials of objects {objects}, lifted and balanced by feel",
+    "Grasps, {recordings} trials of objects {objects}, lifted and balanced with the sense of touch alone",
     ("grasps",),
     grasp_rows,
     GRASP_COLUMNS,

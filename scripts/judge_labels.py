@@ -136,8 +136,8 @@ COLUMNS = {
     "run time [s]": "{cpu_s:.2f}",
 }
 NOTE = (
-    "px: how far the object truly slid as one body. Rest: what did not abstain. Farneback is the paper's method, at"
-    " our constants. Run time: of the processor, a trial, in the median."
+    "px: true distance that the object slid as one body. Rest: labels that did not abstain. Farneback is the paper's"
+    " method, with evetac's constants. Run time: median processor time per trial."
 )
 
 

@@ -34,7 +34,7 @@ def as_of_now(row: Row, first: Row) -> Row:
     source = row.get("from") or ""
     if not (row.get("values") and source.startswith("docs/results") and source == first.get("from")):
         return row
-    return {**row, "values": None, "not_told": f"not made again since ({source})"}
+    return {**row, "values": None, "not_told": f"not repeated since ({source})"}
 
 
 def row_of(fact: Fact, measured: Measured) -> Row:
@@ -51,7 +51,7 @@ def ours(fact: Fact, measured: Measured) -> str:
     """A cell: our figures, how they compare, of how many trials, from where; why there are none."""
     row = row_of(fact, measured)
     if not row.get("values"):
-        return f"not told: {row.get('not_told') or 'not measured'}"
+        return f"not measured: {why}" if (why := row.get("not_told")) else "not measured"
     how = [compared(fact, measured), f"n {row['n']}" if row.get("n") else None, row.get("from")]
     return f"{as_text(row['values'])} {fact.unit}".strip() + f" ({'; '.join(one for one in how if one)})"
 
@@ -88,8 +88,8 @@ def said(of: list[Fact], known: Mapping[str, Measured]) -> list[str]:
     for when, measured in known.items():
         found = counts(of, measured)
         lines.append(
-            f"{when.capitalize()}: of these {found['facts']}, {found['known']} are known; {found[WITHIN]} lie within"
-            f" the published spread, {found[NEAR]} more have the same sign and lie between half and twice."
+            f"{when.capitalize()}: {found['known']} of these {found['facts']} facts are measured; {found[WITHIN]} are"
+            f" within the published spread, {found[NEAR]} more are between half and twice the public figure."
         )
     return lines
 
@@ -98,7 +98,7 @@ def misses(of: Iterable[Fact], known: Mapping[str, Measured]) -> list[str]:
     """A line for each fact that is off by the latest figures, with the reason as far as it is known."""
     *_, latest = known.values()
     off = [fact for fact in of if compared(fact, latest) == OFF]
-    return [f"- `{fact.name}`: {fact.miss or 'not looked into'}." for fact in off]
+    return [f"- `{fact.name}`: {fact.miss or 'not investigated'}." for fact in off]
 
 
 def how_made(when: str, measured: Measured) -> str:
@@ -117,7 +117,7 @@ def as_pages(results: Path, as_table: Callable[[list[str], list[list[str]]], str
     texts = {}
     for name, of in (("likeness-counted", counted), ("likeness-others", others)):
         heads, *rows = table(of, known)
-        parts = ["Simulated, but for what is public:", as_table(heads, rows)]
+        parts = ["Simulated, except the public facts:", as_table(heads, rows)]
         if of is counted:
             parts += [*said(counted, known), "Off, and why:", "\n".join(misses(counted, known))]
             parts += [how_made(when, measured) for when, measured in known.items()]

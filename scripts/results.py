@@ -47,62 +47,62 @@ class Figure(NamedTuple):
 
 SUMMARY = (
     Figure(
-        "slip detected in time, unseen objects, the paper's network `fast-slow` and optimiser, a third of its data, our"
-        " labels and tracker, 10 ms ahead",
+        "slip detected in time on unseen objects, 10 ms ahead: the paper's network `fast-slow` and optimiser, a third"
+        " of its data, evetac's labels and tracker",
         "slip-unseen-objects",
         {"setting": "fast-slow, 10 ms ahead, paper, labels event-flow, up to 40000 steps"},
         "timing correct (paper)",
     ),
     Figure(
-        "slip detected in time on sensors and objects never seen, by the detector that comes with evetac, 10 ms ahead",
+        "slip detected in time on unseen objects and sensors, 10 ms ahead: pretrained detector",
         "slip-detectors-timing",
         {"score": "ours 10 ms"},
         "timing correct",
     ),
     Figure(
-        "... on the same slips by the paper's network and recipe",
+        "... the same slips: the paper's network and recipe",
         "slip-detectors-timing",
         {"score": "fast-slow 10 ms"},
         "timing correct",
     ),
     Figure(
-        "onset of slip in the labels within 0.5 px slid of the true one, where they do not abstain",
+        "labelled onset of slip within 0.5 px slid of the true one, if the labels do not abstain",
         "labels",
         {"sensors": "evetac", "method": "event-flow"},
         "of the rest within 0.5 px slid",
     ),
     Figure(
-        "dots all end where they began after a finger rubbed, the paper's tracker",
+        "all dots return to their start after a finger rubbed: the paper's tracker",
         "tracking-edge",
         {"preset": "paper"},
         "all dots end where they began (paper)",
     ),
-    Figure("... ours", "tracking-edge", {"preset": "stable"}, "all dots end where they began (paper)"),
+    Figure("... evetac's tracker", "tracking-edge", {"preset": "stable"}, "all dots end where they began (paper)"),
     Figure(
-        "shear force by the paper's network, mean error of Fx, Fy in N",
+        "mean absolute error of the shear force Fx, Fy in N: the paper's network",
         "force",
         {"sensor": "events", "model": "network", "sensor_name": "evetac"},
         "{sensor_name}",
     ),
     Figure(
-        "tone of 200 Hz told from 1 s of vibration, the paper's method",
+        "200 Hz tone identified from a 1 s window: the paper's method",
         "vibration",
         {"method": "paper", "expected_hz": 200.0, "window_s": 1.0},
         "{window_s:g} s",
     ),
     Figure(
-        "... ours, loudness, place and harmonics at random",
+        "... evetac's method, with random loudness, position and harmonics",
         "vibration-randomized",
         {"method": "default", "expected_hz": 200.0, "window_s": 1.0},
         "{window_s:g} s",
     ),
     Figure(
-        "objects drawn at random lifted and held to the end, our grip law",
+        "random objects lifted and held to the end: evetac's grip law",
         "grip-laws",
         {"law": "load-proportional", "grasps": 200},
         "kept",
     ),
-    Figure("... the paper's, with the same detector", "grip-laws", {"law": "paper"}, "kept"),
+    Figure("... the paper's law, with the same detector", "grip-laws", {"law": "paper"}, "kept"),
     Figure(
         f"bytes per second as a share of an RGB sensor's, over {{columns}} columns (paper: {paper.COLUMNS})",
         "data-rate",
@@ -216,7 +216,7 @@ def covariates(result: Result) -> list[str]:
         return []
     known = [[row["covariate"], *(f"{row[key]:.3g}" for key in OF_COVARIATES), str(row["n"])] for row in rows]
     simulated = "Simulated. " if result["simulated"] else ""
-    said = f"{simulated}The slips that are judged on, median and 10-90 % range ([covariates](results.md#covariates)):"
+    said = f"{simulated}Slips used for evaluation, median and 10-90 % range ([covariates](results.md#covariates)):"
     return [said, as_table(["covariate", "median", "10 %", "90 %", "n"], known)]
 
 
@@ -226,7 +226,7 @@ def text(result: Result) -> str:
     title = ("Simulated. " if result["simulated"] else "") + result["title"]
     made = result["made"]
     if older := changes(result):
-        made += f"; by older methods: {', '.join(older)}"
+        made += f"; older method versions: {', '.join(older)}"
     heading = f"{title} ({made}):"
     table = as_table(heads, rows)
     return "\n\n".join([*covariates(result), heading, table, *result["notes"], how_made(result)]) + "\n"

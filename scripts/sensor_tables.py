@@ -76,14 +76,14 @@ def table(shown: list[Row], scores: Sequence[str], sensors: int, command: str, s
         lowest = min((row for row in shown[:sensors] if f"{key}_correct" in row), key=lambda row: row[f"{key}_correct"])
         worst.append(f"{score} on {lowest['sensor']} ({lowest[f'{key}_correct']:.2f})")
     notes = [
-        "Another object in each trial. Intervals of 95 % by object, of several sensors by sensor; thresholds of the"
-        f" models' files. Worst by timing: {', '.join(worst)}."
+        "Each trial has another object. Intervals of 95 % by object, for several sensors by sensor; thresholds are"
+        f" those of the model files. Worst by timing: {', '.join(worst)}."
     ]
     if ADAPTED in scores:
         columns |= {"onsets told to adapt by": "{told}", "adapted in [s]": "{took_s:.0f}"}
         notes.append(
-            "Adapted: by a minute of contact in slips on the same sensor, not those judged, labelled from events, with"
-            " `evetac train --adapt`; not where labels tell fewer than 8 onsets. Time: of one processor core, from"
-            " `label` to `train`."
+            "Adapted: with `evetac train --adapt` on one minute of contact in other slips of the same sensor, labelled"
+            " from events; only if at least 8 onsets have a label. Time: of one processor core, from `label` to"
+            " `train`."
         )
     return table_of(NAME, "Slip detectors from sensor to sensor", columns, shown, command, sizes, notes=notes)

@@ -291,12 +291,12 @@ def warning_table(name: str, rows: Rows, chosen: Row, rule: str, command: str) -
         f"{ms} ms ahead, at {PER_MINUTE:g} false alarm per minute": f"{{warned_{ms}_ms_at_one:.2f}}" for ms in LEADS_MS
     }
     note = (
-        f"A false alarm: {MEANS[rule]}. An alarm is {ALARM_SLICES} slices in a row; the next counts 200 ms later."
-        f" False alarms per minute of contact, in the mean over {len(rows)} motions. Thresholds are those of `grasp`,"
-        f" of oracles those of {PER_MINUTE:g} per minute on other trials. The last columns read the curve of these"
-        " trials."
+        f"False alarm: {MEANS[rule]}. An alarm is {ALARM_SLICES} slices in a row; the next counts 200 ms later."
+        f" False alarms are per minute of contact, averaged over {len(rows)} motions. Detectors are read at the"
+        f" threshold of `grasp`, oracles at that of {PER_MINUTE:g} per minute on other trials. The last columns are"
+        " read from the curve of these trials."
     )
-    title = f"Slip warned of ahead, where an alarm is false if {MEANS[rule]}"
+    title = f"Warnings before slip; an alarm is false if {MEANS[rule]}"
     return table_of(name, title, columns, shown, command, sizes_of(rows), notes=(note,))
 
 
@@ -357,4 +357,4 @@ def ideas_table(name: str, rows: Rows, chosen: Row, command: str) -> Row:
     }
     columns |= {heading: f"{{{key}:.3f}} ± {{{key}_sd:.3f}}" for key, heading in headings.items()}
     note = f"Mean ± standard deviation over seeds of training, on {len(of_slips)} slips."
-    return table_of(name, "What each idea is worth in training", columns, shown, command, sizes_of(rows), notes=(note,))
+    return table_of(name, "Effect of each training choice", columns, shown, command, sizes_of(rows), notes=(note,))

@@ -116,11 +116,11 @@ FORCE_COLUMNS = (
     Column("within one sd: shear, normal", "{shear_within_sd:.0%}, {normal_within_sd:.0%}"),
 )
 FORCE_NOTE = (
-    "Range: the largest normal force. A `known` modulus is the true one times a lognormal error, creep is not known."
+    "Range: the largest normal force. A `known` modulus is the true one times a lognormal error; creep is unknown."
 )
 FORCE_SENSORS = Table(
     "force-sensors",
-    "Shear and normal force on sensors that no model saw, a flat face",
+    "Shear and normal force on unseen sensors, a flat face",
     (*TRACKERS, *(f"evetac-{tracker}" for tracker in TRACKERS)),
     sensor_rows,
     FORCE_COLUMNS,
@@ -130,7 +130,7 @@ FORCE_SENSORS = Table(
 )
 FORCE_OBJECTS = Table(
     "force-objects",
-    "The same where one of the paper's objects slips out of the grip, a cut gel, adapted on flat faces",
+    "Shear and normal force while one of the paper's objects slips out of the grip, a cut gel, adapted on flat faces",
     ("slip",),
     lambda evaluations: state_rows(evaluations["slip"], "stable"),
     FORCE_COLUMNS,
@@ -143,20 +143,20 @@ FORCE_OBJECTS = Table(
 
 # Figure of part_effects.py: heading and format of its cells.
 PART_FIGURES = {
-    "events_ms": ("events a ms", ".1f"),
+    "events_ms": ("events per ms", ".1f"),
     "tracking_px": ("tracking error [px]", ".3f"),
     "labels_in_time": ("labels in time", ".2f"),
     "labels_f1": ("F1 of labels", ".2f"),
     "slip_in_time": ("slip detected in time", ".2f"),
     "slip_f1": ("F1 of detector", ".2f"),
-    "record_us": ("simulated in [us a slice]", ".0f"),
-    "rest_us": ("labelled to judged in [us a slice]", ".0f"),
+    "record_us": ("time to simulate [us per slice]", ".0f"),
+    "rest_us": ("time to label, track, featurize and evaluate [us per slice]", ".0f"),
     "held": ("grasps held", ".2f"),
     "moved_mm": ("object moved in a grasp [mm]", ".2f"),
 }
 PART_EFFECTS = measured(
     "part-effects",
-    "What each part does to each stage, {slips} slips and {grasps} grasps with each",
+    "Effect of each part on each stage, {slips} slips and {grasps} grasps with each",
     ("part", "{part}"),
     ("size", "{size}"),
     *(
@@ -164,9 +164,9 @@ PART_EFFECTS = measured(
         for name, (heading, form) in PART_FIGURES.items()
     ),
     notes=(
-        "Behind a figure stands the interval of its change, 95 % by a bootstrap over pairs of trials, where that"
-        " does not hold 0; with fewer than some ten pairs it is too narrow, and of so many figures one in 20 would"
-        " have one by chance. Run times are of the processor, beside whatever else it did.",
+        "A figure is followed by the 95 % interval of its change (bootstrap over pairs of trials) if the interval"
+        " excludes 0. With fewer than some ten pairs the interval is too narrow, and one in 20 figures would have one"
+        " by chance. Run times are processor times, measured while other work ran.",
     ),
 )
 
@@ -176,19 +176,19 @@ BLIND_IDENTIFICATION = measured(
     "blind-identification",
     "Parameters of sensors randomized-narrow:{first} to {last} in blind identification",
     ("parameter", "{parameter}"),
-    ("told", "{told} of {sensors}"),
-    ("interval holds the truth", "{held}"),
+    ("estimated", "{told} of {sensors}"),
+    ("95 % interval contained the true value", "{held}"),
     ("width over the range of `randomized-narrow`, mean", "{width_mean:.2f}"),
     ("worst", "{width_worst:.2f}"),
-    ("found", "{found}"),
-    notes=("Parameters that are told of no sensor cannot be told.",),
+    ("identifiable", "{found}"),
+    notes=("Parameters that were estimated for no sensor cannot be identified.",),
 )
 
 # --- robot simulators -------------------------------------------------------------------------------------------------
 
 TOUCH_COST = measured(
     "touch-cost",
-    "What a simulated millisecond of the touch sensor costs",
+    "Run time of a simulated millisecond of the touch sensor",
     ("contact", "{contact}"),
     ("CPU us a ms", "{CPU_us_a_ms:,.1f}"),
     ("with slip detector CPU us a ms", "{with_slip_detector_CPU_us_a_ms:,.1f}"),
@@ -204,7 +204,7 @@ MUJOCO_GRASPS = measured(
 )
 LIFT_BASELINE = measured(
     "lift-baseline",
-    "Policies for evetac/Lift-v0, means of the episodes that they are judged on",
+    "Policies for evetac/Lift-v0, means over the evaluated episodes",
     ("policy", "{policy}"),
     ("return", "{return:.3g}"),
     ("lifted", "{lifted:.3g}"),

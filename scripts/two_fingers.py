@@ -261,9 +261,9 @@ def grasps_table(rows: Rows) -> Row:
     named = {part: f"{min(each)}-{max(each)}" for part, each in seeds.items() if each}
     commands = " and ".join(f"--part {part} --seeds {each}" for part, each in named.items())
     note = (
-        f"The second finger's sensor is another one than the first's. Prepared events, {EVENTS_S:,} per s and camera,"
-        " come by the computer's clock; the world of the other virtual devices waits for a computer that is too slow."
-        " All on 2 cores, which other programs shared; the load counts processes that run or wait for a core."
+        f"The second finger's sensor differs from the first's. Prepared events, {EVENTS_S:,} per s and camera, arrive"
+        " by the computer's clock; the other virtual devices wait for a computer that is too slow. All on 2 cores that"
+        " other programs shared; the load counts processes that run or wait for a core."
     )
     title, sizes = "Grasps with a camera at each finger", {"seeds": named}
     whole = f"python scripts/two_fingers.py {commands} -o FILE"
@@ -308,8 +308,8 @@ def unlike_table(rows: Rows) -> Row:
     note = (
         f"The first finger's gel is {SOFT:g} times as stiff as usual and its friction {FRICTION:g}; the second's is as"
         f" stiff as usual, its friction {FRICTION * UNLIKE.friction_factor:.1g}. A law holds {HOLDS_TICKS} ticks beyond"
-        " touch and closes one tick with each step of 2 ms that has slip, as the detector calls it from"
-        f" {UNLIKE_THRESHOLD:g} on. It slips alone where the first sticks with half of its contact at least."
+        " touch and closes one tick with each step of 2 ms in which the detector reaches the threshold of"
+        f" {UNLIKE_THRESHOLD:g}. The second finger slips alone if at least half of the first one's contact sticks."
     )
     command = f"python scripts/two_fingers.py --part unlike --seeds {named} -o FILE"
     title = "Slip at the second of two unlike fingers"

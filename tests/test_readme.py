@@ -156,7 +156,7 @@ def test_figures_of_the_paper_are_marked(path: Path) -> None:
 
 # What sentences of README and docs say, filled from a row of a table: page, table, what names the row, the words.
 QUOTES: tuple[tuple[str, str, dict[str, Any], str], ...] = (
-    ("docs/results.md", "grasps", {"setting": "paper"}, "that {success:.2f} stood beside the paper's {paper_success}"),
+    ("docs/results.md", "grasps", {"setting": "paper"}, "{success:.2f} with the paper's {paper_success}"),
     (
         "docs/results.md", "grasps-by-object", {"setting": "paper", "object": 12},
         "object 12 (38 g) was held with {force_end_n:.1f} N",

@@ -209,5 +209,5 @@ def _shipped() -> str:
             + (", and the true share of the contact that slips" if facts["learned_true_slip_share"] else ""),
         ),
     ]
-    more = "What it learned from and how well it does: [The package's slip detector](../slip-detector.md).\n"
+    more = "How it was trained and how well it performs: [Pretrained slip detector](../slip-detector.md).\n"
     return sentence("All of it is simulated") + "\n\n" + table(("what", "value"), rows) + "\n" + more

@@ -26,13 +26,13 @@ def test_before_and_after_stand_beside_each_other(tmp_path: Path) -> None:
     text = likeness_tables.as_pages(tmp_path, as_table)["likeness-counted"]
     assert "| before | command |" in text and "after" not in text.partition("| 1. ")[0]
     assert "0.35 (off; n 3; a test)" in text and "0.017 (within; n 3; a test)" in text
-    assert "of these 19, 2 are known; 1 lie within the published spread, 0 more" in text
+    assert "2 of these 19 facts are measured; 1 are within the published spread, 0 more" in text
     assert "- `one-slice`: the simulated slip is slow" in text
     measured(tmp_path, "after", one_slice=[0.84], data_rate_whole=[0.03])
     text = likeness_tables.as_pages(tmp_path, as_table)["likeness-counted"]
     assert "| before | after | command |" in text
-    assert "After: of these 19, 2 are known; 1 lie within the published spread, 1 more" in text
-    assert "- `one-slice`:" not in text and "not told: not measured" in text
+    assert "After: 2 of these 19 facts are measured; 1 are within the published spread, 1 more" in text
+    assert "- `one-slice`:" not in text and "| not measured |" in text
 
 
 def test_every_fact_has_a_row(tmp_path: Path) -> None:
