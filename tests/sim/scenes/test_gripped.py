@@ -124,7 +124,7 @@ def test_scene_of_the_wrong_kind_is_refused() -> None:
     with pytest.raises(SceneError, match="another command"):
         first_plan("lift", kinds=("ramp",))
     with pytest.raises(
-        SceneError, match=r"virtual devices do not show this scene(.|\n)*record --scene press simulates"
+        SceneError, match=r"virtual devices cannot show this scene(.|\n)*record --scene press simulates"
     ):
         first_plan("press", kinds=("ramp", "hold"))
 

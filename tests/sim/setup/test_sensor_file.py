@@ -83,7 +83,7 @@ def test_columns_and_rows_instead_of_the_places_of_another_sensor(tmp_path: Path
     """Assert that a whole row with places and one with columns and rows both pass, and one with neither does not."""
     sensor = one_sensor("evetac")
     places = {key: value for key, value in as_table(sensor).items() if key not in GRID}
-    with pytest.raises(InputError, match="the places of the dots are missing"):
+    with pytest.raises(InputError, match="the positions of the dots are missing"):
         sensor_file.of_row(places, "here")
     sensor_file.of_row({**places, "dot_xy_px": dot_grid(sensor, cut=False).tolist()}, "here")
 
@@ -96,7 +96,7 @@ def test_columns_and_rows_instead_of_the_places_of_another_sensor(tmp_path: Path
         ({"noise_hz": "much"}, "noise_hz: expected a number"),
         ({"noise_hz": True}, "noise_hz: expected a number"),
         ({"bandwidth_by_light": "yes"}, "bandwidth_by_light: expected true or false"),
-        ({"distortion": [0.1]}, "distortion: a list of another length"),
+        ({"distortion": [0.1]}, "distortion: wrong number of entries"),
         ({"readout": {"events_per_s": 10.0}}, "readout.events_per_s: out of range"),
         ({"noise_hz": float("nan")}, "noise_hz: not a finite number"),
         ({"hot_pixel_hz": [20.0, float("inf")]}, "hot_pixel_hz.1: not a finite number"),
@@ -106,12 +106,12 @@ def test_columns_and_rows_instead_of_the_places_of_another_sensor(tmp_path: Path
         ({"hot_pixel_hz": [9.0, 1.0]}, "hot_pixel_hz: expected rising values"),
         ({"noise_filter": {"support_ms": 0.0}}, "noise_filter.support_ms: out of range"),
         ({"window_px": [640, 0, 540, 480]}, "window_px: not a window"),
-        ({"frame_px": [320, 240]}, "frame_px: not a possible value"),
+        ({"frame_px": [320, 240]}, "frame_px: invalid value"),
         ({"like": "evtac"}, "did you mean evetac"),
         ({"like": "randomized"}, "not one sensor but many"),
         ({"like": "randomized-narrow"}, "not one sensor but many"),
-        ({"name": "second"}, "comes with evetac"),
-        ({"name": "A name"}, "name: not a possible value"),
+        ({"name": "second"}, "evetac already has a sensor"),
+        ({"name": "A name"}, "name: invalid value"),
         ({"gripper": {"servo_n_tick": 2.0}}, "servo_n_tick and two_ticks_n need each other"),
         ({"gripper": {"servo_n_tick": 2.0, "two_ticks_n": 0.1, "friction_n": 3.0}}, "servo_n_tick and friction_n"),
         ({"like": "randomized:7", "gripper": {"gain_ma_tick": 5.0}}, "servo_n_tick and gain_ma_tick"),
@@ -126,15 +126,15 @@ def test_columns_and_rows_instead_of_the_places_of_another_sensor(tmp_path: Path
         ({"dot_xy_px": FEW[:1]}, "4 to 256, which the tracker has room for"),
         ({"dot_xy_px": [[float(n % 640), float(n // 640)] for n in range(5000)]}, "found:    5,000 entries"),
         ({"dot_xy_px": [[[30.0 * x, 23.0 * y] for x in range(20)] for y in range(20)]}, "found:    400"),
-        ({"dot_xy_px": [[570.0, 40.0 * y + 20.0] for y in range(9)]}, "too few dots beside the window"),
+        ({"dot_xy_px": [[570.0, 40.0 * y + 20.0] for y in range(9)]}, "too few dots next to the window"),
         ({"dot_xy_px": [[1.0, "2"], *FEW]}, "expected a number"),
-        ({"dot_xy_px": []}, "dot_xy_px: a list of another length"),
-        ({"dot_xy_px": FEW, "turned_deg": 1.0}, "dots are named twice"),
+        ({"dot_xy_px": []}, "dot_xy_px: wrong number of entries"),
+        ({"dot_xy_px": FEW, "turned_deg": 1.0}, "dots are given twice"),
         ({"dot_columns_px": [-90.0, 100.0, 200.0]}, "a dot lies outside the frame"),
         ({"hot_pixel_table": {**HOT, "x_px": [3]}}, "lists of different lengths"),
-        ({"hot_pixel_table": {**HOT, "x_px": [3, 3], "y_px": [4, 4]}}, "comes twice"),
+        ({"hot_pixel_table": {**HOT, "x_px": [3, 3], "y_px": [4, 4]}}, "is listed twice"),
         ({"hot_pixel_table": {**HOT, "on_share": [0.95, 0.5]}}, "changes its polarity too often"),
-        ({"hot_pixel_table": {**HOT, "rate_hz": [50.0, 2600.0]}}, "no time for so many events"),
+        ({"hot_pixel_table": {**HOT, "rate_hz": [50.0, 2600.0]}}, "too many events for its dead time"),
         ({"hot_pixel_table": {**HOT, "rate_hz": [0.0, 9.0]}}, "hot_pixel_table.rate_hz.0: out of range"),
         ({"hot_pixel_table": {"x_px": [3]}}, "keys are missing in hot_pixel_table"),
     ],

@@ -112,7 +112,7 @@ def test_nothing_is_told_where_nothing_rests(resting: Path, tmp_path: Path) -> N
     [
         ({"like": "evtac"}, "did you mean evetac"),
         ({"like": "randomized"}, "not the name of one sensor"),
-        ({"name": "Mine!"}, "not the name of a sensor"),
+        ({"name": "Mine!"}, "not a valid sensor name"),
         ({"name": "evetac"}, "comes with evetac"),
     ],
 )
