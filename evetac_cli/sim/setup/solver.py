@@ -90,7 +90,7 @@ def with_given(solver: Solver, given: Mapping[str, Any], where: str) -> Solver:
     A given tolerance replaces a fixed step, and a given fixed step replaces a tolerance.
     """
     if {"tolerance_um", "step_ms"} <= set(given):
-        both = "expected either a tolerance or a fixed step (tolerance_um, step_ms), found both"
+        both = "expected a tolerance or a fixed step (tolerance_um, step_ms), not both"
         raise SceneError(f"[solver]: {both}", where=where)
     try:
         typed = read_table(Solver, dict(given), where)

@@ -36,7 +36,7 @@ class About(NamedTuple):
 
     rules: its JSON schema. table: the type of an inner table.
 
-    needed_in, only_in: kinds of scene (of motion, in the table `motion`) that require the field; that alone may have it.
+    needed_in, only_in: kinds of scene, or of motion, that require the field, or that alone may have it.
 
     order: "pair" (the lower end first), "rising" or "strictly rising".
     """
