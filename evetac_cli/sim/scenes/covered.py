@@ -60,8 +60,8 @@ def _inside(x: float, y: float, half: Floats, hole: Floats, is_round: bool) -> f
 
 
 @njit(cache=True, _nrt=False)
+def _inside_ellipse(x: float, y: float, half: Floats) -> float:
     """Return how far a point is inside an ellipse of half axes (2,), to first order at its edge."""
-    """How far a point lies inside an ellipse of half axes (2,), to first order at its edge."""
     if half[0] == half[1]:
         return float(half[0] - math.hypot(x, y))
     scaled = math.sqrt((x / half[0]) * (x / half[0]) + (y / half[1]) * (y / half[1]))

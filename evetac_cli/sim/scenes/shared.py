@@ -284,5 +284,5 @@ class DotPath:
         shift_m = np.stack(self._shift_m)
         along = (self._times / STEP_S)[:, None, None]
         path: Floats = shift_m[low] * (1 - part) + shift_m[low + 1] * part + before_m * (1 - along) + after_m * along
-    path[-1] = shift_m[-1] + after_m  # exact, also if steps of 0.1 ms add up to more than the slice
+        path[-1] = shift_m[-1] + after_m  # exact, also if steps of 0.1 ms add up to more than the slice
         return path
