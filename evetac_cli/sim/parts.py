@@ -107,11 +107,7 @@ def _mechanics(plan: Plan) -> list[ScenePart]:
         ScenePart(
             "friction over pressure",
             _pressure_law(plan),
-            "nothing slips"
-            if scene.kind == "tone"
-            else "the face's pressure is uniform"
-            if driven
-            else "in proportion",
+            "nothing slips" if scene.kind == "tone" else "a face presses evenly" if driven else "grows in proportion",
             _sensor(friction=replace(friction, pressure_exponent=0.0)),
         ),
         ScenePart(

@@ -244,8 +244,8 @@ class GraspSimulation:
         self._at_seen = dots.interpolation(nodes, np.concatenate([self.gel_camera.rest_m, self.gel_camera.cut_rest_m]))
         many = self._solver.camera_substeps > 1
         self._path = DotPath(self._gel, self._at_dots, self._solver.camera_substeps) if many else None
-        # memory for the state before a step that may have to be made again
         # the state before a step that may have to be repeated
+        self._before = tuple(one.copy() for one in self._pads)
         self._on_table = self._kind == "lift"
 
     def holding_ma(self) -> float:
