@@ -125,8 +125,12 @@ def _mechanics(plan: Plan) -> list[ScenePart]:
         ),
         ScenePart("free object", "mass, weight, rotation", "its motion is prescribed"),
         ScenePart("table and hand", "lift", "nothing is lifted"),
-        ScenePart("pushes", f"{len(scene.push.at_s) if scene.push else 0} half sines", "none named", _scene(push=None)),
-        ScenePart("falling weight", f"{scene.drop.mass_g if scene.drop else 0:g} g", "none named", _scene(drop=None)),
+        ScenePart(
+            "pushes", f"{len(scene.push.at_s) if scene.push else 0} half sines", "the scene has none", _scene(push=None)
+        ),
+        ScenePart(
+            "falling weight", f"{scene.drop.mass_g if scene.drop else 0:g} g", "the scene has none", _scene(drop=None)
+        ),
     ]
 
 
@@ -177,7 +181,7 @@ def _camera(scene: Scene, sensor: Sensor, readout: str) -> list[ScenePart]:
             no_window if cut else "a closed gel has no window",
             None if texture is None else _other_window,
         ),
-        ScenePart("contact edges", "drawn where they move", "none named", _without_edges),
+        ScenePart("contact edges", "drawn where they move", "the scene has none", _without_edges),
         ScenePart(
             "cut edge",
             "moves with the gel",
@@ -253,11 +257,11 @@ def _disturbances(plan: Plan) -> list[ScenePart]:
     late = f"by {delay_ms:.3g} to {delay_ms + jitter_ms:.3g} ms" if jitter_ms else f"by {delay_ms:.3g} ms"
     jerk = hand.jerk
     return [
-        ScenePart("changing light", _light(scene), "steady: none named", _scene(light=None)),
+        ScenePart("changing light", _light(scene), "the light is steady", _scene(light=None)),
         ScenePart(
             "vanishing dots",
             "" if gone is None else f"{len(gone.dots)}, starting at {gone.at_s:g} s",
-            "none named",
+            "the scene has none",
             _scene(vanishing_dots=None),
         ),
         ScenePart(
@@ -268,7 +272,7 @@ def _disturbances(plan: Plan) -> list[ScenePart]:
         ScenePart(
             "change of friction",
             "" if change is None else f"x {change.factor:g}, starting at {change.at_s:g} s",
-            "none named",
+            "the scene has none",
             _scene(friction_change=None),
         ),
         ScenePart(
@@ -281,7 +285,7 @@ def _disturbances(plan: Plan) -> list[ScenePart]:
             f"in motion {own.kinetic_share or 0.0:.0%} of the friction at rest",
             "the same friction in motion as at rest",
         ),
-        ScenePart("backlash of the gripper", f"{faults.backlash_ticks:.3g} ticks", "none named"),
+        ScenePart("backlash of the gripper", f"{faults.backlash_ticks:.3g} ticks", "the scene has none"),
         ScenePart(
             "second finger of its own",
             ", ".join(f"{name} x {factor:g}" for name, factor in factors.items() if factor != 1.0),
@@ -290,7 +294,7 @@ def _disturbances(plan: Plan) -> list[ScenePart]:
                 _with_scene(plan, gripper=replace(plan.scene.gripper, second_finger=None)), second=None
             ),
         ),
-        ScenePart("noise of the gripper's encoder", f"{faults.encoder_noise_ticks:.3g} ticks", "none named"),
+        ScenePart("noise of the gripper's encoder", f"{faults.encoder_noise_ticks:.3g} ticks", "the scene has none"),
         ScenePart("commands that come late", late, "take effect in the next ms"),
         ScenePart(
             "profile of the hand's motion",
@@ -298,15 +302,17 @@ def _disturbances(plan: Plan) -> list[ScenePart]:
             "trapezoid",
             _hand(profile=HandSettings.profile),
         ),
-        ScenePart("vibration of the hand", _vibration(hand), "none named", _hand(vibration=None)),
+        ScenePart("vibration of the hand", _vibration(hand), "the scene has none", _hand(vibration=None)),
         ScenePart(
             "jerk of the hand",
             "" if jerk is None else f"{jerk.speed_mm_s:g} mm/s for {jerk.lasts_s:g} s at {jerk.at_s:g} s",
-            "none named",
+            "the scene has none",
             _hand(jerk=None),
         ),
         ScenePart("other stiffness of the gel", f"x {scene.gel.stiffness_factor:g}", "that of the sensor"),
-        ScenePart("other mass of the object", f"{scene.object.mass_g if scene.object else 0:g} g", "none named"),
+        ScenePart(
+            "other mass of the object", f"{scene.object.mass_g if scene.object else 0:g} g", "the scene has none"
+        ),
     ]
 
 

@@ -90,7 +90,7 @@ def test_parts_that_only_some_scenes_name() -> None:
     assert built(flickering)["changing light"] == "flickers by 10% at 100 Hz"
     assert switched(flickering)["changing light"].scene.light is None
     (row,) = [row for row in rows_of(slip) if row["part"] == "changing light"]
-    assert (row["built"], row["left_out"]) == (None, "steady: none named")
+    assert (row["built"], row["left_out"]) == (None, "the light is steady")
     assert "changing light" not in switched(slip)
 
 

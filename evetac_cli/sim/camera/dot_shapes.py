@@ -45,7 +45,7 @@ def alike() -> DotShapes:
 def shaped_level(
     frame_px: tuple[int, int], dot_xy_px: NDArray[np.float64], profile: DotProfile, shapes: DotShapes
 ) -> NDArray[np.float32]:
-    """Return the log brightness of the frame, (height, width), for dots (dots, 2); if they differ the darkest counts."""
+    """Return the log brightness of the frame, (height, width), for dots (dots, 2); of differing dots the darkest."""
     if not len(shapes.inner_px):
         return gel_level(frame_px, dot_xy_px, profile)
     picture = np.zeros(frame_px[::-1], np.float32)
