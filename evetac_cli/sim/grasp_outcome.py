@@ -51,9 +51,10 @@ def outcome(
 
     planned_ms: planned duration. newton_per_ma: force per current of a finger's drive; None for the standard drive.
 
-    The figures moved_* are in mm, opening_* in ticks and mm, and force_* in N of one finger. reopened_share is the
-    share of the closing during the lift by which the gripper opened again in balance, None if it did not close.
-    failure is how the object was lost, "" if it was held.
+    The figures moved_* are in mm, opening_* in ticks and mm, and force_* in N of one finger.
+
+    reopened_share: the share of the closing during the lift by which the gripper opened again in balance; None if it
+    did not close. failure: how the object was lost, "" if it was held.
     """
     gap_mm, force_n = rows["truth/table_gap_mm"], rows["truth/normal_force_n"]
     object_mm = rows["truth/object_xy_px"] * mm_per_px

@@ -262,9 +262,9 @@ def step(state: DriveState, drive: Drive, curve: ForceCurve, mode: Mode, command
     return state.force_n
 
 
-# The constants of one finger in `_move`: m per tick, friction in N and as a share of the force, kinetic share of both,
-# damping, mass, highest speed, the limits of closing, and half the backlash in ticks. A plain tuple, because a named
-# tuple takes 1 us longer, of 4 us.
+# The constants of one finger in `_move` are m per tick, friction in N and as a share of the force, and the kinetic
+# share of both. Then damping, mass, highest speed, limits of closing, and half the backlash in ticks. A plain tuple,
+# because a named tuple takes 1 us longer, of 4 us.
 FingerLaw = tuple[float, float, float, float, float, float, float, float, float, float]
 
 

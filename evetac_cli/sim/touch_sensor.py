@@ -67,9 +67,9 @@ class Touch(NamedTuple):
     slices: the events of each millisecond that ended in this step, none to many. dot_xy_px, displacement_px:
     (dots, 2), true centres of the dots and their displacements from rest.
 
-    normal_n: normal force of the object on the gel. shear_n: shear force of the object on the gel, x and y, averaged
-    over the last slice. indentation_m: of the gel, from first touch. place_m, turn_rad: position and rotation of the
-    object.
+    normal_n: normal force of the object on the gel. shear_n: its shear force, x and y, averaged over the last slice.
+
+    indentation_m: of the gel, from first touch. place_m, turn_rad: position and rotation of the object.
 
     slip: whether the object slides as one body (gross slip). slip_share: share of the normal force on slipping nodes.
 
@@ -150,8 +150,10 @@ class TouchSensor:
     Optional keys are `kinetic_share` and `tilt_deg`. Mass, height and lever are those of your own simulator.
 
     rng: the only source of noise and of all other random values. gel: cut or closed. readout, solver: as in
-    `evetac.simulate`. at_m: initial position of the object's middle on the gel, x and y in m from the middle of the
-    view. InputError for any other value.
+    `evetac.simulate`.
+
+    at_m: initial position of the object's middle on the gel, x and y in m from the middle of the view. InputError for
+    any other value.
 
     A sensor can be passed as the gel of `evetac.DotTracker` and `evetac.SlipDetector`.
 
@@ -256,9 +258,9 @@ class TouchSensor:
         Give at most one of normal_n, >= 0, and indentation_m. Indentation counts from first touch at the object's
         initial position and is negative off the gel. Without either, the last one stays.
 
-        Give at most one of shear_n and place_m. shear_n is the force of the object on the gel (x, y) in addition to the
-        normal force. place_m is the position of the middle of the object's surface, with turn_rad (from x to y).
-        Without either, the object stays where it is.
+        Give at most one of shear_n and place_m. The shear force shear_n is that of the object on the gel (x, y), in
+        addition to the normal force. The position place_m is that of the middle of the object's surface, with turn_rad
+        (from x to y). Without either, the object stays where it is.
 
         Each slice of 1 ms is computed when it ends, with the given values interpolated linearly. Two steps of 5 ms
         along a line equal ten steps of 1 ms, bit for bit if the numbers are.

@@ -231,8 +231,8 @@ def ellipse(size_px: ArrayLike, level: float, width_px: float, thick_px: float |
 def _depth(x: Floats, y: Floats, half: Floats) -> Floats:
     """Return the distance of points to an ellipse about the origin, positive inside.
 
-    The nearest point on the ellipse is (a^2 x / (t + a^2), b^2 y / (t + b^2)), with t such that it is on the ellipse
-    (Eberly, Distance from a Point to an Ellipse).
+    The nearest point on the ellipse is (a^2 x / (t + a^2), b^2 y / (t + b^2)). The t that puts it on the ellipse is
+    found by bisection (Eberly, Distance from a Point to an Ellipse).
     """
     turned = half[0] < half[1]
     long, short = (half[1], half[0]) if turned else (half[0], half[1])

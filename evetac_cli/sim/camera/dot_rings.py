@@ -1,7 +1,7 @@
 """The possible positions of a dot's ring while the dot moves: both cameras use them to leave out pixels.
 
 A dot's level differs from ink and gel only in a finite ring (see optics). While the dot moves, the box of its path
-bounds a pixel's distance to it from both sides. Unlike a bound on path length, this takes the direction of motion into
+bounds its distance to a pixel from both sides. Unlike a bound on path length, this takes the direction of motion into
 account, and a dot that vibrates does not use it up. A box is (centre x, centre y, half width, half height) in px.
 """
 

@@ -294,9 +294,12 @@ class GelCamera:
         """Return the events of a slice; at its end the dots are displaced by shift_m (dots, 2), the object by object_m.
 
         Dots move on straight lines, or along shift_path_m (k + 1, dots, 2): their displacements at k + 1 equally spaced
-        times, from the end of the last slice to shift_m. cut_m, of the shape of `cut_rest_m`, is the displacement of
-        the gel at the cut edge at the end (none if left out). strength, 0 to 1, is the visibility of the object's
-        outline. `still` means that all of these equal those of the slice before.
+        times, from the end of the last slice to shift_m.
+
+        cut_m, of the shape of `cut_rest_m`, is the displacement of the gel at the cut edge at the end (none if left
+        out). strength, 0 to 1, is the visibility of the object's outline.
+
+        `still` means that all of these equal those of the slice before.
         """
         if still and self._looked_at_rest:
             assert isinstance(self._camera, CameraState)

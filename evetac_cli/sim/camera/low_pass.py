@@ -2,11 +2,11 @@
 
 A photoreceptor follows the log brightness L of its pixel with a time constant tau = 1 / (2 pi bandwidth). Filtering the
 levels themselves would require a visit to every pixel. Instead the positions of dots and object are filtered, and the
-camera sees an image that lags behind. Both are equal to first order: exactly so if L is linear in the position over the
-distance moved within tau, which means that an edge moves by less than its own width in that time. For faster motion a
-true low pass also blurs the passing edge, so that events are more spread in time, while here the edge is only late.
-tests/sim/camera/test_low_pass.py compares it with a low pass of every pixel. Changes of contrast (an object that comes
-into focus) and noise are not filtered.
+camera sees an image that lags behind. Both are equal to first order. They are exactly equal if L is linear in the
+position over the distance moved within tau, so that an edge moves by less than its own width in that time. For faster
+motion a true low pass also blurs the passing edge, so that events are more spread in time. Here the edge is only late.
+The test tests/sim/camera/test_low_pass.py compares it with a low pass of every pixel. Changes of contrast (an object
+that comes into focus) and noise are not filtered.
 
 A photoreceptor is slower in darker pixels (Lichtsteiner 2008; v2e, Hu 2021): its bandwidth is proportional to
 brightness. A passing rim takes a pixel through all levels from gel to ink, each with the time constant of that level; a

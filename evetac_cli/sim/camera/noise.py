@@ -5,8 +5,9 @@ sensor sets `timestamp_step_us`. Hot pixels are Poisson processes at random posi
 positions, rates, polarities and intervals as measured on a camera.
 
 The model follows 2.7 s of a real DVXplorer at rest. The intervals of a hot pixel are at least two scans, hardly depend
-on earlier intervals, and mix short and long ones (two exponentials; a gamma distribution is 15 to 25 % off in the
-median). The polarity of an event depends on the previous one: most pixels alternate more, or less, than by chance.
+on earlier intervals, and mix short and long ones. Two exponentials describe them; a gamma distribution is 15 to 25 %
+off in the median. The polarity of an event depends on the previous one: most pixels alternate more, or less, than by
+chance.
 """
 
 from typing import NamedTuple

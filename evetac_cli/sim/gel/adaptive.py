@@ -22,12 +22,12 @@ from evetac_cli.sim.gel.pad_equation import Fields, FrictionLaw, LayerConstants
 from evetac_cli.sim.gel.time_step import TOO_LONG, NodeArrays, step_nodes
 from evetac_cli.sim.setup.solver import MOST_HALVINGS, Solver
 
-# Limit for `Allowed.steepness`. Measured on a gel as stiff along a wave as across it: at the default tolerance, the
-# onset of slip is within 0.25 ms of that of steps of 10 us in 16 trials of each plan of
-# tests/evaluate/cost/test_letting_go.py (seeds 0 to 15). At 0.4 one onset is 0.47 ms off, at 0.6 one is 1.2 ms off. The
-# slip scene takes 1.20 steps per slice instead of 1.03 (object 8), and 1.56 instead of 1.10 (18). If the object's
-# motion is prescribed, the motion determines the onset, and any steepness is allowed. In the scene `edge` dots are then
-# 0.004 px rms off steps of 0.0125 ms (a handle, seed 1); with the limit 0.0004 px, in 1.2 times the time.
+# Limit for `Allowed.steepness`, measured on a gel as stiff along a wave as across it. At the default tolerance, the
+# onset of slip is within 0.25 ms of that of steps of 10 us. This was measured in 16 trials (seeds 0 to 15) of each plan
+# of tests/evaluate/cost/test_letting_go.py. At 0.4 one onset is 0.47 ms off, at 0.6 one is 1.2 ms off. The slip scene
+# takes 1.20 steps per slice instead of 1.03 (object 8), and 1.56 instead of 1.10 (18). If the object's motion is
+# prescribed, the motion determines the onset, and any steepness is allowed. In the scene `edge` dots are then 0.004 px
+# rms off steps of 0.0125 ms (a handle, seed 1); with the limit 0.0004 px, in 1.2 times the time.
 STEEPEST = 0.25
 LONGER = 0.3  # share of the tolerance below which steps double in length, which raises the error two to four times
 MOST_SWEEPS = 400  # limit of the search for the balance in a step
@@ -40,6 +40,7 @@ class Slice(NamedTuple):
     gel, (x, y), mean over the contact.
 
     friction_n, slipping_force_n, friction_heat_j: as in `gel.StepInfo`; mean over time, maximum and sum.
+
     second_friction_n: as friction_n, on the second finger's pad if it is simulated; the heat and the largest force are
     then those of both pads.
     """

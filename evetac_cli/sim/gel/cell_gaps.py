@@ -22,8 +22,11 @@ MOST_STEPS = 200  # limit of a search that needs 25 steps at most
 class CellGaps(NamedTuple):
     """Gaps in m between a surface and the undeformed gel, over the cells of a grid of nodes; infinite off the surface.
 
-    sample_m: (rows, columns, samples), at the points of each cell. summary: (rows, columns, 4), least, mean and largest
-    gap of each cell in m and their variance in m2. least_m: the gap at the point of first touch.
+    sample_m: (rows, columns, samples), at the points of each cell.
+
+    summary: (rows, columns, 4), least, mean and largest gap of each cell in m and their variance in m2.
+
+    least_m: the gap at the point of first touch.
     """
 
     sample_m: Floats

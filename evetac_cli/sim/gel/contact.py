@@ -1,7 +1,7 @@
 """Pressure of a gripped object on the gel: gaps, pressure distribution, and force against closing.
 
-The pad is thin and bonded to a stiff back, so each point is treated as a separate spring (a Winkler foundation of
-stiffness E/H per area), with several points per node's cell (cell_gaps). The force then follows from the object's shape
+The pad is thin and bonded to a stiff back, so each point is treated as a separate spring: a Winkler foundation of
+stiffness E/H per area. Each node's cell has several points (cell_gaps). The force then follows from the object's shape
 in closed form. The closing of the gripper is the sum of both gels' indentation and the bending of the fingers, which
 are softer than the gel. Not simulated: a layer of constant volume resists pressure more the wider the contact is, so E
 is an effective modulus.

@@ -1,7 +1,7 @@
 """Motion of points on the gel's surface, as a camera sees it: interpolated from nodes, and magnified by depth.
 
-If the gel moves a dot nearer to the lens by s, the dot moves away from the image's centre by r s / Z, with r its
-distance from the centre. Z is a guess: the rounded distance of a GelSight Mini's camera.
+A dot that comes nearer to the lens by s moves away from the image's centre by r s / Z, with r its distance from the
+centre. Z is a guess: the rounded distance of a GelSight Mini's camera.
 """
 
 import numpy as np

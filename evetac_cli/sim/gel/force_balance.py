@@ -18,8 +18,8 @@ from evetac_cli.sim.gel.sheet import SheetStencil, largest, pull_sheet, relax_sh
 Three = tuple[float, float, float]  # along x, along y, and about the axis normal to both
 ROUNDING = 1e-12  # slip below this share of the object's speed counts as sticking: its direction is lost in rounding
 FACTOR = 1.3  # over-relaxation factor of the nodes
-# Sweeps over the sheet after each sweep over the nodes: with 1, 2 and 3 the gel of a slip slice took 85, 79 and 82 us
-# (object 8), and 102, 88 and 95 us (object 11).
+# Number of sweeps over the sheet after each sweep over the nodes. With 1, 2 and 3 the gel of a slip slice took 85, 79
+# and 82 us (object 8), and 102, 88 and 95 us (object 11).
 SHEET_SWEEPS = 2
 # The sheet must be in balance within this share of the force that pulls it, or STRICTER than everything else. Measured
 # by all forces alone, of which most are friction, the sheet would lag behind a gel that creeps. Slips of objects 3, 8
@@ -46,14 +46,19 @@ class Work(NamedTuple):
     The pad keeps it from step to step (see `work_memory`), because allocating it took a tenth of a step.
 
     velocity: mean velocity of the nodes over the step, the unknown; right: right-hand side of their equation.
-    lever: position of the nodes relative to the object's centre; bound: mu * normal force.
-    pull: the friction that each node needs; slip, speed: its velocity against the object's surface, and its magnitude.
-    loose: 1 for a node that does not move with the object.
-    search_direction: response of the nodes to a motion of the object.
 
-    The sheet's arrays have x and y separately (2, ...). sheet: its mean velocity. sheet_search: its response to a
-    motion. sheet_source: the pull of the nodes on it. sheet_left, search_left: residuals of the balances of sheet and
-    sheet_search. after: one component in the middle of a sweep.
+    lever: position of the nodes relative to the object's centre; bound: mu * normal force.
+
+    pull: the friction that each node needs; slip, speed: its velocity against the object's surface, and its magnitude.
+
+    loose: 1 for a node that does not move with the object. search_direction: response of the nodes to a motion of the
+    object.
+
+    The sheet's arrays have x and y separately (2, ...): `sheet` is its mean velocity, `sheet_search` its response to a
+    motion, and `sheet_source` the pull of the nodes on it.
+
+    sheet_left, search_left: residuals of the balances of sheet and sheet_search. after: one component in the middle of
+    a sweep.
     """
 
     velocity: Floats

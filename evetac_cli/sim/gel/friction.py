@@ -5,7 +5,7 @@ coefficient m of a node follows it: dm/dt = (s + stribeck speed) / memory * (mu(
 length when the node slides, and heals within memory / stribeck speed, 2 to 4 ms, at rest. Without memory m is mu(s) at
 once.
 
-A law that depends only on the speed is ill-posed for a simulator: nodes let go within 10 to 30 us, the step has several
+A law that depends only on the speed is ill-posed for a simulator. Nodes let go within 10 to 30 us, the step has several
 solutions, and the onset of slip does not converge on finer grids. Rough elastomers follow rate-and-state laws (Ronsin
 and Labastie Coeyrehourcq 2001), and a pure rate law makes slow sliding unstable on every spring (Ruina 1983, Baumberger
 2004). The memory length of this gel is unknown: 20 um, a contact of two asperities, is a guess, and it shifts the
@@ -46,8 +46,8 @@ def half_wavelength_m(
 ) -> float:
     """Return half the wavelength of the shortest slip pattern that grows while a gel slides; infinity if none grows.
 
-    A pattern of wave number k grows if coefficient_drop * pressure / memory exceeds the gel's stiffness for it, which
-    is at least G/H (1 + a x / (1 + a x / s)), x = (kH)^2 (see kernels/gel_layer). Friction that falls over the memory
+    A pattern of wave number k grows if coefficient_drop * pressure / memory exceeds the gel's stiffness for it. That is
+    at least G/H (1 + a x / (1 + a x / s)), with x = (kH)^2 (see kernels/gel_layer). Friction that falls over the memory
     length then overcomes the gel (Rice 1993). A grid must resolve the pattern: use at least 6 nodes, and do not trust
     the onset of slip below 4. The result is 0 without memory, or if patterns of any length grow.
     """

@@ -9,8 +9,8 @@ Model, in SI units, x down, y to the side, rotation from x to y:
   sqrt(G/rho)/4H = 753 Hz. Losses: Kelvin-Voigt and one Maxwell arm; slow creep, if requested, adds arms (a Prony
   series). Arms are solved exactly for a velocity that is constant within a step.
 - Friction. Set-valued Coulomb friction: the friction of a node is in the disc of radius mu * normal force. If the node
-  slips, its friction is on the rim, against the slip. mu is a state of the node, which falls from static to kinetic
-  with its slip speed over a memory length (see friction).
+  slips, its friction is on the rim, against the slip. The coefficient mu is a state of the node, which falls from
+  static to kinetic with its slip speed over a memory length (see friction).
 - Object. Rigid, held by two pads. If they are mirror images, one is simulated. If not, both are, each as a GelState
   (see `Stepper`). Its lever arms follow it as it moves.
 
@@ -18,11 +18,11 @@ A step minimises a convex function of the node velocities and the object's twist
 for any stiffness, mass, friction and time step. Sticking is exact: there is no numerical creep and no regularisation
 speed. For the search of the minimum see force_balance.
 
-theta: implicit Euler over theta * dt, then extrapolation to dt. 1 damps most and is of first order. 0.5 conserves the
-energy of oscillations and is of second order while nothing begins to stick or slip, but then oscillations never decay.
-0.51, the default, damps oscillations that are too fast for the step by 0.96 per step. Larger values are less accurate:
-at 0.55, object and gel were 1.5 to 2 times as far from a run in steps of 10 us while the grip is released, and so were
-their jumps from step to step (seeds 0 to 7, measured before the gel had its sheet).
+theta: implicit Euler over theta * dt, then extrapolation to dt. The value 1 damps most and is of first order. The value
+0.5 conserves the energy of oscillations and is of second order while nothing begins to stick or slip, but oscillations
+never decay. The default 0.51 damps oscillations that are too fast for the step by 0.96 per step. Larger values are less
+accurate. At 0.55, object and gel were 1.5 to 2 times as far from a run in steps of 10 us while the grip is released. So
+were their jumps from step to step (seeds 0 to 7, measured before the gel had its sheet).
 """
 
 import copy
@@ -129,12 +129,13 @@ class StepInfo(NamedTuple):
     gel_velocity_m_s, slip_velocity_m_s: mean velocity, over the step, of the gel and of the object's surface against
     the gel. gel_displacement_m: mean displacement of the gel at the end of the step.
 
-    friction_n: force of the object on one pad, x, y, and its moment about the origin in N m. friction_change: largest
-    change of a node's coefficient. friction_heat_j: energy dissipated by friction, on all pads. slipping_force_n:
-    largest normal force of a slipping node.
+    friction_n: force of the object on one pad, x, y, and its moment about the origin in N m.
 
-    error_m: estimated error of the displacement. It is the larger of two values: the difference of the object's
-    position from the trapezoidal rule; and the difference of the gel's displacement, at the highest pressure, if
+    friction_change: largest change of a node's coefficient. friction_heat_j: energy dissipated by friction, on all
+    pads. slipping_force_n: largest normal force of a slipping node.
+
+    error_m: estimated error of the displacement, the larger of two values. One is the difference of the object's
+    position from the trapezoidal rule. The other is the change of the gel's displacement, at the highest pressure, if
     friction stayed as at the start of the step.
     """
 
@@ -167,8 +168,10 @@ class GelState:
     friction_coefficient: (rows, columns), of each node; infinite for unloaded nodes, which means at rest. The bound of
     a node's friction is this times its friction_factor, (rows, columns), if the gel has one.
 
-    pose: x, y of the object's centre of mass in m and its rotation in rad; twist: its velocity. inertia: mass, mass and
-    moment of inertia of the object; may be changed between steps (for example when a weight lands on it).
+    pose: x, y of the object's centre of mass in m and its rotation in rad; twist: its velocity.
+
+    inertia: mass, mass and moment of inertia of the object; may be changed between steps (for example when a weight
+    lands on it).
     """
 
     node_xy_m: Floats
@@ -296,9 +299,11 @@ def start(
 ) -> GelState:
     """Return an undeformed gel, and an object at rest with its centre of mass at body_xy_m.
 
-    node_xy_m: (rows, columns, 2), a regular grid as from `contact.pad_nodes`. cell_area_m2 is derived from the grid; it
-    must be given for a single row or column. friction_factor: (rows, columns), factor of each node on both coefficients
-    of friction.
+    node_xy_m: (rows, columns, 2), a regular grid as from `contact.pad_nodes`.
+
+    cell_area_m2: derived from the grid if None; must be given for a single row or column.
+
+    friction_factor: (rows, columns), factor of each node on both coefficients of friction.
     """
     nodes = np.ascontiguousarray(node_xy_m, dtype=np.float64)
     if nodes.ndim != 3 or nodes.shape[2] != 2 or nodes.size == 0 or not np.isfinite(nodes).all():
@@ -379,9 +384,13 @@ def step(
     """Advance gel and object by dt_s.
 
     nodal_force_n: (rows, columns), normal force of each node of one pad, >= 0, ideally that at the time t + theta * dt.
+
     body_force_n: force on the object other than friction, x, y, and its moment about the centre of mass.
+
     prescribed_twist: the object's velocity if it is prescribed (a table carries it, a stage drives it); body_force_n
-    then has no effect. theta: 0.5 to 1, see the module.
+    then has no effect.
+
+    theta: 0.5 to 1, see the module.
 
     The search ends when the residual is within the tolerance, or after max_sweeps with `converged` False; the step is
     made in both cases. ValueError, before any change, if a value is not finite or out of range.

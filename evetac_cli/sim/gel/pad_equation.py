@@ -33,10 +33,10 @@ class PadConstants(NamedTuple):
     stretch: SheetStencil
 
 
-# Plain tuples, because named tuples take longer to pass. Fields of a pad: displacement, velocity, maxwell, mean
-# (velocity over the last step), slip_speed, friction coefficient, stuck, nodes, force of each slow arm (arms, rows,
-# columns, 2), their shares and times in s (arms, 2). Then scratch: memory of its `Work`, and which nodes stuck before.
-# Then the sheet's displacement and mean velocity (2, rows + 2, columns + 2), and its rule.
+# Plain tuples, because named tuples take longer to pass. Fields of a pad are first displacement, velocity, maxwell,
+# mean (velocity over the last step), slip_speed, friction coefficient, stuck and nodes. Then the force of each slow arm
+# (arms, rows, columns, 2), and the arms' shares and times in s (arms, 2). Then scratch: memory of its `Work`, and which
+# nodes stuck before. Then the sheet's displacement and mean velocity (2, rows + 2, columns + 2), and its rule.
 Fields = tuple[
     Floats, Floats, Floats, Floats, Floats, Floats, Flags, Floats, Floats, Floats, Floats, Flags, Floats, Floats, Floats
 ]
@@ -109,10 +109,10 @@ def let_go(
 
     nodes: coefficient of each node, whether it stuck before, and whether it sticks now. The first result is the largest
     change of a coefficient. The second is the resulting change of the gel's displacement at the highest pressure, in m.
-    The others are the slopes of friction over slip speed, times the memory length, in N s: at the node with the highest
-    pressure of those that let go, and at the node with the highest pressure of all. They are compared with the limits
-    of `time_step.Allowed`. Nodes at the rim, which bear little, let go first, and their timing determines which nodes
-    follow.
+    The others are slopes of friction over slip speed, times the memory length, in N s. The third is that of the node
+    with the highest pressure of those that let go, the fourth that of the node with the highest pressure of all. They
+    are compared with the limits of `time_step.Allowed`. Nodes at the rim, which bear little, let go first, and their
+    timing determines which nodes follow.
     """
     coefficient, stuck_before, stuck = nodes
     static, kinetic, _, _ = friction

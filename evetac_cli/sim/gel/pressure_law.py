@@ -1,14 +1,14 @@
 """Friction that grows less than in proportion to pressure: its effect on each node.
 
-At a point under the pressure p, friction holds a shear stress of up to c p^(1 - m). m = 0 is Coulomb's law; with m = 1
-the gel holds the same stress wherever it touches. A node holds the mean over the points of its cell, and c is chosen
+At a point under the pressure p, friction holds a shear stress of up to c p^(1 - m). With m = 0 this is Coulomb's law;
+with m = 1 the gel holds the same stress wherever it touches. A node holds the mean over its cell's points, and c is set
 such that all nodes together hold mu N for every m. So the law determines where friction acts, not how much. The edge of
 a contact, where pressure vanishes, is then about as strong as its middle, and slips later.
 
-On smooth silicone the local shear stress does not depend on pressure (m = 1); on rough glass it grows much less than
-pressure (Nguyen et al., Non Amontons-Coulomb local friction law of randomly rough contact interfaces with rubber; Trejo
-et al., arXiv 1701.08013; both read as abstracts). m of this gel is unknown. With a constant c instead of a constant mu,
-mu would also fall with N (as N^(-2m/3) under a cylinder on this foundation); this is left out.
+On smooth silicone the local shear stress does not depend on pressure (m = 1). On rough glass it grows much less than
+pressure. Sources: Nguyen et al., Non Amontons-Coulomb local friction law of randomly rough contact interfaces with
+rubber; Trejo et al., arXiv 1701.08013; both read as abstracts. The m of this gel is unknown. With a constant c instead
+of a constant mu, mu would also fall with N (as N^(-2m/3) under a cylinder on this foundation); this is left out.
 """
 
 import numpy as np

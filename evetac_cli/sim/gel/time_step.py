@@ -25,8 +25,8 @@ from evetac_cli.sim.gel.pad_equation import (
     refresh,
 )
 
-# Sweeps between two Newton steps of the object: 1, 2 and 3 took 120, 94 and 81 us per step, on 24 x 18 nodes under a
-# tilted cylinder that begins to slip, on a gel without a sheet.
+# Number of sweeps between two Newton steps of the object. With 1, 2 and 3 each step took 120, 94 and 81 us, on 24 x 18
+# nodes under a tilted cylinder that begins to slip, on a gel without a sheet.
 SWEEPS_A_ROUND = 3
 # Rounds whose bounds are refreshed. More rounds find no better balance, and without a limit they take up to 400 rounds.
 REFRESHES = 4
@@ -53,8 +53,9 @@ class Allowed(NamedTuple):
 # The arguments of `step_nodes`, in groups. Plain tuples, because named tuples take 4 us longer, of 9 us for a step of
 # 14 x 10 nodes.
 # NodeArrays: displacement, velocity, maxwell, mean (velocity over the last step), slip_speed, friction coefficient,
-# stuck, pose, twist, inertia, nodes, force of each slow arm (arms, rows, columns, 2), their shares and times in s
-# (arms, 2). Then scratch: memory of its `Work`, and which nodes stuck before. Then the sheet's arrays, as in `Fields`.
+# stuck, pose, twist, inertia and nodes. Then the force of each slow arm (arms, rows, columns, 2), and the arms' shares
+# and times in s (arms, 2). Then scratch: memory of its `Work`, and which nodes stuck before. Then the sheet's arrays,
+# as in `Fields`.
 NodeArrays = tuple[
     Floats,
     Floats,

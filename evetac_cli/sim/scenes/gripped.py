@@ -63,7 +63,7 @@ OUT_OF_SIGHT_M = np.zeros(2)  # position of an object without visible texture
 
 
 class GraspSimulation:
-    """One trial with a gripper: set `command` from outside; `step` simulates a slice, `truth` returns its truth."""
+    """One trial with a gripper: set `command` from outside; `step` advances by one slice, `truth` returns its truth."""
 
     def __init__(
         self,

@@ -58,7 +58,7 @@ class Timeline(NamedTuple):
 
 
 class Pressing:
-    """A trial of pressing: `step` simulates a slice, `truth` returns its ground truth."""
+    """A trial of pressing: `step` advances by one slice, `truth` returns its ground truth."""
 
     follows = False  # whether the pressed area moves with the face, or stays while the face shears it
     _face: Face

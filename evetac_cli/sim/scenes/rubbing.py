@@ -37,7 +37,7 @@ class SampledRub(SampledTrial):
 
 
 class Rubbing(Pressing):
-    """A trial of rubbing: `step` simulates a slice, `truth` returns its ground truth."""
+    """A trial of rubbing: `step` advances by one slice, `truth` returns its ground truth."""
 
     follows = True
 

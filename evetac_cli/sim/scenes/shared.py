@@ -44,9 +44,9 @@ def pad(solver: Solver, sensor: Sensor, *, cut: bool) -> NDArray[np.float64]:
 def material(sensor: Sensor) -> gel.GelMaterial:
     """Return the gel of a sensor: `GelMaterial` with the sensor's shear modulus, creep and loss tangent.
 
-    The loss tangent of a spring, a dashpot tau and Maxwell arms (shares g, times t) at w is
-    (w tau + sum g wt / (1 + wt^2)) / (1 + sum g wt^2 / (1 + wt^2)). tau is chosen so that the loss tangent is reached.
-    ValueError if the arms alone lose more.
+    The model is a spring, a dashpot tau and Maxwell arms (shares g, times t). Its loss tangent at w is
+    `(w tau + sum g wt / (1 + wt^2)) / (1 + sum g wt^2 / (1 + wt^2))`. The time tau is chosen to reach the sensor's loss
+    tangent. ValueError if the arms alone lose more.
     """
     creep, tangent = sensor.creep, sensor.loss_tangent
     usual = gel.GelMaterial(

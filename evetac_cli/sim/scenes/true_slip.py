@@ -22,12 +22,12 @@ Why also the pressure on slipping nodes. The fit alone would be late: when all n
 and for some slices its motion is not that of a rigid body (object 6 of seed 3).
 
 Why the last RECENT_MS slices. The nodes that stick at one instant alone would hide slides. Under a heavy object (20 of
-seed 10100) that slid at 40 mm/s, nodes stuck and let go in turn every 3 to 6 ms, so that almost never all of them
-slipped at once. But it is not enough that each node moved a little in that time. If nodes are too far apart to resolve
-unstable slip, all of them move now and then while most stick. Under 2 kg whose weight is handed over
-(`evaluate stability sim`) this moves the object by 4 px in 100 ms, and then it comes to rest. Translation and rotation
-explain at most 0.45 of the motion within RECENT_MS, which is motion of one edge of the contact. For object 20, seed 3,
-which continued to slide, they explain 0.58 by the time it has slid half a pixel.
+seed 10100) that slid at 40 mm/s, nodes stuck and let go in turn every 3 to 6 ms. Almost never did all of them slip at
+once. But it is not enough that each node moved a little in that time. If nodes are too far apart to resolve unstable
+slip, all of them move now and then while most stick. Under 2 kg whose weight is handed over (`evaluate stability sim`)
+this moves the object by 4 px in 100 ms, and then it comes to rest. Translation and rotation explain at most 0.45 of the
+motion within RECENT_MS, which is motion of one edge of the contact. For object 20, seed 3, which continued to slide,
+they explain 0.58 by the time it has slid half a pixel.
 
 The distance is the root mean square over the visible contact. Without rotation it is the distance of the translation.
 For an object that turns on the spot it does not vanish, as the mean would. The maximum would depend on a node at the
@@ -235,8 +235,10 @@ def _relative_motion(
     """Compute the object's motion against the gel since pose_before, node by node; weights are the normal forces.
 
     displacement: of the gel now. before, rested_for: the gel's displacement before, and the number of slices since each
-    node last slid; both are updated. slid: filled with the motion of the object's surface against each node, 0 for
-    unloaded nodes. seen_nodal: filled with the forces of visible nodes.
+    node last slid; both are updated.
+
+    slid: filled with the motion of the object's surface against each node, 0 for unloaded nodes. seen_nodal: filled
+    with the forces of visible nodes.
 
     The first result is, over all nodes, the share of force that slips; the same for visible nodes; and over all nodes
     the number that stick and the mean motion x, y. The second is the share of the visible force on nodes that slid

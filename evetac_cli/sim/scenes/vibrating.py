@@ -1,9 +1,9 @@
 """Scenes of kind `tone`: a speaker pressed on the gel plays a pure tone; the dots' motion has a closed form.
 
-The surface moves s(t) = A [sin wt + h2 sin(2wt + 90 deg)] (1 + m sin(wt/2 + phase)): a tone, its second harmonic, and a
-subharmonic, which a rattling contact makes. h2 and m drift slowly. Expanded, s is a sum of five waves, at f/2 to 5f/2
-in steps of f/2. A linear gel answers each wave with its own gain and phase. So there is nothing to solve and no time
-step: the sum gives the position of a dot at any time. Two motions add up along each dot's path:
+The surface moves s(t) = A [sin wt + h2 sin(2wt + 90 deg)] (1 + m sin(wt/2 + phase)). This is a tone, its second
+harmonic, and a subharmonic, which a rattling contact causes. Both h2 and m drift slowly. Expanded, s is a sum of five
+waves, at f/2 to 5f/2 in steps of f/2. A linear gel answers each wave with its own gain and phase. So there is nothing
+to solve and no time step: the sum gives the position of a dot at any time. Two motions add up along each dot's path:
 
 - the indentation s squeezes the gel aside, and dots that come nearer to the lens look larger, both without delay;
 - a share of s moves the surface along a fixed direction, because no speaker is mounted exactly upright. It is
@@ -164,7 +164,7 @@ class SpeakerMotion(NamedTuple):
 
 
 class Vibration:
-    """A trial with one tone: `step` simulates a slice, `truth` returns its ground truth."""
+    """A trial with one tone: `step` advances by one slice, `truth` returns its ground truth."""
 
     def __init__(
         self,

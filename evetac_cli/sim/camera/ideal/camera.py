@@ -11,7 +11,7 @@ those of the gel in dots, of the window in window, and of pixels under moving li
 once in 40 ms, so a leak event is late by up to that time.
 
 Not simulated: bandwidth (a low pass has no closed form for the crossing), changing light, a limit of the readout,
-separate thresholds of ON and OFF, dots that differ, and everything that the scanning camera leaves out.
+separate thresholds of ON and OFF, and dots that differ. Everything that the scanning camera leaves out is also missing.
 """
 
 from dataclasses import dataclass

@@ -1,7 +1,7 @@
 """The ideal camera's gel: the times at which moving dots take a pixel's level past its threshold, solved.
 
-A pixel's level depends only on its distance rho to the nearest dot, so reference +- threshold correspond to two radii:
-the pixel gets darker when rho falls below `lower` and brighter when rho exceeds `upper`. On a straight piece of a dot's
+A pixel's level depends only on its distance rho to the nearest dot, so reference +- threshold correspond to two radii.
+The pixel gets darker when rho falls below `lower` and brighter when rho exceeds `upper`. On a straight piece of a dot's
 path, rho reaches a radius at the root of a quadratic. The caller divides curved paths into pieces: the time error falls
 with the square of their number.
 

@@ -25,8 +25,8 @@ from evetac_cli.sim.camera.contact_edges import (
 from evetac_cli.sim.camera.event_keys import event_key
 from evetac_cli.sim.camera.ideal.pixels import IdealGelPixels, SliceTimes
 
-# For an edge 4 px wide at 1 and 3 px/ms, events are 0.25 us (median) and 0.48 us (p95) from those of steps of 2.5 us,
-# which is the error of rounding to whole us. With moving dots, which are steeper, under a line the step is shorter.
+# For an edge 4 px wide at 1 and 3 px/ms, events are 0.25 us (median) and 0.48 us (p95) from those of steps of 2.5 us.
+# That is the error of rounding to whole us. With moving dots, which are steeper, under a line the step is shorter.
 LINE_STEP_PX = 0.25
 DOT_STEP_PX = 0.05
 MOST_LINE_STEPS = 64  # most sub-steps in a slice

@@ -149,7 +149,7 @@ class CameraState:
     hot_cumulative_hz: NDArray[np.float64]  # summed rates before each hot pixel, and of all
     readout_us: NDArray[np.int64]  # (scans, width): time in the slice at which a column is read
     keys: NDArray[np.int64]  # as long as a slice may be, so nothing grows; memory is used only as far as it is written
-    # Time until which a pixel is blind; rows are empty without a refractory period that is longer than a scan.
+    # Time until which a pixel is blind. Rows are empty without a refractory period that is longer than a scan.
     release_us: NDArray[np.float64]
     window_release_us: NDArray[np.float64]
     candidates: CandidatePixels
@@ -376,7 +376,7 @@ def noise_of_slice(state: CameraState, t0_us: int, rng: np.random.Generator, mad
     return made
 
 
-# Python passes plain tuples, which get names here. With named tuples a slice of a grasp took 4 to 6 us longer, of
+# Python passes plain tuples, which get names here. With named tuples, each slice of a grasp took 4 to 6 us longer, of
 # 43 us, because numba looks up the type of a named tuple at every call.
 
 

@@ -24,7 +24,7 @@ VISITED_PX = 2.0  # margin that a dot may move beyond its visited area before it
 def forget_exchanged(
     box: NDArray[np.float64], outer: float, visited: NDArray[np.float64], candidates: CandidatePixels
 ) -> None:
-    """Discard all radii and lists once a dot comes to where a dot of another shape may have been.
+    """Discard all radii and lists when a dot may cover pixels that a dot of another shape may have covered.
 
     Radii follow from the shape of the dot for which they were computed. `visited` (dots, 4) holds left, right, top and
     bottom of the area that each dot has visited since, with a margin of VISITED_PX; NaN if it must always be checked.

@@ -5,7 +5,8 @@ visited.
 
 Below the functions that Python calls, the compiled parts of both cameras take their arrays one by one. With named
 tuples of arrays throughout (dots, pixels, window) the events were the same, but a mix of motions took 1.4 times as
-long, and compiling 1.2 times: numba counts references to every array of a group wherever the group is passed.
+long, and compiling 1.2 times. The reason is that numba counts references to every array of a group wherever the group
+is passed.
 """
 
 import math
@@ -34,8 +35,8 @@ from evetac_cli.sim.camera.scanning.pixel_culling import (
 )
 from evetac_cli.sim.camera.scanning.pixels import FALSE, TRUE, CandidatePixels, GelPixels, ScanTimes, slice_places
 
-# A dot that has lost its list to a line gets a new list after this many scans without a line, in each of which its
-# whole ring is compared: making a list costs about as much.
+# A dot that has lost its list to a line gets a new list after this many scans without a line. In each of them its whole
+# ring is compared, which costs about as much as making a list.
 LEFT_ALONE_SCANS = 10
 COUNTED_PX = 16  # pixels of a row that are counted together
 

@@ -38,9 +38,11 @@ class CandidatePixels(NamedTuple):
     the middle of its range, and half that range (see light): radii hold for the whole range.
 
     `drawn` (height, width) and `drawn_at` (dots, 3) are dots drawn for passing outlines; `doubtful` is their scratch
-    (see outline). The rest is scratch. `active` and `entry` are for a frame and for a list. `places` is for positions
-    of dots and derived arrays, `flags` (4, dots) for marks, `line` (width,) for the levels of a row, and `runs`
-    (2, height, 4) for the pixels that outline and cut edge change.
+    (see outline). The rest is scratch: `active` for a frame and `entry` for a list; `places` for positions of dots and
+    derived arrays; `flags` (4, dots) for marks.
+
+    Also scratch are `line` (width,) for the levels of a row, and `runs` (2, height, 4) for the pixels that outline and
+    cut edge change.
 
     Compiled code that creates no arrays counts no references to arrays, which took a sixth of a slice.
     """

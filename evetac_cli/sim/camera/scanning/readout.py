@@ -2,7 +2,7 @@
 
 At rest a DVXplorer scans 5000 times per second. With more events a scan takes longer ("variable" mode of libcaer), and
 all pixels hold their changes until it is their turn (global hold). No document specifies the time per event. This is
-the simplest model that transfers at most a given number of events per second: events are read one after another, an
+the simplest model that transfers at most a given number of events per second. Events are read one after another, an
 event's time stamp is that of its readout, and a pixel that still waits has no other event. Of several changes within
 such a long scan only the first is reported, as in a scan of normal length.
 
