@@ -254,7 +254,7 @@ REFUSED: list[tuple[dict[str, Any], str]] = [
     ({"normal_n": 1.0, "shear_n": (0.0,)}, "2 numbers"),
     ({"normal_n": 1.0, "shear_n": "ab"}, "2 numbers"),
     ({"shear_n": (0.1, 0.0)}, "needs a normal force"),
-    ({"normal_n": 1.0, "shear_n": (0.1, 0.0), "place_m": (0.0, 0.0)}, "a force or a place"),
+    ({"normal_n": 1.0, "shear_n": (0.1, 0.0), "place_m": (0.0, 0.0)}, "a force or a position"),
     ({"place_m": (1.0, 0.0)}, "place_m"),
     ({"dt_s": 1e-3, "place_m": (0.05, 0.0)}, "too fast"),
     ({"dt_s": 1e-3, "turn_rad": 3.0}, "too fast"),

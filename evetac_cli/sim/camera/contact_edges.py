@@ -4,8 +4,8 @@ Both add to the log brightness of a pixel. An object is an image that is drawn o
 adds strength * picture(pixel - corner), bilinear. The cut edge is a dark line whose position in every row is given. It
 moves with the gel and covers pixels of the gel and of the window alike.
 
-A camera that knows how much these levels have changed since its last comparison can add the change, with the opposite
-sign, to its references. It then needs only the image of its dots. So lines at rest cost nothing, and only pixels whose
+The camera tracks how much these levels have changed since its last comparison, and adds the change with the opposite
+sign to its references. It then needs only the image of its dots. So lines at rest cost nothing, and only pixels whose
 level can have changed are visited: in a row of the outline those before and after its flat middle.
 """
 
@@ -197,7 +197,7 @@ def _all_within(places: Floats, limit: float) -> bool:
 
 @njit(cache=True, _nrt=False)
 def farthest(places: Floats, others: Floats) -> float:
-    """Return the largest distance between positions and as many others; 0 without any."""
+    """Return the largest distance between two arrays of positions; 0 for empty arrays."""
     farthest = 0.0
     for k in range(len(places)):
         farthest = max(farthest, abs(places[k] - others[k]))

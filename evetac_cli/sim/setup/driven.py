@@ -1,4 +1,4 @@
-"""Settings of what moves on the gel without a gripper: a flat face, an object with edges, a speaker."""
+"""Settings of objects that move on the gel without a gripper: a flat face, an object with edges, a speaker."""
 
 from dataclasses import dataclass
 from typing import Any, ClassVar

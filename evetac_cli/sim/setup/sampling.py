@@ -93,7 +93,7 @@ def sample_trial(
     touch_m = placement.uniform(-1e-3, 1e-3, 2) * varied.touch_mm
     lever_m = float(placement.normal()) * varied.lever_mm * 1e-3
     if touched.shape != "flat":
-        lever_m = 0.0  # the weight of a round object acts on its axis, and its axis is where it is touched
+        lever_m = 0.0  # the weight of a round object acts on its axis, and it is touched there
     lever_m += touched.lever_mm * 1e-3
     slowest, fastest = scene.gripper.fall_factor
     return SampledTrial(
@@ -149,7 +149,7 @@ def gripper_faults(scene: Scene, sensor: Sensor) -> GripperFaults:
 
 
 def sample_sensor(ranges: SensorRanges, rng: np.random.Generator) -> Sensor:
-    """Sample a sensor from the row of ranges; InputError if a range is invalid or has no stream of its own.
+    """Sample a sensor from the row of ranges; InputError if a range is invalid or shares its random stream.
 
     `dot_shift_x_px` and `dot_shift_y_px` move the columns and rows of dots. `threshold_off_factor` is the threshold of
     OFF events divided by that of ON events. These three keys do not appear in the result.

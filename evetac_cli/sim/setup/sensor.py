@@ -211,9 +211,9 @@ class Sensor:
     cut_jitter_px: float = number(
         "standard deviation of the ends of the cut edge about the window's border", 0, 20, default=0.0
     )
-    threshold: float = number("contrast threshold of ON events, in log units", 0.01, 10)
+    threshold: float = number("contrast threshold, in log units; that of ON events if threshold_off is set", 0.01, 10)
     threshold_off: float | None = number(
-        "contrast threshold of OFF events, in log units; if left out, that of ON events", 0.01, 10, default=None
+        "contrast threshold of OFF events, in log units; if left out, it equals threshold", 0.01, 10, default=None
     )
     mismatch: float = number("relative standard deviation of the contrast thresholds over pixels", 0, 1)
     edge_sigma_px: float = number("blur of a dot's edge, as the standard deviation of a Gaussian", 0.1, 20)

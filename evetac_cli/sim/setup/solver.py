@@ -27,7 +27,7 @@ class Solver:
     """
 
     tolerance_um: float = number(
-        "largest estimated displacement error per mechanical step; steps are halved from 1 ms until the error is below",
+        "largest estimated displacement error of a mechanical step; steps of 1 ms are halved until it is reached",
         0.001,
         1000,
         default=0.2,

@@ -1,7 +1,7 @@
 """An ideal event camera: every pixel fires at the exact time at which its log brightness has changed by its threshold.
 
 It has two uses. `--readout ideal` selects this camera, whose times are correct to the microsecond. `evaluate cost
-camera` measures by it what the scans of the other camera lose. Here a pixel fires each time its level crosses a
+camera` uses it to measure the loss from the scans of the other camera. Here a pixel fires each time its level crosses a
 threshold, several times per slice if necessary. An event's time is that of the crossing, rounded down to a microsecond.
 
 Shared with the scanning camera (scanning/camera.py): `CameraModel`, `CameraState` with the values that `start` draws,
