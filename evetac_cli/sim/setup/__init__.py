@@ -1,1 +1,1 @@
-"""The settings of a simulation, read once from TOML into frozen types: scene, sensor, object, solver, plan of a trial."""
+"""The settings of a simulation, read once from TOML into frozen types: scene, sensor, object, solver, and plan."""

@@ -62,7 +62,7 @@ class TouchedObject:
         default=None,
     )
     lever_mm: float = number(
-        "horizontal distance from the fingers to the centre of mass; the weight turns the object",
+        "horizontal distance from the fingers to the centre of mass, over which the weight turns the object",
         -100,
         100,
         default=0.0,

@@ -119,7 +119,9 @@ class GelFriction:
 class SensorGripper:
     """The sensor's gripper, if it differs from the standard one."""
 
-    force_per_current_n_ma: float | None = number("force of one finger per motor current", 1e-3, 100, default=None)
+    force_per_current_n_ma: float | None = number(
+        "force of one finger per motor current, in N/mA", 1e-3, 100, default=None
+    )
     gain_ma_tick: float | None = number(
         "position gain: motor current per tick between goal and encoder", 0, 1e4, default=None
     )
@@ -136,9 +138,7 @@ class SensorGripper:
         default=None,
     )
     friction_n: float | None = number("gear friction without load", 0, 1e3, default=None)
-    friction_factor: float = number(
-        "factor on the gear friction that the rest of this table gives", 0, 100, default=1.0
-    )
+    friction_factor: float = number("factor on the gear friction that follows from the other keys", 0, 100, default=1.0)
     friction_share: float | None = number("gear friction per force on the finger", 0, 0.99, default=None)
     kinetic_share: float | None = number(
         "kinetic divided by static friction of the gear; below 1 the gear breaks loose when it starts",
@@ -146,7 +146,9 @@ class SensorGripper:
         1,
         default=None,
     )
-    finger_stiffness_n_m: float | None = number("stiffness of a finger", 1, 1e7, default=None)
+    finger_stiffness_n_m: float | None = number(
+        "stiffness of fingers, links and mounts against the gap", 1, 1e7, default=None
+    )
     damping_n_s_m: float | None = number("viscous damping of a finger", 0, 1e5, default=None)
     mass_kg: float | None = number("effective mass of a finger with its rotating parts", 0.01, 100, default=None)
     speed_limit_m_s: float | None = number("largest speed of a finger", 1e-4, 10, default=None)
