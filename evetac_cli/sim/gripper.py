@@ -125,14 +125,14 @@ class DriveState:
     indentation_m: float
     encoder_off_ticks: float = 0.0  # present error of the encoder
     # Drive, curve and touch_ticks of the last step, and the law that was built from them: it took half of a step.
-    _known: tuple[Drive, ForceCurve, float, "FingerLaw"] | None = field(default=None, repr=False, compare=False)
+    _cached_law: tuple[Drive, ForceCurve, float, "FingerLaw"] | None = field(default=None, repr=False, compare=False)
 
     def law(self, drive: Drive, curve: ForceCurve) -> "FingerLaw":
         """Return the constants for the compiled law, from a drive, the gap's geometry and the position of touch."""
-        known = self._known
-        if known is None or known[0] is not drive or known[1] is not curve or known[2] != self.touch_ticks:
-            self._known = known = (drive, curve, self.touch_ticks, _law(drive, curve, self.touch_ticks))
-        return known[3]
+        cached = self._cached_law
+        if cached is None or cached[0] is not drive or cached[1] is not curve or cached[2] != self.touch_ticks:
+            self._cached_law = cached = (drive, curve, self.touch_ticks, _law(drive, curve, self.touch_ticks))
+        return cached[3]
 
     @property
     def position_ticks(self) -> int:

@@ -169,8 +169,10 @@ class GraspSimulation:
                 0, TEXTURE_PX[0], 2
             )  # the texture's position, drawn anyway so that the gel's events are those of a trial with texture
             return None
-        drawn = np.random.default_rng([TEXTURE_SEED, seed_of(called), *side])
-        return optics.texture(drawn, TEXTURE_PX, self.sampled.texture_half_correlation_px, self.sampled.texture_log_sd)
+        texture_rng = np.random.default_rng([TEXTURE_SEED, seed_of(called), *side])
+        return optics.texture(
+            texture_rng, TEXTURE_PX, self.sampled.texture_half_correlation_px, self.sampled.texture_log_sd
+        )
 
     def _build_mechanics(self, touched: TouchedObject, sensor: Sensor, timer: Timer) -> None:
         nodes = pad(self._solver, sensor, cut=self._scene.gel.cut)

@@ -65,16 +65,16 @@ def sample_trial(
     of_memory, of_pressure, of_fall = placement.spawn(3)
     varied, texture, own_friction = scene.randomise, scene.texture or Texture(), sensor.friction
 
-    def drawn(ends: tuple[float, float]) -> float:
+    def draw(ends: tuple[float, float]) -> float:
         return float(rng.uniform(*ends))
 
-    static = sensor.static_friction_factor * touched.static_friction * drawn(varied.static_friction)
-    tilt_deg = drawn(varied.tilt_deg)
+    static = sensor.static_friction_factor * touched.static_friction * draw(varied.static_friction)
+    tilt_deg = draw(varied.tilt_deg)
     if touched.tilt_deg is not None:  # the shape itself is slanted, so the misalignment of a finger hardly matters
-        tilt_deg = drawn(touched.tilt_deg)
+        tilt_deg = draw(touched.tilt_deg)
     mass_g = touched.mass_g if scene.object is None else scene.object.mass_g
-    mass_kg = mass_g * 1e-3 * drawn(varied.mass)
-    kinetic_share = drawn(varied.kinetic_share)
+    mass_kg = mass_g * 1e-3 * draw(varied.mass)
+    kinetic_share = draw(varied.kinetic_share)
     spread, of_gel, of_object = varied.kinetic_share_spread, own_friction.kinetic_share, touched.kinetic_share
     off_share = placement.uniform(-1, 1) * (spread or 0.0)
     if spread is not None and called is not None:
@@ -87,7 +87,7 @@ def sample_trial(
         kinetic_share = float(np.clip(own + off_share, 0.0, 1.0))
     # the sensor's gel comes first, then the object, then the scene's sample
     kinetic_share = _first(of_gel, of_object, kinetic_share)
-    stribeck_mm_s = drawn(varied.stribeck_mm_s)
+    stribeck_mm_s = draw(varied.stribeck_mm_s)
     memory_um = float(of_memory.uniform(*varied.memory_um))
     pressure_exponent = float(of_pressure.uniform(*varied.pressure_exponent))
     touch_m = placement.uniform(-1e-3, 1e-3, 2) * varied.touch_mm
@@ -104,11 +104,11 @@ def sample_trial(
         friction_memory_m=_first(own_friction.memory_um, memory_um) * 1e-6,
         pressure_exponent=_first(own_friction.pressure_exponent, pressure_exponent),
         tilt_rad=float(np.deg2rad(tilt_deg)),
-        gear_friction_factor=drawn(scene.gripper.friction_factor),
-        start_factor=drawn(scene.gripper.start_factor),
+        gear_friction_factor=draw(scene.gripper.friction_factor),
+        start_factor=draw(scene.gripper.start_factor),
         fall_factor=slowest * (fastest / slowest) ** float(of_fall.random()),
-        texture_log_sd=drawn(texture.log_sd),
-        texture_half_correlation_px=drawn(texture.half_correlation_px),
+        texture_log_sd=draw(texture.log_sd),
+        texture_half_correlation_px=draw(texture.half_correlation_px),
         touch_m=(float(touch_m[0]), float(touch_m[1])),
         lever_m=lever_m,
         floor_m=float(placement.uniform(*scene.floor.below_mm)) * 1e-3,

@@ -143,8 +143,8 @@ def pairs(low: float, high: float) -> Rules:
     return {"type": "array", "items": _range(low, high, None), "minItems": 2, "maxItems": 2}
 
 
-def _declared(known: About, default: Any) -> Any:
-    metadata = {"about": known}
+def _declared(details: About, default: Any) -> Any:
+    metadata = {"about": details}
     return field(metadata=metadata) if default is MISSING else field(default=default, metadata=metadata)
 
 
@@ -160,8 +160,8 @@ def _list(meaning: str, items: Rules, count: int | tuple[int, int], unique: bool
 
 def about(item: Field[Any]) -> About:
     """Return the description of a field."""
-    known: About = item.metadata["about"]
-    return known
+    details: About = item.metadata["about"]
+    return details
 
 
 def rules_of(type_: type[Any]) -> Rules:
@@ -185,8 +185,8 @@ def schema_of(type_: type[Any], title: str) -> Rules:
 
 def build(type_: type[T], named: Mapping[str, Any]) -> T:
     """Build an object from an unchecked table; numbers and lists are converted to the types of the fields."""
-    known = {item.name: about(item) for item in fields(type_)}  # type: ignore[arg-type]
-    return type_(**{name: _value(known[name], value) for name, value in named.items()})
+    details = {item.name: about(item) for item in fields(type_)}  # type: ignore[arg-type]
+    return type_(**{name: _value(details[name], value) for name, value in named.items()})
 
 
 def read_table(type_: type[T], named: Mapping[str, Any], where: str) -> T:
@@ -198,12 +198,12 @@ def read_table(type_: type[T], named: Mapping[str, Any], where: str) -> T:
         raise InputError(str(error), where=where) from None
 
 
-def _value(known: About, value: Any) -> Any:
-    if known.table is not None:
-        return build(known.table, value)
-    if known.order == "pair" and not isinstance(value, Sequence):
+def _value(details: About, value: Any) -> Any:
+    if details.table is not None:
+        return build(details.table, value)
+    if details.order == "pair" and not isinstance(value, Sequence):
         return (float(value), float(value))
-    return _typed(value, known.rules.get("anyOf", [known.rules])[-1])
+    return _typed(value, details.rules.get("anyOf", [details.rules])[-1])
 
 
 def _typed(value: Any, rules: Mapping[str, Any]) -> Any:
@@ -266,8 +266,8 @@ def check(
     required = [*rules["required"], *needed] if whole else []
     try:
         check_rules(named, where, {**rules, "required": required}, if_missing)
-        for place, known, value in _entries(type_, named, ""):
-            _check_order(place, known, value, where)
+        for place, details, value in _entries(type_, named, ""):
+            _check_order(place, details, value, where)
         for place, columns, lengths in _columns(type_, named, ""):
             _check_lengths(place, columns, lengths, where)
         _check_kinds(type_, named, where)
@@ -282,10 +282,10 @@ def _entries(type_: type[Any], named: Mapping[str, Any], place: str) -> Iterator
     for item in fields(type_):
         if item.name not in named:
             continue
-        known, here = about(item), f"{place}{item.name}"
-        yield here, known, named[item.name]
-        if known.table is not None:
-            yield from _entries(known.table, named[item.name], f"{here}.")
+        details, here = about(item), f"{place}{item.name}"
+        yield here, details, named[item.name]
+        if details.table is not None:
+            yield from _entries(details.table, named[item.name], f"{here}.")
 
 
 def _columns(
@@ -300,15 +300,15 @@ def _columns(
             yield from _columns(inner, named[item.name], f"{place}{item.name}.")
 
 
-def _check_order(place: str, known: About, value: Any, where: str) -> None:
-    if not known.order or not isinstance(value, list):
+def _check_order(place: str, details: About, value: Any, where: str) -> None:
+    if not details.order or not isinstance(value, list):
         return
     steps = list(zip(value, value[1:], strict=False))
-    if known.order == "pair" and value[0] > value[1]:
+    if details.order == "pair" and value[0] > value[1]:
         raise InputError(f"{place}: expected the lower end first", where=where, found=str(value))
-    if known.order == "rising" and any(after < before for before, after in steps):
+    if details.order == "rising" and any(after < before for before, after in steps):
         raise InputError(f"{place}: expected rising values", where=where, found=str(value))
-    if known.order == "strictly rising" and any(after <= before for before, after in steps):
+    if details.order == "strictly rising" and any(after <= before for before, after in steps):
         raise InputError(f"{place}: expected strictly rising values", where=where, found=str(value))
 
 
@@ -327,31 +327,31 @@ def _check_lengths(place: str, columns: tuple[str, ...], lengths: Mapping[str, i
 
 def _check_kinds(type_: type[Any], named: Mapping[str, Any], where: str) -> None:
     """Raise InputError if a key that the kind of scene or motion requires is missing, or it has one of another kind."""
-    asked = list(_asked(type_, named, "", ""))
-    needed = {place: kind for place, kind, known, _ in asked if kind in known.needed_in}
-    for place, kind, known, is_named in asked:
+    every_field = list(_every_field(type_, named, "", ""))
+    needed = {place: kind for place, kind, details, _ in every_field if kind in details.needed_in}
+    for place, kind, details, is_named in every_field:
         if place in needed and not is_named:
             expected = ", ".join(needed)
             raise InputError(f"{place} is missing", where=where, expected=expected, found=f"kind {kind}")
-        if is_named and known.only_in and kind not in known.only_in:
-            expected = f"kind {', '.join(known.only_in)}"
+        if is_named and details.only_in and kind not in details.only_in:
+            expected = f"kind {', '.join(details.only_in)}"
             of_what = "motion" if place.startswith("motion.") else "scene"
             message = f"{place} is for another kind of {of_what}"
             raise InputError(message, where=where, expected=expected, found=f"kind {kind}")
 
 
-def _asked(
+def _every_field(
     type_: type[Any], named: Mapping[str, Any] | None, place: str, kind: str
 ) -> Iterator[tuple[str, str, About, bool]]:
     """Yield all fields, also of missing tables: path, kind that applies, description, whether the table has it."""
     kind = (named or {}).get("kind", kind)
     for item in fields(type_):
-        known, here = about(item), f"{place}{item.name}"
+        details, here = about(item), f"{place}{item.name}"
         is_named = named is not None and item.name in named
-        yield here, kind, known, is_named
-        if known.table is not None:
+        yield here, kind, details, is_named
+        if details.table is not None:
             inner = named[item.name] if named is not None and is_named else None
-            yield from _asked(known.table, inner, f"{here}.", kind)
+            yield from _every_field(details.table, inner, f"{here}.", kind)
 
 
 def check_rules(named: Mapping[str, Any], where: str, rules: Mapping[str, Any], if_missing: str = "") -> None:

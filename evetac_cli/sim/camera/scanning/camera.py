@@ -292,14 +292,14 @@ def _thresholds(model: CameraModel, built: np.random.Generator) -> tuple[NDArray
     """Draw every pixel's threshold; if ON and OFF differ, the mean of both and half the difference (see GelPixels)."""
     width, height = model.frame_px
 
-    def drawn(threshold: float, rng: np.random.Generator) -> NDArray[np.float32]:
+    def draw(threshold: float, rng: np.random.Generator) -> NDArray[np.float32]:
         each = threshold * (1.0 + model.mismatch * rng.standard_normal((height, width)))
         return np.maximum(each, LOWEST_THRESHOLD * threshold).astype(np.float32)
 
-    on = drawn(model.threshold, built)
+    on = draw(model.threshold, built)
     if model.threshold_off is None:
         return on, np.empty((0, 0), np.float32)
-    off = drawn(model.threshold_off, built.spawn(1)[0])
+    off = draw(model.threshold_off, built.spawn(1)[0])
     half = np.float32(0.5)
     return half * (on + off), half * (on - off)
 
