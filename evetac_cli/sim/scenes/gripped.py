@@ -165,9 +165,8 @@ class GraspSimulation:
         if self._scene.texture is None or not self._scene.gel.cut:
             return None
         if not self._scene.texture.show:
-            rng.uniform(
-                0, TEXTURE_PX[0], 2
-            )  # the texture's position, drawn anyway so that the gel's events are those of a trial with texture
+            # the texture's position, drawn anyway so that the gel's events are those of a trial with texture
+            rng.uniform(0, TEXTURE_PX[0], 2)
             return None
         texture_rng = np.random.default_rng([TEXTURE_SEED, seed_of(called), *side])
         return optics.texture(
@@ -257,7 +256,7 @@ class GraspSimulation:
         return float(np.ceil(gripper.closing_push_n(self.drive, force_n) / self.drive.force_per_current_n_ma))
 
     def slips_at_ma(self) -> float:
-        """Return about the current at which a ramp releases the object despite the gear's friction; else NaN."""
+        """Return the approximate current at which a ramp releases the object despite the gear friction; else NaN."""
         if self._kind != "ramp":
             return math.nan
         slides_n = gripper.opening_push_n(self.drive, self._slip_limit_n)

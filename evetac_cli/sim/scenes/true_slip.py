@@ -7,7 +7,7 @@
   to the summed motion of these slices explains MOSTLY of it. The fitted motions are summed over such slices, and slip
   is gross beyond SLIP_PX. Gross slip ends when the object has not slid as one body for more than EPISODE_MS slices.
 - Last stuck node. The same distance, but of the mean motion over the whole pad, counted from the time when no loaded
-  node sticks, visible or not. The paper's first edition called it slip when this distance exceeded SLIP_PX.
+  node sticks, visible or not. It is stored as truth/every_node_slid_px.
 - Incipient slip: the share of the normal force on slipping nodes, of the visible contact and of the whole contact.
 
 A node is visible if at rest it is in the frame and not in the window of a cut gel.

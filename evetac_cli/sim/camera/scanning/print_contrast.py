@@ -15,7 +15,7 @@ class PrintContrast:
     """A camera's tables of dots, rewritten in place for each pair of lights."""
 
     def __init__(self, levels: list[NDArray[np.float32]]) -> None:
-        """levels: tables of log brightness under the first light alone; they are changed in place afterwards."""
+        """Take tables of log brightness under the first light alone; they are changed in place afterwards."""
         self._tables = levels
         self._shares = [np.exp(level.astype(np.float64)) for level in levels]
 
