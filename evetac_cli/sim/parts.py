@@ -107,7 +107,11 @@ def _mechanics(plan: Plan) -> list[ScenePart]:
         ScenePart(
             "friction over pressure",
             _pressure_law(plan),
-            "nothing slips" if scene.kind == "tone" else "a face presses evenly" if driven else "grows in proportion",
+            "nothing slips"
+            if scene.kind == "tone"
+            else "a face presses evenly"
+            if driven
+            else "friction grows in proportion",
             _sensor(friction=replace(friction, pressure_exponent=0.0)),
         ),
         ScenePart(
@@ -188,7 +192,7 @@ def _camera(scene: Scene, sensor: Sensor, readout: str) -> list[ScenePart]:
             "the sensor has no visible cut edge" if cut else "a closed gel has no cut",
             _sensor(cut_contrast=0.0),
         ),
-        ScenePart("noise", f"{sensor.noise_hz:.3g} Hz per pixel", "the camera has no noise", _sensor(noise_hz=0.0)),
+        ScenePart("noise", f"{sensor.noise_hz:.3g} Hz per pixel", "the sensor has none", _sensor(noise_hz=0.0)),
         ScenePart(
             "hot pixels",
             f"{hot_pixels}",
@@ -204,11 +208,18 @@ def _camera(scene: Scene, sensor: Sensor, readout: str) -> list[ScenePart]:
         ScenePart(
             "OFF threshold of its own",
             f"{off:.3g}, ON {sensor.threshold:.3g}",
-            "the threshold of ON events",
+            "ON and OFF have the same threshold",
             _sensor(threshold_off=None),
         ),
-        ScenePart("limit of the readout", f"{limit:,.0f} events per second", "no limit", _sensor(readout=None)),
-        ScenePart("slow pixels", f"{sensor.bandwidth_hz:.4g} Hz", "pixels follow at once", _sensor(bandwidth_hz=0.0)),
+        ScenePart(
+            "limit of the readout", f"{limit:,.0f} events per second", "the readout has no limit", _sensor(readout=None)
+        ),
+        ScenePart(
+            "slow pixels",
+            f"{sensor.bandwidth_hz:.4g} Hz",
+            "pixels follow every change at once",
+            _sensor(bandwidth_hz=0.0),
+        ),
         ScenePart(
             "bandwidth that falls with light",
             "proportional to brightness",
@@ -278,28 +289,28 @@ def _disturbances(plan: Plan) -> list[ScenePart]:
         ScenePart(
             "gear friction",
             f"x {low:g}" + (f" to {high:g}" if high > low else ""),
-            "that of the sensor's gripper",
+            "friction is that of the sensor's gripper",
         ),
         ScenePart(
             "gear that breaks loose",
             f"in motion {own.kinetic_share or 0.0:.0%} of the friction at rest",
-            "the same friction in motion as at rest",
+            "friction is the same in motion as at rest",
         ),
-        ScenePart("backlash of the gripper", f"{faults.backlash_ticks:.3g} ticks", "the scene has none"),
+        ScenePart("backlash of the gripper", f"{faults.backlash_ticks:.3g} ticks", "the gripper has none"),
         ScenePart(
             "second finger of its own",
             ", ".join(f"{name} x {factor:g}" for name, factor in factors.items() if factor != 1.0),
-            "a mirror image of the first",
+            "it is a mirror image of the first",
             lambda plan: replace(
                 _with_scene(plan, gripper=replace(plan.scene.gripper, second_finger=None)), second=None
             ),
         ),
-        ScenePart("noise of the gripper's encoder", f"{faults.encoder_noise_ticks:.3g} ticks", "the scene has none"),
-        ScenePart("commands that come late", late, "take effect in the next ms"),
+        ScenePart("noise of the gripper's encoder", f"{faults.encoder_noise_ticks:.3g} ticks", "the gripper has none"),
+        ScenePart("commands that come late", late, "commands take effect in the next ms"),
         ScenePart(
             "profile of the hand's motion",
             {"s-curve": "an s-curve", "steps": "steps at 125 Hz"}.get(hand.profile, ""),
-            "trapezoid",
+            "the profile is a trapezoid",
             _hand(profile=HandSettings.profile),
         ),
         ScenePart("vibration of the hand", _vibration(hand), "the scene has none", _hand(vibration=None)),
@@ -309,9 +320,13 @@ def _disturbances(plan: Plan) -> list[ScenePart]:
             "the scene has none",
             _hand(jerk=None),
         ),
-        ScenePart("other stiffness of the gel", f"x {scene.gel.stiffness_factor:g}", "that of the sensor"),
         ScenePart(
-            "other mass of the object", f"{scene.object.mass_g if scene.object else 0:g} g", "the scene has none"
+            "other stiffness of the gel", f"x {scene.gel.stiffness_factor:g}", "the stiffness is that of the sensor"
+        ),
+        ScenePart(
+            "other mass of the object",
+            f"{scene.object.mass_g if scene.object else 0:g} g",
+            "the mass is that of the object",
         ),
     ]
 

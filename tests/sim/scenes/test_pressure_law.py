@@ -114,8 +114,10 @@ def test_it_is_a_part_of_a_scene() -> None:
     def row(planned: Plan) -> dict[str, Any]:
         return next(row for row in rows_of(planned) if row["part"] == PART)
 
-    assert row(with_exponent(0.0))["left_out"] == "grows in proportion"
-    assert row(quiet_plan("slip", {"randomise": {"pressure_exponent": 0.0}}))["left_out"] == "grows in proportion"
+    assert row(with_exponent(0.0))["left_out"] == "friction grows in proportion"
+    assert (
+        row(quiet_plan("slip", {"randomise": {"pressure_exponent": 0.0}}))["left_out"] == "friction grows in proportion"
+    )
     assert row(first_plan("slip"))["built"] == "grows as pressure to the power 0.33"
     assert row(with_exponent(0.75))["built"] == "grows as pressure to the power 0.25"
     assert row(quiet_plan("slip", {"randomise": {"pressure_exponent": [0.5, 1.0]}}))["built"] == (
