@@ -13,7 +13,7 @@ to solve and no time step: the sum gives the position of a dot at any time. Two 
 
 Not simulated: friction and slip, motion of a cut gel's edge, modes above the first, the gel's inertia along the normal,
 and loss of contact. So h2 and m are set by hand, and the face pulls when A exceeds the indentation. A, h2, m and their
-dependence on the tone are tuned so that the paper's method of reading frequencies is wrong about as often as there.
+dependence on the tone are tuned so that the paper's method of reading frequencies is wrong as often as in the paper.
 
 A constant loss tangent of 0.15 would amplify waves near 753 Hz five times and shift the phase of the harmonics. At
 498 Hz the subharmonic then won with most of the tried seeds, where the paper's method was never wrong.
