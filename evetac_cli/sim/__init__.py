@@ -1,1 +1,1 @@
-"""What a scene may name: gel, contact, gripper, optics, camera."""
+"""The simulator: gel, contact, gripper, optics and camera of a scene."""

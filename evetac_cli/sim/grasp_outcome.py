@@ -1,12 +1,13 @@
-"""What became of a grasp: lifted, balanced, moved, opened (paper, "Evaluation Procedure & Control Strategy").
+"""The outcome of a grasp: lifted, balanced, moved, opened (paper, "Evaluation Procedure & Control Strategy").
 
-Lift succeeds if the object hangs more than 50 mm above the table at the end of the lifting phase, balance if it still
-does so at the end, and only a grasp that lifted counts for balance. Distance moved is that of the object in the gripper
-since the end of light contact; the change of opening is counted since then, negative where the gripper closed.
+Lift succeeds if the object hangs more than 50 mm above the table at the end of the lifting phase. Balance succeeds if
+the object still does so at the end of the grasp; only a grasp that lifted counts for balance. The distance moved is the
+object's motion in the gripper since the end of light contact. The change of opening is counted from the same time and
+is negative if the gripper closed.
 
-Force is compared with what just holds the object, from where it leaves the table: at the end, both in the mean over
-END_MS; in the mean, both over all that time; at its peak with the largest that was needed. A reaction is false where
-nothing began to slip about it.
+The grip force is compared with the force that just holds the object, starting when it leaves the table. At the end,
+both are means over END_MS; for the mean, both are averaged over all that time. The peak force is compared with the
+largest holding force. A reaction is false if no slip began around it.
 """
 
 from collections.abc import Mapping
@@ -19,21 +20,21 @@ from evetac_cli.events import SLICE_US
 from evetac_cli.kernels.grip.paper import GraspPhase
 from evetac_cli.sim import gripper
 
-LIFTED_MM = 50.0
-HANGS_MM = 0.1  # above the table: the gripper carries all of it
-END_MS = 100
-SLIPS_SHARE = 0.2  # of the visible contact: the onset of incipient slip
-BEFORE_MS, AFTER_MS = 60, 20  # a reaction is to slip from so long before it, as it may be late, to so long after it
+LIFTED_MM = 50.0  # least height above the table after a successful lift (paper)
+HANGS_MM = 0.1  # height above the table at which the gripper carries the whole object
+END_MS = 100  # duration of the averages at the end
+SLIPS_SHARE = 0.2  # share of the visible contact that slips at the onset of incipient slip
+BEFORE_MS, AFTER_MS = 60, 20  # a reaction is true if slip occurs up to 60 ms before it (it may be late) or 20 ms after
 NEEDED = (
     *("truth/table_gap_mm", "truth/normal_force_n", "truth/object_xy_px", "truth/visible_slip_share"),
     *("truth/closing_ticks", "gripper/position_ticks", "gripper/current_ma"),
     *("control/t_us", "control/phase", "control/slip"),
 )
-HOLDING = "truth/holding_force_n"  # which recordings by earlier versions lack
+HOLDING = "truth/holding_force_n"  # missing in recordings by earlier versions
 
 
 def opening_mm(from_ticks: int, to_ticks: int) -> float:
-    """How much further open the fingers are at one position than at another."""
+    """Return the difference in opening between two positions, in mm; positive if `to_ticks` is further open."""
     return 1e3 * (gripper.gap_m(to_ticks) - gripper.gap_m(from_ticks))
 
 
@@ -44,12 +45,16 @@ def outcome(
     newton_per_ma: float | None = None,
     second_slip_share: NDArray[Any] | None = None,
 ) -> dict[str, Any]:
-    """Figures of one grasp, simulated, from the rows of its recording (`NEEDED`, `HOLDING` where it has that).
+    """Return the figures of one simulated grasp from the rows of its recording (`NEEDED`, and `HOLDING` if available).
 
-    second_slip_share: `truth/visible_slip_share` of a second finger that sees, whose slip is a reason to react, too.
-    planned_ms: how long it should last; newton_per_ma: of a finger's drive, None for the usual one.
-    moved_* in mm, opening_* in ticks and mm, force_* in N of one finger; reopened_share: by how much of the closing for
-    the lift the gripper opened again in balance, None where it did not close; failure: how it was lost, "" if it held.
+    second_slip_share: `truth/visible_slip_share` of a second finger with a camera; its slip also justifies a reaction.
+
+    planned_ms: planned duration. newton_per_ma: force per current of a finger's drive; None for the standard drive.
+
+    The figures moved_* are in mm, opening_* in ticks and mm, and force_* in N of one finger.
+
+    reopened_share: the share of the closing during the lift by which the gripper opened again in balance; None if it
+    did not close. failure: how the object was lost, "" if it was held.
     """
     gap_mm, force_n = rows["truth/table_gap_mm"], rows["truth/normal_force_n"]
     object_mm = rows["truth/object_xy_px"] * mm_per_px
@@ -98,14 +103,14 @@ def outcome(
 
 
 def _lost(gap_mm: NDArray[Any], lifted_ms: int, *, held: bool) -> str:
-    """How an object was lost."""
+    """Describe how an object was lost."""
     if held:
         return "fell in balance"
     return "fell in the lift" if gap_mm[: lifted_ms + 1].max() > HANGS_MM * 10 else "stayed on the table"
 
 
 def _over_holding(rows: Mapping[str, NDArray[Any]], *, balanced: bool) -> dict[str, float | None]:
-    """Grip force over what just holds: at the end, in the mean and at its peak; None where it fell or is not known."""
+    """Return the ratios of grip force to holding force: at the end, mean and peak; None if it fell or is unknown."""
     names = ("holding_end_n", "over_holding_end", "over_holding_mean", "over_holding_peak")
     hangs = np.flatnonzero(rows["truth/table_gap_mm"] > HANGS_MM)
     if not balanced or HOLDING not in rows or not len(hangs):
@@ -121,14 +126,14 @@ def _over_holding(rows: Mapping[str, NDArray[Any]], *, balanced: bool) -> dict[s
 
 
 def _at_steps(rows: Mapping[str, NDArray[Any]], name: str) -> NDArray[np.float64]:
-    """Rows of slices at the steps of the controller."""
+    """Return the rows of the slices at the steps of the controller."""
     values = rows[name].astype(np.float64)
     at: NDArray[np.float64] = values[np.clip(rows["control/t_us"] // SLICE_US - 1, 0, len(values) - 1)]
     return at
 
 
 def _motor_work_j(rows: Mapping[str, NDArray[Any]], newton_per_ma: float | None) -> float:
-    """Mechanical work of the motors of both fingers, whichever way they move, in J."""
+    """Return the mechanical work of both fingers' motors in J, counted positive in both directions."""
     usual = gripper.Drive.force_per_current_n_ma
     closing = _at_steps(rows, "truth/closing_ticks")
     ticks = float(np.median(rows["gripper/position_ticks"]))

@@ -1,24 +1,24 @@
-"""One finger of the gripper: a geared servo with a wide band of dry friction, against the force of what it holds.
+"""One finger of the gripper: a geared servo with a wide band of dry friction, against the force of the held object.
 
-Law of one finger, closing x in metres (half the change of the gap), from first touch:
+Equation of motion of one finger from first touch, with its closing x in m (half the change of the gap):
 
     M x'' + b x' + Sgn(x') (Fc + fl N) contains  kF I - N(x),      |x'| <= speed limit
 
-with the motor current I = kp (goal - encoder) in position mode, or the command in current mode. The encoder and the
-goal are whole ticks, the commanded current whole mA. Because the gear rubs, the finger keeps its grip while the
-current falls by 2 (Fc + fl N) / kF, and x = goal does not mean letting go.
+The motor current I is kp (goal - encoder) in position mode, or the command in current mode. The encoder and the goal
+are whole ticks, the commanded current is whole mA. Because of the gear's friction the finger keeps its grip while the
+current falls by 2 (Fc + fl N) / kF, and x = goal does not mean that the finger lets go.
 
-Fc + fl N holds a finger that rests, slower than REST_M_S; one that moves is resisted by kinetic_share of it. Below 1
-the gear breaks loose: it starts late, and at once goes as far as the lower friction lets it.
+Fc + fl N holds a finger at rest (slower than REST_M_S). A moving finger is resisted by kinetic_share times that
+friction. Below 1 the gear breaks loose: it starts late, and then moves at once as far as the lower friction allows.
 
-Lost motion (backlash_ticks b, 0 unless a scene names it): the finger is where it was, moved no further than keeps it
-within b / 2 of the motor, whose place the encoder reads. After a reversal it stays, and with it the force that the
-motor feels, until the motor has gone b. The encoder may be noisy, and commands may take effect late (DelayedCommands).
+Backlash (backlash_ticks b, 0 unless a scene names it): the finger moves only as far as is necessary to stay within
+b / 2 of the motor, whose position the encoder reads. After a reversal the finger stays, and with it the force on the
+motor, until the motor has moved b. The encoder may be noisy, and commands may take effect late (DelayedCommands).
 
-Why so: each step is solved implicitly for the speed, force and friction at the end of the step included. The equation
-is monotone in the speed, with lost motion too, so a bracketed Newton search always ends, for any stiffness, for no
-damping and for no mass. Friction that falls at once does not spoil that: whether a finger rests is decided by its speed
-before the step, and within the step there is one friction.
+Each step is solved implicitly for the speed, with the force and friction at the end of the step. The equation is
+monotone in the speed, also with backlash, so a bracketed Newton search always ends: for any stiffness, without damping
+and without mass. Friction that falls at once does not change that. The speed before the step decides whether a finger
+is at rest, and within the step the friction law is fixed.
 """
 
 import math
@@ -36,13 +36,13 @@ from evetac_cli.sim.setup.sensor import SensorGripper
 
 Mode = Literal["position", "current"]
 
-# ROBOTIS RH-P12-RN(A): two 57 mm four-bar fingers that start at 60 deg, 0.088 deg a tick (e-manual, URDF)
+# ROBOTIS RH-P12-RN(A): two 57 mm four-bar fingers that start at 60 deg, 0.088 deg per tick (e-manual, URDF)
 LINK_PAIR_M = 0.114
 LINK_OFFSET_M = 0.0061
 START_RAD = math.radians(60.0)
 TICK_RAD = math.radians(0.088)
-# A slower finger rests: it would take 8 s for a tick. A guess: nothing is known of how this gear comes to rest. After a
-# step of 1 mA the usual finger is as slow in 0.26 s, longer than the paper's ramp takes from mA to mA.
+# A slower finger is at rest: it would take 8 s for a tick. A guess: how this gear comes to rest is unknown. After a
+# step of 1 mA the standard finger is this slow within 0.26 s, longer than the paper's ramp takes from mA to mA.
 REST_M_S = 1e-5
 
 
@@ -50,12 +50,15 @@ REST_M_S = 1e-5
 class Drive:
     """Constants of one finger's drive.
 
-    Fitted to the paper's grasp figures (only the product force_per_current * gain = 2.0 N/tick and the friction are
-    identified by them): force_per_current_n_ma, gain_ma_tick, friction_n, friction_share, damping_n_s_m, mass_kg.
-    friction_n and friction_share hold a finger that rests: two ticks are "just sufficient to make the gripper move"
-    (paper, section VII-A). That they then stop at "very light contact" speaks for a kinetic_share near 1, the default.
-    From the maker's manual: speed_limit_m_s (75 mm/s of gap), open_ticks, closed_ticks. The current limit is the one
-    the paper's authors set. backlash_ticks, of the whole gripper, is no measured value.
+    Fitted to the paper's grasp figures: force_per_current_n_ma, gain_ma_tick, friction_n, friction_share, damping_n_s_m
+    and mass_kg. The figures identify only the friction and the product force_per_current * gain = 2.0 N/tick.
+
+    friction_n and friction_share hold a finger at rest: two ticks are "just sufficient to make the gripper move"
+    (paper, section VII-A). That the fingers then stop at "very light contact" suggests a kinetic_share near 1, the
+    default.
+
+    From the maker's manual: speed_limit_m_s (75 mm/s of gap), open_ticks, closed_ticks. The current limit is that of
+    the paper's authors. backlash_ticks, of the whole gripper, has not been measured.
     """
 
     force_per_current_n_ma: float = 0.40
@@ -75,17 +78,17 @@ class Drive:
         for entry in fields(self):
             above = entry.name in ("force_per_current_n_ma", "speed_limit_m_s")
             check_range(entry.name, getattr(self, entry.name), above=above)
-        check_range("friction_share", self.friction_share, 0.0, 1.0, below=True)  # at 1 the finger could never open
+        check_range("friction_share", self.friction_share, 0.0, 1.0, below=True)  # at 1 the finger never opens
         check_range("kinetic_share", self.kinetic_share, 0.0, 1.0)
         check_range("open_ticks", self.open_ticks, 0.0, self.closed_ticks, below=True)
 
 
 def make_drive(own: SensorGripper, friction_factor: float = 1.0, backlash_ticks: float = 0.0) -> Drive:
-    """The drive of a sensor's gripper: `Drive` but for what is its own and what a scene adds.
+    """Return the drive of a sensor's gripper: `Drive` with the gripper's own values and the scene's factors.
 
-    servo_n_tick (force_per_current * gain) and two_ticks_n (what two ticks push beyond the friction) stand for
-    gain_ma_tick and friction_n, because they are what a gripper shows; friction_factor then multiplies the friction.
-    ValueError as from `Drive`.
+    servo_n_tick (force_per_current * gain) and two_ticks_n (force of two ticks minus the friction) replace gain_ma_tick
+    and friction_n, because they can be measured on a gripper; friction_factor then multiplies the friction. ValueError
+    as from `Drive`.
     """
     drive = Drive(**{name: value for name in OF_DRIVE if (value := getattr(own, name)) is not None})
     if own.servo_n_tick is not None and own.two_ticks_n is not None:
@@ -95,7 +98,7 @@ def make_drive(own: SensorGripper, friction_factor: float = 1.0, backlash_ticks:
     return replace(drive, friction_n=friction_n, backlash_ticks=backlash_ticks)
 
 
-# What a sensor may say of its gripper's drive, each in place of the usual value; its other keys are no part of it.
+# Keys of a sensor's gripper that replace values of `Drive`; its other keys do not belong to the drive.
 OF_DRIVE = (
     "force_per_current_n_ma",
     "gain_ma_tick",
@@ -111,7 +114,7 @@ OF_DRIVE = (
 
 @dataclass
 class DriveState:
-    """Where a finger and its motor are past first touch (closing_ticks, motor_ticks), and what the last step left."""
+    """State of a finger and its motor: positions past first touch (closing_ticks, motor_ticks) and the last results."""
 
     touch_ticks: float
     closing_ticks: float
@@ -120,36 +123,36 @@ class DriveState:
     current_ma: float
     force_n: float
     indentation_m: float
-    encoder_off_ticks: float = 0.0  # what the encoder is off by at this moment
-    # Drive, curve and touch_ticks of the last step, and the law that followed from them, which took half of a step.
-    _known: tuple[Drive, ForceCurve, float, "FingerLaw"] | None = field(default=None, repr=False, compare=False)
+    encoder_off_ticks: float = 0.0  # present error of the encoder
+    # Drive, curve and touch_ticks of the last step, and the law that was built from them: it took half of a step.
+    _cached_law: tuple[Drive, ForceCurve, float, "FingerLaw"] | None = field(default=None, repr=False, compare=False)
 
     def law(self, drive: Drive, curve: ForceCurve) -> "FingerLaw":
-        """What the compiled law is handed of a drive, of the gap's geometry and of where the object is touched."""
-        known = self._known
-        if known is None or known[0] is not drive or known[1] is not curve or known[2] != self.touch_ticks:
-            self._known = known = (drive, curve, self.touch_ticks, _law(drive, curve, self.touch_ticks))
-        return known[3]
+        """Return the constants for the compiled law, from a drive, the gap's geometry and the position of touch."""
+        cached = self._cached_law
+        if cached is None or cached[0] is not drive or cached[1] is not curve or cached[2] != self.touch_ticks:
+            self._cached_law = cached = (drive, curve, self.touch_ticks, _law(drive, curve, self.touch_ticks))
+        return cached[3]
 
     @property
     def position_ticks(self) -> int:
-        """What the encoder reads: whole ticks of the gripper, 0 open."""
+        """Return the encoder's reading: whole ticks of the gripper, 0 is open."""
         return math.floor(self.touch_ticks + self.motor_ticks + self.encoder_off_ticks)
 
 
 class DelayedCommands:
-    """The way of commands to the motor: each takes effect some time after it was given, and none overtakes another."""
+    """Transmission of commands to the motor: each takes effect after a delay, and no command overtakes another."""
 
     def __init__(
         self, first: tuple[Mode, float], delay_slices: float, jitter_slices: float, rng: np.random.Generator
     ) -> None:
-        """Start with a command in effect; a later one comes after the delay and a random part of the jitter."""
+        """Start with a command in effect; later commands arrive after the delay and a random part of the jitter."""
         self._delay, self._jitter, self._rng = delay_slices, jitter_slices, rng
         self._in_effect = self._given = first
         self._on_the_way: deque[tuple[float, tuple[Mode, float]]] = deque()
 
     def at(self, slice_number: int, given: tuple[Mode, float]) -> tuple[Mode, float]:
-        """The command in effect in a slice, for which one was given; a command that is given again is no new one."""
+        """Return the command in effect in a slice, in which `given` was commanded; a repeated command is not new."""
         if given != self._given:
             self._given = given
             arrives = slice_number + self._delay + self._jitter * self._rng.uniform()
@@ -162,12 +165,12 @@ class DelayedCommands:
 
 
 def gap_m(position_ticks: float) -> float:
-    """Gap between the fingers at a position of the gripper (four-bar link; 104.9 mm at 0, 0 at about 717 ticks)."""
+    """Return the gap between the fingers at a position, in m (four-bar link; 104.9 mm at 0, 0 at about 717 ticks)."""
     return LINK_PAIR_M * math.sin(START_RAD - TICK_RAD * position_ticks) + LINK_OFFSET_M
 
 
 def ticks_at_gap(width_m: float) -> float:
-    """Position in ticks at which the fingers are width_m apart: where an object of that width is first touched."""
+    """Return the position in ticks at which the gap is width_m, so that an object of that width is first touched."""
     sine = (width_m - LINK_OFFSET_M) / LINK_PAIR_M
     if not (width_m >= 0.0 and sine <= math.sin(START_RAD)):
         raise ValueError(f"width_m must be within [0, 0.1048], found {width_m}")
@@ -175,14 +178,14 @@ def ticks_at_gap(width_m: float) -> float:
 
 
 def metres_per_tick(width_m: float) -> float:
-    """How much one tick changes the gap between the fingers, in m, where they are width_m apart."""
+    """Return the change of the gap per tick in m, at a gap of width_m."""
     return LINK_PAIR_M * TICK_RAD * math.cos(START_RAD - TICK_RAD * ticks_at_gap(width_m))
 
 
 def start(drive: Drive, curve: ForceCurve, touch_ticks: float, closing_ticks: float = -2.0) -> DriveState:
-    """A finger at rest, closing_ticks past first touch (negative: before it), which lies at touch_ticks.
+    """Return a finger at rest, closing_ticks past first touch at touch_ticks (negative: before touch).
 
-    The motor is in the middle of its lost motion.
+    The motor is in the middle of its backlash.
     """
     if not drive.open_ticks <= touch_ticks + closing_ticks <= drive.closed_ticks:
         raise ValueError(
@@ -195,28 +198,28 @@ def start(drive: Drive, curve: ForceCurve, touch_ticks: float, closing_ticks: fl
 
 
 def closed_with(drive: Drive, curve: ForceCurve, touch_ticks: float, current_ma: float) -> DriveState:
-    """A finger that closed slowly under a constant current and rests: N = (kF I - Fc) / (1 + fl), 0 at the least.
+    """Return a finger that closed slowly under a constant current and is at rest: N = (kF I - Fc) / (1 + fl) >= 0.
 
-    Fc and fl are those of motion, kinetic_share of the friction at rest.
+    Fc and fl are those of motion, kinetic_share times the friction at rest.
     """
     beyond_n = drive.force_per_current_n_ma * current_ma - drive.kinetic_share * drive.friction_n
     force_n = max(beyond_n, 0.0) / (1 + drive.kinetic_share * drive.friction_share)
     state = start(drive, curve, touch_ticks, closing_at(curve, force_n))
     state.current_ma = float(current_ma)
-    state.motor_ticks += drive.backlash_ticks / 2  # it has pushed the finger there
+    state.motor_ticks += drive.backlash_ticks / 2  # the motor has pushed the finger there
     return state
 
 
 def closing_push_n(drive: Drive, force_n: float) -> float:
-    """Push of the motor in N with which a finger that closes slowly comes to rest at a normal force of force_n."""
+    """Return the motor force in N at which a slowly closing finger comes to rest at a normal force of force_n."""
     kinetic = drive.kinetic_share
     return force_n * (1 + kinetic * drive.friction_share) + kinetic * drive.friction_n
 
 
 def opening_push_n(drive: Drive, force_n: float, *, rests: bool = False) -> float:
-    """Push of the motor in N, mostly negative, down to which a finger that opens slowly keeps a normal force.
+    """Return the least motor force in N, mostly negative, at which a slowly opening finger keeps a normal force.
 
-    rests: of a finger that has not begun to move.
+    rests: the finger has not begun to move.
     """
     kinetic = 1.0 if rests else drive.kinetic_share
     return force_n * (1 - kinetic * drive.friction_share) - kinetic * drive.friction_n
@@ -225,9 +228,9 @@ def opening_push_n(drive: Drive, force_n: float, *, rests: bool = False) -> floa
 def step(state: DriveState, drive: Drive, curve: ForceCurve, mode: Mode, command: float, dt_s: float) -> float:
     """Move the finger for dt_s under a command and return its normal force in N at the end (also state.force_n).
 
-    command: the goal in ticks of the gripper in position mode, rounded to whole ticks; the current in mA in current
-    mode, rounded to whole mA. The servo reads its encoder once, at the start of the step. The finger stops where the
-    curve ends, so that a curve too short shows as a force that stays at the curve's last.
+    command: in position mode the goal in gripper ticks, rounded to whole ticks; in current mode the current in mA,
+    rounded to whole mA. The servo reads its encoder once, at the start of the step. The finger stops at the end of the
+    curve, so a curve that is too short shows as a force that stays at the curve's last value.
     """
     if not (math.isfinite(command) and math.isfinite(dt_s) and dt_s > 0):
         raise ValueError(f"command must be finite and dt_s finite and > 0, found {command} and {dt_s}")
@@ -259,14 +262,14 @@ def step(state: DriveState, drive: Drive, curve: ForceCurve, mode: Mode, command
     return state.force_n
 
 
-# The constants of one finger in `_move`: metres a tick, friction in N and as a share of the force, what of both resists
-# one that moves, damping, mass, highest speed, the ends of its closing and half its lost motion in ticks. Why so: a
-# plain tuple, as a named one takes 1 us more, of 4.
+# The constants of one finger in `_move` are m per tick, friction in N and as a share of the force, and the kinetic
+# share of both. Then damping, mass, highest speed, limits of closing, and half the backlash in ticks. A plain tuple,
+# because a named tuple takes 1 us longer, of 4 us.
 FingerLaw = tuple[float, float, float, float, float, float, float, float, float, float]
 
 
 def _law(drive: Drive, curve: ForceCurve, touch_ticks: float) -> FingerLaw:
-    """What `_move` is handed of a drive, of the gap's geometry and of where the object is touched."""
+    """Return the constants for `_move` from a drive, the gap's geometry and the position of touch."""
     return (
         curve.metres_per_tick / 2,  # each finger moves half the gap
         drive.friction_n,
@@ -292,7 +295,7 @@ def _press(
     step_ticks: float,
     law: FingerLaw,
 ) -> tuple[float, float, float, float, float]:
-    """What `_move` returns, and the normal force in N and the indentation in m that follow."""
+    """Return the results of `_move`, and the normal force in N and the indentation in m."""
     speed, motor, finger = _move(place, speed, motor_n, dt, force_table, step_ticks, law)
     return (
         speed,
@@ -313,9 +316,9 @@ def _move(
     step_ticks: float,
     law: FingerLaw,
 ) -> tuple[float, float, float]:
-    """Speed (m/s) of one finger and closing (ticks) of motor and finger after dt, from the implicit law with friction.
+    """Return the speed (m/s) of one finger and the closing (ticks) of motor and finger after dt.
 
-    `place` is the closing of both before.
+    Solves the implicit law with friction; `place` is the closing of motor and finger before the step.
     """
     metres_per_tick, friction_n, friction_share, kinetic, damping, mass, speed_limit, lowest, highest, half_play = law
     motor, finger = place
@@ -329,7 +332,7 @@ def _move(
         return 0.0, motor, finger
     friction_n, friction_share = kinetic * friction_n, kinetic * friction_share
     sign = 1.0 if surplus_n > 0.0 else -1.0
-    # with q = |speed|: what resists the motion rises with q, and at q = 0 it is less than the drive
+    # with q = |speed|: the resistance rises with q, and at q = 0 it is below the drive
     slow = 0.0
     room_ticks = highest - motor if sign > 0.0 else motor - lowest
     fast = max(min(speed_limit, room_ticks * metres_per_tick / dt), 0.0)
@@ -361,10 +364,10 @@ def places(
     current_ma: NDArray[np.float64],
     dt_s: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Places of motor and finger, (steps,) each, in ticks of the gripper after each step of dt_s in current mode.
+    """Return the positions of motor and finger, (steps,) each, in gripper ticks after each step in current mode.
 
-    current_ma: (steps,), of each step; they need not be whole. Both start at rest, closing_ticks past touch_ticks. The
-    same law as `step`, in one call.
+    current_ma: (steps,), the current of each step of dt_s; not necessarily whole mA. Motor and finger start at rest,
+    closing_ticks past touch_ticks. The law is that of `step`, in one call.
     """
     law = _law(drive, curve, touch_ticks)
     motor_n = drive.force_per_current_n_ma * np.clip(current_ma, -drive.current_limit_ma, drive.current_limit_ma)
@@ -381,7 +384,7 @@ def _move_on(
     step_ticks: float,
     law: FingerLaw,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Closing of motor and finger in ticks, (steps,) each, after each step under a force of the motor in N."""
+    """Return the closing of motor and finger in ticks, (steps,) each, after each step under a motor force in N."""
     motors, fingers = np.empty(len(motor_n)), np.empty(len(motor_n))
     motor, finger = place
     speed = 0.0
@@ -393,5 +396,5 @@ def _move_on(
 
 @njit(cache=True, _nrt=False)
 def _follow(motor: float, finger: float, half_play: float) -> float:
-    """Where a finger comes to be that its motor leaves where it is, if that is within half the lost motion."""
+    """Return the position of a finger after its motor moved: unchanged if within half the backlash of the motor."""
     return min(max(finger, motor - half_play), motor + half_play)

@@ -1,8 +1,8 @@
-"""The parts of a simulated scene: which of them exist, which are left out, and the same plan the other way.
+"""The parts of a simulated scene: which parts are built, which are left out, and the plan with one part switched.
 
-A scene pays only for what it names. What builds a part says that it did (`built` of a camera and of a simulation); here
-that is put into words. What a part costs, or would cost, is measured on the plan that `switched` makes: the trial with
-just this part left out, or with just this part built; the time of calls that stand for parts is measured by a `Timer`.
+A scene pays run time only for the parts that it names. The code that builds a part reports it (`built` of a camera and
+of a simulation), and this module describes it. The cost of a part is measured on the plans that `switched` returns: the
+trial with only this part left out, or with only this part added. A `Timer` measures the time of single calls.
 """
 
 from collections.abc import Callable, Set
@@ -17,29 +17,29 @@ from evetac_cli.sim.setup.sampling import gripper_faults
 from evetac_cli.sim.setup.scene import Scene
 from evetac_cli.sim.setup.sensor import Sensor
 
-MODES = {"ramp": "current mode", "hold": "position, then current mode", "lift": "position mode"}  # where it grips
-READOUTS = {"dvxplorer": "{:.0f} scans/s, global hold", "ideal": "every event to the us"}
+MODES = {"ramp": "current mode", "hold": "position, then current mode", "lift": "position mode"}  # of the gripper
+READOUTS = {"dvxplorer": "{:.0f} scans/s, global hold", "ideal": "every event, timed to the us"}
 
 Switch = Callable[[Plan], Plan]
 Call = TypeVar("Call", bound=Callable[..., Any])
 
 
 class Timer(Protocol):
-    """What measures the calls that stand for parts: those who make them ask for them here, once, and keep them."""
+    """Measures the calls that belong to a part; code that makes such calls wraps them once and keeps the result."""
 
     def __call__(self, part: str, call: Call) -> Call:
-        """The call, so that its time counts as that of the part."""
+        """Return the call, wrapped so that its time is counted for the part."""
 
 
 def untimed(part: str, call: Call) -> Call:
-    """The call itself: nothing is measured, and nothing is paid for it."""
+    """Return the call itself: nothing is measured, so it costs nothing."""
     return call
 
 
 class ScenePart(NamedTuple):
-    """A part of a scene: what is built of it, in words, and why it is left out where it is.
+    """A part of a scene: a description of it if it is built, and the reason if it is left out.
 
-    switch: the plan without the part, or with it where it is left out; None where a scene cannot be had otherwise.
+    switch: returns the plan without the part, or with it if it is left out; None if the part cannot be switched.
     """
 
     name: str
@@ -49,7 +49,7 @@ class ScenePart(NamedTuple):
 
 
 def rows_of(plan: Plan) -> list[dict[str, Any]]:
-    """What a plan builds and what it leaves out, a row a part."""
+    """Return the parts that a plan builds and those that it leaves out, one row per part."""
     built, parts = _built(plan), parts_of(plan)
     return [
         {
@@ -62,7 +62,7 @@ def rows_of(plan: Plan) -> list[dict[str, Any]]:
 
 
 def switched(plan: Plan) -> dict[str, Plan]:
-    """The plan with one part the other way, by part: left out where it is built, built where it is left out."""
+    """Return, by part, the plan with that part switched: left out if it is built, built if it is left out."""
     built = _built(plan)
     return {
         part.name: part.switch(plan)
@@ -72,21 +72,21 @@ def switched(plan: Plan) -> dict[str, Plan]:
 
 
 def _built(plan: Plan) -> Set[str]:
-    """What the simulation of a plan says that it has built."""
-    from evetac_cli.sim.scenes.building import simulation_of  # brings numba
+    """Return the parts that the simulation of a plan reports as built."""
+    from evetac_cli.sim.scenes.building import simulation_of  # imports numba
 
     simulation = simulation_of(plan, np.random.SeedSequence(0))
     return simulation.built | simulation.gel_camera.built
 
 
 def parts_of(plan: Plan) -> list[ScenePart]:
-    """All parts that a plan may have, in words, built or not."""
+    """Return the descriptions of all parts that a plan may have, built or not."""
     return [*_mechanics(plan), *_camera(plan.scene, plan.sensor, plan.readout), *_disturbances(plan)]
 
 
 def _mechanics(plan: Plan) -> list[ScenePart]:
     scene, sensor, solver = plan.scene, plan.sensor, plan.scene.solver
-    steps = f"{solver.tolerance_um:g} um a step" if solver.step_ms is None else f"{solver.step_ms:g} ms steps"
+    steps = f"{solver.tolerance_um:g} um per step" if solver.step_ms is None else f"{solver.step_ms:g} ms steps"
     friction, creep = sensor.friction, sensor.creep
     spread = f"by {friction.patch_spread or 0.0:.0%} over {friction.patch_mm or 0.0:.3g} mm"
     arms = () if creep is None else zip(creep.share, creep.time_s, strict=True)
@@ -96,7 +96,7 @@ def _mechanics(plan: Plan) -> list[ScenePart]:
         ScenePart(
             "gel and friction",
             f"nodes every {solver.node_pitch_mm:g} mm, {steps}",
-            "nothing slips: a closed form for each wave",
+            "nothing slips: each wave has a closed form",
         ),
         ScenePart(
             "friction that varies over the gel",
@@ -107,7 +107,11 @@ def _mechanics(plan: Plan) -> list[ScenePart]:
         ScenePart(
             "friction over pressure",
             _pressure_law(plan),
-            "nothing slips" if scene.kind == "tone" else "a face presses evenly" if driven else "grows in proportion",
+            "nothing slips"
+            if scene.kind == "tone"
+            else "a face presses evenly"
+            if driven
+            else "friction grows in proportion",
             _sensor(friction=replace(friction, pressure_exponent=0.0)),
         ),
         ScenePart(
@@ -121,20 +125,24 @@ def _mechanics(plan: Plan) -> list[ScenePart]:
         ScenePart(
             "camera of the second finger",
             "" if plan.second is None else f"of the sensor {plan.second.name}",
-            "none looks at it",
+            "the second finger has no camera",
         ),
         ScenePart("free object", "mass, weight, rotation", "its motion is prescribed"),
         ScenePart("table and hand", "lift", "nothing is lifted"),
-        ScenePart("pushes", f"{len(scene.push.at_s) if scene.push else 0} half sines", "none named", _scene(push=None)),
-        ScenePart("falling weight", f"{scene.drop.mass_g if scene.drop else 0:g} g", "none named", _scene(drop=None)),
+        ScenePart(
+            "pushes", f"{len(scene.push.at_s) if scene.push else 0} half sines", "the scene has none", _scene(push=None)
+        ),
+        ScenePart(
+            "falling weight", f"{scene.drop.mass_g if scene.drop else 0:g} g", "the scene has none", _scene(drop=None)
+        ),
     ]
 
 
 def _pressure_law(plan: Plan) -> str:
-    """With which power of pressure friction goes."""
+    """Describe how friction depends on pressure."""
     own = plan.sensor.friction.pressure_exponent
     low, high = plan.scene.randomise.pressure_exponent if own is None else (own, own)
-    return f"as pressure to the power {1 - high:.3g}" + (f" to {1 - low:.3g}" if high > low else "")
+    return f"grows as pressure to the power {1 - high:.3g}" + (f" to {1 - low:.3g}" if high > low else "")
 
 
 def _touching(plan: Plan) -> str:
@@ -149,22 +157,22 @@ def _touching(plan: Plan) -> str:
 
 
 def _gripper(scene: Scene) -> str:
-    """How the gripper of a scene is commanded."""
-    return MODES.get(scene.kind, "") if scene.gripper.current is None else "current mode, as the scene names it"
+    """Describe the commands of a scene's gripper."""
+    return MODES.get(scene.kind, "") if scene.gripper.current is None else "current mode, current from the scene"
 
 
 def _camera(scene: Scene, sensor: Sensor, readout: str) -> list[ScenePart]:
-    from evetac_cli.sim.camera.gel_camera import dot_grid  # brings numba
+    from evetac_cli.sim.camera.gel_camera import dot_grid  # imports numba
 
     cut, texture = scene.gel.cut, scene.texture
     hot_pixels = sensor.hot_pixels + (0 if sensor.hot_pixel_table is None else len(sensor.hot_pixel_table.x_px))
     off = sensor.threshold if sensor.threshold_off is None else sensor.threshold_off
-    no_window = "nobody looks at it" if texture is not None else "nothing behind it has texture"
+    no_window = "the scene does not show it" if texture is not None else "the scene has no texture"
     limit = 0.0 if sensor.readout is None else sensor.readout.events_per_s
     support_ms = 0.0 if sensor.noise_filter is None else sensor.noise_filter.support_ms
     return [
         ScenePart("camera", READOUTS[readout].format(1000 * scene.solver.scans_per_ms), ""),
-        ScenePart("dots", f"{dot_grid(sensor, cut).size // 2}, evaluated while they move", ""),
+        ScenePart("dots", f"{dot_grid(sensor, cut).size // 2}, evaluated only while they move", ""),
         ScenePart(
             "dots that differ",
             f"radius by {sensor.dot_radius_spread:.0%}, contrast by {sensor.dot_contrast_spread:.0%}",
@@ -173,18 +181,18 @@ def _camera(scene: Scene, sensor: Sensor, readout: str) -> list[ScenePart]:
         ),
         ScenePart(
             "window",
-            "texture of the object, moved with it",
-            no_window if cut else "closed gel: it has no window",
+            "texture of the object, which moves with it",
+            no_window if cut else "a closed gel has no window",
             None if texture is None else _other_window,
         ),
-        ScenePart("contact edges", "where they move", "none named", _without_edges),
+        ScenePart("contact edges", "drawn where they move", "the scene has none", _without_edges),
         ScenePart(
             "cut edge",
             "moves with the gel",
-            "the sensor's cut is not seen" if cut else "closed gel: no cut",
+            "the sensor has no visible cut edge" if cut else "a closed gel has no cut",
             _sensor(cut_contrast=0.0),
         ),
-        ScenePart("noise", f"{sensor.noise_hz:.3g} Hz a pixel", "a camera without noise", _sensor(noise_hz=0.0)),
+        ScenePart("noise", f"{sensor.noise_hz:.3g} Hz per pixel", "the sensor has none", _sensor(noise_hz=0.0)),
         ScenePart(
             "hot pixels",
             f"{hot_pixels}",
@@ -193,32 +201,35 @@ def _camera(scene: Scene, sensor: Sensor, readout: str) -> list[ScenePart]:
         ),
         ScenePart(
             "noise filter",
-            f"drops what has no event beside it within {support_ms:.4g} ms",
-            "every event is handed on",
+            f"drops events without a neighbouring event within {support_ms:.4g} ms",
+            "no event is dropped",
             _sensor(noise_filter=None),
         ),
         ScenePart(
             "OFF threshold of its own",
             f"{off:.3g}, ON {sensor.threshold:.3g}",
-            "as that of ON",
+            "ON and OFF have the same threshold",
             _sensor(threshold_off=None),
         ),
         ScenePart(
-            "limit of the readout", f"{limit:,.0f} events a second", "as fast as events come", _sensor(readout=None)
+            "limit of the readout", f"{limit:,.0f} events per second", "the readout has no limit", _sensor(readout=None)
         ),
         ScenePart(
-            "slow pixels", f"{sensor.bandwidth_hz:.4g} Hz", "as fast as anything moves", _sensor(bandwidth_hz=0.0)
+            "slow pixels",
+            f"{sensor.bandwidth_hz:.4g} Hz",
+            "pixels follow every change at once",
+            _sensor(bandwidth_hz=0.0),
         ),
         ScenePart(
             "bandwidth that falls with light",
             "proportional to brightness",
-            "one bandwidth of all pixels" if sensor.bandwidth_hz else "no pixel is slow",
+            "all pixels have the same bandwidth" if sensor.bandwidth_hz else "no pixel is slow",
             _sensor(bandwidth_by_light=False),
         ),
         ScenePart(
             "uneven light",
             f"{sensor.light_gradient:.0%} less in the corners",
-            "seen only where bandwidth falls with light" if sensor.light_gradient else "the sensor has none",
+            "visible only if bandwidth falls with light" if sensor.light_gradient else "the sensor has none",
             _sensor(light_gradient=0.0),
         ),
         ScenePart(
@@ -227,7 +238,7 @@ def _camera(scene: Scene, sensor: Sensor, readout: str) -> list[ScenePart]:
             "the sensor has none",
             _sensor(distortion=(0.0, 0.0)),
         ),
-        ScenePart("leak", f"{sensor.leak_hz:.4g} Hz a pixel", "the sensor has none", _sensor(leak_hz=0.0)),
+        ScenePart("leak", f"{sensor.leak_hz:.4g} Hz per pixel", "the sensor has none", _sensor(leak_hz=0.0)),
         ScenePart(
             "blind pixels",
             f"{sensor.refractory_us:.4g} us after an event",
@@ -238,7 +249,10 @@ def _camera(scene: Scene, sensor: Sensor, readout: str) -> list[ScenePart]:
 
 
 def _disturbances(plan: Plan) -> list[ScenePart]:
-    """What is off unless a scene, or of a gripper its sensor, names it; those that cost nothing cannot be switched."""
+    """Return the disturbances, off unless a scene (or for the gripper, its sensor) names them.
+
+    Those without run time have no switch.
+    """
     scene, hand = plan.scene, plan.scene.hand
     faults = gripper_faults(scene, plan.sensor)
     second, off, gone, change = (
@@ -254,62 +268,66 @@ def _disturbances(plan: Plan) -> list[ScenePart]:
     late = f"by {delay_ms:.3g} to {delay_ms + jitter_ms:.3g} ms" if jitter_ms else f"by {delay_ms:.3g} ms"
     jerk = hand.jerk
     return [
-        ScenePart("changing light", _light(scene), "steady: none named", _scene(light=None)),
+        ScenePart("changing light", _light(scene), "the light is steady", _scene(light=None)),
         ScenePart(
             "vanishing dots",
-            "" if gone is None else f"{len(gone.dots)} from {gone.at_s:g} s on",
-            "none named",
+            "" if gone is None else f"{len(gone.dots)}, starting at {gone.at_s:g} s",
+            "the scene has none",
             _scene(vanishing_dots=None),
         ),
         ScenePart(
             "calibration that is off",
             "" if off is None else "by {:g}, {:g} px and {:g} deg".format(*off.offset_px, off.turned_deg),
-            "the dots at rest are known",
+            "the calibration is exact",
         ),
         ScenePart(
             "change of friction",
-            "" if change is None else f"x {change.factor:g} from {change.at_s:g} s on",
-            "none named",
+            "" if change is None else f"x {change.factor:g}, starting at {change.at_s:g} s",
+            "the scene has none",
             _scene(friction_change=None),
         ),
         ScenePart(
             "gear friction",
             f"x {low:g}" + (f" to {high:g}" if high > low else ""),
-            "as the sensor's gripper has it",
+            "friction is that of the sensor's gripper",
         ),
         ScenePart(
             "gear that breaks loose",
-            f"moves against {own.kinetic_share or 0.0:.0%} of the friction that held it",
-            "rubs as much in motion as at rest",
+            f"in motion {own.kinetic_share or 0.0:.0%} of the friction at rest",
+            "friction is the same in motion as at rest",
         ),
-        ScenePart("backlash of the gripper", f"{faults.backlash_ticks:.3g} ticks", "none named"),
+        ScenePart("backlash of the gripper", f"{faults.backlash_ticks:.3g} ticks", "the gripper has none"),
         ScenePart(
             "second finger of its own",
             ", ".join(f"{name} x {factor:g}" for name, factor in factors.items() if factor != 1.0),
-            "a mirror image of the first",
+            "it is a mirror image of the first",
             lambda plan: replace(
                 _with_scene(plan, gripper=replace(plan.scene.gripper, second_finger=None)), second=None
             ),
         ),
-        ScenePart(
-            "noise of the gripper's encoder", f"{faults.encoder_noise_ticks:.3g} ticks", "it reads the motor's place"
-        ),
-        ScenePart("commands that come late", late, "in effect in the next ms"),
+        ScenePart("noise of the gripper's encoder", f"{faults.encoder_noise_ticks:.3g} ticks", "the gripper has none"),
+        ScenePart("commands that come late", late, "commands take effect in the next ms"),
         ScenePart(
             "profile of the hand's motion",
             {"s-curve": "an s-curve", "steps": "steps at 125 Hz"}.get(hand.profile, ""),
-            "a trapezoid of speed",
+            "the profile is a trapezoid",
             _hand(profile=HandSettings.profile),
         ),
-        ScenePart("vibration of the hand", _vibration(hand), "none named", _hand(vibration=None)),
+        ScenePart("vibration of the hand", _vibration(hand), "the scene has none", _hand(vibration=None)),
         ScenePart(
             "jerk of the hand",
             "" if jerk is None else f"{jerk.speed_mm_s:g} mm/s for {jerk.lasts_s:g} s at {jerk.at_s:g} s",
-            "none named",
+            "the scene has none",
             _hand(jerk=None),
         ),
-        ScenePart("other stiffness of the gel", f"x {scene.gel.stiffness_factor:g}", "as the sensor has it"),
-        ScenePart("other mass of the object", f"{scene.object.mass_g if scene.object else 0:g} g", "none named"),
+        ScenePart(
+            "other stiffness of the gel", f"x {scene.gel.stiffness_factor:g}", "the stiffness is that of the sensor"
+        ),
+        ScenePart(
+            "other mass of the object",
+            f"{scene.object.mass_g if scene.object else 0:g} g",
+            "the mass is that of the object",
+        ),
     ]
 
 
@@ -318,14 +336,14 @@ def _light(scene: Scene) -> str:
         return ""
     flicker, step, flash = scene.light.flicker, scene.light.step, scene.light.flash
     lights = [f"flickers by {flicker.depth:.0%} at {flicker.frequency_hz:g} Hz"] if flicker else []
-    lights += [f"x {step.factor:g} from {step.at_s:g} s on"] if step else []
-    lights += [f"{scene.light.floor:g} of it does not pass the print"] if scene.light.floor else []
+    lights += [f"x {step.factor:g}, starting at {step.at_s:g} s"] if step else []
+    lights += [f"{scene.light.floor:g} does not pass through the print"] if scene.light.floor else []
     lights += [f"flashes every {flash.every_s:g} s"] if flash else []
     return ", ".join(lights)
 
 
 def _vibration(hand: HandSettings) -> str:
-    """The sine waves of a hand's vibration."""
+    """Describe the sine waves of a hand's vibration."""
     named = hand.vibration
     if named is None:
         return ""
@@ -351,7 +369,7 @@ def _hand(**changes: Any) -> Switch:
 
 
 def _other_window(plan: Plan) -> Plan:
-    """With the texture in the window, or without."""
+    """Return the plan with the texture in the window if it is left out, else without it."""
     scene = plan.scene
     assert scene.texture is not None
     if scene.shows_texture:
@@ -364,4 +382,4 @@ def _without_edges(plan: Plan) -> Plan:
     return plan if rub is None else _with_scene(plan, rub=replace(rub, edge_log_contrast=(0.0, 0.0)))
 
 
-CAN_BE_ADDED = ("window",)  # to a scene that names a texture and leaves it out
+CAN_BE_ADDED = ("window",)  # parts that can be added: a texture that the scene names but does not show

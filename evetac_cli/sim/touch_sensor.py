@@ -1,19 +1,20 @@
-"""Touch inside another simulator: the gel of one finger and its camera, driven by the pose or the force of a contact.
+"""Touch inside another simulator: one finger's gel and camera, driven by the pose or the force of a contact.
 
-Gel, friction and camera are those of the scenes (sim/gel, sim/camera); a rigid object takes the place of a scene. Axes
-are those of the image, from the middle of the view: x right, y down. In a grasp from the top x is along gravity.
+Gel, friction and camera are those of the scenes (sim/gel, sim/camera); a rigid object replaces the scene. The axes are
+those of the image, from the middle of the view: x right, y down. In a grasp from the top, x is along gravity.
 
-- Pressing. Indentation and normal force belong together by the shape of the object (gel.contact); either may be given.
-  The surface moves over the pad with its object, and may leave it.
-- Along the gel, either where the object is, or the force that pushes it. Where it is given, the gel finds the force.
+- Pressing. The shape of the object links indentation and normal force (gel.contact); either may be given. The surface
+  moves over the pad with its object, and may leave it.
+- Along the gel. Either the object's position is given, and the gel computes the force; or the force that pushes the
+  object is given.
 
-Why so: a simulator's contact that sticks says a force and next to no motion; one that slides says a motion, and its
-force is no more than the friction it assumed. So both can be given, and from step to step the one or the other. A force
-that friction cannot hold would throw a free object away; it is pushed against a damper instead, which takes nothing
-while the object rests, and lets an excess of 0.1 N slide it by 10 mm/s. The damper is solved implicitly: in a slice it
-is a mass of damping times 1 ms, whose speed of the slice before is braked.
+In another simulator, a sticking contact has a force and almost no motion. A sliding contact has a motion, and its force
+is only the friction that the simulator assumed. So both can be given, and the choice may change from step to step. A
+force beyond friction would accelerate a free object without bound. Therefore the object is pushed against a damper,
+which takes no force while the object is at rest and lets an excess of 0.1 N slide it at 10 mm/s. The damper is solved
+implicitly: in a slice it is a mass of damping times 1 ms, whose speed in the slice before is braked.
 
-Left out: texture in the window, the outline of the object, vibration of what holds it.
+Not simulated: texture in the window, the outline of the object, vibration of the hand.
 """
 
 import math
@@ -52,21 +53,25 @@ from evetac_cli.sim.setup.solver import Solver, with_given
 from evetac_cli.text_files import require_finite
 
 SLICE_NS = SLICE_US * 1000
-PUSHER_N_S_M = 10.0
-PUSHER_ARM_M = 5e-3  # at which the same damper resists a turn
+PUSHER_N_S_M = 10.0  # damping of the pusher: an excess of 0.1 N slides the object at 10 mm/s
+PUSHER_ARM_M = 5e-3  # lever arm at which the same damper resists rotation
 SURFACE_STEP_M = 1e-6  # a surface that has moved along the gel by less presses as before
-KINETIC_SHARE, MEMORY_UM, PRESSURE_EXPONENT = 0.6, 50.0, 0.67  # as in the scenes: the middle of what they draw
-# Beyond these a number is more likely in another unit than meant.
+KINETIC_SHARE, MEMORY_UM, PRESSURE_EXPONENT = 0.6, 50.0, 0.67  # middle of the ranges of evetac's scenes
+# Beyond these limits a number is probably in the wrong unit.
 LONGEST_S, FARTHEST_M, FASTEST_M_S, FASTEST_RAD_S, MOST_N = 10.0, 0.1, 10.0, 100.0, 1000.0
 
 
 class Touch(NamedTuple):
-    """What a `TouchSensor` felt in one step, simulated; forces and places are those at the end of its last slice.
+    """Result of one step of a `TouchSensor`, simulated; forces and positions are those at the end of its last slice.
 
     slices: the events of each millisecond that ended in this step, none to many. dot_xy_px, displacement_px:
-    (dots, 2), true centres of the dots and their way from rest. normal_n: of the object on the gel. shear_n: of the
-    object on the gel, x, y, mean over the last slice. indentation_m: of the gel, from first touch. place_m, turn_rad:
-    of the object. slip: whether it slides as one body. slip_share: part of the normal force on nodes that slip.
+    (dots, 2), true centres of the dots and their displacements from rest.
+
+    normal_n: normal force of the object on the gel. shear_n: its shear force, x and y, averaged over the last slice.
+
+    indentation_m: of the gel, from first touch. place_m, turn_rad: position and rotation of the object.
+
+    slip: whether the object slides as one body (gross slip). slip_share: share of the normal force on slipping nodes.
 
     >>> import numpy as np
     >>> sensor = evetac.TouchSensor(object=8, rng=np.random.default_rng(1))
@@ -88,27 +93,27 @@ class Touch(NamedTuple):
 
     @property
     def events(self) -> Events:
-        """The events of all slices together."""
+        """Return the events of all slices together."""
         return concatenate(list(self.slices))
 
 
 class _Goal(NamedTuple):
-    """What a step asks for: `by` names the argument, `values` are the numbers at the step's end."""
+    """Target of a step: `by` is the name of the argument, `values` are the numbers at the end of the step."""
 
     by: str
     values: tuple[float, ...]
 
     def toward(self, end: "_Goal", share: float) -> tuple[float, ...]:
-        """The numbers a share of the way to another goal of the same kind."""
+        """Return the numbers at a fraction `share` of the path to another goal of the same kind."""
         if share == 1.0:
             return end.values
         return tuple(a + share * (b - a) for a, b in zip(self.values, end.values, strict=True))
 
 
 class _Surface(NamedTuple):
-    """An object's surface at a place (x, y, turned), over the gel, and what presses the gel flat there.
+    """An object's surface at a position (x, y, rotation) over the gel, and the limit at which the gel is pressed flat.
 
-    stiffness_n_m: of a node. deepest_m, most_n: the indentation and the force that press the gel flat.
+    stiffness_n_m: stiffness of a node. deepest_m, most_n: indentation and force at which the gel is pressed flat.
     """
 
     place: tuple[float, ...]
@@ -118,16 +123,16 @@ class _Surface(NamedTuple):
     most_n: float
 
     def is_near(self, place: tuple[float, ...]) -> bool:
-        """Whether the surface presses as it would at another place."""
+        """Return whether the surface presses as it would at another position."""
         x_m, y_m, turn = (abs(to - since) for to, since in zip(place, self.place, strict=True))
         return max(x_m, y_m, turn * PUSHER_ARM_M) <= SURFACE_STEP_M
 
     def force_n(self, indentation_m: float) -> float:
-        """Normal force at an indentation."""
+        """Return the normal force at an indentation."""
         return min(self.stiffness_n_m * float(self.gaps.depth_m(indentation_m).sum()), self.most_n)
 
     def indentation_m(self, force_n: float) -> float:
-        """Indentation under a normal force; that at which the surface touches where there is none."""
+        """Return the indentation under a normal force; without force, the indentation at first touch."""
         if self.most_n == 0.0:
             return self.deepest_m
         if force_n <= 0.0:
@@ -136,16 +141,21 @@ class _Surface(NamedTuple):
 
 
 class TouchSensor:
-    """A simulated sensor on one finger, for use in MuJoCo, PyBullet or a loop of one's own; see `step`.
+    """A simulated sensor on one finger, for use in MuJoCo, PyBullet or your own loop; see `step`.
 
-    sensor: of `evetac.sensors()`, or a TOML file; `randomized` draws one. object: a number of the paper's table, a
-    TOML file as of `--object`, or its keys: `static_friction` and `shape`, which is flat and covers the pad, or a
-    cylinder along x or a sphere of `width_mm`; and if wanted `kinetic_share` and `tilt_deg`. Mass, height and lever are
-    those of your own simulator. rng: noise, and all else that is drawn, comes from it alone. gel: cut or
-    closed. readout, solver: as of `evetac.simulate`. at_m: where on the gel the object's middle is at first, x and y in
-    m from the middle of the view. InputError for anything else.
+    sensor: a name from `evetac.sensors()` or a TOML file; `randomized` samples a sensor.
 
-    A sensor is a gel that `evetac.DotTracker` and `evetac.SlipDetector` take.
+    object: a number of the paper's table, a TOML file for `--object`, or a table of its keys. Required keys are
+    `static_friction` and `shape`: flat, which covers the pad, or a cylinder along x or a sphere, of `width_mm`.
+    Optional keys are `kinetic_share` and `tilt_deg`. Mass, height and lever are those of your own simulator.
+
+    rng: the only source of noise and of all other random values. gel: cut or closed. readout, solver: as in
+    `evetac.simulate`.
+
+    at_m: initial position of the object's middle on the gel, x and y in m from the middle of the view. InputError for
+    any other value.
+
+    A sensor can be passed as the gel of `evetac.DotTracker` and `evetac.SlipDetector`.
 
     >>> import numpy as np
     >>> box = {"shape": "flat", "static_friction": 0.8}
@@ -226,9 +236,9 @@ class TouchSensor:
         height_m = self._height_of_surface(place)
         self._touch_m = float(height_m.min()) if np.isfinite(height_m).any() else 0.0
         self._surface = self._next = self._surface_over(place, height_m - self._touch_m)
-        self._looks_same = touched.shape == "flat" and self.sampled.tilt_rad == 0.0  # wherever it is
-        self._pressed_m = math.nan  # how deep the shares of the nodes are meant
-        self._moved_to: tuple[float, ...] | None = place  # where the last slice was told to put the object
+        self._looks_same = touched.shape == "flat" and self.sampled.tilt_rad == 0.0  # at every position
+        self._pressed_m = math.nan  # indentation for which the shares of the nodes were computed
+        self._moved_to: tuple[float, ...] | None = place  # target position of the last slice
         self._normal_n = self._indentation_m = 0.0
         self._shear_n: tuple[float, float] = (0.0, 0.0)
         self._pressing, self._moving = _Goal("normal_n", (0.0,)), _Goal("place_m", place)
@@ -243,25 +253,29 @@ class TouchSensor:
         place_m: tuple[float, float] | None = None,
         turn_rad: float | None = None,
     ) -> Touch:
-        """Move on by dt_s, at the end of which the contact is as given; returns what was felt.
+        """Advance by dt_s; at the end of the step the contact is as given. Return what the sensor felt.
 
-        One of normal_n, >= 0, and indentation_m, from first touch at the place that the object began at, negative when
-        off the gel; without either, the last of them stays. At most one of shear_n, the force of the object on the gel
-        (x, y) beside the normal force, and place_m, where the middle of its surface is, with turn_rad (from x to y);
-        without either, it stays where it is. Slices of 1 ms are made as they end, with what is given interpolated
-        linearly; two steps of 5 ms along a line are ten of 1 ms, bit for bit where the numbers are.
+        Give at most one of normal_n, >= 0, and indentation_m. Indentation counts from first touch at the object's
+        initial position and is negative off the gel. Without either, the last one stays.
 
-        InputError, before anything is changed, where a number is out of range, the gel would be pressed flat, or a
-        shear force has no normal force to hold it.
+        Give at most one of shear_n and place_m. The shear force shear_n is that of the object on the gel (x, y), in
+        addition to the normal force. The position place_m is that of the middle of the object's surface, with turn_rad
+        (from x to y). Without either, the object stays where it is.
+
+        Each slice of 1 ms is computed when it ends, with the given values interpolated linearly. Two steps of 5 ms
+        along a line equal ten steps of 1 ms, bit for bit if the numbers are.
+
+        InputError, before any change, if a number is out of range, the gel would be pressed flat, or there is a shear
+        force without normal force.
         """
         (seconds,) = _finite("dt_s", (dt_s,), 1, LONGEST_S)
         step_ns = round(seconds * 1e9)
         if step_ns <= 0:
-            raise _refused("dt_s: no time passes", f"above 0, up to {LONGEST_S:g} s", f"{dt_s}")
+            raise _refused("dt_s: the step has no duration", f"above 0, up to {LONGEST_S:g} s", f"{dt_s}")
         moving = self._wanted_motion(shear_n, place_m, turn_rad, seconds)
         pressing = self._wanted_pressure(normal_n, indentation_m, moving)
         if moving.by == "shear_n" and any(moving.values) and self._force_of(pressing, moving) == 0.0:
-            raise _refused("shear_n: nothing presses, so nothing is sheared", "(0, 0) without normal force", shear_n)
+            raise _refused("shear_n: needs a normal force, found none", "(0, 0) without normal force", shear_n)
         pressed_from = self._pressing if self._pressing.by == pressing.by else self._present(pressing.by)
         moved_from = self._moving if self._moving.by == moving.by else self._present(moving.by)
         end_ns = self._now_ns + step_ns
@@ -274,7 +288,7 @@ class TouchSensor:
         return self._touch(tuple(slices))
 
     def _present(self, by: str) -> _Goal:
-        """What is now, in the words of another goal than the last."""
+        """Return the present state, expressed as another kind of goal than the last."""
         x_m, y_m, turn = self._gel.pose.tolist()
         present = {
             "normal_n": (self._normal_n,),
@@ -293,7 +307,7 @@ class TouchSensor:
     ) -> _Goal:
         if shear_n is not None:
             if place_m is not None or turn_rad is not None:
-                raise _refused("shear_n beside a place", "a force or a place: the other follows from it", "both")
+                raise _refused("shear_n together with a position", "a force or a position", "both")
             return _Goal("shear_n", _finite("shear_n", shear_n, 2, MOST_N))
         now = self._moving if self._moving.by == "place_m" else self._present("place_m")
         x_m, y_m, turn = now.values
@@ -303,22 +317,22 @@ class TouchSensor:
             (turn,) = _finite("turn_rad", (turn_rad,), 1, math.inf)
         fast_m_s = math.hypot(x_m - now.values[0], y_m - now.values[1]) / seconds
         if fast_m_s > FASTEST_M_S or abs(turn - now.values[2]) / seconds > FASTEST_RAD_S:
-            expected = f"up to {FASTEST_M_S:g} m/s and {FASTEST_RAD_S:g} rad/s; at_m says where the object begins"
+            expected = f"up to {FASTEST_M_S:g} m/s and {FASTEST_RAD_S:g} rad/s; at_m sets the object's initial position"
             turns = abs(turn - now.values[2]) / seconds
             raise _refused("place_m: too fast", expected, f"{fast_m_s:.4g} m/s, {turns:.4g} rad/s")
         return _Goal("place_m", (x_m, y_m, turn))
 
     def _wanted_pressure(self, normal_n: float | None, indentation_m: float | None, moving: _Goal) -> _Goal:
         if normal_n is not None and indentation_m is not None:
-            raise _refused("normal_n beside indentation_m", "one of the two: the other follows from it", "both")
+            raise _refused("normal_n together with indentation_m", "one of the two", "both")
         if normal_n is None and indentation_m is None:
             return self._pressing
         surface = self._pressed_at(self._end_of(moving))
         if normal_n is not None:
             (force,) = _finite("normal_n", (normal_n,), 1, math.inf)
             if not 0.0 <= force <= surface.most_n:
-                most = f"0 to {surface.most_n:.4g} N, which press the gel flat"
-                raise _refused("normal_n: cannot be", most, f"{force}")
+                most = f"0 to {surface.most_n:.4g} N; more would press the gel flat"
+                raise _refused("normal_n: out of range", most, f"{force}")
             return _Goal("normal_n", (force,))
         (depth,) = _finite("indentation_m", (indentation_m,), 1, FARTHEST_M)
         if depth > surface.deepest_m:
@@ -326,24 +340,25 @@ class TouchSensor:
         return _Goal("indentation_m", (depth,))
 
     def _end_of(self, moving: _Goal) -> tuple[float, ...]:
-        """Where the surface is at the end of a step, as far as that is known before it."""
+        """Return the surface's position at the end of a step, as far as it is known before the step."""
         return moving.values if moving.by == "place_m" else self._present("place_m").values
 
     def _force_of(self, pressing: _Goal, moving: _Goal) -> float:
-        """Normal force at the end of a step."""
+        """Return the normal force at the end of a step."""
         if pressing.by == "normal_n":
             return pressing.values[0]
         return self._pressed_at(self._end_of(moving)).force_n(pressing.values[0])
 
     def _height_of_surface(self, place: tuple[float, ...]) -> Floats:
-        """Height of the surface over each cell's points, where it is at x, y, turned; infinite beside a round one."""
+        """Return the height of the surface over each cell's points at x, y, rotation; infinite outside a round one."""
         x_m, y_m, turn = place
         return contact.surface(self._samples_m, *self._shape, place=(x_m, y_m, turn), round_ends=True)
 
     def _pressed_at(self, place: tuple[float, ...]) -> _Surface:
-        """The surface of an object at a place: the present one where it is near enough.
+        """Return the object's surface at a position; the present one if it is near enough.
 
-        One that was asked for already counts only for that very place: what is felt must not hang on what was asked.
+        A surface that was computed for an earlier query is reused only for exactly the same position. So results do not
+        depend on earlier queries.
         """
         if self._looks_same or self._surface.is_near(place):
             return self._surface
@@ -353,7 +368,7 @@ class TouchSensor:
         return self._next
 
     def _surface_over(self, place: tuple[float, ...], gap_m: Floats) -> _Surface:
-        """A surface at a place by its gaps over the points of each cell; beside the pad nothing is pressed."""
+        """Build a surface at a position from its gaps over each cell's points; off the pad nothing is pressed."""
         gaps, stiffness_n_m = gaps_of(gap_m), self._node_stiffness_n_m
         least_m = gaps.least_m
         if not math.isfinite(least_m):
@@ -363,7 +378,7 @@ class TouchSensor:
         return _Surface(place, gaps, stiffness_n_m, deepest_m, most_n)
 
     def _make_slice(self, pressed: _Goal, moved: _Goal) -> Events:
-        """One slice, at the end of which the contact is as given."""
+        """Compute one slice, at the end of which the contact is as given."""
         before_n, before_m = self._normal_n, self._nearer_m
         twist, push_n = None, (0.0, 0.0, 0.0)
         if moved.by == "place_m":
@@ -397,7 +412,7 @@ class TouchSensor:
             each = self._path.follow
         normal_n = (before_n, self._normal_n)
         done = self._gel_slices.advance(self._shares, normal_n, push_n, self._friction, twist, each)
-        if self._gel_slices.still_for <= RECENT_MS:  # what slips is known where nothing has moved for longer
+        if self._gel_slices.still_for <= RECENT_MS:  # without motion for longer, the slip does not change
             self._slip.follow(self._gel, self._shares, self._normal_n)
         self._shear_n = done.friction_n[:2]
         still = self._gel_slices.still_for > 0 and pressed_as_before
@@ -413,7 +428,7 @@ class TouchSensor:
         return self._camera.render(self._shift_m, nowhere, 0.0, now_us, path_m, cut_m=self._cut_m, still=still)
 
     def _nearer(self) -> Floats:
-        """Shift of the dots as they come nearer to the lens."""
+        """Return the shift of the dots in the image as they approach the lens."""
         depth = self._surface.gaps.depth_m(self._indentation_m)
         return dots.nearer_by(self._camera.rest_m, dots.field_at(depth[..., None], *self._at_dots)[:, 0])
 
@@ -436,7 +451,7 @@ class TouchSensor:
 
 
 def _touched(given: int | str | Path | Mapping[str, Any]) -> TouchedObject:
-    """The object of the simulation: of the table, or one's own; InputError if it is neither."""
+    """Return the object: from the table, or your own; InputError if it is neither."""
     if isinstance(given, str | Path):
         return object_file.read(Path(given))[1]
     if not isinstance(given, Mapping):
@@ -450,7 +465,7 @@ def _touched(given: int | str | Path | Mapping[str, Any]) -> TouchedObject:
 
 
 def _finite(name: str, given: Any, count: int, most: float) -> tuple[float, ...]:
-    """So many finite numbers of at most this size; InputError for anything else."""
+    """Return `count` finite numbers of at most this size; InputError for anything else."""
     try:
         numbers = tuple(float(number) for number in given)
     except (TypeError, ValueError):
@@ -458,7 +473,7 @@ def _finite(name: str, given: Any, count: int, most: float) -> tuple[float, ...]
     if len(numbers) != count or not all(math.isfinite(number) and abs(number) <= most for number in numbers):
         size = "finite" if math.isinf(most) else f"within {most:g}"
         one = given[0] if count == 1 else given
-        raise _refused(f"{name}: not what it should be", f"{count} number{'s' * (count > 1)}, {size}", one)
+        raise _refused(f"{name}: invalid value", f"{count} number{'s' * (count > 1)}, {size}", one)
     return numbers
 
 

@@ -107,7 +107,7 @@ def test_every_part_has_a_section_and_keys(every: dict[str, str]) -> None:
     names = {row["part"] for name in simulation_pages.scene_names() for row in rows_of(simulation_pages.plan_of(name))}
     assert set(simulation_pages.PARTS) == names
     assert names - headings(every["parts.md"]) == set()
-    assert "| `leak_hz` | sensor | events per second that leak makes in every pixel | 0 to 10 |" in every["parts.md"]
+    assert "| `leak_hz` | sensor | leak events per second of every pixel | 0 to 10 |" in every["parts.md"]
     assert "| `drop.mass_g` |" in every["scene-keys.md"]
     assert "| `creep.share` |" in every["sensors.md"]
 

@@ -90,7 +90,7 @@ def test_parts_that_only_some_scenes_name() -> None:
     assert built(flickering)["changing light"] == "flickers by 10% at 100 Hz"
     assert switched(flickering)["changing light"].scene.light is None
     (row,) = [row for row in rows_of(slip) if row["part"] == "changing light"]
-    assert (row["built"], row["left_out"]) == (None, "steady: none named")
+    assert (row["built"], row["left_out"]) == (None, "the light is steady")
     assert "changing light" not in switched(slip)
 
 
@@ -101,13 +101,13 @@ def test_a_gear_that_breaks_loose() -> None:
     loose, firm = (
         with_sensor(slip, gripper=replace(slip.sensor.gripper, kinetic_share=share)) for share in (0.75, 1.0)
     )
-    assert built(loose)["gear that breaks loose"] == "moves against 75% of the friction that held it"
+    assert built(loose)["gear that breaks loose"] == "in motion 75% of the friction at rest"
     assert "gear that breaks loose" in left_out(firm)
 
 
 def test_how_the_gripper_is_commanded() -> None:
     """Assert that a gripper that follows a current from the start is not said to be in position mode."""
-    assert built(first_plan("grip-steps"))["gripper"] == "current mode, as the scene names it"
+    assert built(first_plan("grip-steps"))["gripper"] == "current mode, current from the scene"
     assert built(first_plan("handling"))["gripper"].startswith("position")
 
 
@@ -115,7 +115,7 @@ def test_how_the_gripper_is_commanded() -> None:
     ("part", "words", "named"),
     [
         ("OFF threshold of its own", "0.25, ON 0.2", {"threshold_off": 0.25}),
-        ("limit of the readout", "30,000,000 events a second", {"readout": ReadoutLimit(events_per_s=3e7)}),
+        ("limit of the readout", "30,000,000 events per second", {"readout": ReadoutLimit(events_per_s=3e7)}),
         (
             "bandwidth that falls with light",
             "proportional to brightness",
@@ -130,7 +130,7 @@ def test_how_the_gripper_is_commanded() -> None:
         ("lens distortion", "k1 -0.05, k2 0", {"distortion": (-0.05, 0.0)}),
         (
             "noise filter",
-            "drops what has no event beside it within 100 ms",
+            "drops events without a neighbouring event within 100 ms",
             {"noise_filter": NoiseFilterSettings(support_ms=100.0)},
         ),
     ],
@@ -149,7 +149,7 @@ def test_uneven_light_is_seen_only_by_slow_pixels() -> None:
     """Assert that uneven light is left out, in words, where all pixels are equally fast."""
     planned = with_sensor(first_plan("slip"), light_gradient=0.3, bandwidth_by_light=True)
     (row,) = [row for row in rows_of(planned) if row["part"] == "uneven light"]
-    assert row["left_out"] == "seen only where bandwidth falls with light"
+    assert row["left_out"] == "visible only if bandwidth falls with light"
 
 
 @pytest.mark.parametrize(

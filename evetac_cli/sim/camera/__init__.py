@@ -1,1 +1,1 @@
-"""What an event camera behind the gel sees: optics, edges, noise, and two cameras, one that scans and an ideal one."""
+"""The event camera behind the gel: optics, edges, noise, and two cameras, one that scans and an ideal one."""

@@ -1,6 +1,6 @@
-"""Checks of what both cameras are given: positions and paths in px, window, texture, lines.
+"""Checks of the inputs of both cameras: positions and paths in px, window, texture, lines.
 
-ValueError with expected and found on anything else, before a camera changes.
+Invalid input raises a ValueError with expected and found, before a camera changes.
 """
 
 from typing import NamedTuple
@@ -15,14 +15,14 @@ from evetac_cli.sim.camera.contact_edges import ContactEdges, EdgePlace, LineMot
 
 DOUBLE = np.dtype(np.float64)
 FARTHEST_PX = 1e6
-MOST_PIECES = 1000  # of a curved path in a slice
+MOST_PIECES = 1000  # most pieces of a curved path in a slice
 
 # Corners x0, y0, x1, y1 of a window, ends excluded, and the texture behind it.
 Window = tuple[tuple[int, int, int, int], NDArray[np.float32] | None]
 
 
 class ObjectMotion(NamedTuple):
-    """Where the object behind the window is at the start and end of a slice (2,), in px, and its texture's contrast."""
+    """Position of the object behind the window at start and end of a slice (2,), in px, and its texture's contrast."""
 
     start_px: Floats
     end_px: Floats
@@ -30,12 +30,12 @@ class ObjectMotion(NamedTuple):
 
 
 class SliceMotion(NamedTuple):
-    """What moves before a camera in a slice, in px.
+    """Motion in a camera's view during a slice, in px.
 
-    Dots (dots, 2) and the object's displacement (2,) move on straight lines from start to end; the contrast (1: the
-    texture as drawn, 0: out of sight) holds for the whole slice. Dots on curved paths come with `dot_path_px`
-    (k + 1, dots, 2): where they are at k + 1 equally spaced times, from their start to their end. A camera with contact
-    edges needs `contact_edges_start` and `contact_edges_end`, between which they move and fade evenly.
+    Dots (dots, 2) and the object's displacement (2,) move on straight lines from start to end. The contrast applies to
+    the whole slice (1: the texture as drawn, 0: invisible). `dot_path_px` (k + 1, dots, 2) is for dots on curved paths:
+    their positions at k + 1 equally spaced times, from start to end. A camera with contact edges needs
+    `contact_edges_start` and `contact_edges_end`, between which they move and fade linearly.
     """
 
     dot_xy_px_start: ArrayLike
@@ -49,7 +49,7 @@ class SliceMotion(NamedTuple):
 
 
 def motions(dots: int, motion: SliceMotion) -> tuple[Floats, ObjectMotion]:
-    """Paths of so many dots (dots, k + 1, 2), and how the object moves."""
+    """Return the paths of dots, (dots, k + 1, 2), and the motion of the object."""
     dot_xy_px_start, dot_xy_px_end, object_xy_px_start, object_xy_px_end, texture_contrast, dot_path_px = motion[:6]
     check_range("texture_contrast", texture_contrast, 0.0, 1e3)
     if dot_path_px is None:
@@ -58,7 +58,7 @@ def motions(dots: int, motion: SliceMotion) -> tuple[Floats, ObjectMotion]:
         of_dots = _is_plain(given[0], (dots, 2)) and _is_plain(given[1], (dots, 2))
         if of_dots and _is_plain(given[2], (2,)) and _is_plain(given[3], (2,)) and _fill_ends(*given, path, ends):
             return path, ObjectMotion(ends[0], ends[1], float(texture_contrast))
-    # what is given in another way, or wrong, is looked at one by one
+    # other types, and invalid values, are checked one by one
     dots_start = positions("dot_xy_px_start", dot_xy_px_start, dots)
     dots_end = positions("dot_xy_px_end", dot_xy_px_end, dots)
     paths = dot_paths(dot_path_px, dots_start, dots_end)
@@ -68,7 +68,7 @@ def motions(dots: int, motion: SliceMotion) -> tuple[Floats, ObjectMotion]:
 
 
 def _is_plain(given: ArrayLike, shape: tuple[int, ...]) -> bool:
-    """Whether this is a contiguous array of float64 of a shape."""
+    """Return whether this is a contiguous float64 array of this shape."""
     if not isinstance(given, np.ndarray):
         return False
     return given.shape == shape and given.dtype is DOUBLE and given.flags.c_contiguous
@@ -78,7 +78,7 @@ def _is_plain(given: ArrayLike, shape: tuple[int, ...]) -> bool:
 def _fill_ends(
     dots_start: Floats, dots_end: Floats, object_start: Floats, object_end: Floats, path: Floats, ends: Floats
 ) -> bool:
-    """Fill paths (dots, 2, 2) and places of the object (2, 2) at the slice's ends; False where one is too far away."""
+    """Fill dot paths (dots, 2, 2) and object positions (2, 2) at the slice's ends; return False if one is too far."""
     within = True
     for axis in range(2):
         ends[0, axis] = object_start[axis]
@@ -92,7 +92,7 @@ def _fill_ends(
 
 
 def positions(name: str, given: ArrayLike, count: int | None = None) -> Floats:
-    """Places (n, 2) in px, contiguous; `count` says how many, if that matters."""
+    """Return positions (n, 2) in px, contiguous; `count`: the required number, if any."""
     xy = np.ascontiguousarray(given, np.float64)
     if xy.size == 0 and count in (0, None):
         return np.empty((0, 2))
@@ -109,7 +109,7 @@ def _all_within(xy: Floats, limit: float) -> bool:
 
 
 def dot_paths(given: ArrayLike | None, dots_start: Floats, dots_end: Floats) -> Floats:
-    """Vertices of every dot's path, (dots, k + 1, 2), from (k + 1, dots, 2); straight from start to end without any."""
+    """Return the vertices of every dot's path, (dots, k + 1, 2), from (k + 1, dots, 2); straight if None is given."""
     if given is None:
         ends = np.empty((len(dots_start), 2, 2))
         ends[:, 0] = dots_start
@@ -126,7 +126,7 @@ def dot_paths(given: ArrayLike | None, dots_start: Floats, dots_end: Floats) -> 
 
 
 def window_corners(window_px: tuple[int, int, int, int] | None, frame_px: tuple[int, int]) -> tuple[int, int, int, int]:
-    """x0, y0, x1, y1 of a window within the frame, ends excluded; all 0 without one."""
+    """Return x0, y0, x1, y1 of a window within the frame, ends excluded; all 0 without a window."""
     if window_px is None:
         return 0, 0, 0, 0
     x0, y0, x1, y1 = (int(corner) for corner in window_px)
@@ -136,7 +136,7 @@ def window_corners(window_px: tuple[int, int, int, int] | None, frame_px: tuple[
 
 
 def window_texture(texture: NDArray[np.float32] | None) -> NDArray[np.float32]:
-    """A texture whose sides are powers of two, as the window needs it; one level of 0 without any."""
+    """Return a texture whose sides are powers of two, which the window requires; one level of 0 if None is given."""
     if texture is None:
         return np.zeros((1, 1), np.float32)
     pattern = np.ascontiguousarray(texture, np.float32)
@@ -150,9 +150,9 @@ def window_texture(texture: NDArray[np.float32] | None) -> NDArray[np.float32]:
 def line_motion(
     contact_edges: ContactEdges | None, motion: SliceMotion, *, coarsely: bool = False
 ) -> LineMotion | None:
-    """How lines move in a slice, checked; None if there are none, or none that moves.
+    """Return the checked motion of the lines in a slice; None if there are none, or none moves.
 
-    `coarsely`, a cut edge that moves less than scans can tell does not, which keeps a slow shear cheap.
+    coarsely: ignore a motion of the cut edge that is too small for scans to notice, which keeps a slow shear cheap.
     """
     start, end = motion.contact_edges_start, motion.contact_edges_end
     if contact_edges is None:

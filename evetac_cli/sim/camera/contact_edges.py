@@ -1,13 +1,12 @@
-"""Lines in the picture that are not dots: the edges of an object that dents the gel, and the edge of a cut gel.
+"""Lines in the image that are not dots: the edges of an object that indents the gel, and the edge of a cut gel.
 
-Both add to the log brightness of a pixel. An object is a picture drawn once, since it only moves and fades; it adds
-strength * picture(pixel - corner), bilinear. The cut edge is a dark line whose place in every row is given; it moves
-with the gel and lies over pixels of the gel and of the window alike.
+Both add to the log brightness of a pixel. An object is an image that is drawn once, because it only moves and fades; it
+adds strength * picture(pixel - corner), bilinear. The cut edge is a dark line whose position in every row is given. It
+moves with the gel and covers pixels of the gel and of the window alike.
 
-Why so: a camera that knows how far these levels have changed since it last compared can add the change to its
-references instead (with the other sign), and needs no other picture than that of its dots. So lines that rest cost
-nothing, and only pixels whose level can have changed are visited: in a row of the picture those before and after its
-flat middle.
+The camera tracks how much these levels have changed since its last comparison, and adds the change with the opposite
+sign to its references. It then needs only the image of its dots. So lines at rest cost nothing, and only pixels whose
+level can have changed are visited: in a row of the outline those before and after its flat middle.
 """
 
 import math
@@ -21,22 +20,22 @@ from evetac_cli.arrays import Floats
 from evetac_cli.checks import check_range
 from evetac_cli.kernels.compiled import njit
 
-# An object's edge ends where the error function is within 0.02 % of its limits; it is scaled to reach them there.
+# An object's edge ends where the error function is within 0.02 % of its limits; it is scaled to reach the limits there.
 EDGE_SIGMAS = 3.5
-# Compared again once a level can have changed by this, a fortieth of a threshold.
+# Pixels are compared again once a level can have changed by this, a fortieth of a threshold.
 LEVEL_RESOLUTION = 0.005
-# A line (1 - (d / h)^2)^2 is half as deep at d = 0.541 h, and steepest there where (d / h)^2 = 1 / 3.
+# A line (1 - (d / h)^2)^2 is half as deep at d = 0.541 h, and steepest where (d / h)^2 = 1 / 3.
 HALF_DEPTH = math.sqrt(1.0 - math.sqrt(0.5))
-STEEPEST = 8.0 / (3.0 * math.sqrt(3.0))
+STEEPEST = 8.0 / (3.0 * math.sqrt(3.0))  # largest slope of that line, per contrast and h
 FARTHEST_PX = 1e6
-NONE = 1 << 40  # of a row without any pixel to visit: beyond every column
+NONE = 1 << 40  # for a row without any pixel to visit: beyond every column
 
 
 class Outline(NamedTuple):
-    """Log brightness of an object that dents the gel (rows, columns), drawn once; 0 on its border.
+    """Log brightness of an object that indents the gel (rows, columns), drawn once; 0 on its border.
 
-    `runs` (rows, 4) says which pixels of a row are not like all their neighbours: from the first column up to the
-    second, and from the third up to the fourth. `slope` is its steepest, per px, `height` its greatest level.
+    `runs` (rows, 4) are the pixels of a row that differ from a neighbour: from the first column up to the second, and
+    from the third up to the fourth. `slope` is the steepest slope, per px, `height` the highest level.
     """
 
     picture: NDArray[np.float32]
@@ -46,10 +45,10 @@ class Outline(NamedTuple):
 
 
 class EdgePlace(NamedTuple):
-    """Where the lines are at one time.
+    """Position of the lines at one time.
 
-    `corner_px` (x, y): where in the frame the outline's first pixel lies; `strength` 0 (not there) to 1;
-    `cut_x_px` (height,): where the cut edge crosses each row, empty without one.
+    `corner_px` (x, y): position of the outline's first pixel in the frame. `strength`: 0 (invisible) to 1. `cut_x_px`
+    (height,): position of the cut edge in each row, empty without a cut edge.
     """
 
     corner_px: Floats
@@ -61,7 +60,7 @@ NOWHERE = EdgePlace(np.zeros(2), 0.0, np.zeros(0))
 
 
 class LineMotion(NamedTuple):
-    """Lines that move in a slice: from where to where, what they look like, and how the camera last saw them.
+    """Lines that move in a slice: their positions at start and end, their shapes, and the camera's last view of them.
 
     `outline` to `cut_half_px` and `seen_corner` to `seen_cut_level` are those of `ContactEdges`.
     """
@@ -79,12 +78,12 @@ class LineMotion(NamedTuple):
 
 @dataclass
 class ContactEdges:
-    """The lines before one camera, and what it last saw of them; a camera's `step` changes it in place.
+    """The lines in view of one camera, and the camera's last view of them; a camera's `step` changes it in place.
 
-    `seen_level` and `seen_cut_level` (height, width) are the levels that an outline and the cut edge add at
-    `seen_corner` (x, y, strength) and `seen_cut_x`. `events` counts those of the last slice that no moving dot and no
-    texture made. `rested` is the place at which all lines were for a whole slice, and were compared: there, nothing is
-    left to do. `placed` is the end of the last slice, as given and as checked.
+    `seen_level` and `seen_cut_level` (height, width) are the levels that outline and cut edge add at `seen_corner`
+    (x, y, strength) and `seen_cut_x`. `events` counts the events of the last slice that no moving dot and no texture
+    caused. `rested` is the position at which all lines were compared and stayed for a whole slice: nothing is left to
+    do there. `placed` is the end of the last slice, as given and as checked.
     """
 
     frame_px: tuple[int, int]
@@ -100,7 +99,7 @@ class ContactEdges:
     events: int = 0
 
     def still(self, start: EdgePlace, end: EdgePlace, cut_px: float = 0.0) -> bool:
-        """Whether nothing moves from start to end or has since it was last seen; the cut may have by `cut_px`."""
+        """Return whether nothing moves or has moved since it was last seen; the cut edge may have moved by `cut_px`."""
         x, y, strength = self.seen_corner
         outline_still = start.strength == end.strength == strength and (
             strength == 0.0 or (start.corner_px == (x, y)).all() and (end.corner_px == (x, y)).all()
@@ -110,7 +109,7 @@ class ContactEdges:
         return all(bool(farthest(place.cut_x_px, self.seen_cut_x) <= cut_px) for place in (start, end))
 
     def motion(self, start: EdgePlace, end: EdgePlace) -> LineMotion:
-        """The lines and what was seen of them, moving between two places."""
+        """Return the lines and the last view of them, moving between two positions."""
         return LineMotion(
             start,
             end,
@@ -125,7 +124,7 @@ class ContactEdges:
 
     @property
     def cut_resolution_px(self) -> float:
-        """How far the cut edge may move before some level has changed by LEVEL_RESOLUTION."""
+        """Return how far the cut edge may move before a level has changed by LEVEL_RESOLUTION."""
         return LEVEL_RESOLUTION * self.cut_half_px / (self.cut_contrast * STEEPEST) if self.cut_contrast else 0.0
 
 
@@ -136,10 +135,10 @@ def start(
     cut_contrast: float = 0.0,
     cut_width_px: float = 3.0,
 ) -> ContactEdges:
-    """Lines that are already there, in full view, when a camera is switched on.
+    """Return lines that are already fully visible when the camera starts.
 
     The cut edge is a line `cut_contrast` log units darker than the gel and `cut_width_px` wide at half its depth.
-    ValueError on values out of range.
+    ValueError if a value is out of range.
     """
     width, height = frame_px
     check_range("cut_contrast", cut_contrast, 0.0, 20.0)
@@ -175,14 +174,14 @@ def start(
 
 
 def check_place(name: str, contact_edges: ContactEdges, place: EdgePlace) -> EdgePlace:
-    """The place as arrays of the right kind; ValueError on values that are not finite, or of another shape."""
+    """Return the position as arrays of the right type; ValueError if values are not finite or have another shape."""
     corner = np.ascontiguousarray(place.corner_px, np.float64)
     cut_x = np.ascontiguousarray(place.cut_x_px, np.float64)
     if corner.shape != (2,) or cut_x.shape != contact_edges.seen_cut_x.shape:
         expected = f"corner_px (2,) and cut_x_px {contact_edges.seen_cut_x.shape}"
         raise ValueError(f"{name}: expected {expected}, found {corner.shape} and {cut_x.shape}")
     if not (_all_within(corner, FARTHEST_PX) and _all_within(cut_x, FARTHEST_PX)):
-        raise ValueError(f"{name}: expected finite places within {FARTHEST_PX:g} px")
+        raise ValueError(f"{name}: expected finite positions within {FARTHEST_PX:g} px")
     if not 0.0 <= place.strength <= 1.0:
         raise ValueError(f"{name}: expected a strength of 0 to 1, found {place.strength}")
     return EdgePlace(corner, float(place.strength), cut_x)
@@ -198,7 +197,7 @@ def _all_within(places: Floats, limit: float) -> bool:
 
 @njit(cache=True, _nrt=False)
 def farthest(places: Floats, others: Floats) -> float:
-    """The greatest distance between places and others of the same number; 0 without any."""
+    """Return the largest distance between two arrays of positions; 0 for empty arrays."""
     farthest = 0.0
     for k in range(len(places)):
         farthest = max(farthest, abs(places[k] - others[k]))
@@ -206,7 +205,7 @@ def farthest(places: Floats, others: Floats) -> float:
 
 
 def ellipse(size_px: ArrayLike, level: float, width_px: float, thick_px: float | None = None) -> Outline:
-    """The outline of an ellipse of a size (across, down): L = level * Phi(d / width), d the depth inside the edge.
+    """Return the outline of an ellipse of size (x, y): L = level * Phi(d / width), d the depth inside the edge.
 
     With `thick_px` it is a ring with a second edge that far inside the first: L = level * (Phi(d_outer / width) -
     Phi(d_inner / width)). ValueError unless sizes, level and width are positive and a ring has a hole.
@@ -230,14 +229,15 @@ def ellipse(size_px: ArrayLike, level: float, width_px: float, thick_px: float |
 
 
 def _depth(x: Floats, y: Floats, half: Floats) -> Floats:
-    """Distance of points to an ellipse about the origin, positive inside (Eberly, Distance from a Point to an Ellipse).
+    """Return the distance of points to an ellipse about the origin, positive inside.
 
-    The nearest point on the ellipse is (a^2 x / (t + a^2), b^2 y / (t + b^2)), where t makes it a point of the ellipse.
+    The nearest point on the ellipse is (a^2 x / (t + a^2), b^2 y / (t + b^2)). The t that puts it on the ellipse is
+    found by bisection (Eberly, Distance from a Point to an Ellipse).
     """
     turned = half[0] < half[1]
     long, short = (half[1], half[0]) if turned else (half[0], half[1])
     across, down = (np.abs(y), np.abs(x)) if turned else (np.abs(x), np.abs(y))
-    down = np.maximum(down, 1e-9)  # on the long axis the nearest point need not be: this finds it as a limit
+    down = np.maximum(down, 1e-9)  # avoids the long axis, whose points may be nearest to another point: a limit instead
     low = short * down - short**2
     high = np.hypot(long * across, short * down) - short**2
     for _ in range(60):
@@ -253,7 +253,7 @@ def _depth(x: Floats, y: Floats, half: Floats) -> Floats:
 
 
 def _edge(sigmas: Floats) -> Floats:
-    """Phi, scaled to reach 0 and 1 at EDGE_SIGMAS on either side."""
+    """Return Phi, scaled to reach 0 and 1 at EDGE_SIGMAS on either side."""
     places = np.linspace(-EDGE_SIGMAS, EDGE_SIGMAS, 2049)
     lit = np.array([0.5 * math.erfc(-place / math.sqrt(2.0)) for place in places])
     shade: Floats = np.interp(sigmas, places, (lit - lit[0]) / (lit[-1] - lit[0]))
@@ -261,7 +261,7 @@ def _edge(sigmas: Floats) -> Floats:
 
 
 def _runs(picture: NDArray[np.float32]) -> NDArray[np.int64]:
-    """First and last pixels of each row that differ from a neighbour, without the longest gap between them."""
+    """Return the first and last pixels of each row that differ from a neighbour, without the longest gap between."""
     rows, columns = picture.shape
     padded = np.pad(picture, 1)
     around = np.stack([padded[r : r + rows, c : c + columns] for r in range(3) for c in range(3)])
@@ -281,7 +281,7 @@ def _runs(picture: NDArray[np.float32]) -> NDArray[np.int64]:
 def outline_moved(
     outline_slope: float, outline_height: float, seen: Floats, x: float, y: float, strength: float
 ) -> bool:
-    """Whether an outline has moved or faded by so much that some level can have changed by LEVEL_RESOLUTION."""
+    """Return whether an outline has moved or faded so much that a level can have changed by LEVEL_RESOLUTION."""
     if strength == 0.0 and seen[2] == 0.0:
         return False
     faded = abs(strength - seen[2]) * outline_height
@@ -292,7 +292,7 @@ def outline_moved(
 
 @njit(cache=True, _nrt=False)
 def outline_rows(rows: int, height: int, y_a: float, y_b: float) -> tuple[int, int]:
-    """The rows of a frame that an outline of so many rows touches with its corner at y_a or y_b: from, up to."""
+    """Return the rows of a frame, from and up to, that an outline touches with its corner at y_a or y_b."""
     first = max(0, math.floor(min(y_a, y_b)) - 1)
     end = min(height, math.ceil(max(y_a, y_b)) + rows + 1)
     return first, max(first, end)
@@ -310,10 +310,10 @@ def outline_runs(
     y_b: float,
     faded: bool,
 ) -> tuple[int, int, int, int]:
-    """The pixels of row y whose level can differ while an outline's corner goes from (x_a, y_a) to (x_b, y_b).
+    """Return the pixels of row y whose level can differ while an outline's corner moves from (x_a, y_a) to (x_b, y_b).
 
-    From the first column up to the second, and from the third up to the fourth, within the frame. If it also `faded`,
-    its flat middle is among them.
+    The pixels are those from the first column up to the second, and from the third up to the fourth, within the frame.
+    If the outline has also `faded`, they include its flat middle.
     """
     left = NONE
     left_end = -NONE
@@ -350,7 +350,7 @@ def sample_row(
     end: int,
     line: NDArray[np.float32],
 ) -> None:
-    """Fill line[: end - first] with what an outline adds to pixels first to end of row y; 0 beyond its picture."""
+    """Fill line[: end - first] with the outline's level at pixels first to end of row y; 0 outside its picture."""
     rows, columns = picture.shape
     row = math.floor(y - corner_y)
     column = math.floor(first - corner_x)
@@ -376,13 +376,13 @@ def sample_row(
 
 @njit(cache=True, _nrt=False)
 def cut_moved(contrast: float, half: float, seen_x: float, x: float) -> bool:
-    """Whether the cut edge has moved in a row by so much that some level can have changed by LEVEL_RESOLUTION."""
+    """Return whether the cut edge has moved so much in a row that a level can have changed by LEVEL_RESOLUTION."""
     return abs(x - seen_x) * contrast * STEEPEST >= LEVEL_RESOLUTION * half
 
 
 @njit(cache=True, _nrt=False)
 def cut_run(half: float, width: int, x_a: float, x_b: float) -> tuple[int, int]:
-    """The pixels of a row whose level can differ while the cut edge goes from x_a to x_b: from, up to."""
+    """Return the pixels of a row, from and up to, whose level can differ while the cut edge moves from x_a to x_b."""
     first = min(max(math.ceil(min(x_a, x_b) - half), 0), width)
     end = min(max(math.floor(max(x_a, x_b) + half) + 1, first), width)
     return first, end
@@ -390,7 +390,7 @@ def cut_run(half: float, width: int, x_a: float, x_b: float) -> tuple[int, int]:
 
 @njit(cache=True, _nrt=False)
 def sample_cut(contrast: float, half: float, cut_x: float, first: int, end: int, line: NDArray[np.float32]) -> None:
-    """Fill line[: end - first] with what the cut edge, where it crosses the row at cut_x, adds to those pixels."""
+    """Fill line[: end - first] with the cut edge's level at those pixels; it crosses the row at cut_x."""
     for k in range(end - first):
         away = (first + k - cut_x) / half
         depth = max(1.0 - away * away, 0.0)

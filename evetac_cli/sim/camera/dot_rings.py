@@ -1,8 +1,8 @@
-"""Where the ring of a dot can be while the dot moves: the geometry by which both cameras leave pixels out.
+"""The possible positions of a dot's ring while the dot moves: both cameras use them to leave out pixels.
 
-A dot's level differs from ink and gel in a finite ring only (see optics). While the dot moves, the box of its path
-bounds a pixel's distance to it from both sides. Unlike a bound on path length this knows the direction of motion, and
-a dot that shakes to and fro does not use it up. A box is (centre x, centre y, half width, half height) in px.
+A dot's level differs from ink and gel only in a finite ring (see optics). While the dot moves, the box of its path
+bounds its distance to a pixel from both sides. Unlike a bound on path length, this takes the direction of motion into
+account, and a dot that vibrates does not use it up. A box is (centre x, centre y, half width, half height) in px.
 """
 
 import math
@@ -16,7 +16,7 @@ from evetac_cli.kernels.compiled import njit
 
 @njit(cache=True, _nrt=False)
 def boxes(path: Floats, seen_xy: Floats, box: Floats) -> None:
-    """Fill boxes (dots, 4) round each dot's path (dots, vertices, 2) and where it was last (dots, 2)."""
+    """Fill boxes (dots, 4) around each dot's path (dots, vertices, 2) and its last position (dots, 2)."""
     dots, vertices, _ = path.shape
     for dot in range(dots):
         for axis in range(2):
@@ -31,9 +31,9 @@ def boxes(path: Floats, seen_xy: Floats, box: Floats) -> None:
 
 @njit(cache=True, _nrt=False)
 def dots_near(dot: int, path: Floats, box: Floats, outer: float, near_path: Floats, near_box: Floats) -> int:
-    """Collect the dots that may be the nearest one of a pixel in this dot's ring; returns their number.
+    """Collect the dots that may be the nearest dot of a pixel in this dot's ring; return their number.
 
-    A dot is one of them if it may darken a pixel that this one may darken; farther ones show bare gel there.
+    These are the dots that may darken a pixel that this dot may darken; dots further away show bare gel there.
     """
     near = 0
     for other in range(len(path)):
@@ -51,9 +51,9 @@ def dots_near(dot: int, path: Floats, box: Floats, outer: float, near_path: Floa
 
 @njit(cache=True, _nrt=False)
 def crowded(box: Floats, outer: float, has_near: NDArray[np.uint8]) -> bool:
-    """Mark in `has_near` (dots,) those with others near, by the measure of `dots_near`, for boxes (dots, 4).
+    """Mark the dots that have others near them, as in `dots_near`, in `has_near` (dots,), for boxes (dots, 4).
 
-    Returns whether there are any.
+    Return whether there are any.
     """
     dots = len(box)
     has_near[:] = 0
@@ -71,7 +71,7 @@ def crowded(box: Floats, outer: float, has_near: NDArray[np.uint8]) -> bool:
 
 @njit(cache=True, _nrt=False)
 def bounds(x: int, y: int, near_box: Floats) -> tuple[float, float]:
-    """Least and greatest square of a pixel's distance to the nearest dot, each anywhere in its box (near, 4)."""
+    """Return the least and largest squared distance of a pixel to the nearest dot; each dot is in its box (near, 4)."""
     least2 = np.inf
     greatest2 = np.inf
     for dot in range(len(near_box)):
@@ -84,16 +84,17 @@ def bounds(x: int, y: int, near_box: Floats) -> tuple[float, float]:
 
 @njit(cache=True, _nrt=False)
 def ring_rows(box: Floats, outer: float, height: int) -> tuple[int, int]:
-    """The rows of a frame that the ring of a dot in a box (4,) can touch: from, up to."""
+    """Return the rows of a frame, from and up to, that the ring of a dot in a box (4,) can touch."""
     first = max(0, math.ceil(box[1] - box[3] - outer))
     return first, max(first, min(height, math.floor(box[1] + box[3] + outer) + 1))
 
 
 @njit(cache=True, _nrt=False)
 def ring_runs(box: Floats, inner: float, outer: float, y: int, width: int) -> tuple[int, int, int, int]:
-    """The pixels of such a row that are ever between `inner` and `outer` from a dot in a box (4,).
+    """Return the pixels of a row that are ever between `inner` and `outer` from a dot in a box (4,).
 
-    From the first column up to the second, and from the third up to the fourth. The others have one and the same level.
+    The pixels are those from the first column up to the second, and from the third up to the fourth. All other pixels
+    keep the same level.
     """
     centre_x = box[0]
     half_x = box[2]

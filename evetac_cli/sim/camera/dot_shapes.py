@@ -1,4 +1,4 @@
-"""Dots that are not all alike: each with a radius and a contrast of its own, the softness of their rims in common."""
+"""Dots that differ: each has its own radius and contrast; the softness of their rims is the same."""
 
 import math
 from typing import NamedTuple
@@ -11,9 +11,9 @@ from evetac_cli.sim.camera.optics import DotProfile, draw_dots, gel_level, profi
 
 
 class DotShapes(NamedTuple):
-    """Of each dot the `inner_px`, `outer_px` (dots,) and `level` (dots, entries) of DotProfile.
+    """For each dot, the `inner_px`, `outer_px` (dots,) and `level` (dots, entries) of DotProfile.
 
-    `visited_px` (dots, 4) is scratch of the scanning camera. All are empty where dots are alike.
+    `visited_px` (dots, 4) is scratch of the scanning camera. All are empty if dots are alike.
     """
 
     inner_px: NDArray[np.float64]
@@ -23,7 +23,7 @@ class DotShapes(NamedTuple):
 
 
 def dot_shapes(profile: DotProfile, larger_px: NDArray[np.float64], contrast: NDArray[np.float64]) -> DotShapes:
-    """Dots larger than a profile by `larger_px` (dots,), and of `contrast` (dots,) times its levels.
+    """Return dots that are larger than a profile by `larger_px` (dots,), with `contrast` (dots,) times its levels.
 
     ValueError unless contrasts are positive.
     """
@@ -38,14 +38,14 @@ def dot_shapes(profile: DotProfile, larger_px: NDArray[np.float64], contrast: ND
 
 
 def alike() -> DotShapes:
-    """The shapes of dots that are all alike: none of their own."""
+    """Return the shapes for dots that are all alike: empty arrays."""
     return DotShapes(np.empty(0), np.empty(0), np.empty((0, 1), np.float32), np.empty((0, 4)))
 
 
 def shaped_level(
     frame_px: tuple[int, int], dot_xy_px: NDArray[np.float64], profile: DotProfile, shapes: DotShapes
 ) -> NDArray[np.float32]:
-    """Log brightness of the frame, shape (height, width), for dots (dots, 2); of dots not alike the darkest counts."""
+    """Return the log brightness of the frame, (height, width), for dots (dots, 2); of differing dots the darkest."""
     if not len(shapes.inner_px):
         return gel_level(frame_px, dot_xy_px, profile)
     picture = np.zeros(frame_px[::-1], np.float32)
@@ -67,7 +67,7 @@ def differing_row(
     end: int,
     line: NDArray[np.float32],
 ) -> None:
-    """As `dot_row`, of dots that each have a shape of their own; the darkest counts."""
+    """Fill a line like `dot_row`, for dots that each have their own shape; the darkest counts."""
     line[: end - first] = 0.0
     for dot in range(len(dot_xy_px)):
         down = y - dot_xy_px[dot, 1]

@@ -1,6 +1,6 @@
-"""An event of one slice as one integer, and the integers of a slice as sorted columns.
+"""An event of a slice as a single integer, and the integers of a slice as sorted columns.
 
-Why so: while a slice is made its events come pixel after pixel; one integer is quick to write and to sort by time.
+Within a slice, events are created pixel by pixel; a single integer is quick to write and to sort by time.
 """
 
 import numpy as np
@@ -9,25 +9,25 @@ from numpy.typing import NDArray
 from evetac_cli.events import SLICE_US
 from evetac_cli.kernels.compiled import njit
 
-# From the highest bits down: time in the slice, column, row, polarity.
+# Bit fields, from the highest: time in the slice, column, row, polarity.
 TIME_SHIFT = 33
 COLUMN_SHIFT = 17
 ROW_SHIFT = 1
 COORDINATE_MASK = 0xFFFF
-FEW = 40  # events of a slice that are sorted without counting
+FEW = 40  # up to this many events of a slice are sorted by insertion
 
-# Of the events of a slice: times in us, columns, rows, polarities.
+# Events of a slice: times in us, columns, rows, polarities.
 Columns = tuple[NDArray[np.int64], NDArray[np.uint16], NDArray[np.uint16], NDArray[np.uint8]]
 
 
 @njit(cache=True, _nrt=False)
 def event_key(time_us: int, x: int, y: int, brighter: bool) -> int:
-    """The integer of an event, `time_us` after the start of its slice."""
+    """Return the integer of an event, `time_us` after the start of its slice."""
     return (time_us << TIME_SHIFT) | (x << COLUMN_SHIFT) | (y << ROW_SHIFT) | int(brighter)
 
 
 def sorted_columns(keys: NDArray[np.int64], t0_us: int) -> Columns:
-    """Columns t, x, y, p of the events of a slice that starts at `t0_us`."""
+    """Return the columns t, x, y, p of the events of a slice that starts at `t0_us`."""
     events = len(keys)
     t_us = np.empty(events, np.int64)
     x, y, p = np.empty(events, np.uint16), np.empty(events, np.uint16), np.empty(events, np.uint8)
@@ -46,9 +46,9 @@ def _sort(
     y: NDArray[np.uint16],
     p: NDArray[np.uint8],
 ) -> None:
-    """Fill the columns. Sorted by time, stable: by counting, as 1000 times are few against the events of a busy slice.
+    """Fill the columns, sorted by time, stable. Counting sort: 1000 times are few compared with a busy slice's events.
 
-    Few events are inserted one by one. `place` is scratch.
+    Few events are sorted by insertion. `place` is scratch.
     """
     if len(keys) <= FEW:
         for event in range(len(keys)):

@@ -1,6 +1,6 @@
-"""The camera behind a gel: its dots at rest, its window and cut edge or none, what it sees of an object.
+"""The camera behind a gel: its dots at rest, its window and cut edge if any, and its view of an object.
 
-Three tables of a scene are the camera's: `light` (see scanning/light), `vanishing_dots` and `calibration`.
+Three tables of a scene belong to the camera: `light` (see scanning/light), `vanishing_dots` and `calibration`.
 """
 
 import numpy as np
@@ -20,19 +20,19 @@ from evetac_cli.sim.camera.scanning.camera import CameraState
 from evetac_cli.sim.setup.scene import CalibrationOffset, Scene, VanishingDots
 from evetac_cli.sim.setup.sensor import Sensor
 
-CUT_NODES = 13  # places along the cut edge at which the gel's displacement is asked for
-FARTHEST_CUT_PX = 4.0  # from where the window begins
-CUT_STEP_PX = 1e-3  # the cut edge is placed anew once it has moved by more: a level has changed by 2e-4
-FAINTEST = 0.2  # least share of the usual radius and contrast that a dot has
-AWAY_PX = 100.0  # how far outside the frame a dot is put that the camera sees no more; farther than any ring
-NEVER_HZ = (0.0, 0.0)  # rates of hot pixels where there are none
+CUT_NODES = 13  # points along the cut edge at which the gel's displacement is needed
+FARTHEST_CUT_PX = 4.0  # largest distance of the cut edge's ends from the window's border
+CUT_STEP_PX = 1e-3  # the cut edge is redrawn after it has moved by more: a level has then changed by 2e-4
+FAINTEST = 0.2  # least radius and contrast of a dot, relative to the mean
+AWAY_PX = 100.0  # distance outside the frame to which a vanished dot is moved; larger than any ring
+NEVER_HZ = (0.0, 0.0)  # rates of hot pixels for a sensor without any
 
 
 def dot_grid(sensor: Sensor, cut: bool) -> Floats:
-    """Dot centres at rest (rows, columns, 2) in px: the sensor's grid, turned, with its jitter.
+    """Return the dot centres at rest, (rows, columns, 2) in px: the sensor's grid, rotated, with its jitter.
 
-    A cut gel lacks the columns that the window took away. A sensor may name the place of every dot instead; dots in no
-    grid are one row of them, of which a cut gel lacks those that the window touches.
+    A cut gel lacks the columns that the window removes. A sensor may list the position of every dot instead; dots
+    without a grid form one row, of which a cut gel lacks the dots that the window touches.
     """
     if sensor.dot_xy_px:
         named = np.array(sensor.dot_xy_px, np.float64)
@@ -60,10 +60,10 @@ def _columns_beside_window(grid: Floats, sensor: Sensor) -> NDArray[np.bool_]:
 
 
 def dots_differ(sensor: Sensor, cut: bool) -> tuple[Floats, Floats] | None:
-    """Factors of radius and log contrast of every dot (dots,), drawn by the sensor's seed; None where dots are alike.
+    """Return factors on the radius and the log contrast of every dot (dots,), or None if dots are alike.
 
-    Standard deviations are the sensor's dot_radius_spread and dot_contrast_spread; nothing is beyond three of them, or
-    below FAINTEST.
+    They are drawn from the sensor's seed, with standard deviations dot_radius_spread and dot_contrast_spread, limited
+    to three standard deviations and to FAINTEST.
     """
     spreads = sensor.dot_radius_spread, sensor.dot_contrast_spread
     if not any(spreads):
@@ -77,7 +77,7 @@ def dots_differ(sensor: Sensor, cut: bool) -> tuple[Floats, Floats] | None:
 
 
 def calibrated_grid(grid_xy_px: Floats, frame_px: ArrayLike, calibration: CalibrationOffset) -> Floats:
-    """The dots at rest as a calibration has them that is off: turned about the middle of the frame, then moved."""
+    """Return the dots at rest according to a wrong calibration: rotated about the frame's middle, then shifted."""
     angle = np.deg2rad(calibration.turned_deg)
     middle = np.asarray(frame_px) / 2
     turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
@@ -88,9 +88,10 @@ def calibrated_grid(grid_xy_px: Floats, frame_px: ArrayLike, calibration: Calibr
 
 @njit(cache=True)
 def _moved_cut(cut_x_px: Floats, node_rows: Floats, cut_m: Floats, mm_per_px: float) -> Floats:
-    """Where the cut edge crosses every row once the gel at its nodes (nodes, 2), at rising rows, has moved by cut_m.
+    """Return the cut edge's position in every row after the gel at its nodes (nodes, 2) has moved by cut_m.
 
-    Linear between nodes, to the bit as numpy.interp, which took as long as all the rest of placing the lines.
+    Linear between nodes, which are at rising rows. The result equals numpy.interp to the bit; numpy.interp took as long
+    as all the rest of placing the lines.
     """
     moved = np.empty_like(cut_x_px)
     node = 0
@@ -106,7 +107,7 @@ def _moved_cut(cut_x_px: Floats, node_rows: Floats, cut_m: Floats, mm_per_px: fl
 
 
 class GelCamera:
-    """A camera that looks at dots, and through the window at an object."""
+    """A camera that views the dots, and an object through the window."""
 
     def __init__(
         self,
@@ -119,10 +120,11 @@ class GelCamera:
         outline: contact_edges.Outline | None = None,
         outline_at_px: Floats | None = None,
     ) -> None:
-        """Switch the sensor's camera on.
+        """Start the sensor's camera.
 
-        `outline` is that of an object which dents the gel, its middle at `outline_at_px` (x, y) while the object is not
-        displaced. Whoever moves the gel moves its cut edge at `cut_rest_m` (CUT_NODES, 2), empty where none is seen.
+        `outline` is that of an object that indents the gel; its middle is at `outline_at_px` (x, y) when the object is
+        not displaced. The caller moves the cut edge with the gel at `cut_rest_m` (CUT_NODES, 2), which is empty if no
+        cut edge is visible.
         """
         cut = scene.gel.cut
         self._lens = Lens.of_sensor(sensor)
@@ -218,7 +220,7 @@ class GelCamera:
         self.built = frozenset(part for part, is_there in exists.items() if is_there)
 
     def _bandwidths(self, sensor: Sensor) -> tuple[float | Floats, float | Floats]:
-        """The bandwidths of the pixels that see the dots' rims, of each dot, and the window."""
+        """Return the bandwidths of the pixels at each dot's rim, and of those in the window."""
         bandwidth_hz = sensor.bandwidth_hz
         if not sensor.bandwidth_by_light:
             return bandwidth_hz, bandwidth_hz
@@ -231,7 +233,7 @@ class GelCamera:
         return np.array([x0 + x1, y0 + y1]) / 2
 
     def _vanishing(self, named: VanishingDots | None) -> tuple[NDArray[np.intp], float]:
-        """Which dots vanish (numbers, row by row) and when, in us; ValueError if there is no such dot."""
+        """Return which dots vanish (numbers, row by row) and when, in us; ValueError if there is no such dot."""
         if named is None:
             return np.empty(0, np.intp), np.inf
         rows, columns = self.grid_xy_px.shape[:2]
@@ -245,9 +247,10 @@ class GelCamera:
         return np.array(numbers, np.intp), named.at_s * 1e6
 
     def _cut_edge(self, sensor: Sensor, cut: bool) -> tuple[Floats, Floats]:
-        """Where the cut edge crosses every row at rest, in px, and where on it the gel's motion is asked for, in m.
+        """Return the cut edge's position in every row at rest, in px, and the points on it in m that move with the gel.
 
-        A straight cut between two ends, each off the window's border by the sensor's jitter. Empty without one.
+        The cut is straight between two ends, each off the window's border by the sensor's jitter. Both are empty
+        without a cut edge.
         """
         if not cut or sensor.cut_contrast == 0.0:
             return np.zeros(0), np.zeros((0, 2))
@@ -260,7 +263,7 @@ class GelCamera:
         return np.linspace(ends_px[0], ends_px[1], height), rest_m
 
     def _place_at(self, object_xy_px: Floats, cut_m: Floats, strength: float) -> contact_edges.EdgePlace:
-        """Where contact edges and cut edge are, for an object and a gel displaced by so much."""
+        """Return the positions of contact edges and cut edge, for displacements of the object and the gel."""
         corner = np.zeros(2)
         if self._outline is not None:
             corner = self._outline_at_px + object_xy_px - self._outline_half_px
@@ -273,7 +276,7 @@ class GelCamera:
 
     @property
     def contact_edge_events(self) -> int:
-        """How many events of the last slice contact edges and cut edge made alone."""
+        """Return the number of events in the last slice that only contact edges and cut edge caused."""
         return 0 if self._lines is None else self._lines.events
 
     def render(
@@ -288,12 +291,15 @@ class GelCamera:
         strength: float = 0.0,
         still: bool = False,
     ) -> Events:
-        """Events of a slice in which the dots come to be displaced by shift_m (dots, 2), and the object by object_m.
+        """Return the events of a slice; at its end the dots are displaced by shift_m (dots, 2), the object by object_m.
 
-        Dots move on straight lines, or along shift_path_m (k + 1, dots, 2): their displacement at k + 1 equally spaced
-        times, from the end of the last slice to shift_m. The gel at the cut edge comes to be displaced by cut_m, of the
-        shape of `cut_rest_m` (not at all without it), and the object's outline to be seen with `strength`, 0 to 1.
-        `still` says that all of this is as in the slice before.
+        Dots move on straight lines, or along shift_path_m (k + 1, dots, 2): their displacements at k + 1 equally spaced
+        times, from the end of the last slice to shift_m.
+
+        cut_m, of the shape of `cut_rest_m`, is the displacement of the gel at the cut edge at the end (none if left
+        out). strength, 0 to 1, is the visibility of the object's outline.
+
+        `still` means that all of these equal those of the slice before.
         """
         if still and self._looked_at_rest:
             assert isinstance(self._camera, CameraState)
@@ -317,25 +323,25 @@ class GelCamera:
         else:
             events = ideal.step(self._camera, motion, t0_us, self._rng)
         self.dot_xy_px, self.object_xy_px = dots, object_px
-        # the last scan of a slice is before its end: only after one at rest has the camera seen where all came to lie
+        # the last scan of a slice is before its end: only after a slice at rest has the camera seen the final state
         self._looked_at_rest = still and self._is_settled and bool((dots == begin).all())
         return events
 
     def seen_px(self, shift_m: Floats) -> Floats:
-        """Where dots that are displaced by shift_m (..., dots, 2) are seen."""
+        """Return the positions at which dots that are displaced by shift_m (..., dots, 2) are seen."""
         dots: Floats = self._flat_xy_px.reshape(-1, 2) + shift_m * (1e3 / self.mm_per_px)
         return dots if self._lens is None else self._lens.seen(dots)
 
     @property
     def _is_settled(self) -> bool:
-        """Whether what the camera sees stays as it is where nothing moves; not of pixels that lag, or light."""
+        """Whether the camera's view stays the same if nothing moves; false with slow pixels or changing light."""
         lasts = self._gone_from_us == np.inf and self._lagging is None
         return isinstance(self._camera, CameraState) and self._camera.light is None and lasts
 
     def _without_gone(
         self, path: Floats | None, seen: tuple[Floats, Floats, Floats, Floats]
     ) -> tuple[Floats | None, tuple[Floats, Floats, Floats, Floats]]:
-        """The same path and start and end of dots and object, with dots that have vanished outside the view."""
+        """Return the path, and start and end of dots and object, with vanished dots moved out of the view."""
         away_px = self.grid_xy_px.reshape(-1, 2)[self._gone]
         away_px[:, 0] = -AWAY_PX
         begin, end = seen[0].copy(), seen[1].copy()
@@ -348,7 +354,7 @@ class GelCamera:
     def _move_lines(
         self, object_xy_px: Floats, cut_m: Floats, strength: float
     ) -> tuple[contact_edges.EdgePlace | None, contact_edges.EdgePlace | None]:
-        """Where lines were at the end of the last slice, and are at that of this one; nothing where there are none."""
+        """Return the lines' positions at the end of the last slice and of this one; None if there are no lines."""
         if self._lines is None:
             return None, None
         before = self._place
@@ -363,7 +369,7 @@ class GelCamera:
         return before, self._place
 
     def _lag(self, path: Floats, object_px: Floats) -> tuple[Floats, tuple[Floats, Floats, Floats, Floats]]:
-        """Where pixels of a finite bandwidth see the dots along a path, and start and end of dots and object."""
+        """Return the dots' path, and start and end of dots and object, as pixels of finite bandwidth see them."""
         assert self._lagging is not None
         dots, objects = self._lagging
         path = dots.follow(path)

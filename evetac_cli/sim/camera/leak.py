@@ -1,8 +1,8 @@
-"""Leak: every reference falls, at such a speed that a pixel left alone gets brighter `leak_hz` times a second.
+"""Leak: every reference decreases at a rate at which an undisturbed pixel fires ON `leak_hz` times per second.
 
-A row of pixels is visited once in LEAK_SLICES slices, so these events come late by up to that; in the scanning camera
-each row in one of the slice's scans, in the ideal one row after the other within the slice. After an event the
-reference keeps what has leaked since the crossing, or the rate would fall.
+Each row of pixels is visited once in LEAK_SLICES slices, so leak events are late by up to that time. In the scanning
+camera each row has one of the slice's scans; in the ideal camera the rows follow one after the other within the slice.
+After an event the reference keeps the leak since the crossing, because the rate would otherwise be too low.
 """
 
 import math
@@ -18,12 +18,12 @@ from evetac_cli.sim.camera.event_keys import event_key
 from evetac_cli.sim.camera.ideal.pixels import SliceTimes
 from evetac_cli.sim.camera.scanning.pixels import GelPixels, ScanTimes, WindowPixels
 
-# Slices in which leak visits every row of pixels once: a divisor of 480, so that all slices visit equally many.
+# Slices in which leak visits every row once: a divisor of 480, so that all slices visit the same number of rows.
 LEAK_SLICES = 40
 
 
 def drift(leak_hz: float) -> float:
-    """How far a reference falls from one visit to the next, in thresholds."""
+    """Return how far a reference decreases from one visit to the next, in thresholds."""
     return leak_hz * LEAK_SLICES * SLICE_US * 1e-6
 
 
@@ -37,7 +37,7 @@ def leak_in_scans(
     keys: NDArray[np.int64],
     made: int,
 ) -> int:
-    """Lower the references of every LEAK_SLICES-th row of a scanning camera, and compare them where they are."""
+    """Lower the references of every LEAK_SLICES-th row of a scanning camera, and compare these pixels."""
     dot_xy = gel.seen_dot_xy_px
     inner, outer, steps_per_px, profile = gel.profile
     reference, threshold, release_us, candidates = gel.reference, gel.threshold, gel.release_us, gel.candidates
@@ -89,10 +89,10 @@ def _leak_row(
     keys: NDArray[np.int64],
     made: int,
 ) -> int:
-    """Lower the references of pixels side by side; one that falls a threshold below its level makes an event."""
+    """Lower the references of pixels side by side; a pixel whose level is a threshold above its reference fires."""
     for k in range(len(reference)):
         step = threshold[k]
-        if step == np.inf:  # a pixel of the window, which has references of its own
+        if step == np.inf:  # a pixel under the window, which has its own references
             continue
         if len(release_us) and release_us[k] > now_us:
             reference[k] = level[k] + middle_shift[k] if len(middle_shift) else level[k]
@@ -120,7 +120,7 @@ def draw_leaking_rows(
     first_row: int,
     level: NDArray[np.float32],
 ) -> None:
-    """Fill every LEAK_SLICES-th row of `level` (height, width) with what dots (dots, 2) show there."""
+    """Fill every LEAK_SLICES-th row of `level` (height, width) with the image of dots (dots, 2)."""
     height, width = level.shape
     for y in range(first_row, height, LEAK_SLICES):
         optics.dot_row(dot_xy, inner, outer, steps_per_px, profile, y, 0, width, level[y])
@@ -137,9 +137,9 @@ def leak_in_rows(
     keys: NDArray[np.int64],
     made: int,
 ) -> int:
-    """Lower the references of every LEAK_SLICES-th row of an ideal camera; that of a blind pixel is NaN.
+    """Lower the references of every LEAK_SLICES-th row of an ideal camera; that of a refractory pixel is NaN.
 
-    `corner_px` is where in the frame the first pixel lies; `pixels` are references, thresholds and release times.
+    `corner_px` is the position of the first pixel in the frame; `pixels` are references, thresholds and release times.
     """
     reference, threshold, release_us = pixels
     first_x, first_y = corner_px
@@ -150,7 +150,7 @@ def leak_in_rows(
         time_us = min((row // LEAK_SLICES + 0.5) * turn_us, SLICE_US - 1.0)
         for x in range(columns):
             step = threshold[row, x]
-            if step == np.inf:  # a pixel of the window, which has references of its own
+            if step == np.inf:  # a pixel under the window, which has its own references
                 continue
             if math.isnan(reference[row, x]):
                 if release_us[row, x] > t0_us + time_us:

@@ -1,8 +1,9 @@
-"""A lens that shows straight lines curved: radial distortion about the middle of the frame.
+"""Lens distortion, radial about the middle of the frame: straight lines appear curved.
 
 A point at distance r from the middle is seen at r (1 + k1 r^2 + k2 r^4); the frame's corners are at r = 1. Negative
-numbers are a barrel, positive ones a pincushion. Dots, the cut edge and the middle of an outline are moved to where
-they are seen. Left out: dots and outlines keep their shape, and a texture moves as the middle of its window does.
+coefficients give barrel distortion, positive ones pincushion distortion. Dots, the cut edge and the middle of an
+outline are moved to their distorted positions. Not simulated: dots and outlines keep their shape, and a texture moves
+like the middle of its window.
 """
 
 from dataclasses import dataclass
@@ -14,12 +15,12 @@ from evetac_cli.arrays import Floats
 from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.setup.sensor import Sensor
 
-FARTHEST = 1.1  # up to where distances must grow, in distances of a corner
+FARTHEST = 1.1  # distances must grow up to here, as a multiple of a corner's distance
 
 
 @dataclass(frozen=True)
 class Lens:
-    """A lens before a frame of (width, height); ValueError where it would show a point twice."""
+    """A lens in front of a frame of (width, height); ValueError if it would show a point twice."""
 
     frame_px: tuple[int, int]
     k1: float
@@ -32,19 +33,19 @@ class Lens:
 
     @classmethod
     def of_sensor(cls, sensor: Sensor) -> "Lens | None":
-        """The lens of a sensor; None without distortion."""
+        """Return the lens of a sensor; None without distortion."""
         k1, k2 = sensor.distortion
         return cls(sensor.frame_px, k1, k2) if k1 or k2 else None
 
     def seen(self, xy_px: ArrayLike) -> Floats:
-        """Where points (..., 2) are seen."""
+        """Return the positions at which points (..., 2) are seen."""
         points = np.ascontiguousarray(xy_px, np.float64)
         width, height = self.frame_px
         seen: Floats = _seen(points.reshape(-1, 2), 0.5 * width, 0.5 * height, self.k1, self.k2)
         return seen.reshape(points.shape)
 
     def seen_line(self, x_px: Floats) -> Floats:
-        """Where a line that crosses every row of the frame at x_px (height,) is seen to cross them."""
+        """Return the positions (height,) in every row at which a line at x_px (height,) is seen."""
         height = len(x_px)
         beyond = height // 4
         rows = np.arange(-beyond, height + beyond, dtype=np.float64)

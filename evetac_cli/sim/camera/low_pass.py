@@ -1,17 +1,17 @@
-"""The bandwidth of the camera's pixels: a first-order low pass, applied to what moves instead of to every pixel.
+"""The bandwidth of the camera's pixels: a first-order low pass, applied to positions instead of to every pixel.
 
-A photoreceptor follows the log brightness L of its pixel with a time constant tau = 1 / (2 pi bandwidth). To filter
-the levels themselves every pixel would have to be visited. Instead the positions of dots and object are filtered, and
-the camera sees a picture that lags behind. The two are the same to first order: exactly where L is linear in the
-position over the distance moved within tau, and that is where an edge moves by less than its own width meanwhile.
-Beyond that a true low pass blurs the passing edge as well, so that events come more spread in time, while here it is
-only late. tests/sim/camera/test_low_pass.py measures it against a low pass of every pixel. Changes of contrast (the
-object that comes into focus) and noise are not filtered.
+A photoreceptor follows the log brightness L of its pixel with a time constant tau = 1 / (2 pi bandwidth). Filtering the
+levels themselves would require a visit to every pixel. Instead the positions of dots and object are filtered, and the
+camera sees an image that lags behind. Both are equal to first order. They are exactly equal if L is linear in the
+position over the distance moved within tau, so that an edge moves by less than its own width in that time. For faster
+motion a true low pass also blurs the passing edge, so that events are more spread in time. Here the edge is only late.
+The test tests/sim/camera/test_low_pass.py compares it with a low pass of every pixel. Changes of contrast (an object
+that comes into focus) and noise are not filtered.
 
-A photoreceptor is the slower the darker its pixel (Lichtsteiner 2008; v2e, Hu 2021): its bandwidth is proportional to
-brightness. A rim that passes takes a pixel through all levels from gel to ink, each late by the time constant at that
-level; a dot lags by their mean (`rim_bandwidth`). What it leaves out is the spread about it: the bright side of a rim
-is earlier, the dark one later.
+A photoreceptor is slower in darker pixels (Lichtsteiner 2008; v2e, Hu 2021): its bandwidth is proportional to
+brightness. A passing rim takes a pixel through all levels from gel to ink, each with the time constant of that level; a
+dot lags by their mean (`rim_bandwidth`). The spread about the mean is left out: the bright side of a rim would be
+earlier, the dark side later.
 """
 
 import math
@@ -23,23 +23,24 @@ from evetac_cli.arrays import Floats
 from evetac_cli.events import SLICE_US
 from evetac_cli.kernels.compiled import njit
 
-# Still and this near to where it belongs a point has arrived; a ten-thousandth of an edge changes no pixel's event, and
-# without an end what once moved would be visited in every slice.
+# A point at rest this close to its target has arrived: a ten-thousandth of an edge changes no pixel's event. Without
+# this limit every point that ever moved would be visited in every slice.
 SETTLED_PX = 1e-4
-# A piece of a path is at most as long as tau, down to this many in a slice, and scans fall on its vertices.
+# A piece of a path is at most tau long, down to this many pieces in a slice, and scans coincide with its vertices.
 MOST_PIECES = 50
-SCANS = 5
+SCANS = 5  # scans per slice of the scanning camera
 
 
 def rim_bandwidth(log_contrast: float) -> float:
-    """The bandwidth of a dot's rim, by light, over that of bare gel: 1 / mean of exp(-L), for L from ink to gel."""
+    """Return the bandwidth of a dot's rim relative to bare gel: 1 / mean of exp(-L), for L from ink to gel."""
     return log_contrast / math.expm1(log_contrast)
 
 
 def light_at(xy_px: Floats, frame_px: ArrayLike, light_gradient: float) -> Floats:
-    """Brightness at places (..., 2) over its mean in the frame, if by that share less light falls on the corners.
+    """Return the brightness at positions (..., 2) relative to its mean in the frame.
 
-    It falls as the square of the distance from the frame's middle, which in the mean is a third of that at a corner.
+    light_gradient: relative loss of light at the corners. The loss grows as the square of the distance from the frame's
+    middle, and its mean is a third of that at a corner.
     """
     middle = np.asarray(frame_px, np.float64) / 2
     share = ((xy_px - middle) ** 2).sum(axis=-1) / (middle**2).sum()
@@ -48,10 +49,10 @@ def light_at(xy_px: Floats, frame_px: ArrayLike, light_gradient: float) -> Float
 
 
 class LowPass:
-    """Follows points with the lag of a first-order low pass; `now` (points, 2) is where it sees them."""
+    """Follows points with the lag of a first-order low pass; `now` (points, 2) is their present position as seen."""
 
     def __init__(self, bandwidth_hz: float | Floats, at: Floats) -> None:
-        """Start settled at `at` (points, 2), gain 1/sqrt 2 at the bandwidth, one of all points or of each (points,).
+        """Start settled at `at` (points, 2); bandwidth_hz (-3 dB) is one for all points or one for each (points,).
 
         ValueError unless positive and finite.
         """
@@ -62,10 +63,11 @@ class LowPass:
         self.now = at.copy()
 
     def follow(self, path: Floats) -> Floats:
-        """Where the points are seen, (m + 1, points, 2) from `now` on, while they move along `path` (k + 1, points, 2).
+        """Return the points' positions as seen, (m + 1, points, 2), while they move along `path` (k + 1, points, 2).
 
-        Both are positions at equally spaced times over one slice, with straight lines between; m is a multiple of k.
-        The answer is exact at its vertices. Where `path` starts elsewhere than the last one ended, the points jumped.
+        Both are positions at equally spaced times over one slice, with straight lines between them; m is a multiple of
+        k. The result starts at `now` and is exact at its vertices. If `path` does not start where the last one ended,
+        the points have jumped.
         """
         pieces = len(path) - 1
         shortest_us = float(self._tau_us.min(initial=SLICE_US))
@@ -80,7 +82,7 @@ class LowPass:
 
 @njit(cache=True, _nrt=False)
 def _follow(path: Floats, parts: int, tau_us: Floats, now: Floats, seen: Floats) -> None:
-    """The exact answer to straight pieces: a lag of velocity * tau, and what is left of the start dies away."""
+    """Fill in the exact response to straight pieces: a lag of velocity * tau, and an exponential decay of the start."""
     pieces = len(path) - 1
     part_us = SLICE_US / (pieces * parts)
     for point in range(path.shape[1]):

@@ -1,12 +1,13 @@
-"""Events that nothing in the picture makes: background noise of all pixels, and hot pixels.
+"""Events without a cause in the image: background noise of all pixels, and hot pixels.
 
-They come on top of the others and leave the references alone; at uniform times, unless the sensor names a
-`timestamp_step_us`. Hot pixels are Poisson processes at places that are drawn, or those of a `hot_pixel_table`: places,
-rates, polarities and times between events as measured on a camera.
+They are added to the other events and do not change the references. They occur at uniform random times, unless the
+sensor sets `timestamp_step_us`. Hot pixels are Poisson processes at random positions, or those of a `hot_pixel_table`:
+positions, rates, polarities and intervals as measured on a camera.
 
-Why so, after 2.7 s of a real DVXplorer at rest: times between events of a hot pixel are at least two scans, hardly
-depend on those before, and mix short ones with long ones (two exponentials; a gamma distribution is 15 to 25 % off in
-the median). The polarity of an event depends on that before: most pixels alternate more, or less, than by chance.
+The model follows 2.7 s of a real DVXplorer at rest. The intervals of a hot pixel are at least two scans, hardly depend
+on earlier intervals, and mix short and long ones. Two exponentials describe them; a gamma distribution is 15 to 25 %
+off in the median. The polarity of an event depends on the previous one: most pixels alternate more, or less, than by
+chance.
 """
 
 from typing import NamedTuple
@@ -21,15 +22,16 @@ from evetac_cli.sim.setup.sensor import HotPixelTable
 
 
 def hot_rates(hot_rate_hz: ArrayLike, hot_pixels: int, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Rates of so many hot pixels, drawn by the inverse of their distribution (evenly spaced quantiles)."""
+    """Draw the rates of hot pixels by the inverse of their distribution (evenly spaced quantiles)."""
     quantile_hz = np.asarray(hot_rate_hz, np.float64)
     return np.interp(rng.random(hot_pixels), np.linspace(0.0, 1.0, len(quantile_hz)), quantile_hz)
 
 
 class Noise(NamedTuple):
-    """The noise of a camera: the rate of a pixel, and hot pixels, y * width + x.
+    """The noise of a camera: the background rate of a pixel, and the hot pixels as y * width + x.
 
-    `hot_cumulative_hz` are the summed rates before each hot pixel, and of all; `step_us` is that of time stamps, or 0.
+    `hot_cumulative_hz` are the summed rates before each hot pixel, and of all; `step_us` is the step of time stamps, or
+    0.
     """
 
     rate_hz: float
@@ -47,10 +49,10 @@ def add_noise(
     keys: NDArray[np.int64],
     made: int,
 ) -> int:
-    """Add the noise of a slice to `made` events; returns their number, also of those that do not fit into `keys`.
+    """Add the noise of a slice to `made` events; return their number, including those that do not fit into `keys`.
 
-    One Poisson process of all rates; a uniform number says whose event it is. `t0_us`, when the slice starts, matters
-    only to time stamps in steps.
+    One Poisson process has the summed rate; a uniform random number selects the pixel of each event. `t0_us`, the start
+    of the slice, matters only for time stamps in steps.
     """
     rate_hz, hot_pixel, hot_cumulative_hz, on_share, step_us = noise
     background_hz = rate_hz * frame_px[0] * frame_px[1]
@@ -63,7 +65,7 @@ def add_noise(
 
 
 class HotPixels:
-    """The hot pixels of a table, from slice to slice; `rng` is theirs alone from now on."""
+    """The hot pixels of a table, from slice to slice; `rng` must not be used elsewhere."""
 
     def __init__(self, table: HotPixelTable, rng: np.random.Generator) -> None:
         self._rng = rng
@@ -81,7 +83,7 @@ class HotPixels:
         self._last_us = np.full(len(on), -np.inf)
 
     def _first_us(self, mean_us: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Times to the first event of pixels that have been on for long: long intervals are met more often."""
+        """Draw the times to the first event of pixels that have been on for long: long intervals are more likely."""
         dead_us, share, short_us, long_us = self._law[:, :4].T
         met_short = share * (dead_us + short_us) / mean_us
         tail_us = np.where(self._rng.random(len(share)) < met_short, short_us, long_us)
@@ -105,7 +107,7 @@ def _whose(
     hot_cumulative_hz: NDArray[np.float64],
     pixels: int,
 ) -> int:
-    """The pixel whose event it is, from a place among the summed rates of all: first the background, then hot ones."""
+    """Return the pixel of an event, from a position in the summed rates: first the background, then hot pixels."""
     if place_hz < background_hz:
         return min(int(place_hz / background_hz * pixels), pixels - 1)
     hot = int(np.searchsorted(hot_cumulative_hz, place_hz - background_hz, side="right")) - 1
@@ -135,7 +137,7 @@ def _place(
 
 @njit(cache=True, _nrt=False)
 def _grid_time(time_us: float, x: int, width: int, step_us: float) -> float:
-    """The first time at or after `time_us` at which column x is read out, if time stamps come in steps."""
+    """Return the first time at or after `time_us` at which column x is read out, if time stamps have steps."""
     if step_us == 0.0:
         return time_us
     phase_us = step_us * x / width
@@ -152,7 +154,7 @@ def _place_in_steps(
     keys: NDArray[np.int64],
     made: int,
 ) -> int:
-    """As _place, with a share of ON events, and at one of the times in the slice at which the column is read out.
+    """Add events like `_place`, with a share of ON events, at times in the slice at which the column is read out.
 
     hot: pixels and summed rates; stamps: share of ON events, step of time stamps and start of the slice, in us.
     """
@@ -188,7 +190,7 @@ def _hot_events(
     keys: NDArray[np.int64],
     made: int,
 ) -> int:
-    """Events of hot pixels before the end of a slice; of two in one step the second is lost, as in a scan.
+    """Add events of hot pixels before the end of a slice; of two in one step the second is lost, as in a scan.
 
     places: columns and rows; state: time of the next event and of the last one, and the polarity of the next.
     """

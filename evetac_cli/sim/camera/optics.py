@@ -1,8 +1,8 @@
-"""What the camera sees, in log brightness: dark dots with soft rims on the gel, and an object's texture in the window.
+"""The camera's image in log brightness: dark dots with soft rims on the gel, and an object's texture in the window.
 
-Levels are natural logarithms of brightness against bare gel, which is 0. Both pictures are tables made once: a dot's
-brightness over the distance from its centre, and a periodic texture that moves with the object. They are looked up for
-millions of pixels a second, hence single precision and loops a compiler can vectorise.
+Levels are natural logarithms of brightness relative to bare gel, which is 0. Both images are tables that are computed
+once: a dot's brightness over the distance from its centre, and a periodic texture that moves with the object. They are
+looked up for millions of pixels per second, hence single precision and loops that a compiler can vectorise.
 """
 
 import math
@@ -20,25 +20,24 @@ EDGE_SIGMA_PX = 1.2
 # each further sigma/2 would add 8 % to the pixels to visit. The logarithm has the longer tail on the dark side.
 INNER_SIGMAS = 3.5
 OUTER_SIGMAS = 3.0
-PROFILE_STEPS = 1024
-LEVEL_BINS = 4096
-# Ink and bare gel are limits that the edge's formula never reaches; the table does. Levels this close to one, far more
-# than rounding, count as the limit itself, or a dot's return would end with an event that no edge makes.
+PROFILE_STEPS = 1024  # entries of a dot's profile
+LEVEL_BINS = 4096  # entries of the index by level
+# The edge's formula never reaches its limits, ink and bare gel, but the table does. Levels this close to a limit, far
+# more than rounding, count as the limit. Otherwise a returning dot would end with an event that no edge causes.
 LIMIT_MARGIN = 1e-5
-# More than single precision costs a level, relative to 1 + threshold + reference: nearer is over.
+# Upper bound of single precision's error of a level, relative to 1 + threshold + reference.
 LEVEL_ROUNDING = 3e-5
 
 
-# Of `texture_place`: column, row, and four weights.
+# Result of `texture_place`: column, row, and four weights.
 TexturePlace = tuple[int, int, np.float32, np.float32, np.float32, np.float32]
 
 
 class DotProfile(NamedTuple):
     """Log brightness over the distance from a dot's centre, in equal steps from `inner_px` to `outer_px`.
 
-    Up to `inner_px` (negative for a small dot) it is exactly that of ink, from `outer_px` on exactly 0. That makes the
-    ring finite: a pixel outside it cannot change, so leaving it out loses nothing. The last entry of `level` stands
-    twice.
+    Up to `inner_px` (negative for a small dot) the level is exactly that of ink, and from `outer_px` exactly 0. So the
+    ring is finite: a pixel outside it cannot change and may be left out. The last entry of `level` is repeated.
     """
 
     inner_px: float
@@ -48,9 +47,10 @@ class DotProfile(NamedTuple):
 
 
 def dot_profile(radius_px: float, sigma_px: float = EDGE_SIGMA_PX, log_contrast: float = LOG_CONTRAST) -> DotProfile:
-    """Table of L(rho) = ln(I_dot + (I_gel - I_dot) Phi((rho - radius) / sigma)), a dark disc on bright gel.
+    """Return the table of L(rho) = ln(I_dot + (I_gel - I_dot) Phi((rho - radius) / sigma)), a dark disc on bright gel.
 
-    `sigma_px` is the blur of the rim, `log_contrast` ln(I_gel / I_dot). ValueError unless all are positive and finite.
+    `sigma_px` is the blur of the rim, `log_contrast` is ln(I_gel / I_dot). ValueError unless all are positive and
+    finite.
     """
     for name, value in (("radius_px", radius_px), ("sigma_px", sigma_px), ("log_contrast", log_contrast)):
         check_range(name, value, above=True)
@@ -70,23 +70,23 @@ def dot_profile(radius_px: float, sigma_px: float = EDGE_SIGMA_PX, log_contrast:
 
 @njit(cache=True, _nrt=False)
 def profile_position(distance2_px2: np.float32, inner_px: np.float32, steps_per_px: np.float32) -> np.float32:
-    """Where in a profile's table a squared distance from the dot's centre lies, within 0 to PROFILE_STEPS."""
+    """Return the position of a squared distance from the dot's centre in a profile's table, 0 to PROFILE_STEPS."""
     position = (np.sqrt(distance2_px2) - inner_px) * steps_per_px
     return min(max(position, np.float32(0.0)), np.float32(PROFILE_STEPS))
 
 
 @njit(cache=True, _nrt=False)
 def profile_level(position: np.float32, level: NDArray[np.float32]) -> np.float32:
-    """Log brightness at a position in a profile's table, linear between its entries."""
+    """Return the log brightness at a position in a profile's table, linear between its entries."""
     index = np.int32(position)
-    entry = np.uint32(index)  # a signed index may count from the end, which keeps loops from being vectorised
+    entry = np.uint32(index)  # a signed index may count from the end, which prevents vectorised loops
     below = level[entry]
     return below + (position - np.float32(index)) * (level[entry + np.uint32(1)] - below)  # type: ignore[no-any-return]
 
 
 @njit(cache=True, _nrt=False)
 def level_at(distance_px: float, inner_px: float, steps_per_px: float, level: NDArray[np.float32]) -> float:
-    """Log brightness at a distance from the nearest dot's centre, in double precision."""
+    """Return the log brightness at a distance from the nearest dot's centre, in double precision."""
     position = min(max((distance_px - inner_px) * steps_per_px, 0.0), np.float64(PROFILE_STEPS))
     index = int(position)
     below = np.float64(level[index])
@@ -94,9 +94,9 @@ def level_at(distance_px: float, inner_px: float, steps_per_px: float, level: ND
 
 
 def level_index(profile: DotProfile) -> NDArray[np.int16]:
-    """Where to look for a level in a profile: entry k is the last place at or below the k-th of LEVEL_BINS + 1 levels.
+    """Return an index of a profile: entry k is the last position at or below the k-th of LEVEL_BINS + 1 levels.
 
-    The levels are equally spaced from ink to gel. It saves most of the bisection in `squared_radius`.
+    The levels are equally spaced from ink to gel. The index saves most of the bisection in `squared_radius`.
     """
     ink = np.float64(profile.level[0])
     levels = ink * (1.0 - np.arange(LEVEL_BINS + 1) / LEVEL_BINS)
@@ -108,9 +108,9 @@ def level_index(profile: DotProfile) -> NDArray[np.int16]:
 def squared_radius(
     target: float, inner_px: float, steps_per_px: float, level: NDArray[np.float32], index: NDArray[np.int16]
 ) -> float:
-    """The square of the distance at which a dot has the level `target`, the exact inverse of the table.
+    """Return the squared distance at which a dot has the level `target`: the exact inverse of the table.
 
-    -1 if the dot is brighter even in its centre or the target is ink, infinite if bare gel is darker or the target.
+    -1 if the dot is brighter even at its centre or the target is ink; infinite if bare gel is darker or is the target.
     `index` is from `level_index`.
     """
     ink = np.float64(level[0])
@@ -150,9 +150,10 @@ def quiet_radii(
     level: NDArray[np.float32],
     index: NDArray[np.int16],
 ) -> tuple[float, float]:
-    """Squares of two distances between which a dot's level surely is within a threshold of a reference.
+    """Return the squares of two distances between which a dot's level is certainly within a threshold of a reference.
 
-    On the safe side of `squared_radius` by what single precision costs. Infinity for the first: nowhere.
+    Compared with `squared_radius`, a margin covers the error of single precision. If the first is infinite there are no
+    such distances.
     """
     if threshold == np.inf:
         return 0.0, np.inf
@@ -168,7 +169,7 @@ def quiet_radii(
 
 
 def gel_level(frame_px: tuple[int, int], dot_xy_px: NDArray[np.float64], profile: DotProfile) -> NDArray[np.float32]:
-    """Log brightness of the frame, shape (height, width), for dots (dots, 2); the nearest counts."""
+    """Return the log brightness of the frame, (height, width), for dots (dots, 2); the nearest dot counts."""
     width, height = frame_px
     picture = np.zeros((height, width), np.float32)
     draw_dots(picture, dot_xy_px, *profile)
@@ -184,7 +185,7 @@ def draw_dots(
     steps_per_px: float,
     level: NDArray[np.float32],
 ) -> None:
-    """Draw dots (dots, 2) into a picture (height, width) of levels; the darkest counts."""
+    """Draw dots (dots, 2) into an image (height, width) of levels; the darkest counts."""
     height, width = picture.shape
     for dot in range(len(dot_xy_px)):
         dot_x = dot_xy_px[dot, 0]
@@ -228,11 +229,11 @@ def dot_row(
 def texture(
     rng: np.random.Generator, shape: tuple[int, int], half_correlation_px: float, log_sd: float
 ) -> NDArray[np.float32]:
-    """Draw an object's log brightness: a periodic Gaussian field of mean 0 and standard deviation `log_sd`.
+    """Return an object's log brightness: a periodic Gaussian field of mean 0 and standard deviation `log_sd`.
 
     White noise is smoothed by a Gaussian in the Fourier domain, so the autocorrelation is 2^-(r / h)^2, one half at
     r = h = `half_correlation_px`. `shape` is (rows, columns), powers of two. ValueError if they are not, if h exceeds
-    an eighth of the field (it would meet itself round the period), or on a negative or non-finite deviation.
+    an eighth of the field (it would overlap itself around the period), or for a negative or non-finite deviation.
     """
     rows, columns = shape
     if any(size < 8 or size > 8192 or size & (size - 1) for size in shape):
@@ -263,7 +264,7 @@ def sample_texture(
     """Fill `level` (rows, columns), whose corner is pixel (first_x, first_y), with the texture of a moved object.
 
     level = contrast * texture(y - object_y, x - object_x), bilinear and periodic, for a texture whose sides are powers
-    of two. All pixels of one scan share the same fraction of a pixel, hence the same four weights.
+    of two. All pixels of one scan have the same fraction of a pixel, hence the same four weights.
     """
     place = texture_place(texture, first_x, first_y, object_x_px, object_y_px, contrast)
     rows, columns = level.shape
@@ -280,12 +281,12 @@ def texture_place(
     object_y_px: float,
     contrast: float,
 ) -> TexturePlace:
-    """The texel under pixel (first_x, first_y) of a moved object (column, row), and the weights of it and the next.
+    """Return the texel (column, row) of a moved object at pixel (first_x, first_y), and the weights of four texels.
 
-    Of the four: upper left, upper right, lower left, lower right.
+    The four texels are upper left, upper right, lower left and lower right.
     """
     texture_rows, texture_columns = texture.shape
-    # Into one period while still floats, so that no displacement is too far.
+    # Reduced to one period while still floats, so that no displacement is too large.
     source_x = (first_x - object_x_px) % texture_columns
     source_y = (first_y - object_y_px) % texture_rows
     whole_x = int(source_x)
@@ -306,10 +307,10 @@ def texture_place(
 def sample_texture_run(
     texture: NDArray[np.float32], place: TexturePlace, row: int, first: int, end: int, level: NDArray[np.float32]
 ) -> None:
-    """Fill level[: end - first] with pixels first to end of a row, counted from that of `texture_place`."""
+    """Fill level[: end - first] with pixels first to end of a row, counted from the pixel of `texture_place`."""
     whole_x, whole_y, upper_left, upper_right, lower_left, lower_right = place
     texture_rows, texture_columns = texture.shape
-    # Unsigned indices, as in `profile_level`, and no slices, whose making takes longer than a short run.
+    # Unsigned indices, as in `profile_level`, and no slices, because creating them takes longer than a short run.
     upper = np.uint64((whole_y + row) & (texture_rows - 1))
     lower = np.uint64((whole_y + row + 1) & (texture_rows - 1))
     one = np.uint64(1)
@@ -341,6 +342,6 @@ def sample_texture_run(
 
 
 def texture_slope(texture: NDArray[np.float32]) -> tuple[float, float, float]:
-    """The greatest change of a texture's level per px across and down, and its greatest size, at contrast 1."""
+    """Return a texture's steepest change of level per px along x and y, and its largest magnitude, at contrast 1."""
     across, down = (float(np.abs(np.roll(texture, 1, axis) - texture).max()) for axis in (1, 0))
     return across, down, float(np.abs(texture).max())

@@ -1,13 +1,13 @@
-"""An RGB sensor beside the event camera: frames of the same gel at 25 Hz, and the tracker of dots of its own software.
+"""An RGB sensor for comparison with the event camera: frames of the same gel at 25 Hz, and its own dot tracker.
 
-For comparison (paper, "Dot-based Shear Force Reconstruction", whose RGB sensor is a GelSight Mini). Frames show dark
-dots on bright gel, with blur and noise. They have half the event camera's resolution in each direction, 320 x 240, the
-size on which the software of that sensor works. They are grey, as its tracker of dots turns them grey first. Each is
-taken in an instant: a longer exposure would smear moving dots. The frame's sizes and the camera's noise are estimates.
+The RGB sensor of the paper is a GelSight Mini (paper, "Dot-based Shear Force Reconstruction"). Frames show dark dots on
+bright gel, with blur and noise. They have half the event camera's resolution in each direction, 320 x 240, the size on
+which that sensor's software works. They are grey, because its tracker first converts them to grey. Each frame is taken
+at one instant: a longer exposure would smear moving dots. The frame size and the camera's noise are estimates.
 
-Dots are followed from each frame to the next by optical flow, pyramidal Lucas-Kanade with the constants of GelSight's
-own software (gsrobotics, optical_flow_marker_tracking.py). A dot that the flow loses stays where it was; so do, as
-there, the errors of all steps before: they add up.
+Dots are followed from frame to frame by optical flow, pyramidal Lucas-Kanade with the constants of GelSight's software
+(gsrobotics, optical_flow_marker_tracking.py). A dot that the flow loses stays where it was. As in that software, the
+errors of all steps add up.
 """
 
 from dataclasses import dataclass
@@ -17,21 +17,21 @@ from numpy.typing import ArrayLike, NDArray
 
 from evetac_cli.checks import check_range
 
-WINDOW_PX = (15, 15)
-LEVELS = 2  # of the pyramid, beside the frame itself
-MOST_ROUNDS, CLOSE_ENOUGH_PX = 10, 0.03  # in which a dot is searched
+WINDOW_PX = (15, 15)  # window of the optical flow
+LEVELS = 2  # levels of the pyramid, in addition to the frame itself
+MOST_ROUNDS, CLOSE_ENOUGH_PX = 10, 0.03  # limits of the search for a dot: iterations, step size
 
 
 @dataclass(frozen=True)
 class RgbCamera:
-    """A camera of frames that looks at the gel; lengths in px of its own frames, brightness in grey values of 255."""
+    """A frame camera that views the gel; lengths in px of its own frames, brightness in grey values of 255."""
 
     frame_px: tuple[int, int] = (320, 240)
     frame_ms: int = 40
-    blur_px: float = 1.0  # sigma of a dot's rim
-    log_contrast: float = 1.61  # gel against dot
+    blur_px: float = 1.0  # standard deviation of the blur of a dot's rim
+    log_contrast: float = 1.61  # contrast between gel and dot, log units
     gel_grey: float = 180.0
-    noise_grey: float = 2.0  # sd, of every pixel in every frame
+    noise_grey: float = 2.0  # standard deviation of every pixel in every frame
 
     def __post_init__(self) -> None:
         check_range("noise_grey", self.noise_grey)
@@ -40,15 +40,15 @@ class RgbCamera:
 
 
 def frame(camera: RgbCamera, dot_xy_px: ArrayLike, radius_px: float, rng: np.random.Generator) -> NDArray[np.uint8]:
-    """A frame (height, width) of dots (dots, 2) of one radius, both in px of this camera's frames.
+    """Return a frame (height, width) of dots (dots, 2) of the same radius, both in px of this camera's frames.
 
-    ValueError on a radius that is not positive or dots that are nowhere.
+    ValueError if the radius is not positive or a position is not finite.
     """
-    from evetac_cli.sim.camera.optics import dot_profile, gel_level  # here, as a recipe names the camera alone
+    from evetac_cli.sim.camera.optics import dot_profile, gel_level  # here, because a recipe needs only the camera
 
     dots = np.ascontiguousarray(dot_xy_px, np.float64)
     if dots.ndim != 2 or dots.shape[1] != 2 or not np.isfinite(dots).all():
-        raise ValueError(f"dot_xy_px: expected finite places (dots, 2), found shape {dots.shape}")
+        raise ValueError(f"dot_xy_px: expected finite positions (dots, 2), found shape {dots.shape}")
     profile = dot_profile(radius_px, camera.blur_px, camera.log_contrast)
     bright = np.exp(gel_level(camera.frame_px, dots, profile))
     noise = rng.standard_normal(bright.shape, np.float32) * np.float32(camera.noise_grey)
@@ -58,7 +58,7 @@ def frame(camera: RgbCamera, dot_xy_px: ArrayLike, radius_px: float, rng: np.ran
 
 @dataclass
 class FrameTracker:
-    """The last frame, and where the dots are in it."""
+    """The last frame, and the positions of the dots in it."""
 
     frame: NDArray[np.uint8]  # (height, width)
     dot_xy_px: NDArray[np.float32]  # (dots, 2)
@@ -66,20 +66,20 @@ class FrameTracker:
 
 
 def start_tracker(frame: NDArray[np.uint8], dot_xy_px: ArrayLike) -> FrameTracker:
-    """Begin with the first frame (height, width) and the places of the dots in it (dots, 2) in px.
+    """Start with the first frame (height, width) and the positions of the dots in it (dots, 2) in px.
 
-    ValueError if the frame is not grey, or the places are none or not finite.
+    ValueError if the frame is not grey, or if positions are missing or not finite.
     """
     dots = np.array(dot_xy_px, np.float32)
     if dots.ndim != 2 or dots.shape[1] != 2 or not len(dots) or not np.isfinite(dots).all():
-        raise ValueError(f"dot_xy_px: expected finite places (dots, 2), found shape {dots.shape}")
+        raise ValueError(f"dot_xy_px: expected finite positions (dots, 2), found shape {dots.shape}")
     if frame.ndim != 2 or frame.dtype != np.uint8:
         raise ValueError(f"frame: expected grey values (height, width) uint8, found {frame.dtype} {frame.shape}")
     return FrameTracker(frame, dots, np.zeros(len(dots), bool))
 
 
 def track(state: FrameTracker, frame: NDArray[np.uint8]) -> None:
-    """Follow the dots to the next frame; ValueError if it is of another size."""
+    """Follow the dots to the next frame; ValueError if its size differs."""
     import cv2
 
     if frame.shape != state.frame.shape or frame.dtype != np.uint8:

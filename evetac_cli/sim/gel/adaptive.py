@@ -1,10 +1,10 @@
-"""A slice of the gel in as many time steps as it needs: one while all sticks or slides evenly, more while it lets go.
+"""A slice of the gel in as many time steps as necessary: one while all nodes stick or slide, more as they let go.
 
-A step whose estimated error is above the tolerance is made again in halves, down to a shortest step, and so is one in
-which a node lets go whose friction falls too steeply for the step: see `time_step.Allowed`. Steps get longer again
-where two short ones end together and their errors are far below the tolerance. What is estimated: see
-`gel.StepInfo.error_m`. The estimate is that of one step, and says nothing about what a trial makes of it: what a
-tolerance costs and gives in onset of slip and displacement is measured by `evaluate cost`.
+A step is repeated in halves, down to a shortest step, if its estimated error is above the tolerance. It is also
+repeated if a node lets go whose friction falls too steeply for the step (see `time_step.Allowed`). Steps get longer
+again when two short steps end together and their errors are far below the tolerance. For the estimate see
+`gel.StepInfo.error_m`. It is the error of a single step, not of a trial: `evaluate cost` measures the effect of a
+tolerance on run time, onset of slip and displacement.
 """
 
 import math
@@ -22,24 +22,27 @@ from evetac_cli.sim.gel.pad_equation import Fields, FrictionLaw, LayerConstants
 from evetac_cli.sim.gel.time_step import TOO_LONG, NodeArrays, step_nodes
 from evetac_cli.sim.setup.solver import MOST_HALVINGS, Solver
 
-# Of `Allowed.steepness`. Why so, by figures of a gel as stiff along a wave as across it: at the default tolerance the
-# onset of slip is within 0.25 ms of that of steps of 10 us in 16 trials of each plan of
-# tests/evaluate/cost/test_letting_go.py (seeds 0 to 15); at 0.4 one is 0.47 ms off, at 0.6 one 1.2 ms. The slip scene
-# takes 1.20 steps a slice instead of 1.03 (object 8), 1.56 instead of 1.10 (18). Where the object's motion is
-# prescribed it begins to slip when it is told to, and any steepness is allowed: in the scene `edge` dots are 0.004 px
-# rms off steps of 0.0125 ms (a handle, seed 1), with the rule 0.0004 px in 1.2 times the time.
+# Limit for `Allowed.steepness`, measured on a gel as stiff along a wave as across it. At the default tolerance, the
+# onset of slip is within 0.25 ms of that of steps of 10 us. This was measured in 16 trials (seeds 0 to 15) of each plan
+# of tests/evaluate/cost/test_letting_go.py. At 0.4 one onset is 0.47 ms off, at 0.6 one is 1.2 ms off. The slip scene
+# takes 1.20 steps per slice instead of 1.03 (object 8), and 1.56 instead of 1.10 (18). If the object's motion is
+# prescribed, the motion determines the onset, and any steepness is allowed. In the scene `edge` dots are then 0.004 px
+# rms off steps of 0.0125 ms (a handle, seed 1); with the limit 0.0004 px, in 1.2 times the time.
 STEEPEST = 0.25
-LONGER = 0.3  # of the tolerance: below it steps get twice as long again, which makes the error two to four times
-MOST_SWEEPS = 400
+LONGER = 0.3  # share of the tolerance below which steps double in length, which raises the error two to four times
+MOST_SWEEPS = 400  # limit of the search for the balance in a step
 
 
 class Slice(NamedTuple):
-    """What the steps of one slice did together.
+    """Combined results of the steps of one slice.
 
-    steps: how many there were. error_m: the largest estimated error of one. slip_m: how far the object slid against the
-    gel, (x, y), mean over the contact. friction_n, slipping_force_n, friction_heat_j: as of `gel.StepInfo`, mean over
-    time, largest and sum. second_friction_n: as friction_n, on the second finger's pad where that is simulated, too;
-    the heat and the largest force are those of both.
+    steps: their number. error_m: the largest estimated error of a step. slip_m: how far the object slid against the
+    gel, (x, y), mean over the contact.
+
+    friction_n, slipping_force_n, friction_heat_j: as in `gel.StepInfo`; mean over time, maximum and sum.
+
+    second_friction_n: as friction_n, on the second finger's pad if it is simulated; the heat and the largest force are
+    then those of both pads.
     """
 
     steps: int = 0
@@ -53,10 +56,10 @@ class Slice(NamedTuple):
 
 @dataclass
 class Stepper:
-    """Cuts slices into steps; remembers how short the last one was.
+    """Divides slices into steps, and keeps the length of the last step for the next slice.
 
-    second: the second finger's pad, where it is no mirror image of the first: a GelState that holds the same object,
-    of which only the pad counts; both have `pads` 1.
+    second: the second finger's pad, if it is no mirror image of the first: a GelState that holds the same object, of
+    which only the pad is used; both have `pads` 1.
     """
 
     solver: Solver
@@ -64,12 +67,12 @@ class Stepper:
     second: gel.GelState | None = None
 
     def __post_init__(self) -> None:
-        # the part of the slice that is done, how often it is halved, and the last step in s
+        # the completed part of the slice, the number of halvings, and the last step in s
         self._progress = np.zeros(3)
         self._sums = np.zeros(12)
         self._fixed_steps = self.solver.fixed_steps or 0
         self._rule = (self.solver.tolerance_um * 1e-6, self.solver.halvings)
-        # of each pad, the shares that were squeezed last, and what that made
+        # for each pad, the last shares and their squeeze
         self._kept: dict[int, tuple[gel.GelState, Floats, Floats]] = {}
 
     def advance(
@@ -83,12 +86,13 @@ class Stepper:
         each: Callable[[gel.StepInfo, float], None] | None = None,
         second_shares: Floats | None = None,
     ) -> Slice:
-        """Move gel and object on by a slice.
+        """Advance gel and object by a slice.
 
-        shares: (rows, columns), the part of the normal force that each node bears, together 1, or 0 without contact;
-        a new array for each new pressure, as what it squeezes aside is kept for as long as it is the same one.
-        force_n: that force in N on one pad at the start and the end of the slice. each: called after each step, with
-        what it did and how long it was in s. The rest as for `gel.step`.
+        shares: (rows, columns), each node's share of the normal force, 1 in total, or 0 without contact. Pass a new
+        array for each new pressure: the squeeze is cached for as long as the array is the same object.
+
+        force_n: normal force in N on one pad at the start and the end of the slice. each: called after each step, with
+        its results and its duration in s. The other arguments are those of `gel.step`.
         """
         solver, progress, sums = self.solver, self._progress, self._sums
         if shares.shape != state.stuck.shape:
@@ -97,7 +101,9 @@ class Stepper:
         wanted = (0.0, 0.0, 0.0)
         if prescribed_twist is not None:
             wanted = _three(prescribed_twist)
-            if not any(wanted):  # nothing swings on an object that is held still: damped most, the gel rests soonest
+            if not any(
+                wanted
+            ):  # nothing oscillates on an object held still: most damping brings the gel to rest soonest
                 theta = 1.0
         load = (
             state.gripping(shares),
@@ -130,7 +136,7 @@ class Stepper:
         return Slice(int(steps), error_m, (slip_x, slip_y), first_n, slipping_force_n, heat_j, second_n)
 
     def _squeezed(self, pad: int, state: gel.GelState, shares: Floats) -> Floats:
-        """What pressure squeezes on a pad, worked out anew where it is another pad or another array of shares."""
+        """Return the squeeze by pressure on a pad; computed again for another pad or another array of shares."""
         kept = self._kept.get(pad)
         if kept is None or kept[0] is not state or kept[1] is not shares:
             kept = self._kept[pad] = (state, shares, state.squeezed(shares))
@@ -138,14 +144,14 @@ class Stepper:
 
 
 def _three(given: Sequence[float] | Floats) -> Three:
-    """Three numbers of Python, as compiled code is handed them soonest."""
+    """Return three Python floats, which are the fastest to pass to compiled code."""
     x, y, turn = given
     return float(x), float(y), float(turn)
 
 
 @njit(cache=True, inline="always")
 def _nodal_forces(memory: Floats, shares: Floats, normal_n: float) -> Floats:
-    """Shares of nodes (rows, columns) of a normal force, in the memory of their pad."""
+    """Return the nodes' parts (rows, columns) of a normal force, in the memory of their pad."""
     rows, columns = shares.shape
     nodal_n = memory[-3 - rows * columns : -3].reshape(rows, columns)
     for row in range(rows):
@@ -166,9 +172,9 @@ def _step_slice(
     one: bool,
     second: tuple[Fields, Floats, Floats, LayerConstants] | None,
 ) -> int:
-    """The steps of a slice from where `progress` says, or only `one`; returns 0, or the number of what is wrong.
+    """Make the steps of a slice from `progress` on, or only `one`; return 0 or the number of an error.
 
-    Why so: handed over to Python after each step, a slice took 9 us more for each.
+    A loop in compiled code, because returning to Python after each step took 9 us more per step.
     """
     shares, squeeze, first_n, last_n, force, prescribed, wanted = load
     slice_s, theta, residual, fixed_steps = settings
@@ -214,7 +220,7 @@ def _step_slice(
         sums[8] += info[13]
         progress[2] = dt_s
         progress[0] = sums[0] / fixed_steps if fixed_steps else progress[0] + share
-        # longer steps again, but only where two short ones end together
+        # lengthen the steps, but only if two short ones end together
         if halved > 0 and info[15] < LONGER * allowed_m and progress[0] / (2.0 * share) % 1.0 == 0.0:
             progress[1] -= 1
         if one:

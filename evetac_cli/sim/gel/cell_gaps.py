@@ -1,10 +1,10 @@
-"""The gap of a rigid surface over each node's cell of the gel, and how deep the gel is pressed there.
+"""The gap of a rigid surface over each node's cell of the gel, and the depth to which the gel is pressed there.
 
-A node stands for its cell: SAMPLES x SAMPLES points of it are springs of their own, and the node bears what they bear
-together. A cell that is wholly pressed needs none of them: its mean depth is the indentation less its mean gap.
+A node represents its cell: SAMPLES x SAMPLES points of the cell are separate springs, and the node bears their total
+force. A cell that is fully pressed does not need the points: its mean depth is the indentation minus its mean gap.
 
-Why so: with the gap at its centre alone a node is pressed wholly or not at all, so that rows of nodes enter and leave
-a contact at once, and its edge is known to half a cell.
+With only the gap at its centre, a node would be pressed fully or not at all. Rows of nodes would enter and leave the
+contact at once, and the contact's edge would be resolved only to half a cell.
 """
 
 from typing import NamedTuple
@@ -14,16 +14,19 @@ import numpy as np
 from evetac_cli.arrays import Floats
 from evetac_cli.kernels.compiled import njit
 
-SAMPLES = 4  # along each side of a cell; forces are then within 0.04 % of closed forms on the scenes' grid
-LEAST, MEAN, MOST, VARIANCE = range(4)  # what `CellGaps.summary` holds of a cell
-MOST_STEPS = 200  # of a search that needs 25 at most
+SAMPLES = 4  # points along each side of a cell; forces are then within 0.04 % of closed forms on the scenes' grid
+LEAST, MEAN, MOST, VARIANCE = range(4)  # columns of `CellGaps.summary`
+MOST_STEPS = 200  # limit of a search that needs 25 steps at most
 
 
 class CellGaps(NamedTuple):
-    """Gaps in m between a surface and the undeformed gel, over the cells of a grid of nodes; infinite beside it.
+    """Gaps in m between a surface and the undeformed gel, over the cells of a grid of nodes; infinite off the surface.
 
-    sample_m: (rows, columns, samples), at the points of each cell. summary: (rows, columns, 4), of each cell's least,
-    mean and largest gap in m and their variance in m2. least_m: the gap where the surface touches first.
+    sample_m: (rows, columns, samples), at the points of each cell.
+
+    summary: (rows, columns, 4), least, mean and largest gap of each cell in m and their variance in m2.
+
+    least_m: the gap at the point of first touch.
     """
 
     sample_m: Floats
@@ -31,19 +34,19 @@ class CellGaps(NamedTuple):
     least_m: float
 
     def depth_m(self, indentation_m: float) -> Floats:
-        """How deep each node's cell is pressed, (rows, columns) in m, in the mean over it."""
+        """Return the mean depth to which each node's cell is pressed, (rows, columns) in m."""
         depth: Floats = mean_depth(indentation_m, self.sample_m, self.summary)
         return depth
 
     def indentation_m(self, depth_sum_m: float, deepest_m: float) -> float:
-        """The indentation, deepest_m at most, at which the depths of all cells add up to depth_sum_m, > 0."""
+        """Return the indentation, at most deepest_m, at which the depths of all cells sum to depth_sum_m, > 0."""
         return float(_indentation(depth_sum_m, deepest_m, self.sample_m, self.summary))
 
 
 def cell_samples(node_xy_m: Floats) -> Floats:
-    """The sampled points of each cell of a regular grid of nodes (rows, columns, 2): (rows, columns, samples, 2).
+    """Return the points of each cell of a regular grid of nodes (rows, columns, 2): (rows, columns, samples, 2).
 
-    The cells of a single row or column have no width across it, as none is known.
+    The cells of a single row or column have zero width across it, because the pitch is unknown.
     """
     if node_xy_m.ndim != 3 or node_xy_m.shape[2] != 2 or not node_xy_m.size or not np.isfinite(node_xy_m).all():
         raise ValueError(f"node_xy_m must be finite with shape (rows, columns, 2), found shape {node_xy_m.shape}")
@@ -56,7 +59,7 @@ def cell_samples(node_xy_m: Floats) -> Floats:
 
 
 def gaps_of(sample_m: Floats) -> CellGaps:
-    """The gaps of a surface from those at the sampled points, (rows, columns, samples) in m; infinite beside it."""
+    """Return the gaps of a surface from its gaps at the sampled points, (rows, columns, samples) in m."""
     if sample_m.ndim != 3 or sample_m.size == 0 or np.isnan(sample_m).any():
         raise ValueError(f"gaps must be numbers of shape (rows, columns, samples), found shape {sample_m.shape}")
     sample_m = np.ascontiguousarray(sample_m)
@@ -92,7 +95,7 @@ def _summary(sample: Floats) -> Floats:
 
 @njit(cache=True)
 def mean_depth(indentation_m: float, sample_m: Floats, summary: Floats) -> Floats:
-    """How deep each cell is pressed in the mean over its points, (rows, columns) in m; 0 where it is not."""
+    """Return the mean depth to which each cell is pressed, (rows, columns) in m; 0 for cells without contact."""
     rows, columns, count = sample_m.shape
     depth = np.zeros((rows, columns))
     for row in range(rows):
@@ -111,7 +114,7 @@ def mean_depth(indentation_m: float, sample_m: Floats, summary: Floats) -> Float
 
 @njit(cache=True, _nrt=False)
 def _indentation(depth_sum_m: float, deepest_m: float, sample_m: Floats, summary: Floats) -> float:
-    """See `CellGaps.indentation_m`: Newton's method from above, where the sum is convex, and linear in pieces."""
+    """Compute `CellGaps.indentation_m` by Newton's method from above: the sum is convex and piecewise linear."""
     rows, columns, count = sample_m.shape
     at_m = deepest_m
     for _ in range(MOST_STEPS):

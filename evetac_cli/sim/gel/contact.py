@@ -1,11 +1,12 @@
-"""How hard and where a gripped object presses on the gel: gaps, pressure, and force against closing.
+"""Pressure of a gripped object on the gel: gaps, pressure distribution, and force against closing.
 
-Why so: the pad is thin and bonded to a stiff back, so each spot is taken as a spring of its own (a Winkler foundation
-of stiffness E/H per area), several to a cell of a node (cell_gaps). The force then follows the shape of the object in
-closed form, and the closing of the gripper is the sum of both gels' indentation and the bending of the fingers, which
-are softer than the gel. Left out: a layer that keeps its volume resists being pressed the more, the wider the contact
-is, so that E is an effective modulus.
-Axes are those of the image, seen in a top grasp: x points down (along gravity), y to the side, in metres from the
+The pad is thin and bonded to a stiff back, so each point is treated as a separate spring: a Winkler foundation of
+stiffness E/H per area. Each node's cell has several points (cell_gaps). The force then follows from the object's shape
+in closed form. The closing of the gripper is the sum of both gels' indentation and the bending of the fingers, which
+are softer than the gel. Not simulated: a layer of constant volume resists pressure more the wider the contact is, so E
+is an effective modulus.
+
+Axes are those of the image in a grasp from the top: x points down (along gravity), y to the side, in metres from the
 centre of the view.
 """
 
@@ -22,7 +23,7 @@ from evetac_cli.sim.setup.object_file import Shape
 
 
 def pad_nodes(columns: int, rows: int, x_range_m: tuple[float, float], y_range_m: tuple[float, float]) -> Floats:
-    """Centres of the cells that divide a rectangular pad evenly: (rows, columns, 2), x along columns, y along rows."""
+    """Return the cell centres of an evenly divided pad: (rows, columns, 2), x along columns, y along rows."""
     if columns < 1 or rows < 1:
         raise ValueError(f"a pad needs columns and rows >= 1, found {columns} and {rows}")
     for name, (low, high) in (("x_range_m", x_range_m), ("y_range_m", y_range_m)):
@@ -34,18 +35,18 @@ def pad_nodes(columns: int, rows: int, x_range_m: tuple[float, float], y_range_m
 
 
 def cell_area(node_xy_m: Floats) -> float:
-    """Area in m2 of a cell of a regular node grid (rows, columns, 2) with at least two rows and two columns."""
+    """Return the area in m2 of a cell of a regular grid (rows, columns, 2) with at least two rows and two columns."""
     if node_xy_m.ndim != 3 or node_xy_m.shape[2] != 2 or min(node_xy_m.shape[:2]) < 2:
         raise ValueError(f"expected nodes (rows >= 2, columns >= 2, 2), found shape {node_xy_m.shape}")
     return float((node_xy_m[0, 1, 0] - node_xy_m[0, 0, 0]) * (node_xy_m[1, 0, 1] - node_xy_m[0, 0, 1]))
 
 
 def gap_profile(node_xy_m: Floats, shape: Shape, radius_m: float = 0.0, tilt_rad: float = 0.0) -> CellGaps:
-    """Distance of a rigid surface from the undeformed gel when it first touches, over the cells; its least value is 0.
+    """Return the gaps between a rigid surface and the undeformed gel at first touch, over the cells; the least is 0.
 
-    A cylinder stands upright (its axis along x), so it curves away in y; the radius of a flat is not used. Curved
-    surfaces are parabolas, right for contacts narrow against the radius. A tilt about y opens the gap by tilt * x: it
-    is the misalignment of the fingers, and what makes slip begin at one end.
+    A cylinder is upright (its axis along x), so it curves away in y; radius_m has no effect for a flat surface. Curved
+    surfaces are parabolas, which is accurate for contacts narrow compared with the radius. A tilt about y opens the gap
+    by tilt * x: it is the misalignment of the fingers, and makes slip begin at one end.
     """
     height = surface(cell_samples(node_xy_m), shape, radius_m, tilt_rad)
     return gaps_of(height - height.min())
@@ -60,10 +61,10 @@ def surface(
     place: tuple[float, float, float] = (0.0, 0.0, 0.0),
     round_ends: bool = False,
 ) -> Floats:
-    """Height of a rigid surface over points (..., 2), (...) in m, from where its middle would be without a tilt.
+    """Return the height of a rigid surface over points (..., 2), as (...) in m, from its middle if it were not tilted.
 
-    Shapes as in `gap_profile`. place: where its middle is, x and y in m, and how far it is turned from x to y.
-    round_ends: a cylinder and a sphere are infinitely far beside their radius.
+    Shapes as in `gap_profile`. place: x and y of its middle in m, and its rotation from x to y. round_ends: beyond
+    their radius, a cylinder and a sphere are infinitely far away.
     """
     if not np.isfinite(tilt_rad):
         raise ValueError(f"tilt_rad must be finite, found {tilt_rad}")
@@ -88,7 +89,7 @@ def _heights(
     at: tuple[float, float, float, float],
     round_ends: bool,
 ) -> Floats:
-    """See `surface`; curves: along x, along y. at: place, and cosine and sine of the turn."""
+    """Compute `surface`. curves: whether it curves along x and along y. at: position, cosine and sine of rotation."""
     x_m, y_m, cosine, sine = at
     height = np.empty(len(points))
     for k in range(len(points)):
@@ -107,10 +108,10 @@ def _heights(
 
 @dataclass(frozen=True)
 class ForceCurve:
-    """Normal force of one finger and indentation of one gel against closing past first touch, at even steps from 0.
+    """Normal force of one finger and indentation of one gel, tabulated over closing past first touch in even steps.
 
-    The last entry is at `reach_ticks`; `lookup` gives its value for anything beyond. second_indentation_m: of the
-    second finger's gel, where that is of another stiffness.
+    The table starts at 0 and ends at `reach_ticks`; `lookup` returns the last value beyond. second_indentation_m: of
+    the second finger's gel, if its stiffness differs.
     """
 
     step_ticks: float
@@ -121,7 +122,7 @@ class ForceCurve:
 
     @property
     def reach_ticks(self) -> float:
-        """Closing of the last entry, in ticks past first touch."""
+        """Return the closing of the last entry, in ticks past first touch."""
         return self.step_ticks * (len(self.force_n) - 1)
 
 
@@ -137,13 +138,15 @@ def force_curve(
     step_ticks: float = 0.01,
     second_stiffness: float | None = None,
 ) -> ForceCurve:
-    """Table of N and indentation d over the closing c of the gripper: c * metres_per_tick = 2 d + N / stiffness.
+    """Return the table of N and indentation d over the closing c: c * metres_per_tick = 2 d + N / stiffness.
 
-    metres_per_tick is the change of the gap between both fingers; finger_stiffness_n_m that of fingers, links and
-    mounts against the same gap. N(d) = E/H * area of a point * sum of (d - gap) over those pressed, which is linear
+    metres_per_tick is the change of the gap between the fingers. finger_stiffness_n_m is the stiffness of fingers,
+    links and mounts for that gap. N(d) = E/H * area of a point * sum of (d - gap) over pressed points. N(d) is linear
     between the gaps of two points, so the table is exact at its entries. It ends at reach_ticks (120 ticks are about
-    20 mm, 30 N with the fingers' 1.8 N/mm), or before, where the gel would be pressed flat (d = gel height).
-    second_stiffness: of the second finger's gel over that of the first, where it is not its mirror image.
+    20 mm, 30 N with the fingers' 1.8 N/mm), or earlier if the gel would be pressed flat (d = gel height).
+
+    second_stiffness: of the second finger's gel relative to the first's, if they differ. ValueError for gaps that are
+    not finite or have a least value other than 0.
     """
     if not np.isfinite(gaps.sample_m).all() or gaps.least_m != 0.0:
         raise ValueError(f"gaps must be finite with least value 0, found {gaps.least_m:g} m as the least")
@@ -160,7 +163,7 @@ def force_curve(
         check_range(name, value, above=True)
     force, corner = _indentation_curve(gaps, normal_modulus_pa / gel_height_m * cell_area_m2, gel_height_m)
     second = corner
-    if second_stiffness is not None:  # a corner wherever one more point of either gel comes into contact
+    if second_stiffness is not None:  # a corner at each point of either gel that comes into contact
         pushes = np.unique(np.concatenate([force, second_stiffness * force]))
         pushes = pushes[pushes <= min(1.0, second_stiffness) * force[-1]]
         second = np.interp(pushes / second_stiffness, force, corner)
@@ -178,10 +181,10 @@ def force_curve(
 
 
 def _indentation_curve(gaps: CellGaps, node_stiffness_n_m: float, gel_height_m: float) -> tuple[Floats, Floats]:
-    """Normal force in N and indentation in m of one gel, (corners,) each, both rising; linear between them.
+    """Return the normal force in N and the indentation in m of one gel, (corners,) each, rising, linear in between.
 
-    The indentation counts from where a gap is 0. There is a corner wherever one more point of a cell comes into
-    contact, and the last where the first of them is pressed flat.
+    The indentation is 0 where a gap is 0. There is a corner at each point of a cell that comes into contact; the last
+    corner is where the first point is pressed flat.
     """
     flat_m = gaps.least_m + gel_height_m
     gap = np.sort(gaps.sample_m, axis=None)
@@ -192,14 +195,14 @@ def _indentation_curve(gaps: CellGaps, node_stiffness_n_m: float, gel_height_m: 
 
 
 def closing_at(curve: ForceCurve, force_n: float) -> float:
-    """Closing in ticks past first touch at which a finger presses with force_n, 0 <= force_n <= the curve's last."""
+    """Return the closing in ticks past first touch at which a finger presses with force_n, within the curve's range."""
     check_range("force_n", force_n, 0.0, float(curve.force_n[-1]))
     return float(curve.step_ticks * np.interp(force_n, curve.force_n, np.arange(len(curve.force_n))))
 
 
 @njit(cache=True, _nrt=False)
 def lookup(table: Floats, step_ticks: float, closing_ticks: float) -> float:
-    """Value of a ForceCurve's table at a closing: linear between entries, 0 before touch, the last entry beyond."""
+    """Return a ForceCurve table's value at a closing: linear between entries, 0 before touch, the last entry beyond."""
     if closing_ticks <= 0.0:
         return 0.0
     place = closing_ticks / step_ticks
@@ -210,10 +213,10 @@ def lookup(table: Floats, step_ticks: float, closing_ticks: float) -> float:
 
 
 def pressure(indentation_m: float, gaps: CellGaps, total_force_n: float) -> Floats:
-    """Normal force of each node, (rows, columns) in N: in proportion to the depth of its cell, total_force_n together.
+    """Return the normal force of each node, (rows, columns) in N: proportional to its cell's depth, with a given total.
 
-    Without indentation there is no contact and every node carries 0, whatever the total. ValueError where a value is
-    not finite or the total is negative.
+    Without indentation there is no contact, and every node carries 0 for any total. ValueError if a value is not finite
+    or the total is negative.
     """
     force: Floats = _pressure(indentation_m, gaps.sample_m, gaps.summary, total_force_n)
     return force
@@ -231,10 +234,10 @@ def _pressure(indentation_m: float, sample_m: Floats, summary: Floats, total_for
 
 
 def turning_arm(node_xy_m: Floats, nodal: Floats) -> float:
-    """Moment in N m, for each N of friction, that a contact resists with at most when it turns on the spot.
+    """Return the largest moment, in N m per N of friction, with which a contact resists turning on the spot.
 
-    nodal: normal force of each node, in any unit. It is the mean distance of the force from its middle; 0 without
-    contact.
+    nodal: normal force of each node, in any unit. The result is the mean distance of the force from its middle; 0
+    without contact.
     """
     force = nodal.sum()
     if force <= 0.0:

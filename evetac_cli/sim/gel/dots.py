@@ -1,7 +1,7 @@
-"""Where points of the gel's surface are seen: what its nodes do at them, and how a dot that comes nearer looks larger.
+"""Motion of points on the gel's surface, as a camera sees it: interpolated from nodes, and magnified by depth.
 
-A dot that the gel brings nearer to the lens by s moves away from the image's centre by r s / Z, r being its distance
-from there. Z is a guess: the distance of a GelSight Mini's camera, rounded.
+A dot that comes nearer to the lens by s moves away from the image's centre by r s / Z, with r its distance from the
+centre. Z is a guess: the rounded distance of a GelSight Mini's camera.
 """
 
 import numpy as np
@@ -12,23 +12,23 @@ from evetac_cli.checks import check_range
 from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.gel.gel import GelState
 
-# Over which the motion of a layer 4 mm high dies off beyond a border along it, H sqrt(ACROSS (1 + 1/SPRING)); square to
-# it, motion reaches 5.5 mm.
+# Distance over which the motion of a layer 4 mm high decays beyond a border, for motion along the border:
+# H sqrt(ACROSS (1 + 1/SPRING)). Motion normal to the border reaches 5.5 mm.
 DECAY_M = 2.3e-3
-CAMERA_DISTANCE_M = 25e-3
+CAMERA_DISTANCE_M = 25e-3  # Z above
 
 
 def nearer_by(points_m: Floats, depth_m: Floats) -> Floats:
-    """Shift (points, 2) in m that a camera sees of points (points, 2) from its axis that come nearer by depths in m."""
+    """Return the apparent shift (points, 2) in m of points (points, 2) from the axis that come nearer by depth_m."""
     shift_m: Floats = points_m * (depth_m / CAMERA_DISTANCE_M)[:, None]
     return shift_m
 
 
 def interpolation(node_xy_m: Floats, points_xy_m: Floats, decay_m: float = DECAY_M) -> tuple[NDArray[np.intp], Floats]:
-    """Nodes and weights, both (points, 4), that give the displacement of points on the gel from that of the nodes.
+    """Return nodes and weights, (points, 4) each, that interpolate the displacement of points from that of the nodes.
 
-    Bilinear between nodes and constant to the border of the pad (the outer sides of its cells); beyond, the value at
-    the border decays with exp(-distance / decay_m), as the motion of a bonded layer does outside a contact.
+    Bilinear between nodes, and constant up to the border of the pad (the outer sides of its cells). Beyond, the value
+    at the border decays with exp(-distance / decay_m), like the motion of a bonded layer outside a contact.
     """
     points = np.asarray(points_xy_m, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 2 or not np.isfinite(points).all():
@@ -56,14 +56,14 @@ def interpolation(node_xy_m: Floats, points_xy_m: Floats, decay_m: float = DECAY
 
 
 def displacement_at(state: GelState, indices: NDArray[np.intp], weights: Floats) -> Floats:
-    """Displacement in m, (points, 2), of the points for which `interpolation` gave these indices and weights."""
+    """Return the displacement in m, (points, 2), of the points with these indices and weights (`interpolation`)."""
     displacement: Floats = field_at(state.displacement_m, indices, weights)
     return displacement
 
 
 @njit(cache=True)
 def field_at(field: Floats, indices: NDArray[np.intp], weights: Floats) -> Floats:
-    """Values (points, parts) of a field of the nodes, (rows, columns, parts), where `interpolation` says."""
+    """Return values (points, parts) of a node field, (rows, columns, parts), at the points of `interpolation`."""
     parts = field.shape[2]
     nodes = field.reshape(field.shape[0] * field.shape[1], parts)
     values = np.zeros((len(indices), parts))

@@ -1,8 +1,8 @@
-"""The balance of forces in one time step of the gel: node velocities and the object's twist at which it holds.
+"""The balance of forces in one time step of the gel: the node velocities and the object's twist that satisfy it.
 
-The minimum of one convex function (see gel) is found in rounds: sweeps of projected over-relaxation over the nodes and
-the sheet that couples them (`relax`), then a Newton step of the object in which the nodes that stick move along (see
-object_move). Each pad that is simulated has a `Stencil` and a `Work` of its own.
+The minimum of a convex function (see gel) is found in rounds. Each round makes sweeps of projected over-relaxation over
+the nodes and the sheet that couples them (`relax`), then a Newton step of the object, with which the stuck nodes move
+(see object_move). Each simulated pad has its own `Stencil` and `Work`.
 """
 
 import math
@@ -15,15 +15,16 @@ from evetac_cli.kernels.compiled import njit
 from evetac_cli.kernels.gel_layer import SPRING
 from evetac_cli.sim.gel.sheet import SheetStencil, largest, pull_sheet, relax_sheet, sheet_imbalance
 
-Three = tuple[float, float, float]  # along x, along y, and about the axis across both
-ROUNDING = 1e-12  # a slip below this share of the object's speed sticks: its direction is lost, and with it the search
-FACTOR = 1.3  # of over-relaxation of the nodes
-# Sweeps over the sheet after each over the nodes: with 1, 2 and 3 the gel of a slip slice took 85, 79 and 82 us (object
-# 8), 102, 88 and 95 us (object 11).
+Three = tuple[float, float, float]  # along x, along y, and about the axis normal to both
+ROUNDING = 1e-12  # slip below this share of the object's speed counts as sticking: its direction is lost in rounding
+FACTOR = 1.3  # over-relaxation factor of the nodes
+# Number of sweeps over the sheet after each sweep over the nodes. With 1, 2 and 3 the gel of a slip slice took 85, 79
+# and 82 us (object 8), and 102, 88 and 95 us (object 11).
 SHEET_SWEEPS = 2
-# The sheet has to be in balance within this share of what pulls it, or STRICTER than all else. Why so: measured by all
-# forces alone, with most of them friction, it would lag behind a gel that creeps. Slips of objects 3, 8 and 11 begin in
-# the same slice with shares of 0.001, 0.01, 0.05 and 0.15; the events of the 60 slices before it differ by 2 at most.
+# The sheet must be in balance within this share of the force that pulls it, or STRICTER than everything else. Measured
+# by all forces alone, of which most are friction, the sheet would lag behind a gel that creeps. Slips of objects 3, 8
+# and 11 begin in the same slice with shares of 0.001, 0.01, 0.05 and 0.15; the events of the 60 slices before it differ
+# by 2 at most.
 SHEET_SHARE, STRICTER = 0.05, 1e3
 
 
@@ -42,16 +43,22 @@ class Stencil(NamedTuple):
 class Work(NamedTuple):
     """Memory for one step, (rows, columns[, 2]); `loose`, sheet, sheet_search and after have a border all around.
 
-    It is the pad's from step to step (see `work_memory`), as making it anew took a tenth of a step.
+    The pad keeps it from step to step (see `work_memory`), because allocating it took a tenth of a step.
 
     velocity: mean velocity of the nodes over the step, the unknown; right: right-hand side of their equation.
-    lever: place of the nodes seen from the object's centre; bound: mu * normal force.
-    pull: the friction each node asks for; slip, speed: its velocity against the object's surface, and the size of that.
-    loose: 1 where a node does not move along with the object.
-    search_direction: how the nodes answer a move of the object.
-    Of the sheet, x and y apart (2, ...): sheet, its mean velocity, and sheet_search, how it answers a move;
-    sheet_source, what the nodes pull it with; sheet_left and search_left, what the balance of the two lacks; after, one
-    component half way through a sweep.
+
+    lever: position of the nodes relative to the object's centre; bound: mu * normal force.
+
+    pull: the friction that each node needs; slip, speed: its velocity against the object's surface, and its magnitude.
+
+    loose: 1 for a node that does not move with the object. search_direction: response of the nodes to a motion of the
+    object.
+
+    The sheet's arrays have x and y separately (2, ...): `sheet` is its mean velocity, `sheet_search` its response to a
+    motion, and `sheet_source` the pull of the nodes on it.
+
+    sheet_left, search_left: residuals of the balances of sheet and sheet_search. after: one component in the middle of
+    a sweep.
     """
 
     velocity: Floats
@@ -73,14 +80,14 @@ class Work(NamedTuple):
 
 
 def work_memory(rows: int, columns: int) -> Floats:
-    """Zeros (numbers,) for the `Work` of a pad of so many nodes, their normal forces, and the object's twist."""
+    """Return zeros (numbers,) for the `Work` of a pad of this size, its normal forces, and the object's twist."""
     bordered, longer, plain = (rows + 2) * (columns + 2), rows * (columns + 2), rows * columns
     return np.zeros(6 * bordered + 6 * longer + 15 * plain + 3)
 
 
 @njit(cache=True, _nrt=False, inline="always")
 def work_in(memory: Floats, rule: Floats, rows: int, columns: int) -> Work:
-    """The memory of a pad (see `work_memory`) by its parts; rule: of its sheet."""
+    """Return the parts of a pad's memory (see `work_memory`); rule: of its sheet."""
     border = (rows + 2) * (columns + 2)
     row = rows * (columns + 2)
     plain = rows * columns
@@ -109,10 +116,9 @@ def work_in(memory: Floats, rule: Floats, rows: int, columns: int) -> Work:
 
 @njit(cache=True, _nrt=False, error_model="numpy")
 def friction_projection(x: float, y: float, bound: float) -> float:
-    """The share of a vector (x, y) that is left when its length is made less by `bound`; 0 where it is not longer.
+    """Return the share of a vector (x, y) that remains if its length is reduced by `bound`; 0 if it is not longer.
 
-    This is Coulomb's law in the search (the proximal map of friction): what a node would slip, less what its friction
-    holds.
+    This is Coulomb's law in the search (the proximal map of friction): the slip of a node, reduced by its friction.
     """
     square = x * x + y * y
     return 1.0 - bound / math.sqrt(square) if square > bound * bound else 0.0
@@ -120,14 +126,14 @@ def friction_projection(x: float, y: float, bound: float) -> float:
 
 @njit(cache=True, _nrt=False, error_model="numpy")
 def relax(work: Work, stencil: Stencil, stuck: Flags, twist: Three) -> None:
-    """One sweep of projected over-relaxation, with the object's velocity: over the nodes, then over the sheet."""
+    """Make one sweep of projected over-relaxation at the object's velocity: over the nodes, then over the sheet."""
     rows, columns = work.bound.shape
     ease = FACTOR / (stencil.own + stencil.spring)
     keep = 1.0 - FACTOR
     spring = stencil.spring
     body_x, body_y, turn = twist
     velocity, right, sheet = work.velocity, work.right, work.sheet
-    for row in range(rows):  # vector code: as if no node bore anything, as most do not
+    for row in range(rows):  # vectorised, as if no node was loaded, because most are not
         for column in range(columns):
             pull_x = right[row, column, 0] + spring * sheet[0, row + 1, column + 1]
             pull_y = right[row, column, 1] + spring * sheet[1, row + 1, column + 1]
@@ -156,14 +162,14 @@ def relax(work: Work, stencil: Stencil, stuck: Flags, twist: Three) -> None:
 
 @njit(cache=True, _nrt=False, error_model="numpy")
 def imbalance(work: Work, stencil: Stencil, twist: Floats, stuck: Flags) -> tuple[float, Three]:
-    """Largest force left unbalanced at a node or at the sheet; force and moment of a pad on the object.
+    """Return the largest unbalanced force at a node or at the sheet; and a pad's force and moment on the object.
 
-    Fills pull and sheet_left; of the nodes that bear something slip and speed, too.
+    Fills pull and sheet_left, and slip and speed of the loaded nodes.
     """
     velocity, sheet, pull = work.velocity, work.sheet, work.pull
     rows, columns = work.bound.shape
     spring, diagonal = stencil.spring, stencil.own + stencil.spring
-    worst = unloaded = wrench_x = wrench_y = moment = 0.0  # sums in memory would wait for each other
+    worst = unloaded = wrench_x = wrench_y = moment = 0.0  # local sums: sums in memory would wait for each other
     if spring > 0.0:
         pull_sheet(velocity, work.sheet_source)
         sheet_imbalance(sheet, work.sheet_source, stencil.stretch, work.sheet_rule, work.sheet_left)

@@ -1,16 +1,17 @@
-"""The law of friction of a node: its coefficient falls with slip speed, and follows over a memory length.
+"""The friction law of a node: its coefficient falls with slip speed, with a delay over a memory length.
 
-At a steady slip speed s the coefficient is mu(s) = kinetic + (static - kinetic) exp(-(s / stribeck speed)^2). A node's
-own coefficient m follows it: dm/dt = (s + stribeck speed) / memory * (mu(s) - m). It forgets over the memory length
-when it slides and heals within memory / stribeck speed, 2 to 4 ms, at rest; without memory m is mu(s) at once.
+At a steady slip speed s the coefficient is mu(s) = kinetic + (static - kinetic) exp(-(s / stribeck speed)^2). The
+coefficient m of a node follows it: dm/dt = (s + stribeck speed) / memory * (mu(s) - m). It adapts over the memory
+length when the node slides, and heals within memory / stribeck speed, 2 to 4 ms, at rest. Without memory m is mu(s) at
+once.
 
-Why so: a law of the speed alone is no law for a simulator. Nodes let go within 10 to 30 us, the step has several
-solutions, and the onset of slip does not converge on finer grids. Rough elastomers do follow laws of state and rate
-(Ronsin and Labastie Coeyrehourcq 2001), and one of the rate alone makes slow sliding unstable on every spring (Ruina
-1983, Baumberger 2004). The memory length of this gel is not known: 20 um, a contact of two asperities, is a guess, and
-it shifts onset.
+A law that depends only on the speed is ill-posed for a simulator. Nodes let go within 10 to 30 us, the step has several
+solutions, and the onset of slip does not converge on finer grids. Rough elastomers follow rate-and-state laws (Ronsin
+and Labastie Coeyrehourcq 2001), and a pure rate law makes slow sliding unstable on every spring (Ruina 1983, Baumberger
+2004). The memory length of this gel is unknown: 20 um, a contact of two asperities, is a guess, and it shifts the
+onset.
 
-Over a gel friction need not be even: `varied` gives each node a factor on both coefficients, and with them on its own.
+Friction may vary over a gel: `varied` returns each node's factor on both coefficients, and so on its own coefficient.
 """
 
 import math
@@ -22,15 +23,15 @@ from evetac_cli.checks import check_range
 from evetac_cli.kernels.compiled import njit
 from evetac_cli.kernels.gel_layer import ACROSS, SPRING
 
-WAVES = 256  # that make up a smooth random field
-NONE_LEFT = 28.0  # beyond it exp(-x^2) is 0 in double precision, and to find that out takes long
+WAVES = 256  # number of waves that make up a smooth random field
+NONE_LEFT = 28.0  # beyond it exp(-x^2) is 0 in double precision, and computing it is slow
 
 
 @njit(cache=True, _nrt=False)
 def coefficient_after(
     coefficient: float, slip_speed: float, seconds: float, static: float, kinetic: float, stribeck: float, memory: float
 ) -> float:
-    """Friction coefficient of a node after so many seconds of slip at a constant speed in m/s: exact."""
+    """Return a node's friction coefficient after some seconds of slip at a constant speed in m/s; exact."""
     ratio = slip_speed / stribeck
     steady = kinetic
     if not ratio >= NONE_LEFT:
@@ -43,12 +44,12 @@ def coefficient_after(
 def half_wavelength_m(
     coefficient_drop: float, pressure_pa: float, memory_m: float, shear_modulus_pa: float, height_m: float
 ) -> float:
-    """Half the wavelength of the shortest pattern of slip that grows where a gel slides; infinity where none does.
+    """Return half the wavelength of the shortest slip pattern that grows while a gel slides; infinity if none grows.
 
-    A pattern of wave number k grows where coefficient_drop * pressure / memory is above the gel's stiffness to it, at
-    the least G/H (1 + a x / (1 + a x / s)), x = (kH)^2 (see kernels/gel_layer): friction that falls over the memory
-    length beats the gel (Rice 1993). A grid has to resolve it: ask for 6 nodes, and do not trust the onset of slip
-    below 4. 0 without memory, and where patterns of any length grow.
+    A pattern of wave number k grows if coefficient_drop * pressure / memory exceeds the gel's stiffness for it. That is
+    at least G/H (1 + a x / (1 + a x / s)), with x = (kH)^2 (see kernels/gel_layer). Friction that falls over the memory
+    length then overcomes the gel (Rice 1993). A grid must resolve the pattern: use at least 6 nodes, and do not trust
+    the onset of slip below 4. The result is 0 without memory, or if patterns of any length grow.
     """
     if memory_m == 0.0:
         return 0.0 if coefficient_drop * pressure_pa > 0.0 else math.inf
@@ -59,11 +60,11 @@ def half_wavelength_m(
 
 
 def varied(node_xy_m: Floats, spread: float, length_m: float, rng: np.random.Generator) -> Floats:
-    """Factor on the friction of each node, (rows, columns), that varies smoothly over the gel; its mean is 1.
+    """Return a factor on the friction of each node, (rows, columns), that varies smoothly over the gel; its mean is 1.
 
-    Log-normal with a relative standard deviation `spread`; places a distance r apart are correlated by about
-    exp(-(r / length_m)^2 / 2). A sum of random waves, so that a gel is the same on any grid of nodes. ValueError where
-    a value is out of range.
+    Log-normal with a relative standard deviation `spread`; the correlation of points at a distance r is about
+    exp(-(r / length_m)^2 / 2). It is a sum of random waves, so a gel is the same on any grid of nodes. ValueError if a
+    value is out of range.
     """
     check_range("spread of friction over a gel", spread, 0.0, 1.0)
     check_range("length over which friction varies", length_m, 1e-4, 0.1, "m")

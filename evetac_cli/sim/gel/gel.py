@@ -1,28 +1,28 @@
-"""The gel's surface in shear, its friction, and the rigid object it holds: one implicit step at a time.
+"""The gel's surface in shear, its friction, and the rigid object that it holds: one implicit step at a time.
 
 Model, in SI units, x down, y to the side, rotation from x to y:
 
-- Layer. A gel of height H that keeps its volume, bonded to a stiff back. It answers shear as a vector, stiffer along a
-  wave than across it, and pressure squeezes it aside: what the exact layer does is met by a sheet of nodes inside it
-  and by a force that pressure exerts on the surface (see kernels/gel_layer). A surface node carries the mass
-  4 rho H a/pi^2, a its area, which puts the first thickness resonance where the exact layer has it, at
-  sqrt(G/rho)/4H = 753 Hz. Losses: Kelvin-Voigt, and one Maxwell arm; slow creep, where it is asked for: more arms (a
-  Prony series). Arms are solved exactly for a velocity constant in a step.
-- Friction. Set-valued Coulomb: the friction of a node lies in the disc of radius mu * normal force; where the node
-  slips it lies on the rim, against the slip. mu is a state of the node, which falls from static to kinetic with its
-  slip speed over a memory length (see friction).
-- Object. Rigid, held by two pads. Where they are mirror images, one is simulated; where not, both are, each a GelState
-  of its own (see `Stepper`). Its lever arms follow it as it moves.
+- Layer. A gel of height H and constant volume, bonded to a stiff back. It resists shear as a vector, more along a wave
+  than across it, and pressure squeezes it aside. A sheet of nodes inside the gel, and a force by which pressure acts on
+  the surface, reproduce the response of the exact layer (see kernels/gel_layer). A surface node carries the mass
+  4 rho H a/pi^2, with its area a. This mass puts the first thickness resonance where the exact layer has it, at
+  sqrt(G/rho)/4H = 753 Hz. Losses: Kelvin-Voigt and one Maxwell arm; slow creep, if requested, adds arms (a Prony
+  series). Arms are solved exactly for a velocity that is constant within a step.
+- Friction. Set-valued Coulomb friction: the friction of a node is in the disc of radius mu * normal force. If the node
+  slips, its friction is on the rim, against the slip. The coefficient mu is a state of the node, which falls from
+  static to kinetic with its slip speed over a memory length (see friction).
+- Object. Rigid, held by two pads. If they are mirror images, one is simulated. If not, both are, each as a GelState
+  (see `Stepper`). Its lever arms follow it as it moves.
 
-Why so: a step minimises one convex function of the node velocities and the object's twist (Moreau's time stepping). It
-is stable for any stiffness, mass, friction and time step, and sticking is exact: no creep, no regularisation speed.
-How the minimum is found: force_balance.
+A step minimises a convex function of the node velocities and the object's twist (Moreau's time stepping). It is stable
+for any stiffness, mass, friction and time step. Sticking is exact: there is no numerical creep and no regularisation
+speed. For the search of the minimum see force_balance.
 
-theta: implicit Euler over theta * dt, then extrapolated to dt. 1 damps most and is of first order. 0.5 keeps the energy
-of oscillations and is of second order while nothing begins to stick or slip, but whatever rings rings on. 0.51, the
-default, damps what is too fast for the step by 0.96 a step. Why not more: at 0.55 object and gel were 1.5 to 2 times as
-far from a run in steps of 10 us while the grip is released, and so were their jumps from step to step (seeds 0 to 7,
-before the gel had its sheet).
+theta: implicit Euler over theta * dt, then extrapolation to dt. The value 1 damps most and is of first order. The value
+0.5 conserves the energy of oscillations and is of second order while nothing begins to stick or slip, but oscillations
+never decay. The default 0.51 damps oscillations that are too fast for the step by 0.96 per step. Larger values are less
+accurate. At 0.55, object and gel were 1.5 to 2 times as far from a run in steps of 10 us while the grip is released. So
+were their jumps from step to step (seeds 0 to 7, measured before the gel had its sheet).
 """
 
 import copy
@@ -44,19 +44,22 @@ from evetac_cli.sim.gel.pad_equation import Fields, FrictionLaw, LayerConstants,
 from evetac_cli.sim.gel.sheet import rule_of, sheet_stencil
 from evetac_cli.sim.gel.time_step import INFO_SIZE, Allowed, NodeArrays, step_nodes
 
-MEMORY_M = 20e-6  # a guess: no memory length of friction is known for this gel
-MOST_ARMS = 8
+MEMORY_M = 20e-6  # a guess: the memory length of friction is unknown for this gel
+MOST_ARMS = 8  # most slow Maxwell arms
 
 
 @dataclass(frozen=True)
 class GelMaterial:
-    """Elasticity, density and losses of a pad, and its height.
+    """Elasticity, density, losses and height of a pad.
 
     Shear modulus and height are those of a GelSight Mini gel (FEATS, from the same laboratory as Evetac). Density and
-    losses (tan delta 0.1-0.2 at 100-500 Hz) are generic values, to be drawn at random. To leave out on request:
-    `coupled` False, each node is a spring of its own (Winkler); `squeezes` False, pressure moves no gel aside;
-    `with_mass` False, the gel follows without inertia. creep_share, creep_time_s: of more Maxwell arms, MOST_ARMS at
-    most. The shear modulus is that after all creep; a sudden shear is resisted by 1 + all shares times as much.
+    losses (tan delta 0.1-0.2 at 100-500 Hz) are generic values, meant to be sampled.
+
+    Three effects can be switched off. `coupled` False: each node is a separate spring (Winkler). `squeezes` False:
+    pressure moves no gel aside. `with_mass` False: the gel follows without inertia.
+
+    creep_share, creep_time_s: of at most MOST_ARMS additional Maxwell arms. The shear modulus is that after all creep;
+    the stiffness under a sudden shear is 1 + all shares times as large.
     """
 
     shear_modulus_pa: float = 145e3
@@ -78,14 +81,14 @@ class GelMaterial:
             check_range(name, getattr(self, name))
         if not len(self.creep_share) == len(self.creep_time_s) <= MOST_ARMS:
             counts = f"{len(self.creep_share)} and {len(self.creep_time_s)}"
-            raise ValueError(f"creep_share and creep_time_s must have one length, {MOST_ARMS} at most, found {counts}")
+            raise ValueError(f"creep_share and creep_time_s must have the same length <= {MOST_ARMS}, found {counts}")
         for share, time_s in zip(self.creep_share, self.creep_time_s, strict=True):
             check_range("creep_share", share, 0.0, 10.0)
             check_range("creep_time_s", time_s, 1e-3, 1e5)
 
     @property
     def arms(self) -> tuple[tuple[float, float], ...]:
-        """Share and time in s of all Maxwell arms."""
+        """Return the share and the time in s of all Maxwell arms."""
         usual = (self.maxwell_share, self.maxwell_time_s)
         return (usual, *zip(self.creep_share, self.creep_time_s, strict=True))
 
@@ -94,7 +97,7 @@ class GelMaterial:
 class Friction:
     """Coefficients of friction: static at rest, falling to kinetic at slip speeds well above stribeck_speed_m_s.
 
-    memory_m: the distance over which a coefficient follows the slip speed; 0, it does at once.
+    memory_m: the slip distance over which a coefficient adapts to the slip speed; 0: at once.
     """
 
     static: float
@@ -109,25 +112,31 @@ class Friction:
 
     @cached_property
     def law(self) -> FrictionLaw:
-        """The same as `step_nodes` is handed it."""
+        """Return the friction law as `step_nodes` takes it."""
         return float(self.static), float(self.kinetic), float(self.stribeck_speed_m_s), float(self.memory_m)
 
 
 class StepInfo(NamedTuple):
-    """What one step did. Means are (x, y), weighted by pressure, and 0 without contact.
+    """Results of one step. Means are (x, y), weighted by pressure, and 0 without contact.
 
-    Where a gel has a friction_factor, pressure and normal force stand for those times the node's factor.
+    For a gel with a friction_factor, pressure and normal force are multiplied by each node's factor.
 
-    residual: largest force left unbalanced, of a node or of the object, as a share of all forces on the object.
-    converged: whether the balance was found.
-    slip_fraction: slipping / loaded nodes; 1 without contact, where nothing sticks.
-    gel_velocity_m_s, slip_velocity_m_s: mean velocity over the step of the gel, and of the object's surface against it.
-    gel_displacement_m: mean displacement of the gel at the end of the step.
+    residual: largest unbalanced force of a node or of the object, relative to all forces on the object. converged:
+    whether the residual is within the tolerance.
+
+    slip_fraction: slipping nodes divided by loaded nodes; 1 without contact, because nothing sticks.
+
+    gel_velocity_m_s, slip_velocity_m_s: mean velocity, over the step, of the gel and of the object's surface against
+    the gel. gel_displacement_m: mean displacement of the gel at the end of the step.
+
     friction_n: force of the object on one pad, x, y, and its moment about the origin in N m.
-    friction_change: largest change of a node's coefficient. friction_heat_j: what friction took, on all pads.
-    slipping_force_n: largest normal force of a node that slips. error_m: estimated error of the displacement: what the
-    object's position differs by from the trapezoidal rule, or the gel's would, where it is pressed hardest, if friction
-    were that of the step's start.
+
+    friction_change: largest change of a node's coefficient. friction_heat_j: energy dissipated by friction, on all
+    pads. slipping_force_n: largest normal force of a slipping node.
+
+    error_m: estimated error of the displacement, the larger of two values. One is the difference of the object's
+    position from the trapezoidal rule. The other is the change of the gel's displacement, at the highest pressure, if
+    friction stayed as at the start of the step.
     """
 
     sweeps: int
@@ -146,17 +155,23 @@ class StepInfo(NamedTuple):
 
 @dataclass(eq=False)
 class GelState:
-    """A pad and the object on it. Steps change the arrays in place; `copy` and `restore` allow to solve a step again.
+    """A pad and the object on it. Steps change the arrays in place; `copy` and `restore` allow a step to be repeated.
 
     displacement_m, velocity_m_s, maxwell_n: (rows, columns, 2), at the end of the last step. creep_n: (arms, rows,
     columns, 2), force of the slow arms.
-    sheet_m: (2, rows + 2, columns + 2), displacement of the sheet, x and y apart; its border means nothing.
-    slip_m_s: (rows, columns), mean speed of the object's surface against the gel in the last step, 0 where it sticks.
-    friction_coefficient: (rows, columns), of each node; infinite where it bears no load, for that of rest. What bounds
-    its friction is this times its friction_factor, (rows, columns), where the gel has one.
-    stuck: (rows, columns), loaded and not slipping.
+
+    sheet_m: (2, rows + 2, columns + 2), displacement of the sheet, x and y separately; its border has no meaning.
+
+    slip_m_s: (rows, columns), mean speed of the object's surface against the gel in the last step, 0 for stuck nodes.
+    stuck: (rows, columns), whether a node is loaded and does not slip.
+
+    friction_coefficient: (rows, columns), of each node; infinite for unloaded nodes, which means at rest. The bound of
+    a node's friction is this times its friction_factor, (rows, columns), if the gel has one.
+
     pose: x, y of the object's centre of mass in m and its rotation in rad; twist: its velocity.
-    inertia: mass, mass and moment of inertia of the object; may be changed between steps (a weight lands on it).
+
+    inertia: mass, mass and moment of inertia of the object; may be changed between steps (for example when a weight
+    lands on it).
     """
 
     node_xy_m: Floats
@@ -179,29 +194,29 @@ class GelState:
     _squeeze: Squeeze | None
     _layer: PadConstants
     _creep_arms: Floats
-    layer_constants: LayerConstants  # the same as a plain tuple, as `step_nodes` is handed it
+    layer_constants: LayerConstants  # the constants as a plain tuple, as `step_nodes` takes them
     info: Floats
-    _numbers: Floats  # those of the arrays above that a step changes, in one piece, so that it is quick to copy
+    _numbers: Floats  # memory of all arrays above that a step changes, in one block, so that copying is quick
     _memory: Floats
     _stuck_before: Flags
     _sheet_rule: Floats
     friction_factor: Floats | None = None
 
     def gripping(self, normal: Floats) -> Floats:
-        """Normal force of each node, or its share, as friction counts it: times the node's friction_factor.
+        """Return the normal force of each node, or its share, that counts for friction: times its friction_factor.
 
-        Why so: a factor on both coefficients is one on the normal force, bound, memory and steepness of friction
-        included, so that the steps need not know of it.
+        A factor on both coefficients is equivalent to a factor on the normal force, for the bound, the memory and the
+        steepness of friction. So the steps do not need the factor.
         """
         return normal if self.friction_factor is None else normal * self.friction_factor
 
     def squeezed(self, normal: Floats) -> Floats:
-        """Force (rows, columns, 2) with which normal forces of the nodes, or their shares, squeeze the gel aside."""
+        """Return the force (rows, columns, 2) with which the nodes' normal forces, or shares, squeeze the gel aside."""
         return np.zeros_like(self.displacement_m) if self._squeeze is None else self._squeeze.of(normal)
 
     @cached_property
     def arrays(self) -> NodeArrays:
-        """All arrays that a step reads or changes, as `step_nodes` is handed them."""
+        """Return all arrays that a step reads or changes, as `step_nodes` takes them."""
         return (
             self.displacement_m,
             self.velocity_m_s,
@@ -225,11 +240,11 @@ class GelState:
 
     @cached_property
     def fields(self) -> Fields:
-        """The arrays of the pad alone, without the object, as `step_nodes` is handed those of a second pad."""
+        """Return the arrays of the pad alone, without the object, as `step_nodes` takes those of a second pad."""
         return (*self.arrays[:7], *self.arrays[10:])
 
     def copy(self) -> "GelState":
-        """The state as it is now, independent of what happens to this one."""
+        """Return an independent copy of the present state."""
         twin = copy.copy(self)
         for of_arrays in ("arrays", "fields"):
             twin.__dict__.pop(of_arrays, None)
@@ -240,13 +255,13 @@ class GelState:
         return twin
 
     def restore(self, earlier: "GelState") -> None:
-        """Go back to an earlier copy."""
+        """Restore an earlier copy."""
         self._numbers[:] = earlier._numbers
         self.stuck[:] = earlier.stuck
 
 
 def _parts(numbers: Floats, rows: int, columns: int, arms: int) -> dict[str, Floats]:
-    """All numbers of a pad and an object that a step changes, and its inertia, by name, in one piece of memory."""
+    """Return all values of pad and object that a step changes, and the inertia, by name, in one block of memory."""
     grid = (rows, columns)
     shapes: dict[str, tuple[int, ...]] = {
         "inertia": (3,),
@@ -282,10 +297,13 @@ def start(
     cell_area_m2: float | None = None,
     friction_factor: Floats | None = None,
 ) -> GelState:
-    """An undeformed gel, and an object at rest with its centre of mass at body_xy_m.
+    """Return an undeformed gel, and an object at rest with its centre of mass at body_xy_m.
 
-    node_xy_m: (rows, columns, 2), a regular grid as from `contact.pad_nodes`. cell_area_m2 is read off it, and must be
-    given where there is only one row or column. friction_factor: (rows, columns), of each node on both coefficients.
+    node_xy_m: (rows, columns, 2), a regular grid as from `contact.pad_nodes`.
+
+    cell_area_m2: derived from the grid if None; must be given for a single row or column.
+
+    friction_factor: (rows, columns), factor of each node on both coefficients of friction.
     """
     nodes = np.ascontiguousarray(node_xy_m, dtype=np.float64)
     if nodes.ndim != 3 or nodes.shape[2] != 2 or nodes.size == 0 or not np.isfinite(nodes).all():
@@ -363,14 +381,19 @@ def step(
     max_sweeps: int = 400,
     prescribed_twist: Sequence[float] | Floats | None = None,
 ) -> StepInfo:
-    """Move gel and object on by dt_s.
+    """Advance gel and object by dt_s.
 
-    nodal_force_n: (rows, columns) normal force of each node of one pad, >= 0, best that at the time t + theta * dt.
-    body_force_n: force on the object beside friction, x, y, and its moment about the centre of mass.
-    prescribed_twist: the object moves just so (a table carries it, a stage drives it) and body_force_n has no effect.
-    theta: 0.5 to 1, see the module. The search ends when the residual is within the tolerance, or with `converged`
-    False after max_sweeps; the step is made in either case. ValueError, before anything is changed, where a value is
-    not finite or out of range.
+    nodal_force_n: (rows, columns), normal force of each node of one pad, >= 0, ideally that at the time t + theta * dt.
+
+    body_force_n: force on the object other than friction, x, y, and its moment about the centre of mass.
+
+    prescribed_twist: the object's velocity if it is prescribed (a table carries it, a stage drives it); body_force_n
+    then has no effect.
+
+    theta: 0.5 to 1, see the module.
+
+    The search ends when the residual is within the tolerance, or after max_sweeps with `converged` False; the step is
+    made in both cases. ValueError, before any change, if a value is not finite or out of range.
     """
     nodal = np.ascontiguousarray(nodal_force_n, dtype=np.float64)
     force = np.asarray(body_force_n, dtype=np.float64)
@@ -379,7 +402,7 @@ def step(
         raise ValueError(f"nodal_force_n must have the shape of the grid {state.stuck.shape}, found {nodal.shape}")
     if force.shape != (3,) or wanted.shape != (3,):
         raise ValueError(f"body_force_n and prescribed_twist must have shape (3,), found {force.shape}, {wanted.shape}")
-    if not np.isfinite(nodal).all():  # before what it squeezes aside is worked out
+    if not np.isfinite(nodal).all():  # before the squeeze is computed from it
         raise ValueError(FAULTS[1])
     if not (math.isfinite(dt_s) and dt_s > 0):
         raise ValueError(f"dt_s must be finite and > 0, found {dt_s}")
@@ -398,7 +421,7 @@ def step(
 
 
 def step_info(numbers: Floats, tolerance: float) -> StepInfo:
-    """What `step_nodes` says in numbers of its last step."""
+    """Return the results of the last step from the numbers that `step_nodes` filled in."""
     info = numbers.tolist()
     gel_velocity, slip_velocity, gel_displacement = (info[3], info[4]), (info[5], info[6]), (info[7], info[8])
     friction_n = (info[9], info[10], info[11])
@@ -407,20 +430,19 @@ def step_info(numbers: Floats, tolerance: float) -> StepInfo:
     return StepInfo(sweeps, residual, residual <= tolerance, *motion, friction_n, *info[12:16])
 
 
-FAULTS = (  # what `step_nodes` returns
+FAULTS = (  # messages for the return values of `step_nodes`
     "",
     "nodal_force_n must be finite and >= 0 at every node",
     "body_force_n and prescribed_twist must be finite",
     "state.inertia must be finite and > 0",
-    "the state is not finite: it was overwritten, or forces beyond all measure made it overflow",
+    "the state is not finite: it was overwritten, or extreme forces made it overflow",
 )
 
 
 def slip_half_wavelength_nodes(state: GelState, friction: Friction, nodal_force_n: float) -> float:
-    """Half the wavelength of the slip that friction makes unstable, in nodes of the grid; see friction.
+    """Return half the wavelength of slip that friction makes unstable, in nodes of the grid; see friction.
 
-    nodal_force_n: normal force of the node that is pressed most of those that slip. Below 4 the onset of slip depends
-    on the grid.
+    nodal_force_n: largest normal force of a slipping node. Below 4 nodes the onset of slip depends on the grid.
     """
     half_m = half_wavelength_m(
         friction.static - friction.kinetic,
@@ -433,10 +455,10 @@ def slip_half_wavelength_nodes(state: GelState, friction: Friction, nodal_force_
 
 
 def energy(state: GelState) -> float:
-    """Energy in J of the object's motion, and of the motion and deformation of all pads.
+    """Return the kinetic energy of the object and the energy of motion and deformation of all pads, in J.
 
-    What the Maxwell arms store is left out: it is counted as lost until it comes back, so that energy at a time, less
-    that at an undeformed start, less the work of outer forces, that of pressure on the gel included, is never positive.
+    Energy stored in the Maxwell arms is left out: it counts as lost until it is released. So the energy, minus that of
+    the undeformed start, minus the work of external forces and of pressure on the gel, is never positive.
     """
     answer = np.empty_like(state.displacement_m)
     layer = state._layer

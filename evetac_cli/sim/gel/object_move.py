@@ -1,12 +1,12 @@
-"""A Newton step of the object in the balance of forces: the nodes that stick move along (see force_balance).
+"""A Newton step of the object in the balance of forces: the stuck nodes move with it (see force_balance).
 
-Its exact line search keeps the object from flipping for ever between the two directions of slip on a stiff gel. Nodes
-that the step would bring to rest are caught, so that they move along too, which keeps partial slip cheap: a single node
-about to stick would stop the object again and again (400 sweeps without balance where 20 are enough).
+The exact line search prevents the object from alternating forever between the two directions of slip on a stiff gel.
+Nodes that the step would bring to rest are caught, so that they also move with it. This keeps partial slip cheap: a
+single node about to stick would stop the object again and again (400 sweeps without balance, where 20 are enough).
 
-Where the second finger's pad is not a mirror image of the first it is `Other`, and object and nodes of both pads are
-balanced together. Where it is None numba leaves out what concerns it when it compiles. It is unpacked because numba
-fails on other[0].
+If the second finger's pad is not a mirror image of the first it is passed as `Other`, and object and nodes of both pads
+are balanced together. If `other` is None, numba omits the code for it when it compiles. `other` is unpacked because
+numba fails on other[0].
 """
 
 import math
@@ -17,22 +17,22 @@ from evetac_cli.kernels.gel_layer import SPRING
 from evetac_cli.sim.gel.force_balance import Stencil, Three, Work
 from evetac_cli.sim.gel.sheet import mirror, over_nodes, pull_sheet, relax_sheet, scalar_product, sheet_imbalance
 
-Other = tuple[Work, Stencil, Flags] | None  # of the second finger's pad, the last which of its nodes stick
+Other = tuple[Work, Stencil, Flags] | None  # the second finger's pad; the flags are which of its nodes stick
 
 # The upper triangle of a symmetric 3 x 3 matrix, row by row.
 Matrix = tuple[float, float, float, float, float, float]
-REACHES = (1.0, 0.3, 0.03, 1e-3, 1e-6, 0.0)  # a Newton step catches the nodes that this share of it brings to rest,
-WORTHWHILE = 0.1  # and the first step is taken of which at least this part leads down, else the last
+REACHES = (1.0, 0.3, 0.03, 1e-3, 1e-6, 0.0)  # a Newton step catches the nodes that this share of it brings to rest
+WORTHWHILE = 0.1  # the first step is taken whose line search goes at least this far, else the last
 
 
 @njit(cache=True, _nrt=False)
 def _curvature(work: Work, stencil: Stencil) -> Matrix:
-    """A pad's stiffness against moves of the object, about.
+    """Estimate a pad's stiffness against motions of the object.
 
-    Nodes that are not loose move along, and bring their springs. Beside a loose node the sheet is stretched, over a
-    length at which its stretch and its springs store as much. A loose node lags behind: its friction resists a turn of
-    the slip, in series with the node's own diagonal. Why so: an estimate is enough, as the search along the move is
-    exact, and how the sheet answers three moves takes longer than a round more.
+    Nodes that are not loose move with the object and contribute their springs. Next to a loose node the sheet is
+    stretched over a length at which its stretch and its springs store the same energy. A loose node lags behind: its
+    friction resists a change of the slip's direction, in series with the node's own diagonal. An estimate is enough,
+    because the line search is exact; the sheet's answer to three motions would take longer than one more round.
     """
     loose, stretch = work.loose, stencil.stretch
     rows, columns = work.bound.shape
@@ -73,9 +73,10 @@ def _curvature(work: Work, stencil: Stencil) -> Matrix:
 
 @njit(cache=True, _nrt=False)
 def _follow(work: Work, stencil: Stencil, move: Three, reach: float) -> int:
-    """Fill search_direction, how each node answers a move of the object; returns how many nodes it would bring to rest.
+    """Fill search_direction, each node's response to a motion of the object; return the number of nodes caught.
 
-    Those are caught: they are about to stick, and the move has to be found again with them coming to rest.
+    Caught nodes are those that the motion would bring to rest. They are about to stick, and the motion must be computed
+    again with them at rest.
     """
     rows, columns = work.bound.shape
     diagonal = stencil.own + stencil.spring
@@ -107,9 +108,9 @@ def _follow(work: Work, stencil: Stencil, move: Three, reach: float) -> int:
 
 @njit(cache=True, _nrt=False)
 def _answer_of_sheet(work: Work, stencil: Stencil) -> None:
-    """Fill sheet_search: how the sheet answers search_direction, after one sweep from where that would have it.
+    """Fill sheet_search, the sheet's response to search_direction, by one sweep that starts from search_direction.
 
-    Why so: more sweeps find balances no sooner, as the search along the move is exact.
+    More sweeps find balances no sooner, because the line search is exact.
     """
     rows, columns = work.bound.shape
     search = work.sheet_search
@@ -125,7 +126,7 @@ def _answer_of_sheet(work: Work, stencil: Stencil) -> None:
 
 @njit(cache=True, _nrt=False)
 def _smooth(work: Work, stencil: Stencil) -> tuple[float, float]:
-    """Slope and curvature, along search_direction and sheet_search, of one pad's potential without friction."""
+    """Return the slope and curvature of a pad's potential without friction, along search_direction and sheet_search."""
     direction = work.search_direction.reshape(-1)
     slope = scalar_product(direction, work.pull.reshape(-1))
     own = scalar_product(direction, direction)
@@ -135,7 +136,7 @@ def _smooth(work: Work, stencil: Stencil) -> tuple[float, float]:
         search = work.sheet_search
         sheet_imbalance(search, work.sheet_source, stencil.stretch, work.sheet_rule, work.search_left)
         slope -= stencil.spring / SPRING * over_nodes(search, work.sheet_left)
-        # of nodes d and a sheet s: d * (d - s) - s * what the balance of s lacks
+        # of nodes d and a sheet s: d * (d - s) - s * residual of the balance of s
         of_sheet = over_nodes(search, work.sheet_source) + over_nodes(search, work.search_left)
         bend += stencil.spring * (own - of_sheet / SPRING)
     return slope, bend
@@ -143,7 +144,7 @@ def _smooth(work: Work, stencil: Stencil) -> tuple[float, float]:
 
 @njit(cache=True, _nrt=False, error_model="numpy")
 def _rubbing(work: Work, move: Three, part: float) -> float:
-    """Slope of one pad's friction potential, the sum of bound * |slip|, after a part of a move of object and nodes."""
+    """Return the slope of a pad's friction potential, the sum of bound * |slip|, after a part of a motion."""
     rows, columns = work.bound.shape
     slope = 0.0
     for row in range(rows):
@@ -161,9 +162,10 @@ def _rubbing(work: Work, move: Three, part: float) -> float:
 
 @njit(cache=True, _nrt=False)
 def _solve3(matrix: Matrix, right: Three, least: Three) -> Three:
-    """Solution of a symmetric 3 x 3 system of which the upper triangle is given, and of which the pivots are >= least.
+    """Solve a symmetric 3 x 3 system, given by its upper triangle, with pivots >= least.
 
-    That they are follows from the diagonal least being one positive summand of the matrix; rounding may forget it.
+    The pivots are that large because the diagonal `least` is one positive summand of the matrix; rounding could violate
+    it.
     """
     m00, m01, m02, m11, m12, m22 = matrix
     pivot_0 = max(m00, least[0])
@@ -183,7 +185,7 @@ def _solve3(matrix: Matrix, right: Three, least: Three) -> Three:
 
 @njit(cache=True, _nrt=False)
 def _loosen(work: Work, stuck: Flags) -> None:
-    """Begin with all nodes loose that do not stick."""
+    """Mark all nodes as loose that do not stick."""
     rows, columns = stuck.shape
     for row in range(rows):
         for column in range(columns):
@@ -201,7 +203,7 @@ def _find_move(
     reach: float,
     other: Other,
 ) -> Three:
-    """Newton step of the object, found again with the nodes that a share `reach` of it brings to rest.
+    """Return the object's Newton step, recomputed until no more nodes are caught (see `_follow`).
 
     Fills search_direction.
     """
@@ -231,7 +233,7 @@ def _find_move(
 
 @njit(cache=True, _nrt=False)
 def _rubbing_of_all(work: Work, stencil: Stencil, move: Three, part: float, other: Other) -> float:
-    """Slope of the friction potential of all pads."""
+    """Return the slope of the friction potential of all pads."""
     slope: float = stencil.pads * _rubbing(work, move, part)
     if other is not None:
         work_2, stencil_2, _ = other
@@ -241,7 +243,7 @@ def _rubbing_of_all(work: Work, stencil: Stencil, move: Three, part: float, othe
 
 @njit(cache=True, _nrt=False)
 def _search(work: Work, stencil: Stencil, move: Three, weight: Three, inertial: Three, other: Other) -> float:
-    """Exact line search: the part, 0 to 1, of a move at which the potential is least; 0 if it only rises.
+    """Return the part of a motion, 0 to 1, at which the potential is least (exact line search); 0 if it only rises.
 
     The nodes move along search_direction.
     """
@@ -272,7 +274,7 @@ def _search(work: Work, stencil: Stencil, move: Three, weight: Three, inertial: 
 
 @njit(cache=True, _nrt=False)
 def _answer(work: Work, part: float) -> None:
-    """Move the nodes by a part of search_direction, and the sheet by one of sheet_search."""
+    """Move the nodes by a part of search_direction, and the sheet by the same part of sheet_search."""
     velocity, direction = work.velocity.reshape(-1), work.search_direction.reshape(-1)
     for entry in range(velocity.size):
         velocity[entry] += part * direction[entry]
@@ -292,11 +294,11 @@ def move_object(
     stuck: Flags,
     other: Other,
 ) -> None:
-    """Newton step of the object, and of the nodes that answer it.
+    """Make a Newton step of the object, and move the nodes that respond to it.
 
-    weight: inertia / (theta dt); inertial: the object's own unbalanced force; pads_wrench: what all pads add to it.
-    To catch nodes is to guess which of them will stick. Where that leads nowhere fewer are caught, at last none: with
-    the nodes in balance such a step always leads down, if only as far as the next node that comes to rest.
+    weight: inertia / (theta dt); inertial: the object's own unbalanced force; pads_wrench: the force of all pads on it.
+    Catching nodes is a guess which of them will stick. If it leads nowhere fewer are caught, and at last none. With the
+    nodes in balance such a step always descends, even if only to the next node that comes to rest.
     """
     move = (0.0, 0.0, 0.0)
     part = 0.0

@@ -1,4 +1,4 @@
-"""What a time step (see time_step) does with one pad: sets up its nodes' equation, refreshes bounds, applies motion."""
+"""One pad in a time step (see time_step): sets up the equation of its nodes, refreshes bounds, applies the motion."""
 
 import math
 from typing import NamedTuple
@@ -11,14 +11,14 @@ from evetac_cli.sim.gel.force_balance import Stencil, Work
 from evetac_cli.sim.gel.friction import coefficient_after
 from evetac_cli.sim.gel.sheet import SheetStencil, largest, mirror, pull_sheet, relax_sheet, sheet_imbalance
 
-SHEET_OFF_M = 1e-13  # by which the sheet may be off its balance: 3e-9 px
+SHEET_OFF_M = 1e-13  # tolerated distance of the sheet from its balance: 3e-9 px
 
 
 class PadConstants(NamedTuple):
     """Constants of a pad, in SI units: a node's mass, its springs to the back and to the sheet, and its losses.
 
-    pitch_x, pitch_y: distance of the nodes. stretch: of the sheet. viscous_time: of the dashpot. maxwell_share,
-    maxwell_time: of the quick arm. pads: how many pads like this one hold the object.
+    pitch_x, pitch_y: distances between nodes. stretch: stencil of the sheet. viscous_time: of the dashpot.
+    maxwell_share, maxwell_time: of the fast arm. pads: how many pads like this one hold the object.
     """
 
     node_mass: float
@@ -33,24 +33,24 @@ class PadConstants(NamedTuple):
     stretch: SheetStencil
 
 
-# Plain tuples, as named ones take longer to hand over. Of a pad: displacement, velocity, maxwell, mean (velocity over
-# the last step), slip_speed, friction coefficient, stuck, nodes, force of each slow arm (arms, rows, columns, 2), and
-# their shares and times in s (arms, 2); then scratch: memory of its `Work`, and which nodes stuck before; of the sheet,
-# displacement and mean velocity (2, rows + 2, columns + 2), and its rule
+# Plain tuples, because named tuples take longer to pass. Fields of a pad are first displacement, velocity, maxwell,
+# mean (velocity over the last step), slip_speed, friction coefficient, stuck and nodes. Then the force of each slow arm
+# (arms, rows, columns, 2), and the arms' shares and times in s (arms, 2). Then scratch: memory of its `Work`, and which
+# nodes stuck before. Then the sheet's displacement and mean velocity (2, rows + 2, columns + 2), and its rule.
 Fields = tuple[
     Floats, Floats, Floats, Floats, Floats, Floats, Flags, Floats, Floats, Floats, Floats, Flags, Floats, Floats, Floats
 ]
-# force with which a normal force of 1 N squeezes each node aside (rows, columns, 2), and that normal force
+# force with which a total normal force of 1 N squeezes each node aside (rows, columns, 2), and that normal force
 Squeezing = tuple[Floats, float]
-# static and kinetic coefficient, the slip speed between them in m/s, and the memory length in m
+# static and kinetic coefficient, the Stribeck velocity in m/s, and the memory length in m
 FrictionLaw = tuple[float, float, float, float]
-# a PadConstants
+# the fields of a PadConstants
 LayerConstants = tuple[float, float, float, float, float, float, float, float, float, tuple[float, ...]]
 
 
 @njit(cache=True, _nrt=False)
 def named_constants(constants: LayerConstants) -> PadConstants:
-    """Constants of a pad by their names."""
+    """Return the constants of a pad with their names."""
     node_mass, shear, spring, pitch_x, pitch_y, viscous, maxwell_share, maxwell_time, pads, stretch = constants
     along_x, along_y, across_x, across_y, corner = stretch
     links = SheetStencil(along_x, along_y, across_x, across_y, corner)
@@ -59,7 +59,7 @@ def named_constants(constants: LayerConstants) -> PadConstants:
 
 @njit(cache=True, _nrt=False)
 def spring(field: Floats, sheet: Floats, shear: float, to_sheet: float, answer: Floats) -> None:
-    """Set answer to K field, both (rows, columns, 2), where the sheet, (2, rows + 2, columns + 2), is displaced so."""
+    """Set answer to K field, both (rows, columns, 2), for this displacement of the sheet (2, rows + 2, columns + 2)."""
     rows, columns, _ = field.shape
     both = shear + to_sheet
     for row in range(rows):
@@ -81,9 +81,9 @@ def begin(
     layer: PadConstants,
     work: Work,
 ) -> tuple[int, float, float, Stencil]:
-    """The equation of a pad's nodes over h: what `_set_up` returns, and its matrix."""
+    """Set up the equation of a pad's nodes over h; return the results of `_set_up` and the equation's matrix."""
     arms = state[9]
-    # the Maxwell arm by its exact exponential update: what it keeps of its force, and gains per unit of K velocity
+    # exact exponential update of the Maxwell arm: the share of its force that remains, and the gain per K velocity
     keep = math.exp(-h / layer.maxwell_time)
     gain = -layer.maxwell_share * layer.maxwell_time * math.expm1(-h / layer.maxwell_time)
     for arm in range(len(arms)):
@@ -105,13 +105,14 @@ def let_go(
     h: float,
     layer: PadConstants,
 ) -> tuple[float, float, float, float]:
-    """How the friction of a pad has fallen in a step: the largest change of a coefficient, and what follows from it.
+    """Return how the friction of a pad has fallen in a step, and the effects of that.
 
-    nodes: coefficient of each, and whether it stuck before and sticks now. Returned are that change; by how much, in m,
-    the gel is displaced otherwise for it where it is pressed hardest; and how steeply friction falls with slip speed,
-    times the memory length, in N s, at the hardest pressed node that lets go and at the hardest pressed of all. The two
-    are compared with what `time_step.Allowed` allows. Why so: nodes at the rim, which bear little, are the first to let
-    go, and what is next follows from when they do.
+    nodes: coefficient of each node, whether it stuck before, and whether it sticks now. The first result is the largest
+    change of a coefficient. The second is the resulting change of the gel's displacement at the highest pressure, in m.
+    The others are slopes of friction over slip speed, times the memory length, in N s. The third is that of the node
+    with the highest pressure of those that let go, the fourth that of the node with the highest pressure of all. They
+    are compared with the limits of `time_step.Allowed`. Nodes at the rim, which bear little, let go first, and their
+    timing determines which nodes follow.
     """
     coefficient, stuck_before, stuck = nodes
     static, kinetic, _, _ = friction
@@ -122,7 +123,7 @@ def let_go(
             hardest = max(hardest, nodal[row, column])
             if stuck_before[row, column] and not stuck[row, column]:
                 released = max(released, nodal[row, column])
-            if nodal[row, column] > 0.0 and not stuck[row, column]:  # at rest the law heals it exactly
+            if nodal[row, column] > 0.0 and not stuck[row, column]:  # at rest the law heals the coefficient exactly
                 mu = min(max(coefficient[row, column], kinetic), static)
                 change = max(change, abs(_after(mu, work.speed[row, column], dt, friction) - mu))
     fall = (static - kinetic) * h
@@ -140,10 +141,10 @@ def _set_up(
     layer: PadConstants,
     work: Work,
 ) -> tuple[int, float, float]:
-    """Fill the equation of the nodes: right-hand side, bounds, levers, and where the search starts.
+    """Fill the equation of the nodes: right-hand side, bounds, levers, and the start of the search.
 
-    factors: theta * dt, a node's mass over it, and what the Maxwell arm keeps of its force. Returns the number of what
-    is wrong, or 0; the sum of all forces on the nodes; and that of the squares of their levers.
+    factors: theta * dt, a node's mass divided by it, and the share of its force that the Maxwell arm keeps. Return the
+    number of an error, or 0; the sum of all forces on the nodes; and the sum of the squares of their levers.
     """
     displacement, velocity, maxwell, mean, slip_speed, coefficient, _, nodes, creep, arms = state[:10]
     sheet, sheet_mean = state[12], state[13]
@@ -172,7 +173,7 @@ def _set_up(
                 return 1, 0.0, 0.0
             mu = static
             if falls:
-                # one that never bore a load is infinite, and a law that changed under a load takes hold at once
+                # a node that never bore a load is infinite; a law that changed under load takes effect at once
                 mu = min(max(coefficient[row, column], kinetic), static)
                 if normal > 0.0:
                     mu = _after(mu, slip_speed[row, column], h, friction)
@@ -194,12 +195,12 @@ def _set_up(
 
 @njit(cache=True, _nrt=False)
 def _settle_sheet(displacement: Floats, sheet: Floats, layer: PadConstants, work: Work) -> None:
-    """Bring the displaced sheet nearer to its balance, where steps have left it beside.
+    """Bring the displaced sheet closer to its balance if steps have left it off balance.
 
-    Why so: a step finds velocities within its tolerance, and the sheet would drift off with the sum of what is left.
-    What rounding leaves stays, as a gel at rest would never come to rest otherwise.
+    A step finds velocities within its tolerance, so the sheet would drift away with the sum of the residuals. Rounding
+    errors are left, because a gel at rest would otherwise never come to rest.
     """
-    for axis in range(2):  # whoever displaced the sheet from outside need not know of its border
+    for axis in range(2):  # code that displaced the sheet from outside may not have set its border
         mirror(sheet[axis], axis == 0)
     pull_sheet(displacement, work.sheet_source)
     sheet_imbalance(sheet, work.sheet_source, layer.stretch, work.sheet_rule, work.sheet_left)
@@ -209,7 +210,7 @@ def _settle_sheet(displacement: Floats, sheet: Floats, layer: PadConstants, work
 
 @njit(cache=True, _nrt=False)
 def _after(mu: float, slip_speed: float, seconds: float, friction: FrictionLaw) -> float:
-    """A node's coefficient after so many seconds at a slip speed; at rest it is often static, and then stays so."""
+    """Return a node's coefficient after some time at a slip speed; at rest it is often static, and stays static."""
     static, kinetic, stribeck, memory = friction
     if slip_speed == 0.0 and mu == static:
         return mu
@@ -220,7 +221,7 @@ def _after(mu: float, slip_speed: float, seconds: float, friction: FrictionLaw) 
 def refresh(
     work: Work, nodal: Floats, coefficient: Floats, twist: Floats, stuck: Flags, h: float, friction: FrictionLaw
 ) -> None:
-    """Set each loaded node's bound to what its slip speed of now makes of it at the time of the balance."""
+    """Set each loaded node's bound at the time of the balance, from its present slip speed."""
     static, kinetic, _, _ = friction
     rows, columns = nodal.shape
     for row in range(rows):
@@ -248,7 +249,7 @@ def advance(
     twist: Floats,
     info: Floats,
 ) -> None:
-    """Move the gel on by dt with the velocities of the balance, and sum up what happened in info[2:]."""
+    """Advance the gel by dt with the velocities of the balance, and collect the results in info[2:]."""
     displacement, velocity, maxwell, mean, slip_speed, coefficient, stuck, nodes, creep, arms = state[:10]
     sheet, sheet_mean = state[12], state[13]
     static, kinetic, _, _ = friction
@@ -286,7 +287,7 @@ def advance(
     for row in range(rows):
         for column in range(columns):
             load = nodal[row, column]
-            if work.bound[row, column] == 0.0:  # which the balance does not ask for, and friction once it is loaded
+            if work.bound[row, column] == 0.0:  # not needed for the balance, but for friction once the node is loaded
                 slip_x_m_s = mean[row, column, 0] - twist[0] + twist[2] * work.lever[row, column, 1]
                 slip_y_m_s = mean[row, column, 1] - twist[1] - twist[2] * work.lever[row, column, 0]
                 work.slip[row, column, 0], work.slip[row, column, 1] = slip_x_m_s, slip_y_m_s

@@ -1,14 +1,14 @@
-"""Friction that grows less than in proportion to pressure: what becomes of the friction of each node.
+"""Friction that grows less than in proportion to pressure: its effect on each node.
 
-At a spot under the pressure p friction holds a shear of up to c p^(1 - m). m = 0 is Coulomb's law, with m = 1 the gel
-holds as much wherever it touches. A node holds what its cell does, in the mean over its points, and c is such that all
-nodes together hold mu N, whatever m: the law says where friction is, not how much. So the edge of a contact, where
-pressure vanishes, is as strong as its middle, or nearly, and slips later.
+At a point under the pressure p, friction holds a shear stress of up to c p^(1 - m). With m = 0 this is Coulomb's law;
+with m = 1 the gel holds the same stress wherever it touches. A node holds the mean over its cell's points, and c is set
+such that all nodes together hold mu N for every m. So the law determines where friction acts, not how much. The edge of
+a contact, where pressure vanishes, is then about as strong as its middle, and slips later.
 
-Why so: on smooth silicone the local shear stress does not depend on pressure (m = 1), on rough glass it grows strongly
-less than pressure (Nguyen et al., Non Amontons-Coulomb local friction law of randomly rough contact interfaces with
-rubber; Trejo et al., arXiv 1701.08013; both read as abstracts). m of this gel is not known. With a constant c in place
-of a constant mu, mu would fall with N, too (N^(-2m/3) under a cylinder on this foundation): left out.
+On smooth silicone the local shear stress does not depend on pressure (m = 1). On rough glass it grows much less than
+pressure. Sources: Nguyen et al., Non Amontons-Coulomb local friction law of randomly rough contact interfaces with
+rubber; Trejo et al., arXiv 1701.08013; both read as abstracts. The m of this gel is unknown. With a constant c instead
+of a constant mu, mu would also fall with N (as N^(-2m/3) under a cylinder on this foundation); this is left out.
 """
 
 import numpy as np
@@ -18,27 +18,27 @@ from evetac_cli.checks import check_range
 from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.gel.cell_gaps import MEAN, MOST, VARIANCE, CellGaps
 
-ENTRIES = 1024  # of the table of powers, over depths as shares of the largest
-# A cell whose depths lie within this share of their mean has the power of the mean, corrected by a variance. With both,
-# a node is within 0.3 % of the strongest at an exponent of 0.67, within 0.01 % at 0.33.
+ENTRIES = 1024  # entries of the table of powers, over depths relative to the largest
+# A cell whose depths are within this share of their mean has the power of the mean, corrected by the variance. With
+# both, a node is within 0.3 % of the strongest at an exponent of 0.67, and within 0.01 % at 0.33.
 EVEN = 0.25
 
 
 class PressureLaw:
-    """Friction under a pressure p goes with p^(1 - exponent); see the module."""
+    """Friction that grows as p^(1 - exponent) with the pressure p; see the module."""
 
     def __init__(self, exponent: float) -> None:
-        """For an exponent above 0 and up to 1; 0 is Coulomb's law, and needs none of this."""
+        """Build the law for an exponent above 0 and up to 1; 0 is Coulomb's law and needs no PressureLaw."""
         check_range("pressure_exponent", exponent, 0.0, 1.0, above=True)
         self._power = 1.0 - exponent
         self._powers = np.linspace(0.0, 1.0, ENTRIES + 1) ** self._power
-        self._powers[0] = 0.0  # nothing holds where nothing presses, with an exponent of 1 too
+        self._powers[0] = 0.0  # no friction without pressure, also for an exponent of 1
 
     def factor(self, indentation_m: float, gaps: CellGaps, shares: Floats) -> Floats:
-        """Factor on the friction of each node, (rows, columns), 1 where nothing is borne.
+        """Return the factor on the friction of each node, (rows, columns); 1 for unloaded nodes.
 
-        shares: of the nodes in the normal force at this indentation, as from `contact.pressure`; weighted by them the
-        mean of the factor is 1.
+        shares: each node's share of the normal force at this indentation, as from `contact.pressure`. The mean of the
+        factor, weighted by them, is 1.
         """
         if not gaps.least_m < indentation_m:
             return np.ones_like(shares)
@@ -61,7 +61,7 @@ def _factor(
     powers, power = law
     factor = np.ones((rows, columns))
     scale = (len(powers) - 1) / deepest_m
-    falls = 0.5 * power * (1.0 - power)  # of the mean of a power against the power of the mean, per relative variance
+    falls = 0.5 * power * (1.0 - power)  # mean of a power relative to the power of the mean, per relative variance
     whole = 0.0
     for row in range(rows):
         for column in range(columns):
@@ -92,6 +92,6 @@ def _factor(
 
 @njit(cache=True, inline="always")
 def _looked_up(powers: Floats, place: float) -> float:
-    """The value of a table at a place within it, linear between its entries."""
+    """Return the value of a table at a position, linear between its entries."""
     entry = min(int(place), len(powers) - 2)
     return float(powers[entry] + (place - entry) * (powers[entry + 1] - powers[entry]))

@@ -1,13 +1,13 @@
-"""The sheet inside the gel through which its surface nodes pull each other (see kernels/gel_layer), in one time step.
+"""The sheet inside the gel that couples its surface nodes (see kernels/gel_layer), in one time step.
 
-Its balance is SPRING q + stretch(q) = SPRING v: v are the velocities of the nodes, q those of the sheet below them,
-stretch a stencil of a node's eight neighbours. It has no mass and bears no load, its losses are those of the
-whole layer, and so its balance does not depend on the time step: a `rule` is made once for a pad.
+Its balance is SPRING q + stretch(q) = SPRING v. v are the velocities of the nodes, q those of the sheet below them, and
+stretch is a stencil of a node's eight neighbours. The sheet has no mass and bears no load, and its losses are those of
+the whole layer. So its balance does not depend on the time step, and a `rule` is computed once per pad.
 
-A sweep goes over x and y and, of each, over the two colours of a chess board, as those of one colour do not wait for
-each other. Why so: written without branches it is one flat loop for each, which numba makes vector code of. Free edges
-are met by a border of mirrored values, some of the other sign, and by what the rule keeps of a node there. Whoever
-changes nodes of a sheet has its border follow (`mirror`); sums and multiples of sheets have theirs already.
+A sweep updates x and y, and each of them in the two colours of a chess board, because nodes of one colour do not depend
+on each other. Written without branches, each update is one flat loop, which numba vectorises. Free edges are handled by
+a border of mirrored values, some with the opposite sign, and by the rule's weights of edge nodes. Code that changes the
+nodes of a sheet must update its border (`mirror`). Sums and multiples of sheets already have valid borders.
 """
 
 import math
@@ -19,11 +19,11 @@ from evetac_cli.arrays import Floats
 from evetac_cli.kernels.compiled import njit
 from evetac_cli.kernels.gel_layer import ACROSS, ALONG, SPRING
 
-Links = tuple[float, float, float]  # of one component along x, along y, and of the other one over the corners
+Links = tuple[float, float, float]  # of one component along x and along y, and of the other component over the corners
 
 
 class SheetStencil(NamedTuple):
-    """The sheet's stencil: its links along and across a wave for each direction of the grid, and to the corners."""
+    """The sheet's stencil: links along and across a wave for each direction of the grid, and to the corners."""
 
     along_x: float
     along_y: float
@@ -33,17 +33,17 @@ class SheetStencil(NamedTuple):
 
 
 def sheet_stencil(height_m: float, pitch_x_m: float, pitch_y_m: float) -> SheetStencil:
-    """The stencil of a grid of such pitches."""
+    """Return the stencil of a grid with these pitches."""
     over_x, over_y = (height_m / pitch_x_m) ** 2, (height_m / pitch_y_m) ** 2
     corner = (ALONG - ACROSS) * height_m**2 / (4 * pitch_x_m * pitch_y_m)
     return SheetStencil(ALONG * over_x, ALONG * over_y, ACROSS * over_x, ACROSS * over_y, corner)
 
 
 def rule_of(stretch: SheetStencil, rows: int, columns: int) -> Floats:
-    """Of x and y: what a node keeps of its velocity in a sweep and its ease, of either colour, and its own weight.
+    """Return the update rule for x and y: for each colour the share of a node's velocity kept, and ease; and weight.
 
-    (2, 5, nodes): keep, ease, keep, ease, weight. Nodes are those of the rows one after the other, two entries longer
-    than a row, as in a bordered array.
+    (2, 5, nodes): keep, ease, keep, ease, weight. The nodes are those of all rows, one row after the other; each row is
+    two entries longer, as in a bordered array.
     """
     rule = np.zeros((2, 5, rows, columns + 2))
     rule[:, [0, 2]] = 1.0
@@ -53,10 +53,10 @@ def rule_of(stretch: SheetStencil, rows: int, columns: int) -> Floats:
     links = ((stretch.along_x, stretch.across_y), (stretch.across_x, stretch.along_y))
     for axis, (link_x, link_y) in enumerate(links):
         diagonal = SPRING + link_x * (2 - lacks_x) + link_y * (2 - lacks_y)
-        # the factor of over-relaxation that is best where the nodes stick, as most do, and pull the sheet along
+        # best over-relaxation factor if the nodes stick, as most do, and pull the sheet along
         smoothness = 1.0 - SPRING / float(diagonal.max())
         factor = 2.0 / (1.0 + math.sqrt(1.0 - smoothness * smoothness))
-        # the border beyond an edge is the node itself, or less it (see `mirror`): what its link adds is taken off
+        # the border beyond an edge is the node itself or its negative (see `mirror`): the link's part is removed
         mirrored = link_x * lacks_x - link_y * lacks_y
         weight = diagonal + (mirrored if axis == 0 else -mirrored)
         ease = factor / diagonal
@@ -70,9 +70,9 @@ def rule_of(stretch: SheetStencil, rows: int, columns: int) -> Floats:
 
 @njit(cache=True, _nrt=False)
 def mirror(plane: Floats, odd_rows: bool) -> None:
-    """Set the border of one component (rows + 2, columns + 2): mirrored, of the other sign over rows or over columns.
+    """Set the border of one component (rows + 2, columns + 2): mirrored, with opposite sign at rows or at columns.
 
-    So the corners of the stencil sum up to what the energy of the cells within the pad asks for at its free edges.
+    So the corner terms of the stencil add up to those of the energy of the cells within the pad at its free edges.
     """
     rows, columns = plane.shape
     sign_y = -1.0 if odd_rows else 1.0
@@ -110,7 +110,7 @@ def _update(
 def _lacking(
     own: Floats, other: Floats, stride: int, links: Links, source: Floats, weight: Floats, left: Floats
 ) -> None:
-    """Fill `left` with what the balance of one component lacks."""
+    """Fill `left` with the residual of the balance of one component."""
     link_x, link_y, corner = links
     here, above, below = own[stride:], own[1:], own[2 * stride + 1 :]
     under = other[2 * stride :]
@@ -122,9 +122,9 @@ def _lacking(
 
 @njit(cache=True, _nrt=False)
 def pull_sheet(nodes: Floats, source: Floats) -> None:
-    """Fill `source`, (2, rows * (columns + 2)), with what the nodes (rows, columns, 2) pull their sheet with.
+    """Fill `source`, (2, rows * (columns + 2)), with the pull of the nodes (rows, columns, 2) on their sheet.
 
-    The two entries after each row are 0, and left as they are.
+    The two entries after each row are 0 and are not changed.
     """
     rows, columns, _ = nodes.shape
     for row in range(rows):
@@ -136,7 +136,7 @@ def pull_sheet(nodes: Floats, source: Floats) -> None:
 
 @njit(cache=True, _nrt=False)
 def largest(values: Floats) -> float:
-    """The largest size of numbers in a row. Why four at once: one would wait for the other."""
+    """Return the largest magnitude in an array; four at once, because a single maximum would wait for the previous."""
     a = b = c = d = 0.0
     whole = len(values) // 4 * 4
     for k in range(0, whole, 4):
@@ -149,7 +149,7 @@ def largest(values: Floats) -> float:
 
 @njit(cache=True, _nrt=False)
 def scalar_product(one: Floats, other: Floats) -> float:
-    """Sum of the products of the numbers of two rows. Why four at once: as in `largest`."""
+    """Return the scalar product of two arrays; four sums at once, for the reason in `largest`."""
     a = b = c = d = 0.0
     whole = len(other) // 4 * 4
     for k in range(0, whole, 4):
@@ -162,7 +162,7 @@ def scalar_product(one: Floats, other: Floats) -> float:
 
 @njit(cache=True, _nrt=False)
 def over_nodes(planes: Floats, values: Floats) -> float:
-    """Scalar product of a sheet, (2, rows + 2, columns + 2), with values (2, rows * (columns + 2)), 0 behind a row."""
+    """Return the product of a sheet (2, rows + 2, columns + 2) with values (2, rows * (columns + 2)), 0 after a row."""
     stride = planes.shape[2]
     total = 0.0
     for axis in range(2):
@@ -172,9 +172,9 @@ def over_nodes(planes: Floats, values: Floats) -> float:
 
 @njit(cache=True, _nrt=False)
 def relax_sheet(planes: Floats, source: Floats, stretch: SheetStencil, rule: Floats, after: Floats) -> None:
-    """One sweep of over-relaxation over the sheet's velocities, (2, rows + 2, columns + 2).
+    """Make one sweep of over-relaxation over the sheet's velocities, (2, rows + 2, columns + 2).
 
-    source: (2, rows * (columns + 2)), what the nodes pull it with; after: memory for one component, as it is in planes.
+    source: (2, rows * (columns + 2)), the pull of the nodes; after: memory for one component, with its border.
     """
     stride = planes.shape[2]
     half = after.reshape(planes.shape[1], stride)
@@ -195,7 +195,7 @@ def _links(stretch: SheetStencil, axis: int) -> Links:
 
 @njit(cache=True, _nrt=False)
 def sheet_imbalance(planes: Floats, source: Floats, stretch: SheetStencil, rule: Floats, left: Floats) -> None:
-    """Fill `left`, (2, rows * (columns + 2)), with what the balance of the sheet lacks, and 0 after each row."""
+    """Fill `left`, (2, rows * (columns + 2)), with the residual of the sheet's balance, and 0 after each row."""
     stride = planes.shape[2]
     for axis in range(2):
         own, other = planes[axis].reshape(-1), planes[1 - axis].reshape(-1)

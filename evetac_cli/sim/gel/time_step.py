@@ -1,9 +1,9 @@
-"""One time step of the gel's arrays: the equation of the nodes is set up, balanced (see force_balance), and applied.
+"""One time step of the gel's arrays: the equation of the nodes is set up, solved (see force_balance), and applied.
 
-The bound of a node's friction is its coefficient at the time of the balance, at the slip speed that the balance has:
-it is refreshed before each of the first rounds of the search, then held. So the search ends with a convex problem,
-which always has a solution. A node that slides goes on sliding if it can, one that sticks sticks until its static
-coefficient is exceeded: where friction falls with speed both may be solutions.
+The bound of a node's friction is its coefficient at the time of the balance, at the slip speed of the balance. It is
+refreshed before each of the first rounds of the search, and then fixed. So the search ends with a convex problem, which
+always has a solution. A sliding node continues to slide if possible, and a stuck node sticks until its static
+coefficient is exceeded: when friction falls with speed, both may be solutions.
 """
 
 import math
@@ -25,22 +25,24 @@ from evetac_cli.sim.gel.pad_equation import (
     refresh,
 )
 
-# Sweeps between two Newton steps of the object: 1, 2 and 3 took 120, 94 and 81 us a step, on 24 x 18 nodes under a
-# tilted cylinder that begins to slip, on a gel without a sheet.
+# Number of sweeps between two Newton steps of the object. With 1, 2 and 3 each step took 120, 94 and 81 us, on 24 x 18
+# nodes under a tilted cylinder that begins to slip, on a gel without a sheet.
 SWEEPS_A_ROUND = 3
-# Rounds whose bounds are refreshed. More of them find no better balance, and without end they take up to 400 rounds.
+# Rounds whose bounds are refreshed. More rounds find no better balance, and without a limit they take up to 400 rounds.
 REFRESHES = 4
-TOO_LONG = 5  # what `step_nodes` returns where its step is longer than its `Allowed` allows
-INFO_SIZE = 19
+TOO_LONG = 5  # returned by `step_nodes` if its step is longer than its `Allowed` permits
+INFO_SIZE = 19  # numbers that `step_nodes` fills in
 
 
 class Allowed(NamedTuple):
-    """What a step may be at most; anything beyond is TOO_LONG.
+    """Limits for a step; a step beyond them is TOO_LONG.
 
-    error_m: the estimated error. steepness: how much faster a node's friction falls with its slip speed within the step
-    than the gel's own resistance rises. Above 1 several slip speeds are in balance; well below 1 the order in which
-    nodes pull each other loose is that of a fine step. It holds for nodes that let go, and where `shortest`, a larger
-    error is allowed as soon as it holds for all.
+    error_m: largest estimated error.
+
+    steepness: largest ratio of two slopes within the step: how fast a node's friction falls with its slip speed, and
+    how fast the gel's own resistance rises. Above 1 several slip speeds are in balance. Well below 1 the order in which
+    nodes pull each other loose is that of a fine step. The limit applies to nodes that let go. If `shortest`, a larger
+    error is allowed once the limit holds for all nodes.
     """
 
     error_m: float = math.inf
@@ -48,11 +50,12 @@ class Allowed(NamedTuple):
     shortest: bool = True
 
 
-# The groups in which `step_nodes` takes its arguments. Why so: plain tuples, as named ones take 4 us more, of 9 for a
-# step of 14 x 10 nodes.
-# displacement, velocity, maxwell, mean (velocity over the last step), slip_speed, friction coefficient, stuck, pose,
-# twist, inertia, nodes, force of each slow arm (arms, rows, columns, 2), their shares and times in s (arms, 2), and
-# scratch: memory of its `Work`, and which nodes stuck before; then the sheet's, as of `Fields`
+# The arguments of `step_nodes`, in groups. Plain tuples, because named tuples take 4 us longer, of 9 us for a step of
+# 14 x 10 nodes.
+# NodeArrays: displacement, velocity, maxwell, mean (velocity over the last step), slip_speed, friction coefficient,
+# stuck, pose, twist, inertia and nodes. Then the force of each slow arm (arms, rows, columns, 2), and the arms' shares
+# and times in s (arms, 2). Then scratch: memory of its `Work`, and which nodes stuck before. Then the sheet's arrays,
+# as in `Fields`.
 NodeArrays = tuple[
     Floats,
     Floats,
@@ -73,12 +76,12 @@ NodeArrays = tuple[
     Floats,
     Floats,
 ]
-# normal force of each node, how it squeezes them, force and moment on the object, whether its twist is prescribed, and
-# the twist it has then
+# Load: normal force of each node, its squeeze of the nodes, force and moment on the object, whether its twist is
+# prescribed, and the prescribed twist.
 Load = tuple[Floats, Squeezing, Three, bool, Three]
-# dt, theta, tolerance, max_sweeps, and an Allowed
+# dt, theta, tolerance, max_sweeps, and the fields of an `Allowed`
 StepSettings = tuple[float, float, float, int, float, float, bool]
-# the second finger's pad: its arrays, the normal force of each of its nodes, how that squeezes them, and its constants
+# the second finger's pad: its arrays, the normal force of each of its nodes, their squeeze, and its constants
 Second = tuple[Fields, Floats, Squeezing, LayerConstants] | None
 
 
@@ -92,10 +95,10 @@ def step_nodes(
     info: Floats,
     second: Second,
 ) -> int:
-    """One time step in place; returns 0, TOO_LONG, or the number of what is wrong, both before anything is changed.
+    """Make one time step in place; return 0, TOO_LONG, or the number of an error; the last two before any change.
 
-    second: the second finger's pad, where it is simulated, too. Fills `info`: sweeps, residual, and the rest of
-    `gel.StepInfo` in its order; then the force of the object on the second pad and its moment.
+    second: the second finger's pad, if it is also simulated. Fills `info`: sweeps, residual, the rest of `gel.StepInfo`
+    in its order, and then the force of the object on the second pad and its moment.
     """
     stuck, pose, twist, inertia = arrays[6:10]
     memory, stuck_before = arrays[13:15]
@@ -133,7 +136,7 @@ def step_nodes(
         _set_flags(stuck_before_2, stuck_2)
     falls = friction[1] < friction[0]
     scale += abs(force[0]) + abs(force[1])
-    # a moment counts as the force that makes it at the mean distance of the nodes from the object's centre
+    # a moment counts as the force that causes it at the mean distance of the nodes from the object's centre
     reach = math.sqrt(square / nodal.size + layer.pitch_x * layer.pitch_y)
     scale = max(scale + abs(force[2]) / reach, 1e-300)
     body = memory[-3:]
@@ -145,7 +148,7 @@ def step_nodes(
     rounds = 0
     while True:
         body_now = (body[0], body[1], body[2])
-        # one sweep is enough where nothing changes speed; after that a sweep costs less than the rest of a round
+        # one sweep is enough if nothing changes speed; later a sweep costs less than the rest of a round
         for _ in range(min(SWEEPS_A_ROUND, max_sweeps - sweeps) if sweeps > 0 else 1):
             relax(work, stencil, stuck, body_now)
             if second is not None:
@@ -181,7 +184,7 @@ def step_nodes(
             move_object(work, stencil, body, weight, inertial, pads_wrench, stuck, other)
     error = 0.0
     if not prescribed:
-        # what the step differs by from one by the trapezoidal rule, of second order
+        # difference of the step from a step by the trapezoidal rule, of second order
         trapezoid_s = dt * abs(1.0 - 0.5 / theta)
         error = trapezoid_s * (math.hypot(body[0] - twist[0], body[1] - twist[1]) + reach * abs(body[2] - twist[2]))
     change = 0.0
@@ -191,7 +194,7 @@ def step_nodes(
             work, nodal, (coefficient, stuck_before, stuck), friction, dt, h, layer
         )
         error = max(error, moved_m)
-        resisted = steepest * friction[3] * stencil.own  # what the gel resists with, `Allowed.steepness`
+        resisted = steepest * friction[3] * stencil.own  # the gel's resistance, see `Allowed.steepness`
         too_long = released > resisted
         accepted = shortest and hardest <= resisted
         if second is not None:
@@ -228,8 +231,10 @@ def step_nodes(
 
 @njit(cache=True, _nrt=False)
 def _set_flags(nodes: Flags, values: Flags) -> None:
-    """Give nodes (rows, columns) the values of others. Why so: assigned as a whole, they bring along the words of an
-    error about shapes, which take seconds to compile.
+    """Copy flags from `values` to `nodes`, both (rows, columns).
+
+    Written as loops: assigning whole arrays makes numba include error texts about shapes, which take seconds to
+    compile.
     """
     for row in range(nodes.shape[0]):
         for column in range(nodes.shape[1]):

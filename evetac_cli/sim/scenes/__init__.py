@@ -1,1 +1,1 @@
-"""What may happen to a gel: an object gripped, a face pressed, an edge rubbed, a speaker that vibrates."""
+"""Simulations of scenes: a gripped object, a pressed face, a rubbed edge, and a speaker that vibrates."""

@@ -1,4 +1,4 @@
-"""The simulation of a plan, by the kind of its scene."""
+"""Build the simulation of a plan, according to the kind of its scene."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -22,10 +22,10 @@ Simulation = GraspSimulation | Pressing | Vibration
 def simulation_of(
     plan: Plan, seeds: np.random.SeedSequence, timer: Timer = untimed, /, **durations: float
 ) -> Simulation:
-    """Build what a plan names; mechanics and optics draw from random streams of their own.
+    """Build the parts that a plan names; mechanics and optics have separate random streams.
 
-    timer: measures its parts. durations: lift_s and balance_s of a scene in which an object is lifted. SceneError where
-    nothing can be made of it.
+    timer: measures the parts. durations: lift_s and balance_s of a scene in which an object is lifted. SceneError if
+    the plan cannot be simulated.
     """
     mechanics, optics = (np.random.default_rng(seed) for seed in seeds.spawn(2))
     second = None if plan.second is None else np.random.default_rng(seeds.spawn(1)[0])
@@ -38,7 +38,7 @@ def simulation_of(
 
 @contextmanager
 def scene_in_words(scene: str) -> Iterator[None]:
-    """Each value of a scene has a range, but not all go together: what the kernels then refuse is said of the scene."""
+    """Report errors of the kernels as errors of the scene: each value is in range, but not all values go together."""
     try:
         yield
     except (ValueError, ZeroDivisionError, OverflowError) as error:

@@ -1,7 +1,7 @@
-"""Which share of each cell of the gel a face covers: a rectangle, a disc, an ellipse, or an ellipse with a hole.
+"""The share of each gel cell that a face covers: a rectangle, a disc, an ellipse, or an ellipse with a hole.
 
-As in gel/cell_gaps.py a cell counts by its points, here with an edge that is soft over the distance of two points, so
-that a face which moves takes up and leaves each cell evenly.
+As in gel/cell_gaps.py, each cell is sampled at points. Here the face's edge is soft over the distance of two points, so
+that a moving face covers and uncovers each cell evenly.
 """
 
 import math
@@ -16,9 +16,9 @@ NO_HOLE = np.zeros(0)
 
 
 def covered(node_xy_m: Floats, centre_m: Floats, half_m: Floats, *, is_round: bool, hole_m: Floats = NO_HOLE) -> Floats:
-    """Share of each cell of a grid of nodes, (rows, columns), that a face about centre_m covers, 0 to 1.
+    """Return the share of each cell of a grid of nodes, (rows, columns), that a face about centre_m covers, 0 to 1.
 
-    half_m (2,): half sides of a rectangle, or half axes of an ellipse, along x and y; hole_m: of an ellipse's hole.
+    half_m (2,): half sides of a rectangle, or half axes of an ellipse, along x and y; hole_m: half axes of its hole.
     """
     shares: Floats = _covered(node_xy_m, centre_m, half_m, hole_m, is_round)
     return shares
@@ -52,7 +52,7 @@ def _covered(nodes: Floats, centre: Floats, half: Floats, hole: Floats, is_round
 
 @njit(cache=True, _nrt=False)
 def _inside(x: float, y: float, half: Floats, hole: Floats, is_round: bool) -> float:
-    """How far a point seen from the middle of a face lies inside it, and outside its hole; negative beside it."""
+    """Return how far a point, relative to the face's centre, is inside the face and outside its hole; else negative."""
     if not is_round:
         return float(min(half[0] - abs(x), half[1] - abs(y)))
     inside = _inside_ellipse(x, y, half)
@@ -61,7 +61,7 @@ def _inside(x: float, y: float, half: Floats, hole: Floats, is_round: bool) -> f
 
 @njit(cache=True, _nrt=False)
 def _inside_ellipse(x: float, y: float, half: Floats) -> float:
-    """How far a point lies inside an ellipse of half axes (2,), to first order at its edge."""
+    """Return how far a point is inside an ellipse of half axes (2,), to first order at its edge."""
     if half[0] == half[1]:
         return float(half[0] - math.hypot(x, y))
     scaled = math.sqrt((x / half[0]) * (x / half[0]) + (y / half[1]) * (y / half[1]))

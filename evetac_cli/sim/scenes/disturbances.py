@@ -1,4 +1,4 @@
-"""What a scene may do to a trial on its way: friction that changes at a time. Off by default."""
+"""Disturbances during a trial: friction that changes at a given time. Off by default."""
 
 import math
 from dataclasses import replace
@@ -9,13 +9,13 @@ from evetac_cli.sim.setup.scene import FrictionChange
 
 
 class ChangingFriction:
-    """The friction of a trial over its slices: static and kinetic times a factor from a time on, if the scene says so.
+    """The friction of a trial over time: static and kinetic friction change by a factor at a given time, if at all.
 
-    As on a wet patch that the whole contact comes upon at once.
+    The whole contact changes at once, as if it reached a wet patch.
     """
 
     def __init__(self, change: FrictionChange | None, friction: Friction) -> None:
-        """Without a change, friction stays as it is."""
+        """Start with the trial's friction; without a change, it stays constant."""
         self._before = self._after = friction
         self._changes_at = math.inf
         if change is not None:
@@ -24,5 +24,5 @@ class ChangingFriction:
             self._after = replace(friction, static=friction.static * factor, kinetic=friction.kinetic * factor)
 
     def at(self, slice_number: int) -> Friction:
-        """The friction in a slice."""
+        """Return the friction in a slice."""
         return self._before if slice_number < self._changes_at else self._after

@@ -1,13 +1,15 @@
 """Scenes with a gripper: gripper, gel, object and camera of one trial, advanced one slice at a time.
 
-Three kinds of scene. `ramp`: the object already hangs in a gripper under current control. `lift`: it stands on a table,
-the gripper starts just before touch, and a hand lifts the gripper; in its frame the table sinks. `hold`: the gripper
-starts open, closes on an object that is then let go, and the object is pushed at times. One of two mirrored pads is
-simulated, or both where they differ or are both looked at; gripper, hand and table move in steps of 1 ms, gel and
-object in as many as they need (gel.adaptive). The camera sees the first pad at the end of the slice, and one of the
-second finger, where a plan has it, the second (second_view.py).
+There are three kinds of scene. `ramp`: the object already hangs in a gripper under current control. `lift`: the object
+is on a table, the gripper starts just before touch, and a hand lifts the gripper; in the gripper's frame the table
+sinks. `hold`: the gripper starts open and closes on an object, which is then released into the grip and pushed.
 
-Why so: down is +x of the image in a grasp from the top, +y in one from the side; an upright object turns with it.
+One of two mirrored pads is simulated, or both if they differ or both have a camera. Gripper, hand and table move in
+steps of 1 ms, gel and object in as many steps as they need (gel.adaptive). The camera sees the first pad at the end of
+the slice. If the plan has a camera on the second finger, it sees the second pad (second_view.py).
+
+Gravity is along +x of the image in a grasp from the top and +y in a grasp from the side. The shape of an upright object
+is rotated accordingly.
 """
 
 import math
@@ -50,18 +52,18 @@ from evetac_cli.sim.setup.object_file import TouchedObject, seed_of
 from evetac_cli.sim.setup.plan import SECOND, Called, Plan
 from evetac_cli.sim.setup.sensor import Sensor
 
-FINGER_STIFFNESS_N_M = 1.8e3  # of the gap, by fingers, links and mounts; fitted to the paper's two bottles
+FINGER_STIFFNESS_N_M = 1.8e3  # of the gap, from fingers, links and mounts; fitted to the paper's two bottles
 GONE_M = 0.02  # an object that slid this far is lost
-CLOSING_S, CLOSING_STEPS = 0.5, 10  # of a finger on what a ramp holds, before the trial begins
-LEAST_FRICTION = 1e-6  # below, what would hold an object is no finite force
-APPROACH_TICKS = -4.0  # where a lift scene starts: this far before touch
-TEXTURE_PX = (1024, 1024)
+CLOSING_S, CLOSING_STEPS = 0.5, 10  # time and steps in which a finger closes on a ramp's object, before the trial
+LEAST_FRICTION = 1e-6  # below, the holding force would not be finite
+APPROACH_TICKS = -4.0  # start of a lift scene: position relative to touch
+TEXTURE_PX = (1024, 1024)  # size of an object's texture
 TEXTURE_SEED = 7919  # with the object's number: an object has the same texture in every trial
-OUT_OF_SIGHT_M = np.zeros(2)  # where an object is that no texture shows
+OUT_OF_SIGHT_M = np.zeros(2)  # position of an object without visible texture
 
 
 class GraspSimulation:
-    """One trial with a gripper: `command` is set from outside, `step` makes a slice, `truth` says what happened."""
+    """One trial with a gripper: set `command` from outside; `step` advances by one slice, `truth` returns its truth."""
 
     def __init__(
         self,
@@ -74,7 +76,7 @@ class GraspSimulation:
         timer: Timer = untimed,
         second_optics_rng: np.random.Generator | None = None,
     ) -> None:
-        """Build what a plan names; ValueError where values of a scene do not go together.
+        """Build the parts that a plan names; ValueError if values of the scene contradict each other.
 
         second_optics_rng: for the camera of the second finger, if the plan has one.
         """
@@ -86,7 +88,7 @@ class GraspSimulation:
         self._solver = self._scene.solver
         touched, sensor = plan.touched, sampling.sensor_with_gel(self._scene, plan.sensor)
         self.sampled = sampling.sample_trial(self._scene, touched, sensor, mechanics, plan.called)
-        # each part has a stream of its own, and draws from it only where a scene names it
+        # each part has its own stream, and draws from it only if a scene names the part
         hand_rng, self._encoder_rng, commands_rng = mechanics.spawn(3)
         self._down = 1 if self._scene.gel.sideways else 0
         texture = self._texture(plan.called, optics_rng)
@@ -110,8 +112,8 @@ class GraspSimulation:
         self._slip = GroundTruthSlip(self._gel, self.gel_camera.mm_per_px, self.gel_camera.window_px)
         self._shear_n = (0.0, 0.0)
         self._table_m = 0.0
-        self._pulls = 1.0  # the hand's motion and gravity, over gravity
-        self._nearer_at_m = -1.0  # the indentation for which _nearer_m is
+        self._pulls = 1.0  # gravity plus the hand's acceleration, divided by gravity
+        self._nearer_at_m = -1.0  # the indentation for which _nearer_m was computed
         self._nearer_m: NDArray[np.float64] = np.zeros_like(self.gel_camera.rest_m)
         self._seen = (self._nearer_m, OUT_OF_SIGHT_M, 0.0, self.gel_camera.cut_rest_m)  # set in the first slice
         self.slices_in_all = self._planned_slices(lift_s, balance_s)
@@ -149,7 +151,7 @@ class GraspSimulation:
         return round(self._time.longest_s * SLICES_PER_S)
 
     def _build_second_view(self, plan: Plan, rng: np.random.Generator | None, timer: Timer) -> SecondView | None:
-        """The camera of the second finger, if the plan has one; its window shows another side of the object."""
+        """Build the second finger's camera, if the plan has one; its window shows another side of the object."""
         if self._second_sensor is None:
             return None
         assert rng is not None
@@ -159,16 +161,17 @@ class GraspSimulation:
         return SecondView(camera, self._pads[-1], self._gaps, timer, self._solver.camera_substeps)
 
     def _texture(self, called: Called, rng: np.random.Generator, *side: int) -> NDArray[np.float32] | None:
-        """What the window shows of the object; nothing if the scene has no texture, leaves it out, or has no window."""
+        """Return the texture in the window; None if the scene has no texture, does not show it, or has no window."""
         if self._scene.texture is None or not self._scene.gel.cut:
             return None
         if not self._scene.texture.show:
-            rng.uniform(
-                0, TEXTURE_PX[0], 2
-            )  # where a texture would lie: the gel's events are those of a trial with one
+            # the texture's position, drawn anyway so that the gel's events are those of a trial with texture
+            rng.uniform(0, TEXTURE_PX[0], 2)
             return None
-        drawn = np.random.default_rng([TEXTURE_SEED, seed_of(called), *side])
-        return optics.texture(drawn, TEXTURE_PX, self.sampled.texture_half_correlation_px, self.sampled.texture_log_sd)
+        texture_rng = np.random.default_rng([TEXTURE_SEED, seed_of(called), *side])
+        return optics.texture(
+            texture_rng, TEXTURE_PX, self.sampled.texture_half_correlation_px, self.sampled.texture_log_sd
+        )
 
     def _build_mechanics(self, touched: TouchedObject, sensor: Sensor, timer: Timer) -> None:
         nodes = pad(self._solver, sensor, cut=self._scene.gel.cut)
@@ -198,7 +201,9 @@ class GraspSimulation:
         self._slip_limit_n = self._limit_n(sampled.mass_kg)
         start_n = self._scene.gripper.start_n
         if start_n is not None and start_n < self._slip_limit_n:
-            raise ValueError(f"gripper.start_n: {start_n:g} N do not hold what slides below {self._slip_limit_n:.3g} N")
+            raise ValueError(
+                f"gripper.start_n: {start_n:g} N cannot hold an object that slips below {self._slip_limit_n:.3g} N"
+            )
         own = sensor.gripper
         self.drive = gripper.make_drive(own, sampled.gear_friction_factor, self._faults.backlash_ticks)
         touch_ticks = float(round(gripper.ticks_at_gap(width_m)))
@@ -240,18 +245,18 @@ class GraspSimulation:
         self._at_seen = dots.interpolation(nodes, np.concatenate([self.gel_camera.rest_m, self.gel_camera.cut_rest_m]))
         many = self._solver.camera_substeps > 1
         self._path = DotPath(self._gel, self._at_dots, self._solver.camera_substeps) if many else None
-        # memory for the state before a step that may have to be made again
+        # the state before a step that may have to be repeated
         self._before = tuple(one.copy() for one in self._pads)
         self._on_table = self._kind == "lift"
 
     def holding_ma(self) -> float:
-        """The current that closes to the force at the start: the scene's, or a sampled multiple of the slip limit."""
+        """Return the current for the initial force: the scene's, or a sampled multiple of the slip limit."""
         own, limit_n = self._scene.gripper, self._slip_limit_n
         force_n = self.sampled.start_factor * limit_n + own.start_more_n if own.start_n is None else own.start_n
         return float(np.ceil(gripper.closing_push_n(self.drive, force_n) / self.drive.force_per_current_n_ma))
 
     def slips_at_ma(self) -> float:
-        """About the current at which a ramp lets the object go, where the gear's friction no longer holds; else NaN."""
+        """Return the approximate current at which a ramp releases the object despite the gear friction; else NaN."""
         if self._kind != "ramp":
             return math.nan
         slides_n = gripper.opening_push_n(self.drive, self._slip_limit_n)
@@ -260,7 +265,7 @@ class GraspSimulation:
         return push_n / self.drive.force_per_current_n_ma
 
     def _limit_n(self, mass_kg: float) -> float:
-        """Normal force at which an object of this mass, sampled as the trial's in all else, slides or turns."""
+        """Return the normal force at which an object of this mass slides or turns; all else as in the trial."""
         return slip_limit_n(
             replace(self.sampled, mass_kg=mass_kg),
             self._curve,
@@ -272,7 +277,7 @@ class GraspSimulation:
         )
 
     def nodes_of_slip(self) -> float:
-        """Half the wavelength of unstable slip at the slip limit, in nodes of the grid; infinity where it is stable."""
+        """Return half the wavelength of unstable slip at the slip limit, in nodes; infinity if slip is stable."""
         return nodes_of_slip(self._slip_limit_n, self._curve, self._gaps, self._gel, self._friction, self._pressure_law)
 
     def step(self) -> Events:
@@ -297,7 +302,7 @@ class GraspSimulation:
         return events
 
     def _see_second(self, view: SecondView, *, still: bool) -> None:
-        """Let the second finger's camera see the slice."""
+        """Render the slice with the second finger's camera."""
         assert self._second is not None
         object_m, contrast = OUT_OF_SIGHT_M, 0.0
         if self._shows_texture and not still:
@@ -308,22 +313,22 @@ class GraspSimulation:
         view.see(self.slices, self._second.indentation_m, object_m, contrast, still=still)
 
     def _fallen_m(self) -> float:
-        """How far the object has moved along gravity since the start."""
+        """Return the object's motion along gravity since the start, in m."""
         return float(self._gel.pose[self._down] - self._middle_m[self._down])
 
     def _seen_m(self) -> NDArray[np.float64]:
-        """Displacement of the object where the window shows it: an object held off its middle turns, too."""
+        """Return the object's displacement at the window; an object that is held off its middle also turns."""
         moved_m: NDArray[np.float64] = self._gel.pose[:2] - self._middle_m
         return _in_window(moved_m, float(self._gel.pose[2]), self._window_from_middle_m)
 
     def _contrast(self) -> float:
-        """How clearly the window shows the object: it blurs once it is away from the pad."""
+        """Return the contrast of the object's texture: it blurs when the object is off the pad."""
         assert self._scene.texture is not None
         open_mm = max(-self.finger.closing_ticks, 0.0) * self._curve.metres_per_tick * 0.5e3
         return float(np.exp(-open_mm / self._scene.texture.focus_mm))
 
     def _nearer(self) -> NDArray[np.float64]:
-        """Shift of the dots as they come nearer to the lens; evaluated only where the indentation has changed."""
+        """Return the shift of the dots as they approach the lens; recomputed only if the indentation has changed."""
         if self.finger.indentation_m != self._nearer_at_m:
             self._nearer_at_m = self.finger.indentation_m
             depth = self._gaps.depth_m(self.finger.indentation_m)
@@ -332,7 +337,7 @@ class GraspSimulation:
         return self._nearer_m
 
     def _move(self) -> None:
-        """One mechanical step: finger, gel, object, table."""
+        """Perform one mechanical step of finger, gel, object and table."""
         self._friction = self._changing_friction.at(self.slices)
         before_n = self.finger.force_n
         mode, command = self.command if self._commands is None else self._commands.at(self.slices, self.command)
@@ -350,11 +355,11 @@ class GraspSimulation:
         if self._kind == "lift":
             done = self._move_over_table(shares, force_n, acceleration)
         elif self._kind == "hold" and (self._load() == 0.0 or self._fallen_m() > self.sampled.floor_m):
-            done = self._solve(shares, force_n, 0.0, held=True)  # something else, or the floor, carries the object
+            done = self._solve(shares, force_n, 0.0, held=True)  # the floor, or something else, carries the object
         else:
             weight_n = self._mass_kg * (GRAVITY_M_S2 + acceleration) * self._load()
             done = self._solve(shares, force_n, weight_n + self._push())
-        if self._gel_slices.still_for <= RECENT_MS:  # what slips is known where nothing has moved for longer
+        if self._gel_slices.still_for <= RECENT_MS:  # without motion for longer, the slip does not change
             self._slip.follow(self._gel, shares, self.finger.force_n)
         self._steps.follow(done, self._friction)
         self._shear_n = done.friction_n[:2]
@@ -364,12 +369,12 @@ class GraspSimulation:
             self.second_view.follow(self._gel.pose, *pressed, sheared_n, still_for)
 
     def _close(self, second_pad: gel.GelState | None) -> None:
-        """Let the gel follow a finger that closes to where the trial starts, and then rests on the free object as long.
+        """Let the gel follow a finger that closes to its initial position; then it rests on the free object as long.
 
-        Why so: squeezed at once, the gel would go on creeping for some 15 slices. The camera, which starts on dots at
-        rest, sees them jump in the first two.
+        If the gel was squeezed at once it would creep for some 15 slices. The camera, which starts with dots at rest,
+        would see them jump in the first two slices.
         """
-        slow = replace(self._solver, theta=1.0)  # nothing swings while it closes
+        slow = replace(self._solver, theta=1.0)  # no oscillation while the finger closes
         stepper = Stepper(slow, CLOSING_S / CLOSING_STEPS, second_pad)
         end_ticks, end_m, end_n = self.finger.closing_ticks, self.finger.indentation_m, self.finger.force_n
         before_n = 0.0
@@ -389,7 +394,7 @@ class GraspSimulation:
         self.finger.closing_ticks, self.finger.indentation_m, self.finger.force_n = end_ticks, end_m, end_n
 
     def _press(self) -> None:
-        """Find how the nodes share the normal force where the finger is now."""
+        """Compute each node's share of the normal force at the finger's present position."""
         self._shares_at_m = self.finger.indentation_m
         gaps, law = self._gaps, self._pressure_law
         self._shares = press(self._gel, self._shares_at_m, gaps, self._friction_factor, law)
@@ -407,7 +412,7 @@ class GraspSimulation:
         held: bool = False,
         speed: float = 0.0,
     ) -> Slice:
-        """A slice of the gel with a force on the object along gravity, or (held) with the object moving at a speed."""
+        """Solve a slice of the gel, with a force on the object along gravity, or with its speed prescribed (held)."""
         each = None
         if self._path is not None:
             self._path.begin()
@@ -420,23 +425,23 @@ class GraspSimulation:
         return self._gel_slices.advance(shares, force_n, force, self._friction, twist, each, second_shares=second)
 
     def _restore(self) -> None:
-        """Go back to before the slice."""
+        """Restore the state before the slice."""
         for state, before in zip(self._pads, self._before, strict=True):
             state.restore(before)
 
     def _along_gravity(self, value: float) -> tuple[float, float, float]:
-        """A force or a velocity (x, y, rotation) that points down."""
+        """Return a force or a velocity (x, y, rotation) that points down."""
         return (0.0, value, 0.0) if self._down else (value, 0.0, 0.0)
 
     def _load(self) -> float:
-        """Share of the weight that hangs on the gripper: handed over smoothly after the rest."""
+        """Return the share of the weight on the gripper: handed over smoothly after the rest."""
         done = (self.slices * STEP_S - self._time.rest_s) / max(self._time.load_s, STEP_S)
         if done >= 1.0:
             return 1.0
         return float(0.5 - 0.5 * np.cos(np.pi * min(max(done, 0.0), 1.0)))
 
     def _push(self) -> float:
-        """Force of whoever pushes the object down at this moment, in N."""
+        """Return the downward force of the scene's pushes on the object at this time, in N."""
         push = self._scene.push
         if push is None:
             return 0.0
@@ -449,7 +454,7 @@ class GraspSimulation:
         return float(sum(forces))
 
     def _catch_weight(self) -> None:
-        """A weight lands on the object and stays: inelastic."""
+        """Let the weight land on the object inelastically; it stays there."""
         assert self._drop is not None
         weight_kg = self._drop.mass_g * 1e-3
         share = weight_kg / (self._mass_kg + weight_kg)
@@ -460,10 +465,11 @@ class GraspSimulation:
         self._slip_limit_n = self._limit_n(self._mass_kg)
 
     def _move_over_table(self, shares: NDArray[np.float64], force_n: tuple[float, float], acceleration: float) -> Slice:
-        """With the table under the object: where it would sink into the table, the table carries it.
+        """Solve a slice over the table: if the object would sink into the table, the table carries it.
 
-        Both ways are tried at most, first that of the slice before: an object that stands on the table goes on doing so
-        while the table has to push (else it would hang on it), one that hangs while it does not sink into the table.
+        At most both cases are tried, first that of the slice before. An object on the table stays there as long as the
+        table has to push it up (otherwise the object would hang on the table). A hanging object keeps hanging as long
+        as it does not sink into the table.
         """
         self._table_m += self._hand.speed_m_s * STEP_S
         weight_n = self._mass_kg * (GRAVITY_M_S2 + acceleration)
@@ -487,7 +493,7 @@ class GraspSimulation:
         return done
 
     def _over(self) -> bool:
-        """A ramp ends some time after contact is lost or the object slid away; a grasp when the object fell."""
+        """Return whether the trial is over: a ramp some time after contact is lost, a grasp after the object fell."""
         if self._kind == "hold":
             return False
         fallen = self._fallen_m() > GONE_M
@@ -499,19 +505,20 @@ class GraspSimulation:
 
     @property
     def carried_kg(self) -> float:
-        """Mass of the object, with a weight that fell on it."""
+        """Return the mass of the object, with a weight that fell on it."""
         return self._mass_kg
 
     @property
     def holding_n(self) -> float:
-        """Normal force that just holds the object at this moment, were it hanging.
+        """Return the normal force that just holds the object now, as if it hung free.
 
-        Against its weight, with a weight that fell on it, the moment of both, and the inertia of the hand's motion.
+        It balances the weight of the object and of a weight that fell on it, the moment of both, and the inertia from
+        the hand's motion.
         """
         return self._slip_limit_n * self._pulls * self._friction_before / max(self._friction.static, LEAST_FRICTION)
 
     def truth(self) -> dict[str, Any]:
-        """What only a simulation knows, at the end of the slice made last; schema paths."""
+        """Return the ground truth at the end of the last slice, by schema path."""
         moved_m = self._gel.pose[:2] - self._middle_m
         row = {
             "truth/dot_xy_px": self.gel_camera.dot_xy_px.astype(np.float32),
@@ -528,14 +535,14 @@ class GraspSimulation:
         return row
 
     def second_truth(self) -> dict[str, Any]:
-        """The same of the second finger, where a camera looks at it."""
+        """Return the ground truth of the second finger, which must have a camera."""
         assert self.second_view is not None
         own = self.second_view.truth(self._gel.pose[:2] - self._middle_m)
         return {**own, "truth/normal_force_n": self.finger.force_n, "truth/closing_ticks": self.finger.closing_ticks}
 
 
 def _window_from_middle_m(camera: GelCamera, middle_m: NDArray[np.float64]) -> tuple[float, float] | None:
-    """The middle of a camera's window from the centre of mass at the start; None without one, or where both are one."""
+    """Return the vector from the initial centre of mass to the window's middle; None without window or offset."""
     if camera.window_px is None or not middle_m.any():
         return None
     window_px = np.array(camera.window_px).reshape(2, 2).mean(axis=0) - np.array(FRAME_PX) / 2
@@ -546,7 +553,7 @@ def _window_from_middle_m(camera: GelCamera, middle_m: NDArray[np.float64]) -> t
 def _in_window(
     moved_m: NDArray[np.float64], turned: float, from_middle_m: tuple[float, float] | None
 ) -> NDArray[np.float64]:
-    """Displacement in a window of an object that has moved and turned; moved_m is changed in place."""
+    """Return the displacement in a window of an object that has moved and turned; moved_m is changed in place."""
     if from_middle_m is not None and turned:
         across, down = from_middle_m
         cosine, sine = math.cos(turned), math.sin(turned)
@@ -556,7 +563,7 @@ def _in_window(
 
 
 def _both(first: Callable[..., None], second: Callable[..., None]) -> Callable[..., None]:
-    """A call of two, one after the other."""
+    """Return a function that calls two functions, one after the other."""
 
     def call(*given: Any) -> None:
         first(*given)

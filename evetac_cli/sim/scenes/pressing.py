@@ -1,8 +1,8 @@
 """Scenes of kind `press`: a face is pressed on the gel and moved as planned, without gripper, free object or texture.
 
-The scene names the face (a rectangle or a disc) and one of two motions. `waypoints` (shear): pressed on
-once, then moved to random places in a disc so small that nothing slips, with rests between. `strokes` (press): drawn
-over the whole gel in lines, lifted off between them, so that every dot is moved.
+The scene names the face (a rectangle or a disc) and one of two motions. `waypoints` (shear): the face is pressed on
+once, then moved to random positions in a disc so small that nothing slips, with pauses. `strokes` (press): the face is
+drawn over the whole gel in lines and lifted off between them, so that every dot is moved.
 """
 
 import math
@@ -36,18 +36,18 @@ from evetac_cli.sim.setup.driven import Face, FaceMotion
 from evetac_cli.sim.setup.plan import Plan
 from evetac_cli.sim.setup.sampling import sample_trial, sensor_with_gel
 
-LONGEST_S = 24 * 3600.0  # as for any recording
+LONGEST_S = 24 * 3600.0  # the limit of every recording
 
 
 class Timeline(NamedTuple):
-    """Where the face is, and how hard it presses: reached at time_s, smoothly (a cosine) from the entry before."""
+    """Position and force of the face: entry i is reached at time_s[i], smoothly (a cosine) from the entry before."""
 
     time_s: Floats
     xy_m: Floats
     force_n: Floats
 
     def at(self, now_s: float) -> tuple[Floats, float]:
-        """Place (x, y) in m and normal force in N."""
+        """Return the position (x, y) in m and the normal force in N at a time."""
         after = min(bisect_right(self.time_s, now_s), len(self.time_s) - 1)
         before = max(after - 1, 0)
         span = self.time_s[after] - self.time_s[before]
@@ -58,9 +58,9 @@ class Timeline(NamedTuple):
 
 
 class Pressing:
-    """A trial of pressing: `step` makes a slice, `truth` returns what only a simulation knows of it."""
+    """A trial of pressing: `step` advances by one slice, `truth` returns its ground truth."""
 
-    follows = False  # whether what is pressed is where the face is, or stays while the face shears it
+    follows = False  # whether the pressed area moves with the face, or stays while the face shears it
     _face: Face
 
     def __init__(
@@ -73,7 +73,7 @@ class Pressing:
         *,
         timer: Timer = untimed,
     ) -> None:
-        """Build what a plan names. The camera sees the face's outline, if there is one."""
+        """Build the parts that a plan names. The camera sees the face's outline, if there is one."""
         assert plan.touched is not None
         self._scene = plan.scene
         sensor = sensor_with_gel(self._scene, plan.sensor)
@@ -93,7 +93,7 @@ class Pressing:
         self._material = material(sensor)
         self._stiffness_n_m3 = sensor.normal_modulus_pa / self._material.height_m
         varies = friction_factor(sensor, nodes)
-        # a driven face: its mass is of no account
+        # the face is driven, so its mass has no effect
         self._gel = gel.start(nodes, self._material, 1.0, 1.0, pads=1, friction_factor=varies)
         sampled = self.sampled
         self._gel_slices = GelSlices(self._gel, solver, timer=timer)
@@ -127,7 +127,7 @@ class Pressing:
         return np.zeros(2), self._plan_strokes(motion, (face.radius_mm or 0.0) * 1e-3)
 
     def _plan_waypoints(self, motion: FaceMotion, rng: np.random.Generator) -> tuple[Floats, Timeline]:
-        """Press on with an offset, then shear to random places that need at most the scene's shear force."""
+        """Press on with an offset, then shear to random positions that need at most the scene's shear force."""
         offset_m = rng.uniform(-1.0, 1.0, 2) * motion.offset_mm * 1e-3
         area = self._weights(offset_m).sum() * self._gel.cell_area_m2
         reach_m = motion.shear_n / (self._material.shear_modulus_pa * area / self._material.height_m)
@@ -141,7 +141,7 @@ class Pressing:
         return offset_m, timeline(entries)
 
     def _plan_strokes(self, motion: FaceMotion, inset: float) -> Timeline:
-        """Lines along x, there and back, then along y, over the whole pad, `inset` m within its edge."""
+        """Plan lines along x, back and forth, then along y, over the whole pad, `inset` m inside its edge."""
         low, high = self._gel.node_xy_m.min(axis=(0, 1)) + inset, self._gel.node_xy_m.max(axis=(0, 1)) - inset
         entries = [(0.0, low, 0.0), (self._scene.time.rest_s, low, 0.0)]
         for along in (0, 1):
@@ -157,14 +157,14 @@ class Pressing:
         return timeline(entries)
 
     def _weights(self, centre_m: Floats) -> Floats:
-        """Share of each node's cell that the face covers, (rows, columns)."""
+        """Return the share of each node's cell that the face covers, (rows, columns)."""
         radius_mm, size_mm = self._face.radius_mm, self._face.size_mm
         half_mm = np.array(size_mm) / 2 if radius_mm is None else np.full(2, radius_mm)
         return covered(self._gel.node_xy_m, centre_m, half_mm * 1e-3, is_round=radius_mm is not None)
 
     @property
     def slices_in_all(self) -> int:
-        """How many slices the trial has."""
+        """Return the number of slices of the trial."""
         longest_s = float(self.timeline.time_s[-1]) + self._scene.time.after_motion_s
         return math.ceil(longest_s / STEP_S - 1e-6)
 
@@ -193,7 +193,7 @@ class Pressing:
             self._xy_m, self._force_n = xy_m, force_n if self._covered > 0 else 0.0
             self._shear_n = done.friction_n[:2]
             self._steps.follow(done, self._friction)
-        if self._gel_slices.still_for <= RECENT_MS:  # what slips is known where nothing has moved for longer
+        if self._gel_slices.still_for <= RECENT_MS:  # without motion for longer, the slip does not change
             self._slip.follow(self._gel, self._shares, self._force_n)
         events = self._look(still)
         self.slices += 1
@@ -201,13 +201,13 @@ class Pressing:
         return events
 
     def _place(self, centre_m: Floats) -> None:
-        """Find how the force is shared by the nodes where the face is now."""
+        """Compute each node's share of the force at the face's present position."""
         self._weights_now = self._weights(centre_m)
         self._covered = self._weights_now.sum()
         self._shares = self._weights_now / self._covered if self._covered > 0 else self._weights_now
 
     def _look(self, still: bool) -> Events:
-        """What the camera sees of the gel in this slice; `still` if that is what it saw in the last."""
+        """Render the slice; `still`: nothing has changed since the last one."""
         before_m = self._nearer_m
         if not still:
             self._nearer_m = self._nearer(self._weights_now)
@@ -221,15 +221,15 @@ class Pressing:
         )
 
     def _borne(self, covered: float) -> float:
-        """Share of the hand's force that the pad bears where it covers so many cells: all of it."""
+        """Return the share of the hand's force on the pad, if that many cells are covered: always all of it."""
         return 1.0
 
     def _strength(self) -> float:
-        """How clearly the camera sees the face's outline, 0 to 1."""
+        """Return the visibility of the face's outline, 0 to 1."""
         return 0.0
 
     def _nearer(self, weights: Floats) -> Floats:
-        """Shift of the dots as they come nearer to the lens."""
+        """Return the shift of the dots in the image as they approach the lens."""
         if self._force_n <= 0.0:
             return np.zeros_like(self.gel_camera.rest_m)
         area = weights.sum() * self._gel.cell_area_m2
@@ -237,7 +237,7 @@ class Pressing:
         return dots.nearer_by(self.gel_camera.rest_m, dots.field_at(depth[..., None], *self._at_dots)[:, 0])
 
     def truth(self) -> dict[str, Any]:
-        """What only a simulation knows, at the end of the slice made last; schema paths."""
+        """Return the ground truth at the end of the last slice, by schema path."""
         return {
             "truth/dot_xy_px": self.gel_camera.dot_xy_px.astype(np.float32),
             "truth/object_xy_px": self.gel_camera.object_xy_px.astype(np.float32),
@@ -249,9 +249,9 @@ class Pressing:
 
 
 def timeline(entries: list[tuple[float, Floats, float]]) -> Timeline:
-    """The timeline through (time in s, place in m, force in N); SceneError if it takes more than a day."""
+    """Return the timeline through (time in s, position in m, force in N); SceneError if it is longer than a day."""
     time_s, xy_m, force_n = zip(*entries, strict=True)
     if not time_s[-1] <= LONGEST_S:
         expected = f"at most {LONGEST_S:g} s"
-        raise SceneError("the motion takes too long", where="--scene", expected=expected, found=f"{time_s[-1]:.4g} s")
+        raise SceneError("the motion is too long", where="--scene", expected=expected, found=f"{time_s[-1]:.4g} s")
     return Timeline(np.array(time_s), np.array(xy_m), np.array(force_n))

@@ -1,7 +1,7 @@
 """Scenes of kind `rub`: an object is pressed on the gel, sheared and rubbed over it; its edges make most events.
 
-What touches is the inside of the outline that the camera sees, an ellipse (a finger) or a ring (the handle of a pair of
-scissors), and the outline moves with it. Apart from that it is a scene of pressing.
+The contact area is the inside of the outline that the camera sees: an ellipse (a finger) or a ring (the handle of a
+pair of scissors). The outline moves with the object. In all else it is a scene of pressing.
 """
 
 from dataclasses import asdict, dataclass
@@ -18,17 +18,17 @@ from evetac_cli.sim.scenes.pressing import Pressing, Timeline, timeline
 from evetac_cli.sim.setup.plan import Plan
 from evetac_cli.sim.setup.sampling import SampledTrial
 
-SIZES_PX = {"finger": (250.0, 180.0), "handle": (260.0, 150.0)}  # across, down
-THICK_PX = {"finger": None, "handle": 40.0}
-STARTS_PX = ((200.0, 260.0), (60.0, 160.0))  # how far from the middle of the view it touches, across and down
-STAYS_PX = (320.0, 240.0)  # and its middle stays as near to it, where a direction of a rub allows
-DIRECTIONS = 64
-SEEN_FROM_N = 0.2  # pressed with this much or more an object is in full view
+SIZES_PX = {"finger": (250.0, 180.0), "handle": (260.0, 150.0)}  # size along x and y
+THICK_PX = {"finger": None, "handle": 40.0}  # width of the ring; None: no hole
+STARTS_PX = ((200.0, 260.0), (60.0, 160.0))  # ranges of the distance from the middle of the view at touch, along x, y
+STAYS_PX = (320.0, 240.0)  # largest distance of its middle from the middle of the view, if a rub's direction allows it
+DIRECTIONS = 64  # random directions to choose from for each rub
+SEEN_FROM_N = 0.2  # normal force above which an object is fully visible
 
 
 @dataclass(frozen=True)
 class SampledRub(SampledTrial):
-    """What was sampled for one trial: frictions as in all scenes, and the object."""
+    """Values that were sampled for one trial: frictions as in all scenes, and the object."""
 
     object_name: str
     normal_n: float
@@ -37,7 +37,7 @@ class SampledRub(SampledTrial):
 
 
 class Rubbing(Pressing):
-    """A trial of rubbing: `step` makes a slice, `truth` returns what only a simulation knows of it."""
+    """A trial of rubbing: `step` advances by one slice, `truth` returns its ground truth."""
 
     follows = True
 
@@ -49,7 +49,7 @@ class Rubbing(Pressing):
         *,
         timer: Timer = untimed,
     ) -> None:
-        """Build what a plan names."""
+        """Build the parts that a plan names."""
         rub = plan.scene.rub
         assert rub is not None
         self._rub = rub
@@ -57,7 +57,7 @@ class Rubbing(Pressing):
         contrast, blur_px = (float(mechanics.uniform(*ends)) for ends in (rub.edge_log_contrast, rub.edge_blur_px))
         self._normal_n = float(mechanics.uniform(*rub.normal_n))
         self._size_px, self._thick_px = np.array(SIZES_PX[object_name]), THICK_PX[object_name]
-        outline = None  # edges without contrast are not seen, and not drawn
+        outline = None  # edges without contrast are invisible and not drawn
         if contrast > 0.0:
             outline = contact_edges.ellipse(self._size_px, contrast, blur_px, self._thick_px)
         far_px = np.array(
@@ -72,7 +72,7 @@ class Rubbing(Pressing):
         )
 
     def _plan_motion(self, rng: np.random.Generator) -> tuple[Floats, Timeline]:
-        """Touch, shear there and back, ease off, rub in random directions with pauses between, lift off."""
+        """Touch, shear to both sides, ease off, rub in random directions with pauses between, lift off."""
         rub = self._rub
         mm_per_px = self.gel_camera.mm_per_px
         place = np.zeros(2)
@@ -100,7 +100,7 @@ class Rubbing(Pressing):
         return self._starts_px * mm_per_px * 1e-3, timeline(entries)
 
     def _weights(self, centre_m: Floats) -> Floats:
-        """Share of each node's cell inside the outline, (rows, columns)."""
+        """Return the share of each node's cell inside the outline, (rows, columns)."""
         m_per_px = self.gel_camera.mm_per_px * 1e-3
         half_px, hole_px = self._size_px / 2, NO_HOLE
         if self._thick_px is not None:
@@ -109,7 +109,7 @@ class Rubbing(Pressing):
         return covered(nodes, centre_m, half_px * m_per_px, is_round=True, hole_m=hole_px * m_per_px)
 
     def _borne(self, covered: float) -> float:
-        """Share of the hand's force that the pad bears: an object half over its edge is pressed in no deeper."""
+        """Return the share of the hand's force on the pad: an object half over the edge is not pressed in deeper."""
         across_px, down_px = self._size_px
         area_px2 = across_px * down_px
         if self._thick_px is not None:
@@ -118,20 +118,20 @@ class Rubbing(Pressing):
         return float(min(covered / cells, 1.0))
 
     def _strength(self) -> float:
-        """How clearly the object is seen: not at all before the hand presses."""
+        """Return the visibility of the object: 0 before the hand presses."""
         return min(self._hand_n / SEEN_FROM_N, 1.0)
 
     def truth(self) -> dict[str, Any]:
-        """What only a simulation knows, at the end of the slice made last; schema paths."""
+        """Return the ground truth at the end of the last slice, by schema path."""
         return {**super().truth(), "truth/contact_edge_events": self.gel_camera.contact_edge_events}
 
 
 def _direction(from_px: Floats, length_px: float, longest_px: float, rng: np.random.Generator) -> Floats:
-    """A random direction among those that keep the object in view, also in the longest rub after, or the nearest."""
+    """Return a random direction that keeps the object in view, also in the longest rub after it, or the nearest one."""
     angles = rng.uniform(0.0, 2 * np.pi, DIRECTIONS)
     directions = np.stack([np.cos(angles), np.sin(angles)], axis=1)
     ends_px = np.abs(from_px + length_px * directions)
     beyond = np.maximum(ends_px - STAYS_PX, 0.0).sum(axis=1)
     trapped = np.maximum(longest_px - np.linalg.norm(ends_px + STAYS_PX, axis=1), 0.0)
-    chosen: Floats = directions[int(np.argmin(beyond + trapped))]  # the first of those that stay
+    chosen: Floats = directions[int(np.argmin(beyond + trapped))]  # the first that keeps the object in view
     return chosen

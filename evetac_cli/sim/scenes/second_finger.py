@@ -1,9 +1,10 @@
-"""The pad of the second finger, where it is no mirror image of the first, or a camera of its own looks at it.
+"""The pad of the second finger, if it is no mirror image of the first or has its own camera.
 
-Both fingers press with the same force and hold the same rigid object. The second pad has a friction and a stiffness of
-its own, and so its own indentation, contact and shear. Left out: that the object tips where one finger carries more
-than the other, which would shift pressure along each pad; and of a sensor that differs from the first, that its gel may
-end elsewhere, and all of its friction but how high it is and where on the gel.
+Both fingers press with the same force and hold the same rigid object. The second pad has its own friction and
+stiffness, and so its own indentation, contact and shear. Two effects are not simulated. The object does not tip when
+one finger carries more than the other, which would shift the pressure along each pad. And if the second sensor is
+another one, only its level of friction and its pattern on the gel are used, and its gel ends where the first one's
+does.
 """
 
 from dataclasses import replace
@@ -20,12 +21,12 @@ from evetac_cli.sim.setup.sensor import Sensor
 
 
 class SecondFinger:
-    """Friction and stiffness of the second pad, and how it is pressed."""
+    """Friction and stiffness of the second pad, and its pressure."""
 
     def __init__(
         self, settings: SecondFingerSettings, sensor: Sensor, node_xy_m: Floats, own: Sensor | None = None
     ) -> None:
-        """Where friction varies over the gel of the sensor, it does otherwise over this one; own: its own sensor."""
+        """Build the second pad; own: its own sensor. If friction varies over the gel, this pad has its own pattern."""
         self._shear_factor = self.stiffness_factor = settings.stiffness_factor
         self._own = own
         friction = settings.friction_factor
@@ -38,7 +39,7 @@ class SecondFinger:
         self.indentation_m = 0.0
 
     def pad(self, first: gel.GelState) -> gel.GelState:
-        """Its gel, undeformed; it holds the object of the first pad."""
+        """Return the second pad's gel, undeformed; it holds the object of the first pad."""
         of_sensor = first.material if self._own is None else material(self._own)
         layer = replace(of_sensor, shear_modulus_pa=of_sensor.shear_modulus_pa * self._shear_factor)
         mass_kg, _, inertia = first.inertia.tolist()
@@ -52,7 +53,7 @@ class SecondFinger:
         gaps: CellGaps,
         law: PressureLaw | None,
     ) -> Floats:
-        """Share of each node of its gel in the normal force at a closing of the gripper, as `shared.press`."""
+        """Return each node's share of the normal force at a closing of the gripper, like `shared.press`."""
         assert curve.second_indentation_m is not None
         self.indentation_m = contact.lookup(curve.second_indentation_m, curve.step_ticks, closing_ticks)
         return press(state, self.indentation_m, gaps, self.friction_factor, law)

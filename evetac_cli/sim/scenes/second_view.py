@@ -1,8 +1,8 @@
-"""What the camera of the second finger sees of its pad and of the object, and the truth about both.
+"""The view of the second finger's camera on its pad and the object, and the ground truth about both.
 
-The second sensor faces the first: it is the first turned by half a turn about the fingers' long axis, which is x of the
-image. So what moves to +x in one image moves to +x in the other, what moves to +y moves to -y, and what turns one way
-turns the other way. The pad itself is simulated in the coordinates of the first (second_finger.py).
+The second sensor faces the first: it is the first sensor, rotated by half a turn about the fingers' long axis, which is
+x of the image. So motion along x is the same in both images; motion along y and rotations are reversed. The pad itself
+is simulated in the coordinates of the first sensor (second_finger.py).
 """
 
 from typing import Any
@@ -28,7 +28,7 @@ class SecondView:
     """The second finger's camera, slice by slice."""
 
     def __init__(self, camera: GelCamera, pad: GelState, gaps: CellGaps, timer: Timer, pieces: int) -> None:
-        """Switch it on; pieces: straight ones of a dot's path in each slice."""
+        """Start the camera; pieces: number of straight pieces of a dot's path in each slice."""
         self.camera = camera
         self._render = timer(PART, camera.render)
         self._pad, self._gaps = pad, gaps
@@ -37,28 +37,28 @@ class SecondView:
         self._at_seen = dots.interpolation(pad.node_xy_m, np.concatenate([rest_m, cut_m]))
         self.path = DotPath(pad, self._at_dots, pieces) if pieces > 1 else None
         self._slip = GroundTruthSlip(pad, camera.mm_per_px, camera.window_px)
-        self._nearer_at_m = -1.0  # the indentation for which _nearer_m is
+        self._nearer_at_m = -1.0  # the indentation for which _nearer_m was computed
         self._nearer_m: Floats = np.zeros_like(camera.rest_m)
         self._seen = (self._nearer_m, np.zeros(2), 0.0, camera.cut_rest_m)  # set in the first slice
         self._shear_n = np.zeros(2)
-        self.events: Events | None = None  # of the slice seen last
+        self.events: Events | None = None  # events of the last slice
 
     def begin(self) -> None:
-        """Begin the mechanics of a slice."""
+        """Start the mechanics of a slice."""
         if self.path is not None:
             self.path.begin()
 
     def follow(
         self, pose: Floats, shares: Floats, force_n: float, shear_n: tuple[float, float], still_for: int
     ) -> None:
-        """Take how the object lies, and how the pad is pressed and sheared, at the end of a slice."""
+        """Store the object's pose, and the pressure and shear of the pad, at the end of a slice."""
         self._pad.pose[:] = pose
         self._shear_n = np.array(shear_n) * FACING
         if still_for <= RECENT_MS:
             self._slip.follow(self._pad, shares, force_n)
 
     def see(self, slices: int, indentation_m: float, object_m: Floats, contrast: float, *, still: bool) -> None:
-        """Make the events of the slice after so many; object_m: where the window shows the object, in this image."""
+        """Render slice number `slices`; object_m: displacement of the object in the window, in this image."""
         before_m = self._nearer_m
         if not still:
             moved_m = dots.displacement_at(self._pad, *self._at_seen) * FACING
@@ -70,7 +70,7 @@ class SecondView:
         self.events = self._render(shift_m, object_m, contrast, now_us, path_m, cut_m=cut_m, still=still)
 
     def _nearer(self, indentation_m: float) -> Floats:
-        """Shift of the dots as they come nearer to the lens; evaluated only where the indentation has changed."""
+        """Return the shift of the dots as they approach the lens; recomputed only if the indentation has changed."""
         if indentation_m != self._nearer_at_m:
             self._nearer_at_m = indentation_m
             depth_m = dots.field_at(self._gaps.depth_m(indentation_m)[..., None], *self._at_dots)[:, 0]
@@ -78,7 +78,7 @@ class SecondView:
         return self._nearer_m
 
     def truth(self, moved_m: NDArray[np.float64]) -> dict[str, Any]:
-        """What only a simulation knows of this finger; moved_m: of the object, in coordinates of the first sensor."""
+        """Return the ground truth of this finger; moved_m: the object's motion in coordinates of the first sensor."""
         return {
             "truth/dot_xy_px": self.camera.dot_xy_px.astype(np.float32),
             "truth/object_xy_px": (moved_m * FACING * 1e3 / self.camera.mm_per_px).astype(np.float32),

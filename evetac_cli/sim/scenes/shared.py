@@ -1,4 +1,4 @@
-"""What scenes share: the pad of gel nodes, the gel of a sensor, its friction, and how finely slices are simulated."""
+"""Parts that scenes share: the pad of gel nodes, the gel of a sensor, its friction, and the stepping of slices."""
 
 import math
 from collections.abc import Callable
@@ -21,32 +21,32 @@ from evetac_cli.sim.setup.scene import Scene
 from evetac_cli.sim.setup.sensor import PAD_M, Sensor
 from evetac_cli.sim.setup.solver import Solver
 
-STEP_S = 1e-3
+STEP_S = 1e-3  # duration of a slice
 
-FRICTION_SEED = 15485867  # with a sensor's seed: where on its gel friction is higher and lower
+FRICTION_SEED = 15485867  # with a sensor's seed: where on its gel friction is higher or lower
 
-LOSS_AT_HZ = 100.0  # where a sensor's loss tangent is meant
+LOSS_AT_HZ = 100.0  # frequency of a sensor's loss_tangent
 
-# A gel that moves more slowly than this everywhere, and whose Maxwell arms pull less, rests: it would move a dot by
-# 1e-18 px, where a position is known to 1e-14 px. A displacement that small is none.
+# A gel is at rest if all its motion is slower than this and the pull of its Maxwell arms is weaker. Such motion would
+# shift a dot by 1e-18 px, but positions resolve only 1e-14 px. Displacements below SMALLEST_M are set to 0.
 SLOWEST_M_S = 1e-20
 WEAKEST_N = 1e-22
 SMALLEST_M = 1e-21
 
 
 def pad(solver: Solver, sensor: Sensor, *, cut: bool) -> NDArray[np.float64]:
-    """Gel nodes (rows, columns, 2) in m: a cut gel ends at the window, a closed one at the edge of the frame."""
+    """Return the gel nodes (rows, columns, 2) in m: a cut gel ends at the window, a closed one at the frame's edge."""
     columns, rows = solver.nodes(PAD_M)
     x0, y0, x1, y1 = sensor.pad_m(cut=cut)
     return contact.pad_nodes(round(columns * (x1 - x0) / PAD_M[0]), rows, (x0, x1), (y0, y1))
 
 
 def material(sensor: Sensor) -> gel.GelMaterial:
-    """The gel of a sensor: `GelMaterial` but for its shear modulus, and creep and loss tangent if it has them.
+    """Return the gel of a sensor: `GelMaterial` with the sensor's shear modulus, creep and loss tangent.
 
-    The loss tangent of spring, dashpot tau and Maxwell arms (shares g, times t) at w is
-    (w tau + sum g wt / (1 + wt^2)) / (1 + sum g wt^2 / (1 + wt^2)); it is met by the choice of tau. ValueError where
-    the arms alone lose more.
+    The model is a spring, a dashpot tau and Maxwell arms (shares g, times t). Its loss tangent at w is
+    `(w tau + sum g wt / (1 + wt^2)) / (1 + sum g wt^2 / (1 + wt^2))`. The time tau is chosen to reach the sensor's loss
+    tangent. ValueError if the arms alone lose more.
     """
     creep, tangent = sensor.creep, sensor.loss_tangent
     usual = gel.GelMaterial(
@@ -66,27 +66,27 @@ def material(sensor: Sensor) -> gel.GelMaterial:
     if viscous_time_s < 0.0:
         least = lost_in_arms / stored
         raise ValueError(
-            f"loss_tangent of the sensor must be at least {least:.3g}, as the arms of its gel lose, found {tangent}"
+            f"loss_tangent of the sensor must be at least {least:.3g}, the loss of its gel's arms, found {tangent}"
         )
     return replace(usual, viscous_time_s=viscous_time_s)
 
 
 def friction_of(sampled: SampledTrial) -> gel.Friction:
-    """The friction of a trial."""
+    """Return the friction of a trial."""
     return gel.Friction(
         sampled.static_friction, sampled.kinetic_friction, sampled.stribeck_m_s, sampled.friction_memory_m
     )
 
 
 def friction_factor(sensor: Sensor, node_xy_m: Floats, finger: int = 0) -> Floats | None:
-    """Factor on the friction of each node of a sensor's gel, where its row names friction.patch_spread and patch_mm.
+    """Return the factor on each node's friction if the sensor sets friction.patch_spread and patch_mm, else None.
 
-    It belongs to the gel: the sensor's own seed draws it, and it is the same in all trials and scenes; that of the
-    second finger (1) is another one.
+    The pattern belongs to the gel: it is drawn from the sensor's own seed and is the same in all trials and scenes. The
+    second finger (1) has another pattern.
     """
     spread, patch_mm = sensor.friction.patch_spread, sensor.friction.patch_mm
     if (spread is None) != (patch_mm is None):
-        raise ValueError("friction.patch_spread and friction.patch_mm of a sensor must be named together")
+        raise ValueError("friction.patch_spread and friction.patch_mm of a sensor need each other")
     if not spread or patch_mm is None:
         return None
     rng = np.random.default_rng([sensor.seed, FRICTION_SEED, finger])
@@ -94,16 +94,16 @@ def friction_factor(sensor: Sensor, node_xy_m: Floats, finger: int = 0) -> Float
 
 
 def pressure_law(sampled: SampledTrial) -> PressureLaw | None:
-    """How the friction of a trial goes with pressure; None where it is proportional."""
+    """Return the dependence of a trial's friction on pressure; None if friction is proportional to pressure."""
     return PressureLaw(sampled.pressure_exponent) if sampled.pressure_exponent > 0.0 else None
 
 
 def press(
     state: gel.GelState, indentation_m: float, gaps: CellGaps, own_factor: Floats | None, law: PressureLaw | None
 ) -> Floats:
-    """Share of each node in the normal force at an indentation; with a law, the gel's friction factor follows it.
+    """Return each node's share of the normal force at an indentation; a law also sets the gel's friction factor.
 
-    own_factor: (rows, columns), on the friction of each node whatever the pressure, as of `friction_factor`.
+    own_factor: (rows, columns), factor on the friction of each node at any pressure, from `friction_factor`.
     """
     shares = contact.pressure(indentation_m, gaps, 1.0)
     if law is not None:
@@ -113,7 +113,7 @@ def press(
 
 
 def built_of_gel(varies: Floats | None, layer: gel.GelMaterial, scene: Scene) -> dict[str, bool]:
-    """Which parts exist of what all scenes may have (see sim/parts.py); varies: of the friction of its nodes."""
+    """Return which of the parts that all scenes may have are built (see sim/parts.py); varies: `friction_factor`."""
     return {
         "gel and friction": True,
         "friction that varies over the gel": varies is not None,
@@ -125,10 +125,10 @@ def built_of_gel(varies: Floats | None, layer: gel.GelMaterial, scene: Scene) ->
 
 
 class GelSlices:
-    """Moves gel and object on slice by slice, and does not solve again a slice that would change nothing.
+    """Advances gel and object slice by slice; skips slices in which nothing would change.
 
-    That is one in which all that acts is as in the slice before, from which gel and object came out bit for bit as they
-    had gone in. `still_for` counts such slices.
+    A slice is skipped if all forces and motions are those of the slice before, and that slice left gel and object
+    unchanged, bit for bit. `still_for` counts such slices.
     """
 
     def __init__(
@@ -138,11 +138,11 @@ class GelSlices:
         second: gel.GelState | None = None,
         timer: Timer = untimed,
     ) -> None:
-        """Start with a pad, and the second finger's where it is no mirror image of the first (see `Stepper`)."""
+        """Start with a pad, and the second finger's pad if it is no mirror image of the first (see `Stepper`)."""
         self._gel = pad_state
         self._pads = (pad_state,) if second is None else (pad_state, second)
         self._advance = timer("gel and friction", Stepper(solver, second=second).advance)
-        self._least_steps = solver.fixed_steps or 1  # of a slice that is not cut finer than it has to be
+        self._least_steps = solver.fixed_steps or 1  # steps of a slice that needs no refinement
         self._done = Slice()
         self._acting: tuple[Any, ...] = ()
         self._shares = self._second_shares = np.zeros(0)
@@ -160,7 +160,7 @@ class GelSlices:
         each: Callable[[gel.StepInfo, float], None] | None = None,
         second_shares: Floats | None = None,
     ) -> Slice:
-        """A slice, as for `Stepper.advance`; `twist` is what the object moves at if that is prescribed."""
+        """Advance by a slice, like `Stepper.advance`; `twist` is the object's velocity if it is prescribed."""
         state = self._gel
         body = (state.pose.tolist(), state.twist.tolist(), state.inertia.tolist())
         acting = (force_n, body_force_n, friction, twist, body)
@@ -180,7 +180,7 @@ class GelSlices:
         return self._done
 
     def _has_come_to_rest(self) -> bool:
-        """Whether the slice has left gel and object as they were; motion too small to tell is set to 0."""
+        """Return whether the slice left gel and object unchanged; motion below the thresholds is set to 0."""
         for state in self._pads:
             moving = (state.velocity_m_s, state._mean_m_s, state.maxwell_n, state.creep_n, state._sheet_m_s)
             if state.twist.any() or not _settle(*moving, state.displacement_m, state.sheet_m):
@@ -206,7 +206,7 @@ def _settle(
     displacement: Floats,
     sheet: Floats,
 ) -> bool:
-    """Set velocities and Maxwell forces to 0, if all of them are too small to tell; returns whether they are."""
+    """Set velocities and Maxwell forces to 0 if all are below the thresholds; return whether they are."""
     moving, lately, stretching = velocity.reshape(-1), mean.reshape(-1), of_sheet.reshape(-1)
     lagging, moved, creeping = maxwell.reshape(-1), displacement.reshape(-1), creep.reshape(-1)
     stretched = sheet.reshape(-1)
@@ -234,7 +234,7 @@ def _settle(
 
 
 class SolverTruth:
-    """How finely slices were simulated, and whether the nodes resolve the slip that friction makes unstable."""
+    """Records the resolution of slices: steps, error, and whether the nodes resolve the slip that is unstable."""
 
     def __init__(self, pad_state: gel.GelState) -> None:
         self._gel = pad_state
@@ -242,11 +242,11 @@ class SolverTruth:
         self._last = Slice()
 
     def follow(self, done: Slice, friction: gel.Friction) -> None:
-        """Take the steps of one slice."""
+        """Store the steps of one slice."""
         self._last, self._friction = done, friction
 
     def rows(self) -> dict[str, Any]:
-        """What a recording keeps of a slice; schema paths."""
+        """Return the values of a slice for the recording, by schema path."""
         half = math.inf
         if self._friction is not None and self._last.slipping_force_n > 0.0:
             half = gel.slip_half_wavelength_nodes(self._gel, self._friction, self._last.slipping_force_n)
@@ -258,7 +258,7 @@ class SolverTruth:
 
 
 class DotPath:
-    """Where the gel under the dots is within a slice, for a camera that sees more than a straight line a slice."""
+    """Path of the gel under the dots within a slice, for a camera that uses more than one straight line per slice."""
 
     def __init__(self, pad_state: gel.GelState, at_dots: tuple[NDArray[np.intp], Floats], pieces: int) -> None:
         self._gel = pad_state
@@ -268,21 +268,21 @@ class DotPath:
         self._shift_m: list[Floats] = []
 
     def begin(self) -> None:
-        """Begin a slice where the gel is now."""
+        """Start a slice at the gel's present state."""
         self._reached_s, self._shift_m = [0.0], [dots.displacement_at(self._gel, *self._at_dots)]
 
     def follow(self, _: gel.StepInfo, dt_s: float) -> None:
-        """Take where the gel is after a step."""
+        """Store the gel's state after a step."""
         self._reached_s.append(self._reached_s[-1] + dt_s)
         self._shift_m.append(dots.displacement_at(self._gel, *self._at_dots))
 
     def pieces(self, before_m: Floats, after_m: Floats) -> Floats:
-        """The displacement at the ends of all pieces, (pieces + 1, dots, 2), with what shifts the dots beside shear."""
+        """Return the displacement at the ends of all pieces, (pieces + 1, dots, 2), with shifts other than shear."""
         place = np.interp(self._times, self._reached_s, np.arange(len(self._reached_s)))
         low = np.minimum(place.astype(np.intp), len(self._reached_s) - 2)
         part = (place - low)[:, None, None]
         shift_m = np.stack(self._shift_m)
         along = (self._times / STEP_S)[:, None, None]
         path: Floats = shift_m[low] * (1 - part) + shift_m[low + 1] * part + before_m * (1 - along) + after_m * along
-        path[-1] = shift_m[-1] + after_m  # to the bit, also where steps of 0.1 ms add up to more than the slice
+        path[-1] = shift_m[-1] + after_m  # exact, also if steps of 0.1 ms add up to more than the slice
         return path

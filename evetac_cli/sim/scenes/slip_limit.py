@@ -1,4 +1,4 @@
-"""The normal force at which a held object slides, and whether the grid of nodes resolves how it does."""
+"""The normal force at which a held object slides, and whether the grid of nodes resolves the slip."""
 
 import math
 
@@ -23,12 +23,12 @@ def slip_limit_n(
     second: SecondFinger | None,
     law: PressureLaw | None,
 ) -> float:
-    """Normal force at which the object slides: its weight, and the moment of one that hangs beside the fingers.
+    """Return the normal force at which the object slides under its weight and, if it hangs off-centre, its moment.
 
-    Force and moment that friction can resist together lie on an ellipse (Howe and Cutkosky, Int. J. Robotics Research
-    15, 1996). The contact is that under the force without the moment, which is smaller, and at least one node: a square
-    resists a moment of 0.38 of its side. Where friction varies over the gel or is another on the second finger, what
-    counts is that of this contact.
+    The forces and moments that friction can resist together form an ellipse (Howe and Cutkosky, Int. J. Robotics
+    Research 15, 1996). The contact area is that under the force without the moment, which is smaller, and at least one
+    node: a square resists a moment of 0.38 of its side. If friction varies over the gel, or differs on the second
+    finger, the friction within this contact counts.
     """
     limit_n = sampled.mass_kg * GRAVITY_M_S2 / (2 * sampled.static_friction)
     if friction_factor is not None or second is not None:
@@ -48,9 +48,9 @@ def nodes_of_slip(
     friction: gel.Friction,
     law: PressureLaw | None,
 ) -> float:
-    """Half the wavelength of unstable slip in nodes of the grid, where pressure is highest at the slip limit.
+    """Return half the wavelength of unstable slip, in nodes, at the highest pressure at the slip limit.
 
-    Infinity where slip is stable there. A recording has it of nodes that slipped (truth/slip_half_wavelength_nodes).
+    Infinity if slip is stable there. A recording contains it for nodes that slipped (truth/slip_half_wavelength_nodes).
     """
     most_n = limit_n * float(_gripping(limit_n, curve.force_n, curve.indentation_m, gaps, law).max())
     return gel.slip_half_wavelength_nodes(state, friction, most_n)
@@ -64,7 +64,7 @@ def _friction_of_pads(
     second: SecondFinger | None,
     law: PressureLaw | None,
 ) -> float:
-    """Friction of both pads over that of the trial, in the mean over what their nodes hold under a force."""
+    """Return the mean friction of both pads relative to the trial's, weighted by each node's holding force."""
     pads = [(friction_factor, curve.indentation_m)]
     if second is not None and curve.second_indentation_m is not None:
         pads.append((second.friction_factor, curve.second_indentation_m))
@@ -76,7 +76,7 @@ def _friction_of_pads(
 
 
 def _gripping(force_n: float, forces_n: Floats, table_m: Floats, gaps: CellGaps, law: PressureLaw | None) -> Floats:
-    """Share of each node in the friction that a contact holds under a force, where friction is even over the gel."""
+    """Return each node's share of the friction limit of a contact under a force, for uniform friction of the gel."""
     indentation_m = float(np.interp(force_n, forces_n, table_m))
     shares = contact.pressure(indentation_m, gaps, 1.0)
     return shares if law is None else shares * law.factor(indentation_m, gaps, shares)

@@ -1,34 +1,37 @@
-"""Whether the object truly slips: gross slip over the contact that the camera sees, and the pad's last stuck node.
+"""Ground truth of slip: gross slip over the contact that the camera sees, and the pad's last stuck node.
 
-- Gross slip. What counts is how the object's surface moves against the gel, node by node; where the gel is sheared
-  along with the object nothing slips. Over the visible contact, weighted by pressure, a translation and a rotation are
-  fitted to this relative motion. The object slides as one body in a slice where they explain ONE_BODY of its mean
-  square, or where ONE_BODY of the pressure rests on nodes that slip. It also does where as much rests on nodes that
-  slid within the last RECENT_MS slices, if a translation and a rotation explain MOSTLY of the motion of these slices
-  together. The fitted motions are summed over such slices, and slip is gross beyond SLIP_PX. It is over when for more
-  than EPISODE_MS slices the object did not slide as one body.
-- Last stuck node. The same distance, but of the mean motion over the whole pad, counted from when no loaded node
-  sticks, seen or not. Beyond SLIP_PX it is what the first edition called slip.
-- Incipient slip: the share of the normal force on slipping nodes, of the visible and of the whole contact.
+- Gross slip. The measure is the motion of the object's surface against the gel, node by node. A translation and a
+  rotation are fitted to this relative motion over the visible contact, weighted by pressure. The object slides as one
+  body in a slice if the fit explains ONE_BODY of the motion's mean square, or if ONE_BODY of the pressure is on
+  slipping nodes. It also does if that much pressure is on nodes that slid within the last RECENT_MS slices, and a fit
+  to the summed motion of these slices explains MOSTLY of it. The fitted motions are summed over such slices, and slip
+  is gross beyond SLIP_PX. Gross slip ends when the object has not slid as one body for more than EPISODE_MS slices.
+- Last stuck node. The same distance, but of the mean motion over the whole pad, counted from the time when no loaded
+  node sticks, visible or not. It is stored as truth/every_node_slid_px.
+- Incipient slip: the share of the normal force on slipping nodes, of the visible contact and of the whole contact.
 
-Visible is a node that at rest lies in the frame, and not where a window was cut.
+A node is visible if at rest it is in the frame and not in the window of a cut gel.
 
-Why so: the mean of the relative motion alone would call incipient slip gross, whose edges slide for many pixels while
-the rest sticks. The last stuck node alone is one that bears next to nothing, or that lies outside the frame. Of a
-translation past a part f of the pressure that sticks, the fit explains 1 - f, so that a twentieth may be left. A
-rotation about the contact's middle leaves nodes there stuck for long, because they hardly have to move: a stuck disc of
-0.45 of the contact's radius takes away 4 %, and the object slips. The fit alone would be late: where all lets go the
-gel relaxes unevenly, and for some slices the motion is that of no rigid body (object 6 of seed 3). What sticks at one
-moment alone would miss slides: under a heavy object (20 of seed 10100) that slid at 40 mm/s nodes stuck and let go in
-turn every 3 to 6 ms, so that hardly ever all of them slipped at once. That each node moved a little in that time would
-be too little: where nodes are too far apart for unstable slip, all of them go on now and then while most stick. Under
-2 kg whose weight is handed over (`evaluate stability sim`) this moves the object by 4 px in 100 ms, and it comes to
-rest: translation and rotation explain at most 0.45 of the motion within RECENT_MS, which is one of the contact's edges.
-Of object 20, seed 3, which went on to slide, they explain 0.58 by the time that it has slid by half a pixel.
+Why a fit. The mean of the relative motion alone would count incipient slip as gross, because the edges slide for many
+pixels while the rest sticks. The last stuck node alone may bear almost nothing, or be outside the frame. If a part f of
+the pressure sticks during a translation, the fit explains 1 - f, so a twentieth may stick. A rotation about the
+contact's middle leaves nodes there stuck for long, because they hardly have to move. A stuck disc of 0.45 of the
+contact's radius reduces the explained part by 4 %, although the object slips.
 
-The distance is the root mean square over the visible contact: where nothing turns it is that of the translation, and
-where the object turns on the spot it does not vanish, as the mean would. The largest would hang on a node at the rim
-that bears next to nothing.
+Why also the pressure on slipping nodes. The fit alone would be late: when all nodes let go the gel relaxes unevenly,
+and for some slices its motion is not that of a rigid body (object 6 of seed 3).
+
+Why the last RECENT_MS slices. The nodes that stick at one instant alone would hide slides. Under a heavy object (20 of
+seed 10100) that slid at 40 mm/s, nodes stuck and let go in turn every 3 to 6 ms. Almost never did all of them slip at
+once. But it is not enough that each node moved a little in that time. If nodes are too far apart to resolve unstable
+slip, all of them move now and then while most stick. Under 2 kg whose weight is handed over (`evaluate stability sim`)
+this moves the object by 4 px in 100 ms, and then it comes to rest. Translation and rotation explain at most 0.45 of the
+motion within RECENT_MS, which is motion of one edge of the contact. For object 20, seed 3, which continued to slide,
+they explain 0.58 by the time it has slid half a pixel.
+
+The distance is the root mean square over the visible contact. Without rotation it is the distance of the translation.
+For an object that turns on the spot it does not vanish, as the mean would. The maximum would depend on a node at the
+rim that bears almost nothing.
 """
 
 import math
@@ -42,15 +45,15 @@ from evetac_cli.events import FRAME_PX
 from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.gel.gel import GelState
 
-SLIP_PX = 0.5  # an object that slid further than this as one body slips: the onset
-ONE_BODY = 0.95  # share of the squared relative motion, or of the pressure, in an object that slides as one body
-RECENT_MS = 10  # slices within which nodes stick and let go in turn, as long as an object slides
-MOSTLY = 0.5  # share of the squared relative motion within that time, in an object that slides
-EPISODE_MS = 3  # gross slip is over after so many slices in which the object does not slide as one body
-SLOWEST_M = 1e-9  # in a slice, 1 um/s: anything slower is at rest
-CONTACT_N = 0.01
+SLIP_PX = 0.5  # distance beyond which an object that slides as one body slips: the onset
+ONE_BODY = 0.95  # least share of the squared relative motion, or of the pressure, for sliding as one body
+RECENT_MS = 10  # slices within which nodes stick and let go in turn while an object slides
+MOSTLY = 0.5  # least share of the squared relative motion within RECENT_MS for an object that slides
+EPISODE_MS = 3  # gross slip ends after more than this many slices in which the object does not slide as one body
+SLOWEST_M = 1e-9  # least motion in a slice that is not rest, 1 um/s
+CONTACT_N = 0.01  # least normal force of a contact
 
-# What vibrating scenes, in which everything sticks, say of every slice.
+# Ground truth of every slice of vibrating scenes, in which everything sticks.
 NO_SLIP = {
     "truth/slid_px": 0.0,
     "truth/slip": False,
@@ -61,10 +64,10 @@ NO_SLIP = {
 
 
 class GroundTruthSlip:
-    """Follows object and gel slice by slice; `truth` says what slips at the end of the last one."""
+    """Follows object and gel slice by slice; `truth` returns the slip at the end of the last slice."""
 
     def __init__(self, state: GelState, mm_per_px: float, window_px: tuple[int, int, int, int] | None) -> None:
-        """Start with a gel and an object that have not moved yet; window_px is None on a closed gel."""
+        """Start with a gel and an object that have not moved yet; window_px is None for a closed gel."""
         self._px_per_m = 1e3 / mm_per_px
         self.visible = visible_nodes(state.node_xy_m, mm_per_px, window_px)
         self._displacement_m = state.displacement_m.copy()
@@ -80,7 +83,7 @@ class GroundTruthSlip:
         self._share = self._visible_share = 0.0
 
     def follow(self, state: GelState, shares: Floats, force_n: float) -> None:
-        """Take in one slice; shares: of each node in the normal force, (rows, columns); force_n: that force."""
+        """Add one slice; shares: each node's share of the normal force force_n, (rows, columns)."""
         slid_m = self._slid_m[self._slices % RECENT_MS]
         self._slices += 1
         whole, recent_share, seen = _relative_motion(
@@ -111,16 +114,16 @@ class GroundTruthSlip:
         self._slips = moves and self.slid_px > SLIP_PX
 
     def _moves_in_turn(self, node_xy_m: Floats, seen_n: Floats) -> bool:
-        """Whether an object slides under which nodes stick and let go in turn; seen_n: force on the visible ones."""
+        """Return whether the object slides while nodes stick and let go in turn; seen_n: force on visible nodes."""
         return bool(_rigid_motion(node_xy_m, self._slid_m.sum(axis=0), seen_n)[0] >= MOSTLY)
 
     @property
     def slid_px(self) -> float:
-        """How far the object has slid as one body in the present gross slip, rms over the visible contact."""
+        """Return how far the object has slid as one body in the present gross slip, rms over the visible contact."""
         return self._as_one_body.distance_m(self._radius_m) * self._px_per_m
 
     def truth(self) -> dict[str, Any]:
-        """What of the truth of a slice is about slip; schema paths."""
+        """Return the slip in the ground truth of a slice, by schema path."""
         every_node_slid_m = self._every_node.distance_m(0.0) if self._every_node.moves else 0.0
         return {
             "truth/slid_px": self.slid_px,
@@ -132,7 +135,7 @@ class GroundTruthSlip:
 
 
 class _Slide:
-    """A slide of the object over the gel: its translation and rotation since it began."""
+    """A slide of the object over the gel: translation and rotation since its start."""
 
     def __init__(self) -> None:
         self.moves = False
@@ -153,7 +156,7 @@ class _Slide:
             self._x_m = self._y_m = self._turn_rad = 0.0
 
     def distance_m(self, radius_m: float) -> float:
-        """Root mean square of how far points have slid whose rms distance from the contact's middle is radius_m."""
+        """Return the rms distance that points have slid; radius_m: their rms distance from the contact's middle."""
         return _distance(self._x_m, self._y_m, self._turn_rad, radius_m)
 
 
@@ -162,7 +165,7 @@ def _distance(x_m: float, y_m: float, turn_rad: float, radius_m: float) -> float
 
 
 def visible_nodes(node_xy_m: Floats, mm_per_px: float, window_px: tuple[int, int, int, int] | None) -> Flags:
-    """Which nodes (rows, columns) the camera sees: those in the frame, and not in the window of a cut gel."""
+    """Return which nodes (rows, columns) the camera sees: those in the frame and not in the window of a cut gel."""
     at_px = node_xy_m * 1e3 / mm_per_px + np.array(FRAME_PX) / 2
     visible: Flags = _inside(at_px, (0, 0), FRAME_PX)
     if window_px is not None:
@@ -177,10 +180,10 @@ def _inside(at_px: Floats, low: tuple[int, int], high: tuple[int, int]) -> Flags
 
 @njit(cache=True, _nrt=False)
 def _rigid_motion(nodes: Floats, slid: Floats, weights: Floats) -> tuple[float, float, float, float, float]:
-    """The translation and rotation that explain the motion of nodes best: weighted least squares.
+    """Fit a translation and a rotation to the motion of nodes by weighted least squares.
 
-    Returns the share of the squared motion that they explain, the rms distance of the nodes from their middle, the
-    motion of that middle, x and y, and the rotation; all 0 where there are no weights.
+    Return the share of the squared motion that they explain, the rms distance of the nodes from their middle, the
+    motion of that middle along x and y, and the rotation. All are 0 without weights.
     """
     whole = middle_x = middle_y = square = x_m = y_m = spin = motion = 0.0
     rows, columns = weights.shape
@@ -229,14 +232,17 @@ def _relative_motion(
     stuck: Flags,
     seen_nodal: Floats,
 ) -> tuple[tuple[float, float, float, float, float], float, tuple[float, float, float, float, float]]:
-    """How the object has moved against the gel since pose_before, node by node; weights are the normal forces.
+    """Compute the object's motion against the gel since pose_before, node by node; weights are the normal forces.
 
-    displacement: the gel's. before, rested_for: that before and for how many slices each node has not slid, both of
-    which are brought up to now. slid: filled with the motion of the object's surface against each node, 0 where it
-    bears nothing. seen_nodal: filled with the forces of visible nodes.
-    Returns the share that slips, of all nodes and of the visible ones, and of all nodes the number that stick and the
-    mean motion x, y; the share of the visible ones that slid within RECENT_MS; and their rigid motion. All are 0
-    without contact.
+    displacement: of the gel now. before, rested_for: the gel's displacement before, and the number of slices since each
+    node last slid; both are updated.
+
+    slid: filled with the motion of the object's surface against each node, 0 for unloaded nodes. seen_nodal: filled
+    with the forces of visible nodes.
+
+    The first result is, over all nodes, the share of force that slips; the same for visible nodes; and over all nodes
+    the number that stick and the mean motion x, y. The second is the share of the visible force on nodes that slid
+    within RECENT_MS. The third is the rigid motion of the visible nodes. All are 0 without contact.
     """
     move_x = pose[0] - pose_before[0]
     move_y = pose[1] - pose_before[1]

@@ -1,21 +1,22 @@
-"""Scenes of kind `tone`: a speaker pressed on the gel plays a pure tone; the motion of the dots, in closed form.
+"""Scenes of kind `tone`: a speaker pressed on the gel plays a pure tone; the dots' motion has a closed form.
 
-The surface moves s(t) = A [sin wt + h2 sin(2wt + 90 deg)] (1 + m sin(wt/2 + phase)): a tone, its second harmonic, and a
-subharmonic, which a rattling contact makes. h2 and m drift slowly. Written out, s is a sum of five waves, at f/2 to
-5f/2 in steps of f/2, and a linear gel answers each with a gain and a phase of its own. So there is nothing to solve and
-no time step: a dot is where the sum says, at any time. Along each dot's path this adds
+The surface moves s(t) = A [sin wt + h2 sin(2wt + 90 deg)] (1 + m sin(wt/2 + phase)). This is a tone, its second
+harmonic, and a subharmonic, which a rattling contact causes. Both h2 and m drift slowly. Expanded, s is a sum of five
+waves, at f/2 to 5f/2 in steps of f/2. A linear gel answers each wave with its own gain and phase. So there is nothing
+to solve and no time step: the sum gives the position of a dot at any time. Two motions add up along each dot's path:
 
-- how the indentation s squeezes the gel aside, and how dots that come nearer look larger, without delay;
-- a share of s along a fixed direction of the surface, because no speaker is mounted true, times the response of the
-  layer's first thickness resonance, f_0 = c / 4H: 1 / (1 - (f / f_0)^2 / g), where g is the complex shear modulus over
-  G of the gel that all scenes have (gel.py): 1 + i w tau_v + the sum of g i w tau / (1 + i w tau) over its arms.
+- the indentation s squeezes the gel aside, and dots that come nearer to the lens look larger, both without delay;
+- a share of s moves the surface along a fixed direction, because no speaker is mounted exactly upright. It is
+  multiplied by the response of the layer's first thickness resonance, f_0 = c / 4H: 1 / (1 - (f / f_0)^2 / g). Here g
+  is the complex shear modulus divided by G for the gel of all scenes (gel.py): 1 + i w tau_v + the sum of
+  g i w tau / (1 + i w tau) over its arms.
 
-Left out: friction and slip, motion of a cut gel's edge, loss of contact (so h2 and m are put in by hand, and the face
-pulls where A exceeds the indentation), modes above the first, the gel's inertia along the normal. A, h2, m and how they
-depend on the tone are tuned until the paper's method of reading frequencies errs about as often as in the paper.
+Not simulated: friction and slip, motion of a cut gel's edge, modes above the first, the gel's inertia along the normal,
+and loss of contact. So h2 and m are set by hand, and the face pulls when A exceeds the indentation. A, h2, m and their
+dependence on the tone are tuned so that the paper's method of reading frequencies is wrong as often as in the paper.
 
-Why so: with a loss tangent of 0.15 at all frequencies instead, waves near 753 Hz grow five times and harmonics come in
-another phase: at 498 Hz the subharmonic won in most seeds that were tried, where the paper never erred.
+A constant loss tangent of 0.15 would amplify waves near 753 Hz five times and shift the phase of the harmonics. At
+498 Hz the subharmonic then won with most of the tried seeds, where the paper's method was never wrong.
 """
 
 import json
@@ -39,20 +40,20 @@ from evetac_cli.sim.scenes.true_slip import NO_SLIP
 from evetac_cli.sim.setup.plan import Plan
 from evetac_cli.sim.setup.sampling import sensor_with_gel
 
-ORDERS = np.array([0.5, 1.0, 1.5, 2.0, 2.5])  # of the tone: the waves of the surface
-FADE_S = 0.02  # the tone comes and goes smoothly, as its response is the stationary one
-PIECES = 5  # a slice, or a multiple: the scanning camera scans 5 times a slice, so it interpolates nothing
-PIECES_A_PERIOD = 16  # at least; 8 of the second harmonic
-MARGIN = 2.0  # heights of gel beyond all points; more change their motion by 1.5 % rms at most
-BLOCK = 50  # slices whose waves are evaluated at once: 0.3 ms a slice otherwise, as numpy is slow to begin
+ORDERS = np.array([0.5, 1.0, 1.5, 2.0, 2.5])  # frequencies of the surface's waves, as multiples of the tone
+FADE_S = 0.02  # the tone fades in and out over this time, because its response is the stationary one
+PIECES = 5  # pieces per slice, or a multiple: the scanning camera scans 5 times per slice, so it interpolates nothing
+PIECES_A_PERIOD = 16  # least number of pieces per period; 8 per period of the second harmonic
+MARGIN = 2.0  # heights of gel beyond all points; more would change their motion by at most 1.5 % rms
+BLOCK = 50  # slices whose waves are evaluated together, because numpy's overhead would be 0.3 ms per slice
 
 Complexes = NDArray[np.complex128]
 
 
 def waves(second_harmonic: Floats, modulation: Floats, phase_rad: float) -> Complexes:
-    """Complex amplitudes (..., 5) of the surface's waves: s/A = Re sum_j waves_j exp(i ORDERS_j w t).
+    """Return the complex amplitudes (..., 5) of the surface's waves: s/A = Re sum_j waves_j exp(i ORDERS_j w t).
 
-    `second_harmonic` and `modulation` are h2 and m, of one shape.
+    `second_harmonic` and `modulation` are h2 and m, of the same shape.
     """
     turn = np.exp(1j * phase_rad)
     half = modulation / 2
@@ -67,7 +68,7 @@ def waves(second_harmonic: Floats, modulation: Floats, phase_rad: float) -> Comp
 
 
 def resonance(frequency_hz: Floats, layer: GelMaterial) -> Complexes:
-    """How much further than its base the layer's surface moves along itself, and how late, at each frequency."""
+    """Return the complex gain of the layer's surface motion along itself, relative to its base, at each frequency."""
     first_hz = math.sqrt(layer.shear_modulus_pa / layer.density_kg_m3) / (4 * layer.height_m)
     turning = 2j * np.pi * frequency_hz
     modulus = 1.0 + turning * layer.viscous_time_s
@@ -80,13 +81,16 @@ def resonance(frequency_hz: Floats, layer: GelMaterial) -> Complexes:
 def pressed_by_disc(
     points_m: Floats, centre_m: Floats, radius_m: float, layer: GelMaterial, normal_modulus_pa: float
 ) -> tuple[Floats, Floats, Floats]:
-    """What points on the gel (points, 2) do for each metre by which a disc that sticks is pressed in or moves aside.
+    """Return the response of points on the gel (points, 2) per metre that a sticking disc is pressed in or moved aside.
 
-    Returns their shift (points, 2) as it is pressed in, by squeeze and lens; (points, 2, 2), the motion along x and y
-    for a motion of the disc along x (the last 0) and y (the last 1), its own under it; and (2, 2), the force on the
-    disc over the shear modulus, in m, for such motions. It is the layer of all scenes (see kernels/gel_layer) in
-    balance, on nodes that reach MARGIN heights beyond all and are an eighth of its height, or of the radius, apart; but
-    no nearer than a disc of a quarter of the height asks for.
+    The first result is the points' shift (points, 2) when the disc is pressed in, from squeeze and lens. The second,
+    (points, 2, 2), is their motion along x and y for a motion of the disc along x (last index 0) and y (last index 1);
+    points under the disc move with it. The third, (2, 2), is the force on the disc for such motions, divided by the
+    shear modulus, in m.
+
+    The layer is that of all scenes (see kernels/gel_layer), in equilibrium. Its nodes reach MARGIN heights beyond all
+    points. Their distance is an eighth of the height or of the radius, but not below that for a disc of a quarter of
+    the height.
     """
     height_m = layer.height_m
     pitch_m = min(height_m, max(radius_m, height_m / 4)) / 8
@@ -100,13 +104,13 @@ def pressed_by_disc(
     at_points = dots.interpolation(nodes, points_m)
     along = dots.field_at(fields.reshape(rows, columns, 6), *at_points).reshape(-1, 2, 3)
     shift: Floats = along[..., 0] + dots.nearer_by(points_m, dots.field_at(covered[..., None], *at_points)[:, 0])
-    # a layer in balance answers as if each piece of it was a spring of its own
+    # a layer in equilibrium responds as if each of its pieces was a separate spring
     answer_m: Floats = fields[..., 1:].sum(axis=(0, 1)) * cell_area(nodes) / height_m
     return shift, along[..., 1:], answer_m
 
 
 class Drift(NamedTuple):
-    """A quantity that wanders between random values at random times, smoothly (a cosine)."""
+    """A quantity that drifts smoothly (a cosine) between random values at random times."""
 
     time_s: Floats
     value: Floats
@@ -115,7 +119,7 @@ class Drift(NamedTuple):
     def sample(
         cls, low: float, high: float, hold_s: tuple[float, float], end_s: float, rng: np.random.Generator
     ) -> Any:
-        """Values uniform in [low, high], each reached a time uniform in `hold_s` after the one before, up to end_s."""
+        """Sample values uniform in [low, high] up to end_s; the time from one to the next is uniform in `hold_s`."""
         if not (0.0 < hold_s[0] <= hold_s[1] and math.isfinite(end_s)):
             raise ValueError(f"hold_s: expected 0 < shortest <= longest, found {hold_s}")
         steps = math.ceil(end_s / hold_s[0]) + 1
@@ -123,7 +127,7 @@ class Drift(NamedTuple):
         return cls(time_s, rng.uniform(low, high, steps + 1))
 
     def at(self, time_s: Floats) -> Floats:
-        """The value at some times."""
+        """Return the values at some times."""
         after = np.clip(np.searchsorted(self.time_s, time_s, side="right"), 1, len(self.time_s) - 1)
         start_s = self.time_s[after - 1]
         part = np.clip((time_s - start_s) / (self.time_s[after] - start_s), 0.0, 1.0)
@@ -134,7 +138,7 @@ class Drift(NamedTuple):
 
 @dataclass(frozen=True)
 class SampledTone:
-    """What was sampled for one tone from the ranges of its scene; h2 and m are in the truth of every slice."""
+    """Values that were sampled for one tone from the ranges of its scene; h2 and m are in the truth of every slice."""
 
     tone_hz: float
     amplitude_um: float
@@ -144,12 +148,12 @@ class SampledTone:
     offset_mm: tuple[float, float]
 
     def as_json(self) -> str:
-        """For the truth of a recording."""
+        """Return the values as JSON, for the ground truth of a recording."""
         return json.dumps(asdict(self))
 
 
 class SpeakerMotion(NamedTuple):
-    """What the speaker does at some times: press, indentation, motion along the surface, and what they are made of."""
+    """Motion of the speaker at some times: force, indentation, motion along the surface, and their parameters."""
 
     force_n: Floats
     depth_m: Floats
@@ -160,7 +164,7 @@ class SpeakerMotion(NamedTuple):
 
 
 class Vibration:
-    """A trial with one tone: `step` makes a slice, `truth` returns what only a simulation knows of it."""
+    """A trial with one tone: `step` advances by one slice, `truth` returns its ground truth."""
 
     def __init__(
         self,
@@ -170,7 +174,7 @@ class Vibration:
         *,
         timer: Timer = untimed,
     ) -> None:
-        """Build what a plan names."""
+        """Build the parts that a plan names."""
         scene, tone = plan.scene, plan.scene.tone
         assert tone is not None and plan.tone_hz is not None
         sensor = sensor_with_gel(scene, plan.sensor)
@@ -192,7 +196,7 @@ class Vibration:
         self._sideways = aside @ direction
         amplitude_m = factor * tone.at(tone.dot_motion_px, self._hz) * self.gel_camera.mm_per_px * 1e-3
         self._amplitude_m = amplitude_m / self._motion_per_metre()
-        # What the tone's share along the surface pulls, the gel around the disc included; and how deep the press goes.
+        # shear force per motion along the surface, with the gel around the disc, and indentation per normal force
         area_m2 = math.pi * radius_m**2
         self._shear_n_m = layer.shear_modulus_pa * (answer_m @ direction)
         self._depth_m_n = layer.height_m / (sensor.normal_modulus_pa * area_m2)
@@ -220,7 +224,7 @@ class Vibration:
         self.built = frozenset(part for part, is_there in exists.items() if is_there)
 
     def _motion_per_metre(self) -> float:
-        """Root mean square over the dots of how far the tone alone moves them, per metre of the surface's amplitude."""
+        """Return the rms over the dots of their motion by the tone alone, per metre of the surface's amplitude."""
         motion = self._shift + self._sideways * self._along[1]
         return float(np.sqrt((np.abs(motion) ** 2).sum(axis=1).mean()))
 
@@ -238,14 +242,14 @@ class Vibration:
         return events
 
     def _start_block(self) -> None:
-        """Evaluate the speaker's motion for the next BLOCK slices; it starts where the last block ended, to the bit."""
+        """Evaluate the speaker's motion for the next BLOCK slices; it starts exactly where the last block ended."""
         vertices = self.slices * self._pieces + np.arange(BLOCK * self._pieces + 1)
         self._block = self._motion(vertices / (1000.0 * self._pieces))
         for column, now in zip(self._block, self._now, strict=True):
             column[0] = now
 
     def _motion(self, time_s: Floats) -> SpeakerMotion:
-        """What the speaker does at some times."""
+        """Return the speaker's motion at some times."""
         pressed = np.clip((time_s - self._time.rest_s) / self._press_s, 0.0, 1.0)
         force_n = self._press_n * (0.5 - 0.5 * np.cos(np.pi * pressed))
         since_s = time_s - self._time.tone_at_s
@@ -260,13 +264,13 @@ class Vibration:
         return SpeakerMotion(force_n, depth_m, (moving @ self._along).real, amplitude_m, h2, m)
 
     def _paths(self, at: slice) -> Floats:
-        """Displacement (times, dots, 2) in m of the dots at some of the block's times."""
+        """Return the displacement (times, dots, 2) of the dots, in m, at some of the block's times."""
         depth_m, along_m = (column[at, None, None] for column in (self._block.depth_m, self._block.along_m))
         paths: Floats = depth_m * self._shift + along_m * self._sideways
         return paths
 
     def truth(self) -> dict[str, Any]:
-        """What only a simulation knows, at the end of the slice made last; schema paths."""
+        """Return the ground truth at the end of the last slice, by schema path."""
         return {
             "truth/dot_xy_px": self.gel_camera.dot_xy_px.astype(np.float32),
             "truth/object_xy_px": self.gel_camera.object_xy_px.astype(np.float32),

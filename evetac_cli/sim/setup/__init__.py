@@ -1,1 +1,1 @@
-"""What is simulated, read once from TOML into frozen types: scene, sensor, object, solver, and the plan of a trial."""
+"""The settings of a simulation, read once from TOML into frozen types: scene, sensor, object, solver, and plan."""

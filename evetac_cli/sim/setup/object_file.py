@@ -1,6 +1,6 @@
-"""Objects: a row of the paper's table (objects.toml), or one's own, a TOML file of the same keys: `--object can.toml`.
+"""Objects: a row of the paper's table (objects.toml), or your own TOML file with the same keys: `--object can.toml`.
 
-`TouchSensor(object={...})` takes the same keys. What comes out is the same for two files of the same content: names of
+`TouchSensor(object={...})` takes the same keys. Two files with the same content give the same object: the names of
 files do not enter a recipe.
 """
 
@@ -18,44 +18,57 @@ from evetac_cli.text_files import read_toml
 Shape = Literal["flat", "cylinder", "sphere"]
 
 SUFFIX = ".toml"
-UNNAMED = "own-object"  # what recordings call an object whose file has no `name`
-HELD = ("mass_g", "width_mm", "height_mm")  # what a scene in which it is held needs, beside what is always needed
-SLIPPERIEST = 0.05  # static friction of what fingers hold: below, their force would be that of no gripper
-WIDEST_MM = 104.8  # that fits between the fingers
-WIDEST_SURFACE_MM = 1e4  # of a flat object whose width nothing depends on
+UNNAMED = "own-object"  # name in recordings of an object whose file has no `name`
+HELD = ("mass_g", "width_mm", "height_mm")  # additional keys that an object needs if a gripper holds it
+SLIPPERIEST = 0.05  # least static friction of a gripped object: below, no real gripper has the necessary force
+WIDEST_MM = 104.8  # width of the widest object that fits between the fingers
+WIDEST_SURFACE_MM = 1e4  # size of a flat object whose size has no effect
 
 
 @dataclass(frozen=True, kw_only=True)
 class TouchedObject:
-    """An object that the gel touches."""
+    """An object that touches the gel."""
 
-    material: str | None = words("in words; shown, and without effect", 40, default=None)
+    material: str | None = words("material of the object; shown only, no effect on the simulation", 40, default=None)
     shape: Shape = one_of(
-        "of the surface that the gel touches; a cylinder stands upright between the fingers",
+        "shape of the surface that the gel touches; the axis of a cylinder is vertical between the fingers",
         get_args(Shape),
     )
-    static_friction: float = number("on the gel; what a scene varies at random is a factor on it", 0, 1000)
+    static_friction: float = number("static friction on the gel; a scene may vary it by a random factor", 0, 1000)
     kinetic_share: float | None = number(
-        "kinetic over static friction; without it a scene draws one for each trial, and a sensor whose gel has one"
-        " keeps that",
+        "kinetic divided by static friction; if left out, the scene draws a value for each trial. A sensor whose gel"
+        " has its own value keeps it",
         0,
         1,
         default=None,
     )
-    mass_g: float = number("of the object; needed where it is held", 0.1, 100_000, default=1.0)
+    mass_g: float = number("mass of the object; required if a gripper holds it", 0.1, 100_000, default=1.0)
     width_mm: float = number(
-        "between the fingers, the diameter of a cylinder or a sphere", 1, 10_000, default=WIDEST_SURFACE_MM
+        "width between the fingers; the diameter of a cylinder or a sphere", 1, 10_000, default=WIDEST_SURFACE_MM
     )
     grasped_width_mm: float | None = number(
-        "between the fingers, where that is another side than width_mm", 1, WIDEST_MM, default=None
+        "width between the fingers, if they hold another side than width_mm", 1, WIDEST_MM, default=None
     )
     height_mm: float = number(
-        "upright, for its moment of inertia; needed where it is held", 1, 10_000, default=WIDEST_SURFACE_MM
+        "height, used for the moment of inertia; required if a gripper holds the object",
+        1,
+        10_000,
+        default=WIDEST_SURFACE_MM,
     )
-    depth_mm: float | None = number("the other side across; shown, and without effect", 1, 10_000, default=None)
-    lever_mm: float = number("centre of mass beside the fingers, where its weight turns it", -100, 100, default=0.0)
+    depth_mm: float | None = number(
+        "horizontal size of the side that is not gripped; shown only, no effect on the simulation",
+        1,
+        10_000,
+        default=None,
+    )
+    lever_mm: float = number(
+        "horizontal distance from the fingers to the centre of mass, over which the weight turns the object",
+        -100,
+        100,
+        default=0.0,
+    )
     tilt_deg: tuple[float, float] | None = between(
-        "of the surface against the gel, about the horizontal axis, or its range; without it a scene draws one",
+        "tilt of the surface against the gel about the horizontal axis, or its range; if left out, the scene draws it",
         -10,
         10,
         or_one=True,
@@ -64,20 +77,20 @@ class TouchedObject:
 
     @property
     def held_mm(self) -> float:
-        """How far apart the fingers hold it."""
+        """Return the width at which the fingers hold the object, in mm."""
         return self.width_mm if self.grasped_width_mm is None else self.grasped_width_mm
 
 
 @dataclass(frozen=True, kw_only=True)
 class ObjectFile(TouchedObject):
-    """A file of --object: an object, and what only its file says."""
+    """A file of --object: an object and the key that only a file has."""
 
-    name: str | None = words("what recordings call this object", 40, pattern="^[a-z][a-z0-9-]{0,39}$", default=None)
-    static_friction: float = number("on the gel; what a scene varies at random is a factor on it", 0, 5)
+    name: str | None = words("name of the object in recordings", 40, pattern="^[a-z][a-z0-9-]{0,39}$", default=None)
+    static_friction: float = number("static friction on the gel; a scene may vary it by a random factor", 0, 5)
 
 
 def of_number(number: int) -> TouchedObject:
-    """An object of the paper's table; InputError if there is no such object."""
+    """Return an object of the paper's table by its number; InputError if there is none."""
     row = packaged("objects").get(str(number))
     if row is None:
         raise InputError("no such object", where="--object", expected="1 to 20", found=str(number))
@@ -85,7 +98,7 @@ def of_number(number: int) -> TouchedObject:
 
 
 def read(path: Path) -> tuple[str, TouchedObject]:
-    """The name of an object that is held, and the object, from a file; InputError for anything that is none."""
+    """Read an object for a gripper from a file; return its name and the object. InputError if the file is invalid."""
     where = str(path)
     table = read_toml(path)
     read_object = of_keys(table, where, HELD)
@@ -103,11 +116,11 @@ def read(path: Path) -> tuple[str, TouchedObject]:
 
 
 def of_keys(table: Mapping[str, Any], where: str, needed: tuple[str, ...] = ()) -> TouchedObject:
-    """An object from its keys, checked; `needed` are required beside what always is."""
+    """Check the keys of an object and return the object; `needed` are required in addition to the usual keys."""
     check(ObjectFile, table, where, needed=needed)
     return build(TouchedObject, {key: value for key, value in table.items() if key != "name"})
 
 
 def seed_of(called: int | str | None) -> int:
-    """A number that stands for an object where random numbers are drawn for it: that of the table, or of its name."""
+    """Return the seed of an object's random numbers: its number in the table, or a checksum of its name."""
     return zlib.crc32(called.encode()) if isinstance(called, str) else called or 0

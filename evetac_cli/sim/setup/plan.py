@@ -1,7 +1,7 @@
-"""The plan of a trial: scene, sensor and object, resolved; what is simulated, and what its recipe says of it.
+"""The plan of a trial: the scene, sensor and object that are simulated and recorded in its recipe.
 
 A scene names the parts that exist and the ranges from which a trial's parameters are sampled. Objects are rows of the
-paper's table or files, sensors rows of sensors.toml or files.
+paper's table or files. Sensors are rows of sensors.toml or files.
 """
 
 import math
@@ -26,16 +26,16 @@ from evetac_cli.sim.setup.solver import with_given
 from evetac_cli.sim.setup.tables import as_table, build, read_table
 
 READOUTS = ("dvxplorer", "ideal")
-SENSOR_SEED = 104729  # with the seeds of a trial: keeps what samples its sensor apart from what samples the trial
-NUMBERED_SEED = 1299709  # with the number of a sensor
+SENSOR_SEED = 104729  # with the seeds of a trial: separates the sampling of its sensor from that of the trial
+NUMBERED_SEED = 1299709  # with the number of a sensor: seeds the sampling of randomized:NUMBER
 LOWEST_TONE_HZ = 1.0
 HIGHEST_TONE_HZ = 2500.0  # half the scan rate of the camera
 
-SECOND_SENSOR, SECOND_ROW = "second_sensor", "second_sensor_row"  # in the header of a grasp that two cameras see
-SECOND = 1  # beside the seeds of a trial: draws the sensor of its second finger
+SECOND_SENSOR, SECOND_ROW = "second_sensor", "second_sensor_row"  # header keys of a grasp with two cameras
+SECOND = 1  # with the seeds of a trial: seeds the sampling of the second finger's sensor
 
-Called = int | str | None  # an object, by its number or name; None where a scene has none
-# What the header of a simulated recording says of its plan, beside its sensor.
+Called = int | str | None  # an object's number or name; None if the scene has no object
+# Header keys that describe the plan of a simulated recording, besides those of its sensor.
 OF_HEADER: dict[str, Any] = {
     "scene": dict,
     "sensor": str,
@@ -48,7 +48,7 @@ OF_HEADER: dict[str, Any] = {
 
 
 class NamedSensor(NamedTuple):
-    """A sensor, and what recordings call it."""
+    """A sensor and its name in recordings."""
 
     name: str
     sensor: Sensor
@@ -56,10 +56,13 @@ class NamedSensor(NamedTuple):
 
 @dataclass(frozen=True)
 class Plan:
-    """What one trial is made from.
+    """The scene, sensor and object of one trial.
 
-    sensor_ranges: those that the sensor was sampled from, if it was sampled for this trial. tone_hz: what the speaker
-    plays, in scenes of kind tone. second: the sensor on the second finger of a gripper, if a camera looks at it.
+    sensor_ranges: the ranges from which the sensor was sampled, if it was sampled for this trial.
+
+    tone_hz: the speaker's frequency, in scenes of kind tone.
+
+    second: the sensor of the gripper's second finger, if that has a camera.
     """
 
     scene: Scene
@@ -73,7 +76,7 @@ class Plan:
     second: "NamedSensor | None" = None
 
     def parameters(self) -> dict[str, Any]:
-        """The plan as it enters a recipe, so that a changed table is another recipe."""
+        """Return the plan as it enters a recipe, so that a changed table gives another recipe."""
         named: dict[str, Any] = {
             "scene": as_table(self.scene),
             "sensor": self.sensor_name,
@@ -93,16 +96,16 @@ class Plan:
 
 
 def read_plan(parameters: Mapping[str, Any], where: str) -> Plan:
-    """The plan of a recording, from the parameters of its header; InputError where they hold none."""
+    """Read the plan of a recording from the parameters of its header; InputError if they contain none."""
     for key, type_ in OF_HEADER.items():
         if not isinstance(parameters.get(key), type_):
             given = f"{parameters.get(key)}"[:100]
-            raise InputError("the header holds no plan of a simulated trial", where=where, expected=key, found=given)
+            raise InputError("the header has no plan of a simulated trial", where=where, expected=key, found=given)
     scene, row, tone_hz = parameters["scene"], parameters.get("object_row"), parameters.get("tone_hz")
     if isinstance(scene.get("tone"), dict):
         scene = {**scene, "tone": {"frequency_hz": [tone_hz], **scene["tone"]}}
     if row is not None:
-        row = read_table(TouchedObject, {"shape": "flat", **row}, f"{where}: object in the header")  # as a face is
+        row = read_table(TouchedObject, {"shape": "flat", **row}, f"{where}: object in the header")  # a face is flat
     return Plan(
         read_table(Scene, scene, f"{where}: scene in the header"),
         parameters["sensor"],
@@ -117,7 +120,7 @@ def read_plan(parameters: Mapping[str, Any], where: str) -> Plan:
 
 
 def _read_second(parameters: Mapping[str, Any], where: str) -> "NamedSensor | None":
-    """The sensor of the second finger, from the parameters of a header; None where no camera looked at it."""
+    """Read the second finger's sensor from the parameters of a header; None if the second finger had no camera."""
     name, row = parameters.get(SECOND_SENSOR), parameters.get(SECOND_ROW)
     if row is None:
         return None
@@ -125,18 +128,19 @@ def _read_second(parameters: Mapping[str, Any], where: str) -> "NamedSensor | No
 
 
 def read_sensor(parameters: Mapping[str, Any], where: str) -> Sensor:
-    """The sensor that was simulated, from the parameters of a recording; InputError where they do not say."""
+    """Read the simulated sensor from the parameters of a recording; InputError if they do not contain it."""
     if "sensor_row" not in parameters:
-        raise InputError("the recording does not say what its sensor was like", where=where)
+        raise InputError("the recording does not describe its sensor", where=where)
     return read_table(Sensor, parameters["sensor_row"], f"{where}: sensor in the header")
 
 
 @dataclass(frozen=True)
 class Plans:
-    """The plans of all trials with one object or tone; `sensor` is one, or the ranges from which each trial samples.
+    """The plans of all trials with one object or tone.
 
-    second: what recordings call the sensor of the second finger, and that sensor or its ranges; None if no camera looks
-    at it.
+    sensor: one sensor, or the ranges from which each trial samples a sensor.
+
+    second: name in recordings of the second finger's sensor, and that sensor or its ranges; None if it has no camera.
     """
 
     scene: Scene
@@ -149,7 +153,7 @@ class Plans:
     second: tuple[str, Sensor | SensorRanges] | None = None
 
     def of_trial(self, seeds: Sequence[int] = ()) -> Plan:
-        """The plan of the trial with these seeds, which matter only where each trial has a sensor of its own."""
+        """Return the plan of the trial with these seeds, which matter only if each trial samples its own sensor."""
         sensor, ranges = self.sensor, None
         if not isinstance(sensor, Sensor):
             ranges = sensor
@@ -177,11 +181,11 @@ def plans(
     texture: str | None = None,
     second: str | None = None,
 ) -> list[Plans]:
-    """What trials are made from, one an object or tone (one in all where the scene has neither).
+    """Return the plans of trials, one per object or tone (a single one if the scene has neither).
 
-    `second` names the sensor of a second finger that has a camera, too. `gel` cut or closed, `texture` on or off and
-    settings of the `solver` override the scene's, and `tones` (as in 200,300) picks from them. InputError where they do
-    not fit the scene, or it is of none of these kinds.
+    `second` names the sensor of a second finger that also has a camera. `gel` (cut or closed), `texture` (on or off)
+    and settings of the `solver` override the scene's. `tones` replaces the scene's tones, for example 200,300.
+    InputError if they contradict the scene, or the scene is of another kind than `kinds`.
     """
     scene = scene_file.load_of_kind(scene_name, kinds)
     scene = replace(scene, solver=with_given(scene.solver, solver, scene_name))
@@ -191,11 +195,11 @@ def plans(
         scene = replace(scene, texture=_shown(scene, texture == "on", scene_name))
     named = (*named_sensor(sensor), readout)
     if not scene.is_gripped and object_file.SUFFIX in objects:
-        expected = "a scene in which an object is held, as slip or lift"
+        expected = "a scene in which a gripper holds an object, for example slip or lift"
         raise InputError("this scene holds no object", where="--object", expected=expected, found=scene_name)
     if scene.tone is not None:
         picked = scene.tone.frequency_hz if tones is None else tones_hz(tones)
-        # A recording is that of its tone, whatever others the scene names.
+        # A recording depends only on its own tone, not on the scene's other tones.
         alone = [replace(scene, tone=replace(scene.tone, frequency_hz=(tone,))) for tone in picked]
         return [Plans(one, *named, tone_hz=tone) for one, tone in zip(alone, picked, strict=True)]
     if second is not None and not scene.is_gripped:
@@ -210,24 +214,27 @@ def plans(
 
 
 def first_plan(scene_name: str, objects: str = "8", sensor: str = "evetac", **more: Any) -> Plan:
-    """The plan of one trial, with the first of the objects or tones, of a scene of any kind."""
+    """Return the plan of one trial with the first of the objects or tones, for a scene of any kind."""
     kinds = more.pop("kinds", tuple(KINDS))
     return plans(scene_name, objects, sensor, kinds, **more)[0].of_trial()
 
 
 def _shown(scene: Scene, shown: bool, scene_name: str) -> Texture:
-    """The texture of a scene, shown in the window or not; InputError where there is none to show."""
+    """Return the texture of a scene, shown in the window or not; InputError if there is no texture or no window."""
     if scene.texture is None or (shown and not scene.gel.cut):
         lacking = (
-            f"{scene_name}, which names no texture" if scene.texture is None else "a closed gel, which has no window"
+            f"{scene_name}, which has no texture" if scene.texture is None else "a closed gel, which has no window"
         )
         expected = "a scene with a texture and a cut gel"
-        raise InputError("nothing to show", where="--texture", expected=expected, found=lacking)
+        raise InputError("no texture can be shown", where="--texture", expected=expected, found=lacking)
     return replace(scene.texture, show=shown)
 
 
 def named_objects(text: str) -> dict[int | str, TouchedObject]:
-    """Objects from `8`, `1-3,10` or `can.toml,8`, or a plug-in's, by what recordings call each; InputError else."""
+    """Return objects from `8`, `1-3,10`, `can.toml,8` or a plug-in's name, by their names in recordings.
+
+    InputError if there is no such object.
+    """
     listed: dict[int | str, TouchedObject] = {}
     for part in map(str.strip, text.split(",")):
         file = Path(part) if part.endswith(object_file.SUFFIX) else plugins.find_file(plugins.OBJECTS, part)
@@ -237,16 +244,16 @@ def named_objects(text: str) -> dict[int | str, TouchedObject]:
         called, touched = object_file.read(file)
         called = called if part.endswith(object_file.SUFFIX) else part
         if called in listed:
-            expected = "a `name` of its own in each file"
-            raise InputError("two objects of one name", where=part, expected=expected, found=called)
+            expected = "a different `name` in each file"
+            raise InputError("two objects have the same name", where=part, expected=expected, found=called)
         listed[called] = touched
     return listed
 
 
 def named_sensor(name_or_path: str) -> tuple[str, Sensor | SensorRanges]:
-    """What recordings call a sensor, and the sensor, of a named one or of a TOML file; InputError for anything else.
+    """Return a sensor's name in recordings and the sensor, by name or from a TOML file; InputError if there is none.
 
-    Of `randomized` and its like, which are no one sensor, the ranges.
+    For `randomized` and `randomized-narrow`, which sample a sensor for each trial, return the ranges.
     """
     if name_or_path.endswith(sensor_file.SUFFIX):
         return sensor_file.read(Path(name_or_path), one_sensor)
@@ -254,12 +261,15 @@ def named_sensor(name_or_path: str) -> tuple[str, Sensor | SensorRanges]:
 
 
 def sensor_ranges(name: str = FOR_EACH_TRIAL[0]) -> SensorRanges:
-    """The ranges from which sensors of this name are sampled."""
+    """Return the ranges from which sensors of this name are sampled."""
     return rows()[name]
 
 
 def one_sensor(name: str) -> Sensor:
-    """A sensor by its name, ours or a plug-in's, `randomized:7` sampled by its number; InputError for any other."""
+    """Return a sensor of evetac or a plug-in by name; InputError if there is none.
+
+    `randomized:7` is sampled with the number as its seed.
+    """
     file = plugins.find_file(plugins.SENSORS, name)
     return _sensor_of_ours(name) if file is None else sensor_file.read(file, _sensor_of_ours)[1]
 
@@ -284,20 +294,20 @@ def _sensor_of_ours(name: str) -> Sensor:
 
 
 def numbers(text: str) -> list[int]:
-    """Object numbers from `8` or `1-3,10`, in their order, each once; InputError if it is anything else."""
+    """Return object numbers from `8` or `1-3,10`, in the given order, each once; InputError for other text."""
     listed: list[int] = []
     for part in text.split(","):
         match = re.fullmatch("([0-9]{1,2})(?:-([0-9]{1,2}))?", part.strip())
         first, last = (int(match[1]), int(match[2] or match[1])) if match else (1, 0)
         if first > last:
-            expected = "as in 8, 1-3,10 or can.toml"
+            expected = "for example 8, 1-3,10 or can.toml"
             raise InputError("not a list of objects", where="--object", expected=expected, found=text[:60])
         listed += range(first, last + 1)
     return list(dict.fromkeys(listed))
 
 
 def tones_hz(text: str) -> list[float]:
-    """Frequencies from `200` or `200,300`, in their order, each once; InputError if it is anything else."""
+    """Return frequencies in Hz from `200` or `200,300`, in the given order, each once; InputError for other text."""
     listed: list[float] = []
     for part in text.split(","):
         try:
@@ -305,7 +315,7 @@ def tones_hz(text: str) -> list[float]:
         except ValueError:
             tone = math.nan
         if not LOWEST_TONE_HZ <= tone <= HIGHEST_TONE_HZ:
-            expected = f"{LOWEST_TONE_HZ:g} to {HIGHEST_TONE_HZ:g} Hz, as in 200 or 200,300"
+            expected = f"{LOWEST_TONE_HZ:g} to {HIGHEST_TONE_HZ:g} Hz, for example 200 or 200,300"
             raise InputError("not a list of tones", where="--tone", expected=expected, found=text[:60])
         listed.append(tone)
     return list(dict.fromkeys(listed))

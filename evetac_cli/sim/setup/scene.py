@@ -1,6 +1,7 @@
-"""What a scene is: the tables of its TOML file, which name the parts that exist and the ranges a trial is drawn from.
+"""The settings of a scene: the tables of its TOML file, each as a frozen type.
 
-Behind the door (scene_file.py) nothing asks a scene by string: a table that is not named is None, or one of defaults.
+A scene names the parts that exist and the ranges from which each trial's values are drawn. Once scene_file.py has read
+the file, the code uses attributes only: a table that the file leaves out is None or a table of defaults.
 """
 
 from dataclasses import dataclass
@@ -32,45 +33,43 @@ from evetac_cli.sim.setup.tables import (
 )
 
 KINDS = {
-    "ramp": "gripper in current mode, starts held",
-    "lift": "position mode, starts open over a table",
-    "hold": "starts open, closes, the object is pushed and let slip",
-    "press": "a face driven over the gel, no gripper",
-    "rub": "an object with visible edges that a hand rubs over the gel",
-    "tone": "a speaker on the gel, linear response, no gripper",
+    "ramp": "a gripper in current mode; the object is already held at the start",
+    "lift": "a gripper in position mode grasps an object on a table and lifts it; starts open",
+    "hold": "the gripper starts open and closes; the object is pushed, then slips as the grip loosens",
+    "press": "a flat face is driven over the gel; no gripper",
+    "rub": "a hand rubs an object with visible edges over the gel; no gripper",
+    "tone": "a speaker vibrates the gel, linear response; no gripper",
 }
 
 
 @dataclass(frozen=True, kw_only=True)
 class SceneTimes:
-    """When what happens, in s."""
+    """Times of the phases of a scene, in s."""
 
     rest_s: float = duration(
-        "until then nothing moves, and something else carries the object",
+        "initial time at rest: nothing moves, and something other than the gripper carries the object",
         default=0.0,
         needed_in=("ramp", "hold", "press", "rub", "tone"),
     )
     load_s: float = duration(
-        "for so long the weight is handed over to the gripper", default=0.0, needed_in=("ramp", "hold")
+        "time over which the object's weight is handed over to the gripper", default=0.0, needed_in=("ramp", "hold")
     )
-    hold_s: float = duration("held before the current ramps down", default=0.0, needed_in=("ramp",))
-    after_lost_s: float = duration("recording goes on for so long after the object is lost", default=0.15)
-    longest_s: float = duration(
-        "the recording ends at the latest after so long", default=0.0, needed_in=("ramp", "hold")
-    )
-    touch_s: float = duration("from the start until the lifting phase", default=0.0, needed_in=("lift",))
-    before_rise_s: float = duration("from the start of the lifting phase until the hand moves", default=0.0)
-    tone_at_s: float = duration("when the tone starts", default=0.0, needed_in=("tone",))
-    tone_s: float = duration("how long the tone lasts", default=0.0, needed_in=("tone",))
+    hold_s: float = duration("time the object is held before the current ramps down", default=0.0, needed_in=("ramp",))
+    after_lost_s: float = duration("time recorded after the object is lost", default=0.15)
+    longest_s: float = duration("longest duration of the recording", default=0.0, needed_in=("ramp", "hold"))
+    touch_s: float = duration("time from the start to the lifting phase", default=0.0, needed_in=("lift",))
+    before_rise_s: float = duration("time from the start of the lifting phase until the hand moves", default=0.0)
+    tone_at_s: float = duration("start of the tone", default=0.0, needed_in=("tone",))
+    tone_s: float = duration("duration of the tone", default=0.0, needed_in=("tone",))
     after_s: float | None = duration(
-        "recording goes on for so long after the motion or the tone; as long as rest_s where it is left out",
+        "time recorded after the motion or the tone ends; rest_s if left out",
         default=None,
         needed_in=("tone",),
     )
 
     @property
     def after_motion_s(self) -> float:
-        """How long a recording goes on after the motion or the tone."""
+        """Return the time that is recorded after the motion or the tone, in s."""
         return self.rest_s if self.after_s is None else self.after_s
 
 
@@ -78,25 +77,27 @@ class SceneTimes:
 class GelSettings:
     """The gel in this scene."""
 
-    cut: bool = flag("true: the last dot column is cut out and makes room for the window")
-    sideways: bool = flag("grasped from the side: gravity along +y of the image", default=False)
+    cut: bool = flag("true: the gel is cut; the last column of dots is removed to make a window")
+    sideways: bool = flag(
+        "true: the object is grasped from the side, with gravity along +y of the image", default=False
+    )
     stiffness_factor: float = number(
-        "factor on the shear and normal modulus of the sensor's gel", 0.01, 100, default=1.0
+        "factor on the shear modulus and the normal modulus of the sensor's gel", 0.01, 100, default=1.0
     )
 
 
 @dataclass(frozen=True, kw_only=True)
 class Randomised:
-    """What is drawn anew for each trial, and from which ranges."""
+    """Ranges from which each trial's values are drawn."""
 
     static_friction: tuple[float, float] = between(
         "range of the factor on the object's static friction", None, 1000, above=0, default=(1.0, 1.0)
     )
     kinetic_share: tuple[float, float] = between(
-        "range of kinetic over static friction", None, 1000, above=0, default=(1.0, 1.0)
+        "range of kinetic friction divided by static friction", None, 1000, above=0, default=(1.0, 1.0)
     )
     stribeck_mm_s: tuple[float, float] = between(
-        "range of the slip speed at which friction falls from static to kinetic",
+        "range of the Stribeck velocity: the slip speed at which friction falls from static to kinetic, in mm/s",
         None,
         1000,
         above=0,
@@ -106,36 +107,38 @@ class Randomised:
         "range of the factor on the object's mass", None, 1000, above=0, default=(1.0, 1.0)
     )
     kinetic_share_spread: float | None = number(
-        "an object keeps a kinetic share of its own in all trials; that of a trial lies this far from it at most",
+        "each object has its own ratio of kinetic to static friction; a trial's ratio differs from it by at most this",
         0,
         1,
         default=None,
     )
     touch_mm: float = number(
-        "the object is touched this far from the middle of the pad at most, along gravity and across",
+        "largest distance of the touched point from the middle of the pad, along gravity and across it",
         0,
         10,
         default=0.0,
     )
     lever_mm: float = number(
-        "standard deviation of the centre of mass's place across gravity, from where a flat object is touched; round"
-        " ones are touched on their axis",
+        "standard deviation of the distance, across gravity, from the touched point to the centre of mass; flat objects"
+        " only, because round ones are touched on their axis",
         0,
         100,
         default=0.0,
     )
-    tilt_deg: tuple[float, float] = between("range of the misalignment of the fingers", -5, 5, default=(0.0, 0.0))
+    tilt_deg: tuple[float, float] = between(
+        "range of the misalignment of the fingers, in degrees", -5, 5, default=(0.0, 0.0)
+    )
     memory_um: tuple[float, float] = between(
-        "distance over which friction follows the slip speed, or its range; none is known for this gel, the package's"
-        " scenes have 50; 0: at once",
+        "slip distance over which friction adapts to the slip speed, or its range; unknown for this gel (evetac's"
+        " scenes use 50); 0: at once",
         0,
         1000,
         or_one=True,
         default=(20.0, 20.0),
     )
     pressure_exponent: tuple[float, float] = between(
-        "friction under a pressure p goes with p^(1 - this), or its range: 0 in proportion, 1 not at all; all nodes"
-        " together hold mu N whatever it is",
+        "friction grows as p^(1 - this) with the pressure p; a number or its range. 0: in proportion to p; 1:"
+        " independent of p. The friction limit of the whole contact is mu N for every value",
         0,
         1,
         or_one=True,
@@ -145,69 +148,77 @@ class Randomised:
 
 @dataclass(frozen=True, kw_only=True)
 class Texture:
-    """The texture of the object, seen through the window."""
+    """The object's texture, as seen through the window of a cut gel."""
 
     log_sd: tuple[float, float] = between(
-        "range of the standard deviation of the log brightness", None, 1000, above=0, default=(0.06, 0.06)
+        "range of the standard deviation of the logarithm of brightness", None, 1000, above=0, default=(0.06, 0.06)
     )
     half_correlation_px: tuple[float, float] = between(
-        "range of the distance at which the brightness is half correlated", None, 1000, above=0, default=(12.0, 12.0)
+        "range of the distance at which the correlation of brightness is one half",
+        None,
+        1000,
+        above=0,
+        default=(12.0, 12.0),
     )
     focus_mm: float = number(
-        "the contrast fades with exp(-gap / focus) once the object is away from the gel",
+        "defocus: the contrast falls as exp(-gap / focus_mm) when the object is off the gel",
         None,
         100,
         above=0,
         default=1.0,
     )
     show: bool = flag(
-        "whether the window shows it; grasps leave it out, because no controller looks at the window", default=True
+        "true: the window shows the texture; grasps set false, because no controller uses the window", default=True
     )
 
 
 @dataclass(frozen=True, kw_only=True)
 class FrictionChange:
-    """Static and kinetic friction change in the whole contact at once, as on a wet patch."""
+    """A sudden change of static and kinetic friction in the whole contact, for example from a wet patch."""
 
-    at_s: float = duration("when, from the start of the recording")
-    factor: float = number("friction after over friction before", 0, 100)
+    at_s: float = duration("time of the change, from the start of the recording")
+    factor: float = number("friction after the change divided by friction before it", 0, 100)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Flicker:
-    """Light that flickers: brightness = mean * (1 + depth * sin(2 pi frequency t))."""
+    """Flickering light: brightness = mean * (1 + depth * sin(2 pi frequency t))."""
 
-    frequency_hz: float = number("twice that of the mains: 100 or 120 Hz", 0.1, 400)
-    depth: float = number("share of the mean brightness", None, 0.95, above=0)
+    frequency_hz: float = number("flicker frequency, twice the mains frequency: 100 or 120 Hz", 0.1, 400)
+    depth: float = number("amplitude of the flicker as a share of the mean brightness", None, 0.95, above=0)
 
 
 @dataclass(frozen=True, kw_only=True)
 class LightStep:
-    """Light that changes at once."""
+    """A sudden change of brightness."""
 
-    at_s: float = duration("when, from the start of the recording")
-    factor: float = number("brightness after over brightness before", 0.001, 1000)
+    at_s: float = duration("time of the change, from the start of the recording")
+    factor: float = number("brightness after the change divided by brightness before it", 0.001, 1000)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Flash:
-    """Pulses of light that does not pass the print: dots get brighter, bare gel hardly does."""
+    """Flashes of light that do not pass through the print: dots get brighter, bare gel hardly does."""
 
-    every_s: float = number("from one to the next; the first comes so long after the start", 0.05, 3600)
+    every_s: float = number("time from one flash to the next, and from the start to the first", 0.05, 3600)
     brightness: tuple[float, ...] = numbers(
-        "of its pulses, over that of bare gel; each lasts for a slice, and they are a slice apart", 0.001, 1000, (1, 8)
+        "brightness of each pulse of a flash, relative to bare gel; each pulse lasts one slice (1 ms), with one slice"
+        " between pulses",
+        0.001,
+        1000,
+        (1, 8),
     )
 
 
 @dataclass(frozen=True, kw_only=True)
 class LightSettings:
-    """Light that is not steady, or does not pass the print; readout dvxplorer only."""
+    """Light that varies, or that does not pass through the print; needs the readout dvxplorer."""
 
     flicker: Flicker | None = table(Flicker)
     step: LightStep | None = table(LightStep)
     floor: float = number(
-        "light that does not pass the print (scattered, or from within), over what the lamp gives bare gel; it neither"
-        " flickers nor steps",
+        "light that does not pass through the print (scattered, or from inside the sensor), relative to the lamp's"
+        " light on bare gel; it neither flickers nor steps",
         0,
         1000,
         default=0.0,
@@ -219,36 +230,34 @@ class LightSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class VanishingDots:
-    """Dots whose ink comes off: the camera sees bare gel in their place."""
+    """Dots whose ink comes off: the camera sees bare gel where they were."""
 
     dots: tuple[tuple[int, int], ...] = lists(
-        "row and column of each",
+        "[row, column] of each dot that vanishes",
         {"type": "array", "items": {"type": "integer", "minimum": 0, "maximum": 100}, "minItems": 2, "maxItems": 2},
         (1, 256),
         unique=True,
     )
-    at_s: float = duration("when, from the start of the recording")
+    at_s: float = duration("time at which the dots vanish, from the start of the recording")
 
 
 @dataclass(frozen=True, kw_only=True)
 class CalibrationOffset:
-    """A calibration that is off: the dots at rest in the recording are turned and moved against the true ones."""
+    """A wrong calibration: the recording's dots at rest are rotated and shifted from their true positions."""
 
-    offset_px: tuple[float, float] = numbers(
-        "by how much they are moved, along x and y", -20, 20, 2, default=(0.0, 0.0)
-    )
-    turned_deg: float = number("by how much they are turned about the middle of the frame", -5, 5, default=0.0)
+    offset_px: tuple[float, float] = numbers("shift of the dots at rest, along x and y", -20, 20, 2, default=(0.0, 0.0))
+    turned_deg: float = number("rotation of the dots at rest about the middle of the frame", -5, 5, default=0.0)
 
     RULES: ClassVar[Rules] = {"minProperties": 1}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Scene:
-    """What is simulated; only the parts that it names exist."""
+    """A scene to simulate; only the parts that it names exist."""
 
-    name: str = words("what recordings call the scene", 100, pattern="^[a-z][a-z0-9-]*$")
+    name: str = words("name of the scene in recordings", 100, pattern="^[a-z][a-z0-9-]*$")
     kind: str = one_of("; ".join(f"{name}: {what}" for name, what in KINDS.items()), tuple(KINDS))
-    summary: str = words("one line about the scene", 1000)
+    summary: str = words("one-line description of the scene", 1000)
     time: SceneTimes = table(SceneTimes, default=REQUIRED)
     hand: HandSettings = table(HandSettings, default=HandSettings(), needed_in=("lift",), only_in=GRIPPED)
     gel: GelSettings = table(GelSettings, default=REQUIRED)
@@ -278,5 +287,5 @@ class Scene:
 
     @property
     def shows_texture(self) -> bool:
-        """Whether the window shows a texture."""
+        """Whether the window shows the object's texture."""
         return self.gel.cut and self.texture is not None and self.texture.show

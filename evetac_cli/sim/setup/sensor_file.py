@@ -1,7 +1,7 @@
-"""Reads one's own sensor, a TOML file with the keys of a row of sensors.toml: `--sensor mine.sensor.toml`.
+"""Read your own sensor: a TOML file with the keys of a row of sensors.toml, for `--sensor mine.sensor.toml`.
 
-`like = "evetac"` takes every key that the file leaves out from a named sensor. What comes out is a whole sensor, the
-same for two files of the same content: names of files and `like` do not enter a recipe.
+`like = "evetac"` takes every key that the file leaves out from that named sensor. The result is a complete sensor. Two
+files with the same content give the same sensor: neither the file's name nor `like` enters a recipe.
 """
 
 import re
@@ -19,15 +19,15 @@ from evetac_cli.sim.setup.tables import as_table, build, check
 from evetac_cli.text_files import read_toml
 
 SUFFIX = ".toml"
-UNNAMED = "own-sensor"  # what recordings call a sensor whose file has no `name`
+UNNAMED = "own-sensor"  # name in recordings of a sensor whose file has no `name`
 OF_FILE = ("name", "like")
-LEAST_DOTS = 4  # fewer say nothing of how a gel turns and stretches
+LEAST_DOTS = 4  # fewer dots do not show how a gel rotates and stretches
 
 
 def read(path: Path, named_sensor: Callable[[str], Sensor]) -> tuple[str, Sensor]:
-    """The name of a sensor's file, and the sensor; InputError for anything that is no sensor.
+    """Read a sensor's file; return the sensor's name and the sensor. InputError if the file is invalid.
 
-    named_sensor: a sensor by its name, for `like`.
+    named_sensor: returns a sensor by its name, for `like`.
     """
     table = read_toml(path)
     where = str(path)
@@ -36,13 +36,14 @@ def read(path: Path, named_sensor: Callable[[str], Sensor]) -> tuple[str, Sensor
     check(SensorFile, table, where, whole=False)
     name, like = table.get("name", UNNAMED), table.get("like")
     if like in FOR_EACH_TRIAL:
-        expected = "one sensor, as in evetac or randomized:7"
+        expected = "one sensor, for example evetac or randomized:7"
         raise InputError("like: not one sensor but many", where=where, expected=expected, found=like)
     check_name(name, where)
     named = [key for key in GRID if key in table]
     if "dot_xy_px" in table and named:
         expected = f"dot_xy_px, or {', '.join(GRID)}"
-        raise InputError("dots are named twice", where=where, expected=expected, found=f"dot_xy_px and {named[0]}")
+        both = f"dot_xy_px and {named[0]}"
+        raise InputError("the dots are given twice", where=where, expected=expected, found=both)
     base = {} if like is None else as_table(_sensor_of(like, named_sensor, where))
     row = over(base, {key: value for key, value in table.items() if key not in OF_FILE})
     row.setdefault("summary", f"read from a file, like {like}" if like else "read from a file")
@@ -50,22 +51,23 @@ def read(path: Path, named_sensor: Callable[[str], Sensor]) -> tuple[str, Sensor
 
 
 def check_name(name: str, where: str) -> None:
-    """InputError unless a sensor may be called so: in small letters, and not as one that comes with evetac."""
+    """Raise InputError unless the name is valid: lower case, and not that of one of evetac's sensors."""
     if not re.fullmatch(SENSOR_NAME, name):
-        expected = "small letters, digits and -, as in lab-3"
-        raise InputError("name: not the name of a sensor", where=where, expected=expected, found=name)
+        expected = "lower-case letters, digits and -, for example lab-3"
+        raise InputError("name: not a valid sensor name", where=where, expected=expected, found=name)
     if name in rows():
-        raise InputError("name: that of a sensor which comes with evetac", where=where, expected="another", found=name)
+        message = "name: evetac already has a sensor of this name"
+        raise InputError(message, where=where, expected="another name", found=name)
 
 
 def of_row(row: Mapping[str, Any], where: str) -> Sensor:
-    """A sensor from a whole row; InputError where a key is missing, or values do not fit together."""
-    check(Sensor, row, where, if_missing='`like = "evetac"` takes what is left out from that sensor')
+    """Build a sensor from a complete row; InputError if a key is missing or values contradict each other."""
+    check(Sensor, row, where, if_missing='`like = "evetac"` takes missing keys from that sensor')
     if "dot_xy_px" not in row and not {"dot_columns_px", "dot_rows_px"} <= row.keys():
         missing = ", ".join(key for key in ("dot_columns_px", "dot_rows_px") if key not in row)
-        raise InputError("the places of the dots are missing", where=where, expected=f"{missing}, or dot_xy_px")
+        raise InputError("the positions of the dots are missing", where=where, expected=f"{missing}, or dot_xy_px")
     if len({len(dots) for dots in row.get("dot_xy_px", [[]])}) != 1:
-        expected = "rows of equally many dots; dots in no grid as a list without rows"
+        expected = "rows with the same number of dots, or a list without rows for dots in no grid"
         raise InputError("dot_xy_px: rows of different lengths", where=where, expected=expected)
     sensor = build(Sensor, row)
     x0, y0, x1, y1 = sensor.window_px
@@ -75,15 +77,15 @@ def of_row(row: Mapping[str, Any], where: str) -> Sensor:
     _check_gripper_and_friction(sensor, where)
     _check_dots(sensor, where)
     if sensor.hot_pixels and not sensor.hot_pixel_hz:
-        expected = "hot_pixel_hz, quantiles of the rates"
-        raise InputError("hot_pixels: their rates are missing", where=where, expected=expected)
+        expected = "hot_pixel_hz, quantiles of their event rates"
+        raise InputError("hot_pixels: the event rates are missing", where=where, expected=expected)
     if sensor.hot_pixel_table is not None:
         _check_hot_pixels(sensor.hot_pixel_table, where)
     return sensor
 
 
 def _check_gripper_and_friction(sensor: Sensor, where: str) -> None:
-    """Values that belong together are all there, and what is named in one way is not named in another."""
+    """Raise InputError if one of two keys that need each other is missing, or a property is given twice."""
     gripper, friction = sensor.gripper, sensor.friction
     if (gripper.servo_n_tick is None) != (gripper.two_ticks_n is None):
         raise InputError("gripper: servo_n_tick and two_ticks_n need each other", where=where)
@@ -93,17 +95,17 @@ def _check_gripper_and_friction(sensor: Sensor, where: str) -> None:
     if unused and gripper.servo_n_tick is not None:
         expected = "servo_n_tick and two_ticks_n, or gain_ma_tick and friction_n"
         both = f"servo_n_tick and {unused[0]}"
-        raise InputError("gripper: the same is named twice", where=where, expected=expected, found=both)
+        raise InputError("gripper: the servo is described twice", where=where, expected=expected, found=both)
 
 
 def _check_hot_pixels(table: HotPixelTable, where: str) -> None:
-    """No pixel comes twice, and no value contradicts another of its pixel."""
+    """Raise InputError if a pixel is listed twice or its values contradict each other."""
     columns = (table.x_px, table.y_px, table.rate_hz, table.on_share, table.polarity_change_share)
     seen = set()
     for place, (x, y, rate_hz, on, change) in enumerate(zip(*columns, strict=True)):
         what = f"hot_pixel_table: pixel {place} at ({x}, {y})"
         if (x, y) in seen:
-            raise InputError(f"{what} comes twice", where=where)
+            raise InputError(f"{what} is listed twice", where=where)
         seen.add((x, y))
         if change > 2 * min(on, 1 - on) + 1e-9:
             rarer = f"{2 * min(on, 1 - on):g}, twice the share of the rarer polarity"
@@ -114,7 +116,7 @@ def _check_hot_pixels(table: HotPixelTable, where: str) -> None:
         quick_us = table.short_interval_share[place] * table.short_interval_us[place]
         if (table.dead_time_us + quick_us) * rate_hz * 1e-6 >= 1.0:
             raise InputError(
-                f"{what} has no time for so many events",
+                f"{what} has too many events for its dead time and short intervals",
                 where=where,
                 expected="dead_time_us + short_interval_share * short_interval_us below the mean time between events",
                 found=f"{table.dead_time_us + quick_us:g} us of {1e6 / rate_hz:g} us",
@@ -131,9 +133,9 @@ def _sensor_of(like: str, named_sensor: Callable[[str], Sensor], where: str) -> 
 
 
 def _rows_of_dots(dot_xy_px: Any) -> Any:
-    """Rows of dots; a list of dots without rows is put into those of its grid, or into one row if it has none.
+    """Return dots in rows; a list of dots without rows is arranged in its grid's rows, or in one row if it has no grid.
 
-    What is no list of dots goes on to the schema, which refuses it.
+    Anything that is not a list of dots is returned unchanged, so that the schema check reports the error.
     """
     dots = dot_xy_px if isinstance(dot_xy_px, list) else []
     if not dots or any(isinstance(value, list) for dot in dots if isinstance(dot, list) for value in dot):
@@ -149,24 +151,22 @@ def _rows_of_dots(dot_xy_px: Any) -> Any:
 
 
 def _check_dots(sensor: Sensor, where: str) -> None:
-    """InputError unless the dots are as many as can be tracked, in the frame and apart."""
-    from evetac_cli.sim.camera.gel_camera import dot_grid  # brings numba
+    """Raise InputError unless the dots can be tracked: neither too few nor too many, in the frame, not overlapping."""
+    from evetac_cli.sim.camera.gel_camera import dot_grid  # imports numba
     from evetac_cli.sim.camera.lens import Lens
 
     lens = Lens.of_sensor(sensor)
     dots = dot_grid(sensor, cut=False).reshape(-1, 2)
     seen = dots if lens is None else lens.seen(dots)
     if not LEAST_DOTS <= len(dots) <= grid.MOST_DOTS:
-        expected = f"{LEAST_DOTS} to {grid.MOST_DOTS}, which the tracker has room for"
-        raise InputError(
-            "a number of dots that cannot be tracked", where=where, expected=expected, found=str(len(dots))
-        )
+        expected = f"{LEAST_DOTS} to {grid.MOST_DOTS} dots, which the tracker can follow"
+        raise InputError("this number of dots cannot be tracked", where=where, expected=expected, found=str(len(dots)))
     width, height = sensor.frame_px
     outside = ((seen < 0) | (seen > (width - 1, height - 1))).any(axis=1)
     if outside.any():
         x, y = seen[outside][0]
         expected = f"centres inside {width} x {height} px"
-        raise InputError("a dot lies outside the frame", where=where, expected=expected, found=f"({x:.4g}, {y:.4g})")
+        raise InputError("a dot is outside the frame", where=where, expected=expected, found=f"({x:.4g}, {y:.4g})")
     apart_px = np.linalg.norm(dots[:, None] - dots[None], axis=2)
     np.fill_diagonal(apart_px, np.inf)
     one, other = np.unravel_index(apart_px.argmin(), apart_px.shape)
@@ -176,5 +176,5 @@ def _check_dots(sensor: Sensor, where: str) -> None:
         raise InputError("two dots overlap", where=where, expected=expected, found=places)
     beside = dot_grid(sensor, cut=True).size // 2
     if beside < LEAST_DOTS:
-        expected = f"at least {LEAST_DOTS} left of window_px, for a cut gel"
-        raise InputError("too few dots beside the window", where=where, expected=expected, found=str(beside))
+        expected = f"at least {LEAST_DOTS} dots to the left of window_px, for a cut gel"
+        raise InputError("too few dots next to the window", where=where, expected=expected, found=str(beside))

@@ -1,7 +1,7 @@
-"""The rows of sensors.toml, each whole: what a row leaves out is as in the sensor that it is `like`.
+"""The complete rows of sensors.toml: keys that a row leaves out come from the sensor that its `like` names.
 
-Why so: one place for a fact. A row says what is its own; what else a sensor is follows from one other row, and from
-that one's. What comes out names no other sensor, so a recipe holds all of it.
+Each value is written once: a row lists only its own values and takes all others from one other row, which may do the
+same. A complete row names no other sensor, so a recipe contains all its values.
 """
 
 import functools
@@ -11,38 +11,39 @@ from typing import Any
 from evetac_cli.errors import InputError
 from evetac_cli.resources import table
 
-GRID = ("dot_columns_px", "dot_rows_px", "dot_jitter_px", "turned_deg")  # what dot_xy_px takes the place of
-KEY_BY_KEY = ("gripper", "friction")  # tables of which a row may give a part
-FOR_EACH_TRIAL = ("randomized", "randomized-narrow")  # rows that name ranges, not one sensor
+GRID = ("dot_columns_px", "dot_rows_px", "dot_jitter_px", "turned_deg")  # keys that dot_xy_px replaces
+KEY_BY_KEY = ("gripper", "friction")  # tables that a row may give in part
+FOR_EACH_TRIAL = ("randomized", "randomized-narrow")  # rows of ranges, from which each trial's sensor is sampled
 
 
 @functools.cache
 def rows() -> dict[str, dict[str, Any]]:
-    """The row of each named sensor, by its name, whole and without `like`; read once."""
+    """Return the complete row of each named sensor, by name and without `like`; the file is read once."""
     named = table("sensors")
     return {name: whole(name, named) for name in named}
 
 
 def whole(name: str, named: Mapping[str, Mapping[str, Any]], above: tuple[str, ...] = ()) -> dict[str, Any]:
-    """A row of a table of sensors with all that it takes from others; InputError for one that is like none, or itself.
+    """Return a row of a table of sensors, completed from the rows that it is like.
 
-    above: rows that are like this one.
+    above: rows that are like this one. InputError if `like` names no sensor, or leads back to the row itself.
     """
     row = dict(named[name])
     like = row.pop("like", None)
     if like is None:
         return row
     if like not in named or like in (*above, name):
-        expected = "a row that is not like this one"
-        raise InputError(f"{name}: like no other sensor", where="sensors.toml", expected=expected, found=str(like))
+        expected = "a row that is not itself like this row"
+        message = f"{name}: `like` names no other sensor"
+        raise InputError(message, where="sensors.toml", expected=expected, found=str(like))
     return over(whole(like, named, (*above, name)), row)
 
 
 def over(base: Mapping[str, Any], named: Mapping[str, Any]) -> dict[str, Any]:
-    """A row in which what is named stands above that of another sensor.
+    """Return another sensor's row, overridden by the named keys.
 
-    Tables of KEY_BY_KEY go key by key, all others as a whole. Places of dots take the place of a grid, and a grid that
-    of places.
+    The tables KEY_BY_KEY are merged key by key; all others are replaced. Positions of dots replace a grid, and a grid
+    replaces positions.
     """
     replaced = GRID if "dot_xy_px" in named else ("dot_xy_px",) if named.keys() & set(GRID) else ()
     row = {key: value for key, value in base.items() if key not in replaced} | dict(named)

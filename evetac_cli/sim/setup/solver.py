@@ -1,7 +1,7 @@
-"""How finely a scene is simulated: time steps, nodes of the gel, sub-steps and scans of the camera.
+"""Resolution of the simulation: time steps, gel nodes, and the camera's sub-steps and scans.
 
-A scene's table `[solver]` and the flags of `record` and `grasp` choose; what each choice costs and gives is measured by
-`evaluate cost`.
+The settings come from a scene's table `[solver]` and from flags of `record` and `grasp`. `evaluate cost` measures the
+run time and the accuracy of each setting.
 """
 
 import math
@@ -13,37 +13,41 @@ from evetac_cli.checks import check_range
 from evetac_cli.errors import InputError, SceneError
 from evetac_cli.sim.setup.tables import number, read_table, whole
 
-HALVINGS = 3  # of a slice at the default tolerance, at most: 1/8 ms
-MOST_HALVINGS = 7
+HALVINGS = 3  # most halvings of a 1 ms slice at the default tolerance: steps of 1/8 ms
+MOST_HALVINGS = 7  # most halvings at any tolerance
 
 
 @dataclass(frozen=True, kw_only=True)
 class Solver:
-    """How finely the scene is simulated; what each setting costs and gives is measured by `evaluate cost`.
+    """Resolution of the simulation; `evaluate cost` measures the run time and accuracy of each setting.
 
-    From 1 ms steps are halved until the tolerance holds, HALVINGS times at most, and once more for each halving of the
-    tolerance, or until nodes let go one after the other (see sim.gel.adaptive), MOST_HALVINGS times at most.
+    Steps start at 1 ms and are halved until the tolerance is reached: HALVINGS times at most at the default tolerance,
+    and once more for each halving of the tolerance. Steps are also halved until nodes slip one after the other (see
+    sim.gel.adaptive). MOST_HALVINGS limits both.
     """
 
     tolerance_um: float = number(
-        "largest estimated error of the displacement in one mechanical step; steps are halved from 1 ms until it holds",
+        "largest estimated displacement error of a mechanical step; steps of 1 ms are halved until it is reached",
         0.001,
         1000,
         default=0.2,
     )
     step_ms: float | None = number(
-        "fixed mechanical step instead, whatever its error; 1 divided by a whole number", 1e-4, 1, default=None
+        "fixed mechanical step, instead of tolerance_um; 1 divided by a whole number", 1e-4, 1, default=None
     )
     theta: float = number(
-        "of the time step: 1 is implicit Euler, 0.5 the trapezoidal rule, which rings after stick events",
+        "implicitness of the time step: 1 is implicit Euler; 0.5 is the trapezoidal rule, which rings after stick"
+        " events",
         0.5,
         1,
         default=0.51,
     )
-    node_pitch_mm: float = number("distance of the gel's nodes", 0.05, 5, default=0.833)
-    camera_substeps: int = whole("straight pieces of a dot's path within a slice", 1, 100, default=1)
-    scans_per_ms: int = whole("scans of the simulated readout per ms; the DVXplorer has 5", 1, 100, default=5)
-    residual: float = number("of the balance of forces in a step, as a share of all forces", 1e-12, 0.01, default=1e-6)
+    node_pitch_mm: float = number("distance between neighbouring nodes of the gel", 0.05, 5, default=0.833)
+    camera_substeps: int = whole("number of straight segments of a dot's path within a slice", 1, 100, default=1)
+    scans_per_ms: int = whole("scans per ms of the simulated readout; the DVXplorer has 5", 1, 100, default=5)
+    residual: float = number(
+        "largest residual of the force balance in a step, relative to all forces", 1e-12, 0.01, default=1e-6
+    )
 
     RULES: ClassVar[Mapping[str, Any]] = {"not": {"required": ["tolerance_um", "step_ms"]}}
     WRITTEN_WHOLE: ClassVar = True
@@ -65,28 +69,28 @@ class Solver:
 
     @property
     def fixed_steps(self) -> int | None:
-        """Steps a slice, where their number is fixed."""
+        """Return the number of steps per slice if it is fixed, else None."""
         return None if self.step_ms is None else round(1.0 / self.step_ms)
 
     @property
     def halvings(self) -> int:
-        """How often a slice is halved at most."""
+        """Return the largest number of halvings of a slice."""
         finer = math.ceil(math.log2(Solver.tolerance_um / self.tolerance_um) - 1e-9)
         return min(max(HALVINGS + finer, 0), MOST_HALVINGS)
 
     def nodes(self, pad_m: tuple[float, float]) -> tuple[int, int]:
-        """Columns and rows of nodes on a pad of this size."""
+        """Return the numbers of columns and rows of nodes on a pad of this size."""
         columns, rows = (max(2, round(side * 1e3 / self.node_pitch_mm)) for side in pad_m)
         return columns, rows
 
 
 def with_given(solver: Solver, given: Mapping[str, Any], where: str) -> Solver:
-    """A scene's settings with those that are given in their place; SceneError for those that cannot be.
+    """Replace a scene's settings with the given ones; SceneError if they are invalid.
 
-    A tolerance that is given takes the place of a fixed step, and a fixed step that of a tolerance.
+    A given tolerance replaces a fixed step, and a given fixed step replaces a tolerance.
     """
     if {"tolerance_um", "step_ms"} <= set(given):
-        both = "a tolerance or a fixed step (tolerance_um, step_ms), not both"
+        both = "expected a tolerance or a fixed step (tolerance_um, step_ms), not both"
         raise SceneError(f"[solver]: {both}", where=where)
     try:
         typed = read_table(Solver, dict(given), where)

@@ -1,11 +1,11 @@
-"""Tables of TOML as frozen types: each field states its range, its unit and its meaning once.
+"""TOML tables as frozen types: each field declares its range, unit and meaning once.
 
-From the fields of a type follow the JSON schema of its table (`schema_of`), the check of a table in words (`check`),
-the object (`build`), and the table again as it enters a recipe (`as_table`).
+Everything else is derived from the fields of a type. `schema_of` returns the JSON schema of its table, and `check`
+reports errors in a table. `build` returns the object, and `as_table` the table as it enters a recipe.
 
-Why so: a recipe holds what differs from the defaults, so that a part that is added to the types leaves the recipes of
-all scenes without it as they are. Where numbers change because a default does, METHOD of the stage is raised. Numbers
-are what the type says, so 341 and 341.0 are one recipe.
+A recipe contains only values that differ from the defaults. So a new part of the types leaves the recipes of all scenes
+without that part unchanged. If a changed default changes results, METHOD of the stage is raised. Numbers are converted
+to the field's type, so 341 and 341.0 give the same recipe.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -18,8 +18,8 @@ from evetac_cli.errors import InputError
 T = TypeVar("T")
 Rules = dict[str, Any]  # of JSON schema
 
-LONGEST_S = 3600.0
-REQUIRED = MISSING  # the default of what has to be named
+LONGEST_S = 3600.0  # longest time that a scene may set
+REQUIRED = MISSING  # the default of a field that a table must have
 JSON_SCHEMA = "https://json-schema.org/draft/2020-12/schema"
 TYPES = {
     "number": "a number",
@@ -32,11 +32,13 @@ TYPES = {
 
 
 class About(NamedTuple):
-    """What a field says of itself beside its type.
+    """Description of a field, in addition to its type.
 
-    rules: of JSON schema. table: the type of a table within. needed_in, only_in: kinds of scene (of motion, in its
-    table) that cannot do without it, and that alone can have it. order: "pair" (the lower end first), "rising" or
-    "strictly rising".
+    rules: its JSON schema. table: the type of an inner table.
+
+    needed_in, only_in: kinds of scene, or of motion, that require the field, or that alone may have it.
+
+    order: "pair" (the lower end first), "rising" or "strictly rising".
     """
 
     rules: Rules
@@ -49,34 +51,34 @@ class About(NamedTuple):
 def number(
     meaning: str, least: float | None, most: float, *, above: float | None = None, default: Any = MISSING, **kinds: Any
 ) -> Any:
-    """A number from `least`, or more than `above`, to `most`."""
+    """Declare a number from `least`, or from above `above`, to `most`."""
     return _declared(About({"description": meaning, **_range(least, most, above)}, **kinds), default)
 
 
 def whole(meaning: str, least: int, most: int, *, default: Any = MISSING, **kinds: Any) -> Any:
-    """A whole number."""
+    """Declare a whole number."""
     rules = {"description": meaning, "type": "integer", "minimum": least, "maximum": most}
     return _declared(About(rules, **kinds), default)
 
 
 def flag(meaning: str, *, default: Any = MISSING, **kinds: Any) -> Any:
-    """True or false."""
+    """Declare a flag, true or false."""
     return _declared(About({"description": meaning, "type": "boolean"}, **kinds), default)
 
 
 def one_of(meaning: str, names: Sequence[str], *, default: Any = MISSING, **kinds: Any) -> Any:
-    """One of some names."""
+    """Declare a text that is one of `names`."""
     return _declared(About({"description": meaning, "enum": list(names)}, **kinds), default)
 
 
 def words(meaning: str, most: int, *, pattern: str = "", default: Any = MISSING) -> Any:
-    """A text of so many letters at most."""
+    """Declare a text of at most `most` characters."""
     rules: Rules = {"description": meaning, "type": "string", "maxLength": most}
     return _declared(About({**rules, "pattern": pattern} if pattern else rules), default)
 
 
 def constant(meaning: str, value: Any) -> Any:
-    """A value that must be named and can only be this one."""
+    """Declare a required field that can only have this value."""
     return _declared(About({"description": meaning, "const": value}), MISSING)
 
 
@@ -90,7 +92,7 @@ def between(
     default: Any = MISSING,
     **kinds: Any,
 ) -> Any:
-    """A range [low, high] within which something is drawn; or_one: a number alone stands for both ends."""
+    """Declare a range [low, high] from which values are drawn; or_one: a single number sets both ends."""
     ends = _range(least, most, above)
     pair = {"type": "array", "items": ends, "minItems": 2, "maxItems": 2}
     rules = {"description": meaning, **({"anyOf": [ends, pair]} if or_one else pair)}
@@ -109,40 +111,40 @@ def numbers(
     default: Any = MISSING,
     **kinds: Any,
 ) -> Any:
-    """A list of numbers, of so many entries, or of fewest to most."""
+    """Declare a list of numbers with `count` entries, or with (fewest, most) entries."""
     return _declared(About(_list(meaning, _range(least, most, above), count, unique), order=order, **kinds), default)
 
 
 def wholes(
     meaning: str, least: int, most: int, count: int | tuple[int, int], *, order: str = "", default: Any = MISSING
 ) -> Any:
-    """A list of whole numbers."""
+    """Declare a list of whole numbers."""
     items = {"type": "integer", "minimum": least, "maximum": most}
     return _declared(About(_list(meaning, items, count), order=order), default)
 
 
 def lists(meaning: str, items: Rules, count: tuple[int, int], *, unique: bool = False, default: Any = MISSING) -> Any:
-    """A list of what the rules say."""
+    """Declare a list of entries that follow the JSON schema `items`."""
     return _declared(About(_list(meaning, items, count, unique)), default)
 
 
 def table(type_: type[Any], *, default: Any = None, **kinds: Any) -> Any:
-    """A table within; without a default, none."""
+    """Declare an inner table; without a default it is None."""
     return _declared(About(rules_of(type_), type_, **kinds), default)
 
 
 def duration(meaning: str, **more: Any) -> Any:
-    """A time in s, of an hour at most."""
+    """Declare a time in s, of at most an hour."""
     return number(meaning, 0, LONGEST_S, **more)
 
 
 def pairs(low: float, high: float) -> Rules:
-    """The rules of [x, y]."""
+    """Return the JSON schema of [x, y]."""
     return {"type": "array", "items": _range(low, high, None), "minItems": 2, "maxItems": 2}
 
 
-def _declared(known: About, default: Any) -> Any:
-    metadata = {"about": known}
+def _declared(details: About, default: Any) -> Any:
+    metadata = {"about": details}
     return field(metadata=metadata) if default is MISSING else field(default=default, metadata=metadata)
 
 
@@ -157,13 +159,13 @@ def _list(meaning: str, items: Rules, count: int | tuple[int, int], unique: bool
 
 
 def about(item: Field[Any]) -> About:
-    """What a field says of itself."""
-    known: About = item.metadata["about"]
-    return known
+    """Return the description of a field."""
+    details: About = item.metadata["about"]
+    return details
 
 
 def rules_of(type_: type[Any]) -> Rules:
-    """The rules of JSON schema for the table of a type; its docstring says what the table is."""
+    """Return the JSON schema of a type's table; the first paragraph of the type's docstring is its description."""
     meaning = (type_.__doc__ or "").split("\n\n")[0].replace("\n    ", " ").rstrip(".")
     return {
         "description": meaning[:1].lower() + meaning[1:],
@@ -176,48 +178,48 @@ def rules_of(type_: type[Any]) -> Rules:
 
 
 def schema_of(type_: type[Any], title: str) -> Rules:
-    """The JSON schema of a file that holds the table of a type."""
+    """Return the JSON schema of a file that contains the table of a type."""
     rules = {key: value for key, value in rules_of(type_).items() if key != "description"}
     return {"$schema": JSON_SCHEMA, "title": title, **rules}
 
 
 def build(type_: type[T], named: Mapping[str, Any]) -> T:
-    """An object from its table, which is not checked: numbers and lists become what the type says."""
-    known = {item.name: about(item) for item in fields(type_)}  # type: ignore[arg-type]
-    return type_(**{name: _value(known[name], value) for name, value in named.items()})
+    """Build an object from an unchecked table; numbers and lists are converted to the types of the fields."""
+    details = {item.name: about(item) for item in fields(type_)}  # type: ignore[arg-type]
+    return type_(**{name: _value(details[name], value) for name, value in named.items()})
 
 
 def read_table(type_: type[T], named: Mapping[str, Any], where: str) -> T:
-    """An object from a table of a file; InputError where it is none."""
+    """Build an object from a table of a file; InputError if the table is invalid."""
     check(type_, named, where)
     try:
         return build(type_, named)
-    except ValueError as error:  # a fixed step within its range that does not divide a slice
+    except ValueError as error:  # a fixed step that is in range but does not divide a slice
         raise InputError(str(error), where=where) from None
 
 
-def _value(known: About, value: Any) -> Any:
-    if known.table is not None:
-        return build(known.table, value)
-    if known.order == "pair" and not isinstance(value, Sequence):
+def _value(details: About, value: Any) -> Any:
+    if details.table is not None:
+        return build(details.table, value)
+    if details.order == "pair" and not isinstance(value, Sequence):
         return (float(value), float(value))
-    return _typed(value, known.rules.get("anyOf", [known.rules])[-1])
+    return _typed(value, details.rules.get("anyOf", [details.rules])[-1])
 
 
 def _typed(value: Any, rules: Mapping[str, Any]) -> Any:
     value = rules.get("const", value)
     if isinstance(value, list | tuple):
         return tuple(_typed(item, rules.get("items", {})) for item in value)
-    if rules.get("type") == "integer" and value == int(value):  # 5.0 is a whole number for JSON schema, too
+    if rules.get("type") == "integer" and value == int(value):  # JSON schema also accepts 5.0 as a whole number
         return int(value)
     return float(value) if rules.get("type") == "number" else value
 
 
 def as_table(one: Any, kind: str = "") -> dict[str, Any]:
-    """The table of an object: what is not the default, or all of it where its type is WRITTEN_WHOLE.
+    """Return the table of an object: values other than the defaults, or all values if its type is WRITTEN_WHOLE.
 
-    Of the fields that its type has ALONE, the first that is not None is written, and the others are not. What the kind
-    of a scene cannot do without is written, and all of a table that would be empty where none may be.
+    Of the fields that its type lists in ALONE, only the first that is not None is written. Fields that the kind of
+    scene requires are always written. A table that would be empty, but must not be, is written whole.
     """
     kind, alone = getattr(one, "kind", kind), getattr(one, "ALONE", ())
     first = next((name for name in alone if getattr(one, name) is not None), "")
@@ -256,16 +258,16 @@ def check(
     if_missing: str = "",
     error: type[InputError] = InputError,
 ) -> None:
-    """Refuse, in words, a table from which no object of a type can be built.
+    """Raise an InputError that explains why no object of a type can be built from a table.
 
-    whole: every key without a default must be there, and those in `needed`; if_missing: what to try where one is not.
+    whole: require every key without a default, and the keys in `needed`. if_missing: hint for a missing key.
     """
     rules = rules_of(type_)
     required = [*rules["required"], *needed] if whole else []
     try:
         check_rules(named, where, {**rules, "required": required}, if_missing)
-        for place, known, value in _entries(type_, named, ""):
-            _check_order(place, known, value, where)
+        for place, details, value in _entries(type_, named, ""):
+            _check_order(place, details, value, where)
         for place, columns, lengths in _columns(type_, named, ""):
             _check_lengths(place, columns, lengths, where)
         _check_kinds(type_, named, where)
@@ -276,20 +278,20 @@ def check(
 
 
 def _entries(type_: type[Any], named: Mapping[str, Any], place: str) -> Iterator[tuple[str, About, Any]]:
-    """Each value that a table names, those of tables within too, with its place."""
+    """Yield each value of a table and its inner tables, as (path, description of the field, value)."""
     for item in fields(type_):
         if item.name not in named:
             continue
-        known, here = about(item), f"{place}{item.name}"
-        yield here, known, named[item.name]
-        if known.table is not None:
-            yield from _entries(known.table, named[item.name], f"{here}.")
+        details, here = about(item), f"{place}{item.name}"
+        yield here, details, named[item.name]
+        if details.table is not None:
+            yield from _entries(details.table, named[item.name], f"{here}.")
 
 
 def _columns(
     type_: type[Any], named: Mapping[str, Any], place: str
 ) -> Iterator[tuple[str, tuple[str, ...], dict[str, int]]]:
-    """Lists that must be of one length, by their names, with the place of their table."""
+    """Yield the lists that must have the same length: path of their table, their names, and their lengths by name."""
     columns = getattr(type_, "COLUMNS", ())
     yield place, columns, {name: len(named[name]) for name in columns if name in named}
     for item in fields(type_):
@@ -298,16 +300,16 @@ def _columns(
             yield from _columns(inner, named[item.name], f"{place}{item.name}.")
 
 
-def _check_order(place: str, known: About, value: Any, where: str) -> None:
-    if not known.order or not isinstance(value, list):
+def _check_order(place: str, details: About, value: Any, where: str) -> None:
+    if not details.order or not isinstance(value, list):
         return
     steps = list(zip(value, value[1:], strict=False))
-    if known.order == "pair" and value[0] > value[1]:
-        raise InputError(f"{place}: the lower end comes first", where=where, found=str(value))
-    if known.order == "rising" and any(after < before for before, after in steps):
+    if details.order == "pair" and value[0] > value[1]:
+        raise InputError(f"{place}: expected the lower end first", where=where, found=str(value))
+    if details.order == "rising" and any(after < before for before, after in steps):
         raise InputError(f"{place}: expected rising values", where=where, found=str(value))
-    if known.order == "strictly rising" and any(after <= before for before, after in steps):
-        raise InputError(f"{place}: expected rising values, none twice", where=where, found=str(value))
+    if details.order == "strictly rising" and any(after <= before for before, after in steps):
+        raise InputError(f"{place}: expected strictly rising values", where=where, found=str(value))
 
 
 def _check_lengths(place: str, columns: tuple[str, ...], lengths: Mapping[str, int], where: str) -> None:
@@ -324,45 +326,47 @@ def _check_lengths(place: str, columns: tuple[str, ...], lengths: Mapping[str, i
 
 
 def _check_kinds(type_: type[Any], named: Mapping[str, Any], where: str) -> None:
-    """What the kind of a scene or a motion is made of is there, and nothing that it cannot have."""
-    asked = list(_asked(type_, named, "", ""))
-    needed = {place: kind for place, kind, known, _ in asked if kind in known.needed_in}
-    for place, kind, known, is_named in asked:
+    """Raise InputError if a key that the kind of scene or motion requires is missing, or it has one of another kind."""
+    every_field = list(_every_field(type_, named, "", ""))
+    needed = {place: kind for place, kind, details, _ in every_field if kind in details.needed_in}
+    for place, kind, details, is_named in every_field:
         if place in needed and not is_named:
             expected = ", ".join(needed)
             raise InputError(f"{place} is missing", where=where, expected=expected, found=f"kind {kind}")
-        if is_named and known.only_in and kind not in known.only_in:
-            expected = f"kind {', '.join(known.only_in)}"
+        if is_named and details.only_in and kind not in details.only_in:
+            expected = f"kind {', '.join(details.only_in)}"
             of_what = "motion" if place.startswith("motion.") else "scene"
             message = f"{place} is for another kind of {of_what}"
             raise InputError(message, where=where, expected=expected, found=f"kind {kind}")
 
 
-def _asked(
+def _every_field(
     type_: type[Any], named: Mapping[str, Any] | None, place: str, kind: str
 ) -> Iterator[tuple[str, str, About, bool]]:
-    """All fields, of tables that are not there too: place, kind that counts there, what is known, whether named."""
+    """Yield all fields, also of missing tables: path, kind that applies, description, whether the table has it."""
     kind = (named or {}).get("kind", kind)
     for item in fields(type_):
-        known, here = about(item), f"{place}{item.name}"
+        details, here = about(item), f"{place}{item.name}"
         is_named = named is not None and item.name in named
-        yield here, kind, known, is_named
-        if known.table is not None:
+        yield here, kind, details, is_named
+        if details.table is not None:
             inner = named[item.name] if named is not None and is_named else None
-            yield from _asked(known.table, inner, f"{here}.", kind)
+            yield from _every_field(details.table, inner, f"{here}.", kind)
 
 
 def check_rules(named: Mapping[str, Any], where: str, rules: Mapping[str, Any], if_missing: str = "") -> None:
-    """InputError in words for what a schema does not allow; if_missing: what to try where a key is missing."""
+    """Raise a readable InputError if a table violates a schema; if_missing: hint for a missing key."""
     import jsonschema
 
     errors = list(jsonschema.Draft202012Validator(rules).iter_errors(named))
-    misspelt = [error for error in errors if error.validator == "additionalProperties"]  # also why another is missing
+    misspelt = [
+        error for error in errors if error.validator == "additionalProperties"
+    ]  # first: a misspelt key is also why another is missing
     error = (misspelt or sorted(errors, key=lambda error: list(map(str, error.absolute_path))) or [None])[0]
     if error is None:
         return
     schema = error.schema
-    if error.validator == "anyOf":  # a number, or a range: what is wrong with the one that was meant
+    if error.validator == "anyOf":  # a number or a range: report the error of the form that the user chose
         meant = 1 if isinstance(error.instance, list) else 0
         error = next(one for one in error.context if one.schema_path[0] == meant)
         schema = {"description": schema["description"], **error.schema}
@@ -392,7 +396,7 @@ def check_rules(named: Mapping[str, Any], where: str, rules: Mapping[str, Any], 
         low, high = schema["minItems"], schema["maxItems"]
         count = f"{low}" if low == high else f"{low} to {high:,}"
         raise InputError(
-            f"{place}: a list of another length",
+            f"{place}: wrong number of entries",
             where=where,
             expected=f"{count} entries{_of_what(schema)}",
             found=f"{len(error.instance):,} entries",
@@ -409,12 +413,12 @@ def check_rules(named: Mapping[str, Any], where: str, rules: Mapping[str, Any], 
         raise InputError(f"{place}: unknown value", where=where, expected=", ".join(names), found=given, hint=hint)
     expected = str(schema.get("const", schema.get("pattern", ""))) or _alternatives(schema)
     raise InputError(
-        f"{place or 'the table'}: not a possible value", where=where, expected=expected + _of_what(schema), found=given
+        f"{place or 'the table'}: invalid value", where=where, expected=expected + _of_what(schema), found=given
     )
 
 
 def _alternatives(schema: Mapping[str, Any]) -> str:
-    """What a schema of several wants, in words, as far as it has any."""
+    """Describe a schema of several alternatives, if it has any."""
     if schema.get("uniqueItems"):
         return "each entry once"
     if "minProperties" in schema:

@@ -52,7 +52,7 @@ def test_generator_decides() -> None:
 def test_nonsense_is_refused() -> None:
     """Assert that dots nowhere, a radius of nothing and a camera without time or light are refused."""
     rng = np.random.default_rng(0)
-    with pytest.raises(ValueError, match="finite places"):
+    with pytest.raises(ValueError, match="finite positions"):
         frame(SILENT, [[np.nan, 0]], RADIUS_PX, rng)
     with pytest.raises(ValueError, match="radius"):
         frame(SILENT, [[0, 0]], 0.0, rng)

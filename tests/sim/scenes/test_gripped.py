@@ -124,7 +124,7 @@ def test_scene_of_the_wrong_kind_is_refused() -> None:
     with pytest.raises(SceneError, match="another command"):
         first_plan("lift", kinds=("ramp",))
     with pytest.raises(
-        SceneError, match=r"virtual devices do not show this scene(.|\n)*record --scene press simulates"
+        SceneError, match=r"virtual devices cannot show this scene(.|\n)*record --scene press simulates"
     ):
         first_plan("press", kinds=("ramp", "hold"))
 
@@ -249,7 +249,7 @@ def test_pushes_and_grip_of_the_data_rate_scene() -> None:
 def test_a_grip_too_weak_for_its_object_is_refused() -> None:
     """Assert that a predefined force below that at which the object slides is refused with both forces."""
     weak = merge(first_plan("data-rate"), {"gripper": {"start_n": 0.5}})
-    with pytest.raises(ValueError, match=r"gripper.start_n: 0.5 N do not hold what slides below [0-9.]+ N"):
+    with pytest.raises(ValueError, match=r"gripper.start_n: 0.5 N cannot hold an object that slips below [0-9.]+ N"):
         grasp_of(weak)
 
 

@@ -114,12 +114,14 @@ def test_it_is_a_part_of_a_scene() -> None:
     def row(planned: Plan) -> dict[str, Any]:
         return next(row for row in rows_of(planned) if row["part"] == PART)
 
-    assert row(with_exponent(0.0))["left_out"] == "grows in proportion"
-    assert row(quiet_plan("slip", {"randomise": {"pressure_exponent": 0.0}}))["left_out"] == "grows in proportion"
-    assert row(first_plan("slip"))["built"] == "as pressure to the power 0.33"
-    assert row(with_exponent(0.75))["built"] == "as pressure to the power 0.25"
+    assert row(with_exponent(0.0))["left_out"] == "friction grows in proportion"
+    assert (
+        row(quiet_plan("slip", {"randomise": {"pressure_exponent": 0.0}}))["left_out"] == "friction grows in proportion"
+    )
+    assert row(first_plan("slip"))["built"] == "grows as pressure to the power 0.33"
+    assert row(with_exponent(0.75))["built"] == "grows as pressure to the power 0.25"
     assert row(quiet_plan("slip", {"randomise": {"pressure_exponent": [0.5, 1.0]}}))["built"] == (
-        "as pressure to the power 0 to 0.5"
+        "grows as pressure to the power 0 to 0.5"
     )
     face = first_plan("shear")
     face = replace(face, sensor=replace(face.sensor, friction=GelFriction(pressure_exponent=0.67)))

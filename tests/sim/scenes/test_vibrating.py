@@ -218,7 +218,7 @@ def test_the_scene_is_felt_at_few_events(hz: int, tmp_path: Path) -> None:
         ({"frequency_hz": []}, "frequency_hz"),
         ({"at_hz": [100, 100, 300, 400, 498]}, "rising"),
         ({"modulation_most": [0.3]}, "lists of different lengths"),
-        ({"second_harmonic_least": [0.9] * 5}, "above its most"),
+        ({"second_harmonic_least": [0.9] * 5}, "above second_harmonic_most"),
         ({"tangential_share": [0.6, 0.2]}, "lower end"),
         ({"volume": 11}, "volume"),
     ],

@@ -78,8 +78,8 @@ WRONG: list[tuple[dict[str, Any], str]] = [
     ({"static_friction": 6}, "static_friction: out of range"),
     ({"kinetic_share": 1.2}, "kinetic_share: out of range"),
     ({"tilt_deg": 45}, "tilt_deg: out of range"),
-    ({"name": "Can 1"}, "name: not a possible value"),
-    ({"name": "8"}, "name: not a possible value"),
+    ({"name": "Can 1"}, "name: invalid value"),
+    ({"name": "8"}, "name: invalid value"),
     ({"static_friction": float("nan")}, "static_friction: not a finite number"),
 ]
 
@@ -109,7 +109,7 @@ def test_objects_are_listed_together(tmp_path: Path) -> None:
     """Assert that files and numbers may be mixed, that a name comes once, and that what is no list says so."""
     can, box = written(tmp_path), written(tmp_path, "box", name="box", shape="flat")
     assert list(named_objects(f"8,{can},{box},1-2")) == [8, "own-object", "box", 1, 2]
-    with pytest.raises(InputError, match="two objects of one name(.|\n)*`name` of its own"):
+    with pytest.raises(InputError, match="two objects have the same name(.|\n)*different `name`"):
         named_objects(f"{can},{can}")
     for text in ("can", "own-object", "can.tom", ""):
         with pytest.raises(InputError, match=r"not a list of objects(.|\n)*can\.toml"):

@@ -263,11 +263,11 @@ def test_a_range_of_another_name_has_the_same_values() -> None:
 @pytest.mark.parametrize(
     ("entry", "says"),
     [
-        ({"uniform": [0, 1]}, r"gripper\.mass_kg: a range needs a random stream of its own"),
-        ({"uniform": [0, 1], "stream": 1.5}, r"gripper\.mass_kg: a range needs a random stream of its own"),
-        ({"uniform": [0, 1], "stream": -1}, r"gripper\.mass_kg: a range needs a random stream of its own"),
-        ({"uniform": [0, 1], "stream": True}, r"gripper\.mass_kg: a range needs a random stream of its own"),
-        ({"uniform": [0, 1], "stream": 5}, r"gripper\.mass_kg: the same random stream as threshold"),
+        ({"uniform": [0, 1]}, r"gripper\.mass_kg: a range needs its own random stream"),
+        ({"uniform": [0, 1], "stream": 1.5}, r"gripper\.mass_kg: a range needs its own random stream"),
+        ({"uniform": [0, 1], "stream": -1}, r"gripper\.mass_kg: a range needs its own random stream"),
+        ({"uniform": [0, 1], "stream": True}, r"gripper\.mass_kg: a range needs its own random stream"),
+        ({"uniform": [0, 1], "stream": 5}, r"gripper\.mass_kg: has the same random stream as threshold"),
         ({"unifrom": [0, 1], "stream": 6}, r"gripper\.mass_kg: not a range"),
         ({"uniform": [0, 1], "whole": [0, 1], "stream": 6}, r"gripper\.mass_kg: not a range"),
     ],
@@ -304,7 +304,7 @@ def test_a_list_may_hold_ranges() -> None:
     assert 0.0 <= creep.share[0] <= 0.1
     assert creep.share[1] == 0.02
     ranges["creep"]["share"][1] = {"uniform": [0.0, 0.1], "stream": 5}
-    with pytest.raises(InputError, match=r"creep\.share\[1\]: the same random stream as creep\.share\[0\]"):
+    with pytest.raises(InputError, match=r"creep\.share\[1\]: has the same random stream as creep\.share\[0\]"):
         sampling.sample_sensor(ranges, random(3))
 
 

@@ -265,11 +265,11 @@ def test_optional_parts_that_are_wrong(group: str, keys: dict[str, Any], says: s
         ("gripper", {"start_factor": [2.0, 3.0]}, "gripper.start_factor has no effect"),
         ("gripper", {"start_n": 20.0}, "gripper.start_n has no effect with gripper.current"),
         ("gripper", {"open_s": 30.0}, "gripper.open_s has no effect with gripper.current"),
-        ("gripper", {"current": {"at_s": [0.0, 0.0], "ma": [1.0, 2.0]}}, "expected rising values, none twice"),
+        ("gripper", {"current": {"at_s": [0.0, 0.0], "ma": [1.0, 2.0]}}, "expected strictly rising values"),
         ("gripper", {"current": {"at_s": [0.0, 1.0], "ma": [1.0]}}, "lists of different lengths"),
-        ("time", {"longest_s": 35.0}, "after the scene ends"),
-        ("square", {"from_s": 12.0}, "square: not within the current"),
-        ("square", {"to_s": 36.0}, "square: not within the current"),
+        ("time", {"longest_s": 35.0}, "after the end of the scene"),
+        ("square", {"from_s": 12.0}, "square: not within the times"),
+        ("square", {"to_s": 36.0}, "square: not within the times"),
     ],
 )
 def test_a_gripper_current_that_is_wrong(group: str, keys: dict[str, Any], says: str, tmp_path: Path) -> None:
@@ -289,7 +289,7 @@ def test_a_gripper_current_that_is_wrong(group: str, keys: dict[str, Any], says:
         ({"ramp_s": 13.0}, "gripper.ramp_s has no effect with gripper.open_s"),
         (
             {"open_s": 5.0},
-            "gripper.open_s: before it has gripped\n.*expected: after gripper.grip_s, 5 s\n.*found: +5 s",
+            "gripper.open_s: before the gripper has gripped\n.*expected: after gripper.grip_s, 5 s\n.*found: +5 s",
         ),
         ({"start_n": 0.0}, "gripper.start_n"),
     ],

@@ -58,10 +58,10 @@ def test_places_of_dots_stand_for_a_grid_and_a_grid_for_places() -> None:
 @pytest.mark.parametrize(
     ("named", "says"),
     [
-        ({"one": {"like": "evtac"}}, "one: like no other sensor"),
-        ({"one": {"like": "one"}}, "one: like no other sensor"),
-        ({"one": {"like": "two"}, "two": {"like": "one"}}, "two: like no other sensor"),
-        ({"one": {"like": 3}}, "one: like no other sensor"),
+        ({"one": {"like": "evtac"}}, "one: `like` names no other sensor"),
+        ({"one": {"like": "one"}}, "one: `like` names no other sensor"),
+        ({"one": {"like": "two"}, "two": {"like": "one"}}, "two: `like` names no other sensor"),
+        ({"one": {"like": 3}}, "one: `like` names no other sensor"),
     ],
 )
 def test_a_row_that_is_like_none(named: dict[str, Any], says: str) -> None:

@@ -112,8 +112,8 @@ def test_nothing_is_told_where_nothing_rests(resting: Path, tmp_path: Path) -> N
     [
         ({"like": "evtac"}, "did you mean evetac"),
         ({"like": "randomized"}, "not the name of one sensor"),
-        ({"name": "Mine!"}, "not the name of a sensor"),
-        ({"name": "evetac"}, "comes with evetac"),
+        ({"name": "Mine!"}, "not a valid sensor name"),
+        ({"name": "evetac"}, "evetac already has a sensor"),
     ],
 )
 def test_what_is_wrong_is_said(given: dict[str, str], says: str, tmp_path: Path) -> None:

@@ -1,1 +1,1 @@
-"""An event camera without scans, every event at the time of its crossing: the measure of the scanning one."""
+"""An event camera without scans, with every event at the time of its crossing: the reference for the scanning one."""

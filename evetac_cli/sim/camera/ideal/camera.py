@@ -1,17 +1,17 @@
-"""An ideal event camera: every pixel fires at the very time at which its log brightness has changed by its threshold.
+"""An ideal event camera: every pixel fires at the exact time at which its log brightness has changed by its threshold.
 
-What it is for: `--readout ideal`, a camera whose times are right to the microsecond; and `evaluate cost camera`, which
-says by it what the scans of the other one lose. Here a pixel fires as often as its level passes a threshold, several
-times a slice if need be, and an event's time is that of the crossing, rounded down to a microsecond.
+It has two uses. `--readout ideal` selects this camera, whose times are correct to the microsecond. `evaluate cost
+camera` uses it to measure the loss from the scans of the other camera. Here a pixel fires each time its level crosses a
+threshold, several times per slice if necessary. An event's time is that of the crossing, rounded down to a microsecond.
 
-What it shares with the scanning camera (scanning/camera.py): `CameraModel`, `CameraState` with what `start` draws, the
-noise and the filter against it, which are that camera's own; what moves in a slice (camera_input), optics, rings of
-dots, contact edges, keys of events, and the drift of leak, which are one level up. What it has of its own: no scan
-compares pixels here, the crossings are solved, those of the gel in dots, of the window in window, of pixels under
-moving lines in lines. Leak visits a row in 40 ms, too, so an event of leak comes late by up to that.
+Shared with the scanning camera (scanning/camera.py): `CameraModel`, `CameraState` with the values that `start` draws,
+the noise and the noise filter. Shared modules one level up: motion in a slice (camera_input), optics, rings of dots,
+contact edges, event keys, and the drift of leak. Different: no scan compares pixels here; the crossings are solved,
+those of the gel in dots, of the window in window, and of pixels under moving lines in lines. Leak also visits each row
+once in 40 ms, so a leak event is late by up to that time.
 
-Left out: bandwidth (a low pass has no closed form for the crossing), light that changes, a limit of the readout,
-thresholds of ON and OFF that are apart, dots that differ, and what the scanning camera leaves out.
+Not simulated: bandwidth (a low pass has no closed form for the crossing), changing light, a limit of the readout,
+separate thresholds of ON and OFF, and dots that differ. Everything that the scanning camera leaves out is also missing.
 """
 
 from dataclasses import dataclass
@@ -35,15 +35,16 @@ from evetac_cli.sim.camera.scanning.camera import CameraModel, CameraState
 
 @dataclass
 class IdealState:
-    """What an ideal camera remembers from slice to slice; `step` changes it in place.
+    """State of an ideal camera from slice to slice; `step` changes it in place.
 
-    `shared` has what both cameras have; its references, also those of the window, are NaN while a pixel is refractory.
-    `lower2_px2` and `upper2_px2` are the squares of a pixel's two radii, -1 and infinity where there is none; single
-    precision keeps a radius to 1e-6 px. A pixel whose reference has been changed by a line has infinity for the
-    first: its radii are found anew when a dot comes near. `level_index` helps to find them. `solved_in` is the last
-    slice in which a pixel near several dots or under a line was solved, so that it is solved once. `*release_us`
-    is the time at which a refractory pixel sees again; without a refractory time both are empty. `line_step_px` is how
-    far lines move in a sub-step.
+    `shared` is the state that both cameras have; references, also those of the window, are NaN while a pixel is
+    refractory. `lower2_px2` and `upper2_px2` are the squares of a pixel's two radii, -1 and infinity if there is none;
+    single precision resolves a radius to 1e-6 px. A pixel whose reference was changed by a line has infinity as the
+    first: its radii are computed again when a dot comes near. `level_index` speeds up that computation.
+
+    `solved_in` is the last slice in which a pixel near several dots or under a line was solved, so that it is solved
+    only once. `*release_us` is the time at which a refractory pixel sees again; without a refractory period both are
+    empty. `line_step_px` is the motion of lines per sub-step.
     """
 
     shared: CameraState
@@ -58,7 +59,7 @@ class IdealState:
 
     @property
     def dropped(self) -> int:
-        """Events lost so far because a slice was full."""
+        """Return the number of events lost so far because a slice was full."""
         return self.shared.dropped
 
 
@@ -72,7 +73,7 @@ def start(
     contact_edges: ContactEdges | None = None,
     line_step_px: float = LINE_STEP_PX,
 ) -> IdealState:
-    """Switch the camera on; arguments, draws and errors are those of the scanning camera's `start`.
+    """Start the camera; arguments, random draws and errors are those of the scanning camera's `start`.
 
     Equal generators give both cameras the same thresholds, phases and hot pixels.
     """
@@ -81,10 +82,10 @@ def start(
 
 
 def from_references(shared: CameraState, line_step_px: float = LINE_STEP_PX) -> IdealState:
-    """An ideal camera that goes on from the references in `shared`, which it owns from now on; ValueError on NaN.
+    """Return an ideal camera that continues from the references in `shared`, which it owns afterwards.
 
-    Also on what only the scanning camera has: thresholds of ON and OFF that are apart, a limit of its readout, dots
-    that are not alike.
+    ValueError for NaN references, and for features of the scanning camera only: separate thresholds of ON and OFF, a
+    limit of the readout, dots that differ.
     """
     if len(shared.shapes.inner_px):
         raise ValueError("dots that differ: expected none with an ideal camera, found some")
@@ -114,11 +115,11 @@ def from_references(shared: CameraState, line_step_px: float = LINE_STEP_PX) -> 
 
 
 def step(state: IdealState, motion: SliceMotion, t0_us: int, rng: np.random.Generator) -> Events:
-    """The events of one millisecond, sorted by time, t0_us <= t < t0_us + 1000.
+    """Return the events of one millisecond, sorted by time, t0_us <= t < t0_us + 1000.
 
-    What lies elsewhere than at the end of the last slice, or has another contrast, has jumped there at t0_us.
-    ValueError on values that are not finite, farther than 1e6 px, of another shape than at `start`, or a path with
-    other ends; the state is then as before.
+    Anything that is not where the last slice ended, or has another contrast, has jumped at t0_us. ValueError if values
+    are not finite, further than 1e6 px, or of another shape than at `start`, or if a path has other ends; the state is
+    then unchanged.
     """
     shared = state.shared
     path, object_motion = camera_input.motions(len(shared.seen_dot_xy_px), motion)
@@ -169,7 +170,7 @@ def step(state: IdealState, motion: SliceMotion, t0_us: int, rng: np.random.Gene
 
 
 def _leak(state: IdealState, times: SliceTimes, made: int) -> int:
-    """Let leak lower the references of the rows whose turn it is; returns the number of events so far."""
+    """Let leak lower the references of the rows that are due; return the number of events so far."""
     shared = state.shared
     drift = leak.drift(shared.model.leak_hz)
     first_row = state.slices % leak.LEAK_SLICES

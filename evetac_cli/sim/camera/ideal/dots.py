@@ -1,15 +1,15 @@
 """The ideal camera's gel: the times at which moving dots take a pixel's level past its threshold, solved.
 
-A pixel's level depends only on its distance rho to the nearest dot, so its reference +- threshold are two radii: it
-gets darker when rho falls below `lower` and brighter when rho exceeds `upper`. On a straight piece of a dot's path rho
-meets a radius at the root of a quadratic. What is not straight the caller cuts into pieces: the time error falls with
-the square of their number.
+A pixel's level depends only on its distance rho to the nearest dot, so reference +- threshold correspond to two radii.
+The pixel gets darker when rho falls below `lower` and brighter when rho exceeds `upper`. On a straight piece of a dot's
+path, rho reaches a radius at the root of a quadratic. The caller divides curved paths into pieces: the time error falls
+with the square of their number.
 
-Few pixels are solved (why so: 63 dots have 22,000 ring pixels, and make 800 events in a millisecond of shear):
-- the box of a dot's path within the slice bounds rho from both sides; while both bounds stay between the two radii the
-  pixel cannot fire and costs a comparison. Unlike a bound on path length alone this knows the direction of motion, and
-  a dot that shakes to and fro does not use it up;
-- a pixel that may fire has a slack, rho's distance to the nearer radius, and jumps along the dot's cumulative path
+Few pixels are solved, because 63 dots have 22,000 ring pixels but cause 800 events in a millisecond of shear:
+- The box of a dot's path within the slice bounds rho from both sides. While both bounds stay between the two radii the
+  pixel cannot fire and costs one comparison. Unlike a bound on path length, this takes the direction of motion into
+  account, and a dot that vibrates does not use it up.
+- A pixel that may fire has a slack, rho's distance to the nearer radius. It jumps along the dot's cumulative path
   length to the first piece in which the slack can be used up.
 """
 
@@ -50,10 +50,10 @@ def find_all_radii(
 def solve_dots(
     path: NDArray[np.float64], gel: IdealGelPixels, times: SliceTimes, keys: NDArray[np.int64], made: int
 ) -> int:
-    """Solve the pixels that may fire in the rings of dots that move; returns the number of events, stored or not.
+    """Solve the pixels that may fire in the rings of moving dots; return the number of events, stored or not.
 
     Dots move along paths (dots, k + 1, 2). The rings of a slice are all pixels that are ever between the profile's
-    inner and outer radius from a dot on its path. The others have one and the same level throughout.
+    inner and outer radius from a dot on its path. All other pixels keep the same level.
     """
     seen_xy, (inner, outer, steps_per_px, profile), index = gel.seen_dot_xy_px, gel.profile, gel.level_index
     reference, threshold, lower2, upper2 = gel.reference, gel.threshold, gel.lower2_px2, gel.upper2_px2
@@ -91,7 +91,7 @@ def solve_dots(
                     if near == 1:
                         if nearest2 >= lower2[y, x] and farthest2 <= upper2[y, x]:
                             continue
-                        if solved_in[y, x] == this_slice:  # with the lines
+                        if solved_in[y, x] == this_slice:  # already solved with the lines
                             continue
                     else:
                         if solved_in[y, x] == this_slice:
@@ -127,7 +127,7 @@ def solve_dots(
 
 @njit(cache=True)
 def _travel(near_path: NDArray[np.float64], travelled: NDArray[np.float64]) -> None:
-    """Path length up to each vertex, in every piece that of the fastest dot: a pixel's rho changes by no more."""
+    """Fill in the path length to each vertex, always that of the fastest dot: a pixel's rho changes by no more."""
     near, vertices, _ = near_path.shape
     travelled[0] = 0.0
     for vertex in range(1, vertices):
@@ -158,9 +158,9 @@ def _solve_pixels(
     keys: NDArray[np.int64],
     made: int,
 ) -> int:
-    """All crossings of some pixels within the slice; returns the number of events so far.
+    """Solve all crossings of some pixels within the slice; return the number of events so far.
 
-    A pixel stands at `vertex` + `part` of the path; nothing is left to report before it.
+    A pixel is solved up to `vertex` + `part` of the path.
     """
     width = reference.shape[1]
     pieces = len(travelled) - 1
@@ -177,7 +177,7 @@ def _solve_pixels(
         if darker_below2 == np.inf and not blind:
             darker_below2 = optics.squared_radius(level - step, inner, steps_per_px, profile, index)
             brighter_above2 = optics.squared_radius(level + step, inner, steps_per_px, profile, index)
-        # Released before the slice, it has seen no change since: the pixels that may are visited in every slice.
+        # Released before the slice: it has seen no change since, because pixels that may fire are visited every slice.
         blind_until_us = max(0.0, release_us[y, x] - t0_us) if blind else 0.0
         while True:
             if blind:
@@ -192,7 +192,7 @@ def _solve_pixels(
                 blind = False
             rho2 = _distance2(x, y, near_path, vertex, part)
             if rho2 < darker_below2 or rho2 > brighter_above2:
-                # It jumped between slices, or lies on a radius but for rounding.
+                # It jumped between slices, or is on a radius except for rounding.
                 brighter = rho2 > brighter_above2
             else:
                 if part == 0.0:
@@ -225,14 +225,14 @@ def _solve_pixels(
                 darker_below2 = optics.squared_radius(level - step, inner, steps_per_px, profile, index)
                 brighter_above2 = optics.squared_radius(level + step, inner, steps_per_px, profile, index)
         reference[y, x] = np.nan if blind else level
-        lower2[y, x] = np.inf if blind else darker_below2  # infinite: solved at every visit
+        lower2[y, x] = np.inf if blind else darker_below2  # infinity: solved at every visit
         upper2[y, x] = brighter_above2
     return made
 
 
 @njit(cache=True)
 def _distance2(x: int, y: int, near_path: NDArray[np.float64], vertex: int, part: float) -> float:
-    """Squared distance of a pixel to the nearest dot at a point of the path."""
+    """Return the squared distance of a pixel to the nearest dot at a point of the path."""
     least2 = np.inf
     for dot in range(len(near_path)):
         across = x - near_path[dot, vertex, 0]
@@ -246,7 +246,7 @@ def _distance2(x: int, y: int, near_path: NDArray[np.float64], vertex: int, part
 
 @njit(cache=True)
 def _last_within(travelled: NDArray[np.float64], vertex: int, slack: float) -> int:
-    """The last vertex up to which no more than `slack` is travelled: gallop, then bisect."""
+    """Return the last vertex up to which at most `slack` is travelled: by galloping, then bisection."""
     last = len(travelled) - 1
     limit = travelled[vertex] + slack
     within = vertex
@@ -268,7 +268,7 @@ def _last_within(travelled: NDArray[np.float64], vertex: int, slack: float) -> i
 def _within_circle(
     x: int, y: int, near_path: NDArray[np.float64], dot: int, vertex: int, radius2: float
 ) -> tuple[float, float]:
-    """From which to which part of a piece a dot is within a radius of the pixel; (inf, inf) if never."""
+    """Return the parts of a piece between which a dot is within a radius of the pixel; (inf, inf) if never."""
     velocity_x = near_path[dot, vertex + 1, 0] - near_path[dot, vertex, 0]
     velocity_y = near_path[dot, vertex + 1, 1] - near_path[dot, vertex, 1]
     across = x - near_path[dot, vertex, 0]
@@ -282,7 +282,7 @@ def _within_circle(
     if discriminant < 0.0:
         return np.inf, np.inf
     root = math.sqrt(discriminant)
-    # The root that does not cancel first, the other from their product.
+    # First the root without cancellation, then the other root from their product.
     if approach > 0.0:
         later = (approach + root) / speed2
         return beyond2 / (approach + root), later
@@ -293,7 +293,7 @@ def _within_circle(
 
 @njit(cache=True)
 def _first_inside(x: int, y: int, near_path: NDArray[np.float64], vertex: int, part: float, radius2: float) -> float:
-    """Part of the piece, from `part` on, at which the first dot comes within a radius; inf if none."""
+    """Return the part of the piece, at or after `part`, at which the first dot comes within a radius; inf if none."""
     first = np.inf
     if radius2 > 0.0:
         for dot in range(len(near_path)):
@@ -305,7 +305,7 @@ def _first_inside(x: int, y: int, near_path: NDArray[np.float64], vertex: int, p
 
 @njit(cache=True)
 def _first_outside(x: int, y: int, near_path: NDArray[np.float64], vertex: int, part: float, radius2: float) -> float:
-    """Part of the piece, from `part` on, from which no dot is within a radius; inf if that lies beyond its end."""
+    """Return the part of the piece, at or after `part`, at which no dot is within a radius; inf if after its end."""
     if radius2 == np.inf:
         return np.inf
     outside = part

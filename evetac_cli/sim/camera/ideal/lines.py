@@ -1,8 +1,8 @@
-"""The ideal camera under moving lines (see contact_edges): crossings of the gel's pixels that they may touch.
+"""The ideal camera under moving lines (see contact_edges): crossings of the gel pixels that lines may touch.
 
-Lines have no closed form as dots have. A slice in which they move is cut into sub-steps, in which they move by at most
-so many px; the level of a gel pixel that they may touch, dots included, is linear in a sub-step, that of a window pixel
-a parabola (see window). The error of a time falls with the square of the step.
+Unlike dots, lines have no closed form. A slice in which they move is divided into sub-steps, in which they move by a
+limited number of px. In a sub-step, the level of a gel pixel that lines may touch, dots included, is linear; that of a
+window pixel is a parabola (see window). The error of a time falls with the square of the step.
 """
 
 import math
@@ -25,15 +25,15 @@ from evetac_cli.sim.camera.contact_edges import (
 from evetac_cli.sim.camera.event_keys import event_key
 from evetac_cli.sim.camera.ideal.pixels import IdealGelPixels, SliceTimes
 
-# An edge 4 px wide at 1 and 3 px/ms: events lie 0.25 us (median) and 0.48 us (p95) from those of steps of 2.5 us,
-# which is what whole microseconds cost. With dots in motion under a line, which are steeper, it is shorter.
+# For an edge 4 px wide at 1 and 3 px/ms, events are 0.25 us (median) and 0.48 us (p95) from those of steps of 2.5 us.
+# That is the error of rounding to whole us. With moving dots, which are steeper, under a line the step is shorter.
 LINE_STEP_PX = 0.25
 DOT_STEP_PX = 0.05
-MOST_LINE_STEPS = 64
+MOST_LINE_STEPS = 64  # most sub-steps in a slice
 
 
 def line_steps(lines: LineMotion, path: NDArray[np.float64], line_step_px: float) -> int:
-    """Into how many sub-steps a slice is cut in which lines move, and dots along paths (dots, k + 1, 2)."""
+    """Return the number of sub-steps of a slice with moving lines, and with dots on paths (dots, k + 1, 2)."""
     start, end = lines.start, lines.end
     travel_px = np.hypot(*(end.corner_px - start.corner_px)) if lines.outline.picture.size else 0.0
     travel_px = max(travel_px, np.abs(end.cut_x_px - start.cut_x_px).max(initial=0.0))
@@ -52,9 +52,9 @@ def solve_line_pixels(
     keys: NDArray[np.int64],
     made: int,
 ) -> tuple[int, int]:
-    """Crossings of gel pixels that lines may touch, row by row, in sub-steps, while dots move along paths.
+    """Solve the crossings of gel pixels that lines may touch, row by row, in sub-steps, while dots move on paths.
 
-    Returns the number of events so far, and of those that lines alone made.
+    Return the number of events so far, and the number of those that only lines caused.
     """
     start, end, outline, _, cut_half, seen_corner, seen_cut_x, _, _ = lines
     lower2, solved_in, reference = gel.lower2_px2, gel.solved_in, gel.reference
@@ -92,7 +92,7 @@ def solve_line_pixels(
             high = max(seen_cut_x[y], start.cut_x_px[y], end.cut_x_px[y])
             if low < high:
                 first, beyond = cut_run(cut_half, width, low, high)
-                if first < runs[1, 1] and runs[0, 0] < beyond:  # they may share pixels: take all between
+                if first < runs[1, 1] and runs[0, 0] < beyond:  # they may share pixels: take all in between
                     first = min(first, runs[0, 0])
                     beyond = max(beyond, runs[1, 1])
                     runs[:2] = 0
@@ -117,7 +117,7 @@ def solve_line_pixels(
 
 @njit(cache=True)
 def _along(path: NDArray[np.float64], steps: int) -> NDArray[np.float64]:
-    """Dots at the ends of equal sub-steps, (steps + 1, dots, 2); a single entry where no dot moves."""
+    """Return dot positions at the ends of equal sub-steps, (steps + 1, dots, 2); a single entry if no dot moves."""
     dots, vertices, _ = path.shape
     moves = False
     for dot in range(dots):
@@ -147,9 +147,9 @@ def _solve_run(
     scratch: NDArray[np.float32],
     made: int,
 ) -> tuple[int, int]:
-    """Crossings of pixels side by side, whose levels are linear in every sub-step; counts as `solve_line_pixels`.
+    """Solve the crossings of pixels side by side, whose levels are linear in every sub-step.
 
-    run: row, first column and the one beyond the last.
+    run: row, first column, and the column after the last. Returns the counts of `solve_line_pixels`.
     """
     start, end, outline, cut_contrast, cut_half, _, _, seen_level, seen_cut_level = moving
     y, first, beyond = run
@@ -193,7 +193,7 @@ def _solve_run(
         fired = 0
         for k in range(count):
             then[k] = dots_then[k] + (lines[k] - lines_seen[k])
-            # NaN, a refractory pixel, counts.
+            # NaN, a refractory pixel, also counts.
             fired += int(not (abs(then[k] - reference[y, first + k]) < threshold[y, first + k]))
             if step == 1:
                 fired += int(not (abs(now[k] - reference[y, first + k]) < threshold[y, first + k]))
@@ -241,7 +241,7 @@ def _solve_linear(
     keys: NDArray[np.int64],
     made: int,
 ) -> int:
-    """Crossings of a pixel whose level goes evenly from `now` to `then`; returns the number of events so far."""
+    """Solve the crossings of a pixel whose level changes linearly from `now` to `then`; return the number of events."""
     level = np.float64(reference[y, x])
     step = np.float64(threshold[y, x])
     part = 0.0

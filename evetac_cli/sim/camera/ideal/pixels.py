@@ -1,6 +1,6 @@
-"""The arrays of the ideal camera, in the groups in which its compiled loops take them.
+"""The arrays of the ideal camera, grouped as its compiled loops take them.
 
-Groups end at the functions that Python calls; what these call takes the arrays one by one (why so: see scanning/dots).
+Groups are used only in the functions that Python calls; the functions below take single arrays (see scanning/dots).
 """
 
 from typing import NamedTuple
@@ -12,7 +12,7 @@ from evetac_cli.sim.camera.optics import DotProfile
 
 
 class IdealGelPixels(NamedTuple):
-    """The gel: where its dots were last (dots, 2), how a dot looks, and its pixels, (height, width) each.
+    """The gel: the last positions of its dots (dots, 2), a dot's profile, and its pixels, (height, width) each.
 
     See `IdealState` for `level_index` to `release_us`.
     """
@@ -32,7 +32,7 @@ class IdealWindowPixels(NamedTuple):
     """The window: its first pixel in the frame, the texture that slides by, and its pixels, (rows, columns) each.
 
     `seen_object` is the object's last x, y in px and the texture's last contrast, NaN before the first slice; `level`
-    is the texture's level there.
+    is the texture's level at that position.
     """
 
     first_x: int
@@ -46,7 +46,7 @@ class IdealWindowPixels(NamedTuple):
 
 
 class SliceTimes(NamedTuple):
-    """A slice: its number, when it starts, and how long a pixel is blind after an event."""
+    """A slice: its number, its start, and the refractory period of a pixel."""
 
     number: int
     t0_us: int

@@ -1,8 +1,8 @@
 """The ideal camera's window: the times at which a sliding texture takes a pixel's level past its threshold, solved.
 
-The texture is bilinear, so along a straight path a pixel's level is a quadratic in time until the object has moved on
-by a whole texel, which happens to all pixels at once. The slice is cut there; each part is solved exactly. Lines that
-move over the window (see contact_edges) cut it into as many more parts as sub-steps are asked for.
+The texture is bilinear, so along a straight path a pixel's level is a quadratic in time until the object has moved to
+the next texel, which happens to all pixels at once. The slice is divided there, and each part is solved exactly. Lines
+that move over the window (see contact_edges) divide it into further parts, one per sub-step.
 """
 
 import math
@@ -18,9 +18,9 @@ from evetac_cli.sim.camera.contact_edges import EdgePlace, LineMotion, Outline, 
 from evetac_cli.sim.camera.event_keys import event_key
 from evetac_cli.sim.camera.ideal.pixels import IdealWindowPixels, SliceTimes
 
-# An object faster than this many texels a slice (8 m/s) is sampled at as many equal parts instead of at each texel.
+# An object faster than this many texels per slice (8 m/s) is sampled at this many equal parts, not at each texel.
 MOST_TEXELS = 256
-# The lines of `solve_window` where none moves.
+# The `lines` of `solve_window` if no line moves.
 NO_LINES = LineMotion(
     EdgePlace(np.zeros(2), 0.0, np.zeros(0)),
     EdgePlace(np.zeros(2), 0.0, np.zeros(0)),
@@ -44,11 +44,11 @@ def solve_window(
     keys: NDArray[np.int64],
     made: int,
 ) -> int:
-    """Crossings of the window's pixels; returns the number of events so far.
+    """Solve the crossings of the window's pixels; return the number of events so far.
 
     Within a part of the slice in which the object stays between whole texels, a level is the parabola through its
-    values at start, middle and end. The window's `level` is left with the texture's at the end. `lines` come on top,
-    and cut the slice into `steps` parts; 0 where none moves.
+    values at start, middle and end. The window's `level` is set to the texture's at the end. `lines` are added, and
+    divide the slice into `steps` parts; 0 if no line moves.
     """
     start_xy, end_xy, contrast = motion
     first_x, first_y, seen, texture, level, reference, _, _ = window
@@ -107,7 +107,7 @@ def _add_lines(
     steps: int,
     lines: LineMotion,
 ) -> None:
-    """Add to some pixels what lines have brought since they were last seen, after a part `at` of the slice."""
+    """Add to pixels the changes by lines since they were last seen, at a part `at` of the slice."""
     if steps == 0:
         return
     start, end, outline, cut_contrast, cut_half, _, _, seen_level, seen_cut_level = lines
@@ -130,13 +130,13 @@ def _add_lines(
 
 @njit(cache=True)
 def _next_texel(start_x: float, across: float, start_y: float, down: float, at: float) -> float:
-    """The part of the slice, after `at`, at which the object has next moved to a whole texel; at most 1."""
+    """Return the part of the slice, after `at`, at which the object next reaches a whole texel; at most 1."""
     if abs(across) + abs(down) > MOST_TEXELS:
         return min(at + 1.0 / MOST_TEXELS, 1.0)
     until = 1.0
     for begin, travel in ((start_x, across), (start_y, down)):
         if travel != 0.0:
-            # Beyond `at` by more than rounding, or a part could have no length.
+            # Beyond `at` by more than rounding, because otherwise a part could have no length.
             here = begin + (at + 1e-9) * travel
             texel = math.floor(here) + 1.0 if travel > 0.0 else math.ceil(here) - 1.0
             until = min(until, max((texel - begin) / travel, at + 1e-9))
@@ -152,9 +152,9 @@ def _solve_parabolas(
     keys: NDArray[np.int64],
     made: int,
 ) -> int:
-    """Crossings of levels that run on parabolas through three pictures; returns the number of events so far.
+    """Solve the crossings of levels on parabolas through three images; return the number of events so far.
 
-    The pictures are those at the start, middle and end of the span; with equal times the three are one picture, to
+    The images are those at the start, middle and end of the span. With equal times the three are the same image, to
     which the pixels have jumped.
     """
     now, half_way, then = pictures
@@ -163,8 +163,8 @@ def _solve_parabolas(
     _, t0_us, refractory_us = times
     rows, columns = reference.shape
     for row in range(rows):
-        # Most rows have nothing to report, and counting vectorises. A parabola leaves its chord by a quarter of its
-        # square term, |now - 2 half_way + then| / 2. NaN, a refractory pixel, counts.
+        # Most rows have no event, and counting vectorises. A parabola leaves its chord by a quarter of its square
+        # term, |now - 2 half_way + then| / 2. NaN, a refractory pixel, also counts.
         may_fire = 0
         for column in range(columns):
             bulge = np.float32(0.5) * abs(
@@ -217,9 +217,9 @@ def _solve_parabolas(
 
 @njit(cache=True)
 def _first_root(square: float, slope: float, rest: float, part: float, by_the_end: bool) -> float:
-    """Where square u^2 + slope u + rest, negative at `part`, first gets to 0; inf if it does not up to 1.
+    """Return where square u^2 + slope u + rest, negative at `part`, first reaches 0; infinity if not before 1.
 
-    `by_the_end` says that it is not negative at 1, so that rounding loses no crossing.
+    `by_the_end`: the value is not negative at 1. It prevents rounding from losing a crossing.
     """
     discriminant = slope * slope - 4.0 * square * rest
     first = np.inf

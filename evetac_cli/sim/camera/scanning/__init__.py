@@ -1,1 +1,1 @@
-"""The scanning DVXplorer Mini: all pixels compared five times a millisecond, most of them left out."""
+"""The scanning DVXplorer Mini: all pixels are compared five times per millisecond, but most can be left out."""

@@ -1,22 +1,22 @@
-"""A simulated DVXplorer Mini: the events that moving dots and a sliding texture make, in scans.
+"""A simulated DVXplorer Mini: the events of moving dots and a sliding texture, in scans.
 
 An ideal event camera follows every crossing of the threshold; this one scans. At a fixed rate it holds all pixels at
-once, compares each with the level at its last event, and reads the changed ones out: at most one event a pixel and
-scan, after which the present level is the new reference (5000 scans/s, global hold, no global reset: libcaer's
+once, compares each with the level at its last event, and reads out the changed pixels. A pixel has at most one event
+per scan, after which its present level is the new reference (5000 scans/s, global hold, no global reset: libcaer's
 defaults). Several threshold steps within one scan become one event.
 
-Timing: scan s of a slice holds the picture of its first instant, dots where their path has led them by then, and its
-time stamps run on over the columns, t = scan start + column / width * scan period, rounded down. So an event comes up
-to one scan after the change that made it, never before it, and the motion of the last scan period belongs to the next
+Timing: scan s of a slice holds the image at its start, with the dots where their paths have led by then. Its time
+stamps increase over the columns, t = scan start + column / width * scan period, rounded down. So an event comes up to
+one scan after the change that caused it, never before it, and the motion of the last scan period belongs to the next
 slice.
 
-The events are those of every pixel compared in every scan (but for RESOLUTION_PX), but few pixels are compared: see
-pixel_culling (gel) and window. Lines that are not dots: lines. Leak makes its events up to 40 ms late: leak. Light that
-flickers, steps or flashes: light.
+The events are those of comparing every pixel in every scan (except for RESOLUTION_PX), but few pixels are compared: see
+pixel_culling (gel) and window. For lines that are not dots see lines. Leak events are up to 40 ms late: see leak. For
+light that flickers, steps or flashes see light.
 
-A refractory pixel is blind: its reference follows what it is shown, until its time is over.
+A refractory pixel is blind: its reference follows its level until the refractory period is over.
 
-Left out: bandwidth, dots that grow with the gel under them. Dots beyond the cut are the caller's to leave out.
+Not simulated here: bandwidth, and dots that grow with the gel under them. The caller leaves out dots beyond the cut.
 """
 
 from dataclasses import dataclass, field
@@ -54,22 +54,26 @@ from evetac_cli.sim.camera.scanning.readout import Readout
 from evetac_cli.sim.camera.scanning.window import scan_window
 from evetac_cli.sim.setup.sensor import HotPixelTable
 
-# No pixel's threshold is below this share of the nominal one, however far the mismatch falls.
+# No pixel's threshold is below this share of the nominal threshold, however large the mismatch.
 LOWEST_THRESHOLD = 0.25
 
 
 @dataclass(frozen=True)
 class CameraModel:
-    """The constants of one camera; ValueError where a value is out of range.
+    """The constants of one camera; ValueError if a value is out of range.
 
-    Thresholds are in log brightness, `mismatch` is their relative standard deviation over the pixels. With
-    `threshold_off` those of ON and OFF are apart: each pixel has two, drawn independently. The noise rate
-    is per pixel; every hot pixel has a rate of its own, whose distribution has the evenly spaced quantiles
-    `hot_rate_hz` (two: uniform between them); a `hot_pixel_table` has more of them, at known places. `leak_hz` is the
-    rate a pixel of the events that leak makes; after an event a pixel is held in reset for `refractory_us`, and its
-    next reference is the level at the end of that time. A slice holds at most `max_events`; what is beyond is lost, as
-    on a full bus (the pixels have fired nevertheless), and counted. `events_per_s` limits the readout (see readout);
-    `support_ms` is the time of the host's filter (see noise_filter).
+    Thresholds are in log brightness; `mismatch` is their relative standard deviation over the pixels. `threshold_off`
+    separates the thresholds of ON and OFF: each pixel has two, drawn independently.
+
+    The noise rate is per pixel. Every hot pixel has its own rate, from a distribution with the evenly spaced quantiles
+    `hot_rate_hz` (two: uniform between them). `hot_pixel_table` adds hot pixels at known positions.
+
+    `leak_hz` is the rate of leak events per pixel. After an event a pixel is held in reset for `refractory_us`, and its
+    next reference is the level at the end of that time.
+
+    A slice holds at most `max_events`. Further events are lost, as on a full bus (the pixels have fired nevertheless),
+    and counted. `events_per_s` limits the readout (see readout); `support_ms` is the time of the host's noise filter
+    (see noise_filter).
     """
 
     frame_px: tuple[int, int] = FRAME_PX
@@ -117,17 +121,17 @@ class CameraModel:
 
     @property
     def has_hot_pixels(self) -> bool:
-        """Whether any pixel is hot, at a place that is drawn or known."""
+        """Whether any pixel is hot, at a random or known position."""
         table = self.hot_pixel_table
         return self.hot_pixels > 0 or (table is not None and len(table.x_px) > 0)
 
 
 @dataclass
 class CameraState:
-    """What a camera remembers from slice to slice; `step` changes it in place.
+    """State of a camera from slice to slice; `step` changes it in place.
 
-    `reference` and `threshold` are those of the gel's pixels, shape (height, width); under the window the threshold is
-    infinite, and the window has a pair of its own. `seen_*` is where things were at the last scan.
+    `reference` and `threshold` belong to the gel's pixels, shape (height, width). Under the window the threshold is
+    infinite, and the window has its own pair. `seen_*` are positions at the last scan.
     """
 
     model: CameraModel
@@ -144,15 +148,15 @@ class CameraState:
     hot_pixel: NDArray[np.int64]  # y * width + x
     hot_cumulative_hz: NDArray[np.float64]  # summed rates before each hot pixel, and of all
     readout_us: NDArray[np.int64]  # (scans, width): time in the slice at which a column is read
-    keys: NDArray[np.int64]  # as long as a slice may be, so nothing grows; memory is taken only as far as it is written
-    # Until when a pixel is blind; their rows are empty without a refractory time that scans can tell.
+    keys: NDArray[np.int64]  # as long as a slice may be, so nothing grows; memory is used only as far as it is written
+    # Time until which a pixel is blind. Rows are empty without a refractory period that is longer than a scan.
     release_us: NDArray[np.float64]
     window_release_us: NDArray[np.float64]
     candidates: CandidatePixels
     candidate_runs: CandidateRuns
     middle_shift: NDArray[np.float32]  # see GelPixels
     window_middle_shift: NDArray[np.float32]
-    shapes: DotShapes  # none where dots are alike
+    shapes: DotShapes  # empty if dots are alike
     contact_edges: ContactEdges | None = None
     light: Light | None = None
     table_hot_pixels: HotPixels | None = None
@@ -160,7 +164,7 @@ class CameraState:
     noise_filter: NoiseFilter | None = None
     slices: int = 0
     dropped: int = 0
-    # The arrays above as plain tuples in the order of GelPixels and WindowPixels, as compiled code is handed them:
+    # The arrays above as plain tuples in the order of GelPixels and WindowPixels, as compiled code takes them:
     gel: tuple[Any, ...] = field(init=False, repr=False)
     window: tuple[Any, ...] = field(init=False, repr=False)
     noise: Noise = field(init=False, repr=False)
@@ -202,18 +206,21 @@ def start(
     light_change: LightChange | None = None,
     dots_differ: tuple[ArrayLike, ArrayLike] | None = None,
 ) -> CameraState:
-    """Switch the camera on before dots (dots, 2); draw thresholds, hot pixels, and a phase for every pixel.
+    """Start the camera in front of dots (dots, 2); draw thresholds, hot pixels, and a phase for every pixel.
 
-    A pixel's reference starts at its level plus a uniform phase in (-C_i, C_i); without it all pixels of a rim would
-    fire at once. `dot_radius_px` None takes the model's. `window` is its corners, x0, y0, x1, y1, ends excluded, and
-    the texture (sides powers of two, from `optics.texture`) that its pixels see, and no dots. Their first level is the
-    one from which the first `step` starts, so an object that is there already makes no flash. With None for the
-    texture they see nothing.
-    `camera_rng` draws what belongs to the camera itself, thresholds and hot pixels; without it `rng` draws them too.
-    `contact_edges`, from `contact_edges.start` for this frame, are lines that are not dots; the camera owns them from
-    now on. `light_change` says how the light changes, if it does. `dots_differ` are factors of the radius (dots,) and
-    of the log contrast (dots,) of each dot, where dots are not alike.
-    ValueError on non-finite positions, a window outside the frame, a texture that cannot be used.
+    A pixel's reference starts at its level plus a uniform phase in (-C_i, C_i); without the phase all pixels of a rim
+    would fire at once. If `dot_radius_px` is None, the model's is used.
+
+    `window` is its corners, x0, y0, x1, y1, ends excluded, and the texture (sides powers of two, from `optics.texture`)
+    that its pixels see; they see no dots. Their first level is that at the start of the first `step`, so an object that
+    is already there causes no flash. If the texture is None they see nothing.
+
+    `camera_rng` draws the camera's own values, thresholds and hot pixels; if None, `rng` draws them too.
+    `contact_edges`, from `contact_edges.start` for this frame, are lines that are not dots; the camera owns them
+    afterwards. `light_change` describes changing light. `dots_differ` are factors on the radius (dots,) and on the log
+    contrast (dots,) of each dot, if they differ.
+
+    ValueError for non-finite positions, a window outside the frame, or an invalid texture.
     """
     width, height = model.frame_px
     dots = camera_input.positions("dot_xy_px", dot_xy_px)
@@ -282,26 +289,26 @@ def start(
 
 
 def _thresholds(model: CameraModel, built: np.random.Generator) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Draw every pixel's threshold; the mean of two where ON and OFF are apart, and by how much (see GelPixels)."""
+    """Draw every pixel's threshold; if ON and OFF differ, the mean of both and half the difference (see GelPixels)."""
     width, height = model.frame_px
 
-    def drawn(threshold: float, rng: np.random.Generator) -> NDArray[np.float32]:
+    def draw(threshold: float, rng: np.random.Generator) -> NDArray[np.float32]:
         each = threshold * (1.0 + model.mismatch * rng.standard_normal((height, width)))
         return np.maximum(each, LOWEST_THRESHOLD * threshold).astype(np.float32)
 
-    on = drawn(model.threshold, built)
+    on = draw(model.threshold, built)
     if model.threshold_off is None:
         return on, np.empty((0, 0), np.float32)
-    off = drawn(model.threshold_off, built.spawn(1)[0])
+    off = draw(model.threshold_off, built.spawn(1)[0])
     half = np.float32(0.5)
     return half * (on + off), half * (on - off)
 
 
 def step(state: CameraState, motion: SliceMotion, t0_us: int, rng: np.random.Generator) -> Events:
-    """The events of one millisecond, sorted by time, t0_us <= t < t0_us + 1000.
+    """Return the events of one millisecond, sorted by time, t0_us <= t < t0_us + 1000.
 
-    ValueError on values that are not finite, farther than 1e6 px, of another shape than at `start`, or a path with
-    other ends; the state is then as before.
+    ValueError if values are not finite, further than 1e6 px, or of another shape than at `start`, or if a path has
+    other ends; the state is then unchanged.
     """
     path, object_motion = camera_input.motions(len(state.seen_dot_xy_px), motion)
     lines = camera_input.line_motion(state.contact_edges, motion, coarsely=True)
@@ -332,9 +339,9 @@ def step(state: CameraState, motion: SliceMotion, t0_us: int, rng: np.random.Gen
 
 
 def step_still(state: CameraState, t0_us: int, rng: np.random.Generator) -> Events:
-    """The events of one millisecond in which nothing moves or fades, as in the one before: those of leak and noise.
+    """Return the events of one millisecond in which nothing moves or fades, as in the one before: leak and noise.
 
-    They are those of `step`, which would find that no pixel has to be compared. Not for a camera whose light changes.
+    They equal those of `step`, which would find that no pixel has to be compared. Not for a camera with changing light.
     """
     made = 0
     if state.contact_edges is not None:
@@ -347,7 +354,7 @@ def step_still(state: CameraState, t0_us: int, rng: np.random.Generator) -> Even
 
 
 def _finish(state: CameraState, t0_us: int, rng: np.random.Generator, made: int) -> Events:
-    """Add noise to the events of a slice, and count what does not fit."""
+    """Add noise to the events of a slice, and count events that do not fit."""
     state.slices += 1
     made = noise_of_slice(state, t0_us, rng, made)
     stored = min(made, len(state.keys))
@@ -361,7 +368,7 @@ def _finish(state: CameraState, t0_us: int, rng: np.random.Generator, made: int)
 
 
 def noise_of_slice(state: CameraState, t0_us: int, rng: np.random.Generator, made: int) -> int:
-    """Add the noise of a slice and the events of hot pixels; returns the number of events so far."""
+    """Add the noise of a slice and the events of hot pixels; return the number of events so far."""
     model = state.model
     made = add_noise(state.noise, model.frame_px, t0_us, rng, state.keys, made)
     if state.table_hot_pixels is not None:
@@ -369,8 +376,8 @@ def noise_of_slice(state: CameraState, t0_us: int, rng: np.random.Generator, mad
     return made
 
 
-# Why so: Python hands over plain tuples, which are named here. As named tuples a slice of a grasp took 4 to 6 us more,
-# of 43: numba looks up the type of a named tuple anew at every call.
+# Python passes plain tuples, which get names here. With named tuples, each slice of a grasp took 4 to 6 us longer, of
+# 43 us, because numba looks up the type of a named tuple at every call.
 
 
 @njit(cache=True, _nrt=False)
@@ -382,7 +389,7 @@ def _scan(
     times: tuple[Any, ...],
     keys: NDArray[np.int64],
 ) -> int:
-    """Scan dots and window; returns the number of events."""
+    """Scan dots and window; return the number of events."""
     scans = ScanTimes(times[0], times[1], times[2])
     dots, pixels = gel_pixels(gel), window_pixels(window)
     untouched = dots.candidates.flags[0]
@@ -405,6 +412,6 @@ def _leak(
     keys: NDArray[np.int64],
     made: int,
 ) -> int:
-    """Let leak lower the references of the rows whose turn it is; returns the number of events so far."""
+    """Let leak lower the references of the rows that are due; return the number of events so far."""
     scans = ScanTimes(times[0], times[1], times[2])
     return int(leak.leak_in_scans(first_row, drift, gel_pixels(gel), window_pixels(window), scans, keys, made))

@@ -1,8 +1,8 @@
-"""Scans of dots that are not alike: what their being so asks for beyond the scans of `dots`.
+"""Scans of dots that differ: the steps that they require in addition to the scans of `dots`.
 
-Why so: a dot alone is scanned with its own radii and levels. But radii that were found for one dot do not hold for
-another (see pixel_culling), and of dots near each other the darkest counts instead of the nearest. Both are rare, as
-dots lie apart, and are done in a simple way here.
+A single dot is scanned with its own radii and levels. But radii that were computed for one dot are invalid for another
+(see pixel_culling), and of neighbouring dots the darkest counts instead of the nearest. Both cases are rare, because
+dots are well separated, and are handled in a simple way here.
 """
 
 import math
@@ -17,17 +17,17 @@ from evetac_cli.sim.camera.event_keys import event_key
 from evetac_cli.sim.camera.scanning.pixel_culling import COLUMN_MASK, PIXEL_SHIFT
 from evetac_cli.sim.camera.scanning.pixels import CandidatePixels
 
-VISITED_PX = 2.0  # so much farther than it has been a dot may go before it is asked whether it meets another
+VISITED_PX = 2.0  # margin that a dot may move beyond its visited area before it is checked again for meeting another
 
 
 @njit(cache=True, _nrt=False)
 def forget_exchanged(
     box: NDArray[np.float64], outer: float, visited: NDArray[np.float64], candidates: CandidatePixels
 ) -> None:
-    """Forget all radii and lists once a dot comes where another of another shape may have been.
+    """Discard all radii and lists when a dot may cover pixels that a dot of another shape may have covered.
 
-    Radii follow from the shape of the dot that they were found for. `visited` (dots, 4) holds left, right, top and
-    bottom of where each has been since, with VISITED_PX to spare; NaN where it is to be looked at every time.
+    Radii follow from the shape of the dot for which they were computed. `visited` (dots, 4) holds left, right, top and
+    bottom of the area that each dot has visited since, with a margin of VISITED_PX; NaN if it must always be checked.
     """
     dots = len(box)
     met = False
@@ -68,7 +68,7 @@ def forget_exchanged(
 
 @njit(cache=True, _nrt=False)
 def _meet(visited: NDArray[np.float64], dot: int, other: int, outer: float) -> bool:
-    """Whether some pixel may have been under two dots."""
+    """Return whether some pixel may have been under two dots."""
     across = visited[dot, 0] - 2.0 * outer <= visited[other, 1] and visited[other, 0] <= visited[dot, 1] + 2.0 * outer
     down = visited[dot, 2] - 2.0 * outer <= visited[other, 3] and visited[other, 2] <= visited[dot, 3] + 2.0 * outer
     return bool(across and down)
@@ -94,7 +94,7 @@ def compare_crowded(
     keys: NDArray[np.int64],
     made: int,
 ) -> int:
-    """Compare some pixels in every scan with the darkest level of dots (dots, scans, 2) that are not alike."""
+    """Compare some pixels in every scan with the darkest level of differing dots (dots, scans, 2)."""
     dots, shots, _ = at_xy.shape
     scan_us = SLICE_US / len(readout_us)
     shifted, blinding = middle_shift.size > 0, release_us.size > 0

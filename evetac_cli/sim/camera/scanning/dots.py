@@ -1,11 +1,12 @@
 """Scans of the gel: the events of moving dots, from the pixels that may fire (see pixel_culling).
 
-Every pixel is compared against the whole picture of its scan, so it has at most one event a scan; a dot that rests is
-not visited.
+Every pixel is compared with the complete image of its scan, so it has at most one event per scan; a dot at rest is not
+visited.
 
-Why so: below the functions that Python calls, the compiled parts of both cameras take their arrays one by one. Grouped
-all the way down (dots, pixels, window as named tuples) they made the same events, but a mix of motions took 1.4 times
-as long, and compiling 1.2 times: references to every array of a group are counted wherever it is handed on.
+Below the functions that Python calls, the compiled parts of both cameras take their arrays one by one. With named
+tuples of arrays throughout (dots, pixels, window) the events were the same, but a mix of motions took 1.4 times as
+long, and compiling 1.2 times. The reason is that numba counts references to every array of a group wherever the group
+is passed.
 """
 
 import math
@@ -34,8 +35,8 @@ from evetac_cli.sim.camera.scanning.pixel_culling import (
 )
 from evetac_cli.sim.camera.scanning.pixels import FALSE, TRUE, CandidatePixels, GelPixels, ScanTimes, slice_places
 
-# A dot that has lost its list to a line gets a new one once lines have left it alone for so many scans, in which its
-# whole ring is compared: making a list costs about as much.
+# A dot that has lost its list to a line gets a new list after this many scans without a line. In each of them its whole
+# ring is compared, which costs about as much as making a list.
 LEFT_ALONE_SCANS = 10
 COUNTED_PX = 16  # pixels of a row that are counted together
 
@@ -52,10 +53,10 @@ def scan_dots(
     keys: NDArray[np.int64],
     made: int,
 ) -> int:
-    """Compare the pixels that may fire in some scans; returns the number of events, also of those that do not fit.
+    """Compare the pixels that may fire in some scans; return the number of events, including those that do not fit.
 
-    Dots move along paths (dots, k + 1, 2) over the slice. Of dots that a line has `touched` nothing is remembered; with
-    `apart` it is known that no two rings meet.
+    Dots move along paths (dots, k + 1, 2) over the slice. For dots that a line has `touched` nothing is stored. With
+    `apart` no two rings overlap.
     """
     seen_xy = gel.seen_dot_xy_px
     inner, outer, steps_per_px, profile = gel.profile
@@ -235,13 +236,13 @@ def scan_dots(
 
 @njit(cache=True, _nrt=False)
 def _waits_for_list(dot: int, candidates: CandidatePixels) -> bool:
-    """Whether a dot has no list, and has not been left alone for long enough to get one."""
+    """Return whether a dot has no list, and lines have not left it alone for long enough to make one."""
     return bool(math.isnan(candidates.list_box[dot, 0]) and candidates.list_length[dot] >= -LEFT_ALONE_SCANS)
 
 
 @njit(cache=True, _nrt=False)
 def at_scans(path: NDArray[np.float64], scans: int, first_scan: int, at_xy: NDArray[np.float64]) -> None:
-    """Where dots (dots, k, 2) are at k scans from the first on."""
+    """Fill at_xy (dots, k, 2) with the positions of dots at k scans, starting with first_scan."""
     dots, vertices, _ = path.shape
     for shot in range(at_xy.shape[1]):
         vertex, over = divmod((first_scan + shot) * (vertices - 1), scans)
@@ -268,9 +269,9 @@ def _compare_ring(
     keys: NDArray[np.int64],
     made: int,
 ) -> int:
-    """Compare all pixels in the ring of a box (4,) in one scan with the levels that one dot at (2,) gives them.
+    """Compare all pixels in the ring of a box (4,) in one scan with the levels of a single dot at (2,).
 
-    As `_compare_pixels`, without radii; not for pixels that get blind.
+    Like `_compare_pixels`, without radii; not for pixels with a refractory period.
     """
     height, width = reference.shape
     ink_px, steps = np.float32(inner), np.float32(steps_per_px)
@@ -282,8 +283,8 @@ def _compare_ring(
         down = np.float32(row - at_xy[1])
         down2 = down * down
         for first, end in ((left, left_end), (right, right_end)):
-            # Most rows have nothing to report, and counting vectorises: with unsigned indices, nothing written, and
-            # always as many pixels, of which some may lie beyond the run, as most runs are shorter than a vector.
+            # Most rows have no event, and counting vectorises: with unsigned indices, nothing written, and a constant
+            # number of pixels, of which some may be outside the run, because most runs are shorter than a vector.
             fired = np.int32(width < COUNTED_PX)
             for begin in range(first, end if width >= COUNTED_PX else first, COUNTED_PX):
                 offset = np.uint64(min(begin, width - COUNTED_PX))
@@ -330,9 +331,9 @@ def _compare_pixels(
     keys: NDArray[np.int64],
     made: int,
 ) -> int:
-    """Compare some pixels in every scan with the level that the nearest of some dots (near, scans, 2) gives them.
+    """Compare some pixels in every scan with the level of the nearest of some dots (near, scans, 2).
 
-    Until one fires, its radii say of most scans that it does not; its new ones are count when it is next needed.
+    Until a pixel fires, its radii exclude it in most scans; its new radii are computed when they are next needed.
     """
     near, shots, _ = near_xy.shape
     scan_us = SLICE_US / len(readout_us)

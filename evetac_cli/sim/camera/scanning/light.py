@@ -1,21 +1,21 @@
 """Light that flickers, steps or flashes: the brightness of all pixels of a scanning camera changes together.
 
-In log brightness a change of the light adds the same number to every level. It is taken off the references instead,
-once a slice, at its last scan, and the pixels that it takes past their threshold make events there. So the light is
-seen as a stair of 1 ms (ten steps a period at 100 Hz). A step of light comes in the first slice whose last scan lies
-after it.
+In log brightness a change of the light adds the same number to every level. Instead, that number is subtracted from the
+references, once per slice, at its last scan, and the pixels that cross their threshold fire there. So the camera sees
+the light in steps of 1 ms (ten steps per period at 100 Hz). A step of light takes effect in the first slice whose last
+scan is after it.
 
-Why so: for each run of pixels there is a highest and a lowest level of the light up to which none of them fires; it
-holds until a dot, a line or leak has changed what the run sees. A slice costs the shift of the references, and those
-runs only that are crossed or have changed. Candidate pixels of moving dots hold for the whole range of a flicker
-(`candidate_light`).
+Each run of pixels has bounds: the highest and the lowest level of the light up to which none of its pixels fires. They
+hold until a dot, a line or leak changes the levels of the run. A slice costs the shift of the references, and the
+comparison of runs that are crossed or have changed. Candidate pixels of moving dots hold for the whole range of a
+flicker (`candidate_light`).
 
-A light that does not pass the print (`floor`, `flash`) changes the contrast of the dots as well (print_contrast): then
-their tables are written anew with each change, nothing that was known of any pixel holds, and all are compared.
+Light that does not pass the print (`floor`, `flash`) also changes the contrast of the dots (print_contrast). Then each
+change rewrites their tables, discards everything known of any pixel, and compares all pixels.
 
-Left out: the bandwidth of the pixels (one of 300 Hz would take 5 % off a flicker of 100 Hz), the ideal camera, noise
-that grows as the light fades, and that a light which does not pass the print may wash out texture and lines as well.
-Where a rim and the light both pass a threshold in a last scan, a pixel has two events.
+Not simulated: the bandwidth of the pixels (300 Hz would take 5 % off a flicker of 100 Hz), the ideal camera, and noise
+that grows as the light fades. Light that does not pass the print does not reduce the contrast of texture and lines. If
+a rim and the light both cross a threshold in a last scan, a pixel has two events.
 """
 
 import math
@@ -45,18 +45,20 @@ from evetac_cli.sim.camera.scanning.pixels import (
 from evetac_cli.sim.camera.scanning.print_contrast import PrintContrast
 from evetac_cli.sim.setup.scene import LightSettings
 
-# More than single precision costs the shifted references: a run is looked at when the light is this near to its bounds.
+# Upper bound of single precision's error of the shifted references: runs with the light this near a bound are compared.
 ROUNDING = 1e-5
 
 
 @dataclass(frozen=True)
 class LightChange:
-    """How the light changes; ValueError where a value is out of range.
+    """Change of the light; ValueError if a value is out of range.
 
-    Flicker: brightness = mean * (1 + depth sin(2 pi frequency t)), with a depth of 0 for none. Step: brightness times
-    `step_factor` from `step_at_s` on. Both are of the light that shows the print. Beside it, over what it gives bare
-    gel at the start: a `floor` that does not pass the print, and every `flash_every_s` pulses of such light, as bright
-    as `flash`, each for a slice, and a slice apart.
+    Flicker: brightness = mean * (1 + depth sin(2 pi frequency t)); a depth of 0 is no flicker. Step: brightness is
+    multiplied by `step_factor` at `step_at_s`. Both apply to the light that shows the print.
+
+    Additional light does not pass the print, and is given relative to the first light on bare gel at the start. `floor`
+    is constant. Every `flash_every_s` there are pulses with the brightnesses `flash`, each one slice long, with one
+    slice between them.
     """
 
     frequency_hz: float = 100.0
@@ -80,11 +82,11 @@ class LightChange:
             raise ValueError(f"light.flash: {len(self.flash)} pulses do not fit into {self.flash_every_s:g} s")
 
     def flicker(self, time_us: float) -> float:
-        """What the flicker adds to log brightness at a time."""
+        """Return what the flicker adds to log brightness at a time."""
         return math.log1p(self.depth * math.sin(2e-6 * math.pi * self.frequency_hz * time_us))
 
     def step(self, time_us: float) -> float:
-        """What the step has added to log brightness by a time."""
+        """Return what the step adds to log brightness at a time."""
         return math.log(self.step_factor) if time_us >= self.step_at_s * 1e6 else 0.0
 
     @property
@@ -93,7 +95,7 @@ class LightChange:
         return self.floor > 0.0 or len(self.flash) > 0
 
     def two_lights(self, time_us: float) -> tuple[float, float]:
-        """The brightness of the light that shows the print, and of that which does not pass it, at a time."""
+        """Return the brightness at a time of the light that shows the print, and of the light that does not pass it."""
         every = round(self.flash_every_s * SLICES_PER_S)
         slice_number = int(time_us // SLICE_US)
         pulse, dark = divmod(slice_number % every, 2)
@@ -103,14 +105,14 @@ class LightChange:
 
 
 class Light:
-    """The light on one camera, and what the camera last saw of it."""
+    """The light on one camera, and the camera's last view of it."""
 
     def __init__(
         self, change: LightChange, frame_px: tuple[int, int], window_rows: int, dots: tuple[DotProfile, DotShapes]
     ) -> None:
-        """Light as it is at time 0, over a frame of (width, height) and a window of so many rows (0 without).
+        """Start with the light at time 0, for a frame of (width, height) and a window of this many rows (0: none).
 
-        dots: their tables, which are changed in place where some of the light does not pass the print.
+        dots: their tables, which are changed in place if some of the light does not pass the print.
         """
         width, height = frame_px
         self._change = change
@@ -147,10 +149,10 @@ class Light:
         lines: LineMotion | None,
         first_leaking_row: int | None,
     ) -> None:
-        """Before a slice is scanned, forget the bounds of runs whose level or references it will change.
+        """Before a slice is scanned, discard the bounds of runs whose level or references it will change.
 
-        `path` (dots, k + 1, 2) is that of the dots, `lines` those that move, `first_leaking_row` the first whose turn
-        it is to leak. Bounds are kept for a flicker alone, where all light shows the print.
+        `path` (dots, k + 1, 2) are the paths of the dots, `lines` the moving lines, `first_leaking_row` the first row
+        that is due to leak. Bounds are kept only for a flicker, and only if all light shows the print.
         """
         if self._change.depth == 0.0 or self._print is not None:
             return
@@ -181,7 +183,7 @@ class Light:
         keys: NDArray[np.int64],
         made: int,
     ) -> int:
-        """Compare what the light has changed by the last scan of a slice; returns the number of events so far."""
+        """Compare the pixels that the light has changed by the last scan of a slice; return the number of events."""
         scans = len(readout_us)
         now_us = t0_us + (scans - 1) * SLICE_US / scans
         when = (readout_us[-1], now_us, float(refractory_us))
@@ -197,7 +199,7 @@ class Light:
         flicker, step = self._change.flicker(now_us), self._change.step(now_us)
         if flicker == self._seen_flicker and step == self._seen_step:
             return made
-        if step != self._seen_step or self._change.depth == 0.0:  # radii hold for a flicker, bounds only with one
+        if step != self._seen_step or self._change.depth == 0.0:  # radii hold for a flicker, bounds only during one
             self._bounds[3][:] = -np.inf
             self._bounds[1][:] = -np.inf
             candidates = gel[5]
@@ -209,7 +211,7 @@ class Light:
         return int(_shine(change, flicker + step, gel, window, self._bounds, when, keys, made))
 
     def _forget_all(self, gel: tuple[Any, ...]) -> None:
-        """Forget whatever follows from how dots looked."""
+        """Discard everything that follows from the appearance of the dots."""
         for bounds in (self._bounds[1], self._bounds[3], self._bounds[5]):
             bounds[:] = -np.inf
         candidates = CandidatePixels(*gel[5])
@@ -222,7 +224,7 @@ class Light:
 
 @njit(cache=True, _nrt=False)
 def _forget_rings(path: Floats, seen_xy: Floats, outer: float, places: Floats, high: Floats, row_high: Floats) -> None:
-    """Forget the bounds of the runs that the rings of moving dots touch; `places` is scratch."""
+    """Discard the bounds of the runs that the rings of moving dots touch; `places` is scratch."""
     height, runs = high.shape
     box = places[: 4 * len(path)].reshape(len(path), 4)
     dot_rings.boxes(path, seen_xy, box)
@@ -249,7 +251,7 @@ def _shine(
     keys: NDArray[np.int64],
     made: int,
 ) -> int:
-    """Take a change of the light off all references, and compare the runs that `light` takes out of their bounds."""
+    """Subtract a change of the light from all references, and compare the runs whose bounds `light` has crossed."""
     gel, window = gel_pixels(gel_arrays), window_pixels(window_arrays)
     low, high, row_low, row_high, window_low, window_high, seen_object = bounds
     inner, outer, steps_per_px, profile = gel.profile
@@ -349,9 +351,9 @@ def _compare_run(
     keys: NDArray[np.int64],
     made: int,
 ) -> tuple[float, float, int]:
-    """Compare pixels side by side; returns the levels of light between which none fires, and the number of events.
+    """Compare pixels side by side; return the levels of light between which none fires, and the number of events.
 
-    Where a pixel is blind there are no such levels.
+    If a pixel is blind there are no such levels.
     """
     readout_us, now_us, refractory_us = when
     low = -np.inf
@@ -378,7 +380,7 @@ def _compare_run(
 
 @njit(cache=True, _nrt=False)
 def _forget_lists(row: int, outer: float, candidates: CandidatePixels) -> None:
-    """Drop the lists of dots that can come near a row: a reference there is another."""
+    """Discard the lists of dots that can come near a row in which a reference has changed."""
     list_box = candidates.list_box
     for dot in range(len(list_box)):
         if abs(list_box[dot, 1] - row) <= list_box[dot, 3] + outer:
@@ -386,7 +388,7 @@ def _forget_lists(row: int, outer: float, candidates: CandidatePixels) -> None:
 
 
 def of_scene(settings: LightSettings | None) -> LightChange | None:
-    """How the light of a scene changes; None where it is steady."""
+    """Return the change of a scene's light; None if the light is steady."""
     if settings is None:
         return None
     change, flicker, step, flash = LightChange(floor=settings.floor), settings.flicker, settings.step, settings.flash

@@ -1,11 +1,12 @@
 """Scans of dots and window with lines that are not dots (see contact_edges).
 
-Lines change no picture but the references, by as much with the other sign; then the pixels of both are compared. So a
-scan shows dots, lines and texture of one time, and a pixel still has at most one event.
+Lines do not change the image; they shift the references by the same amount with the opposite sign. Then the pixels of
+dots and lines are compared. So a scan shows dots, lines and texture at the same time, and a pixel still has at most one
+event.
 
-Why so: what follows from a reference (see pixel_culling) holds until a line moves over its pixel. Of a dot that a line
-touches in a scan nothing is found anew then, since the next scan would drop it again: its pixels are compared as they
-are, in the next scans as well. Dots that no line touches keep their lists.
+Data that follow from a reference (see pixel_culling) are valid until a line moves over its pixel. For a dot that a line
+touches in a scan nothing is computed, because the next scan would discard it. Its pixels are compared as they are, in
+the next scans as well. Dots that no line touches keep their lists.
 """
 
 import math
@@ -34,7 +35,7 @@ from evetac_cli.sim.camera.scanning.outline import compare_outline, draw_dots, s
 from evetac_cli.sim.camera.scanning.pixels import RUN_PX, ZERO, ScanTimes, gel_pixels, line_motion, window_pixels
 from evetac_cli.sim.camera.scanning.window import compare_row, mark_due, scan_window
 
-ROUNDED_UP = 1.0 + 1e-6  # more than single precision costs a difference
+ROUNDED_UP = 1.0 + 1e-6  # more than the relative error of a difference in single precision
 
 
 @njit(cache=True, _nrt=False)
@@ -47,9 +48,9 @@ def scan_lines(
     plain_times: tuple[Any, ...],
     keys: NDArray[np.int64],
 ) -> tuple[int, int]:
-    """Scan dots and window with lines that move; returns the number of events, and of those that lines alone made.
+    """Scan dots and window with moving lines; return the number of events, and the number that only lines caused.
 
-    Python hands over LineMotion, GelPixels, ObjectMotion, WindowPixels and ScanTimes as plain tuples, see camera.
+    Python passes LineMotion, GelPixels, ObjectMotion, WindowPixels and ScanTimes as plain tuples, see camera.
     """
     gel, window = gel_pixels(plain_gel), window_pixels(plain_window)
     motion = ObjectMotion(plain_motion[0], plain_motion[1], plain_motion[2])
@@ -98,10 +99,10 @@ def scan_lines(
         near[dot] = _reaches(box[dot], outer, outline_reach) or (cut_rows > 0 and _reaches(box[dot], outer, cut_reach))
         at_lines = at_lines or _reaches(box[dot], outer, union)
     apart = not dot_rings.crowded(box, outer + 2.0, crowded)
-    # Where dots are apart and alike, no pixel gets blind and no texture shows, most pixels of an outline are left out.
+    # If dots are apart and alike, no pixel is refractory and no texture shows, most pixels of an outline are left out.
     differing = len(gel.shapes.inner_px) > 0
     few = rows > 0 and apart and not differing and window_reference.size == 0 and gel.release_us.size == 0
-    if differing:  # of each dot the shape by its number
+    if differing:  # each dot's shape is found by its number
         near[:] = 1
     near_shapes = (gel.shapes.inner_px, gel.shapes.outer_px, gel.shapes.level)
     off_level = 0.0
@@ -219,7 +220,7 @@ def scan_lines(
 def _places(
     places: NDArray[np.float64], dots: int, scans: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Scratch beyond that of `slice_places`: places in all scans (dots, scans, 2), boxes, and twice (dots, 2)."""
+    """Return scratch beyond that of `slice_places`: positions in all scans (dots, scans, 2), boxes, twice (dots, 2)."""
     first = 4 * dots * scans + 8 * dots + 4
     boxes = first + 2 * dots * scans
     last = boxes + 4 * dots
@@ -231,7 +232,7 @@ def _places(
     )
 
 
-# A box that holds all pixels whose level can change: left, top, right, bottom.
+# A box that contains all pixels whose level can change: left, top, right, bottom.
 Reach = tuple[float, float, float, float]
 
 
@@ -239,7 +240,7 @@ Reach = tuple[float, float, float, float]
 def _reach_of_outline(
     start: EdgePlace, end: EdgePlace, rows: int, columns: int, seen_corner: NDArray[np.float64]
 ) -> Reach:
-    """The pixels whose level an outline of so many rows and columns can change in a slice; none without rows."""
+    """Return the pixels whose level an outline of this size can change in a slice; none without rows."""
     left = np.inf
     top = np.inf
     right = -np.inf
@@ -259,7 +260,7 @@ def _reach_of_outline(
 
 @njit(cache=True, _nrt=False)
 def _reach_of_cut(start: EdgePlace, end: EdgePlace, cut_half: float, seen_cut_x: NDArray[np.float64]) -> Reach:
-    """The pixels whose level the cut edge can change in a slice: columns, of all rows."""
+    """Return the columns, in all rows, whose level the cut edge can change in a slice."""
     left = np.inf
     right = -np.inf
     for row in range(len(seen_cut_x)):
@@ -270,7 +271,7 @@ def _reach_of_cut(start: EdgePlace, end: EdgePlace, cut_half: float, seen_cut_x:
 
 @njit(cache=True, _nrt=False)
 def _reaches(box: NDArray[np.float64], outer: float, reach: Reach) -> bool:
-    """Whether the ring of a dot in a box (4,) can lie over some pixel of a reach."""
+    """Return whether the ring of a dot in a box (4,) can cover a pixel of a reach."""
     left, top, right, bottom = reach
     reach_x = box[2] + outer
     reach_y = box[3] + outer
@@ -288,10 +289,10 @@ def _touch_dots(
     runs: NDArray[np.int64],
     touched: NDArray[np.uint8],
 ) -> None:
-    """Mark the dots that come near pixels whose references a line has just changed, and drop their lists.
+    """Mark the dots near pixels whose references a line has just changed, and discard their lists.
 
-    `runs` (height, 4) holds these pixels: in a row from the first column up to the second, and from the third up to the
-    fourth. They are all `over` a box: rows from, up to, columns from, up to.
+    `runs` (height, 4) holds these pixels: in a row those from the first column up to the second, and from the third up
+    to the fourth. They are all inside the box `over`: rows from, up to, columns from, up to.
     """
     first_row, end_row, first_column, end_column = over
     for dot in range(len(list_box)):
@@ -321,7 +322,7 @@ def _touch_dots(
 
 @njit(cache=True, _nrt=False)
 def _dots_in_row(dot_xy: NDArray[np.float64], row: int, outer: float, row_xy: NDArray[np.float64]) -> int:
-    """Collect the dots (dots, 2) whose ring reaches a row in `row_xy`; returns their number."""
+    """Collect in `row_xy` the dots (dots, 2) whose ring reaches a row; return their number."""
     dots = 0
     for dot in range(len(dot_xy)):
         row_xy[dots, 0] = dot_xy[dot, 0]
@@ -345,10 +346,10 @@ def _shift(
     due_at: NDArray[np.float64],
     row_due_at: NDArray[np.float64],
 ) -> None:
-    """Take what lines add to pixels first to end of a row as seen: change their references by as much the other way.
+    """Apply the lines' levels at pixels first to end of a row: shift the references by their change, opposite sign.
 
-    The pixels of the window have references of their own; under them those of the gel are of no account. Their runs are
-    due for comparison (see window) as much earlier as the object would have to move less to make one fire.
+    The pixels of the window have their own references; those of the gel under them have no effect. The runs of the
+    window become due for comparison earlier (see window), by the change that the lines have used up.
     """
     window_rows, window_columns = window_reference.shape
     left = max(first, first_x) - first_x
@@ -387,7 +388,7 @@ def _compare_across(
 ) -> int:
     """Compare the pixels of `runs` (height, 4) in some rows of the frame, those of the gel and those of the window.
 
-    `dot_xy` and `ink` are what draws both, `pixels` what they have; `row_xy` and `line` are scratch.
+    `dot_xy` and `ink` describe the image of both, `pixels` their state; `row_xy` and `line` are scratch.
     """
     inner, outer, steps_per_px, profile, (own_inner, own_outer, own_level), texture, place = ink
     reference, threshold, middle_shift, release_us, lower2, first_x, first_y = pixels[:7]
@@ -447,6 +448,6 @@ def _compare_across(
                 keys,
                 made,
             )
-            if window_release_us.size:  # a pixel that has fired without getting blind has more left to its threshold
+            if window_release_us.size:  # a pixel that fired without becoming blind is further from its threshold
                 mark_due(due_at, row_due_at, own, left, right)
     return made

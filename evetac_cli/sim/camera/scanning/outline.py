@@ -1,9 +1,9 @@
-"""Scans of an object's outline that moves over dots: which of its pixels may fire, and the events of those that do.
+"""Scans of an object's outline that moves over dots: which of its pixels may fire, and their events.
 
-Why so: a rubbed object passes over some 20,000 pixels in a scan, and 300 of them fire. Under dots their level costs ten
-times as much as the rest. So dots are drawn once, as they were when they were last some way off, and a pixel is left
-out where even a dot as far off as that could not make it fire; only the others are compared with the picture itself.
-Indices are unsigned: a signed one may count from the end, which keeps loops from being vectorised.
+A rubbed object passes over some 20,000 pixels in a scan, and 300 of them fire. Under dots their level costs ten times
+as much as the rest. So dots are drawn only when they have moved some way, and a pixel is left out if even a dot that
+far off could not make it fire. Only the remaining pixels are compared with the exact image. Indices are unsigned: a
+signed index may count from the end, which prevents vectorised loops.
 """
 
 import math
@@ -17,10 +17,10 @@ from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.camera import optics
 from evetac_cli.sim.camera.event_keys import event_key
 
-# How far a dot may be from where it was drawn, on each axis. With more, more pixels are in doubt; with less, dots are
-# drawn more often.
+# Largest distance of a dot from where it was drawn, on each axis. With more, more pixels are doubtful; with less, dots
+# are drawn more often.
 DRAWN_PX = 0.015
-UNSURE = np.float32(-1e-6)  # of a pixel at the rim of a drawn dot, where a dot somewhat farther would show
+UNSURE = np.float32(-1e-6)  # level of a pixel at the rim of a drawn dot, where a slightly shifted dot would show
 
 Pixels = NDArray[np.float32]
 
@@ -36,11 +36,11 @@ def draw_dots(
     drawn_at: Floats,
     drawn: Pixels,
 ) -> float:
-    """Draw those dots anew that have left where they were drawn; returns how far a drawn level may be off.
+    """Redraw the dots that have left the positions at which they were drawn; return the largest error of a drawn level.
 
-    Dots stay within boxes (dots, 4) in this slice, apart from each other. `drawn` (height, width) is 0 where no dot is
-    near, and NaN where a dot moves too fast to be drawn. `drawn_at` (dots, 3) holds where a dot was drawn, and how far
-    from there, negative for NaN, 0 for not at all.
+    Dots stay within boxes (dots, 4) in this slice, apart from each other. `drawn` (height, width) is 0 if no dot is
+    near, and NaN where a dot moves too fast to be drawn. `drawn_at` (dots, 3) holds the position at which a dot was
+    drawn and the reach of the drawing: negative for NaN, 0 if not drawn.
     """
     for dot in range(len(box)):
         far_x = abs(box[dot, 0] - drawn_at[dot, 0]) + box[dot, 2]
@@ -79,7 +79,7 @@ def draw_dots(
 
 @njit(cache=True, _nrt=False)
 def _square(drawn_at: Floats, shape: tuple[int, int]) -> tuple[int, int, int, int]:
-    """The pixels of a frame that the drawing of a dot covers: columns from, up to, rows from, up to."""
+    """Return the pixels of a frame that the drawing of a dot covers: columns from, up to, rows from, up to."""
     reach = abs(drawn_at[2])
     height, width = shape
     first_x = min(max(math.floor(drawn_at[0] - reach), 0), width)
@@ -101,10 +101,10 @@ def shift_outline(
     line: Pixels,
     doubtful: NDArray[np.uint8],
 ) -> None:
-    """Take an outline at a place (corner x, y, strength) as seen: change the references by as much the other way.
+    """Apply an outline at a position (corner x, y, strength): shift the references by its change, with opposite sign.
 
-    `runs` (height, 4) are its pixels in these rows (first, end); `pixels` are their references, thresholds, squared
-    quiet radii and shifts (see GelPixels), `drawn` the drawn dots and how far off they are. Fills the runs in
+    `runs` (height, 4) are its pixels in these rows (first, end). `pixels` are their references, thresholds, squared
+    quiet radii and shifts (see GelPixels). `drawn` are the drawn dots and their largest error. Fills the runs in
     `doubtful` (height, a multiple of eight): 1 for pixels that may fire, else 0.
     """
     corner_x, corner_y, strength = place
@@ -119,7 +119,7 @@ def shift_outline(
             count = runs[row, 2 * side + 1] - first
             if count <= 0:
                 continue
-            # As contact_edges.sample_row, to the bit.
+            # As in contact_edges.sample_row, to the bit.
             upper_row = math.floor(row - corner_y)
             column = math.floor(first - corner_x)
             begin = count
@@ -174,10 +174,10 @@ def compare_outline(
     keys: NDArray[np.int64],
     made: int,
 ) -> int:
-    """Compare the doubtful pixels of `shift_outline` with the picture of dots (dots, 2); returns the number of events.
+    """Compare the doubtful pixels of `shift_outline` with the image of dots (dots, 2); return the number of events.
 
-    They are looked for eight at a time. Scans of the dots in between may have made a pixel fire, and then it is quiet;
-    they make none fire that was not doubtful.
+    Eight pixels are checked at a time. Scans of the dots since then may have made a doubtful pixel fire, after which it
+    is quiet; they make no pixel fire that was not doubtful.
     """
     reference, threshold, _, middle_shift = pixels
     shifted = middle_shift.size > 0
@@ -211,9 +211,10 @@ def compare_outline(
 
 @njit(cache=True, _nrt=False)
 def _dot_level(dot_xy: Floats, ink: tuple[Any, ...], x: int, y: int, guess: int) -> tuple[np.float32, int]:
-    """The log brightness of one pixel, as `optics.dot_row` gives it, to the bit, and the dot there.
+    """Return the log brightness of one pixel, equal to `optics.dot_row` to the bit, and the dot there.
 
-    The dot is looked for from `guess` on. As dots lie apart by more than they reach, there is no other.
+    The search for the dot starts at `guess`. The distance between dots is larger than their reach, so there is at most
+    one.
     """
     inner, outer, steps_per_px, profile = ink
     dots = len(dot_xy)

@@ -1,13 +1,13 @@
-"""Which pixels of the gel may fire while dots move: the scanning camera compares no others.
+"""The pixels of the gel that may fire while dots move: the scanning camera compares no others.
 
-Why so: the rings of 63 dots (see dot_rings) have 46,000 pixels, and a scan makes some 200 events where all dots shake,
-next to none where the gel merely creeps.
-- From a pixel's reference and threshold follow two distances to the nearest dot between which it surely does not fire;
-  while the box of a dot's path over the slice keeps it between them, it costs a comparison.
-- Of a slow dot even that is done once in many slices: a list of the pixels that may fire holds as long as the dot stays
-  within a somewhat larger box.
+The rings of 63 dots (see dot_rings) have 46,000 pixels, but a scan causes only some 200 events if all dots vibrate, and
+almost none while the gel creeps.
+- Reference and threshold of a pixel determine two distances to the nearest dot between which it certainly does not
+  fire. While the box of a dot's path over the slice keeps the distance between them, the pixel costs one comparison.
+- For a slow dot even that is done only once in many slices: a list of the pixels that may fire is valid as long as the
+  dot stays within a somewhat larger box.
 
-A pixel is one integer here, y << PIXEL_SHIFT | x; a box is that of dot_rings.
+A pixel is a single integer here, y << PIXEL_SHIFT | x; for boxes see dot_rings.
 """
 
 import math
@@ -19,16 +19,16 @@ from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.camera import dot_rings, optics
 from evetac_cli.sim.camera.scanning.pixels import TRUE, CandidatePixels
 
-# A dot that has moved by no more, on either axis, since it was last compared rests: no level has changed by more than
-# 0.0008, and tremor below it makes no event. It saves the comparison where the gel only creeps.
+# A dot that has moved by no more than this, on either axis, since it was last compared is at rest. No level has then
+# changed by more than 0.0008, and smaller tremor causes no event. This saves the comparison while the gel only creeps.
 RESOLUTION_PX = 0.001
-RESTS_PX = RESOLUTION_PX * (1.0 - 1e-6)  # it surely does, however its places within the path of a slice are rounded
-# A dot that moves by `travel_px` gets a list that holds for a box wider by SKIN_PX * sqrt(travel_px) on each side: what
-# its making costs, spread over the slices until the dot has left the box, and what its length costs in each slice, are
-# then least together. From FAST_PX a slice on a list does not pay.
+RESTS_PX = RESOLUTION_PX * (1.0 - 1e-6)  # at rest regardless of how positions within the path of a slice are rounded
+# A dot that moves by `travel_px` gets a list for a box wider by SKIN_PX * sqrt(travel_px) on each side. This minimises
+# the sum of two costs: making the list, spread over the slices until the dot has left the box, and the length of the
+# list in each slice. From FAST_PX per slice a list does not pay.
 SKIN_PX = 0.7
 FAST_PX = 0.2
-RUSH_PX = 0.25  # half the travel in a slice from which on radii do not pay either
+RUSH_PX = 0.25  # half the travel in a slice above which radii do not pay either
 PIXEL_SHIFT = 16
 COLUMN_MASK = 0xFFFF
 
@@ -43,9 +43,9 @@ def rests(
     seen_object: NDArray[np.float64],
     window_reference: NDArray[np.float32],
 ) -> bool:
-    """Whether a scan would change nothing: no dot moves so far that it would be compared, nor the object at all.
+    """Return whether a scan would change nothing: no dot moves far enough to be compared, and the object not at all.
 
-    Why so: the gel mostly creeps, and to hand over what a scan works on takes longer than this.
+    The gel mostly creeps, and passing the arguments of a scan takes longer than this check.
     """
     if window_reference.size:
         for axis in range(2):
@@ -67,14 +67,14 @@ def rests(
 
 @njit(cache=True, _nrt=False)
 def is_within(box: NDArray[np.float64], wider: NDArray[np.float64], dot: int) -> bool:
-    """Whether a dot's box of (dots, 4) lies in its wider one; not if that is NaN."""
+    """Return whether a dot's box of (dots, 4) is inside its wider box; false if that is NaN."""
     across = abs(box[dot, 0] - wider[dot, 0]) + box[dot, 2] <= wider[dot, 2]
     return bool(across and abs(box[dot, 1] - wider[dot, 1]) + box[dot, 3] <= wider[dot, 3])
 
 
 @njit(cache=True, _nrt=False)
 def reach_of_list(box: NDArray[np.float64], wider: NDArray[np.float64]) -> None:
-    """Fill the wider box (4,) for which the list of a dot in a box (4,) holds: the same where a list does not pay."""
+    """Fill the wider box (4,) for which the list of a dot in a box (4,) is valid; the same box if no list pays."""
     for side in range(4):
         wider[side] = box[side]
     travel_px = 2.0 * max(box[2], box[3])
@@ -98,7 +98,7 @@ def make_list(
     now_us: float,
     candidates: CandidatePixels,
 ) -> None:
-    """List the pixels that may fire while a dot is in a box somewhat wider than (4,); none for a fast dot.
+    """List the pixels that may fire while a dot is in a box somewhat wider than (4,); no list for a fast dot.
 
     `wider` (1, 4) is scratch.
     """
@@ -142,7 +142,7 @@ def select_listed(
     active: NDArray[np.int32],
     entry: NDArray[np.int64],
 ) -> int:
-    """As `select_active`, of a dot's list, for its box of (dots, 4); `entry` gets their places in the list."""
+    """Select from a dot's list, like `select_active`, for its box of (dots, 4); `entry` gets indices into the list."""
     centre_x = box[dot, 0]
     centre_y = box[dot, 1]
     half_x = np.float32(box[dot, 2])
@@ -178,7 +178,7 @@ def renew_listed(
     now_us: float,
     candidates: CandidatePixels,
 ) -> None:
-    """Find new radii for the selected pixels of a dot's list that have fired; not yet for blind ones."""
+    """Compute new radii for the selected pixels of a dot's list that have fired; not yet for blind pixels."""
     for k in range(count):
         pixel = candidates.active[k]
         y = pixel >> PIXEL_SHIFT
@@ -203,10 +203,10 @@ def renew_listed(
 def ring_pixels(
     own: NDArray[np.float64], inner: float, outer: float, active_only: bool, candidates: CandidatePixels
 ) -> int:
-    """Collect the pixels of a dot's ring in `candidates.active`; returns how many.
+    """Collect the pixels of a dot's ring in `candidates.active`; return their number.
 
-    With `active_only`, those are left out that no place of the dot in its box (4,) lets fire. Without a branch for each
-    pixel, which would cost more than the rest.
+    With `active_only`, pixels are left out that cannot fire for any position of the dot in its box (4,). The code has
+    no branch for each pixel, which would cost more than all the rest.
     """
     height, width = candidates.lower2_px2.shape
     active = candidates.active
@@ -237,7 +237,7 @@ def ring_pixels(
 def select_own(
     dot: int, count: int, box: NDArray[np.float64], inner: float, outer: float, candidates: CandidatePixels
 ) -> int:
-    """Drop pixels that are compared with an earlier dot, in whose ring they are, too; returns how many remain."""
+    """Drop pixels that are compared with an earlier dot, whose ring also contains them; return how many remain."""
     height, width = candidates.lower2_px2.shape
     own = 0
     for k in range(count):
@@ -272,9 +272,9 @@ def select_active(
     now_us: float,
     candidates: CandidatePixels,
 ) -> int:
-    """Collect in `candidates.active` the given pixels that may fire while dots are in their boxes; returns how many.
+    """Collect in `candidates.active` the given pixels that may fire while dots are in their boxes; return their number.
 
-    Blind pixels have no radii and are among them: their references follow what they are shown.
+    Blind pixels have no radii and are included: their references follow their levels.
     """
     active = candidates.active
     lower2 = candidates.lower2_px2

@@ -1,7 +1,7 @@
-"""The arrays of the scanning camera, in the groups in which its compiled loops take them.
+"""The arrays of the scanning camera, grouped as its compiled loops take them.
 
-Groups end at the functions that `_scan` calls and at `scan_lines`; what these call takes the arrays one by one (why
-so: see dots).
+Groups are used down to the functions that `_scan` calls and to `scan_lines`; the functions below take single arrays
+(for the reason see dots).
 """
 
 from typing import Any, NamedTuple, cast
@@ -14,30 +14,37 @@ from evetac_cli.sim.camera import optics
 from evetac_cli.sim.camera.contact_edges import EdgePlace, LineMotion, Outline
 from evetac_cli.sim.camera.dot_shapes import DotShapes
 
-MOST_LISTED = 512  # pixels in the list of a dot; larger or blurred dots may do without
-# Pixels side by side in the window that are compared together: with more, the one nearest to its threshold makes more
-# others be compared; with fewer, there are more runs to visit.
+MOST_LISTED = 512  # most pixels in the list of a dot; larger or more blurred dots may have no list
+# Number of adjacent window pixels that are compared together. With more, the pixel nearest to its threshold causes more
+# others to be compared; with fewer, there are more runs to visit.
 RUN_PX = 16
-# Why so: a number or truth value of Python that is written into a call has a type of its own for numba, which compiles
-# what is called once more for it: some seconds. These have the types of all others.
+# For numba a Python number or truth value that is written into a call has its own type, and the called function is
+# compiled once more for it, which takes some seconds. These constants have the types of all others.
 ZERO, FALSE, TRUE = cast("int", np.int64(0)), cast("bool", np.bool_(False)), cast("bool", np.bool_(True))
 
 
 class CandidatePixels(NamedTuple):
-    """Which pixels of the gel may fire: a memory of what follows from references and paths, to be dropped at any time.
+    """The pixels of the gel that may fire: a cache of what follows from references and paths; may always be discarded.
 
-    Between the square roots of `lower2_px2` and `upper2_px2` (height, width) from the nearest dot a pixel surely does
-    not fire; infinity for the first: found anew when a dot comes near. While a dot stays in its `list_box` (dots, 4:
-    centre and half sides, NaN without a list), only the first `list_length` pixels of its list `listed` may fire, with
-    radii `listed_px2` (dots, 2, pixels) of their own, side by side in memory, which is what the visit of a list costs;
-    a negative `list_length` counts the scans that a dot has been without. `active` and `entry` are scratch, for a frame
-    and for a list. `level_index` helps to find radii. `light` (2,) is what a flicker adds to all levels, less the
-    middle of its range, and half that range (see light): radii hold throughout it. `drawn` (height, width) and
-    `drawn_at` (dots, 3) are dots as outlines pass over them, `doubtful` is scratch of theirs: see outline. The rest is
-    scratch of a slice: `places` for those of dots and what follows from them, `flags` (4, dots), `line` (width,) for
-    the levels of a row, and `runs` (2, height, 4) for the pixels that outline and cut edge change.
+    If its distance from the nearest dot is between the square roots of `lower2_px2` and `upper2_px2` (height, width), a
+    pixel certainly does not fire. Infinity as the first: to be computed when a dot comes near.
 
-    Why so: compiled parts that make no arrays count no references to arrays, which took a sixth of a slice.
+    While a dot stays in its `list_box` (dots, 4: centre and half sides, NaN without a list), only the first
+    `list_length` pixels of its list `listed` may fire. Their radii are in `listed_px2` (dots, 2, pixels), side by side
+    in memory, because memory access is the cost of visiting a list. A negative `list_length` counts the scans that a
+    dot has been without a list.
+
+    `level_index` speeds up the computation of radii. `light` (2,) is the flicker's contribution to all levels, minus
+    the middle of its range, and half that range (see light): radii hold for the whole range.
+
+    `drawn` (height, width) and `drawn_at` (dots, 3) are dots drawn for passing outlines; `doubtful` is their scratch
+    (see outline). The rest is scratch: `active` for a frame and `entry` for a list; `places` for positions of dots and
+    derived arrays; `flags` (4, dots) for marks.
+
+    Also scratch are `line` (width,) for the levels of a row, and `runs` (2, height, 4) for the pixels that outline and
+    cut edge change.
+
+    Compiled code that creates no arrays counts no references to arrays, which took a sixth of a slice.
     """
 
     level_index: NDArray[np.int16]
@@ -60,10 +67,10 @@ class CandidatePixels(NamedTuple):
 
 
 class CandidateRuns(NamedTuple):
-    """Which runs of RUN_PX pixels of the window may fire: those whose `due_at` (rows, runs) has been travelled.
+    """The runs of RUN_PX pixels of the window that may fire: those whose `due_at` (rows, runs) has been reached.
 
-    `row_due_at` (rows,) is a row's least. `travelled` (1,) adds up by how much any level can have changed so far,
-    from the texture's steepest slopes `across` and `down`, log units per px; `greatest` is its greatest level.
+    `row_due_at` (rows,) is the least of a row. `travelled` (1,) sums the largest possible change of any level so far,
+    from the texture's steepest slopes `across` and `down`, log units per px; `greatest` is its highest level.
     """
 
     due_at: NDArray[np.float64]
@@ -75,12 +82,13 @@ class CandidateRuns(NamedTuple):
 
 
 class GelPixels(NamedTuple):
-    """The gel: where its dots were at the last scan (dots, 2), how a dot looks, and its pixels, (height, width) each.
+    """The gel: the positions of its dots at the last scan (dots, 2), a dot's profile, its pixels, (height, width) each.
 
-    `release_us` is the time until which a pixel is blind; its rows are empty where scans cannot tell. `middle_shift` is
-    by how much a pixel's reference lies above the level of its last event: half of what its ON threshold is larger than
-    its OFF threshold. Then `threshold` is their mean, and a pixel fires as if both were equal. Empty where they are.
-    Where dots are not alike they have `shapes`, and `profile` has the least inner and the greatest outer radius.
+    `release_us` is the time until which a pixel is blind; its rows are empty if the refractory period is shorter than a
+    scan. `middle_shift` is the difference between a pixel's reference and the level of its last event: half the
+    difference of its ON and OFF thresholds. Then `threshold` is their mean, and a pixel fires as if both were equal.
+    It is empty if they are equal. Dots that differ have `shapes`, and `profile` has the least inner and the largest
+    outer radius.
     """
 
     seen_dot_xy_px: NDArray[np.float64]
@@ -112,7 +120,7 @@ class WindowPixels(NamedTuple):
 
 
 class ScanTimes(NamedTuple):
-    """The scans of one slice: when each column is read (scans, width), in us of the slice, and the slice's start."""
+    """The scans of one slice: readout time of each column (scans, width), in us of the slice, and the slice's start."""
 
     readout_us: NDArray[np.int64]
     t0_us: float
@@ -120,7 +128,7 @@ class ScanTimes(NamedTuple):
 
 
 class SlicePlaces(NamedTuple):
-    """Where dots are in some scans, and where the near ones are, (dots, scans, 2); boxes (dots, 4) of both; another."""
+    """Positions of dots in some scans, and of near dots, (dots, scans, 2); boxes (dots, 4) of both; one more box."""
 
     at_xy: NDArray[np.float64]
     near_xy: NDArray[np.float64]
@@ -131,7 +139,7 @@ class SlicePlaces(NamedTuple):
 
 @njit(cache=True, inline="always")
 def gel_pixels(gel: tuple[Any, ...]) -> GelPixels:
-    """The gel's arrays with their names, from a plain tuple of them in the order of GelPixels, plain inside as well."""
+    """Name the gel's arrays, from a plain tuple in the order of GelPixels, with plain tuples inside."""
     profile, candidates = gel[1], gel[5]
     return GelPixels(
         gel[0],
@@ -165,7 +173,7 @@ def gel_pixels(gel: tuple[Any, ...]) -> GelPixels:
 
 @njit(cache=True, inline="always")
 def window_pixels(window: tuple[Any, ...]) -> WindowPixels:
-    """The window's arrays with their names, from a plain tuple in the order of WindowPixels, plain inside as well."""
+    """Name the window's arrays, from a plain tuple in the order of WindowPixels, with plain tuples inside."""
     runs = window[7]
     return WindowPixels(
         window[0],
@@ -182,7 +190,7 @@ def window_pixels(window: tuple[Any, ...]) -> WindowPixels:
 
 @njit(cache=True, inline="always")
 def line_motion(lines: tuple[Any, ...]) -> LineMotion:
-    """Moving lines with their names, from a plain tuple in the order of LineMotion, plain inside as well."""
+    """Name moving lines, from a plain tuple in the order of LineMotion, with plain tuples inside."""
     start, end, outline = lines[:3]
     return LineMotion(
         EdgePlace(start[0], start[1], start[2]),
@@ -199,7 +207,7 @@ def line_motion(lines: tuple[Any, ...]) -> LineMotion:
 
 @njit(cache=True, inline="always")
 def slice_places(places: NDArray[np.float64], dots: int, scans: int) -> SlicePlaces:
-    """Scratch for the places of so many dots in so many scans, of `CandidatePixels.places`; see SlicePlaces."""
+    """Return scratch for the positions of dots in some scans, from `CandidatePixels.places`; see SlicePlaces."""
     path = 2 * dots * scans
     boxes = 2 * path
     last = boxes + 8 * dots
@@ -215,7 +223,7 @@ def slice_places(places: NDArray[np.float64], dots: int, scans: int) -> SlicePla
 def all_pixels(
     shape: tuple[int, int], dots: int, profile: optics.DotProfile, light: NDArray[np.float32], scans: int
 ) -> CandidatePixels:
-    """All pixels of a frame (height, width) may fire."""
+    """Return candidates for the start, when all pixels of a frame (height, width) may fire."""
     height, width = shape
     return CandidatePixels(
         level_index=optics.level_index(profile),
@@ -239,7 +247,7 @@ def all_pixels(
 
 
 def all_runs(shape: tuple[int, int], texture: NDArray[np.float32]) -> CandidateRuns:
-    """All runs of a window (rows, columns) may fire."""
+    """Return candidates for the start, when all runs of a window (rows, columns) may fire."""
     rows, columns = shape
     return CandidateRuns(
         np.full((rows, -(-columns // RUN_PX)), -np.inf),

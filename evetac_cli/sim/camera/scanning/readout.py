@@ -1,12 +1,13 @@
-"""A readout that is slow under load: events wait for their turn, and pixels that wait make no others.
+"""A readout that is slow under load: events wait for their turn, and waiting pixels have no other events.
 
-At rest a DVXplorer scans 5000 times a second. With more events a scan takes longer ("variable" mode of libcaer), and
-all pixels hold what they have to report until it is their turn (global hold). No document says how long an event
-takes. This is the simplest model that hands on no more than a given number of events a second: they are read one after
-another, an event's time stamp is that of its reading, and a pixel that still waits makes no other event. Of several
-changes in so long a scan only the first is reported, as in a scan of the usual length.
+At rest a DVXplorer scans 5000 times per second. With more events a scan takes longer ("variable" mode of libcaer), and
+all pixels hold their changes until it is their turn (global hold). No document specifies the time per event. This is
+the simplest model that transfers at most a given number of events per second. Events are read one after another, an
+event's time stamp is that of its readout, and a pixel that still waits has no other event. Of several changes within
+such a long scan only the first is reported, as in a scan of normal length.
 
-Left out: that the comparison itself waits for the scan before. What waits at the end of a recording is not in it.
+Not simulated: the comparison itself waits for the previous scan. Events that still wait at the end of a recording are
+not in it.
 """
 
 import numpy as np
@@ -19,10 +20,10 @@ from evetac_cli.sim.camera.event_keys import Columns
 
 
 class Readout:
-    """The readout of one camera, from slice to slice; `lost` counts the events of pixels that waited."""
+    """The readout of one camera, from slice to slice; `lost` counts the events of waiting pixels."""
 
     def __init__(self, events_per_s: float, frame_px: tuple[int, int]) -> None:
-        """Read at most so many events a second; ValueError if out of range."""
+        """Start a readout of at most this many events per second; ValueError if out of range."""
         check_range("readout.events_per_s", events_per_s, 1e3, 1e10)
         width, height = frame_px
         self._event_us = 1e6 / events_per_s
@@ -32,9 +33,9 @@ class Readout:
         self.lost = 0
 
     def read(self, made: Columns, t0_us: int) -> Columns:
-        """The events that are read in the slice that starts at `t0_us`, of those made in it (sorted) and those before.
+        """Return the events that are read in the slice starting at `t0_us`, from its events (sorted) and earlier ones.
 
-        The columns `made` are used up.
+        The columns `made` are overwritten.
         """
         kept, self._free_us = _take_turns(*made, self._event_us, self._free_us, self._read_at_us)
         self.lost += len(made[0]) - kept
@@ -60,7 +61,8 @@ def _take_turns(
 ) -> tuple[int, float]:
     """Move the events that are not lost to the front, with the times at which they are read.
 
-    Returns their number, and when the readout is free again. `read_at_us` (height, width): when a pixel was last read.
+    Return their number, and the time at which the readout is free again. `read_at_us` (height, width): the time at
+    which a pixel was last read.
     """
     kept = 0
     for event in range(len(t_us)):

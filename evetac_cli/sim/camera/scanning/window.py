@@ -1,7 +1,7 @@
 """Scans of the window: the events of a texture that slides by or fades.
 
-Why so: a level of the window changes by no more than the texture's steepest slope times the travel of the object. A
-short run of pixels is not compared until that has used up what the pixel nearest to its threshold lacks to it.
+A level of the window changes by at most the texture's steepest slope times the motion of the object. A short run of
+pixels is not compared until that product reaches the slack of the pixel nearest to its threshold.
 """
 
 import math
@@ -16,9 +16,9 @@ from evetac_cli.sim.camera.camera_input import ObjectMotion
 from evetac_cli.sim.camera.event_keys import event_key
 from evetac_cli.sim.camera.scanning.pixels import RUN_PX, ZERO, ScanTimes, WindowPixels
 
-# Where levels change by more in a scan, or fade, a run would be left out for too few scans to be worth its finding.
+# If levels change faster per scan, or fade, a run would be skipped in too few scans to be worth the computation.
 FAST_LEVEL = 0.002
-# More than single precision costs a level of the window, relative to the greatest.
+# Upper bound of single precision's error of a window level, relative to the highest level.
 RUN_ROUNDING = 4e-6
 
 
@@ -33,7 +33,7 @@ def scan_window(
     keys: NDArray[np.int64],
     made: int,
 ) -> int:
-    """Compare the window's runs of pixels that may fire, in every scan at which the picture is another.
+    """Compare the window's runs of pixels that may fire, in every scan in which the image has changed.
 
     `line` is scratch for a row.
     """
@@ -72,8 +72,8 @@ def scan_window(
         now_us = t0_us + scan * SLICE_US / scans
         pixels = (reference, threshold, middle_shift, release_us)
         when = (readout_us[scan], now_us, refractory_us)
-        # Below, arguments one by one: with tuples handed on for each row, a row took 1.6 times as long.
-        if fast:  # runs that were not due stay so: they have not fired
+        # Below, arguments are passed one by one: with tuples for each row, a row took 1.6 times as long.
+        if fast:  # runs that were not due remain valid: they have not fired
             made = _compare_all(texture, place, *pixels, (first_x, first_y), *when, line, keys, made)
             continue
         for row in range(rows):
@@ -112,7 +112,7 @@ def _compare_all(
     keys: NDArray[np.int64],
     made: int,
 ) -> int:
-    """Compare all pixels of a window in one scan with the texture at a place; `line` is scratch for a row."""
+    """Compare all pixels of a window in one scan with the texture at a position; `line` is scratch for a row."""
     rows, columns = reference.shape
     for row in range(rows):
         optics.sample_texture_run(texture, place, row, ZERO, columns, line)
@@ -156,7 +156,7 @@ def _compare_due(
     travelled: float,
     rounding: float,
 ) -> int:
-    """Compare the runs of a row that are due, and find when they and the row are due again."""
+    """Compare the runs of a row that are due, and compute when they and the row are due again."""
     columns = reference.shape[1]
     least = np.inf
     for run in range(due_at.shape[1]):
@@ -202,9 +202,9 @@ def _least_slack(
     end: int,
     now_us: float,
 ) -> float:
-    """By how much the levels of pixels first to end of a row may surely change before any fires.
+    """Return the change of levels that pixels first to end of a row certainly allow before any fires.
 
-    None while one of them is blind. If it is above 0, none fires now.
+    Minus infinity while one of them is blind. If the result is above 0, none fires now.
     """
     if release_us.size:
         for x in range(first, end):
@@ -234,10 +234,10 @@ def compare_row(
     keys: NDArray[np.int64],
     made: int,
 ) -> int:
-    """Compare pixels first to end of a row with the first levels; `corner` is where in the frame pixel (0, 0) lies.
+    """Compare pixels first to end of a row with the first levels; `corner` is pixel (0, 0)'s position in the frame.
 
-    `release_us` is empty where no pixel gets blind. Why so: slices of the arrays, made for each row, took four times
-    as long as the comparison.
+    `release_us` is empty if no pixel becomes blind. Arguments are whole arrays, because slices of the arrays for each
+    row took four times as long as the comparison.
     """
     blinding = release_us.size > 0
     shifted = middle_shift.size > 0
@@ -245,7 +245,7 @@ def compare_row(
         for x in range(first, end):
             if release_us[row, x] > now_us:
                 reference[row, x] = level[x - first] + middle_shift[row, x] if shifted else level[x - first]
-    # Most rows have nothing to report, and counting vectorises.
+    # Most rows have no event, and counting vectorises.
     fired = np.int32(0)
     y, offset = np.uint64(row), np.uint64(first)
     for x in range(np.uint64(first), np.uint64(end)):
@@ -267,7 +267,7 @@ def compare_row(
 
 @njit(cache=True, _nrt=False)
 def mark_due(due_at: NDArray[np.float64], row_due_at: NDArray[np.float64], row: int, first: int, end: int) -> None:
-    """Have the runs of a row of the window that hold pixels first to end compared when the object next moves."""
+    """Make the runs of a window row that contain pixels first to end due for comparison when the object next moves."""
     for run in range(first // RUN_PX, (end - 1) // RUN_PX + 1):
         due_at[row, run] = -np.inf
     row_due_at[row] = -np.inf
