@@ -1,16 +1,16 @@
 """Cut a real camera's events into slices, and relate the camera's clock to the host's.
 
 Slice k holds device times [k, k + 1) ms after the recording's begin, which is the first ms that the camera sent. A
-slice is closed by a later device time. If the sensor is silent, the host's clock closes it: a read that found the
-camera empty must have begun so late after the end of the slice that the camera would have sent its events before.
-Events for a slice that is already closed are counted and dropped, not moved to another slice.
+slice is closed by a later device time. If the sensor is silent, the host's clock closes the slice. This requires a read
+that found the camera empty, and that began so late that the camera would have sent the slice's events before it. Events
+for a slice that is already closed are counted and dropped, not moved to another slice.
 
 Reason: on a busy machine the time at which data are processed means nothing. The time at which an empty read began does
 mean something. A program that was kept from running therefore closes no slice too early.
 
 The host's time bounds the device time. No slice is closed that could not have passed since the camera was started. If
 device time stays far from the host's time, the camera's clock was damaged, and its times are shifted to match the
-host's. So whatever a camera sends, it cannot make a recording longer than it took.
+host's. So no data from a camera can make a recording longer than it took.
 """
 
 from collections import deque

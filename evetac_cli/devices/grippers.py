@@ -98,7 +98,10 @@ class NamedGripper:
         raise NotImplementedError(f"{self.name} has no driver")
 
     def release(self, port: str, settings: "RhP12RnSettings") -> str:
-        """Torque off, where the process that commanded it died; in words, what was read back."""
+        """Switch torque off after the process that commanded the gripper has died.
+
+        Return a sentence on what was read back.
+        """
         return "the state of torque is unknown"
 
 

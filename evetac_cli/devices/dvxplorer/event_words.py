@@ -81,7 +81,7 @@ def step(
 ) -> Events:
     """Return the events of the frames that the next bytes complete; t in us, int64, never decreasing.
 
-    host_ms: device time by the host's clock, if known: a TIMESTAMP more than loops.JUMP_MS ahead of the last is
+    host_ms: device time by the host's clock, if known. A TIMESTAMP more than loops.JUMP_MS ahead of the last is
     believed only up to there. most_ms: the most that can have passed since the first TIMESTAMP; no later one is
     believed. Without both, for example for words from a file, a TIMESTAMP is believed if it is ahead by less than half
     the range. All events of a frame have the same time. They are ordered by column, and within a column by word.

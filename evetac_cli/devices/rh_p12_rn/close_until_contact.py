@@ -17,7 +17,7 @@ class ClosingSettings:
     current_ma: int = 10
     still_cycles: int = 150  # cycles without a new position that count as contact
     longest_cycles: int = 10_000
-    last_tick: int = 717  # the gap is 0 here (sim/gripper.py): the fingers have met each other
+    last_tick: int = 717  # the gap is 0 here (sim/gripper.py): the fingers touch each other
 
     def __post_init__(self) -> None:
         for name in ("current_ma", "still_cycles", "longest_cycles"):
@@ -34,7 +34,10 @@ class Closing:
         self.moved_ticks = 0  # 0 at contact: it touched from the start, or the current was too small to move it
 
     def step(self, position_ticks: int) -> bool:
-        """Return whether there is contact; DeviceError if the fingers met, or still move after longest_cycles."""
+        """Return whether there is contact.
+
+        DeviceError if the fingers closed fully or still move after longest_cycles.
+        """
         settings = self.settings
         if self._furthest is None:
             self._furthest = position_ticks

@@ -8,7 +8,7 @@ followed by a check: one of torque, one of supply and temperature (measurements.
 example when slip is answered between two steps of a loop, is only sent: it requests no answer that would delay the next
 read.
 
-Reason: whatever ends the driver (close, an error, Ctrl-C, the end of the program, SIGTERM, a lost terminal), it sets
+Reason: however the driver ends (close, an error, Ctrl-C, the end of the program, SIGTERM, a lost terminal), it sets
 current 0 and torque off, and `release_words` report what was read back. Events that no program can handle (SIGKILL, a
 pulled plug) are left to the servo's Bus Watchdog. After 100 ms of silence a program loses the gripper and gets an error
 that explains it. Setting up leaves torque off, and the first command switches it on, watchdog first (torque.py). So a
@@ -68,7 +68,7 @@ class RhP12RnSettings:
     p_gain: int = 50  # register Position P Gain (paper: K_p)
     max_current_ma: int | None = None
     first_tick: int = 0  # open
-    last_tick: int = 740  # closed, with the maker's fingers; wider ones meet earlier
+    last_tick: int = 740  # closed, with the maker's fingers; wider ones touch each other earlier
     watchdog_ms: int = 100
     return_delay_us: int | None = 0  # None keeps the device's value
     answer_ms: float = ANSWER_MS
@@ -128,7 +128,10 @@ class RhP12Rn(AbstractContextManager["RhP12Rn"]):
 
     @property
     def release_words(self) -> str:
-        """What is known of torque; once it is closed, what was read back, or why it could not be and what happens."""
+        """The known state of torque.
+
+        After `close`, the state that was read back, or why that failed and what happens then.
+        """
         return self._torque.words
 
     @property
@@ -141,7 +144,10 @@ class RhP12Rn(AbstractContextManager["RhP12Rn"]):
         }
 
     def read(self) -> GripperReading:
-        """Present current (mA) and position (ticks), in one transaction; DeviceError where they cannot be."""
+        """Return present current (mA) and position (ticks), read in one transaction.
+
+        DeviceError if they are impossible.
+        """
         self._in_cycle = 0
         return self._attempt(self._measured.read)
 
@@ -171,10 +177,11 @@ class RhP12Rn(AbstractContextManager["RhP12Rn"]):
             raise DeviceError(self.release_words, where=self._where, hint="switch 24 V off if the fingers still press")
 
     def emergency_open(self, current_ma: int = 100, seconds: float = 0.5) -> None:
-        """Open with at most this current for so long, then torque off and close: what an emergency key does.
+        """Open with at most this current for this time, then switch torque off and close.
 
-        Commands of other threads wait, and then find it closed. DeviceError as of a command and of `close`; ValueError
-        for no current, or a time that is not above 0 and at most 10 s.
+        This is the action of an emergency key. Commands of other threads wait, and then find the driver closed.
+        DeviceError for the same reasons as a command and `close`; ValueError for a current below 1 mA, or a time that
+        is not above 0 and at most 10 s.
         """
         if operator.index(current_ma) < 1 or not 0 < seconds <= LONGEST_OPENING_S:
             raise ValueError(f"expected 1 mA or more and 0 to {LONGEST_OPENING_S:g} s, found {current_ma}, {seconds}")
@@ -277,9 +284,11 @@ class RhP12Rn(AbstractContextManager["RhP12Rn"]):
         self._commands += not between
 
     def _command_once(self, goal: int, *, between: bool) -> None:
-        """A command; with an answer every so often, and after a silence that may have tripped the watchdog.
+        """Send one command.
 
-        between: the second one in a cycle.
+        It is answered every CHECK_EVERY commands, and after a silence that may have tripped the watchdog.
+
+        between: whether it is the second command in a cycle.
         """
         name = _GOAL[self._mode]
         spoke = self._silent_ms < 0.5 * self._settings.watchdog_ms

@@ -5,7 +5,7 @@ second loss is an error. A bus belongs to one thread.
 
 Reason: the behaviour of the SDK's port is changed. It sleeps while it waits for an answer, where the SDK's port would
 occupy a core. It gives up after `answer_ms`, where the SDK's takes 34 ms. It is locked, so that two programs cannot
-talk at once. It leaves the servo a pause after an instruction without an answer. And whatever aborts a transaction, the
+talk at once. It leaves the servo a pause after an instruction without an answer. The
 port is free for the next one.
 """
 
@@ -201,7 +201,10 @@ class Bus(AbstractContextManager["Bus"]):
         self._transact(INST_REBOOT, b"", 0, "reboot")
 
     def devices(self, least_ms: float = 0.0) -> dict[int, tuple[int, int]]:
-        """Model number and firmware of every device on the bus by id, by a broadcast ping (0.8 s, or least_ms)."""
+        """Return model number and firmware of every device on the bus, by id.
+
+        Uses a broadcast ping (0.8 s, or least_ms).
+        """
         self._port.least_ms = least_ms
         try:
             answers, _ = self._packets.broadcastPing(self._port)

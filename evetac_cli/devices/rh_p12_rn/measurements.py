@@ -11,7 +11,7 @@ Reason for the bounds: a servo's limits apply to its goals. In current mode fing
 bend under load, so positions some ticks beyond the limits are normal: BEYOND_TICKS is a tenth of the fingers' range. A
 finger moves 2 ticks per ms at the servo's top speed (29.7 rpm), so a position three times that far away was not
 reached. The motor's peak current is 3.33 A (e-Manual). Beyond the limits of supply and temperature a servo raises a
-hardware error, which stops it without help; a reading well beyond them without that error is not a measurement.
+hardware error, which ends the run anyway; a reading well beyond them without that error is not a measurement.
 """
 
 import time
@@ -44,7 +44,7 @@ class Impossible(DeviceError):
 
 
 class Measurements:
-    """The readings of one gripper on an open bus; `impossible` counts those that were asked for again."""
+    """The readings of one gripper on an open bus; `impossible` counts readings that were rejected and repeated."""
 
     def __init__(self, bus: Bus, torque: Torque) -> None:
         self._bus, self._torque = bus, torque

@@ -37,7 +37,7 @@ class Torque:
         return self._state == "on"
 
     def clear(self) -> None:
-        """Switch torque off and clear the watchdog, whatever the state before; DeviceError if torque stays on."""
+        """Switch torque off and clear the watchdog, from any previous state; DeviceError if torque stays on."""
         self._bus.write("Torque Enable", 0)
         if self._bus.read("Torque Enable") != 0:
             raise DeviceError(
