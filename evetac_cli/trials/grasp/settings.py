@@ -135,7 +135,7 @@ class GraspSettings:
         return Control(self.law, self.control_hz, self.controller)
 
     def view(self, params: Grasp) -> ViewRequest | None:
-        """How the trials are shown, if the flags say so: with the detector of the grasp, else the package's."""
+        """Return how the trials are shown, if requested: with the grasp's detector, otherwise the pretrained one."""
         if params.shown_in is None:
             return None
         if self.detector is None:

@@ -66,7 +66,10 @@ class TwoFingers:
             self.second_probability = self._second.step(events)
 
     def recorded_by(self, append: Callable[[Events, dict[str, Any]], None]) -> Callable[[Events, dict[str, Any]], None]:
-        """What takes the slices of the first finger and their rows, with what the second detector says beside it."""
+        """Return a function that adds the second detector's probability to the first finger's rows.
+
+        It then calls `append` with the events and the rows.
+        """
 
         def both(events: Events, rows: dict[str, Any]) -> None:
             rows["control/second_probability"] = self.second_probability

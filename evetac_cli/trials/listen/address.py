@@ -1,7 +1,7 @@
-"""The file by which a robot's program finds the door: address, port and token on one line, for this user alone.
+"""The file through which a robot's program finds the door: address, port and token on one line.
 
-It is written beside its place and moved there whole, and locked by whoever listens for as long as that process lives:
-so a file that is not locked is what a killed one left, and is replaced.
+Only this user can read the file. It is written under a temporary name and moved into place as a whole. The listening
+process locks it for as long as it lives. So an unlocked file was left by a killed process, and is replaced.
 """
 
 import errno

@@ -214,7 +214,10 @@ class Desk:
         return [marks.mark_row(t_us, text) for t_us, text in taken]
 
     def ended(self, file: str | None, ended: str, slices: int = 0, error: str = "") -> None:
-        """What became of the trial; whoever waits for it is told. file: that it is in, None: it is in none."""
+        """Record the outcome of the trial, and answer the requests that wait for it.
+
+        file: its file, None without one.
+        """
         with self._lock:
             self._state = State.IDLE
             self._slices = slices

@@ -1,9 +1,9 @@
-"""The door for a robot's program: a socket on this computer, a JSON object a line, answers to whoever has the token.
+"""The door for a robot's program: a local socket with one JSON object per line, for holders of the token only.
 
 All users of a computer share 127.0.0.1, and a page of any site that is open in a browser can send to it. So each line
-carries the token, and one without it is answered by a refusal, whereupon the connection is closed: an HTTP request is
-such a line. Strangers get a few seconds, a few connections, lines of a bounded length, and no more than some
-connections a second: the program that records shall not be kept from its work by them.
+carries the token. A line without it, for example an HTTP request, is refused and its connection closed. Connections
+without a token get a few seconds, are few in number and per second, and may send only short lines. So they cannot
+disturb the recording program.
 """
 
 import asyncio
