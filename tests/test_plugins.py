@@ -407,7 +407,7 @@ def test_a_law_says_its_method(add: Add) -> None:
     assert of_law.parameters(trial)["law_method"] == 3
     ours = settings.GraspSettings("none", 1.0, settings._law("none", 1.0, MARGIN), 500.0, 0, 1.0, 1.0, None)
     assert "law_method" not in ours.parameters(trial)
-    with pytest.raises(InputError, match="a gain is for paper and paper-reset") as refused:
+    with pytest.raises(InputError, match="paper and paper-reset") as refused:
         settings._law("full", 2.0, MARGIN)
     assert "full with gain 2" in str(refused.value)
 

@@ -319,7 +319,7 @@ class RhP12Rn(AbstractContextManager["RhP12Rn"]):
                     "the gripper's bus watchdog has tripped and stopped it",
                     where=self._where,
                     expected=f"a command at least every {self._settings.watchdog_ms} ms",
-                    found=f"a longest silence of {self._silent_ms:.0f} ms, by this program's clock",
+                    found=f"longest silence {self._silent_ms:.0f} ms, by this program's clock",
                     hint="is the computer overloaded?",
                 ) from refused
             raise
