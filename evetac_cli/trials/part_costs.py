@@ -34,7 +34,7 @@ SURE = 2.0  # a difference below this many standard errors of its mean over the 
 
 Append = Callable[[Events, dict[str, Any]], None]
 SomeTrial = TypeVar("SomeTrial", bound=SimulatedTrial)
-Play = Callable[[SomeTrial, Append, Timer], Any]  # runs a trial and passes on every slice and its rows
+Play = Callable[[SomeTrial, Append, Timer], Any]  # runs the trial and passes on every slice and its rows
 
 
 @dataclass(frozen=True)

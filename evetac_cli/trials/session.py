@@ -35,7 +35,7 @@ SPEED = "`evetac doctor --speed` reports what is too slow"
 OVERLOADED = f"is the computer overloaded? {SPEED}; a longer --watchdog-ms gives it more time"
 # share of the watchdog's time: detecting a hang, switching torque off and reading it back must fit into that time
 FRESH = 0.75
-RECORDER_MS = 75.0  # used if longer: writing a segment may take some tens of ms, and all of it fits into 100 ms
+RECORDER_MS = 75.0  # used if longer: writing a segment may take some tens of ms
 # limit for a recorder that waits for a core: the detector buffers 64 MB, 5 s at a million events per s
 RECORDER_LATE_MS = 5000.0
 LOST = "capture/lost/"

@@ -86,7 +86,7 @@ class SimulatedTrial(Trial):
 
 @dataclass(frozen=True)
 class DeviceTrial(Trial):
-    """A trial with devices, in real time; each camera fills a file, and the first camera's file has the gripper.
+    """A trial with devices, in real time. There is one file per camera; the first camera's file has the gripper.
 
     series: the files of all trials, by trial; taken: those of them that existed before the first trial.
     """

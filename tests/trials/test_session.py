@@ -134,7 +134,7 @@ def slow(datasets: dict[str, Any], late: int = 0, behind_s: float | None = 0.0, 
         ({"capture/lost/camera.events_in_full_queue": 1}, {}, "1 events were lost"),
         ({"capture/lost/camera.unknown_words": 9}, {}, None),  # the camera's fault
         ({}, {"behind_s": 0.5}, None),
-        ({}, {"behind_s": 0.6}, "the recorder was 0.6 s behind"),
+        ({}, {"behind_s": 0.6}, "the recorder lagged 0.6 s behind"),
     ],
 )
 def test_what_the_computer_was_too_slow_for(

@@ -156,7 +156,7 @@ class WordSlices(DeviceSlices):
 class DvxplorerCamera:
     """A running DVXplorer Mini; an EventCamera, and the clock of its recording.
 
-    serial: which camera, None for the only one; backend: a pyusb backend, None for libusb. queue_bytes: how many bytes
+    serial: which camera, None for the only one. backend: a pyusb backend, None for libusb. queue_bytes: how many bytes
     may wait for `read`. patience_us: how long after the flush time to wait for a silent camera. DeviceError, with a
     message, for anything that keeps the camera from running. `notes` are for the user; `messages` come from the camera.
     """

@@ -42,9 +42,9 @@ class VirtualGripper(AbstractContextManager["VirtualGripper"]):
     ) -> None:
         """Start the process; when this returns, the servo is listening.
 
-        plant: the gripper of a world that another process steps, or its own drive that starts at
-        position_ticks, with or without an obstacle. faults: as in faults.py. registers: values that differ from the
-        factory values, by name. seed: for the faults that strike at random.
+        plant: the gripper of a world that another process steps, or an obstacle for the servo's own drive, which starts
+        at position_ticks. faults: as in faults.py. registers: values that differ from the factory values, by name.
+        seed: for the faults that strike at random.
         """
         if isinstance(plant, SharedPlant):
             plant_config: dict[str, Any] = {"shared": str(plant.path)}

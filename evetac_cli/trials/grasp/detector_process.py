@@ -1,4 +1,4 @@
-"""The detector's process of a grasp in real time: it reads a slice and publishes a status 1000 times per second.
+"""The detector's process of a grasp in real time: slices in, status in shared memory out, 1000 times per second.
 
 Everything slow is done before the camera runs: loading, compiling, and a first run on noise. Slices go to the recorder
 in batches, without waiting for it.

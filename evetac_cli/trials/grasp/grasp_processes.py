@@ -160,7 +160,7 @@ class GraspProcesses:
         return self._settings.gripper.release(self._settings.port, self._settings.driver)
 
     def _wait_for(self, kind: type[_T], inbox: MessageReader, process: Any, most_s: float, signals: list[int]) -> _T:
-        """Return the first message of a kind; raise whatever goes wrong before it arrives."""
+        """Return the first message of a kind; raise any error that occurs before it arrives."""
         until_s = time.monotonic() + most_s
         while time.monotonic() < until_s and not signals:
             select.select([inbox], [], [], POLL_S)

@@ -21,7 +21,7 @@ class Pace:
         self._began_s = clock()
         self._next = 0
         self.missed = 0
-        # missed deadlines that would have been met if the answer had been as fast as the fastest
+        # missed deadlines that a gripper answer as fast as its fastest would have kept
         self.missed_by_gripper = 0
 
     def shift(self, later_us: float) -> None:

@@ -93,7 +93,9 @@ def _refuse_another_grasp(first: Recording, path: Path) -> None:
         both = first.header["parameters"].get("trajectory"), second.header["parameters"].get("trajectory")
         if both[0] != both[1]:
             expected = f"the trajectory of {first.path}, {both[0]}"
-            raise InputError("the recordings are of different grasps", where=str(path), expected=expected, found=str(both[1]))
+            raise InputError(
+                "the recordings are of different grasps", where=str(path), expected=expected, found=str(both[1])
+            )
         if first.has(OFFSET) or not second.has(OFFSET):
             expected = "replay:FIRST,replay:SECOND; SECOND stores the offset of its clock from FIRST"
             found = f"{OFFSET} in {first.path if first.has(OFFSET) else 'neither'}"

@@ -48,7 +48,7 @@ class Listening(Job):
 def listening(trials: Sequence[DeviceTrial], out: Path | None, port: int, longest_s: float | None = None) -> Listening:
     """Return the job of trials like the one that the flags describe; InputError for several trials, or a file name.
 
-    Each start names a trial, so --count and several objects have no meaning.
+    Each start names its own trial, so --count and several objects have no meaning.
     """
     if out is not None and out.suffix == ".h5":
         raise InputError("each start names its file", where="--out", expected="a folder", found=str(out))

@@ -131,7 +131,7 @@ class GripperSchedule:
 
 
 def _expected_slices(devices: Rig, schedule: GripperSchedule) -> int:
-    """Return how many slices a trial will have, for the progress display; an estimate if the object slips out."""
+    """Return the expected number of slices, for the progress display; an estimate if the object slips out."""
     if math.isnan(devices.slips_at_ma):
         return devices.slices
     a_command_ma = devices.fall_factor * np.mean(RAMP_MA)

@@ -60,7 +60,11 @@ def test_a_computer_that_stands_still_changes_no_count(
         (Ending(1000, 1000.0, 50_000, 100_000, 0), True, ["0 events reported as lost, 50000 were"]),
         (Ending(1000, 1000.0, 90_000, 100_000, 30_000), True, None),
         (Ending(1000, 1000.0, 90_000, 100_000, "unknown, at least 30,000"), False, None),
-        (Ending(1000, 1000.0, 90_000, 100_000, "unknown, at least 9,000"), True, ["the number of lost events is unknown"]),
+        (
+            Ending(1000, 1000.0, 90_000, 100_000, "unknown, at least 9,000"),
+            True,
+            ["the number of lost events is unknown"],
+        ),
         (Ending(1000, 1000.0, 50_000, 100_000, "unknown, at least 9,000"), False, []),
         (Ending(1000, 1000.0, 50_000, 100_000, 49_000), True, []),
         (Ending(1000, 1200.0, 100_000, 120_000, 0, 20_000), True, []),
