@@ -65,8 +65,8 @@ def gripper_row(
 ) -> dict[str, Any]:
     """Return the row of one command in the datasets `gripper/...` of a recording.
 
-    now_us: device time; target_ma, written_ma: the goal current, and the part of it that was written. The defaults are
-    for a position command.
+    now_us: device time; target_ma, written_ma: the goal current, and the integer that was written. The defaults are for
+    a position command.
     """
     return {
         "gripper/t_us": now_us,

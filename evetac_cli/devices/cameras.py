@@ -333,7 +333,7 @@ def _no_such_camera(text: str) -> InputError:
 
 
 def prepared_words(events_s: float, seeds: np.random.SeedSequence, time: TimeSource = HOST_TIME) -> "PreparedWords":
-    """Return one second of random event words, which is repeated for two minutes of a clock."""
+    """Return a source that repeats one second of random event words for two minutes of a clock."""
     from evetac_cli.devices.virtual.word_sources import PreparedWords, random_event_words
 
     second = random_event_words(events_s, 1.0, np.random.default_rng(seeds))

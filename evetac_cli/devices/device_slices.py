@@ -1,12 +1,12 @@
 """Cut a real camera's events into slices, and relate the camera's clock to the host's.
 
-Slice k holds device times [k, k + 1) ms after the recording's begin, which is the first ms that the camera sent. A
+Slice k holds device times [k, k + 1) ms after the recording's start, which is the first ms that the camera sent. A
 slice is closed by a later device time. If the sensor is silent, the host's clock closes the slice. This requires a read
 that found the camera empty, and that began so late that the camera would have sent the slice's events before it. Events
 for a slice that is already closed are counted and dropped, not moved to another slice.
 
-Reason: on a busy machine the time at which data are processed means nothing. The time at which an empty read began does
-mean something. A program that was kept from running therefore closes no slice too early.
+Reason: on a busy machine the time at which data are processed means nothing, but the time at which an empty read began
+is reliable. A program that was kept from running therefore closes no slice too early.
 
 The host's time bounds the device time. No slice is closed that could not have passed since the camera was started. If
 device time stays far from the host's time, the camera's clock was damaged, and its times are shifted to match the

@@ -1,8 +1,8 @@
 """A DVXplorer Mini through the maker's library dv-processing (firmware 10 only): an alternative to evetac's own driver.
 
-The library finds, reads and decodes the camera; slices are cut as for evetac's driver (device_slices.py). Its times are
-the camera's times plus the host's time of day at the start. The library does not report its own losses, nor whether a
-camera without events still sends the time. So a second without an event is counted as such.
+The library finds and reads the camera and decodes its events; slices are cut as for evetac's driver (device_slices.py).
+Its times are the camera's times plus the host's time of day at the start. The library does not report its own losses,
+nor whether a camera without events still sends the time. So a second without an event is counted as such.
 """
 
 import time

@@ -35,7 +35,8 @@ SPEED = "`evetac doctor --speed` reports what is too slow"
 OVERLOADED = f"is the computer overloaded? {SPEED}; a longer --watchdog-ms gives it more time"
 # share of the watchdog's time: detecting a hang, switching torque off and reading it back must fit into that time
 FRESH = 0.75
-RECORDER_MS = 75.0  # used if longer: writing a segment may take some tens of ms
+# used if longer: writing a segment may take some tens of ms. Detection and release still fit into 100 ms
+RECORDER_MS = 75.0
 # limit for a recorder that waits for a core: the detector buffers 64 MB, 5 s at a million events per s
 RECORDER_LATE_MS = 5000.0
 LOST = "capture/lost/"
@@ -184,8 +185,10 @@ def too_slow(
 ) -> str | None:
     """Return one line on what this computer was too slow for, and the effect on the recording; None if nothing.
 
-    datasets: capture/...; commands: number of commands sent. behind_s: the longest lag of a grasp's recorder; None if
-    no slice decides on a command, so that a late slice costs nothing. used: a sentence on the use of the cores.
+    datasets: capture/...; commands: number of commands sent; used: a sentence on the use of the cores.
+
+    behind_s: the longest lag of a grasp's recorder; None if no slice decides on a command, so that a late slice costs
+    nothing.
     """
     missed, lost = int(datasets.get("capture/command_misses", 0)), int(datasets.get(QUEUE_LOST, 0))
     late = f"{late_slices.count:,} of {slices:,} slices arrived more than {late_slices.most_us * 1e-3:g} ms late"

@@ -1,7 +1,7 @@
 """Trials: the recordings that `record` and `grasp` make, their sources and their seeds.
 
-A trial is a job of one of three types: in a simulated scene that runs as fast as it is computed; with devices in real
-time (real, or virtual with a simulated scene); or on a replayed recording.
+A trial is a job of one of three types. It runs in a simulated scene as fast as that is computed, with devices in real
+time (real, or virtual with a simulated scene), or on a replayed recording.
 """
 
 import math

@@ -156,9 +156,13 @@ class WordSlices(DeviceSlices):
 class DvxplorerCamera:
     """A running DVXplorer Mini; an EventCamera, and the clock of its recording.
 
-    serial: which camera, None for the only one. backend: a pyusb backend, None for libusb. queue_bytes: how many bytes
-    may wait for `read`. patience_us: how long after the flush time to wait for a silent camera. DeviceError, with a
-    message, for anything that keeps the camera from running. `notes` are for the user; `messages` come from the camera.
+    serial: which camera, None for the only one; backend: a pyusb backend, None for libusb.
+
+    queue_bytes: how many bytes may wait for `read`; patience_us: how long after the flush time to wait for a silent
+    camera.
+
+    DeviceError, with a message, for anything that keeps the camera from running. `notes` are for the user; `messages`
+    come from the camera.
     """
 
     def __init__(
@@ -282,7 +286,7 @@ class DvxplorerCamera:
         except usb.core.USBError as error:
             if error.errno is not None:
                 raise
-            self._device.set_configuration()  # pyusb reports it so if no configuration is set
+            self._device.set_configuration()  # without an errno, the error means that no configuration is set
             configuration = self._device.get_active_configuration()
         usb.util.claim_interface(self._device, 0)
         self._claimed = True

@@ -8,11 +8,11 @@ followed by a check: one of torque, one of supply and temperature (measurements.
 example when slip is answered between two steps of a loop, is only sent: it requests no answer that would delay the next
 read.
 
-Reason: however the driver ends (close, an error, Ctrl-C, the end of the program, SIGTERM, a lost terminal), it sets
-current 0 and torque off, and `release_words` report what was read back. Events that no program can handle (SIGKILL, a
-pulled plug) are left to the servo's Bus Watchdog. After 100 ms of silence a program loses the gripper and gets an error
-that explains it. Setting up leaves torque off, and the first command switches it on, watchdog first (torque.py). So a
-program may take its time before that command. Only commands reset the watchdog: no thread, no timer.
+However the driver ends (close, an error, Ctrl-C, the end of the program, SIGTERM, a lost terminal), it sets current 0
+and torque off, and `release_words` report what was read back. Events that no program can handle (SIGKILL, a pulled
+plug) are left to the servo's Bus Watchdog, which stops the motor. After 100 ms of silence a program loses the gripper
+and gets an error that explains it. Setting up leaves torque off, and the first command switches it on, watchdog first
+(torque.py). So a program may take its time before that command. Only commands reset the watchdog: no thread, no timer.
 
 EEPROM is written only if a needed value differs (operating mode, return delay), with torque off, and is listed in
 `described`. Nothing is ever reset to factory values. Sources: hardware notes on the control table; the set-up order and

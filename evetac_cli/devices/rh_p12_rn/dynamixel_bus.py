@@ -5,8 +5,8 @@ second loss is an error. A bus belongs to one thread.
 
 Reason: the behaviour of the SDK's port is changed. It sleeps while it waits for an answer, where the SDK's port would
 occupy a core. It gives up after `answer_ms`, where the SDK's takes 34 ms. It is locked, so that two programs cannot
-talk at once. It leaves the servo a pause after an instruction without an answer. The
-port is free for the next one.
+talk at once. It leaves the servo a pause after an instruction without an answer. If a transaction is aborted,
+the port is free for the next one.
 """
 
 import select

@@ -123,9 +123,9 @@ class DeviceModel:
         self._run(False)
 
     def transfer(self, most: int, timeout_s: float) -> bytes:
-        """Return the data of one bulk transfer: when it is full, or after the flush time.
+        """Return the data of one bulk transfer, which ends when it is full or after the flush time.
 
-        B"" if nothing arrives in time.
+        Return b"" if nothing arrives in time.
         """
         end_s = time.monotonic() + timeout_s
         while self._fill(0.0):  # words that arrived between transfers are in a real camera's buffer

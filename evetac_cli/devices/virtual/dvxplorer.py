@@ -4,9 +4,9 @@ It answers like the real camera, as far as that is known. This covers descriptor
 registers, and a stream only while the camera runs. Transfers are sent when they are full or after the flush time. Words
 come from a source: any object with `run(on)` and `take(most, timeout_s) -> bytes` of little-endian words.
 
-Purpose: the driver, including pyusb, runs unchanged on this backend. Three properties of the real camera are unknown.
-Assumed here are 1024-byte packets, and a buffer of 512 KiB (the memory of its USB chip) that drops the oldest words.
-After stale data were flushed, no words of a stopped run follow.
+Purpose: the driver, including pyusb, runs unchanged on this backend. Three properties of the real camera are unknown
+and assumed here. Packets have 1024 bytes. The buffer has 512 KiB (the memory of its USB chip) and drops the oldest
+words. After stale data were flushed, no words of a stopped run follow.
 """
 
 import errno

@@ -43,8 +43,10 @@ class VirtualGripper(AbstractContextManager["VirtualGripper"]):
         """Start the process; when this returns, the servo is listening.
 
         plant: the gripper of a world that another process steps, or an obstacle for the servo's own drive, which starts
-        at position_ticks. faults: as in faults.py. registers: values that differ from the factory values, by name.
-        seed: for the faults that strike at random.
+        at position_ticks.
+
+        faults: as in faults.py; registers: values that differ from the factory values, by name; seed: for the faults
+        that strike at random.
         """
         if isinstance(plant, SharedPlant):
             plant_config: dict[str, Any] = {"shared": str(plant.path)}

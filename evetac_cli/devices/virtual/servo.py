@@ -1,7 +1,7 @@
 """The logic of an RH-P12-RN(A): control table, instructions, errors and watchdog, without a port or its own clock.
 
-Frames and the time go in; answers and their delays come out. So a test can drive it step by step. Simulated: a plant
-moves (servo_plant).
+Frames and the time go in; answers and their delays come out. So a test can drive it step by step. Simulated: it
+moves a plant (servo_plant).
 
 Where the maker's manual is unclear, this servo is strict. Goal Current starts at 0. A wrong CRC is answered with error
 3. A tripped watchdog cuts the motor current, leaves Torque Enable as it is and accepts only 0. An overload switches
@@ -50,7 +50,7 @@ class ServoRefused(Exception):
 
 
 class VirtualServo:
-    """One servo; `handle` processes a frame, and `tick` advances the time."""
+    """One servo; `handle` processes a frame, and `tick` advances its time."""
 
     def __init__(self, plant: Plant, registers: Mapping[str, int], now_s: float) -> None:
         """registers: values that differ from the factory values; ValueError for an unknown name or a wrong size."""

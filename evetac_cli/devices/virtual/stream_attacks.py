@@ -90,7 +90,7 @@ class Ending:
 def attack(attacked: Attack, seconds: float, events_s: float, time: TimeSource = HOST_TIME) -> Ending:
     """Read this many seconds of a stream with a fault, through the real driver, as a recording does.
 
-    Time: of the stream.
+    time: the stream's time source.
     """
     words = random_event_words(events_s, 2.0 * seconds, np.random.default_rng(0))
     device = VirtualDvxplorer(PreparedWords(words, time=time), faults=(attacked.fault,))

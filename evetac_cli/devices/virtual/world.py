@@ -172,11 +172,10 @@ class VirtualWorld:
         return self._process is not None and self._process.pid is not None and self._process.exitcode is not None
 
     def take(self, most: int, timeout_s: float) -> bytes:
-        """Return event words, little-endian, as they arrive.
+        """Return event words, little-endian, as they arrive; b"" if none arrived in time.
 
-        B"" if none arrived in time and none from before the call are due.
-
-        Repeated calls with no time to wait, until no words are left, count as one call made at the time of the first.
+        An empty result also means that no words from before the call are due. Repeated calls with no time to wait,
+        until no words are left, count as one call made at the time of the first.
         """
         if timeout_s > 0 or not self._polling:
             self._asked_s = self.time.now_s()

@@ -10,8 +10,8 @@ the process that detects each:
 - A detector publishes no status, or a camera sends no event, for FRESH of the watchdog's time: this process switches
   torque off. With two fingers, one such fault is enough.
 - The recorder, the parent of all processes, gives no sign of life for FRESH of the watchdog's time, or RECORDER_MS if
-  that is longer: this process ends the grasp if the recorder was stopped or killed. A recorder that only waits for a
-  core has RECORDER_LATE_MS; the detector buffers its data meanwhile.
+  longer. This process ends the grasp if the recorder was stopped or killed. A recorder that only waits for a core has
+  RECORDER_LATE_MS; the detector buffers its data meanwhile.
 - This process dies: the servo notices, because only the commands of this loop keep its Bus Watchdog from tripping.
 - This process was stopped for longer than the watchdog's time: it switches torque off before it commands again.
 

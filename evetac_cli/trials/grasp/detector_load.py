@@ -8,8 +8,8 @@ from evetac_cli.events import SLICE_US
 
 WARM_SLICES = 100  # slices at the beginning, during which it catches up
 FEWEST_SLICES = 1000
-FULL = 0.9  # usable share of a core: threads of one interpreter sometimes wait for each other
-# events that cost at most as much as an empty slice: about 0.07 us each, and 85 us or more per slice
+FULL = 0.9  # Usable share of a core: threads of one interpreter sometimes wait for each other.
+# Events that cost at most as much as an empty slice: about 0.07 us each, and 85 us or more per slice.
 EVENTS_OF_A_SLICE = 1000
 
 

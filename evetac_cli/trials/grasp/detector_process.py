@@ -147,12 +147,10 @@ def run_detector(
     pipe: Connection,
     alive: Connection,
 ) -> None:
-    """Run the detector's process: load, wait for an order, open the camera, detect until stopped.
+    """Run the detector's process: load, open the camera after an order, then detect until stopped.
 
-    Publish after an order.
-
-    orders: any message is the next order; pipe: to the recorder; alive: nothing is written to it, and it closes when
-    this process ends in any way.
+    A status is published only after another order. orders: any message is the next order; pipe: to the recorder; alive:
+    nothing is written to it, and it closes when this process ends in any way.
     """
     ignore_interrupts()  # Ctrl-C is for the recorder, which then stops this process
     ending = remember_signals()

@@ -13,8 +13,8 @@ then reads the fingers, and commands from their true position.
 
 Why once per step: to the law, slip is a flag, raised by one slice or several. A bus period of 2 ms has room for a read
 (0.35 ms) and two writes (0.2 ms each), but the bus must be free when the next read is due. Decisions that are not safe
-here are left to the step: everything that ends a grasp, the change of phases, and any command after this process was
-stopped, because the servo may have released the object.
+here are left to the step. These are everything that ends a grasp, the change of phases, and any command after this
+process was stopped, because the servo may have released the object.
 """
 
 import math

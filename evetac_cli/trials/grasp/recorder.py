@@ -5,9 +5,9 @@ parent of the others, so one sign of life covers both. It knows why the grasp en
 emergency key ended it, or something failed. The file states the reason in every case.
 
 The loop here supervises and is fast; a thread with lower priority than all others writes (writing_thread.py). Data may
-wait in several places, so that a recorder without core or disk time loses nothing: 192 MB of events in this process, 1
-MB in the pipe, and 64 MB in the detector's process, which then ends the grasp. At a million events per second this
-lasts 20 s.
+wait in several places, so that a recorder without core or disk time loses nothing. There is room for 192 MB of events
+in this process, 1 MB in the pipe, and 64 MB in the detector's process, which then ends the grasp. At a million events
+per second this lasts 20 s.
 """
 
 import math
@@ -59,9 +59,11 @@ def record(
 ) -> RecordedGrasp:
     """Write until all processes have ended; the result contains their failures.
 
-    writers: one per finger's file; signals: grows when Ctrl-C is pressed; key: opens the gripper. view: shows the first
-    finger of the grasp, and its button releases the gripper; niceness: of the writing thread. desk: for a robot's
-    program, which may mark and end the grasp. A failure in writing is raised.
+    writers: one per finger's file; signals: grows when Ctrl-C is pressed; key: opens the gripper.
+
+    view: shows the first finger of the grasp, and its button releases the gripper; niceness: of the writing thread.
+
+    desk: for a robot's program, which may mark and end the grasp. A failure in writing is raised.
     """
     recorded = RecordedGrasp(end_ms=end_ms, second=RecordedFinger() if len(writers) > 1 else None)
 

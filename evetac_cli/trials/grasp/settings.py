@@ -1,7 +1,4 @@
-"""The settings of a grasp, resolved once from its flags: law, detector, timing and gripper.
-
-And the trials with them.
-"""
+"""The settings of a grasp, resolved once from its flags (law, detector, timing, gripper), and the trials with them."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -52,7 +49,7 @@ class DetectorModel:
     def of(cls, params: Grasp, *, sticking: bool = False) -> "DetectorModel":
         """Return the model that the flags name; InputError if it must not be run, or is not useful.
 
-        It is checked before any device is touched, and a plug-in graph is refused here rather than in the detector's
+        It is checked before any device is touched, and a faulty graph is refused here rather than in the detector's
         process.
         """
         path = resources.model_file(params.model)

@@ -5,9 +5,9 @@ core. A grasp must not end because of that, and code that can be so late must no
 emergency key. So messages wait here, in memory of bounded size, and are written as time permits.
 
 The two threads share an interpreter. HDF5 holds it while it packs, not while the disk takes the bytes, and a thread
-that loses its core keeps the interpreter. Measured on two cores with 18 processes that wanted one: a loop of 5 ms at
-real-time priority came up to 50 ms late (21 to 29 ms at p99) with a continuously writing thread at normal niceness.
-With niceness 15, which is for virtual devices, it came 0.7 s late. So a late sign of life alone ends no grasp
+that loses its core keeps the interpreter. This was measured on two cores with 18 processes that wanted one. With a
+continuously writing thread at normal niceness, a loop of 5 ms at real-time priority came up to 50 ms late (21 to 29 ms
+at p99). With niceness 15, which is for virtual devices, it came 0.7 s late. So a late sign of life alone ends no grasp
 (controller_process.py).
 """
 
@@ -82,7 +82,9 @@ class WritingThread(threading.Thread):
 
     def run(self) -> None:
         """Write until the block is over, or writing fails."""
-        if sys.platform == "linux":  # on Linux both apply to this thread only; it may have inherited another priority
+        if (
+            sys.platform == "linux"
+        ):  # on Linux both settings apply to this thread only; it may have inherited another priority
             with contextlib.suppress(OSError):
                 os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
             set_niceness(self._niceness)

@@ -1,7 +1,7 @@
 """The latest slices and commands of a running recording, in shared memory for a live view.
 
-The recording loop writes here and never waits: it overwrites the oldest data, read or not. A reader that is too slow
-never sees a slice. One byte goes the other way: whether the user pressed the release button.
+The recording loop writes here and never waits: it overwrites the oldest data, read or not. A slow reader misses
+slices. One byte goes the other way: whether the user pressed the release button.
 
 A view may be late and may skip data; a recording may not. So a reader takes no lock. A slice of 1000 events costs its
 writer 5 us. Data that are overwritten while being read are only displayed, and every pixel and polarity in the memory

@@ -27,9 +27,9 @@ class LiveTouch:
     """Touch maps from the dots of a tracker, with the same assumptions on the gel as predict-touch."""
 
     def __init__(self, sensor: Mapping[str, Any], tracking: TrackerState, period_s: float) -> None:
-        """sensor: datasets `sensor/...` of a camera.
+        """sensor: datasets `sensor/...` of a camera; period_s: time between samples.
 
-        Period_s: time between samples; ValueError if the dots cannot be used.
+        ValueError if the dots cannot be used.
         """
         width, height = (int(side) for side in sensor["sensor/frame_px"])
         if (width, height) != FRAME_PX:  # the size of its pixels on the gel is unknown

@@ -74,9 +74,11 @@ class HoldRequest:
 class DeviceRecording(DeviceTrial):
     """A trial that is recorded from devices.
 
-    settings: of the cameras; hold: None if no gripper moves; calibrations: of each camera, to store with it; seconds:
-    the longest duration; events_per_s: the event rate that the disk must have room for; resume: continue a series;
-    armed: whether a real gripper may be moved.
+    settings: of the cameras; hold: None if no gripper moves; calibrations: of each camera, to store with it.
+
+    seconds: the longest duration; events_per_s: the event rate that the disk must have room for.
+
+    resume: continue a series; armed: whether a real gripper may be moved.
     """
 
     settings: CameraSettings

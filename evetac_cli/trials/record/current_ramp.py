@@ -4,9 +4,9 @@ Alternatively it follows the current that a scene names (gripper.current).
 
 The law is a pure start/step state machine (paper, "Experimental Setup and Data Collection Procedure"). GripperLoop runs
 it at 500 Hz in a thread of its own, so that a gripper that answers late does not delay the camera. The recording thread
-fetches the loop's rows, which also shows that it is alive. The loop switches torque off before its next command in two
-cases: the recording thread gave no sign of life for FRESH of the watchdog's time (or RECORDER_MS if longer), or the
-loop itself was stopped for longer than the watchdog's time. In a simulated scene there is no loop; simulated.py
+fetches the loop's rows, which also shows that it is alive. The loop switches torque off before its next command if the
+recording thread gave no sign of life for FRESH of the watchdog's time (or RECORDER_MS if longer). It does the same if
+it was itself stopped for longer than the watchdog's time. In a simulated scene there is no loop; simulated.py
 commands in step with the scene's time.
 """
 
@@ -129,9 +129,8 @@ class GripperLoop:
     ) -> None:
         """act: returns (target current in mA, reason for the end or "") for a reading.
 
-        Now_us: device time of the recording.
-
-        time: time source of the loop; watchdog_ms: of the gripper; key: opens the gripper, and ends the loop.
+        now_us: device time of the recording; time: time source of the loop; watchdog_ms: of the gripper; key: opens the
+        gripper, and ends the loop.
         """
         self._gripper = gripper
         self._act = act
