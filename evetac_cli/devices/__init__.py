@@ -167,10 +167,10 @@ class Rig:
 
     def counted(self) -> dict[str, int]:
         """Return the losses so far, named camera.REASON and gripper.REASON."""
-        named = [("camera", self.camera), ("gripper", self.gripper), *(("world", peer) for peer in self.peers)]
+        by_name = [("camera", self.camera), ("gripper", self.gripper), *(("world", peer) for peer in self.peers)]
         return {
             f"{name}.{why}": count
-            for name, device in named
+            for name, device in by_name
             if device is not None
             for why, count in device.counted.items()
         }

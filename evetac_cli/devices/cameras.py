@@ -153,12 +153,12 @@ class Virtual(NamedCamera):
         faults: list[str] = []
         rate = firmware = None
         for option in options(text):
-            key, is_given, given = option.partition("=")
+            key, has_value, value = option.partition("=")
             if key == "prepared" and rate is None:
                 where = "--camera virtual:prepared=EVENTS_S"
-                rate = parse_number(given, *EVENTS_S, where, name) if is_given else float(PREPARED_EVENTS_S)
-            elif key == "firmware" and is_given and firmware is None:
-                firmware = int(parse_number(given, *FIRMWARES, "--camera virtual:firmware=NUMBER", name, whole=True))
+                rate = parse_number(value, *EVENTS_S, where, name) if has_value else float(PREPARED_EVENTS_S)
+            elif key == "firmware" and has_value and firmware is None:
+                firmware = int(parse_number(value, *FIRMWARES, "--camera virtual:firmware=NUMBER", name, whole=True))
             else:
                 camera_fault(option)
                 faults.append(option)
@@ -226,10 +226,10 @@ class Dv(Dvxplorer):
         from evetac_cli.devices.dv import DvCamera
         from evetac_cli.devices.dvxplorer.protocol import DvxplorerSettings
 
-        chosen = DvxplorerSettings(**settings.given())
-        camera = DvCamera(self.serial, chosen)
+        driver_settings = DvxplorerSettings(**settings.given())
+        camera = DvCamera(self.serial, driver_settings)
         sensor = str(camera.sensor["sensor/name"])
-        return OpenedCamera(camera, {"name": self.name, "sensor": sensor, "settings": asdict(chosen)})
+        return OpenedCamera(camera, {"name": self.name, "sensor": sensor, "settings": asdict(driver_settings)})
 
 
 @dataclass(frozen=True)
@@ -306,13 +306,13 @@ def parse_several(text: str) -> tuple[NamedCamera, ...]:
     InputError if a serial number is named twice, because a device can be opened only once.
     """
     first, *parts = text.split(",")
-    named = [first]
+    texts = [first]
     for part in parts:
         if _begins_camera(part):
-            named.append(part)
+            texts.append(part)
         else:
-            named[-1] += f",{part}"
-    cameras = tuple(map(parse, named))
+            texts[-1] += f",{part}"
+    cameras = tuple(map(parse, texts))
     serials = [camera.serial for camera in cameras if isinstance(camera, Dvxplorer) and camera.serial]
     if len(set(serials)) < len(serials):
         raise InputError("the same camera twice", where="--camera", expected="serial numbers that differ", found=text)
@@ -345,9 +345,9 @@ def _open_dvxplorer(name: str, serial: str | None, settings: CameraSettings, bac
     from evetac_cli.devices.dvxplorer.camera import DvxplorerCamera
     from evetac_cli.devices.dvxplorer.protocol import DvxplorerSettings
 
-    chosen = DvxplorerSettings(**settings.given())
-    camera = DvxplorerCamera(serial, chosen, backend=backend)
-    about = {"serial": camera.serial, "firmware": camera.firmware, "settings": asdict(chosen)}
+    driver_settings = DvxplorerSettings(**settings.given())
+    camera = DvxplorerCamera(serial, driver_settings, backend=backend)
+    about = {"serial": camera.serial, "firmware": camera.firmware, "settings": asdict(driver_settings)}
     return OpenedCamera(camera, {"name": name, **about})
 
 

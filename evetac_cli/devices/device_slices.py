@@ -71,9 +71,9 @@ class DeviceSlices:
         self._latest_us = 0  # latest time in the packets so far
         self._due = 0  # number of slices that are finished
         self._closed = 0
-        self._told = 0  # slices that were finished when the camera last sent a time
-        self._told_us = 0.0  # host time of that
-        self._asked_us = 0.0  # host time at which the latest empty read began
+        self._over_at_time = 0  # slices that were finished when the camera last sent a time
+        self._time_sent_us = 0.0  # host time of that
+        self._empty_read_us = 0.0  # host time at which the latest empty read began
         self._far_since_us: float | None = None  # host time since which device time has been far from the host's
         self.waiting_events = 0  # events of slices that are not closed
         self.late_events = 0
@@ -82,7 +82,7 @@ class DeviceSlices:
 
     def start(self, host_us: float) -> None:
         """Record that the camera was started at this host time or later."""
-        self._started_us = self._told_us = host_us
+        self._started_us = self._time_sent_us = host_us
 
     def host_us(self, recording_us: float) -> float:
         """Return the host time at which the camera's clock showed a time of the recording."""
@@ -111,7 +111,7 @@ class DeviceSlices:
 
         Only ms covered by empty reads count.
         """
-        return max(0, min(self._closed - self._told, int(self._asked_us - self._told_us) // SLICE_US))
+        return max(0, min(self._closed - self._over_at_time, int(self._empty_read_us - self._time_sent_us) // SLICE_US))
 
     def push(self, events: Events, first_us: int, now_us: int, arrived_us: float) -> list[Events]:
         """Take newly arrived events and return the slices that this closes.
@@ -134,12 +134,12 @@ class DeviceSlices:
             self._now_us = now_us
             self._offset.add(arrived_us, now_us)
             closed += self.close_until((now_us - self._origin_us) // SLICE_US)
-            self._told, self._told_us = max(self._closed, self._due), arrived_us
+            self._over_at_time, self._time_sent_us = max(self._closed, self._due), arrived_us
         return closed
 
     def over(self, begun_us: float) -> int:
         """Return how many slices are finished, given that a read begun at this host time found the camera empty."""
-        self._asked_us = begun_us
+        self._empty_read_us = begun_us
         if self._origin_us is None and begun_us < self._started_us + FIRST_EVENTS_US:
             return 0
         passed_us = min(self.recording_us(begun_us), self.most_us(begun_us))
@@ -147,7 +147,7 @@ class DeviceSlices:
 
     def heard(self, host_us: float) -> None:
         """Record that the camera sent a time that was not believed: it is not silent."""
-        self._told, self._told_us = max(self._closed, self._due), host_us
+        self._over_at_time, self._time_sent_us = max(self._closed, self._due), host_us
 
     def take(self, events: Events) -> list[Events]:
         """Sort events into their slices, except those whose slice is closed."""

@@ -218,14 +218,14 @@ def parse_port(text: str) -> Serial:
     A port's own name may contain colons, for example /dev/serial/by-path/pci-0000:00:14.0-usb-0:2:1.0-port0. The text
     after the last colon is an id, unless it looks like `1.0` or contains a slash.
     """
-    named, at, rate = text.rpartition("@") if "@" in text else (text, "", "")
+    port_and_id, at, rate = text.rpartition("@") if "@" in text else (text, "", "")
     if ":" in rate:
         raise InputError("the id comes before the baud rate", where="--gripper", expected="PORT:ID@BAUD", found=text)
     bauds = [each for each in SDK_RATES if number(rate) == each] if at else [BAUD]
     if not bauds:
         rates = ", ".join(map(str, SDK_RATES))
         raise InputError("no such baud rate", where="--gripper PORT@BAUD", expected=f"one of {rates}", found=text)
-    port, colon, last = named.rpartition(":")
+    port, colon, last = port_and_id.rpartition(":")
     if not colon or _OF_A_PATH.search(last):
-        return Serial(named, bauds[0])
+        return Serial(port_and_id, bauds[0])
     return Serial(port, bauds[0], int(parse_number(last, 0, LAST_ID, "--gripper PORT:ID", text, whole=True)))

@@ -77,7 +77,7 @@ class CameraPart:
 
 
 @dataclass
-class _Held:
+class _OpenState:
     """The open camera of a KeptCamera, its present part, and how many of its slices were read."""
 
     opened: OpenedCamera | None = None
@@ -111,7 +111,7 @@ class KeptCamera(NamedCamera):
 
     named: NamedCamera
     settings: CameraSettings
-    _held: "_Held" = field(default_factory=_Held, compare=False)
+    _state: "_OpenState" = field(default_factory=_OpenState, compare=False)
 
     @property
     def capabilities(self) -> frozenset[Capability]:
@@ -136,24 +136,24 @@ class KeptCamera(NamedCamera):
 
     def open(self, settings: CameraSettings, world: Any, seeds: np.random.SeedSequence) -> OpenedCamera:
         """Return the part that begins now, opening the camera if necessary; DeviceError if that fails."""
-        held = self._held
+        state = self._state
         if not self._is_current():
             self.close()
-            held.opened, held.read = self.named.open(settings, world, seeds), 0
-        assert held.opened is not None
-        held.part = CameraPart(held.opened.camera, held.read)
-        return OpenedCamera(held.part, held.opened.setup, held.opened.parents)
+            state.opened, state.read = self.named.open(settings, world, seeds), 0
+        assert state.opened is not None
+        state.part = CameraPart(state.opened.camera, state.read)
+        return OpenedCamera(state.part, state.opened.setup, state.opened.parents)
 
     def _is_current(self) -> bool:
         """Return whether the camera is open and delivers slices; slices that piled up unread are discarded."""
-        held = self._held
-        if held.opened is None or not held.leave_part():
+        state = self._state
+        if state.opened is None or not state.leave_part():
             return False
-        camera = held.opened.camera
+        camera = state.opened.camera
         now_us = camera.time.now_s() * 1e6
         try:
-            while camera.host_us((held.read + 1) * SLICE_US) < now_us:
-                if not held.skip():
+            while camera.host_us((state.read + 1) * SLICE_US) < now_us:
+                if not state.skip():
                     return False
         except DeviceError:
             return False
@@ -164,10 +164,10 @@ class KeptCamera(NamedCamera):
 
         DeviceError if it failed now.
         """
-        if self._held.opened is None:
+        if self._state.opened is None:
             return
         try:
-            over = not self._held.leave_part() or not self._held.skip()
+            over = not self._state.leave_part() or not self._state.skip()
         except DeviceError:
             self.close()
             raise
@@ -177,12 +177,12 @@ class KeptCamera(NamedCamera):
     @property
     def is_open(self) -> bool:
         """Whether the camera is running."""
-        return self._held.opened is not None
+        return self._state.opened is not None
 
     def close(self) -> None:
         """Stop the camera, whether or not it still responds; a second call does nothing."""
-        opened, self._held.opened = self._held.opened, None
-        self._held.part = None
+        opened, self._state.opened = self._state.opened, None
+        self._state.part = None
         if opened is not None:
             with suppress(DeviceError):
                 opened.camera.close()

@@ -59,7 +59,7 @@ class LossNews:
     def __init__(self) -> None:
         self._silent: dict[str, int] = {}  # name -> ms of silence before the present silence
         self._ms: dict[str, int] = {}  # name -> ms of silence at the last call
-        self._said: dict[str, float] = {}
+        self._reported_s: dict[str, float] = {}
         self._lost: int | str = 0
 
     def of(self, counts: Mapping[str, int], now_s: float) -> list[str]:
@@ -75,7 +75,7 @@ class LossNews:
                     news.append(f"{device} {words}, for {(ms - began_ms) * 1e-3:.1f} s now: is it plugged in firmly?")
             elif name in self._silent:
                 silent_s = (ms - self._silent.pop(name)) * 1e-3
-                self._said.pop(name, None)
+                self._reported_s.pop(name, None)
                 news.append(f"{device} sends again, after {silent_s:.1f} s; its events of that time are lost")
         others = {name: count for name, count in counts.items() if _reason(name) not in SILENCES}
         lost = events_lost(others)
@@ -90,7 +90,7 @@ class LossNews:
 
     def _is_due(self, what: str, now_s: float) -> bool:
         """Return whether this was not reported in the last AGAIN_S, and note that it is reported now."""
-        due = now_s - self._said.get(what, -AGAIN_S) >= AGAIN_S
+        due = now_s - self._reported_s.get(what, -AGAIN_S) >= AGAIN_S
         if due:
-            self._said[what] = now_s
+            self._reported_s[what] = now_s
         return due

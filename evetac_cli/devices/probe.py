@@ -130,9 +130,9 @@ class Host:
 
         This id is searched at every rate; other ids only at the rates where it answered, or at all rates if it did not.
         """
-        named = scan(str(port), self.rates, (id_,), answer_ms=self.answer_ms)
-        devices = {(each.baud, each.id): each for each in named}
-        for baud in {each.baud for each in named} or self.rates:
+        of_id = scan(str(port), self.rates, (id_,), answer_ms=self.answer_ms)
+        devices = {(each.baud, each.id): each for each in of_id}
+        for baud in {each.baud for each in of_id} or self.rates:
             with Bus(str(port), baud, answer_ms=self.answer_ms) as bus:
                 for other, (model, _) in bus.devices(self.broadcast_ms).items():
                     devices.setdefault((baud, other), BusDevice(baud, other, model))

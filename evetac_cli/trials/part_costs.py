@@ -171,27 +171,29 @@ def for_people(shown: Outcome) -> tuple[list[dict[str, Any]], list[str]]:
     ]
     left_out = [row for row in rows if row["left_out"] is not None]
     would_take = [f"{row['part']} {saved} us" for row in left_out if (saved := _in_words(row, "saves_us")) is not None]
-    said = [
+    sentences = [
         "-: not measured separately, but within another part. The camera's time includes dots, window, edge and noise."
     ]
     if left_out:
-        said += [f"{len(left_out)} parts are left out because scene and sensor do not name them; -v lists the reasons."]
+        sentences += [
+            f"{len(left_out)} parts are left out because scene and sensor do not name them; -v lists the reasons."
+        ]
     if would_take:
-        said += [f"They would take: {', '.join(would_take)}."]
+        sentences += [f"They would take: {', '.join(would_take)}."]
     if "time_us_a_slice" in summary:
-        said += [
+        sentences += [
             f"A slice takes {summary['time_us_a_slice']:.0f} us here, which is {summary['times_real_time']:.2g} x real"
             f" time, measured on {summary['slices_measured']:,} slices."
         ]
     if "nodes_of_slip" in summary:
         objects = ", ".join(f"{called} ({nodes:.1f})" for called, nodes in summary["nodes_of_slip"].items())
-        said += [
+        sentences += [
             f"The grid is too coarse for the slip of object {objects}: at the slip limit it spans this many nodes,"
             f" but needs {FEWEST_NODES}. --node-pitch-mm {summary['resolving_pitch_mm']:.2f} resolves it."
         ]
     of_several = "" if summary["files"] == 1 else f"{summary['files']:,} files, the first "
-    said += [f"Nothing was written. A run would make {of_several}{summary['first_file']}."]
-    return built, said
+    sentences += [f"Nothing was written. A run would make {of_several}{summary['first_file']}."]
+    return built, sentences
 
 
 def _in_words(row: dict[str, Any], figure: str) -> str | None:

@@ -109,8 +109,8 @@ def make_recipe(
     setup: identity and settings of the devices. sensor: the recording's datasets; those of the sensor belong to its
     setup. parameters, more: everything else, in the order of the header.
     """
-    known = {name: np.asarray(value).tolist() for name, value in sensor.items() if name.startswith("sensor/")}
-    described = {**parameters, "setup": dict(setup), "sensor": without_nan(known), **more}
+    sensor_values = {name: np.asarray(value).tolist() for name, value in sensor.items() if name.startswith("sensor/")}
+    described = {**parameters, "setup": dict(setup), "sensor": without_nan(sensor_values), **more}
     return Recipe(OUTPUT, method, described, parents=parents, simulated_source=simulated)
 
 
@@ -201,8 +201,12 @@ def too_slow(
         f"the recorder lagged {behind_s or 0.0:.1f} s behind (nothing is missing from the file)": (behind_s or 0.0)
         > BEHIND_S,
     }
-    said = [words for words, applies in parts.items() if applies]
-    return f"this computer was too slow: {'; '.join([*said, *([used] if used else [])])}. {SPEED}" if said else None
+    problems = [words for words, applies in parts.items() if applies]
+    return (
+        f"this computer was too slow: {'; '.join([*problems, *([used] if used else [])])}. {SPEED}"
+        if problems
+        else None
+    )
 
 
 def lost_datasets(counts: Mapping[str, int]) -> dict[str, Any]:

@@ -138,8 +138,8 @@ def simulated_trials(
     trials = []
     view = view_of(params)
     sensor, second = _sensors(params.sensor, fingers)
-    named = (params.scene, params.objects, sensor, kinds, params.gel, params.readout, tones)
-    for each in plans(*named, solver=params.solver(), texture=params.texture, second=second):
+    plan_options = (params.scene, params.objects, sensor, kinds, params.gel, params.readout, tones)
+    for each in plans(*plan_options, solver=params.solver(), texture=params.texture, second=second):
         called = each.called
         what = "" if called is None else f"-{called}" if isinstance(called, str) else f"-obj{called:02d}"
         what += "" if each.tone_hz is None else f"-{each.tone_hz:g}hz"
@@ -163,11 +163,11 @@ def _sensors(text: str, fingers: int) -> tuple[str, str | None]:
     """
     if fingers == 1:
         return text, None
-    named = text.split(",")
-    if len(named) > fingers:
+    sensors = text.split(",")
+    if len(sensors) > fingers:
         expected = f"one sensor, or {fingers} separated by a comma, one per camera"
         raise InputError("too many sensors", where="--sensor", expected=expected, found=text)
-    return named[0], named[-1]
+    return sensors[0], sensors[-1]
 
 
 def device_trials(

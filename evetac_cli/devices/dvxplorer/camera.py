@@ -79,9 +79,9 @@ def _choose(serial: str | None, backend: Any) -> FoundCamera:
     cameras = find_cameras(backend)
     fitting = [camera for camera in cameras if serial is None or camera.serial in (serial, None)]
     minis = [camera for camera in fitting if camera.board == protocol.MINI_BOARD]
-    named = [camera for camera in minis if serial is None or camera.serial == serial] or minis
-    if len(named) == 1:
-        return named[0]
+    matching = [camera for camera in minis if serial is None or camera.serial == serial] or minis
+    if len(matching) == 1:
+        return matching[0]
     if not minis and fitting:
         raise wrong_model(fitting[0].where, fitting[0].board)
     raise not_found(serial, [camera.serial or f"one without read permission, {camera.where}" for camera in cameras])

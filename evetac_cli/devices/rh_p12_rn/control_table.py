@@ -166,8 +166,8 @@ def baud_code(baud: int) -> int:
 
 def hardware_errors(status: int) -> list[str]:
     """Return the names of the bits set in Hardware Error Status."""
-    named = [name for bit, name in enumerate(HARDWARE_ERRORS) if status >> bit & 1]
-    return named + [f"bit {bit}" for bit in range(len(HARDWARE_ERRORS), 8) if status >> bit & 1]
+    errors = [name for bit, name in enumerate(HARDWARE_ERRORS) if status >> bit & 1]
+    return errors + [f"bit {bit}" for bit in range(len(HARDWARE_ERRORS), 8) if status >> bit & 1]
 
 
 def check_model(model: int, where: str) -> None:

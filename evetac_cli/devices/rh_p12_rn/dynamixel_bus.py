@@ -173,8 +173,8 @@ class Bus(AbstractContextManager["Bus"]):
 
     def read_bytes(self, address: int, size: int) -> bytes:
         """Return the bytes of consecutive registers, read in one transaction."""
-        asked = address.to_bytes(2, "little") + size.to_bytes(2, "little")
-        return self._transact(INST_READ, asked, size, f"read {size} bytes at {address}")
+        request = address.to_bytes(2, "little") + size.to_bytes(2, "little")
+        return self._transact(INST_READ, request, size, f"read {size} bytes at {address}")
 
     def write(self, name: str, value: int) -> None:
         """Set a register and wait for the answer; DeviceError if it is refused or lost."""
@@ -276,11 +276,11 @@ class Bus(AbstractContextManager["Bus"]):
         if error & 0x80 and not self.tolerant:
             self.tolerant = True
             try:
-                named = hardware_errors(self.read("Hardware Error Status"))
+                errors = hardware_errors(self.read("Hardware Error Status"))
             finally:
                 self.tolerant = False
             raise HardwareAlert(
-                f"hardware error: {', '.join(named) or 'unnamed'}",
+                f"hardware error: {', '.join(errors) or 'unnamed'}",
                 where=self._where,
                 hint="remove the cause; switching 24 V off and on clears it",
             )
@@ -322,10 +322,10 @@ def scan(
 
     DeviceError if the port cannot be opened.
     """
-    asked = list(ids)
+    all_ids = list(ids)
     devices = []
     for baud in bauds:
-        for id_ in asked:
+        for id_ in all_ids:
             with Bus(port, baud, id_, answer_ms=answer_ms) as bus:
                 try:
                     bus.tolerant = True

@@ -190,15 +190,15 @@ def make_plant(choice: Mapping[str, Any]) -> Plant:
     return OwnDynamics(Obstacle(**choice["obstacle"]) if choice["obstacle"] else None, choice["position_ticks"])
 
 
-def _reply(asked: Mapping[str, Any], servo: VirtualServo, faults: Faults, now_s: float) -> Any:
-    if "inject" in asked:
-        faults.add(gripper_fault(asked["inject"]))
+def _reply(request: Mapping[str, Any], servo: VirtualServo, faults: Faults, now_s: float) -> Any:
+    if "inject" in request:
+        faults.add(gripper_fault(request["inject"]))
         return True
-    if "struck" in asked:
+    if "struck" in request:
         return dict(faults.struck)
-    if "read" in asked:
+    if "read" in request:
         servo.tick(now_s)
-        return servo.value(asked["read"])
+        return servo.value(request["read"])
     return dict(servo.instructions)
 
 
@@ -220,8 +220,8 @@ def serve(choice: Mapping[str, Any]) -> None:
         data = os.read(asking, 4096)
         if not data:
             return
-        *asked, begun = (begun + data).split(b"\n")
-        for text in asked:
+        *requests, begun = (begun + data).split(b"\n")
+        for text in requests:
             _write_line(_reply(json.loads(text), servo, faults, clock.now_s()))
 
 

@@ -76,12 +76,12 @@ class Ending:
         tolerance = SHARE * self.seen
         if self.waiting is None:  # events after the last slice are on the way
             tolerance += (IN_FLIGHT_S + max(0.0, self.host_ms - self.slices) * 1e-3) * events_s
-        said = int(str(self.said).rpartition(" ")[2].replace(",", ""))
+        reported = int(str(self.said).rpartition(" ")[2].replace(",", ""))
         is_number = isinstance(self.said, int)
-        if said > self.lost + tolerance:
-            wrong.append(f"{said} events reported as lost, at most {self.lost} were")
-        if is_number and abs(said - self.lost) > tolerance:
-            wrong.append(f"{said} events reported as lost, {self.lost} were")
+        if reported > self.lost + tolerance:
+            wrong.append(f"{reported} events reported as lost, at most {self.lost} were")
+        if is_number and abs(reported - self.lost) > tolerance:
+            wrong.append(f"{reported} events reported as lost, {self.lost} were")
         if attack.is_countable and not is_number:
             wrong.append("the number of lost events is unknown")
         return wrong
@@ -101,9 +101,9 @@ def attack(attacked: Attack, seconds: float, events_s: float, time: TimeSource =
             slices += 1
             events += part.size
         host_ms = 1e3 * (time.now_s() - began_s)
-        said = events_lost(camera.counted)
+        reported = events_lost(camera.counted)
     # After closing, nothing moves any more: each event is in one place, however busy the computer is.
     waiting, words_left = camera.waiting
     words_left += device.waiting
     waiting += int(events_in(np.frombuffer(words_left, "<u4", len(words_left) // 4)))
-    return Ending(slices, host_ms, events, device.events_seen, said, waiting if attacked.is_countable else None)
+    return Ending(slices, host_ms, events, device.events_seen, reported, waiting if attacked.is_countable else None)

@@ -87,9 +87,9 @@ class PreparedWords:
         length = 4 * len(self._words)
         for turn in range(start // length, -(-end // length)):
             first, last = max(start - turn * length, 0), min(end - turn * length, length)
-            chosen = slice(first // 4, -(-last // 4))
-            words = self._words[chosen].copy()
-            words[self._is_stamp[chosen]] += np.uint32(turn * self._period_ms)
+            part = slice(first // 4, -(-last // 4))
+            words = self._words[part].copy()
+            words[self._is_stamp[part]] += np.uint32(turn * self._period_ms)
             parts.append(words.tobytes()[first % 4 : first % 4 + last - first])
         return b"".join(parts)
 
@@ -130,8 +130,8 @@ def due_us(words: NDArray[np.uint32]) -> NDArray[np.int64]:
     of_stamp[stamps] = SLICE_US * np.diff(ms, prepend=0)
     begins = words >> 21 == (1 << 26 | 1 << 21) >> 21
     within = np.where(begins, words >> 11 & 0x3FF, 0).astype(np.int64)
-    known = np.maximum.accumulate(np.where(begins | (words >> 26 == 2), np.arange(len(words)), 0))
-    return np.cumsum(of_stamp) + within[known]
+    latest = np.maximum.accumulate(np.where(begins | (words >> 26 == 2), np.arange(len(words)), 0))
+    return np.cumsum(of_stamp) + within[latest]
 
 
 def random_event_words(events_per_s: float, seconds: float, rng: np.random.Generator) -> NDArray[np.uint32]:
@@ -155,9 +155,9 @@ def random_event_words(events_per_s: float, seconds: float, rng: np.random.Gener
         patch = rng.choice(width * height // 64, patches, replace=False)
         x = (8 * (patch % (width // 8)))[:, np.newaxis] + np.arange(64) % 8
         y = (8 * (patch // (width // 8)))[:, np.newaxis] + np.arange(64) // 8
-        chosen = rng.choice(64 * patches, each, replace=False)
+        picks = rng.choice(64 * patches, each, replace=False)
         polarity = np.broadcast_to(rng.integers(0, 2, patches)[:, np.newaxis], (patches, 64))
-        parts.append((x.ravel()[chosen], y.ravel()[chosen], polarity.ravel()[chosen]))
+        parts.append((x.ravel()[picks], y.ravel()[picks], polarity.ravel()[picks]))
     t = np.repeat(_FRAME_US * np.arange(len(parts), dtype=np.int64) + _FRAME_US // 2, each)
     x, y, p = (np.concatenate(column) for column in zip(*parts, strict=True))
     once = Events(t, x.astype(np.uint16), y.astype(np.uint16), p.astype(np.uint8))

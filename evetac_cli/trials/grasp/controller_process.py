@@ -334,8 +334,8 @@ def _command(
             if ended:
                 break
             phase = timing.phase(slice_)
-            told = status.told
-            goal = control.step(phase, told, reading.position_ticks)
+            slip_signal = status.told
+            goal = control.step(phase, slip_signal, reading.position_ticks)
             decided_s = clock()
             silent_ms = (decided_s - last_s) * 1e3
             # the servo's watchdog has stopped the motor, which must not grip again
@@ -356,7 +356,7 @@ def _command(
         on_bus_s = read_s - begun_s + last_s - decided_s
         least_s = min(least_s, on_bus_s)
         waited_s = on_bus_s - least_s
-        row = control_row(control, phase, told, reading, goal, round(now_us - status.zero_us))
+        row = control_row(control, phase, slip_signal, reading, goal, round(now_us - status.zero_us))
         row["control/late_us"] = late_us
         row["control/missed"] = pace.missed - missed_before
         row["control/slices_processed"] = status.slices
@@ -366,7 +366,7 @@ def _command(
         answered_s = last_s if math.isnan(early.written.done_s) else early.written.done_s
         row["control/latency_us"] = answered_s * 1e6 + wire_us - _slip_began_us(status, seen_slips)
         missed_before, seen_slips = pace.missed, [each.signal.slips for each in status.fingers]
-        early.after_step(control, phase, reading.position_ticks, told.slips)
+        early.after_step(control, phase, reading.position_ticks, slip_signal.slips)
         rows.append(row)
         if len(rows) >= BATCH_STEPS:
             outbox.put(rows)

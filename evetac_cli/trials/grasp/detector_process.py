@@ -228,8 +228,8 @@ def detect(
         if events is None:
             raise DeviceError("the camera's stream ended", expected=f"{most} slices", found=f"{slices}")
         slices += 1
-        if detector is not None and (told := status.gripper) is not None:
-            detector.tell_gripper(*told)
+        if detector is not None and (gripper_state := status.gripper) is not None:
+            detector.tell_gripper(*gripper_state)
         probability = float("nan") if detector is None else detector.step(events)
         signal = SlipSignal() if detector is None else detector.signal
         now_us = clock.now_s() * 1e6

@@ -96,12 +96,12 @@ class GraspProcesses:
         for process in (*self.detectors, self.controller):
             process.daemon = True
             start_shielded(process)
-        self._cores = CoreUse(self._known(world))
+        self._cores = CoreUse(self._process_ids(world))
         # Close the recorder's copies of their ends; otherwise a pipe would not close with the process at its other end.
         for end in (*theirs, *detector_ends, order, steps_end):
             end.close()
 
-    def _known(self, world: "VirtualWorld | None") -> dict[str, int]:
+    def _process_ids(self, world: "VirtualWorld | None") -> dict[str, int]:
         """Return the process ids of the grasp, by name."""
         names = ("the detector",) if len(self.detectors) == 1 else ("the first detector", "the second detector")
         found = {

@@ -38,15 +38,15 @@ def known_dots(dot_xy_px: NDArray[np.float64], rows: int, columns: int) -> NDArr
     dots, otherwise the rightmost. ValueError for another grid.
     """
     grid = int(dot_xy_px.shape[0]), int(dot_xy_px.shape[1])
-    known = np.ones(grid, np.bool_)
+    mask = np.ones(grid, np.bool_)
     if grid == (rows, columns + 1):
         x_px = dot_xy_px[..., 0]
         unknown = np.isnan(x_px).all(axis=0)
-        known[:, np.argmax(unknown if unknown.any() else np.nanmean(x_px, axis=0))] = False
+        mask[:, np.argmax(unknown if unknown.any() else np.nanmean(x_px, axis=0))] = False
     elif grid != (rows, columns):
         wanted = f"{rows} rows x {columns} columns of dots, or one more column"
         raise ValueError(f"expected {wanted}, found {in_words(*grid)}")
-    return known.reshape(-1)
+    return mask.reshape(-1)
 
 
 def dots_for(model: StageFile, dot_xy_px: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -71,7 +71,7 @@ class OnlineSlipDetector:
     alarm: AlarmState = field(default_factory=lambda: alarms.start(1.0))
     probability: float = float("nan")
     sticking: StickingShare | None = None  # for a network trained with the sticking share, or a law that needs it
-    _told: tuple[float, float] = (float("nan"), float("nan"))  # position and goal of the gripper
+    _gripper_state: tuple[float, float] = (float("nan"), float("nan"))  # position and goal of the gripper
 
     @classmethod
     def start(
@@ -86,10 +86,10 @@ class OnlineSlipDetector:
 
         sensor: the known sensitivity of the sensor.
         """
-        known = dots_for(model, dot_xy_px)
+        dots = dots_for(model, dot_xy_px)
         tracking = tracker.start(dot_xy_px.reshape(-1, 2), constants)
         detector = load_detector(model)
-        live = Live(detector, tracking, window_px, sensor, known)
+        live = Live(detector, tracking, window_px, sensor, dots)
         tracker.mean_displacement_px(tracking.record)  # compiles or loads it now instead of in the first slice
         started = cls(live, alarms.start(chosen_threshold(model)))
         if "sticking" in detector.learned_extras:
@@ -124,7 +124,7 @@ class OnlineSlipDetector:
 
     def tell_gripper(self, position_ticks: float, goal_ticks: float) -> None:
         """Store the last position of the fingers and the goal set then, for a network with these inputs."""
-        self._told = position_ticks, goal_ticks
+        self._gripper_state = position_ticks, goal_ticks
         self._tell()
 
     @property
@@ -143,16 +143,16 @@ class OnlineSlipDetector:
 
     def _tell(self) -> None:
         """Pass to the network what is known before the next slice."""
-        self.live.tell(*self._told, float("nan") if self.sticking is None else self.sticking.share)
+        self.live.tell(*self._gripper_state, float("nan") if self.sticking is None else self.sticking.share)
 
     @property
     def signal(self) -> SlipSignal:
         """The signal to the controller after the last slice, with the mean displacement of all dots."""
         record = self.live.tracking.record
-        told = SlipSignal(self.count, self.probability, *tracker.mean_displacement_px(record))
+        result = SlipSignal(self.count, self.probability, *tracker.mean_displacement_px(record))
         if self.sticking is None:
-            return told
-        return told._replace(turn_px=tracker.turn_px(record), sticking_share=self.sticking.share)
+            return result
+        return result._replace(turn_px=tracker.turn_px(record), sticking_share=self.sticking.share)
 
 
 def open_detector(

@@ -117,9 +117,9 @@ class RecordedGrasp(RecordedFinger):
         """
         offset_ms = 0.0 if math.isnan(self.clock_offset_us) else self.clock_offset_us / SLICE_US
         last = np.floor(np.arange(1, self.slices + 1) - offset_ms).astype(np.int64) - 1
-        said = np.append(np.frombuffer(second.probability, np.float32), np.float32(math.nan))
-        last[last >= len(said) - 1] = len(said) - 2
-        row: NDArray[np.float32] = said[np.maximum(last, -1)]
+        probabilities = np.append(np.frombuffer(second.probability, np.float32), np.float32(math.nan))
+        last[last >= len(probabilities) - 1] = len(probabilities) - 2
+        row: NDArray[np.float32] = probabilities[np.maximum(last, -1)]
         return row
 
     def take_steps(self, rows: list[dict[str, Any]], writer: RecordingWriter, view: LiveView | None = None) -> None:
@@ -240,11 +240,11 @@ class RecordedGrasp(RecordedFinger):
 
         Empty for a finger if some slices have none.
         """
-        known: list[dict[str, Any]] = []
+        arrays: list[dict[str, Any]] = []
         for finger, each in enumerate(self.fingers):
             if not each.slices or self.truths < each.slices:
-                known.append({})
+                arrays.append({})
                 continue
             buffer = TrialBuffer(rows=of_finger(self.truth.rows, finger))
-            known.append({name: rows[: each.slices] for name, rows in buffer.row_arrays().items()})
-        return tuple(known)
+            arrays.append({name: rows[: each.slices] for name, rows in buffer.row_arrays().items()})
+        return tuple(arrays)

@@ -108,7 +108,7 @@ def _watch(
     """Take incoming messages, and end processes that must end, until all have ended."""
     truths = None if world is None else world.truths
     first_end_s = stopped_s = math.inf
-    came = 0  # slices received of the first finger
+    received = 0  # slices received of the first finger
     heard_s = -math.inf  # time of the last message: a process that still sends is waited for
     while not (all(inbox.ended for inbox in processes.slices) and processes.steps.ended):
         slices = () if writing.is_full else processes.slices  # then slices wait in the detectors
@@ -127,7 +127,7 @@ def _watch(
                 if not isinstance(message, SliceBatch):
                     finger.detector = message
                 elif finger is recorded:
-                    came += len(message.counts)
+                    received += len(message.counts)
                     writing.put(message, message.size)
                 else:
                     writing.put(OfSecond(message), message.size)
@@ -144,7 +144,7 @@ def _watch(
         for inbox, finger in zip(processes.slices, recorded.fingers, strict=True):
             finger.detector_died = inbox.ended and finger.detector is None
         if desk is not None and not recorded.ended:
-            recorded.ended = _asked_to_end(desk, recorded, came, processes)
+            recorded.ended = _asked_to_end(desk, recorded, received, processes)
         if signals and not recorded.ended:
             recorded.ended = INTERRUPTED
         if view is not None and view.is_asked_to_let_go and not recorded.ended:
@@ -163,14 +163,14 @@ def _watch(
             recorded.cores_at_end = processes.cores_used()
 
 
-def _asked_to_end(desk: "Desk", recorded: RecordedGrasp, came: int, processes: GraspProcesses) -> str:
+def _asked_to_end(desk: "Desk", recorded: RecordedGrasp, received: int, processes: GraspProcesses) -> str:
     """Return why a robot's program ends the grasp, "" if it does not.
 
-    came: number of received slices, some of which may wait to be written.
+    received: number of received slices, some of which may wait to be written.
     """
     if not recorded.slices:
         return desk.called_off
-    return desk.recorded(came, processes.now_s, recorded.zero_us, patience_s=STOP_S)
+    return desk.recorded(received, processes.now_s, recorded.zero_us, patience_s=STOP_S)
 
 
 def _take_last_truths(recorded: RecordedGrasp, world: "VirtualWorld | None") -> None:

@@ -65,8 +65,8 @@ def run(trial: SimulatedGrasp, *, force: bool, progress: Progress) -> Outcome:
         devices, slipping = play(trial, buffer.append, progress=progress, view=view, append_second=second.append)
     second_slip_share = None
     if trial.second_output is not None and devices.second is not None:
-        known = {**devices.second.camera.sensor, "truth/sampled_parameters": devices.sampled}
-        of_second = {**known, **second.arrays(), "t_offset": np.int64(0), **SAME_CLOCK}
+        sensor = {**devices.second.camera.sensor, "truth/sampled_parameters": devices.sampled}
+        of_second = {**sensor, **second.arrays(), "t_offset": np.int64(0), **SAME_CLOCK}
         second_slip_share = of_second["truth/visible_slip_share"]
         write_stage(trial.second_output, others[0], of_second)
     arrays = buffer.arrays()

@@ -95,8 +95,8 @@ def listen(job: Listening, record: Callable[[Any, Desk], Outcome]) -> Outcome:
     except KeyboardInterrupt as error:
         rows += getattr(attached_outcome(error), "rows", [])
         words = f"{error}; " if str(error) else ""
-        said = f"{words}{len(rows)} recordings in {job.folder}"
-        raise attach_outcome(KeyboardInterrupt(said), Outcome(rows, simulated)) from None
+        summary = f"{words}{len(rows)} recordings in {job.folder}"
+        raise attach_outcome(KeyboardInterrupt(summary), Outcome(rows, simulated)) from None
 
 
 def _next(desk: Desk, kept: list[KeptCamera]) -> str:
@@ -154,9 +154,9 @@ def _in_one_line(error: BaseException | None) -> str:
 def _folder(folder: Path) -> Iterator[None]:
     """Create the folder if necessary, and remove it again if nothing was written to it."""
     existing_folder(folder)
-    made = missing_folders(folder)
+    new_folders = missing_folders(folder)
     folder.mkdir(parents=True, exist_ok=True)
     try:
         yield
     finally:
-        remove_empty(made)
+        remove_empty(new_folders)

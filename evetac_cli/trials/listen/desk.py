@@ -158,8 +158,8 @@ class Desk:
         return now_s - 0.5 * (before_s + after_s)
 
     def _answer(self, *, ok: bool = True, **more: Any) -> Answer:
-        known = {"state": self._state, "name": self._name, "slices": self._slices, "trials": self._trials}
-        return {"ok": ok, **more, **known, "last": self._last_file}
+        state = {"state": self._state, "name": self._name, "slices": self._slices, "trials": self._trials}
+        return {"ok": ok, **more, **state, "last": self._last_file}
 
     # Called by the recording thread.
 
@@ -199,7 +199,7 @@ class Desk:
                 self._state = State.RECORDING
                 _set(self._starting, self._answer())
             if self._longest_s is not None and slices >= SLICES_PER_S * self._longest_s and not self._why:
-                return f"after {self._longest_s:g} s, as nobody stopped it"
+                return f"after {self._longest_s:g} s, because no stop command came"
             waits = slices < self._end_slices and time.monotonic() < self._stopped_s + patience_s
             if not self._why or waits:
                 return ""

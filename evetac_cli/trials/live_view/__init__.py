@@ -56,7 +56,7 @@ class LiveView:
         inbox, outbox = context.Pipe(duplex=False)
         ready, ready_end = context.Pipe(duplex=False)
         self._messages = MessageWriter(outbox, MOST_BYTES)
-        self._said: list[str] = []
+        self._delayed: list[str] = []
         self._lost: tuple[str, str] | None = None
         self._missed = 0
         self._has_ended = self._has_told = False
@@ -87,8 +87,8 @@ class LiveView:
 
     def begin(self, sensor: Mapping[str, Any]) -> None:
         """Report that the camera runs; sensor: its datasets `sensor/...`, and other known ones."""
-        known = {name: value for name, value in sensor.items() if name.startswith("sensor/")}
-        self._send(Begun(known))
+        datasets = {name: value for name, value in sensor.items() if name.startswith("sensor/")}
+        self._send(Begun(datasets))
 
     def add_slice(self, events: Events, late_us: float = float("nan"), probability: float = float("nan")) -> None:
         """Show one more slice; late_us: from its end until its arrival; probability: of slip, if the loop has one."""
@@ -121,7 +121,7 @@ class LiveView:
         """Show a message to the user: on the terminal at once, or if the view is drawn there, at its end."""
         self._send(Said(text))
         if self._where == TERMINAL and sys.stderr.isatty():
-            self._said.append(text)
+            self._delayed.append(text)
         else:
             console.say(text)
 
@@ -143,7 +143,7 @@ class LiveView:
         if self._process.is_alive():
             self._process.kill()
             self._process.join()
-        for text in self._said:
+        for text in self._delayed:
             console.say(text)
 
     def _tell_death(self) -> None:
@@ -167,16 +167,16 @@ def opened(trial: Trial, name: str, *, moves: bool) -> Iterator[LiveView | None]
 
     name: of the displayed trial; moves: whether a gripper moves that the button can release.
     """
-    asked = trial.view
-    if asked is None:
+    request = trial.view
+    if request is None:
         yield None
         return
     # loads modules that a recording does not need
     from evetac_cli.trials.grasp.online_detector import open_view_detector
 
-    where = place(asked.where)
+    where = place(request.where)
     title = Title(name, trial.shows_simulation, moves)
-    view = LiveView(where, title, partial(open_view_detector, asked.model, asked.preset, asked.threshold))
+    view = LiveView(where, title, partial(open_view_detector, request.model, request.preset, request.threshold))
     ended = "ended"
     try:
         with (
@@ -192,17 +192,17 @@ def opened(trial: Trial, name: str, *, moves: bool) -> Iterator[LiveView | None]
         view.end(ended)
 
 
-def place(asked: str) -> str:
+def place(where: str) -> str:
     """Return BROWSER or TERMINAL, as requested; by default the browser if there are a display and the server library.
 
     MissingLibrary if a page is requested that cannot be served.
     """
     can_serve = find_spec(LIBRARY) is not None
-    if asked == BROWSER and not can_serve:
+    if where == BROWSER and not can_serve:
         message, otherwise = f"the page needs the library {LIBRARY}", "--live-in terminal"
         raise missing_extra(message, "plot", where="--live-in browser", otherwise=otherwise)
-    if asked in (BROWSER, TERMINAL):
-        return asked
+    if where in (BROWSER, TERMINAL):
+        return where
     return BROWSER if can_serve and page_address.has_display() else TERMINAL
 
 

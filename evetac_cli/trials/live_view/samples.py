@@ -96,8 +96,8 @@ class Follower:
         self.left_out += seen.first - self._next
         own = self._take(seen)
         self._next = seen.first + seen.slices
-        known = seen.probability[~np.isnan(seen.probability)]
-        probability = float(known.max()) if len(known) else own
+        from_loop = seen.probability[~np.isnan(seen.probability)]
+        probability = float(from_loop.max()) if len(from_loop) else own
         late_us = seen.late_us[~np.isnan(seen.late_us)]
         gripper = self._shared.gripper
         sample = {

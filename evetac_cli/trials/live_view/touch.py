@@ -36,8 +36,8 @@ class LiveTouch:
             raise ValueError("the frame is not {} x {} px".format(*FRAME_PX))
         self._tracking, self._middle_px = tracking, np.array(FRAME_PX) / 2
         modulus = sensor.get("sensor/shear_modulus_pa")
-        known = KnownGel(shear_modulus_pa=None if modulus is None else float(modulus))
-        gel = gel_of(known, PredictTouch().stiffness_error)
+        known_gel = KnownGel(shear_modulus_pa=None if modulus is None else float(modulus))
+        gel = gel_of(known_gel, PredictTouch().stiffness_error)
         self._gel, self._mm_per_px, self._period_s = gel, gel.mm_per_px, period_s
         self._creep = CreepMemory()
         self._shear, self._normal = shear_factor(gel), normal_factor(gel)
@@ -97,7 +97,7 @@ class LiveTouch:
             [reading.pressure_pa * self._normal.value, *(reading.shear_pa * self._shear.value[:, None, None])]
         )
         kpa = pa.reshape(3, -1)[:, cells] * 1e-3
-        known = reading.touches and bool(np.isfinite(reading.centre_mm).all())
+        has_centre = reading.touches and bool(np.isfinite(reading.centre_mm).all())
         return {
             "known": reading.known,
             "x_mm": float(x_mm[0]),
@@ -106,8 +106,8 @@ class LiveTouch:
             "columns": len(x_mm),
             "rows": len(y_mm),
             "area_mm2": round(reading.area_mm2, DIGITS) if reading.touches else None,
-            "centre_mm": _rounded(reading.centre_mm) if known else None,
-            "centre_sd_mm": _rounded(reading.centre_sd_mm) if known else None,
+            "centre_mm": _rounded(reading.centre_mm) if has_centre else None,
+            "centre_sd_mm": _rounded(reading.centre_sd_mm) if has_centre else None,
             "cells": [[cell, *_rounded(values)] for cell, values in zip(cells.tolist(), kpa.T, strict=True)],
         }
 

@@ -69,10 +69,10 @@ def run(trial: DeviceRecording, *, force: bool = False, progress: Progress, desk
         name = f"record {trial.output.name}"
         view = opened.enter_context(live_view.opened(trial, name, moves=trial.hold is not None))
         # The gripper only holds while all threads are on time, including the camera's, which share the interpreter.
-        held = trial.gripper.has(Capability.HARDWARE) and not any(
+        needs_priority = trial.gripper.has(Capability.HARDWARE) and not any(
             camera.has(Capability.SCENE) for camera in trial.cameras
         )
-        priority.enter_context(raised_priority(session.PRIORITY, wanted=held))
+        priority.enter_context(raised_priority(session.PRIORITY, wanted=needs_priority))
         recordings: list[CameraRecording] = []
         opened.push(lambda kind, error, trace: _discard_empty(recordings, failed=error is not None))
         trajectory = {"trajectory": uuid4().hex} if len(trial.cameras) > 1 else {}
@@ -143,9 +143,9 @@ def _begin(
     hold = _hold(trial, rig)
     asked_ma = None if trial.hold is None else trial.hold.holding_ma
     # A current that every trial draws belongs to the trial, not to the setup of the series.
-    drawn = {} if hold is None or asked_ma is not None else {"sampled_holding_ma": hold.holding_ma}
+    sampled = {} if hold is None or asked_ma is not None else {"sampled_holding_ma": hold.holding_ma}
     if hold is not None and hold.fall_factor != 1.0:
-        drawn["sampled_fall_factor"] = hold.fall_factor
+        sampled["sampled_fall_factor"] = hold.fall_factor
     recipe = session.make_recipe(
         METHOD,
         {**({} if trial.plan is None else trial.plan.parameters()), **trajectory, "trial": trial.number},
@@ -153,7 +153,7 @@ def _begin(
         sensor,
         {
             "current_ramp": None if hold is None else _set_up(hold, asked_ma),
-            **drawn,
+            **sampled,
             "current_ramp_seed": trial.seed,
         },
         parents=rig.parents,

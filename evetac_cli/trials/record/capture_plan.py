@@ -124,7 +124,7 @@ def _course(params: Record, plan: Plan | None) -> GripperCurrent | None:
     InputError if the scene of --current-of names none, or for an option without effect.
     """
     if params.current_of is not None:
-        named = f"--current-of {params.current_of}"
+        flag = f"--current-of {params.current_of}"
         course = scene_file.load(params.current_of).gripper.current
         if course is None:
             raise InputError(
@@ -134,12 +134,12 @@ def _course(params: Record, plan: Plan | None) -> GripperCurrent | None:
                 found=params.current_of,
             )
     else:
-        named = f"--scene {params.scene}"
+        flag = f"--scene {params.scene}"
         course = None if plan is None else plan.scene.gripper.current
     for item in fields(params) if course is not None else ():
         if item.name in INSTEAD and getattr(params, item.name) != item.default:
             expected = "only one of them: the gripper follows the scene's current from the first command to the last"
-            raise InputError(f"has no effect with {named}", where=flag_of(item), expected=expected)
+            raise InputError(f"has no effect with {flag}", where=flag_of(item), expected=expected)
     return course
 
 
@@ -169,11 +169,11 @@ def dry_run(trials: Sequence[DeviceRecording], *, force: bool, writes: bool) -> 
         if writes and not is_done(trial, force=force):
             check(trial, force=force)
     first = trials[0]
-    given = ", ".join(f"{name} {value}" for name, value in first.settings.given().items())
+    settings = ", ".join(f"{name} {value}" for name, value in first.settings.given().items())
     room_mb = session.needed_bytes(first.events_per_s, first.expected_s) / 1e6
     rate = f"{first.events_per_s:,.0f} events/s for {first.expected_s:g} s"
     parts = [
-        *(("camera", str(camera), given or "the driver's settings") for camera in first.cameras),
+        *(("camera", str(camera), settings or "the driver's settings") for camera in first.cameras),
         ("gripper", str(first.gripper), "not moved" if first.hold is None else str(first.hold)),
         ("end", _end(first), f"needs room for {room_mb:,.0f} MB, {rate}"),
     ]

@@ -54,12 +54,12 @@ def run(job: ImportJob, params: Record, *, force: bool, progress: Progress) -> O
         folder=existing_folder(job.output.parent),
         progress=progress,
     )
-    known: dict[str, Any] = {"sensor/frame_px": np.array(file.frame_px, np.int32), "sensor/name": UNKNOWN_SENSOR}
+    datasets: dict[str, Any] = {"sensor/frame_px": np.array(file.frame_px, np.int32), "sensor/name": UNKNOWN_SENSOR}
     if params.calibration is not None:
-        known |= read_calibration(params.calibration, file.frame_px).recorded()
+        datasets |= read_calibration(params.calibration, file.frame_px).recorded()
     digest, starts = ContentDigest(), SliceStarts()
     made, folders = False, missing_folders(job.output.parent)
-    with _removed_if_refused(folders), writing(job.output, OUTPUT, known) as recording:
+    with _removed_if_refused(folders), writing(job.output, OUTPUT, datasets) as recording:
         for block in _blocks(file):
             recording.append(block)
             digest.update_all(block)
@@ -70,7 +70,7 @@ def run(job: ImportJob, params: Record, *, force: bool, progress: Progress) -> O
             "t_offset": np.int64(facts.t_offset_us),
             **{path: text for stream in facts.streams for path, text in stream.texts().items()},
         }
-        digest.update_all(known | late)
+        digest.update_all(datasets | late)
         parameters = {
             "source": job.inputs[0].name,
             "format": facts.format,

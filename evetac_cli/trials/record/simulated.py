@@ -52,13 +52,13 @@ def run(trial: SimulatedTrial, *, force: bool, progress: Progress) -> Outcome:
 def _record(trial: SimulatedTrial, recipe: Recipe, view: LiveView | None, progress: Progress) -> Outcome:
     devices, slices = play(trial)
     expected = _expected_slices(devices, GripperSchedule.of_scene(trial.plan.scene))
-    known = {**devices.camera.sensor, "t_offset": np.int64(0), "truth/sampled_parameters": devices.sampled}
+    datasets = {**devices.camera.sensor, "t_offset": np.int64(0), "truth/sampled_parameters": devices.sampled}
     if view is not None:
         view.begin(devices.camera.sensor)
     written = event_count = 0
     solver = SolverFigures()
     try:
-        with TrialWriter(trial.output, known) as writer:
+        with TrialWriter(trial.output, datasets) as writer:
             append = shown_in_real_time(view, writer.append)
             for events, rows in slices:
                 append(events, rows)
