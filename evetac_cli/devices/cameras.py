@@ -234,7 +234,7 @@ class Dv(Dvxplorer):
 
 @dataclass(frozen=True)
 class Replay(NamedCamera):
-    """`replay:FILE`: a recording, handed out at the pace at which it was made."""
+    """`replay:FILE`: a recording, played at its original speed."""
 
     name = "replay"
     path: Path

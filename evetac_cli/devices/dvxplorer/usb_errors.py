@@ -20,7 +20,7 @@ _BY_ERRNO: dict[int | None, tuple[type[DeviceError], str, str]] = {
     errno.EBUSY: (
         DeviceError,
         "is used by another program",
-        "close DV, ROS nodes or another evetac that have it open",
+        "close DV, the ROS node or the other evetac that has it open",
     ),
     errno.ETIMEDOUT: (DeviceTimeout, "did not answer in time", "unplug the camera and plug it in again"),
 }

@@ -79,7 +79,7 @@ class VirtualGripper(AbstractContextManager["VirtualGripper"]):
         return self._process.pid
 
     def inject(self, fault: str) -> None:
-        """Let a fault strike, at once, or as its moment or share has it."""
+        """Let a fault strike at once, or according to the time or probability in its text."""
         self._ask(inject=_checked(fault))
 
     def faults_struck(self) -> dict[str, int]:

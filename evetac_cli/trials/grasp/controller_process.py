@@ -408,6 +408,6 @@ def _wait_for_status(
             return False
         _raise_if_ended(ending)
         if clock() > until_s:
-            raise DeviceError(f"{DETECTOR} did not begin", expected=f"a first slice within {FIRST_STATUS_S:g} s")
+            raise DeviceError(f"{DETECTOR} did not start", expected=f"a first slice within {FIRST_STATUS_S:g} s")
         sleep(WAITING_S, None)
     return True
