@@ -50,7 +50,7 @@ class ServoRefused(Exception):
 
 
 class VirtualServo:
-    """One servo; `handle` processes a frame, and `tick` lets time pass."""
+    """One servo: `handle` takes a frame and returns the answers; `tick` lets time pass."""
 
     def __init__(self, plant: Plant, registers: Mapping[str, int], now_s: float) -> None:
         """registers: values that differ from the factory values; ValueError for an unknown name or a wrong size."""

@@ -187,7 +187,9 @@ def _end(trial: DeviceRecording) -> str:
     ends = []
     if trial.hold is not None:
         course = trial.hold.course
-        ends.append("it lets go" if course is None else f"the gripper has followed its current, {course.ends_s:g} s")
+        ends.append(
+            "the gripper lets go" if course is None else f"the gripper has followed its current, {course.ends_s:g} s"
+        )
     if trial.cameras[0].has(Capability.REPLAY):
         ends.append("the recording is over")
     return "until " + ", or ".join([*ends, "Ctrl-C"])

@@ -417,7 +417,7 @@ def test_drawn_current_below_the_lowest(rig_is: Callable[..., Rig], tmp_path: Pa
     ("flags", "end"),
     [
         ({}, "until Ctrl-C"),
-        (ARMED, "until it lets go, or Ctrl-C"),
+        (ARMED, "until the gripper lets go, or Ctrl-C"),
         ({**ARMED, "seconds": 3.0}, "after 3 s"),
     ],
 )
