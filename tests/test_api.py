@@ -243,7 +243,7 @@ def test_all_63_dots_of_a_closed_gel_are_a_list_too() -> None:
             NINE_BY_SEVEN.reshape(-1, 2)[:-1],
             "62 dots in no grid(.|\n)*as \\(rows, columns, 2\\)(.|\n)*rows of equal length",
         ),
-        (NINE_BY_SEVEN[:, :7].reshape(-1, 2), "7 rows x 8 columns of dots, or a column more, found 7 rows x 7 columns"),
+        (NINE_BY_SEVEN[:, :7].reshape(-1, 2), "7 rows x 8 columns of dots.*found 7 rows x 7 columns"),
         (NINE_BY_SEVEN.transpose(1, 0, 2), "found 9 rows x 7 columns"),
         (np.random.default_rng(0).uniform(50, 400, (56, 2)), "56 dots in no grid"),
         (NINE_BY_SEVEN.reshape(-1, 2).T, "not dot positions(.|\n)*found:    shape \\(2, 63\\)"),

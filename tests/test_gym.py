@@ -110,7 +110,7 @@ def test_what_is_drawn(quick_touch: str) -> None:
         ({"lift_s": 0.2}, "lift_s: too short\n  expected: .* s, the time that the hand takes to rise"),
         ({"lift_s": 601.0}, "lift_s: too long"),
         ({"balance_s": -1.0}, "balance_s: too short"),
-        ({"control_hz": 30.0}, "1000 is a multiple"),
+        ({"control_hz": 30.0}, "divides 1000"),
         ({"sensor": "none"}, "no such sensor"),
     ],
 )

@@ -1,8 +1,7 @@
 """Cameras by name, as on the command line: `--camera dvxplorer:DXM00042`.
 
-`parse` turns a name into an object of one of the kinds in `KINDS`, or of a plug-in's, and touches no device; its `open`
-starts the camera. A driver is imported only when a camera of its kind is opened, so that the library of a device that
-is not used is not needed.
+`parse` turns a name into an object of a kind in `KINDS`, or of a plug-in's kind, and touches no device. The object's
+`open` starts the camera. Its driver is imported only then, so the libraries of unused devices need not be installed.
 """
 
 from dataclasses import asdict, dataclass
@@ -28,13 +27,13 @@ if TYPE_CHECKING:
     from evetac_cli.devices.virtual.world import VirtualWorld
 
 PREPARED_EVENTS_S = 1_000_000
-PREPARED_S = 120  # how long prepared words are played; then the camera is silent
+PREPARED_S = 120  # duration of prepared words; the camera is silent afterwards
 FIRMWARE = 10
 
 
 @dataclass(frozen=True)
 class CameraSettings:
-    """What can be set on an event camera; None leaves the driver's default."""
+    """Settings of an event camera; None leaves the driver's default."""
 
     threshold_on: int | None = None
     threshold_off: int | None = None
@@ -42,12 +41,12 @@ class CameraSettings:
     flush_us: int | None = None
 
     def given(self) -> dict[str, Any]:
-        """The settings that are not left to the driver, by name."""
+        """Return the settings that differ from None, by name."""
         return {name: value for name, value in asdict(self).items() if value is not None}
 
 
 class OpenedCamera(NamedTuple):
-    """A camera that was opened, what it is and how it is set (for a header), and headers of the files that it plays."""
+    """An opened camera, its identity and settings for a header, and the headers of the files that it replays."""
 
     camera: EventCamera
     setup: dict[str, Any]
@@ -58,56 +57,59 @@ class OpenedCamera(NamedTuple):
 class NamedCamera:
     """A camera as it was named, before it is opened.
 
-    A kind of camera is a class below this one, a frozen dataclass, since it is sent to other processes: `name`, `open`,
-    and what else it does not share with most others.
+    Each kind of camera is a subclass: a frozen dataclass, because it is sent to other processes. It defines `name`,
+    `open`, and the properties in which it differs from most others.
     """
 
     name: ClassVar[str]
-    own_gripper: ClassVar[str] = "none"  # the gripper that belongs to it where none is named
+    own_gripper: ClassVar[str] = "none"  # the gripper used with this camera if none is named
 
     @classmethod
     def parse(cls, text: str) -> Self:
-        """Understand what stands behind the colon of its name; InputError for what it does not."""
+        """Parse the text after the colon of the name; InputError for an unknown option."""
         if text:
             raise no_such_device("camera", cls.name, f"{cls.name}:{text}", (cls.name,))
         return cls()
 
     @property
     def capabilities(self) -> frozenset[Capability]:
-        """What commands may expect of it; SIMULATED: what it sees is simulated now (a replay may show it again)."""
+        """What commands may expect of this camera.
+
+        SIMULATED: a simulation runs now; a replay may show an earlier one.
+        """
         return frozenset({Capability.DEVICE})
 
     def has(self, capability: Capability) -> bool:
-        """Whether commands may expect this of it."""
+        """Return whether commands may expect this of the camera."""
         return capability in self.capabilities
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """Recordings that it reads, as inputs of a job."""
+        """Recordings that the camera reads, as inputs of a job."""
         return ()
 
     @property
     def file_stem(self) -> str:
-        """How the names of its recordings begin."""
+        """The beginning of the names of its recordings."""
         return self.name
 
     def __str__(self) -> str:
         return self.name
 
     def frame_px(self) -> tuple[int, int]:
-        """Width and height of its frame."""
+        """Return the width and height of the camera's frame."""
         return FRAME_PX
 
     def known_sensor(self) -> dict[str, Any]:
-        """Datasets `sensor/...` that are known before it is opened."""
+        """Return the datasets `sensor/...` that are known before the camera is opened."""
         return {}
 
     def parents(self) -> tuple[Header, ...]:
-        """Headers of the recordings that it plays."""
+        """Return the headers of the recordings that the camera replays."""
         return ()
 
     def shows_simulation(self) -> bool:
-        """Whether what it sees is, or once was, simulated."""
+        """Return whether the camera shows a simulation, or a recording of one."""
         return self.has(Capability.SIMULATED) or any(header["simulated"] for header in self.parents())
 
     def open(
@@ -115,48 +117,48 @@ class NamedCamera:
     ) -> OpenedCamera:
         """Start the camera; DeviceError if it cannot be opened.
 
-        world: what a virtual camera looks at, None for prepared words, which are drawn from the seeds. A `Simulated`
-        camera has no driver: devices.simulated builds it together with its gripper.
+        world: the scene in front of a virtual camera; None for prepared words, which are drawn from the seeds. A
+        `Simulated` camera has no driver: devices.simulated builds it together with its gripper.
         """
         raise NotImplementedError(f"{self.name} has no driver")
 
 
 @dataclass(frozen=True)
 class Simulated(NamedCamera):
-    """`sim`: the camera of a scene that is simulated as fast as it is read."""
+    """`sim`: the camera of a scene that is simulated as fast as its slices are read."""
 
     name = "sim"
     own_gripper = "sim"
 
     @property
     def capabilities(self) -> frozenset[Capability]:
-        """A scene is all that it can show; its time passes as slices are read."""
+        """The camera always needs a scene; its time passes as slices are read."""
         return frozenset({Capability.STEPPED, Capability.SCENE, Capability.SIMULATED})
 
 
 @dataclass(frozen=True)
 class Virtual(NamedCamera):
-    """`virtual[:OPTION+OPTION...]`: the real driver before a virtual DVXplorer, in real time."""
+    """`virtual[:OPTION+OPTION...]`: the real driver on a virtual DVXplorer, in real time."""
 
     name = "virtual"
     own_gripper = "virtual"
     faults: tuple[str, ...] = ()  # such as `unplug@2.0`
-    prepared_events_s: float | None = None  # plays prepared words of this rate instead of a simulated scene
+    prepared_events_s: float | None = None  # plays prepared words at this event rate instead of a simulated scene
     firmware: int = FIRMWARE
 
     @classmethod
     def parse(cls, text: str) -> Self:
-        """Understand `prepared[=EVENTS_S]`, `firmware=NUMBER` and faults, joined by +; InputError for any other."""
+        """Parse `prepared[=EVENTS_S]`, `firmware=NUMBER` and faults, joined by +; InputError for anything else."""
         name = f"{cls.name}:{text}"
         faults: list[str] = []
         rate = firmware = None
         for option in options(text):
-            key, is_given, given = option.partition("=")
+            key, has_value, value = option.partition("=")
             if key == "prepared" and rate is None:
                 where = "--camera virtual:prepared=EVENTS_S"
-                rate = parse_number(given, *EVENTS_S, where, name) if is_given else float(PREPARED_EVENTS_S)
-            elif key == "firmware" and is_given and firmware is None:
-                firmware = int(parse_number(given, *FIRMWARES, "--camera virtual:firmware=NUMBER", name, whole=True))
+                rate = parse_number(value, *EVENTS_S, where, name) if has_value else float(PREPARED_EVENTS_S)
+            elif key == "firmware" and has_value and firmware is None:
+                firmware = int(parse_number(value, *FIRMWARES, "--camera virtual:firmware=NUMBER", name, whole=True))
             else:
                 camera_fault(option)
                 faults.append(option)
@@ -164,14 +166,14 @@ class Virtual(NamedCamera):
 
     @property
     def capabilities(self) -> frozenset[Capability]:
-        """A device in front of a scene, unless it plays prepared words."""
+        """A device that shows a scene, unless it plays prepared words."""
         device = frozenset({Capability.DEVICE, Capability.ADJUSTABLE, Capability.SIMULATED})
         return device if self.prepared_events_s is not None else device | {Capability.SCENE}
 
     def open(
         self, settings: CameraSettings, world: "VirtualWorld | None", seeds: np.random.SeedSequence
     ) -> OpenedCamera:
-        """Start the driver on a virtual camera that looks at the world, or plays prepared words."""
+        """Start the driver on a virtual camera that shows the world or plays prepared words."""
         from evetac_cli.devices.virtual.dvxplorer import VirtualDvxplorer
 
         source = prepared_words(self.prepared_events_s or PREPARED_EVENTS_S, seeds) if world is None else world
@@ -181,19 +183,19 @@ class Virtual(NamedCamera):
 
 @dataclass(frozen=True)
 class Dvxplorer(NamedCamera):
-    """`dvxplorer[:SERIAL]`: a DVXplorer Mini, by our driver."""
+    """`dvxplorer[:SERIAL]`: a DVXplorer Mini, through evetac's own driver."""
 
     name = "dvxplorer"
     serial: str | None = None
 
     @classmethod
     def parse(cls, text: str) -> Self:
-        """Understand a serial number, or nothing."""
+        """Parse an optional serial number."""
         return cls(text or None)
 
     @property
     def capabilities(self) -> frozenset[Capability]:
-        """A real camera, whose thresholds and readout rate can be set."""
+        """A real camera with adjustable thresholds and readout rate."""
         return frozenset({Capability.DEVICE, Capability.HARDWARE, Capability.ADJUSTABLE})
 
     def __str__(self) -> str:
@@ -207,46 +209,46 @@ class Dvxplorer(NamedCamera):
     def open(
         self, settings: CameraSettings, world: "VirtualWorld | None", seeds: np.random.SeedSequence
     ) -> OpenedCamera:
-        """Start the camera of this serial number, or the only one."""
+        """Start the camera with this serial number, or the only camera."""
         return _open_dvxplorer(self.name, self.serial, settings, None)
 
 
 @dataclass(frozen=True)
 class Dv(Dvxplorer):
-    """`dv[:SERIAL]`: a DVXplorer Mini, by the maker's library dv-processing."""
+    """`dv[:SERIAL]`: a DVXplorer Mini, through the maker's library dv-processing."""
 
     name = "dv"
 
     def open(
         self, settings: CameraSettings, world: "VirtualWorld | None", seeds: np.random.SeedSequence
     ) -> OpenedCamera:
-        """Start the camera of this serial number, or the first."""
+        """Start the camera with this serial number, or the first camera."""
         from evetac_cli.devices.dv import DvCamera
         from evetac_cli.devices.dvxplorer.protocol import DvxplorerSettings
 
-        chosen = DvxplorerSettings(**settings.given())
-        camera = DvCamera(self.serial, chosen)
+        driver_settings = DvxplorerSettings(**settings.given())
+        camera = DvCamera(self.serial, driver_settings)
         sensor = str(camera.sensor["sensor/name"])
-        return OpenedCamera(camera, {"name": self.name, "sensor": sensor, "settings": asdict(chosen)})
+        return OpenedCamera(camera, {"name": self.name, "sensor": sensor, "settings": asdict(driver_settings)})
 
 
 @dataclass(frozen=True)
 class Replay(NamedCamera):
-    """`replay:FILE`: a recording, handed out at the pace at which it was made."""
+    """`replay:FILE`: a recording, played at its original speed."""
 
     name = "replay"
     path: Path
 
     @classmethod
     def parse(cls, text: str) -> Self:
-        """Understand the name of a file; InputError without one."""
+        """Parse the name of a file; InputError if it is missing."""
         if not text:
             raise _no_such_camera(cls.name)
         return cls(Path(text))
 
     @property
     def capabilities(self) -> frozenset[Capability]:
-        """A device whose stream ends, and which cannot be set up."""
+        """A device whose stream ends and which has no settings."""
         return frozenset({Capability.DEVICE, Capability.REPLAY})
 
     def __str__(self) -> str:
@@ -259,38 +261,38 @@ class Replay(NamedCamera):
 
     @property
     def file_stem(self) -> str:
-        """Kind, and the name of the recording without its ending."""
+        """The kind, and the name of the recording without its extension."""
         return f"{self.name}-{_stem(self.path)}"
 
     def frame_px(self) -> tuple[int, int]:
-        """The frame of the recording."""
+        """Return the frame size of the recording."""
         with open_recording(self.path) as recording:
             return recording.frame_px
 
     def known_sensor(self) -> dict[str, Any]:
-        """All that the recording says of its sensor."""
+        """Return all sensor datasets of the recording."""
         with open_recording(self.path) as recording:
             return recording.sensor_datasets()
 
     def parents(self) -> tuple[Header, ...]:
-        """The header of the recording."""
+        """Return the header of the recording."""
         with open_recording(self.path) as recording:
             return (recording.header,)
 
     def open(
         self, settings: CameraSettings, world: "VirtualWorld | None", seeds: np.random.SeedSequence
     ) -> OpenedCamera:
-        """Open the recording; its time begins with the first slice that is read."""
+        """Open the recording; its time begins when the first slice is read."""
         camera = ReplayCamera(self.path, paced=True)
         return OpenedCamera(camera, {"name": self.name, "recording": camera.header["id"]}, (camera.header,))
 
 
-# What stands before the colon: what comes after it is given to the kind, which refuses what it does not understand.
+# Kinds of camera by the text before the colon. The kind parses the text after the colon, and rejects unknown options.
 KINDS: dict[str, type[NamedCamera]] = {kind.name: kind for kind in (Simulated, Virtual, Dvxplorer, Dv, Replay)}
 
 
 def parse(text: str) -> NamedCamera:
-    """Understand --camera; InputError if it is no kind of camera, ours or a plug-in's, or has no such option."""
+    """Parse --camera; InputError if no built-in or plug-in kind has this name, or the kind has no such option."""
     name, _, rest = text.partition(":")
     kind = KINDS.get(name) or plugins.find(plugins.CAMERAS, name, NamedCamera)
     if kind is None:
@@ -299,18 +301,18 @@ def parse(text: str) -> NamedCamera:
 
 
 def parse_several(text: str) -> tuple[NamedCamera, ...]:
-    """Understand cameras with commas between them; a comma behind which no camera begins is part of a file's name.
+    """Parse cameras separated by commas; a comma that no camera name follows is part of a file name.
 
-    InputError where one serial number is named twice: a device can be opened once.
+    InputError if a serial number is named twice, because a device can be opened only once.
     """
     first, *parts = text.split(",")
-    named = [first]
+    texts = [first]
     for part in parts:
         if _begins_camera(part):
-            named.append(part)
+            texts.append(part)
         else:
-            named[-1] += f",{part}"
-    cameras = tuple(map(parse, named))
+            texts[-1] += f",{part}"
+    cameras = tuple(map(parse, texts))
     serials = [camera.serial for camera in cameras if isinstance(camera, Dvxplorer) and camera.serial]
     if len(set(serials)) < len(serials):
         raise InputError("the same camera twice", where="--camera", expected="serial numbers that differ", found=text)
@@ -318,7 +320,7 @@ def parse_several(text: str) -> tuple[NamedCamera, ...]:
 
 
 def _begins_camera(part: str) -> bool:
-    """Whether a camera begins so: what stands before a colon, or all of it, is a kind; a replay has a file."""
+    """Return whether the part begins with a kind of camera, up to a colon or its end; a replay must name a file."""
     name, colon, _ = part.partition(":")
     if name == Replay.name:
         return bool(colon)
@@ -331,7 +333,7 @@ def _no_such_camera(text: str) -> InputError:
 
 
 def prepared_words(events_s: float, seeds: np.random.SeedSequence, time: TimeSource = HOST_TIME) -> "PreparedWords":
-    """Event words of one second of events at random, played again and again for two minutes of a clock."""
+    """Return a source that repeats one second of random event words for two minutes of a clock."""
     from evetac_cli.devices.virtual.word_sources import PreparedWords, random_event_words
 
     second = random_event_words(events_s, 1.0, np.random.default_rng(seeds))
@@ -339,16 +341,16 @@ def prepared_words(events_s: float, seeds: np.random.SeedSequence, time: TimeSou
 
 
 def _open_dvxplorer(name: str, serial: str | None, settings: CameraSettings, backend: Any) -> OpenedCamera:
-    """Start our driver; backend: the virtual USB device that it speaks to, None for the computer's own USB."""
+    """Start evetac's driver; backend: the virtual USB device, or None for the computer's own USB."""
     from evetac_cli.devices.dvxplorer.camera import DvxplorerCamera
     from evetac_cli.devices.dvxplorer.protocol import DvxplorerSettings
 
-    chosen = DvxplorerSettings(**settings.given())
-    camera = DvxplorerCamera(serial, chosen, backend=backend)
-    about = {"serial": camera.serial, "firmware": camera.firmware, "settings": asdict(chosen)}
+    driver_settings = DvxplorerSettings(**settings.given())
+    camera = DvxplorerCamera(serial, driver_settings, backend=backend)
+    about = {"serial": camera.serial, "firmware": camera.firmware, "settings": asdict(driver_settings)}
     return OpenedCamera(camera, {"name": name, **about})
 
 
 def _stem(name: str | Path) -> str:
-    """A serial number, or a file's name without folder and endings."""
+    """Return a serial number, or a file name without folder and extensions."""
     return Path(name).name.split(".")[0]

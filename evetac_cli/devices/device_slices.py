@@ -1,16 +1,16 @@
-"""Slices of a real camera's events: when one is over, and what the camera's clock has to do with the host's.
+"""Cut a real camera's events into slices, and relate the camera's clock to the host's.
 
-Slice k holds device times [k, k + 1) ms after the recording's begin, the first ms of which the camera spoke. It is
-closed by a later device time, or, when the sensor is silent, by the host's clock: once a read that found the camera
-empty was begun so much later than the end of the slice that the camera would have sent it. What comes for a
-closed slice is counted, not put elsewhere.
+Slice k holds device times [k, k + 1) ms after the recording's start, which is the first ms that the camera sent. A
+slice is closed by a later device time. If the sensor is silent, the host's clock closes the slice. This requires a read
+that found the camera empty, and that began so late that the camera would have sent the slice's events before it. Events
+for a slice that is already closed are counted and dropped, not moved to another slice.
 
-Why so: on a busy machine the time at which data are processed means nothing; the time at which a read was begun that
-found nothing does. So a program that is kept from running closes no slice too early.
+Reason: on a busy machine the time at which data are processed means nothing, but the time at which an empty read began
+is reliable. A program that was kept from running therefore closes no slice too early.
 
-Device time is bounded by the host's: no slice is closed that could not have passed since the camera was started, and
-where device time stays far from the host's, the camera's clock was damaged, and its times are moved to where the host
-says that they are. So a camera cannot make a recording longer than it took, whatever it sends.
+The host's time bounds the device time. No slice is closed that could not have passed since the camera was started. If
+device time stays far from the host's time, the camera's clock was damaged, and its times are shifted to match the
+host's. So no data from a camera can make a recording longer than it took.
 """
 
 from collections import deque
@@ -20,24 +20,27 @@ import numpy as np
 
 from evetac_cli.events import SLICE_US, Events, Slicer
 
-WINDOW_US = 5_000_000  # over which the smallest delay is looked for: 50 ppm of drift make 0.25 ms in it
+WINDOW_US = 5_000_000  # window for the smallest delay: a drift of 50 ppm makes 0.25 ms in it
 BUCKET_US = 500_000
-FIRST_EVENTS_US = 100_000  # a camera that sends nothing for so long after its start is silent: slices begin without it
-RESERVE_US = 20_000  # of device time ahead of the host's since the start: whole ms, and clocks that are read in turns
-DRIFT = 1e-3  # and so much of the time since then: ten times what a crystal is off by
-FAR_US = 500_000  # device time that is so far behind the host's, for so long, is moved: a camera's buffers hold less
-MOST_AT_ONCE = 1000  # slices that are handed out at once: a program that was stopped for an hour has 3.6 million
+# a camera that sends nothing for this long after its start is silent: slices begin without it
+FIRST_EVENTS_US = 100_000
+# margin by which device time may lead the host's since the start: whole ms, and clocks read one after the other
+RESERVE_US = 20_000
+DRIFT = 1e-3  # further margin, as a share of the time since then: ten times the error of a crystal
+FAR_US = 500_000  # device time this far behind the host's, for this long, is shifted: a camera's buffers hold less
+MOST_AT_ONCE = 1000  # most slices returned by one call: a program that was stopped for an hour has 3.6 million
 
 
 class ClockOffset:
-    """Host time minus device time: the smallest of a sliding window, as only delays are added to it."""
+    """Host time minus device time: the minimum over a sliding window, because delays only add to it."""
 
     def __init__(self) -> None:
-        self._least: deque[tuple[float, float]] = deque()  # start of a bucket on the host, least difference in it
+        # host time at which a bucket starts, smallest difference in it
+        self._least: deque[tuple[float, float]] = deque()
         self.us: float | None = None  # the estimate
 
     def add(self, host_us: float, device_us: float) -> None:
-        """At this host time it was known that device time had come to this."""
+        """Add an observation: at this host time, device time had reached device_us."""
         difference = host_us - device_us
         if self._least and host_us < self._least[-1][0] + BUCKET_US:
             start, least = self._least[-1]
@@ -52,8 +55,9 @@ class ClockOffset:
 class DeviceSlices:
     """Cuts the events of one camera into slices.
 
-    patience_us: how long the camera may keep an event back. All host times in us, of time.monotonic. What is over is
-    handed out by MOST_AT_ONCE slices: `more` gives the rest, and is asked before anything else is pushed.
+    patience_us: how long the camera may hold back an event. All host times are time.monotonic in us. At most
+    MOST_AT_ONCE finished slices are returned at once; the caller fetches the rest with `more` before it pushes anything
+    else.
     """
 
     def __init__(self, patience_us: float) -> None:
@@ -62,60 +66,63 @@ class DeviceSlices:
         self._started_us = inf  # host time at which the camera was started
         self._patience_us = patience_us
         self._origin_us: int | None = None  # device time at which the recording begins
-        self._now_us = 0  # latest device time known
-        self._packets: deque[Events] = deque()  # not cut yet; times of the recording
-        self._latest_us = 0  # of the packets so far
-        self._due = 0  # slices that are over
+        self._now_us = 0  # latest known device time
+        self._packets: deque[Events] = deque()  # not cut into slices yet; times of the recording
+        self._latest_us = 0  # latest time in the packets so far
+        self._due = 0  # number of slices that are finished
         self._closed = 0
-        self._told = 0  # slices that were over when the camera last gave a time
-        self._told_us = 0.0  # and the host's time then
-        self._asked_us = 0.0  # host time at which the latest read was begun that found nothing
+        self._over_at_time = 0  # slices that were finished when the camera last sent a time
+        self._time_sent_us = 0.0  # host time of that
+        self._empty_read_us = 0.0  # host time at which the latest empty read began
         self._far_since_us: float | None = None  # host time since which device time has been far from the host's
-        self.waiting_events = 0  # of slices that are not closed
+        self.waiting_events = 0  # events of slices that are not closed
         self.late_events = 0
-        self.early_events = 0  # of times that the host's clock has not come to
-        self.clock_restarts = 0  # times at which device time was moved to the host's
+        self.early_events = 0  # events with times that the host's clock has not reached
+        self.clock_restarts = 0  # how often device time was shifted to the host's
 
     def start(self, host_us: float) -> None:
-        """The camera was started at this host time, or later."""
-        self._started_us = self._told_us = host_us
+        """Record that the camera was started at this host time or later."""
+        self._started_us = self._time_sent_us = host_us
 
     def host_us(self, recording_us: float) -> float:
-        """Host time at which the camera's clock showed a time of the recording."""
+        """Return the host time at which the camera's clock showed a time of the recording."""
         offset = self._offset.us
         if offset is None or self._origin_us is None:
             return self._started_us + recording_us
         return offset + self._origin_us + recording_us
 
     def recording_us(self, host_us: float) -> float:
-        """Time of the recording that the camera's clock showed at a host time."""
+        """Return the time of the recording that the camera's clock showed at a host time."""
         return host_us - self.host_us(0.0)
 
     def most_us(self, host_us: float) -> float:
-        """The latest time of the recording that there can be at a host time."""
+        """Return the latest time of the recording that is possible at a host time."""
         return (host_us - self._started_us) * (1.0 + DRIFT) + RESERVE_US
 
     def device_ms(self, host_us: float) -> int | None:
-        """Device time at a host time; None before the camera has spoken."""
+        """Return the device time at a host time; None before the camera has sent a time."""
         if self._origin_us is None:
             return None
         return max(0, int(self.recording_us(host_us) + self._origin_us) // SLICE_US)
 
     @property
     def ms_without_time(self) -> int:
-        """How many ms were closed by the host's clock since the camera last gave a time, as far as it was asked."""
-        return max(0, min(self._closed - self._told, int(self._asked_us - self._told_us) // SLICE_US))
+        """Number of ms closed by the host's clock since the camera last sent a time.
+
+        Only ms covered by empty reads count.
+        """
+        return max(0, min(self._closed - self._over_at_time, int(self._empty_read_us - self._time_sent_us) // SLICE_US))
 
     def push(self, events: Events, first_us: int, now_us: int, arrived_us: float) -> list[Events]:
-        """Take events that arrived; return slices that are closed now.
+        """Take newly arrived events and return the slices that this closes.
 
-        first_us: the first device time of all; now_us: the latest, whether or not it has events.
+        first_us: the first device time of all; now_us: the latest device time, with or without events.
         """
         if self._origin_us is None:
             self._origin_us = SLICE_US * (first_us // SLICE_US - self._closed)
             self._now_us = first_us - 1
         in_order = events.t == np.maximum.accumulate(events.t)
-        if not in_order.all():  # of a library; our own decoder never goes back
+        if not in_order.all():  # only from a library; evetac's own decoder never goes back in time
             self.late_events += int(events.size - in_order.sum())
             events = Events(*(column[in_order] for column in events))
         self._keep_near_host(now_us, arrived_us)
@@ -127,23 +134,23 @@ class DeviceSlices:
             self._now_us = now_us
             self._offset.add(arrived_us, now_us)
             closed += self.close_until((now_us - self._origin_us) // SLICE_US)
-            self._told, self._told_us = max(self._closed, self._due), arrived_us
+            self._over_at_time, self._time_sent_us = max(self._closed, self._due), arrived_us
         return closed
 
     def over(self, begun_us: float) -> int:
-        """How many slices are over, given that a read begun at this host time found the camera empty."""
-        self._asked_us = begun_us
+        """Return how many slices are finished, given that a read begun at this host time found the camera empty."""
+        self._empty_read_us = begun_us
         if self._origin_us is None and begun_us < self._started_us + FIRST_EVENTS_US:
             return 0
         passed_us = min(self.recording_us(begun_us), self.most_us(begun_us))
         return max(0, int(passed_us - self._patience_us) // SLICE_US)
 
     def heard(self, host_us: float) -> None:
-        """The camera gave a time that was not believed: it is not silent."""
-        self._told, self._told_us = max(self._closed, self._due), host_us
+        """Record that the camera sent a time that was not believed: it is not silent."""
+        self._over_at_time, self._time_sent_us = max(self._closed, self._due), host_us
 
     def take(self, events: Events) -> list[Events]:
-        """Put events into their slices, but for those whose slice is closed."""
+        """Sort events into their slices, except those whose slice is closed."""
         if events.size == 0 or self._origin_us is None:
             return []
         t_us = events.t - self._origin_us
@@ -157,12 +164,12 @@ class DeviceSlices:
         return self.more()
 
     def close_until(self, slices: int) -> list[Events]:
-        """Close all slices below this index, and return them, or the first of them."""
+        """Close all slices below this index and return them, or the first of them."""
         self._due = max(self._due, slices)
         return self.more()
 
     def more(self) -> list[Events]:
-        """Slices that are over and were not handed out, MOST_AT_ONCE at most."""
+        """Return finished slices that were not returned yet, at most MOST_AT_ONCE."""
         end = self._closed + MOST_AT_ONCE
         closed: list[Events] = []
         while self._packets:
@@ -178,7 +185,7 @@ class DeviceSlices:
         return closed
 
     def _keep_near_host(self, now_us: int, arrived_us: float) -> None:
-        """Move device time to the host's where it has been far from it for FAR_US."""
+        """Shift device time to the host's if it has been far from it for FAR_US."""
         assert self._origin_us is not None
         if self._offset.us is None:
             return

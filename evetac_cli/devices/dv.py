@@ -1,8 +1,8 @@
-"""A DVXplorer Mini through the maker's library dv-processing (firmware 10 only): an alternative to our driver.
+"""A DVXplorer Mini through the maker's library dv-processing (firmware 10 only): an alternative to evetac's own driver.
 
-The library finds, reads and decodes; slices are cut here as for our own driver (device_slices.py). Its times are those
-of the camera plus the host's time of day at the start. What it drops it does not say, nor whether a camera without
-events still sends the time: a second without an event is counted as such.
+The library finds and reads the camera and decodes its events; slices are cut as for evetac's driver (device_slices.py).
+Its times are the camera's times plus the host's time of day at the start. The library does not report its own losses,
+nor whether a camera without events still sends the time. So a second without an event is counted as such.
 """
 
 import time
@@ -20,14 +20,15 @@ from evetac_cli.events import FRAME_PX, SLICE_US, Events
 from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
 
 POLL_S = 0.0005
-QUIET_MS = 1000  # without an event: a sensor in the dark still has noise
-PATIENCE_US = 10_000  # on top of the flush time: two threads of the library, which gives no word of an empty camera
+QUIET_MS = 1000  # longest normal time without an event: even a sensor in the dark has noise
+PATIENCE_US = 10_000  # on top of the flush time: two threads of the library, which does not report an empty camera
 
 
 class DvCamera:
     """A running camera of dv-processing; an EventCamera.
 
-    serial: which camera, None for the first; library: dv_processing, or what stands in for it. DeviceError, in words.
+    serial: which camera, None for the first; library: dv_processing, or a test's substitute. DeviceError with a message
+    if the camera cannot be opened.
     """
 
     notes: tuple[str, ...] = ()
@@ -44,14 +45,14 @@ class DvCamera:
             self._camera = library.io.camera.DVXplorerM(*([serial] if serial else []))
             self._set_up(library)
             name = str(self._camera.getCameraName())
-        except (RuntimeError, IndexError, ValueError, OSError) as error:  # what its bindings raise
+        except (RuntimeError, IndexError, ValueError, OSError) as error:  # the library's bindings raise these
             self.close()
             raise DeviceError(
                 "dv-processing could not open a camera",
                 where=self.where,
                 expected="a DVXplorer Mini with firmware 10 that no other program uses",
                 found=str(error),
-                hint="ask `evetac doctor` what is wrong; --camera dvxplorer knows the older firmware too",
+                hint="run `evetac doctor` to find the fault; --camera dvxplorer also supports older firmware",
             ) from error
         self.sensor: Mapping[str, Any] = {
             "sensor/frame_px": np.array(FRAME_PX, np.int32),
@@ -61,11 +62,11 @@ class DvCamera:
         self._slices.start(_now_us())
         self._first_us: int | None = None
         self._ready: deque[Events] = deque()
-        self._quiet_ms = 0  # in all silences that are over
+        self._quiet_ms = 0  # total of all silences that are over
 
     @property
     def counted(self) -> Mapping[str, int]:
-        """What was lost so far, by reason; the library does not report its own."""
+        """Losses so far by reason; the library does not report its own."""
         slices = self._slices
         quiet_ms = slices.ms_without_time if slices.ms_without_time > QUIET_MS else 0
         return {
@@ -76,7 +77,7 @@ class DvCamera:
         }
 
     def read(self) -> Events | None:
-        """The next slice, once it is closed; None after close; DeviceError once the camera is gone."""
+        """Return the next slice once it is closed; None after close; DeviceError if the camera has gone."""
         while self._camera is not None and not self._ready:
             self._ready += self._slices.more()
             if self._ready:
@@ -94,15 +95,15 @@ class DvCamera:
         return self._ready.popleft() if self._camera is not None else None
 
     def host_us(self, device_us: float) -> float:
-        """time.monotonic() in us at which the camera's clock showed this time of the recording."""
+        """Return time.monotonic() in us at which the camera's clock showed this time of the recording."""
         return self._slices.host_us(device_us)
 
     def now_us(self) -> int:
-        """Time of the recording now, by the camera's clock."""
+        """Return the present time of the recording, by the camera's clock."""
         return int(self._slices.recording_us(_now_us()))
 
     def close(self) -> None:
-        """Let go of the camera, which stops it; a second call does nothing."""
+        """Release the camera, which stops it; a second call does nothing."""
         self._camera = None
 
     def _take(self, rows: Any) -> None:
@@ -119,7 +120,7 @@ class DvCamera:
         self._ready += self._slices.push(events, self._first_us, int(t_us[-1]), _now_us())
 
     def _set_up(self, library: Any) -> None:
-        """Pass our settings on to the library, and ask for one batch a millisecond."""
+        """Pass evetac's settings to the library, and request one batch per millisecond."""
         rate = self.settings.readout_rate.upper().replace("-", "_").replace("LOSSY", "CONSTANT_LOSSY")
         self._camera.setReadoutFPS(getattr(library.io.camera.DVXplorer.ReadoutFPS, rate))
         self._camera.setContrastThresholdOn(self.settings.threshold_on)
@@ -130,7 +131,7 @@ class DvCamera:
 
 
 def _library(where: str) -> Any:
-    """The module dv_processing; MissingLibrary if it is not installed."""
+    """Return the module dv_processing; MissingLibrary if it is not installed."""
     try:
         import dv_processing
     except ImportError as error:

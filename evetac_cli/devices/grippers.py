@@ -1,6 +1,6 @@
 """Grippers by name, as on the command line: `--gripper /dev/ttyUSB0:1@2000000`.
 
-`parse` turns a name into an object of one of the kinds below, or of a plug-in's, and touches no device; its `open`
+`parse` turns a name into an object of a kind below, or of a plug-in's kind, and touches no device. The object's `open`
 starts the driver, which is imported only then.
 """
 
@@ -22,12 +22,12 @@ if TYPE_CHECKING:
     from evetac_cli.devices.virtual.servo_plant import SharedPlant
 
 PORT_BEGINS = ("/", "./", "COM", "tty")
-_OF_A_PATH = re.compile(r"\d\.\d|/")  # what is behind a colon of a port's own name
-BAUD, ID = 2_000_000, 1  # where none is named
-# A virtual servo answers when the computer lets it run, which a busy one may not do for a tenth of a second.
+_OF_A_PATH = re.compile(r"\d\.\d|/")  # text after a colon that belongs to the port's own name
+BAUD, ID = 2_000_000, 1  # defaults if none is named
+# A virtual servo answers only when the computer runs its process, which a busy one may delay by a tenth of a second.
 VIRTUAL_ANSWER_MS = 200.0
 VIRTUAL_WATCHDOG_MS = 1000
-VIRTUAL_WATCHDOG_FACTOR = 5  # how much longer a watchdog time that was asked for is for virtual devices
+VIRTUAL_WATCHDOG_FACTOR = 5  # factor on a requested watchdog time for virtual devices
 
 Mode = Literal["current", "position"]
 
@@ -36,48 +36,50 @@ Mode = Literal["current", "position"]
 class NamedGripper:
     """A gripper as it was named, before it is opened.
 
-    A kind of gripper is a class below this one, a frozen dataclass, since it is sent to other processes: `name`,
-    `capabilities`, `open`, and what else it does not share with most others.
+    Each kind of gripper is a subclass: a frozen dataclass, because it is sent to other processes. It defines `name`,
+    `capabilities`, `open`, and the properties in which it differs from most others.
     """
 
     name: ClassVar[str]
-    # What commands may expect of it. Without HARDWARE it may be moved without --arm: so a kind has to say that itself.
+    # What commands may expect of it. Without HARDWARE it may be moved without --arm, so a kind must leave out HARDWARE
+    # explicitly.
     capabilities: ClassVar[frozenset[Capability]] = frozenset({Capability.MOVED, Capability.HARDWARE})
-    watchdog_ms: int | None = field(default=None, kw_only=True)  # asked for; None: the driver's
+    watchdog_ms: int | None = field(default=None, kw_only=True)  # requested; None: the driver's default
 
     @classmethod
     def parse(cls, text: str) -> Self:
-        """Understand what stands behind the colon of its name; InputError for what it does not."""
+        """Parse the text after the colon of the name; InputError for an unknown option."""
         if text:
             raise no_such_device("gripper", cls.name, f"{cls.name}:{text}", (cls.name,))
         return cls()
 
     def has(self, capability: Capability) -> bool:
-        """Whether commands may expect this of it."""
+        """Return whether commands may expect this of the gripper."""
         return capability in self.capabilities
 
     @property
     def port(self) -> str:
-        """The serial port at which it is; empty where it has none of its own."""
+        """The serial port of the gripper; empty if it has none."""
         return ""
 
     @property
     def baud(self) -> int:
-        """Bits a second on the wire."""
+        """Bits per second on the wire."""
         return BAUD
 
     @property
     def id(self) -> int:
-        """Its number on the wire."""
+        """The gripper's id on the wire."""
         return ID
 
     def __str__(self) -> str:
         return self.name
 
     def settings(self, **asked: Any) -> "RhP12RnSettings":
-        """Settings with what is asked for, as this gripper can keep them: a virtual one gets more time.
+        """Return settings with the requested values, adapted to this gripper: a virtual one gets more time.
 
-        What a driver of another gripper has no use for, it leaves. ValueError for what no gripper can keep.
+        A driver of another gripper ignores settings that it does not use. ValueError for values that no gripper can
+        have.
         """
         from evetac_cli.devices.rh_p12_rn.driver import RhP12RnSettings
 
@@ -85,26 +87,29 @@ class NamedGripper:
         return RhP12RnSettings(id=self.id, **watchdog | asked)
 
     def open_peer(self, plant: "SharedPlant | None") -> "VirtualGripper | None":
-        """Start the virtual servo behind the port; None where the servo is real, or there is none."""
+        """Start the virtual servo behind the port; None if the servo is real or there is none."""
         return None
 
     def open(self, mode: Mode, port: str, settings: "RhP12RnSettings | None" = None) -> tuple[Gripper | None, Any]:
-        """The gripper, and what it is and how it is set (for a header); DeviceError if it does not answer.
+        """Return the gripper, and its identity and settings for a header; DeviceError if it does not answer.
 
-        port: at which it is, empty where it has none; settings: None for those without anything asked for.
+        port: the gripper's serial port, empty if it has none; settings: None for the defaults.
         """
         raise NotImplementedError(f"{self.name} has no driver")
 
     def release(self, port: str, settings: "RhP12RnSettings") -> str:
-        """Torque off, where the process that commanded it died; in words, what was read back."""
-        return "nothing is known of torque"
+        """Switch torque off after the process that commanded the gripper has died.
+
+        Return a sentence on what was read back.
+        """
+        return "the state of torque is unknown"
 
 
 class RhP12RnGripper(NamedGripper):
-    """A ROBOTIS RH-P12-RN(A) by our driver; a real one, unless its kind says otherwise."""
+    """A ROBOTIS RH-P12-RN(A) through evetac's driver; a real one unless the kind is virtual."""
 
     def open(self, mode: Mode, port: str, settings: "RhP12RnSettings | None" = None) -> tuple[Gripper | None, Any]:
-        """Start the driver at a port."""
+        """Start the driver on a port."""
         from evetac_cli.devices.rh_p12_rn.driver import RhP12Rn
 
         driver = RhP12Rn(port, self.baud, mode, settings or self.settings())
@@ -112,7 +117,7 @@ class RhP12RnGripper(NamedGripper):
         return driver, {"name": self.name, **described}
 
     def release(self, port: str, settings: "RhP12RnSettings") -> str:
-        """Open the port anew, which is free once that process has ended."""
+        """Open the port again, which is free once that process has ended, and switch torque off."""
         from evetac_cli.devices.rh_p12_rn.torque import release
 
         return release(port, self.baud, id_=settings.id, watchdog_ms=settings.watchdog_ms, answer_ms=settings.answer_ms)
@@ -120,13 +125,13 @@ class RhP12RnGripper(NamedGripper):
 
 @dataclass(frozen=True)
 class NoGripper(NamedGripper):
-    """`none`: a camera alone."""
+    """`none`: a camera without a gripper."""
 
     name = "none"
     capabilities = frozenset()
 
     def open(self, mode: Mode, port: str, settings: "RhP12RnSettings | None" = None) -> tuple[Gripper | None, Any]:
-        """There is nothing to open."""
+        """Return no gripper: there is nothing to open."""
         return None, self.name
 
 
@@ -140,7 +145,7 @@ class Simulated(NamedGripper):
 
 @dataclass(frozen=True)
 class Virtual(RhP12RnGripper):
-    """`virtual[:FAULT+FAULT...]`: the real driver before a virtual servo, in real time."""
+    """`virtual[:FAULT+FAULT...]`: the real driver on a virtual servo, in real time."""
 
     name = "virtual"
     capabilities = frozenset({Capability.MOVED})
@@ -148,21 +153,21 @@ class Virtual(RhP12RnGripper):
 
     @classmethod
     def parse(cls, text: str) -> Self:
-        """Understand faults, joined by +; InputError for any other."""
+        """Parse faults, joined by +; InputError for anything else."""
         faults = options(text)
         for each in faults:
             gripper_fault(each)
         return cls(faults)
 
     def settings(self, **asked: Any) -> "RhP12RnSettings":
-        """Longer times, because the computer that simulates the servo stops it now and then."""
+        """Return settings with longer times, because the computer that simulates the servo pauses it now and then."""
         kept = super().settings(**asked)
         is_asked = "watchdog_ms" in asked or self.watchdog_ms is not None
         watchdog_ms = VIRTUAL_WATCHDOG_FACTOR * kept.watchdog_ms if is_asked else VIRTUAL_WATCHDOG_MS
         return replace(kept, answer_ms=VIRTUAL_ANSWER_MS, watchdog_ms=watchdog_ms)
 
     def open_peer(self, plant: "SharedPlant | None") -> "VirtualGripper | None":
-        """Start the virtual servo; plant: the finger that it moves, None for one of its own."""
+        """Start the virtual servo; plant: the finger that it moves, None for its own."""
         from evetac_cli.devices.virtual.gripper import VirtualGripper
 
         return VirtualGripper(plant, self.faults)
@@ -170,7 +175,7 @@ class Virtual(RhP12RnGripper):
 
 @dataclass(frozen=True)
 class Serial(RhP12RnGripper):
-    """`PORT[:ID][@BAUD]`: a ROBOTIS RH-P12-RN(A) at a serial port."""
+    """`PORT[:ID][@BAUD]`: a ROBOTIS RH-P12-RN(A) on a serial port."""
 
     name = "port"
     port: str = ""
@@ -182,7 +187,7 @@ class Serial(RhP12RnGripper):
 
     @property
     def shortest(self) -> str:
-        """The shortest name for it: id and rate only where they are not the usual ones."""
+        """The shortest name of the gripper: with id and rate only if they differ from the defaults."""
         return self._of_id if self.baud == BAUD else str(self)
 
     @property
@@ -190,12 +195,12 @@ class Serial(RhP12RnGripper):
         return self.port if self.id == ID else f"{self.port}:{self.id}"
 
 
-# What stands before the colon, but for ports.
+# Kinds of gripper by the text before the colon, except ports.
 KINDS: dict[str, type[NamedGripper]] = {kind.name: kind for kind in (Simulated, Virtual, NoGripper)}
 
 
 def parse(text: str) -> NamedGripper:
-    """Understand --gripper; InputError if it is no gripper, ours or a plug-in's, or has no such option."""
+    """Parse --gripper; InputError if no built-in or plug-in kind has this name, or the kind has no such option."""
     if text.startswith(PORT_BEGINS):
         return parse_port(text)
     name, _, rest = text.partition(":")
@@ -208,19 +213,19 @@ def parse(text: str) -> NamedGripper:
 
 
 def parse_port(text: str) -> Serial:
-    """Understand PORT[:ID][@BAUD]; InputError for an id or a rate that no gripper can have.
+    """Parse PORT[:ID][@BAUD]; InputError for an id or a rate that no gripper can have.
 
-    A port may have colons of its own, as /dev/serial/by-path/pci-0000:00:14.0-usb-0:2:1.0-port0: what stands behind the
-    last one is an id unless it is like `1.0`, or has a slash.
+    A port's own name may contain colons, for example /dev/serial/by-path/pci-0000:00:14.0-usb-0:2:1.0-port0. The text
+    after the last colon is an id, unless it looks like `1.0` or contains a slash.
     """
-    named, at, rate = text.rpartition("@") if "@" in text else (text, "", "")
+    port_and_id, at, rate = text.rpartition("@") if "@" in text else (text, "", "")
     if ":" in rate:
         raise InputError("the id comes before the baud rate", where="--gripper", expected="PORT:ID@BAUD", found=text)
     bauds = [each for each in SDK_RATES if number(rate) == each] if at else [BAUD]
     if not bauds:
         rates = ", ".join(map(str, SDK_RATES))
         raise InputError("no such baud rate", where="--gripper PORT@BAUD", expected=f"one of {rates}", found=text)
-    port, colon, last = named.rpartition(":")
+    port, colon, last = port_and_id.rpartition(":")
     if not colon or _OF_A_PATH.search(last):
-        return Serial(named, bauds[0])
+        return Serial(port_and_id, bauds[0])
     return Serial(port, bauds[0], int(parse_number(last, 0, LAST_ID, "--gripper PORT:ID", text, whole=True)))

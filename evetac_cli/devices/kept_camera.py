@@ -1,7 +1,7 @@
-"""A camera that stays open between the recordings of a series: each has a part of its slices, with a clock of its own.
+"""A camera that stays open between the recordings of a series: each recording gets its own slices and its own clock.
 
-Why so: opening a camera takes a second or more, and a robot that starts a recording waits for it. Between recordings
-its slices are read and thrown away, so that the next begins with the slice of that moment, and not with what waited.
+Reason: opening a camera takes a second or more, and a robot that starts a recording waits for it. Between recordings
+the camera's slices are read and discarded, so the next recording begins with the present slice and not with old ones.
 """
 
 from collections.abc import Mapping
@@ -20,43 +20,44 @@ from evetac_cli.realtime.shared_time import TimeSource
 
 
 class CameraPart:
-    """The slices of a camera from one of them on, as a camera of its own, whose time begins with it."""
+    """The slices of a camera from a given one onward, as a separate camera whose time begins there."""
 
     def __init__(self, camera: EventCamera, first: int) -> None:
-        """first: how many slices were read before."""
+        """first: number of slices that were read before."""
         self._camera = camera
         self._shift_us = first * SLICE_US
         self._lost_before = dict(camera.counted)
         self._open = True
         self.is_over = False  # the camera failed, or its stream ended
-        self.slices = 0  # that were read
-        self.sensor: Mapping[str, Any] = {**camera.sensor, "t_offset": np.int64(self._shift_us)}  # since it was opened
+        self.slices = 0  # number of slices read
+        # t_offset: time since the camera was opened
+        self.sensor: Mapping[str, Any] = {**camera.sensor, "t_offset": np.int64(self._shift_us)}
 
     @property
     def counted(self) -> Mapping[str, int]:
-        """What was lost since this part began."""
+        """Losses since this part began."""
         return {why: max(0, count - self._lost_before.get(why, 0)) for why, count in self._camera.counted.items()}
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Those of the camera, for whoever has its first part."""
+        """The camera's notes, only on its first part."""
         return () if self._shift_us else self._camera.notes
 
     @property
     def time(self) -> TimeSource:
-        """That of the camera."""
+        """The time source of the camera."""
         return self._camera.time
 
     def now_us(self) -> int:
-        """Device time in us since this part began."""
+        """Return the device time in us since this part began."""
         return max(0, self._camera.now_us() - self._shift_us)
 
     def host_us(self, device_us: float) -> float:
-        """The time of `time`, in us, at this time of the part."""
+        """Return the reading of `time`, in us, at this time of the part."""
         return self._camera.host_us(device_us + self._shift_us)
 
     def read(self) -> Events | None:
-        """The next slice, its times since this part began; None once the part was closed or the stream has ended."""
+        """Return the next slice, with times since this part began; None after `close` or the end of the stream."""
         if not self._open:
             return None
         try:
@@ -71,20 +72,20 @@ class CameraPart:
         return events._replace(t=events.t - self._shift_us)
 
     def close(self) -> None:
-        """End this part; the camera goes on."""
+        """End this part; the camera keeps running."""
         self._open = False
 
 
 @dataclass
-class _Held:
-    """What is open of a camera, and how many of its slices were read."""
+class _OpenState:
+    """The open camera of a KeptCamera, its present part, and how many of its slices were read."""
 
     opened: OpenedCamera | None = None
     part: CameraPart | None = None
     read: int = 0
 
     def leave_part(self) -> bool:
-        """Count the slices of the last part; whether the camera gives more."""
+        """Add the slices of the last part to the count; return whether the camera still delivers slices."""
         part, self.part = self.part, None
         if part is None:
             return True
@@ -93,7 +94,7 @@ class _Held:
         return not part.is_over
 
     def skip(self) -> bool:
-        """Read a slice and throw it away; whether there was one."""
+        """Read and discard a slice; return whether there was one."""
         assert self.opened is not None
         if self.opened.camera.read() is None:
             return False
@@ -103,70 +104,70 @@ class _Held:
 
 @dataclass(frozen=True)
 class KeptCamera(NamedCamera):
-    """A named camera that is opened once: each `open` gives the part of its slices from that moment on.
+    """A named camera that is opened once; each `open` returns its slices from that time onward.
 
-    settings: with which it is opened.
+    settings: the settings with which it is opened.
     """
 
     named: NamedCamera
     settings: CameraSettings
-    _held: "_Held" = field(default_factory=_Held, compare=False)
+    _state: "_OpenState" = field(default_factory=_OpenState, compare=False)
 
     @property
     def capabilities(self) -> frozenset[Capability]:
-        """Those of the camera."""
+        """The capabilities of the camera."""
         return self.named.capabilities
 
     @property
     def file_stem(self) -> str:
-        """That of the camera."""
+        """The file stem of the camera."""
         return self.named.file_stem
 
     def __str__(self) -> str:
         return str(self.named)
 
     def frame_px(self) -> tuple[int, int]:
-        """That of the camera."""
+        """Return the frame size of the camera."""
         return self.named.frame_px()
 
     def known_sensor(self) -> dict[str, Any]:
-        """That of the camera."""
+        """Return the sensor datasets of the camera."""
         return self.named.known_sensor()
 
     def open(self, settings: CameraSettings, world: Any, seeds: np.random.SeedSequence) -> OpenedCamera:
-        """The part of its slices that begins now; the camera is opened where it is not. DeviceError if it cannot be."""
-        held = self._held
+        """Return the part that begins now, opening the camera if necessary; DeviceError if that fails."""
+        state = self._state
         if not self._is_current():
             self.close()
-            held.opened, held.read = self.named.open(settings, world, seeds), 0
-        assert held.opened is not None
-        held.part = CameraPart(held.opened.camera, held.read)
-        return OpenedCamera(held.part, held.opened.setup, held.opened.parents)
+            state.opened, state.read = self.named.open(settings, world, seeds), 0
+        assert state.opened is not None
+        state.part = CameraPart(state.opened.camera, state.read)
+        return OpenedCamera(state.part, state.opened.setup, state.opened.parents)
 
     def _is_current(self) -> bool:
-        """Whether it is open, and gives slices; those that waited while nobody read are thrown away."""
-        held = self._held
-        if held.opened is None or not held.leave_part():
+        """Return whether the camera is open and delivers slices; slices that piled up unread are discarded."""
+        state = self._state
+        if state.opened is None or not state.leave_part():
             return False
-        camera = held.opened.camera
+        camera = state.opened.camera
         now_us = camera.time.now_s() * 1e6
         try:
-            while camera.host_us((held.read + 1) * SLICE_US) < now_us:
-                if not held.skip():
+            while camera.host_us((state.read + 1) * SLICE_US) < now_us:
+                if not state.skip():
                     return False
         except DeviceError:
             return False
         return True
 
     def skip(self) -> None:
-        """Read a slice and throw it away, which takes a millisecond; a camera that fails is closed, until it is opened.
+        """Read and discard a slice, which takes a millisecond. A camera that fails is closed until the next `open`.
 
         DeviceError if it failed now.
         """
-        if self._held.opened is None:
+        if self._state.opened is None:
             return
         try:
-            over = not self._held.leave_part() or not self._held.skip()
+            over = not self._state.leave_part() or not self._state.skip()
         except DeviceError:
             self.close()
             raise
@@ -175,13 +176,13 @@ class KeptCamera(NamedCamera):
 
     @property
     def is_open(self) -> bool:
-        """Whether it runs."""
-        return self._held.opened is not None
+        """Whether the camera is running."""
+        return self._state.opened is not None
 
     def close(self) -> None:
-        """Stop the camera, whether or not it still answers; a second call does nothing."""
-        opened, self._held.opened = self._held.opened, None
-        self._held.part = None
+        """Stop the camera, whether or not it still responds; a second call does nothing."""
+        opened, self._state.opened = self._state.opened, None
+        self._state.part = None
         if opened is not None:
             with suppress(DeviceError):
                 opened.camera.close()

@@ -1,7 +1,7 @@
-"""What a camera lost, from what it counts: a number of events, or at least how many, and the words for the user.
+"""Losses of a camera from its counters: the number of lost events, or a lower bound, and messages for the user.
 
-Reasons are named DEVICE.REASON, as in `capture/lost/camera.late_events`. Some are numbers of events, others occurrences
-of what costs an unknown number of them; the rest, such as lost answers of a gripper, cost none.
+Reasons are named DEVICE.REASON, for example `capture/lost/camera.late_events`. Some count events. Others count
+incidents that cost an unknown number of events. The rest, such as lost answers of a gripper, cost none.
 """
 
 from collections.abc import Mapping
@@ -30,10 +30,10 @@ NUMBER_UNKNOWN = frozenset(
     }
 )
 SILENCES = {
-    "ms_without_time": "sends nothing, not even the time",
+    "ms_without_time": "sends nothing, not even timestamps",
     "ms_without_events": "sends no events",
 }
-AGAIN_S = 5.0  # after which more of the same is said again
+AGAIN_S = 5.0  # interval after which the same message is repeated
 
 
 def _reason(name: str) -> str:
@@ -41,7 +41,7 @@ def _reason(name: str) -> str:
 
 
 def events_lost(counts: Mapping[str, int]) -> int | str:
-    """How many events were lost: a number, or `unknown, at least N` with N that are known."""
+    """Return the number of lost events, or `unknown, at least N` with the N known losses."""
     least = sum(count for name, count in counts.items() if _reason(name) in COUNTS_EVENTS)
     if any(count for name, count in counts.items() if _reason(name) in NUMBER_UNKNOWN):
         return f"unknown, at least {least:,}"
@@ -49,21 +49,21 @@ def events_lost(counts: Mapping[str, int]) -> int | str:
 
 
 def reasons(counts: Mapping[str, int]) -> str | None:
-    """Every reason and how often it occurred; None where there is none."""
+    """Return every reason and how often it occurred, as text; None if there is none."""
     return "; ".join(f"{name} {count}" for name, count in counts.items() if count) or None
 
 
 class LossNews:
-    """What is to be said of losses while they happen: silence and damage when they begin, then every AGAIN_S."""
+    """Messages on losses while they happen: silence and damage when they begin, then every AGAIN_S."""
 
     def __init__(self) -> None:
-        self._silent: dict[str, int] = {}  # name -> ms of silence before the present one
-        self._ms: dict[str, int] = {}  # name -> ms of silence when it was last asked
-        self._said: dict[str, float] = {}
+        self._silent: dict[str, int] = {}  # name -> ms of silence before the present silence
+        self._ms: dict[str, int] = {}  # name -> ms of silence at the last call
+        self._reported_s: dict[str, float] = {}
         self._lost: int | str = 0
 
     def of(self, counts: Mapping[str, int], now_s: float) -> list[str]:
-        """Sentences for the user, given the counts of all devices at this time."""
+        """Return sentences for the user, given the counts of all devices at this time."""
         news = []
         for name, words in ((name, SILENCES[_reason(name)]) for name in counts if _reason(name) in SILENCES):
             ms, before_ms = counts[name], self._ms.get(name, 0)
@@ -75,8 +75,8 @@ class LossNews:
                     news.append(f"{device} {words}, for {(ms - began_ms) * 1e-3:.1f} s now: is it plugged in firmly?")
             elif name in self._silent:
                 silent_s = (ms - self._silent.pop(name)) * 1e-3
-                self._said.pop(name, None)
-                news.append(f"{device} sends again, after {silent_s:.1f} s; what it saw meanwhile is lost")
+                self._reported_s.pop(name, None)
+                news.append(f"{device} sends again, after {silent_s:.1f} s; its events of that time are lost")
         others = {name: count for name, count in counts.items() if _reason(name) not in SILENCES}
         lost = events_lost(others)
         if lost != self._lost and self._is_due("events", now_s):
@@ -89,8 +89,8 @@ class LossNews:
         return news
 
     def _is_due(self, what: str, now_s: float) -> bool:
-        """Whether it was not said in the last AGAIN_S; then it is now."""
-        due = now_s - self._said.get(what, -AGAIN_S) >= AGAIN_S
+        """Return whether this was not reported in the last AGAIN_S, and note that it is reported now."""
+        due = now_s - self._reported_s.get(what, -AGAIN_S) >= AGAIN_S
         if due:
-            self._said[what] = now_s
+            self._reported_s[what] = now_s
         return due

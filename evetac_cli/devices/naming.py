@@ -1,4 +1,4 @@
-"""What names of cameras and of grippers share: options, numbers with their range, and the refusal of other names."""
+"""Parts shared by camera and gripper names: options, numbers with their range, and the error for unknown names."""
 
 import math
 import re
@@ -6,30 +6,32 @@ from difflib import get_close_matches
 
 from evetac_cli.errors import InputError
 
-EVENTS_S = 5_000, 50_000_000  # of `virtual:prepared=`: an event in every frame; 0.8 GB of memory while they are made
-FIRMWARES = 1, 255  # of `virtual:firmware=`: a byte of the USB descriptor
+# for `virtual:prepared=`: from one event per frame up to 0.8 GB of memory during preparation
+EVENTS_S = 5_000, 50_000_000
+FIRMWARES = 1, 255  # for `virtual:firmware=`: a byte of the USB descriptor
 
 
 NUMBER = r"(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:e[+-]?[0-9]+)?"
 _NUMBER = re.compile(NUMBER)
-_BETWEEN_OPTIONS = re.compile(r"(?<![0-9.]e)\+")  # not the sign of an exponent, as in prepared=1e+5
+_BETWEEN_OPTIONS = re.compile(r"(?<![0-9.]e)\+")  # not the sign of an exponent, for example prepared=1e+5
 
 
 def options(text: str) -> tuple[str, ...]:
-    """The options of a virtual device, which a + joins; nothing between two of them is no option."""
+    """Return the options of a virtual device, which are joined by +; empty options are skipped."""
     return tuple(filter(None, _BETWEEN_OPTIONS.split(text)))
 
 
 def number(text: str) -> float:
-    """The number that a text is, as it is written in a device's name; NaN for any other, and for one too large."""
+    """Return the number in a text, as written in a device's name; NaN for any other text, or if too large."""
     value = float(text) if _NUMBER.fullmatch(text) else math.nan
     return value if math.isfinite(value) else math.nan
 
 
 def parse_number(text: str, low: int, high: int, where: str, name: str, *, whole: bool = False) -> float:
-    """A number in [low, high] that is part of a device's name; InputError if it is none, or not whole where it must be.
+    """Return a number in [low, high] from a device's name.
 
-    where: the part, as in `virtual:prepared=EVENTS_S`; name: the whole name.
+    InputError if it is not a number, or not whole if `whole`. where: the part, for example `virtual:prepared=EVENTS_S`;
+    name: the whole name.
     """
     value = number(text)
     if low <= value <= high and (not whole or value == int(value)):
@@ -40,7 +42,7 @@ def parse_number(text: str, low: int, high: int, where: str, name: str, *, whole
 
 
 def no_such_device(what: str, expected: str, name: str, known: tuple[str, ...]) -> InputError:
-    """The error for a name that no camera or gripper has; known: the names to which it may come close."""
+    """Return the error for a name that no camera or gripper has; known: names for the suggestion."""
     guess = get_close_matches(name, known, n=1)
     hint = f"did you mean {guess[0]}?" if guess else ""
     return InputError(f"no such {what}", where=f"--{what}", expected=expected, found=name, hint=hint)

@@ -1,6 +1,6 @@
-"""Open the camera and the gripper that were named, with what is behind them where they are virtual.
+"""Open the named camera and gripper, and the virtual devices behind them.
 
-Whoever moves a gripper comes through here, or through `require_arm` alone: the one place that asks for --arm.
+All code that moves a gripper passes through here, or through `require_arm`, which is the only check for --arm.
 """
 
 from contextlib import ExitStack
@@ -21,21 +21,21 @@ if TYPE_CHECKING:
 
 
 class Peers(NamedTuple):
-    """What is behind virtual devices; None where they are real."""
+    """The processes behind virtual devices; None for real devices."""
 
     world: "VirtualWorld | None"
     servo: "VirtualGripper | None"
 
 
 def require_arm(gripper: NamedGripper, *, armed: bool, plan: str = "", hint: str = "") -> None:
-    """InputError where real fingers would be moved without --arm; plan: what would be done with them, in words."""
+    """Raise InputError if real fingers would move without --arm; plan: a sentence that describes the planned motion."""
     if gripper.has(Capability.HARDWARE) and not armed:
         raise InputError(
             "this would move a real gripper",
             where=str(gripper),
-            expected="--arm, once nothing is between the fingers that must not be",
+            expected="--arm, after checking that nothing unintended is between the fingers",
             found=plan,
-            hint=hint or "--dry-run shows all of the plan",
+            hint=hint or "--dry-run shows the whole plan",
         )
 
 
@@ -50,11 +50,11 @@ def open_peers(
     tells_truth: bool,
     **durations: float,
 ) -> Peers:
-    """Start the virtual world and the virtual servo that the names ask for; they are closed with `opened`.
+    """Start the virtual world and the virtual servo that the names require; they are closed with `opened`.
 
-    plan: what the world simulates, as in devices.simulated.rig; armed: whether a real gripper may be moved;
-    tells_truth: whether the world gives its truth. The world's time waits for a busy machine, unless something real
-    moves.
+    plan: the setup that the world simulates, as in devices.simulated.rig; armed: whether a real gripper may be moved;
+    tells_truth: whether the world sends its ground truth. The world's time waits for a busy machine, unless a real
+    gripper moves.
     """
     require_arm(gripper, armed=armed)
     world = None
@@ -80,10 +80,11 @@ def open_rig(
     armed: bool = False,
     mode: Mode = "current",
 ) -> Rig:
-    """Open what was named, the gripper first: a camera's clock starts when it is opened.
+    """Open the named devices, the gripper first, because a camera's clock starts when it is opened.
 
-    plan: what a simulated scene is made of; armed: whether a real gripper may be moved; mode: of the gripper.
-    InputError where it may not; DeviceError if a device cannot be opened; what was opened until then is closed again.
+    plan: the setup of a simulated scene; armed: whether a real gripper may be moved; mode: of the gripper. InputError
+    if the gripper may not be moved; DeviceError if a device cannot be opened. Devices opened before the error are
+    closed again.
     """
     if camera.has(Capability.STEPPED):
         from evetac_cli.devices.simulated import rig

@@ -1,7 +1,7 @@
-"""What `evetac doctor` asks of a machine: cameras on USB, serial ports, grippers on them; it changes nothing.
+"""The queries of `evetac doctor` to a machine: USB cameras, serial ports and their grippers; it changes nothing.
 
-Everything goes through one object, so that tests put folders in the place of /sys and /proc, and virtual devices in the
-place of real ones.
+All queries go through one object, so that tests can substitute folders for /sys and /proc, and virtual devices for real
+ones.
 """
 
 import re
@@ -24,8 +24,8 @@ from evetac_cli.devices.rh_p12_rn.control_table import SDK_RATES
 from evetac_cli.devices.rh_p12_rn.dynamixel_bus import ANSWER_MS, Bus, BusDevice, latency_timer_ms, scan
 from evetac_cli.errors import programs_using
 
-FTDI = "0403"  # vendor of the chip in ROBOTIS' U2D2
-# Asked for, of a gripper that answers.
+FTDI = "0403"  # USB vendor of the chip in ROBOTIS' U2D2
+# Registers read from a gripper that answers.
 READ = (
     "Firmware Version",
     "Return Delay Time",
@@ -45,15 +45,15 @@ READ = (
 
 
 class SerialPort(NamedTuple):
-    """A port of a USB adapter, as sysfs knows it."""
+    """A port of a USB adapter, as described in sysfs."""
 
     path: Path
-    vendor: str  # four hexadecimal digits, or nothing
+    vendor: str  # four hexadecimal digits, or empty
     product: str
 
 
 class CameraAnswer(NamedTuple):
-    """What came of opening a camera: number and message of the error, 0 if none; and the size of its sensor."""
+    """The result of opening a camera: errno (0 for success), message, and the size of its sensor."""
 
     errno: int
     message: str
@@ -62,26 +62,26 @@ class CameraAnswer(NamedTuple):
 
 @dataclass(frozen=True)
 class Host:
-    """The machine it runs on, or one that a test made up."""
+    """The machine that evetac runs on, or one that a test makes up."""
 
     sysfs: Path = Path("/sys")
     proc: Path = Path("/proc")
     dev: Path = Path("/dev")
-    usb_backend: Any = None  # of pyusb; None: libusb
+    usb_backend: Any = None  # a pyusb backend; None: libusb
     answer_ms: float = ANSWER_MS
-    broadcast_ms: float = 0.0  # how long answers to all are waited for; 0: as long as the maker's SDK does
+    broadcast_ms: float = 0.0  # how long to wait for answers to a broadcast, in ms; 0: as long as the maker's SDK does
     rates: tuple[int, ...] = SDK_RATES
 
     def has_libusb(self) -> bool:
-        """Whether there is a library to speak USB with."""
+        """Return whether a USB library is available."""
         return self.usb_backend is not None or libusb_package.get_libusb1_backend() is not None
 
     def cameras(self) -> list[FoundCamera]:
-        """All DVXplorer cameras on the USB, whether or not they can be opened."""
+        """Return all DVXplorer cameras on USB, whether or not they can be opened."""
         return find_cameras(self.usb_backend)
 
     def ask_camera(self, camera: FoundCamera) -> CameraAnswer:
-        """Open a camera, claim it, read the size of its sensor, and let go of it."""
+        """Open and claim a camera, read the size of its sensor, and release it."""
         size = protocol.generation(camera.firmware).value
         device = camera.device
         try:
@@ -106,7 +106,7 @@ class Host:
         return CameraAnswer(0, "", (columns, rows))
 
     def serial_ports(self) -> list[SerialPort]:
-        """Serial ports of USB adapters, from sysfs."""
+        """Return the serial ports of USB adapters, from sysfs."""
         ports = []
         for entry in sorted((self.sysfs / "class" / "tty").glob("tty[UA][SC][BM]*")):
             vendor = product = ""
@@ -118,48 +118,52 @@ class Host:
         return ports
 
     def latency_ms(self, port: Path) -> int | None:
-        """How long the adapter of a port holds back an answer; None if it has no such timer."""
+        """Return how long the adapter of a port holds back an answer, in ms; None if it has no such timer."""
         return latency_timer_ms(str(port), self.sysfs / "bus" / "usb-serial" / "devices")
 
     def programs_using(self, path: Path) -> list[str]:
-        """Programs of this user that have a file open, as `name (pid)`; those of others cannot be seen."""
+        """Return this user's programs that have a file open, as `name (pid)`; those of other users are not visible."""
         return programs_using(path, self.proc)
 
     def scan(self, port: Path, id_: int = 1) -> list[BusDevice]:
-        """Grippers on a port: that of this id at any rate, and those of other ids at the same rate, else at all."""
-        named = scan(str(port), self.rates, (id_,), answer_ms=self.answer_ms)
-        devices = {(each.baud, each.id): each for each in named}
-        for baud in {each.baud for each in named} or self.rates:
+        """Return the grippers on a port.
+
+        This id is searched at every rate; other ids only at the rates where it answered, or at all rates if it did not.
+        """
+        of_id = scan(str(port), self.rates, (id_,), answer_ms=self.answer_ms)
+        devices = {(each.baud, each.id): each for each in of_id}
+        for baud in {each.baud for each in of_id} or self.rates:
             with Bus(str(port), baud, answer_ms=self.answer_ms) as bus:
                 for other, (model, _) in bus.devices(self.broadcast_ms).items():
                     devices.setdefault((baud, other), BusDevice(baud, other, model))
         return list(devices.values())
 
     def registers(self, port: Path, gripper: BusDevice, names: Iterable[str] = READ) -> dict[str, int]:
-        """Values of a gripper's registers by name; DeviceError if it does not answer."""
+        """Return values of a gripper's registers by name; DeviceError if it does not answer."""
         with Bus(str(port), gripper.baud, gripper.id, answer_ms=self.answer_ms) as bus:
-            bus.tolerant = True  # what it complains of is what we want to know
+            bus.tolerant = True  # a reported hardware error is part of the result
             return {name: bus.read(name) for name in names}
 
     def free_bytes(self, folder: Path) -> int:
-        """Free bytes on the disk of a folder."""
+        """Return the number of free bytes on the disk of a folder."""
         return shutil.disk_usage(folder).free
 
     def has_package(self, name: str) -> bool:
-        """Whether the module `name` is installed; it is not imported."""
+        """Return whether the module `name` is installed; it is not imported."""
         return find_spec(name) is not None
 
     def missing_libraries(self) -> list[str]:
-        """Distributions that evetac needs for all it does without extras, and that are not installed."""
+        """Return the distributions that evetac needs without extras and that are not installed."""
         try:
             needed = [one for one in metadata.requires("evetac") or () if "extra ==" not in one]
-        except metadata.PackageNotFoundError:  # it runs from its folder, not installed: nothing says what it needs
+        # evetac runs from its folder without being installed, so its requirements are not recorded
+        except metadata.PackageNotFoundError:
             return []
         names = [re.split(r"[^\w.-]", one)[0] for one in needed]
         return [name for name in names if not self.distributions([name])]
 
     def distributions(self, names: Iterable[str]) -> list[str]:
-        """Those of some distributions that are installed."""
+        """Return those of some distributions that are installed, with their versions."""
         installed = []
         for name in names:
             with suppress(metadata.PackageNotFoundError):

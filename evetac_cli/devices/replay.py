@@ -1,8 +1,8 @@
-"""A recording, handed out slice by slice as if it were a camera.
+"""A recording, returned slice by slice as if from a camera.
 
-Events are read in packets of a bounded number and cut into slices by their time, as a driver does with USB packets;
-an hour without events is cut a second at a time.
-Paced, a slice comes when as much time has passed since the first as in the recording: a stand-in for a device.
+Events are read in packets of bounded size and cut into slices by their time, as a driver does with USB packets. An hour
+without events is cut one second at a time. If paced, a slice is returned when as much time has passed since the first
+as in the recording, as from a device.
 """
 
 import math
@@ -19,11 +19,11 @@ from evetac_cli.store.layout.provenance import Header
 from evetac_cli.store.recordings.read import open_recording
 
 PACKET_EVENTS = 8192
-BLOCK_SLICES = 1000  # that are cut at once
+BLOCK_SLICES = 1000  # slices that are cut at once
 
 
 class ReplayCamera:
-    """A camera whose slices come from a recording; also its clock."""
+    """A camera whose slices come from a recording; also the clock of that recording."""
 
     counted: Mapping[str, int] = MappingProxyType({})
     notes: tuple[str, ...] = ()
@@ -35,15 +35,15 @@ class ReplayCamera:
         self.sensor: Mapping[str, Any] = self._recording.sensor_datasets()
         self._slicer = Slicer()
         self._ready: deque[Events] = deque()
-        self._read = 0  # events
-        self._cut = 0  # slices
+        self._read = 0  # events read
+        self._cut = 0  # slices cut
         self._handed_out = 0
         self._open = True
         self._paced = paced
         self._started_us = 0.0
 
     def read(self) -> Events | None:
-        """The next slice, or None after the last one; paced, not before its time."""
+        """Return the next slice, or None after the last one; if paced, not before its time."""
         while self._open and not self._ready and self._handed_out < len(self._recording):
             end = min(self._cut + BLOCK_SLICES, len(self._recording))
             last = int(self._recording.starts[end])
@@ -62,7 +62,7 @@ class ReplayCamera:
         return self._ready.popleft()
 
     def _slices_of(self, stop: int) -> list[Events]:
-        """Slices that the events up to `stop` end; InputError where they lie in other slices, or go back."""
+        """Return the slices that the events up to `stop` complete; InputError for wrong slices or decreasing times."""
         packet = self._recording.events(self._read, stop)
         self._read = stop
         try:
@@ -72,15 +72,15 @@ class ReplayCamera:
                 "the events are not in the order of their times",
                 where=str(self._recording.path),
                 found=str(error),
-                hint="evetac validate says what is wrong with the file",
+                hint="evetac validate reports what is wrong with the file",
             ) from None
 
     def now_us(self) -> int:
-        """End of the slice that was read last."""
+        """Return the end of the slice that was read last."""
         return self._handed_out * SLICE_US
 
     def host_us(self, device_us: float) -> float:
-        """Host time in us at which a paced replay is at this time of the recording."""
+        """Return the host time in us at which a paced replay reaches this time of the recording."""
         return self._started_us + device_us if self._paced else math.nan
 
     def close(self) -> None:

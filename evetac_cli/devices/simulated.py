@@ -1,4 +1,4 @@
-"""Camera, gripper and clock of a simulated scene: reading a slice is what makes its time pass."""
+"""Camera, gripper and clock of a simulated scene, whose time passes as slices are read."""
 
 import math
 from collections.abc import Mapping
@@ -33,7 +33,7 @@ class SimulatedCamera:
         self.sensor: Mapping[str, Any] = _described(name, sensor, simulation.gel_camera)
 
     def read(self) -> Events | None:
-        """Advance the scene by 1 ms and return what the camera saw; None once the scene has ended."""
+        """Advance the scene by 1 ms and return the camera's events; None once the scene has ended."""
         if self._simulation is None or self._simulation.finished:
             return None
         self._now_us += SLICE_US
@@ -41,11 +41,11 @@ class SimulatedCamera:
             return self._simulation.step()
 
     def now_us(self) -> int:
-        """End of the slice that was read last."""
+        """Return the end of the slice that was read last."""
         return self._now_us
 
     def host_us(self, device_us: float) -> float:
-        """NaN: a scene's time passes as its slices are read."""
+        """Return NaN: a scene's time passes as its slices are read."""
         return math.nan
 
     def close(self) -> None:
@@ -54,7 +54,7 @@ class SimulatedCamera:
 
 
 def _described(name: str, sensor: Sensor, camera: GelCamera) -> dict[str, Any]:
-    """The datasets `sensor/...` of a simulated sensor."""
+    """Return the datasets `sensor/...` of a simulated sensor."""
     described = {
         "sensor/frame_px": np.array(sensor.frame_px, np.int32),
         "sensor/name": name,
@@ -68,7 +68,7 @@ def _described(name: str, sensor: Sensor, camera: GelCamera) -> dict[str, Any]:
 
 
 class SecondSimulatedCamera:
-    """The camera of the second finger: what it saw in the slice that was read last of the first one's."""
+    """The camera of the second finger: its events of the slice that was last read from the first finger's camera."""
 
     counted: Mapping[str, int] = MappingProxyType({})
     notes: tuple[str, ...] = ()
@@ -81,17 +81,17 @@ class SecondSimulatedCamera:
         self.sensor: Mapping[str, Any] = _described(name, sensor, simulation.second_view.camera)
 
     def read(self) -> Events | None:
-        """What the camera saw in the slice that the scene has made; None before the first and after the last."""
+        """Return the camera's events of the slice that the scene has made; None before the first and after the last."""
         events = None if self._view is None else self._view.events
         self._now_us += SLICE_US * (events is not None)
         return events
 
     def now_us(self) -> int:
-        """End of the slice that was read last."""
+        """Return the end of the slice that was read last."""
         return self._now_us
 
     def host_us(self, device_us: float) -> float:
-        """NaN: a scene's time passes as its slices are read."""
+        """Return NaN: a scene's time passes as its slices are read."""
         return math.nan
 
     def close(self) -> None:
@@ -100,7 +100,7 @@ class SecondSimulatedCamera:
 
 
 class SimulatedGripper:
-    """The gripper of a simulated scene; as on the real one, a command holds until the next."""
+    """The gripper of a simulated scene; like the real one, it holds a command until the next."""
 
     counted: Mapping[str, int] = MappingProxyType({})
     release_words = ""
@@ -109,32 +109,32 @@ class SimulatedGripper:
         self.simulation = simulation
 
     def read(self) -> GripperReading:
-        """Current of the motor and position of the encoder, which is a whole number."""
+        """Return the motor's current, and the encoder's position, which is a whole number."""
         finger = self.simulation.finger
         return GripperReading(finger.current_ma, finger.position_ticks)
 
     def write_current(self, current_ma: int) -> None:
-        """Command a current, from the next slice on."""
+        """Command a current, starting with the next slice."""
         self.simulation.command = ("current", current_ma)
 
     def write_position(self, goal_ticks: int) -> None:
-        """Command a position, from the next slice on."""
+        """Command a position, starting with the next slice."""
         self.simulation.command = ("position", goal_ticks)
 
     def emergency_open(self) -> None:
-        """Let go: nothing real is in the fingers."""
+        """Release: the object is not real."""
         self.close()
 
     def close(self) -> None:
-        """Command no current."""
+        """Command zero current."""
         self.simulation.command = ("current", 0)
 
 
 def rig(plan: Plan, seeds: np.random.SeedSequence, timer: Timer = untimed, /, **durations: float) -> Rig:
-    """Build the devices of a simulated trial; mechanics and optics draw from random streams of their own.
+    """Build the devices of a simulated trial; mechanics and optics draw from separate random streams.
 
     timer: measures the parts of the scene. durations: lift_s and balance_s of a scene in which an object is lifted.
-    SceneError if nothing can be made of it.
+    SceneError if the scene cannot be built.
     """
     simulation = simulation_of(plan, seeds, timer, **durations)
     camera = SimulatedCamera(simulation, plan.scene.name, plan.sensor_name, plan.sensor)

@@ -1,1 +1,1 @@
-"""What `record` and `grasp` do: their trials, resolved once, and one module or folder for each way to run one."""
+"""The trials of `record` and `grasp`, resolved once, and one module or folder for each way to run them."""

@@ -1,10 +1,10 @@
-"""What the parts of a simulated scene cost a slice on this machine, measured on the first seconds of a trial.
+"""The cost per slice of the parts of a simulated scene on this machine, measured on the first seconds of a trial.
 
-Parts that a scene can do without are measured with and without, in turn; gel, gripper, camera and the slip detector of
-a grasp by a timer of their calls that is passed to the trial. The trial is the same every time, so each stretch of it
-counts as the fastest of its runs: what else the machine does meanwhile is left out. Only the time of this thread
-counts; writing the file is not in it. A difference counts as measured where it is larger than what the machine's own
-ups and downs make of it; of a smaller one that limit is said.
+Optional parts are measured with and without, alternately. Gel, gripper, camera and the slip detector of a grasp are
+measured by a timer of their calls, which is passed to the trial. The trial is the same every time, so the fastest run
+of each stretch counts, which leaves out other load on the machine. Only the time of this thread counts, without writing
+the file. A difference counts as measured if it exceeds the machine's own fluctuations; otherwise that limit is
+reported.
 """
 
 import math
@@ -24,25 +24,25 @@ from evetac_cli.sim.setup.scene import Scene
 from evetac_cli.store.recordings.slip_grid import FEWEST_NODES
 from evetac_cli.trials.trial import SimulatedTrial
 
-REPEATS = 3  # of a dry run, at most
-BUDGET_S = 3.0  # of a dry run: what its runs may take together; a slow scene is measured on fewer slices
-DRY_MOVING_S = 0.5  # how long a trial is measured once something moves, in a dry run
-MOVING_S = 1.5  # otherwise
+REPEATS = 3  # most repeats in a dry run
+BUDGET_S = 3.0  # total time of the runs in a dry run; a slow scene is measured on fewer slices
+DRY_MOVING_S = 0.5  # measured duration of a trial once something moves, in a dry run
+MOVING_S = 1.5  # the same, otherwise
 BLOCK = 50  # slices that are timed together
-MOST_FILES = 5  # that a plan with devices names on a terminal
-SURE = 2.0  # a difference is noise that is smaller than so many standard errors of its mean over the blocks
+MOST_FILES = 5  # most files that a plan with devices lists on a terminal
+SURE = 2.0  # a difference below this many standard errors of its mean over the blocks is noise
 
 Append = Callable[[Events, dict[str, Any]], None]
 SomeTrial = TypeVar("SomeTrial", bound=SimulatedTrial)
-Play = Callable[[SomeTrial, Append, Timer], Any]  # runs a trial and hands over every slice and its rows
+Play = Callable[[SomeTrial, Append, Timer], Any]  # runs the trial and passes on every slice and its rows
 
 
 @dataclass(frozen=True)
 class PartCosts:
-    """Microseconds a slice of a trial, one for each block of slices, each the fastest of its runs.
+    """Microseconds per slice of a trial, for each block of slices, each from the fastest of its runs.
 
-    parts: those of its plan; whole: the trial as it is; timed: in the calls that are timed; switched: the trial with
-    one part the other way.
+    parts: the parts of its plan; whole: the trial as it is; timed: time in the timed calls; switched: the trial with
+    one part toggled.
     """
 
     parts: list[dict[str, Any]]
@@ -52,19 +52,20 @@ class PartCosts:
 
     @property
     def slices(self) -> int:
-        """How many slices were measured."""
+        """The number of measured slices."""
         return BLOCK * len(self.whole)
 
     def more_us(self, part: str) -> float:
-        """How much more the trial takes with a part that can be switched than without it."""
+        """Return the extra time per slice of a part that can be switched, in us."""
         left_out = any(row["part"] == part and row["left_out"] for row in self.parts)
         difference_us = float(self._differences_us(part).mean())
         return -difference_us if left_out else difference_us
 
     def noise_us(self, part: str) -> float:
-        """How large a difference of a part that can be switched the machine makes by itself.
+        """Return the difference that the machine's fluctuations alone can make for a switched part, in us.
 
-        From how much the blocks differ. No part saves time by being there: a cost below zero is noise, all of it.
+        Estimated from the variation between blocks. No part saves time by being built, so a cost below zero is entirely
+        noise.
         """
         differences_us = self._differences_us(part)
         below_zero_us = max(0.0, -self.more_us(part))
@@ -78,11 +79,11 @@ class PartCosts:
         return self.whole[:both] - other[:both]
 
     def rows(self) -> list[dict[str, Any]]:
-        """The parts of the plan, each with what it costs where it is built, or saves where it is left out.
+        """Return the parts of the plan, with the cost of each built part or the saving of each omitted one.
 
-        None where a part is not measured by itself: then it is in the figure of gel and friction, or cannot be had
-        otherwise. What the other parts of the camera do not account for is that of the dots. noise_us: within so much
-        of zero a figure says nothing; None of one that is counted and not a difference.
+        None if a part is not measured separately: it is then included in gel and friction, or cannot be switched. The
+        camera's time that its other parts do not explain is that of the dots. noise_us: a figure within this of zero
+        means nothing; None for a figure that is timed and not a difference.
         """
         rows = [dict(row) for row in self.parts]
         names = [row["part"] for row in rows]
@@ -106,22 +107,22 @@ class PartCosts:
         return rows
 
 
-# What runs in a trial beside the parts of its scene.
+# Code that runs in a trial besides the parts of its scene.
 BESIDE_SCENE = {
     "slip detector": "tracker, features, network",
-    "everything else": "places of dots, truth, commands",
+    "everything else": "dot positions, ground truth, commands",
 }
 
 
 def dry_run(trials: Sequence[SomeTrial], play: Play[SomeTrial], progress: Progress = silent) -> Outcome:
-    """What the first trial builds and leaves out, and what each part of it costs here."""
+    """Return what the first trial builds and leaves out, and the cost of each part on this machine."""
     costs = measure(trials[0], play, REPEATS, moving_s=DRY_MOVING_S, budget_s=BUDGET_S, progress=progress)
     coarse = {f"{called}": nodes for called, nodes in nodes_of_slip(trials).items() if nodes < FEWEST_NODES}
     files: dict[str, Any] = {"files": sum(len(trial.outputs) for trial in trials), "first_file": str(trials[0].output)}
     if coarse:
         pitch_mm = trials[0].plan.scene.solver.node_pitch_mm
         files |= {"nodes_of_slip": coarse, "resolving_pitch_mm": pitch_mm * min(coarse.values()) / FEWEST_NODES}
-    if not costs.slices:  # over before there was anything to measure
+    if not costs.slices:  # the trial ended before anything could be measured
         return Outcome(rows_of(trials[0].plan), True, files, made=False)
     rows, total_us = costs.rows(), float(costs.whole.mean())
     summary = {
@@ -135,11 +136,11 @@ def dry_run(trials: Sequence[SomeTrial], play: Play[SomeTrial], progress: Progre
 
 
 def nodes_of_slip(trials: Sequence[SimulatedTrial]) -> dict[int | str, float]:
-    """Half the wavelength of unstable slip in nodes of the grid, of a trial of each object that is gripped.
+    """Return half the wavelength of unstable slip in grid nodes, for a trial of each gripped object.
 
     Below FEWEST_NODES the onset of slip depends on the grid.
     """
-    from evetac_cli.sim.scenes.building import simulation_of  # brings numba
+    from evetac_cli.sim.scenes.building import simulation_of  # imports numba
     from evetac_cli.sim.scenes.gripped import GraspSimulation
 
     nodes: dict[int | str, float] = {}
@@ -154,14 +155,14 @@ def nodes_of_slip(trials: Sequence[SimulatedTrial]) -> dict[int | str, float]:
 
 
 def for_people(shown: Outcome) -> tuple[list[dict[str, Any]], list[str]]:
-    """What a terminal shows of a dry run: the parts that are built, then in words what is left out and what it takes.
+    """Return the terminal output of a dry run: the built parts, then sentences on omitted parts and the time.
 
-    Of one with devices (session.plan_shown): what is opened and done, and the first of very many files.
+    For one with devices (session.plan_shown): what is opened and done, with only the first files of a long list.
     """
     rows, summary = shown.rows, shown.summary
     if "left_out" not in rows[0]:
         files = [row for row in rows if row["part"] == "file"]
-        more = [{"part": "files", "what": f"{len(files):,} in all", "detail": "-v names them"}]
+        more = [{"part": "files", "what": f"{len(files):,} in all", "detail": "-v lists them"}]
         return (rows if len(files) <= MOST_FILES else [row for row in rows if row not in files[MOST_FILES:]] + more), []
     built = [
         {"part": row["part"], "built": row["built"], "time_us": _in_words(row, "time_us")}
@@ -170,31 +171,33 @@ def for_people(shown: Outcome) -> tuple[list[dict[str, Any]], list[str]]:
     ]
     left_out = [row for row in rows if row["left_out"] is not None]
     would_take = [f"{row['part']} {saved} us" for row in left_out if (saved := _in_words(row, "saves_us")) is not None]
-    said = [
-        "-: not measured on its own, but as part of another. The camera's time includes dots, window, edge and noise."
+    sentences = [
+        "-: not measured separately, but within another part. The camera's time includes dots, window, edge and noise."
     ]
     if left_out:
-        said += [f"{len(left_out)} parts are left out because scene and sensor do not name them; -v says why of each."]
+        sentences += [
+            f"{len(left_out)} parts are left out because scene and sensor do not name them; -v lists the reasons."
+        ]
     if would_take:
-        said += [f"They would take: {', '.join(would_take)}."]
+        sentences += [f"They would take: {', '.join(would_take)}."]
     if "time_us_a_slice" in summary:
-        said += [
+        sentences += [
             f"A slice takes {summary['time_us_a_slice']:.0f} us here, which is {summary['times_real_time']:.2g} x real"
             f" time, measured on {summary['slices_measured']:,} slices."
         ]
     if "nodes_of_slip" in summary:
         objects = ", ".join(f"{called} ({nodes:.1f})" for called, nodes in summary["nodes_of_slip"].items())
-        said += [
-            f"The grid is too coarse for the slip of object {objects}: at the slip limit it spans so many nodes,"
-            f" of {FEWEST_NODES} at least. --node-pitch-mm {summary['resolving_pitch_mm']:.2f} resolves it."
+        sentences += [
+            f"The grid is too coarse for the slip of object {objects}: at the slip limit it spans this many nodes,"
+            f" but needs {FEWEST_NODES}. --node-pitch-mm {summary['resolving_pitch_mm']:.2f} resolves it."
         ]
     of_several = "" if summary["files"] == 1 else f"{summary['files']:,} files, the first "
-    said += [f"Nothing was written. It would make {of_several}{summary['first_file']}."]
-    return built, said
+    sentences += [f"Nothing was written. A run would make {of_several}{summary['first_file']}."]
+    return built, sentences
 
 
 def _in_words(row: dict[str, Any], figure: str) -> str | None:
-    """A time of a part to three digits; "< x" where a difference is within what the machine makes by itself."""
+    """Return the time of a part to three digits; "< x" for a difference within the machine's fluctuations."""
     us, noise_us = row.get(figure), row.get("noise_us")
     if us is None:
         return None
@@ -202,13 +205,13 @@ def _in_words(row: dict[str, Any], figure: str) -> str | None:
 
 
 class CallTimer:
-    """Counts the seconds of this thread in the calls that stand for parts, by part."""
+    """Counts the seconds of this thread in the calls that represent parts, by part."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
 
     def __call__(self, part: str, call: Call) -> Call:
-        """The call, so that its seconds count; those that were counted before stay."""
+        """Wrap the call so that its seconds are counted; earlier counts stay."""
         self.seconds.setdefault(part, 0.0)
 
         def timed(*arguments: Any, **named: Any) -> Any:
@@ -229,15 +232,15 @@ def measure(
     budget_s: float = math.inf,
     progress: Progress = silent,
 ) -> PartCosts:
-    """Run the first slices of a trial again and again: as it is, and with one part of it switched.
+    """Run the first slices of a trial repeatedly: as it is, and with one part of it switched.
 
-    moving_s: how long it is measured once something moves. budget_s: what all runs may take together: fewer slices, and
-    fewer repeats, where these would take longer.
+    moving_s: measured duration once something moves. budget_s: total time of all runs; if they would take longer, fewer
+    slices and repeats are run.
     """
     others = {part: replace(trial, plan=plan) for part, plan in switched(trial.plan).items()}
     timer = CallTimer()
     for one in (trial, *others.values()):
-        _run(one, play, 2 * BLOCK, timer)  # compiles, or loads what was compiled
+        _run(one, play, 2 * BLOCK, timer)  # compiles, or loads compiled code
     most_slices = _moving_slices(trial.plan.scene, moving_s)
     slices = _slices_within(trial, play, most_slices, budget_s / (2 + len(others)), timer)
     plain: list[Floats] = []
@@ -260,10 +263,10 @@ def measure(
 
 
 def _slices_within(trial: SomeTrial, play: Play[SomeTrial], slices: int, most_s: float, timer: CallTimer) -> int:
-    """As many of the first slices of a trial as it runs in `most_s`; at least a block."""
+    """Return how many of the first slices of a trial run within `most_s`; at least a block."""
     if math.isinf(most_s):
         return slices
-    for _ in range(2):  # what was cut short may have been compiling
+    for _ in range(2):  # the interrupted run may have been compiling
         ran = BLOCK * len(_run(trial, play, slices, timer, most_s))
         if ran >= slices:
             break
@@ -271,7 +274,7 @@ def _slices_within(trial: SomeTrial, play: Play[SomeTrial], slices: int, most_s:
 
 
 def _moving_slices(scene: Scene, moving_s: float) -> int:
-    """How many slices of a trial are measured: until things move as they mostly do in it, and `moving_s` of that."""
+    """Return how many slices of a trial to measure: until typical motion begins, and `moving_s` of it."""
     time, rub = scene.time, scene.rub
     still_s = time.rest_s + time.load_s + time.hold_s + time.touch_s + time.before_rise_s
     pauses_s = 0.0
@@ -282,13 +285,13 @@ def _moving_slices(scene: Scene, moving_s: float) -> int:
 
 
 class _Enough(Exception):
-    """As many slices as were asked for."""
+    """Enough slices were run."""
 
 
 def _run(trial: SomeTrial, play: Play[SomeTrial], slices: int, timer: CallTimer, most_s: float = math.inf) -> Floats:
-    """Microseconds a slice of each block, (blocks, 1 + parts): in all, and in the calls of each part.
+    """Return microseconds per slice of each block, (blocks, 1 + parts): in total, and in the calls of each part.
 
-    It ends before a block that begins later than `most_s`.
+    The run ends before a block that would begin later than `most_s`.
     """
     blocks: list[list[float]] = []
     last: list[float] = []

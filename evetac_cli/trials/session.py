@@ -1,7 +1,8 @@
-"""A trial with devices, from checks to the final message: what `record` and `grasp` in real time share.
+"""A trial with devices, from the first checks to the final message: the code shared by `record` and real-time `grasp`.
 
-Before a device is touched: whether the outputs may be written and fit on the disk, and what a dry run shows. While it
-runs: Ctrl-C ends it between slices. Afterwards: the file is joined, and an error or Ctrl-C goes on with what was saved.
+Before a device is touched, it checks that the outputs may be written and fit on the disk, and shows a dry run. While
+the trial runs, Ctrl-C ends it between slices. Afterwards the file is joined. An error or Ctrl-C is raised again, with
+the saved files attached.
 """
 
 from array import array
@@ -29,31 +30,37 @@ LET_GO = "let go by the button of the live view"
 STOPPED = "stopped by the robot's program"
 ABORTED = "aborted by the robot's program"
 KEY_HINT = f"{KEY_NAME} opens the gripper for half a second, at 100 mA or less, then torque is off; Ctrl-C: torque off"
-PRIORITY = 10  # of `record` while a gripper moves
-SPEED = "`evetac doctor --speed` says what is too slow"
+PRIORITY = 10  # real-time priority of `record` while a gripper moves
+SPEED = "`evetac doctor --speed` reports what is too slow"
 OVERLOADED = f"is the computer overloaded? {SPEED}; a longer --watchdog-ms gives it more time"
-FRESH = 0.75  # of the watchdog's time: so noticing a hang, switching torque off and reading it back fit into that time
-RECORDER_MS = 75.0  # or, if longer, that: writing a segment may take some tens of ms, and all of it fits into 100 ms
-RECORDER_LATE_MS = 5000.0  # for one that waits for a core: the detector keeps 64 MB, 5 s of a million events per s
+# share of the watchdog's time: detecting a hang, switching torque off and reading it back must fit into that time
+FRESH = 0.75
+# used if longer: writing a segment may take some tens of ms. Detection and release still fit into 100 ms
+RECORDER_MS = 75.0
+# limit for a recorder that waits for a core: the detector buffers 64 MB, 5 s at a million events per s
+RECORDER_LATE_MS = 5000.0
 LOST = "capture/lost/"
-JOINED_AT_ONCE_EVENTS = 300_000_000  # half a minute of joining, which another Ctrl-C ends; more is left to repair
-SEGMENT_EVENTS = 50_000  # that take as long to join as opening a segment does
-BYTES_AN_EVENT = 2 * 13  # in its segment and, at worst, again in the joined file
-LATE_US = 5000.0  # from the end of a slice: a quiet camera's words may take 4 ms, and are no fault of the computer
-TOLERATED = 1e-3  # of slices and of commands may be late before it is said that the computer was too slow
-BEHIND_S = 0.5  # that a recorder may lag behind: a segment of a busy disk takes that long now and then
+# half a minute of joining, which another Ctrl-C ends; larger recordings are left to repair
+JOINED_AT_ONCE_EVENTS = 300_000_000
+SEGMENT_EVENTS = 50_000  # events that take as long to join as opening a segment does
+BYTES_AN_EVENT = 2 * 13  # bytes in its segment and, at worst, again in the joined file
+# limit from the end of a slice: a quiet camera's words may take 4 ms, which is not the computer's fault
+LATE_US = 5000.0
+TOLERATED = 1e-3  # share of slices or commands that may be late before the computer is reported as too slow
+BEHIND_S = 0.5  # how far a recorder may lag behind: a segment on a busy disk takes that long now and then
 QUEUE_LOST = "capture/lost/camera.events_in_full_queue"
-MOST_TIMES = 1 << 20  # that are kept, 8 MB; of longer recordings every second one, every fourth, ...
+MOST_TIMES = 1 << 20  # number of times kept, 8 MB; of longer recordings every second, every fourth, ... is kept
 
 
 def refuse_taken(trial: DeviceTrial, *, again: str, hint: str, force: bool, resume: bool = False) -> None:
-    """InputError where an output exists, or what broke off waits for repair: nothing moves for what is refused.
+    """Raise InputError if an output exists, or an aborted recording waits for repair, before anything moves.
 
-    Of this trial, or, unless the series goes on, of any before the first. again: what cannot be made again.
+    Checks this trial and, unless the series is resumed, all outputs that existed before the first trial. again: what
+    cannot be repeated.
     """
     for output in trial.outputs:
         if output.exists() and not force:
-            raise InputError(f"the output exists, and {again} cannot be made again", where=str(output), hint=hint)
+            raise InputError(f"the output exists, and {again} cannot be repeated", where=str(output), hint=hint)
         refuse_leftover(output)
     if trial.taken and not (force or resume):
         raise InputError(
@@ -65,24 +72,24 @@ def refuse_taken(trial: DeviceTrial, *, again: str, hint: str, force: bool, resu
 
 
 def needed_bytes(events_per_s: float, seconds: float, files: int = 1) -> float:
-    """Room that recordings may need on their disk."""
+    """Return the bytes that recordings may need on their disk."""
     return events_per_s * seconds * BYTES_AN_EVENT * files
 
 
 def check_room(trial: DeviceTrial, events_per_s: float, seconds: float, hint: str) -> None:
-    """InputError where the disk has no room for a trial of so many events a second; hint: what would need less."""
+    """Raise InputError if the disk has no room for a trial with this event rate; hint: how to need less."""
     require_room(trial.output.parent, needed_bytes(events_per_s, seconds, len(trial.outputs)), hint)
 
 
 def plan_shown(trials: Sequence[Trial], parts: Sequence[tuple[str, str, str]], *, simulated: bool) -> Outcome:
-    """What a dry run shows: its parts as (part, what, detail), and all files."""
+    """Return the outcome of a dry run: its parts as (part, what, detail), and all files."""
     files = [("file", str(output), f"trial {trial.number}") for trial in trials for output in trial.outputs]
     rows = [dict(zip(("part", "what", "detail"), row, strict=True)) for row in (*parts, *files)]
     return Outcome(rows, simulated, {"files": len(files)}, made=False)
 
 
 def wait_for_object(trial: Trial) -> None:
-    """Ask for the object of the second and any later trial to be put in place."""
+    """Ask the user to place the object, for the second and any later trial."""
     if trial.number:
         console.wait_for_enter(f"trial {trial.number}: put the object in place, then press Enter")
 
@@ -97,18 +104,18 @@ def make_recipe(
     parents: tuple[Header, ...],
     simulated: bool,
 ) -> Recipe:
-    """What is known of a recording from devices beforehand; its content stands in for the rest.
+    """Return the recipe of a device recording as known beforehand; its content digest replaces the rest.
 
-    setup: what the devices are and how they are set; sensor: the recording's datasets, of which those of the sensor
-    belong to its set-up; parameters, more: all else, in the order of the header.
+    setup: identity and settings of the devices. sensor: the recording's datasets; those of the sensor belong to its
+    setup. parameters, more: everything else, in the order of the header.
     """
-    known = {name: np.asarray(value).tolist() for name, value in sensor.items() if name.startswith("sensor/")}
-    described = {**parameters, "setup": dict(setup), "sensor": without_nan(known), **more}
+    sensor_values = {name: np.asarray(value).tolist() for name, value in sensor.items() if name.startswith("sensor/")}
+    described = {**parameters, "setup": dict(setup), "sensor": without_nan(sensor_values), **more}
     return Recipe(OUTPUT, method, described, parents=parents, simulated_source=simulated)
 
 
 def without_nan(value: Any) -> Any:
-    """JSON has no NaN, which stands for a missing dot."""
+    """Return the value with NaN, which marks a missing dot, replaced by None, because JSON has no NaN."""
     if isinstance(value, dict):
         return {key: without_nan(item) for key, item in value.items()}
     if isinstance(value, list):
@@ -117,12 +124,12 @@ def without_nan(value: Any) -> Any:
 
 
 def spread(values: "array[float]") -> Any:
-    """Median, 99th percentile and most."""
+    """Return median, 99th percentile and maximum."""
     return np.percentile(np.frombuffer(values), [50, 99, 100])
 
 
 class TimeSample:
-    """Times of a recording of any length, in us: a bounded number of them, evenly spread over it, and the longest."""
+    """A sample of times (us) of a recording of any length: a bounded number, evenly spread, and the longest time."""
 
     def __init__(self) -> None:
         self._values = array("d")
@@ -131,7 +138,7 @@ class TimeSample:
         self._step = 1
 
     def add(self, time_us: float) -> None:
-        """Take one time."""
+        """Add one time."""
         self._most = max(self._most, time_us) if self._seen else time_us
         if self._seen % self._step == 0:
             self._values.append(time_us)
@@ -141,7 +148,7 @@ class TimeSample:
         self._seen += 1
 
     def spread(self) -> Any:
-        """Median, 99th percentile and most; None without a time."""
+        """Return median, 99th percentile and maximum; None without a time."""
         if not self._values:
             return None
         values = spread(self._values)
@@ -150,19 +157,20 @@ class TimeSample:
 
 
 class LateSlices:
-    """Counts slices that are late by the computer's fault: with events, and more of them in the slice after it.
+    """Counts slices that are late because of the computer: slices with events, followed by a slice with events.
 
-    Why so: a slice that is followed by silence is over only when the camera would have spoken.
+    A slice that is followed by silence is closed only when the camera would have sent its next data, so its delay is
+    normal.
     """
 
     def __init__(self, most_us: float = LATE_US) -> None:
-        """most_us: from the end of a slice; what comes later is late."""
+        """most_us: limit from the end of a slice; a slice that arrives later is late."""
         self.count = 0
         self.most_us = most_us
         self._late = False
 
     def add(self, late_us: float, events: int) -> None:
-        """Take the next slice: how late it was, from its end, and how many events it has."""
+        """Add the next slice: its delay from its end, and its number of events."""
         self.count += self._late and events > 0
         self._late = events > 0 and late_us > self.most_us
 
@@ -175,41 +183,51 @@ def too_slow(
     behind_s: float | None = None,
     used: str = "",
 ) -> str | None:
-    """What this computer was too slow for, and what that means for the recording, in one line; None for nothing.
+    """Return one line on what this computer was too slow for, and the effect on the recording; None if nothing.
 
-    datasets: capture/...; commands: that were given; behind_s: how far behind the recorder of a grasp was at most; None
-    where no slice decides on a command, and one that is late costs nothing; used: who used its cores, in words.
+    datasets: capture/...; commands: number of commands sent; used: a sentence on the use of the cores.
+
+    behind_s: the longest lag of a grasp's recorder; None if no slice decides on a command, so that a late slice costs
+    nothing.
     """
     missed, lost = int(datasets.get("capture/command_misses", 0)), int(datasets.get(QUEUE_LOST, 0))
-    late = f"{late_slices.count:,} of {slices:,} slices came more than {late_slices.most_us * 1e-3:g} ms late"
+    late = f"{late_slices.count:,} of {slices:,} slices arrived more than {late_slices.most_us * 1e-3:g} ms late"
     parts = {
         f"{missed:,} of {commands + missed:,} commands were missed (the gripper kept the one before)": missed
         > TOLERATED * (commands + missed),
-        f"{late} ({'they are all in the file' if behind_s is None else 'slip was answered late'})": late_slices.count
+        f"{late} ({'all are in the file' if behind_s is None else 'slip was answered late'})": late_slices.count
         > TOLERATED * slices,
-        f"{lost:,} events were lost while they waited (they are missing in the file)": lost > 0,
-        f"the recorder was {behind_s or 0.0:.1f} s behind (all is in the file)": (behind_s or 0.0) > BEHIND_S,
+        f"{lost:,} events were lost in the queue (they are missing from the file)": lost > 0,
+        f"the recorder lagged {behind_s or 0.0:.1f} s behind (nothing is missing from the file)": (behind_s or 0.0)
+        > BEHIND_S,
     }
-    said = [words for words, applies in parts.items() if applies]
-    return f"this computer was too slow: {'; '.join([*said, *([used] if used else [])])}. {SPEED}" if said else None
+    problems = [words for words, applies in parts.items() if applies]
+    return (
+        f"this computer was too slow: {'; '.join([*problems, *([used] if used else [])])}. {SPEED}"
+        if problems
+        else None
+    )
 
 
 def lost_datasets(counts: Mapping[str, int]) -> dict[str, Any]:
-    """What devices lost, by DEVICE.REASON, as datasets of a recording."""
+    """Return the losses of devices, named DEVICE.REASON, as datasets of a recording."""
     return {LOST + reason: np.int64(count) for reason, count in counts.items()}
 
 
 def lost_columns(datasets: Mapping[str, Any]) -> dict[str, Any]:
-    """What was lost, as columns of the table: how many events, as far as that is known, and why; None for nothing."""
+    """Return the losses as columns of the table: the number of events, as far as known, and the reasons.
+
+    None for none.
+    """
     counts = {name.removeprefix(LOST): int(count) for name, count in datasets.items() if name.startswith(LOST)}
     return {"lost": losses.events_lost(counts), "lost_why": losses.reasons(counts)}
 
 
 def finish(writer: RecordingWriter, recipe: Recipe, datasets: Mapping[str, Any], *, ended: str = "") -> Path:
-    """Join the segments, with datasets that are known only now; whatever keeps it from that says where they are.
+    """Join the segments, with datasets that are known only now; an error names the remaining segments.
 
-    ended: why the recording ended, in words. After Ctrl-C nobody waits for minutes: what is that long is left to
-    `evetac repair`, complete. Returns the file, or the folder that is left.
+    ended: a sentence on why the recording ended. After Ctrl-C, joining that takes minutes is left to `evetac repair`;
+    the segments are complete. Returns the file, or the folder that is left.
     """
     size = writer.events + SEGMENT_EVENTS * writer.segments
     try:
@@ -224,19 +242,22 @@ def finish(writer: RecordingWriter, recipe: Recipe, datasets: Mapping[str, Any],
 
 
 def with_hint(error: BaseException, writer: RecordingWriter) -> BaseException:
-    """An error for the user, or Ctrl-C, that says too what is left for `evetac repair`; any other as it is."""
+    """Add the location of what is left for `evetac repair` to an error for the user, or to Ctrl-C.
+
+    Other errors are returned unchanged.
+    """
     if not writer.folder.exists():
         return error
     left = place(writer.folder)
     if isinstance(error, EvetacError):
         error.kept = left
     if isinstance(error, KeyboardInterrupt):
-        return KeyboardInterrupt(f"interrupted: what was recorded is in {left}")
+        return KeyboardInterrupt(f"interrupted: the recording so far is in {left}")
     return error
 
 
 def place(saved: Path) -> str:
-    """Where a recording is, in words: a file, or a folder of segments."""
+    """Return the location of a recording for messages: a file, or a folder of segments."""
     return f"{saved}, for `evetac repair`" if saved.suffix == SUFFIX else str(saved)
 
 
@@ -249,11 +270,11 @@ def raise_end(
     *,
     interrupted: bool = False,
 ) -> None:
-    """Let what ended the trial go on from here, with what was saved and the rows of its files.
+    """Raise the error or Ctrl-C that ended the trial, with the saved files and their rows attached.
 
-    error: what failed; ended: why the recording ended, in words; torque: what it was left with, in words; interrupted:
-    Ctrl-C came, maybe after it had ended. The emergency key and the button of a live view end a series as Ctrl-C does:
-    no further trial moves the gripper.
+    error: the failure; ended: why the recording ended; torque: a sentence on its final state. interrupted: Ctrl-C came,
+    perhaps after the end. The emergency key and the button of a live view end a series like Ctrl-C: no further trial
+    moves the gripper.
     """
     then = f"; {torque}" if torque else ""
     if error is not None:
@@ -268,7 +289,7 @@ def raise_end(
 
 @contextmanager
 def gripper_key(*, moves: bool) -> Iterator[EmergencyKey]:
-    """The key that opens the gripper, announced, where one is moved and somebody is at a terminal to press it."""
+    """Yield the key that opens the gripper; it is announced if a gripper moves and a user is at a terminal."""
     if not moves:
         yield EmergencyKey(None)
         return

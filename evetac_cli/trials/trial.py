@@ -1,7 +1,7 @@
-"""Trials: which recordings `record` and `grasp` make, from what, and with which seeds.
+"""Trials: the recordings that `record` and `grasp` make, their sources and their seeds.
 
-A trial is a job of one of three types: in a simulated scene that passes as fast as it is computed, with devices in real
-time (real ones, or virtual ones in front of a simulated scene), or on a recording that is replayed.
+A trial is a job of one of three types. It runs in a simulated scene as fast as that is computed, with devices in real
+time (real, or virtual with a simulated scene), or on a replayed recording.
 """
 
 import math
@@ -30,9 +30,9 @@ OUTPUT = "recording"
 
 @dataclass(frozen=True)
 class ViewRequest:
-    """How a trial is shown while it is made.
+    """How a trial is shown while it runs.
 
-    where: auto, browser or terminal; model: of the slip detector that is shown, None for the package's; threshold: of
+    where: auto, browser or terminal; model: the displayed slip detector, None for the pretrained one; threshold: for
     its slip, None for the model's own; preset: of the tracker.
     """
 
@@ -46,8 +46,8 @@ class ViewRequest:
 class Trial(Job):
     """One of a series of trials.
 
-    number: of the trial; seed: of the series; plan: of the scene, None where none is simulated; view: None where the
-    trial is not shown.
+    number: of the trial; seed: of the series; plan: of the simulated scene, None without one; view: None if the trial
+    is not shown.
     """
 
     number: int
@@ -57,11 +57,11 @@ class Trial(Job):
 
     @property
     def shows_simulation(self) -> bool:
-        """Whether what is seen is, or once was, simulated; for the title of a view."""
+        """Whether the trial shows a simulation, or a recording of one; for the title of a view."""
         return self.plan is not None
 
     def seeds(self) -> np.random.SeedSequence:
-        """The seeds of this trial, which depend on no other trial."""
+        """Return the seeds of this trial, which depend on no other trial."""
         if self.plan is None:
             return np.random.SeedSequence([self.seed, self.number])
         tone_mhz = [] if self.plan.tone_hz is None else [round(1000 * self.plan.tone_hz)]
@@ -72,7 +72,7 @@ class Trial(Job):
 class SimulatedTrial(Trial):
     """A trial in a simulated scene, whose time passes as its slices are read.
 
-    second_output: what the camera of the second finger fills, if the plan has one.
+    second_output: the file of the second finger's camera, if the plan has one.
     """
 
     plan: Plan
@@ -80,15 +80,15 @@ class SimulatedTrial(Trial):
 
     @property
     def outputs(self) -> tuple[Path, ...]:
-        """A file for each camera."""
+        """One file per camera."""
         return (self.output,) if self.second_output is None else (self.output, self.second_output)
 
 
 @dataclass(frozen=True)
 class DeviceTrial(Trial):
-    """A trial with devices, in real time; each of its cameras fills a file, the first one's has the gripper.
+    """A trial with devices, in real time. There is one file per camera; the first camera's file has the gripper.
 
-    series: the files of all trials, by trial; taken: those of them that were taken before the first trial.
+    series: the files of all trials, by trial; taken: those of them that existed before the first trial.
     """
 
     exclusive = True
@@ -100,24 +100,24 @@ class DeviceTrial(Trial):
 
     @property
     def outputs(self) -> tuple[Path, ...]:
-        """A file for each camera."""
+        """One file per camera."""
         return self.files
 
     @property
     def shows_simulation(self) -> bool:
-        """Whether what the first camera sees is, or once was, simulated."""
+        """Whether the first camera shows a simulation, or a recording of one."""
         return self.cameras[0].shows_simulation()
 
 
 @dataclass(frozen=True)
 class ReplayTrial(Trial):
-    """A trial on a recording, in which nothing moves; of a grasp with two fingers, that of each finger."""
+    """A trial on a recording, without motion; for a grasp with two fingers, on the recordings of both."""
 
     camera: NamedCamera
 
 
 def view_of(params: Trials) -> ViewRequest | None:
-    """How the trials are shown, if the flags say so."""
+    """Return how the trials are shown, or None if the flags do not request it."""
     return None if params.shown_in is None else ViewRequest(params.shown_in)
 
 
@@ -130,16 +130,16 @@ def simulated_trials(
     *,
     fingers: int = 1,
 ) -> list[SimulatedTrial]:
-    """`count` trials of every object or tone in a scene of one of these kinds.
+    """Return `count` trials of every object or tone in a scene of one of these kinds.
 
-    fingers: how many have a camera. Files are named
-    <prefix><scene>[-obj<number> or -<name>][-<tone>hz][-<finger of two>]-s<seed>-<trial>.recording.h5.
+    fingers: number of fingers with a camera. Files are named <prefix><scene>[-obj<number> or
+    -<name>][-<tone>hz][-<finger of two>]-s<seed>-<trial>.recording.h5.
     """
     trials = []
     view = view_of(params)
     sensor, second = _sensors(params.sensor, fingers)
-    named = (params.scene, params.objects, sensor, kinds, params.gel, params.readout, tones)
-    for each in plans(*named, solver=params.solver(), texture=params.texture, second=second):
+    plan_options = (params.scene, params.objects, sensor, kinds, params.gel, params.readout, tones)
+    for each in plans(*plan_options, solver=params.solver(), texture=params.texture, second=second):
         called = each.called
         what = "" if called is None else f"-{called}" if isinstance(called, str) else f"-obj{called:02d}"
         what += "" if each.tone_hz is None else f"-{each.tone_hz:g}hz"
@@ -157,17 +157,17 @@ def simulated_trials(
 
 
 def _sensors(text: str, fingers: int) -> tuple[str, str | None]:
-    """The sensor of the first finger and that of the second, if it has one: of `A,B` each its own, else both alike.
+    """Return the sensor of the first finger and of the second, if any: one each for `A,B`, otherwise the same.
 
-    InputError for another number of sensors than of fingers with a camera.
+    InputError if there are more sensors than fingers with a camera.
     """
     if fingers == 1:
         return text, None
-    named = text.split(",")
-    if len(named) > fingers:
-        expected = f"one sensor, or {fingers} with a comma between them: one a camera"
+    sensors = text.split(",")
+    if len(sensors) > fingers:
+        expected = f"one sensor, or {fingers} separated by a comma, one per camera"
         raise InputError("too many sensors", where="--sensor", expected=expected, found=text)
-    return named[0], named[-1]
+    return sensors[0], sensors[-1]
 
 
 def device_trials(
@@ -178,10 +178,10 @@ def device_trials(
     out: Path | None,
     prefix: str = "",
 ) -> list[DeviceTrial]:
-    """`count` trials with these devices; in front of a virtual camera, of every object in a scene of these kinds.
+    """Return `count` trials with these devices; with a virtual camera, for every object in a scene of these kinds.
 
-    They are named <prefix><camera>[-<serial or recording>][-<which of the same>]-s<seed>-<trial>.recording.h5, those
-    of a virtual scene virtual-<scene>...
+    Files are named <prefix><camera>[-<serial or recording>][-<which of the same>]-s<seed>-<trial>.recording.h5, and for
+    a virtual scene virtual-<scene>...
     """
     numbered: list[tuple[int, Plan | None]]
     outputs: list[tuple[Path, ...]]
@@ -207,7 +207,7 @@ def device_trials(
 def _camera_files(
     cameras: Sequence[NamedCamera], seed: int, number: int, out: Path | None, prefix: str
 ) -> tuple[Path, ...]:
-    """A file for each camera of a trial."""
+    """Return one file per camera of a trial."""
     if out is not None and out.suffix == ".h5":
         return (out,) * len(cameras)
     stems = [prefix + camera.file_stem for camera in cameras]
@@ -218,7 +218,7 @@ def _camera_files(
 
 
 def _is_taken(output: Path) -> bool:
-    """Whether a recording is at this place, or one that broke off waits there for repair."""
+    """Return whether a recording exists here, or an aborted one waits here for repair."""
     try:
         refuse_leftover(output)
     except InputError:
@@ -227,7 +227,7 @@ def _is_taken(output: Path) -> bool:
 
 
 class SolverFigures:
-    """How finely a trial was simulated, for the row of its recording."""
+    """The resolution of a simulated trial, for the row of its recording."""
 
     def __init__(self) -> None:
         self._slices = 0
@@ -236,7 +236,7 @@ class SolverFigures:
         self._half_wavelength = math.inf
 
     def add(self, rows: Mapping[str, Any]) -> None:
-        """Count rows of the truth: of one slice, or of all; those without mechanics have none."""
+        """Add rows of the ground truth, of one slice or of all; rows without mechanics are skipped."""
         if "truth/mechanical_steps" not in rows:
             return
         steps = np.atleast_1d(rows["truth/mechanical_steps"])
@@ -247,7 +247,7 @@ class SolverFigures:
         self._half_wavelength = min(self._half_wavelength, math.inf if nodes is None else nodes)
 
     def figures(self, solver: Solver) -> dict[str, Any]:
-        """Steps a slice, estimated errors of a step, and a warning where nodes are too far apart, or None."""
+        """Return steps per slice, estimated errors per step, and a warning if nodes are too far apart, or None."""
         if not self._slices:
             return {}
         row: dict[str, Any] = {
@@ -261,5 +261,5 @@ class SolverFigures:
 
 
 def for_people(rows: Rows, params: Trials) -> tuple[Rows, list[str]]:
-    """All rows without their warnings, which are said once for all of them."""
+    """Return all rows without their warnings, which are printed once for all rows."""
     return [{name: value for name, value in row.items() if name != "warning"} for row in rows], []

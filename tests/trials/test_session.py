@@ -129,12 +129,12 @@ def slow(datasets: dict[str, Any], late: int = 0, behind_s: float | None = 0.0, 
         ({"capture/command_misses": 1}, {}, None),  # of a thousand
         ({"capture/command_misses": 2}, {}, "2 of 1,001 commands were missed"),
         ({}, {"late": 1}, None),
-        ({}, {"late": 2}, "2 of 1,000 slices came more than 5 ms late (slip was answered late)"),
-        ({}, {"late": 2, "behind_s": None, "most_us": 5e5}, "more than 500 ms late (they are all in the file)"),
-        ({"capture/lost/camera.events_in_full_queue": 1}, {}, "1 events were lost while they waited"),
+        ({}, {"late": 2}, "2 of 1,000 slices arrived more than 5 ms late (slip was answered late)"),
+        ({}, {"late": 2, "behind_s": None, "most_us": 5e5}, "more than 500 ms late (all are in the file)"),
+        ({"capture/lost/camera.events_in_full_queue": 1}, {}, "1 events were lost"),
         ({"capture/lost/camera.unknown_words": 9}, {}, None),  # the camera's fault
         ({}, {"behind_s": 0.5}, None),
-        ({}, {"behind_s": 0.6}, "the recorder was 0.6 s behind"),
+        ({}, {"behind_s": 0.6}, "the recorder lagged 0.6 s behind"),
     ],
 )
 def test_what_the_computer_was_too_slow_for(
@@ -147,7 +147,7 @@ def test_what_the_computer_was_too_slow_for(
         assert said is not None
         assert said.startswith("this computer was too slow: ")
         assert words in said
-        assert said.endswith("`evetac doctor --speed` says what is too slow")
+        assert said.endswith("`evetac doctor --speed` reports what is too slow")
 
 
 def test_all_that_was_too_slow_is_said_in_one_line() -> None:

@@ -1,1 +1,1 @@
-"""The iniVation DVXplorer Mini over USB: protocol, event words, reader thread, driver."""
+"""The iniVation DVXplorer Mini over USB: protocol, event words, reader thread and driver."""

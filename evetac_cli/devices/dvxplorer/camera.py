@@ -1,7 +1,7 @@
-"""Driver of a DVXplorer Mini over pyusb: finds it, sets it up, starts it, reads it, and stops it whatever happens.
+"""Driver of a DVXplorer Mini over pyusb: finds, configures, starts, reads and in every case stops the camera.
 
-A thread (usb_reader.py) moves buffers from the camera into a queue; words are decoded and cut into slices
-(WordSlices) by whoever calls `read`. pyusb is imported here, there, in probe.py and in the virtual camera.
+A thread (usb_reader.py) moves buffers from the camera into a queue. The caller's thread, in `read`, decodes the words
+and cuts them into slices (WordSlices). pyusb is imported here, in usb_reader.py, in probe.py and in the virtual camera.
 """
 
 import errno
@@ -32,26 +32,26 @@ from evetac_cli.events import FRAME_PX, SLICE_US, Events
 from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
 
 CONTROL_TIMEOUT_MS = 1000
-STOP_TIMEOUT_MS = 250  # of a request to a camera that is let go of: it may hang, and Ctrl-C waits for it
+STOP_TIMEOUT_MS = 250  # for a request to a camera that is being released: it may hang, and Ctrl-C waits for it
 DRAIN_READS = 50
 PATIENCE_US = 1000  # on top of the flush time: readout, transfer, drift of the clock
-HOLDING_BACK_US = 20_000  # firmware 9 has no flush time; how long a quiet Mini holds events back is not known
+HOLDING_BACK_US = 20_000  # firmware 9 has no flush time; how long a quiet Mini holds back events is unknown
 SUPER_SPEED = 4  # pyusb's code of USB 3
 
 
 class FoundCamera(NamedTuple):
-    """A DVXplorer on the bus, as its descriptors describe it; nothing in it was changed."""
+    """A DVXplorer on the bus, from its descriptors; nothing on the camera was changed."""
 
-    serial: str | None  # None: the system does not let us read it
-    board: int  # protocol.MINI_BOARD is right
+    serial: str | None  # None: no permission to read it
+    board: int  # protocol.MINI_BOARD for a supported camera
     firmware: int
     speed: int | None  # of the link: 3 high (USB 2), 4 super (USB 3) and above
     where: str  # bus and address
-    device: Any  # of pyusb
+    device: Any  # pyusb's device object
 
 
 def find_cameras(backend: Any = None) -> list[FoundCamera]:
-    """All DVXplorer on the bus; DeviceError if there is no libusb."""
+    """Return all DVXplorer cameras on the bus; DeviceError if libusb is missing."""
     backend = backend or libusb_package.get_libusb1_backend()
     if backend is None:
         raise no_libusb()
@@ -66,25 +66,25 @@ def find_cameras(backend: Any = None) -> list[FoundCamera]:
 
 
 def _serial(device: Any) -> str | None:
-    """Serial number of a camera, None if it cannot be read."""
+    """Return the serial number of a camera, or None if it cannot be read."""
     try:
         text: str | None = usb.util.get_string(device, device.iSerialNumber)
-    except (ValueError, usb.core.USBError):  # pyusb raises ValueError where it may not open the device
+    except (ValueError, usb.core.USBError):  # pyusb raises ValueError if it may not open the device
         return None
     return text
 
 
 def _choose(serial: str | None, backend: Any) -> FoundCamera:
-    """The camera of this serial number, or the only one; DeviceError if there is no such, or no single one."""
+    """Return the camera with this serial number, or the only camera; DeviceError if there is none, or more than one."""
     cameras = find_cameras(backend)
     fitting = [camera for camera in cameras if serial is None or camera.serial in (serial, None)]
     minis = [camera for camera in fitting if camera.board == protocol.MINI_BOARD]
-    named = [camera for camera in minis if serial is None or camera.serial == serial] or minis
-    if len(named) == 1:
-        return named[0]
+    matching = [camera for camera in minis if serial is None or camera.serial == serial] or minis
+    if len(matching) == 1:
+        return matching[0]
     if not minis and fitting:
         raise wrong_model(fitting[0].where, fitting[0].board)
-    raise not_found(serial, [camera.serial or f"one that may not be read, {camera.where}" for camera in cameras])
+    raise not_found(serial, [camera.serial or f"one without read permission, {camera.where}" for camera in cameras])
 
 
 class WordSlices(DeviceSlices):
@@ -92,46 +92,45 @@ class WordSlices(DeviceSlices):
 
     def __init__(self, patience_us: float) -> None:
         super().__init__(patience_us)
-        event_words.step(event_words.start(), bytes(4))  # loads or compiles it before there is a clock to keep
+        event_words.step(event_words.start(), bytes(4))  # loads or compiles the decoder before time is critical
         self._decoder = event_words.start()
-        self._quiet_ms = 0  # of silences of which the camera's times do not say how long they were
-        self._flooded_since_us: float | None = (
-            None  # host time since which every read was full, and none brought a time
-        )
+        self._quiet_ms = 0  # total length of silences that the camera's times do not measure
+        # host time since which every read was full and none brought a time
+        self._flooded_since_us: float | None = None
 
     @property
     def counted(self) -> Mapping[str, int]:
-        """Losses so far by reason: events, words, timestamps, bytes, time."""
+        """Losses so far by reason: events, words, timestamps, bytes and time."""
         counts = dict(self._decoder.counted)
         counts["clock_restarts"] += self.clock_restarts
         counts["ms_without_time"] += self._quiet_ms
-        if self.ms_without_time > event_words.QUIET_MS:  # until now; an earlier one was counted by the decoder
+        if self.ms_without_time > event_words.QUIET_MS:  # the present silence; the decoder counted earlier ones
             counts["ms_without_time"] += self.ms_without_time
         return {**counts, "late_events": self.late_events, "early_events": self.early_events}
 
     @property
     def open_events(self) -> int:
-        """Events that are known, of slices that are not closed."""
+        """Number of decoded events of slices that are not closed."""
         return self.waiting_events + self._decoder.frame.size
 
     @property
     def undecoded(self) -> bytes:
-        """The part that has come of a word that is cut."""
+        """The bytes of an incomplete word."""
         return self._decoder.rest
 
     def push_words(
         self, data: bytes, begun_us: float, ended_us: float, *, emptied: bool, gap: bool = False
     ) -> list[Events]:
-        """Take what a read from begun_us to ended_us brought; return slices that are closed now.
+        """Take the data of a read from begun_us to ended_us; return the slices that it closes.
 
-        emptied: whether the read left nothing in the camera; gap: whether earlier bytes were lost on the way.
+        emptied: whether the read left nothing in the camera; gap: whether bytes before it were lost in transfer.
         """
         if gap:
             event_words.bytes_were_lost(self._decoder)
         before_us = self._decoder.now_us
         quiet_ms, unmeasured = self.ms_without_time, self._decoder.unmeasured_times
         events = event_words.step(self._decoder, data, self.device_ms(ended_us), self._most_ms(ended_us))
-        if self._decoder.unmeasured_times > unmeasured:  # reads that found nothing say how long it was silent before
+        if self._decoder.unmeasured_times > unmeasured:  # empty reads measure the silence before it
             self.heard(ended_us)
             self._quiet_ms += quiet_ms if quiet_ms > event_words.QUIET_MS else 0
         closed = []
@@ -148,18 +147,22 @@ class WordSlices(DeviceSlices):
         return closed
 
     def _most_ms(self, host_us: float) -> int:
-        """How many ms can have passed since the first TIMESTAMP."""
+        """Return the most ms that can have passed since the first TIMESTAMP."""
         origin_us, first_ms = self._origin_us, self._decoder.first_ms
         before_ms = self._closed if origin_us is None or first_ms is None else first_ms - origin_us // SLICE_US
         return int(self.most_us(host_us)) // SLICE_US - before_ms
 
 
 class DvxplorerCamera:
-    """A DVXplorer Mini that is running; an EventCamera, and the Clock of its recording.
+    """A running DVXplorer Mini; an EventCamera, and the clock of its recording.
 
-    serial: which camera, None for the only one; backend: of pyusb, None for libusb; queue_bytes: how much may wait for
-    `read`; patience_us: how long after the flush time a silent camera is waited for. DeviceError, in words, for
-    whatever keeps it from running. `notes` are for the user; `messages` are the camera's own.
+    serial: which camera, None for the only one; backend: a pyusb backend, None for libusb.
+
+    queue_bytes: how many bytes may wait for `read`; patience_us: how long after the flush time to wait for a silent
+    camera.
+
+    DeviceError, with a message, for anything that keeps the camera from running. `notes` are for the user; `messages`
+    come from the camera.
     """
 
     def __init__(
@@ -178,13 +181,15 @@ class DvxplorerCamera:
         self._generation = protocol.generation(camera.firmware)
         self.notes: tuple[str, ...] = ()
         if camera.speed and camera.speed < SUPER_SPEED:
-            self.notes += (f"{self.where} is linked by USB 2 and will lose events when much moves: use a USB 3 port",)
+            self.notes += (f"{self.where} is connected by USB 2 and will lose events in fast motion: use a USB 3 port",)
         if camera.firmware > protocol.NEWEST_FIRMWARE:
-            self.notes += (f"{self.where} has firmware {camera.firmware}; known are 8 to {protocol.NEWEST_FIRMWARE}",)
+            self.notes += (
+                f"{self.where} has firmware {camera.firmware}; supported are 8 to {protocol.NEWEST_FIRMWARE}",
+            )
         self._ready: deque[Events] = deque()
         self._open = True
         self._claimed = False
-        self.time: TimeSource = getattr(backend, "time", HOST_TIME)  # a virtual camera has its own
+        self.time: TimeSource = getattr(backend, "time", HOST_TIME)  # a virtual camera has its own time
         self._reader = UsbReader(self._device, self.where, queue_bytes, self.time)
         self._handed_out = 0
         try:
@@ -194,8 +199,8 @@ class DvxplorerCamera:
             held_us = self.settings.flush_us if self._generation is Generation.PARAMETERS else HOLDING_BACK_US
             self._slices = WordSlices(held_us + patience_us)
             self._reader.start()
-            self._slices.start(self._now_us())  # before RUN, so that no time of its stream is earlier
-            self.time.slices_read_until(self.time.now_s())  # from now on a virtual camera's time waits for `read`
+            self._slices.start(self._now_us())  # before RUN, so that no time in its stream is earlier
+            self.time.slices_read_until(self.time.now_s())  # from here a virtual camera's time waits for `read`
             self._send(protocol.run(self._generation))
         except BaseException as error:
             self.close()
@@ -210,23 +215,23 @@ class DvxplorerCamera:
 
     @property
     def counted(self) -> Mapping[str, int]:
-        """Losses so far by reason: events, words, timestamps, bytes."""
+        """Losses so far by reason: events, words, timestamps and bytes."""
         own = {name: self._reader.lost[name] for name in ("events_in_full_queue", "usb_errors", "failed_transfers")}
         return {**self._slices.counted, **own, "events_after_last_slice": self._left}
 
     @property
     def waiting(self) -> tuple[int, bytes]:
-        """What is in no slice that was handed out, and not lost: events that are decoded, and words that are not."""
+        """Decoded events, and undecoded words, that are in no returned slice and not lost."""
         decoded = self._slices.open_events + sum(part.size for part in self._ready)
         return decoded, self._slices.undecoded + self._reader.waiting
 
     @property
     def messages(self) -> tuple[str, ...]:
-        """The camera's latest own messages."""
+        """The latest messages from the camera itself."""
         return tuple(self._reader.messages)
 
     def read(self) -> Events | None:
-        """The next slice, once it is closed; None after close; DeviceError once the camera has failed."""
+        """Return the next slice once it is closed; None after close; DeviceError if the camera has failed."""
         while self._open and not self._ready:
             self._ready += self._slices.more()
             if self._ready:
@@ -246,39 +251,42 @@ class DvxplorerCamera:
         return self._ready.popleft()
 
     def host_us(self, device_us: float) -> float:
-        """The time in us, by `time`, at which the camera's clock showed this time of the recording."""
+        """Return the reading of `time`, in us, at which the camera's clock showed this time of the recording."""
         return self._slices.host_us(device_us)
 
     def now_us(self) -> int:
-        """Time of the recording now, by the camera's clock."""
+        """Return the present time of the recording, by the camera's clock."""
         return int(self._slices.recording_us(self._now_us()))
 
     def _now_us(self) -> float:
         return self.time.now_s() * 1e6
 
     def close(self) -> None:
-        """Stop the camera and let go of it; a second call does nothing."""
+        """Stop and release the camera; a second call does nothing."""
         if not self._open:
             return
         self._open = False
         self.time.slices_read_until(math.inf)
         try:
             self._reader.end()
-            if self._claimed:  # else another program may have it, and we would stop its stream
+            if self._claimed:  # otherwise another program may own the camera, and this would stop its stream
                 self._send(protocol.stop(self._generation), STOP_TIMEOUT_MS)
         except usb.core.USBError:
-            pass  # it is gone
+            pass  # the camera has gone
         finally:
             usb.util.dispose_resources(self._device)
 
     def _claim(self) -> None:
-        """Take the camera for ourselves. Setting a configuration that is set already could reset it."""
+        """Claim the camera.
+
+        The configuration is set only if none is, because setting it again could reset the camera.
+        """
         try:
             configuration = self._device.get_active_configuration()
         except usb.core.USBError as error:
             if error.errno is not None:
                 raise
-            self._device.set_configuration()  # pyusb's word for: none is set
+            self._device.set_configuration()  # without an errno, the error means that no configuration is set
             configuration = self._device.get_active_configuration()
         usb.util.claim_interface(self._device, 0)
         self._claimed = True
@@ -286,7 +294,7 @@ class DvxplorerCamera:
             raise not_ready(self.where)
 
     def _set_up(self) -> None:
-        """Everything up to the start of the stream, in the measured order."""
+        """Configure the camera up to the start of the stream, in the order measured from the maker's drivers."""
         if self._generation is Generation.PARAMETERS:
             self._request(protocol.LOG_LEVEL, 2)
             with suppress(usb.core.USBTimeoutError):  # known to hang on some hosts, and not needed
@@ -295,7 +303,7 @@ class DvxplorerCamera:
         try:
             size = (self._read(protocol.DVS, protocol.COLUMNS), self._read(protocol.DVS, protocol.ROWS))
         except usb.core.USBTimeoutError:
-            size = FRAME_PX  # some hosts see these reads hang
+            size = FRAME_PX  # these reads hang on some hosts
         if size != FRAME_PX:
             raise other_sensor(self.where, size)
         self._send(protocol.configure(self._generation, self.settings))
@@ -304,7 +312,7 @@ class DvxplorerCamera:
         self._drain()
 
     def _drain(self) -> None:
-        """Throw away what an earlier run left in the camera: its times are not ours."""
+        """Discard data of an earlier run: its times do not belong to this one."""
         for _ in range(DRAIN_READS):
             try:
                 self._device.read(protocol.DATA_ENDPOINT, READ_BYTES, READ_TIMEOUT_MS)

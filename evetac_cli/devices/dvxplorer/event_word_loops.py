@@ -1,8 +1,8 @@
-"""Loops over event words and over the events to be written as such; what they mean is in event_words.py.
+"""Loops that decode and write event words; event_words.py explains their meaning.
 
-Words, bit 31 first: GROUP `1 off[5] 00 g1[6] pol2 pol1 bits2[8] bits1[8]`, two groups of eight rows, g1 and g1 + off,
-of the last column; pol is 1 for darker. COLUMN `0 00001 .. SOF[21] us[20:11] . x[9:0]`. TIMESTAMP
-`0 00010 .. ms[21:0]`. Zero is padding. (libcaer, and the maker's parser of dv-processing 2.0.4 as measured.)
+Words, bit 31 first: GROUP `1 off[5] 00 g1[6] pol2 pol1 bits2[8] bits1[8]`: two groups of eight rows, g1 and g1 + off,
+of the last column; pol is 1 for darker. COLUMN `0 00001 .. SOF[21] us[20:11] . x[9:0]`. TIMESTAMP `0 00010 ..
+ms[21:0]`. Zero is padding. Sources: libcaer, and the maker's parser in dv-processing 2.0.4 as measured.
 """
 
 import numpy as np
@@ -13,33 +13,34 @@ from evetac_cli.kernels.compiled import njit
 
 WIDTH = FRAME_PX[0]
 GROUPS = FRAME_PX[1] // 8
-REF_MASK = (1 << 22) - 1  # of the milliseconds in a TIMESTAMP
-JUMP_MS = 100  # a TIMESTAMP less than this ahead of the last one needs no other witness
-QUIET_MS = 100  # without a TIMESTAMP: the stream stood still. The slowest readout sends one in 10 ms, event or not
-HOST_SLACK_MS = 20  # how far device time may be ahead of the host's estimate of it
-TRUSTED = 20  # TIMESTAMPs since the last damage: then the latest one is sure
-REFUSED_IN_A_ROW = 20  # so many refused TIMESTAMPs: the camera's clock was started anew
+REF_MASK = (1 << 22) - 1  # mask of the milliseconds in a TIMESTAMP
+JUMP_MS = 100  # a TIMESTAMP less than this far ahead of the last one needs no further evidence
+# the longest time without a TIMESTAMP: beyond it the stream stalled. The slowest readout sends one every 10 ms
+QUIET_MS = 100
+HOST_SLACK_MS = 20  # how far device time may be ahead of the host's estimate
+TRUSTED = 20  # after this many TIMESTAMPs since the last damage, the latest one is certain
+REFUSED_IN_A_ROW = 20  # after this many refused TIMESTAMPs, the camera's clock was restarted
 
-# What is counted as lost. The first two are events, the others occurrences of their reasons.
+# Counted losses. The first two are events, the others occurrences of their reasons.
 LOSSES = (
     "events_in_dropped_frames",
     "events_before_first_timestamp",
     "unknown_words",
-    "missing_words",  # a column or a time that can only follow on words that are not there
+    "missing_words",  # a column or a time that can only follow words that are missing
     "outside_frame",  # a row, column or microsecond that does not exist
     "repeated_rows",  # the same group of rows twice in a column
     "refused_timestamps",
     "clock_restarts",
-    "torn_bytes",  # of words whose other part is missing
-    "ms_without_time",  # device time that passed without any TIMESTAMP where there was more than QUIET_MS of it
+    "torn_bytes",  # bytes of words whose other part is missing
+    "ms_without_time",  # device time without any TIMESTAMP, if longer than QUIET_MS
 )
 REFUSED = LOSSES.index("refused_timestamps")
 _EVENTS, _BEFORE, _UNKNOWN, _MISSING, _OUTSIDE, _REPEATED, _REFUSED, _RESTARTS, _, _NO_TIME = range(len(LOSSES))
 
-# Registers of a decoder. GAP: whether bytes were lost on the way since the last TIMESTAMP, so that there may be none.
-# TRUST: TIMESTAMPs since damage; SURE_MS, SURE_REF: the last one of which there is no doubt.
+# Registers of a decoder. GAP: bytes were lost since the last TIMESTAMP, so a TIMESTAMP may be missing. TRUST: number of
+# TIMESTAMPs since damage. SURE_MS, SURE_REF: the last certain TIMESTAMP.
 MS, REF, LAST_US, WHERE, FRAME_T, COLUMN, ROWS, REFUSALS, DAMAGED, FIRST_MS, GAP, TRUST, SURE_MS, SURE_REF = range(14)
-# Values of register WHERE: in a frame; before one; in one that is dropped; not knowing the time.
+# Values of register WHERE: inside a frame; before a frame; in a dropped frame; time unknown.
 INSIDE, BEFORE, DROPPING, LOST = range(4)
 
 _BITS = np.array([int(byte).bit_count() for byte in range(256)], np.int64)
@@ -47,7 +48,7 @@ _ROWS_OF = np.array([([row for row in range(8) if byte >> row & 1] + [0] * 8)[:8
 
 
 def new_registers() -> NDArray[np.int64]:
-    """Registers of a decoder that has seen no word yet."""
+    """Return the registers of a decoder that has seen no word yet."""
     registers = np.zeros(14, np.int64)
     registers[[MS, LAST_US, COLUMN, FIRST_MS]] = -1
     registers[WHERE] = LOST
@@ -57,7 +58,7 @@ def new_registers() -> NDArray[np.int64]:
 
 @njit(cache=True)
 def events_in(words: NDArray[np.uint32]) -> int:
-    """Number of events in the GROUP words: the bits that are set."""
+    """Return the number of events in the GROUP words, which is the number of set bits."""
     events = 0
     for word in words:
         if word >> np.uint32(31):
@@ -67,7 +68,7 @@ def events_in(words: NDArray[np.uint32]) -> int:
 
 @njit(cache=True)
 def _is_possible(word: int) -> bool:
-    """Whether a word is one that a camera sends."""
+    """Return whether a camera sends this word."""
     if word >> 31:
         first = word >> 18 & 0x3F
         return (word >> 24 & 3) == 0 and first + (word >> 26 & 0x1F) < GROUPS
@@ -80,7 +81,7 @@ def _is_possible(word: int) -> bool:
 
 @njit(cache=True)
 def sound_words(words: NDArray[np.uint32]) -> int:
-    """Number of words before the first that no camera sends."""
+    """Return the number of words before the first that no camera sends."""
     for place in range(words.shape[0]):
         if not _is_possible(np.int64(words[place])):
             return place
@@ -89,7 +90,7 @@ def sound_words(words: NDArray[np.uint32]) -> int:
 
 @njit(cache=True)
 def _plausible_events(words: NDArray[np.uint32], place: int) -> int:
-    """Number of events of a GROUP word; 0 where it, or a word beside it, is none that a camera sends."""
+    """Return the number of events of a GROUP word; 0 if it or a neighbour is a word that no camera sends."""
     for k in range(max(0, place - 1), min(place + 2, words.shape[0])):
         if not _is_possible(np.int64(words[k])):
             return 0
@@ -100,7 +101,7 @@ def _plausible_events(words: NDArray[np.uint32], place: int) -> int:
 
 @njit(cache=True)
 def plausible_events(words: NDArray[np.uint32]) -> int:
-    """Number of events in words that may be damaged: those of GROUP words that stand among others that make sense."""
+    """Return the number of events in possibly damaged words: those of GROUP words between plausible neighbours."""
     events = 0
     for place in range(words.shape[0]):
         if words[place] >> np.uint32(31):
@@ -110,7 +111,10 @@ def plausible_events(words: NDArray[np.uint32]) -> int:
 
 @njit(cache=True)
 def torn_bytes(data: NDArray[np.uint8]) -> int:
-    """How many bytes (0 to 3) to skip so that words begin where they make sense: 0 unless another speaks clearly."""
+    """Return how many bytes (0 to 3) to skip so that words become plausible.
+
+    0 unless another offset is clearly better.
+    """
     best = 0
     best_score = 0
     for skipped in range(4):
@@ -133,9 +137,10 @@ def torn_bytes(data: NDArray[np.uint8]) -> int:
 
 @njit(cache=True)
 def _timestamp(ref: int, host_ms: int, most_ms: int, registers: NDArray[np.int64], counts: NDArray[np.int64]) -> None:
-    """Take the milliseconds of a TIMESTAMP word, unless they cannot be.
+    """Apply the milliseconds of a TIMESTAMP word, unless they are impossible.
 
-    After damage words that only look like a TIMESTAMP may have been believed: time is counted from the last sure one.
+    After damage, words that only look like a TIMESTAMP may have been believed. Time is then counted from the last
+    certain one.
     """
     registers[WHERE] = BEFORE
     if registers[MS] < 0:
@@ -150,7 +155,7 @@ def _timestamp(ref: int, host_ms: int, most_ms: int, registers: NDArray[np.int64
             step_ms = registers[SURE_MS] + ((ref - registers[SURE_REF]) & REF_MASK) - registers[MS]
         if most_ms >= 0 and host_ms < 0:
             host_ms = registers[FIRST_MS] + most_ms
-        if -JUMP_MS < step_ms < 0:  # one that was believed was ahead: time goes on once it is past that
+        if -JUMP_MS < step_ms < 0:  # an accepted one was ahead: time continues once it is past that
             counts[_REFUSED] += 1
             registers[WHERE] = LOST
             return
@@ -174,12 +179,14 @@ def _timestamp(ref: int, host_ms: int, most_ms: int, registers: NDArray[np.int64
                 registers[WHERE] = LOST
                 return
             counts[_RESTARTS] += 1
-        if step_ms > 0:  # else it is repeated, and its frames go on
+        if step_ms > 0:  # otherwise it is repeated, and its frames continue
             registers[MS] += step_ms
             registers[LAST_US] = -1
-        if step_ms > QUIET_MS and not registers[GAP] and not registers[REFUSALS]:  # else times did come, not believed
+        # otherwise times did arrive but were not believed
+        if step_ms > QUIET_MS and not registers[GAP] and not registers[REFUSALS]:
             counts[_NO_TIME] += step_ms
-        registers[TRUST] = TRUSTED if refused else min(registers[TRUST] + 1, TRUSTED)  # refused: a new clock
+        # refused: the clock was restarted
+        registers[TRUST] = TRUSTED if refused else min(registers[TRUST] + 1, TRUSTED)
     if registers[TRUST] >= TRUSTED:
         registers[SURE_MS] = registers[MS]
         registers[SURE_REF] = ref
@@ -188,7 +195,7 @@ def _timestamp(ref: int, host_ms: int, most_ms: int, registers: NDArray[np.int64
     registers[REFUSALS] = 0
 
 
-# Why ten arguments: the four columns stay apart, as a tuple of them costs 0.25 us more in each packet.
+# Ten arguments because the four columns stay separate: a tuple of them costs 0.25 us more per packet.
 @njit(cache=True)
 def decode(
     words: NDArray[np.uint32],
@@ -202,9 +209,12 @@ def decode(
     y: NDArray[np.uint16],
     p: NDArray[np.uint8],
 ) -> tuple[int, int]:
-    """Write the events of all words behind the `count` of the open frame; return how many (in whole frames, in all)."""
+    """Write the events of all words after the `count` of the open frame.
+
+    Return the number of events in whole frames, and in all.
+    """
     complete = 0
-    doubtful = 0  # events of the open frame whose words have bits that a camera does not set
+    doubtful = 0  # events of the open frame whose words have bits that no camera sets
     where = registers[WHERE]
     frame_t = registers[FRAME_T]
     column = registers[COLUMN]
@@ -212,7 +222,7 @@ def decode(
     registers[DAMAGED] = 0
     for k in range(words.shape[0]):
         word = np.int64(words[k])
-        wrong = -1  # reason to drop the frame
+        wrong = -1  # reason to drop the frame, -1 for none
         if word >> 31:
             bits1 = word & 0xFF
             bits2 = word >> 8 & 0xFF
@@ -300,8 +310,8 @@ def decode(
     return complete, count
 
 
-# An event as one integer, from the highest bits down: ms, then us, column, group, polarity and row within the group
-# (to write them), or column, group, us, polarity, row (to find those that cannot share a frame).
+# An event as one integer, highest bits first. For writing: ms, us, column, group, polarity, row within the group. For
+# finding events that cannot share a frame: ms, column, group, us, polarity, row.
 _MS_SHIFT = 30
 _US_HIGH, _COLUMN_LOW, _GROUP_LOW = 20, 10, 4
 _COLUMN_HIGH, _GROUP_HIGH, _US_LOW = 20, 14, 4
@@ -312,7 +322,7 @@ LONGEST_MS = 1 << 32
 def keys_by_group(
     t: NDArray[np.int64], x: NDArray[np.uint16], y: NDArray[np.uint16], p: NDArray[np.uint8], frame_us: int
 ) -> NDArray[np.int64]:
-    """Keys of events in the order ms, column, group, us, polarity, row."""
+    """Return keys of events in the order ms, column, group, us, polarity, row."""
     keys = np.empty(t.shape[0], np.int64)
     for k in range(t.shape[0]):
         ms = t[k] // SLICE_US
@@ -331,10 +341,10 @@ def keys_by_group(
 
 @njit(cache=True)
 def place(keys: NDArray[np.int64]) -> None:
-    """Give every event a frame that can hold it, and put the keys into the order of the words, unsorted.
+    """Assign every event a frame that can hold it, and convert the keys to the order of the words, unsorted.
 
-    keys: sorted keys_by_group. Within one ms, column and group an event that cannot join the frame before it goes to
-    the next microsecond; where that passes the end of the millisecond, the last ones are moved down again.
+    keys: sorted keys_by_group. Within one ms, column and group, an event that cannot join the previous frame goes to
+    the next microsecond. If that passes the end of the millisecond, the last events are moved back.
     """
     first = 0
     taken_us = np.empty(keys.shape[0], np.int64)
@@ -379,13 +389,13 @@ def place(keys: NDArray[np.int64]) -> None:
 
 @njit(cache=True)
 def write(keys: NDArray[np.int64], first_ms: int) -> NDArray[np.uint32]:
-    """Words of events whose sorted keys `place` made: as few as the rules allow."""
+    """Return the words of events from the sorted keys made by `place`: as few as the format allows."""
     words = np.empty(3 * keys.shape[0], np.uint32)
     count = 0
     ms = np.int64(-1)
     frame = np.int64(-1)
     column = np.int64(-1)
-    waiting = -1  # group that may share its word with the next
+    waiting = -1  # group that may share its word with the next one, -1 for none
     k = 0
     while k < keys.shape[0]:
         key = keys[k]

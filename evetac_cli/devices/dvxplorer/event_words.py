@@ -1,23 +1,23 @@
-"""The event words of a DVXplorer Mini: 32-bit words of its USB data endpoint, to events and back.
+"""Decode and encode the event words of a DVXplorer Mini: the 32-bit words of its USB data endpoint.
 
-A frame is what the sensor reads out at one time: columns from left to right, in each column groups of eight rows. The
-first COLUMN word of a frame carries the flag SOF, all of them the microseconds within the millisecond of the last
-TIMESTAMP word. A frame is accepted or dropped whole, as by the maker's parser. `start` and `step` take the byte stream
-however it is cut (loops: event_word_loops.py).
+A frame holds what the sensor reads out at one time: columns from left to right, and in each column groups of eight
+rows. The first COLUMN word of a frame carries the flag SOF. All COLUMN words carry the microseconds within the
+millisecond of the last TIMESTAMP word. A frame is accepted or dropped as a whole, as in the maker's parser. `start` and
+`step` accept the byte stream in pieces of any size (loops: event_word_loops.py).
 
-After damage that may hide lost words nothing is believed before the next TIMESTAMP (at most 1 ms of a busy sensor),
-since one may be among them; where only a row or a column is impossible, nothing before the next frame is. The maker's
-parser (dv-processing 2.0.4, run beside this one) makes the same of sound streams; of damaged ones it also hands out
-pixels outside the frame and frames with unknown words in them.
+After damage that may hide lost words, nothing is believed before the next TIMESTAMP (at most 1 ms of a busy sensor),
+because a TIMESTAMP may be among the lost words. If only a row or a column is impossible, decoding resumes at the next
+frame. The maker's parser (dv-processing 2.0.4, run alongside this one) returns the same events for undamaged streams.
+For damaged streams it also returns pixels outside the frame and frames with unknown words in them.
 
-Why so: a TIMESTAMP counts milliseconds modulo 2**22, so that a single damaged one would read as up to 70 minutes. None
-is believed that the host's clock does not allow, since the first one or, of one that is far ahead of the last, by its
-estimate of device time; from many refused in a row the decoder concludes that the camera started its clock anew, and
-goes on from the host's time.
+Reason for distrust: a TIMESTAMP counts milliseconds modulo 2**22, so a single damaged one would read as up to 70
+minutes. A TIMESTAMP is refused if the host's clock does not allow that much time since the first one. One far ahead of
+the last is also checked against the host's estimate of device time. After many refusals in a row the decoder concludes
+that the camera restarted its clock, and continues from the host's time.
 
-What is counted as lost events is never more than there were: of words that are damaged, or stand beside such that are,
-the bits say nothing. How the format shows that bytes are missing: hardly one in ten words that begin at a wrong byte is
-one that a camera sends, so that words are looked for at the other three places (torn_bytes).
+The count of lost events never exceeds the true number: the bits of damaged words, and of their neighbours, prove
+nothing. Missing bytes are recognised by the format: hardly one in ten words read from a wrong byte is a word that a
+camera sends. Words are therefore also searched for at the other three byte offsets (torn_bytes).
 """
 
 from collections.abc import Mapping
@@ -33,18 +33,18 @@ from evetac_cli.events import FRAME_PX, SLICE_US, Events, concatenate, empty
 LOSSES = loops.LOSSES
 QUIET_MS = loops.QUIET_MS
 WORD_BYTES = 4
-SEARCH_WORDS = 64  # behind damage, in which the byte is looked for at which words begin
-MOST_SEARCH_WORDS = 4096  # where the damage goes on: four times as many each time
+SEARCH_WORDS = 64  # words after damage in which to search for the byte where words begin
+MOST_SEARCH_WORDS = 4096  # for continuing damage: four times as many each time
 
 
 @dataclass
 class EventWordDecoder:
-    """State of the decoding of one stream, between two calls of `step`."""
+    """State of decoding one stream, between two calls of `step`."""
 
     registers: NDArray[np.int64] = field(default_factory=loops.new_registers)
     counts: NDArray[np.int64] = field(default_factory=lambda: np.zeros(len(LOSSES), np.int64))
-    frame: Events = field(default_factory=empty)  # events of the frame that is not over yet
-    rest: bytes = b""  # of a word that was split between two buffers
+    frame: Events = field(default_factory=empty)  # events of the frame that is still open
+    rest: bytes = b""  # bytes of a word that was split between two buffers
 
     @property
     def first_ms(self) -> int | None:
@@ -54,22 +54,22 @@ class EventWordDecoder:
 
     @property
     def now_us(self) -> int:
-        """Device time that the stream has reached, wraps undone."""
+        """Device time that the stream has reached, without wraps."""
         return SLICE_US * int(self.registers[loops.MS]) + max(0, int(self.registers[loops.LAST_US]))
 
     @property
     def unmeasured_times(self) -> int:
-        """How many TIMESTAMPs do not say how much later they are than the one before: the first, and refused ones."""
+        """Number of TIMESTAMPs that do not measure the time since the one before: the first, and refused ones."""
         return int(self.counts[loops.REFUSED]) + (self.first_ms is not None)
 
     @property
     def counted(self) -> Mapping[str, int]:
-        """What was lost so far: occurrences by reason, and events."""
+        """Losses so far: numbers of events, and how often each reason occurred."""
         return {name: int(count) for name, count in zip(LOSSES, self.counts, strict=True)}
 
 
 def start() -> EventWordDecoder:
-    """A decoder before the first byte of a stream."""
+    """Return a decoder before the first byte of a stream."""
     return EventWordDecoder()
 
 
@@ -79,12 +79,12 @@ def step(
     host_ms: int | None = None,
     most_ms: int | None = None,
 ) -> Events:
-    """Events of the frames that the next bytes complete; t in us, int64, never decreasing.
+    """Return the events of the frames that the next bytes complete; t in us, int64, never decreasing.
 
-    host_ms: device time by the host's clock, as far as known: a TIMESTAMP more than loops.JUMP_MS ahead of the last
-    is believed only up to there. most_ms: so much can have passed since the first TIMESTAMP, and no later one is
-    believed. Without both, as with words from a file, every TIMESTAMP is that is ahead by less than half the range.
-    All events of a frame have one time; they come by column, in a column as the words do.
+    host_ms: device time by the host's clock, if known. A TIMESTAMP more than loops.JUMP_MS ahead of the last is
+    believed only up to there. most_ms: the most that can have passed since the first TIMESTAMP; no later one is
+    believed. Without both, for example for words from a file, a TIMESTAMP is believed if it is ahead by less than half
+    the range. All events of a frame have the same time. They are ordered by column, and within a column by word.
     """
     suspicious = bool(decoder.rest) or bool(decoder.registers[loops.DAMAGED])
     stream = memoryview(decoder.rest + bytes(data))
@@ -108,7 +108,7 @@ def step(
 
 
 def _decode(decoder: EventWordDecoder, words: NDArray[np.uint32], host_ms: int | None, most_ms: int | None) -> Events:
-    """Events of the frames that these words complete."""
+    """Return the events of the frames that these words complete."""
     most = decoder.frame.size + loops.events_in(words)
     events = Events(
         np.empty(most, np.int64), np.empty(most, np.uint16), np.empty(most, np.uint16), np.empty(most, np.uint8)
@@ -131,14 +131,17 @@ def _decode(decoder: EventWordDecoder, words: NDArray[np.uint32], host_ms: int |
 
 
 def flush(decoder: EventWordDecoder) -> Events:
-    """Events of the frame that is not over: for a sensor gone silent. What else comes of that frame is still taken."""
+    """Return the events of the open frame when the sensor has gone silent.
+
+    Later words of that frame are still accepted.
+    """
     frame = decoder.frame
     decoder.frame = empty()
     return frame
 
 
 def bytes_were_lost(decoder: EventWordDecoder) -> None:
-    """Say that bytes are missing between the last and the next step."""
+    """Record that bytes are missing between the last and the next step."""
     decoder.counts[LOSSES.index("torn_bytes")] += len(decoder.rest)
     decoder.rest = b""
     decoder.registers[loops.GAP] = 1
@@ -154,17 +157,17 @@ def _distrust(decoder: EventWordDecoder) -> None:
 
 
 def timestamp(ms: int) -> NDArray[np.uint32]:
-    """The TIMESTAMP word of a millisecond, alone: after it a decoder knows that all before is complete."""
+    """Return the TIMESTAMP word of a millisecond. It shows a decoder that everything before it is complete."""
     return np.array([2 << 26 | ms & loops.REF_MASK], np.uint32)
 
 
 def encode(events: Events, first_ms: int = 1, frame_us: int = 1) -> NDArray[np.uint32]:
-    """Words in which a camera would send these events, whose t = 0 is device time `first_ms`.
+    """Return the words in which a camera would send these events; t = 0 is device time `first_ms`.
 
-    Times are rounded down to the readout period `frame_us`, which starts anew every millisecond. A frame can hold one
-    event of a pixel, and one polarity of a group of rows: what does not fit goes to the next free microsecond of the
-    same millisecond, so that no event is lost and none changes its slice. ValueError for what no camera could send.
-    (The maker's parser, not ours, gives up if the very first frame of a stream has the time of its TIMESTAMP.)
+    Times are rounded down to the readout period `frame_us`, which restarts every millisecond. A frame can hold one
+    event per pixel and one polarity per group of rows. Events that do not fit go to the next free microsecond of the
+    same millisecond, so no event is lost and none changes its slice. ValueError for events that no camera could send.
+    (The maker's parser, unlike evetac's, fails if the very first frame of a stream has the time of its TIMESTAMP.)
     """
     check_range("frame_us", frame_us, 1, SLICE_US)
     check_range("first_ms", first_ms)

@@ -1,9 +1,10 @@
-"""What is sent to a DVXplorer Mini over USB, as data: requests, modules, parameters, and the orders of start and stop.
+"""The USB requests of a DVXplorer Mini as data: requests, modules, parameters, and the orders that start and stop it.
 
-The Mini exists in two protocol generations with one USB id. Firmware 10 (PARAMETERS) takes 8-byte values of some 25
-parameters; firmware 9 and before (REGISTERS) takes 4-byte values and wants the sensor's own registers. Event words are
-the same. Order and values are those measured from the maker's drivers (dv-processing 2.0.4 and 1.7.9); the registers
-of readout rates and thresholds are libcaer's and jAER's. Nothing here stores to flash: request 0xC7 is not even named.
+The Mini exists in two protocol generations with the same USB id. Firmware 10 (PARAMETERS) takes 8-byte values of some
+25 parameters. Firmware 9 and earlier (REGISTERS) takes 4-byte values for the sensor's own registers. Event words are
+the same. Order and values were measured from the maker's drivers (dv-processing 2.0.4 and 1.7.9); the registers for
+readout rates and thresholds are those of libcaer and jAER. Nothing here stores to flash: request 0xC7 is not even
+defined.
 """
 
 from collections.abc import Iterator
@@ -14,22 +15,22 @@ from typing import NamedTuple
 from evetac_cli.checks import check_range, check_whole
 from evetac_cli.events import FRAME_PX
 
-VENDOR, PRODUCT = 0x152A, 0x8419  # shared by all DVXplorer
-MINI_BOARD = 4  # bcdDevice >> 8 of the CX3 boards: Mini and Micro
+VENDOR, PRODUCT = 0x152A, 0x8419  # shared by all DVXplorer models
+MINI_BOARD = 4  # bcdDevice >> 8 on the CX3 boards: Mini and Micro
 NEWEST_FIRMWARE = 10
 DATA_ENDPOINT, DEBUG_ENDPOINT = 0x82, 0x81
 WRITE, READ = 0x40, 0xC0  # bmRequestType of vendor requests
 CONFIG, LOG_LEVEL, FLUSH_STALE = 0xBF, 0xB1, 0xC6  # bRequest
-LOG_PACKET = 0x00  # first byte on the debug endpoint
+LOG_PACKET = 0x00  # first byte of a log packet on the debug endpoint
 
 DVS, IMU, SENSOR, SYSTEM = 1, 3, 5, 6  # modules
 COLUMNS, ROWS, ORIENTATION, RUN = 0, 1, 2, 3  # parameters of DVS
 FLATTEN, CROP, APPLY_CROP, FLIP_X, FLIP_Y = 4, 19, 23, 24, 25
 MIPI_TIMEOUT_ON, MIPI_TIMEOUT_US, READOUT, THRESHOLD_ON, THRESHOLD_OFF = 11, 12, 13, 14, 15
-SENSOR_MODE, STREAM = 0x3000, 2  # register of REGISTERS that starts the stream
+SENSOR_MODE, STREAM = 0x3000, 2  # the register that starts the stream in generation REGISTERS
 CLOCK_MHZ = 50
 
-LAST_THRESHOLD = 17  # the least sensitive; 0 is the most
+LAST_THRESHOLD = 17  # the least sensitive threshold; 0 is the most sensitive
 # Name of a readout rate: registers of firmware 9: (fixed, read time us, hold ms, hold us, next column, most events).
 READOUT_RATES = {
     "constant-100": (1, 900, 9, 100, 15, 10),
@@ -47,24 +48,24 @@ READOUT_RATES = {
 
 
 class Generation(Enum):
-    """How registers are reached: number of bytes of a value."""
+    """Protocol generation; the value is the number of bytes per register value."""
 
     REGISTERS = 4
     PARAMETERS = 8
 
 
 def generation(firmware: int) -> Generation:
-    """Generation of a firmware (bcdDevice & 0xFF)."""
+    """Return the generation of a firmware (bcdDevice & 0xFF)."""
     return Generation.PARAMETERS if firmware >= NEWEST_FIRMWARE else Generation.REGISTERS
 
 
 @dataclass(frozen=True)
 class DvxplorerSettings:
-    """What can be chosen about the camera; ValueError if out of range."""
+    """Settings of the camera; ValueError if out of range."""
 
-    threshold_on: int = 9  # contrast that makes an event, 0..17
+    threshold_on: int = 9  # contrast threshold, 0..17
     threshold_off: int = 9
-    readout_rate: str = "variable-5000"  # frames a second (READOUT_RATES): all events of a frame have one time
+    readout_rate: str = "variable-5000"  # frames per second (READOUT_RATES); all events of a frame share one time
     flush_us: int = 1000  # a quiet sensor's words leave the camera at least this often (firmware 10)
     global_hold: bool = True  # pixels are frozen while a frame is read
 
@@ -85,7 +86,7 @@ class Write(NamedTuple):
 
 
 class Change(NamedTuple):
-    """Bits to clear and to set in one parameter, whose other bits stay."""
+    """Bits to clear and to set in one parameter; its other bits stay."""
 
     module: int
     parameter: int
@@ -97,12 +98,12 @@ Order = Write | Change
 
 
 def configure(which: Generation, settings: DvxplorerSettings) -> Iterator[Order]:
-    """What is written before the stream starts."""
+    """Yield the orders written before the stream starts."""
     return _parameters(settings) if which is Generation.PARAMETERS else _registers(settings)
 
 
 def run(which: Generation) -> Iterator[Order]:
-    """What starts the stream. The clock of firmware 9 is put to zero at it."""
+    """Yield the orders that start the stream. On firmware 9 this resets the camera's clock to zero."""
     if which is Generation.PARAMETERS:
         yield Write(DVS, RUN, 1)
     else:
@@ -112,7 +113,10 @@ def run(which: Generation) -> Iterator[Order]:
 
 
 def stop(which: Generation) -> Iterator[Order]:
-    """What stops it; also sent at the start, as the last program may have left the camera running."""
+    """Yield the orders that stop the stream.
+
+    Also sent at the start, because the last program may have left it running.
+    """
     if which is Generation.REGISTERS:
         yield Write(SENSOR, SENSOR_MODE, 0)
     yield Write(DVS, RUN, 0)
@@ -135,7 +139,7 @@ def _parameters(settings: DvxplorerSettings) -> Iterator[Order]:
     for flip in (FLIP_X, FLIP_Y):
         yield Write(DVS, flip, 0)
         yield Write(DVS, APPLY_CROP, 0)
-    # The motion sensor is neither set up nor started: nothing here reads it, and the Mini may have none.
+    # The motion sensor is neither configured nor started: evetac does not read it, and the Mini may have none.
 
 
 def _registers(settings: DvxplorerSettings) -> Iterator[Order]:
@@ -187,6 +191,6 @@ def _readout(rate: str) -> Iterator[Order]:
 
 
 def _wide(register: int, value: int) -> Iterator[Order]:
-    """A 16-bit value in two neighbouring registers, the high byte first."""
+    """Yield the writes of a 16-bit value to two neighbouring registers, high byte first."""
     yield Write(SENSOR, register, value >> 8)
     yield Write(SENSOR, register + 1, value & 0xFF)

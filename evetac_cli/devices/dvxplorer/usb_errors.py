@@ -1,4 +1,4 @@
-"""Errors of a camera on USB for the user: where, what was expected and found, and what to do."""
+"""Error messages for a USB camera: location, expected and found values, and what to do."""
 
 import errno
 
@@ -14,13 +14,13 @@ _BY_ERRNO: dict[int | None, tuple[type[DeviceError], str, str]] = {
     **dict.fromkeys(_GONE, _UNPLUGGED),
     errno.EACCES: (
         DeviceError,
-        "may not be opened by you",
+        "you have no permission to open it",
         "install the udev rule that `evetac doctor --print-udev` prints, and plug the camera in again",
     ),
     errno.EBUSY: (
         DeviceError,
         "is used by another program",
-        "close DV, ROS nodes or another evetac that have it open",
+        "close DV, the ROS node or the other evetac that has it open",
     ),
     errno.ETIMEDOUT: (DeviceTimeout, "did not answer in time", "unplug the camera and plug it in again"),
 }
@@ -29,29 +29,29 @@ _BOARDS = {0: "an FX2 board", 1: "a DVXplorer (FX3)", 2: "a DVXplorer (FX3)", 3:
 
 
 def gone(error: OSError) -> bool:
-    """Whether the device is no longer there, so that trying again is no use."""
+    """Return whether the device has gone, so that another attempt is useless."""
     return error.errno in _GONE
 
 
 def device_error(error: OSError, where: str, doing: str) -> DeviceError:
-    """The DeviceError for an error of libusb; `doing` says what was being done, as in `reading events`."""
+    """Return the DeviceError for an error of libusb; `doing` names the action, for example `reading events`."""
     message = f"{error.strerror or error} (errno {error.errno}) while {doing}"
     kind, what, hint = _BY_ERRNO.get(error.errno, _OTHER)
     return kind(what, where=where, found=message, hint=hint)
 
 
 def no_libusb() -> DeviceError:
-    """Libusb cannot be loaded."""
+    """Return the error for a missing libusb."""
     return DeviceError(
-        "there is no libusb",
+        "libusb was not found",
         where="--camera dvxplorer",
-        expected="the shared library that the package libusb-package brings",
+        expected="the shared library from the package libusb-package",
         hint=install_hint(),
     )
 
 
 def wrong_model(where: str, board: int) -> DeviceError:
-    """The camera is a DVXplorer whose board is not that of a Mini, and whose events come in another format."""
+    """Return the error for a DVXplorer that is not a Mini and whose events have another format."""
     return DeviceError(
         "is not a DVXplorer Mini",
         where=where,
@@ -62,28 +62,30 @@ def wrong_model(where: str, board: int) -> DeviceError:
 
 
 def not_found(serial: str | None, on_bus: list[str]) -> DeviceError:
-    """No camera, not the wanted one, or several where one is wanted; on_bus: serial numbers of those that are there."""
+    """Return the error if no camera, the wrong one, or several were found; on_bus: the serial numbers found."""
     several = serial is None and len(on_bus) > 1
     return DeviceError(
         "there are several cameras" if several else "there is no such camera",
         where=f"--camera dvxplorer{':' + serial if serial else ''}",
         expected="one DVXplorer Mini (USB 152a:8419)" + (f" with serial number {serial}" if serial else ""),
         found=", ".join(on_bus) or "none on the bus",
-        hint="name one: --camera dvxplorer:SERIAL" if several else "plug it in, and ask `evetac doctor` what is wrong",
+        hint="name one: --camera dvxplorer:SERIAL"
+        if several
+        else "plug it in, or run `evetac doctor` to find the fault",
     )
 
 
 def not_ready(where: str) -> DeviceError:
-    """The camera shows no data endpoint: just after it was plugged in, or in its boot loader."""
+    """Return the error for a camera without a data endpoint: it was just plugged in, or is in its boot loader."""
     return DeviceError(
         "is not ready",
         where=where,
         expected="a bulk endpoint 0x82",
         found="none",
-        hint="wait two seconds after plugging it in; if that does not help, its firmware has to be flashed again",
+        hint="wait two seconds after plugging it in; if that does not help, flash its firmware again",
     )
 
 
 def other_sensor(where: str, size: tuple[int, int]) -> DeviceError:
-    """The camera's sensor has another size (columns, rows) than this driver knows."""
-    return DeviceError("has another sensor", where=where, expected="640 x 480", found=f"{size[0]} x {size[1]}")
+    """Return the error for a sensor whose size (columns, rows) this driver does not support."""
+    return DeviceError("has a different sensor", where=where, expected="640 x 480", found=f"{size[0]} x {size[1]}")

@@ -1,13 +1,13 @@
 """A thread that moves buffers from a camera's data endpoint into a queue of bounded size.
 
-Why so: pyusb has one blocking transfer at a time, and the camera loses what nobody fetches; so nothing may keep the
-thread from its next transfer. If whoever empties the queue is too slow, the oldest buffers go, and their events are
-counted, as far as their words make sense.
+Reason: pyusb runs one blocking transfer at a time, and the camera loses data that are not fetched. So nothing may keep
+the thread from its next transfer. If the consumer is too slow, the oldest buffers are dropped and their events counted,
+as far as their words are plausible.
 
-Whoever empties it is woken by a TIMESTAMP or by a read that found nothing, because only these end a slice, and gets
-what waits in one piece: decoding has a price for every call, and the two threads share an interpreter. And where what
-may end a slice still waits when more comes, it is behind, and more transfers would only keep it from catching up: then
-the next one may bring as much as two.
+The consumer is woken by a TIMESTAMP or by an empty read, because only these end a slice. It gets all waiting data in
+one piece: each decoding call has a cost, and the two threads share an interpreter. If data that may end a slice are
+still waiting when more arrive, the consumer is behind, and more transfers would only slow it down. The thread then
+pauses, so that its next transfer may bring twice the data.
 """
 
 import errno
@@ -27,28 +27,28 @@ from evetac_cli.devices.dvxplorer.usb_errors import device_error, gone
 from evetac_cli.errors import DeviceError
 from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
 
-READ_TIMEOUT_MS = 2  # how long a read waits for a silent camera; slices are closed this much later then
+READ_TIMEOUT_MS = 2  # how long a read waits for a silent camera, and so how much later its slices are closed
 READ_BYTES = 65536
-BLOCK_BYTES = 256  # that a block takes beside its data: many short ones fill memory too
-QUEUE_BYTES = 64 << 20  # a second and a half of the worst case, 10 million single events a second
-BREATH_S = 5e-4  # between transfers while whoever empties the queue is behind; a camera keeps what comes in that time
+BLOCK_BYTES = 256  # overhead of a block: many short blocks fill memory too
+QUEUE_BYTES = 64 << 20  # 1.5 s of the worst case, 10 million single events per second
+BREATH_S = 5e-4  # pause between transfers while the consumer is behind; a camera buffers what it sees in that time
 ERRORS_IN_A_ROW = 5
 LOG_EVERY_S = 0.5
-TIMESTAMP_CODE = 2  # bits 26 up of a word
+TIMESTAMP_CODE = 2  # bits 26 and up of a word
 
 
 class Block(NamedTuple):
-    """What reads of the data endpoint gave, one after the other; host times in us, of the first and the last."""
+    """The data of consecutive reads of the data endpoint; host times in us, of the first and the last read."""
 
     data: bytes
     begun_us: float
     ended_us: float
-    gap: bool  # whether bytes before it were lost
+    gap: bool  # whether bytes before the block were lost
     emptied: bool  # whether the last read left nothing in the camera
 
 
 def _may_end_slice(block: Block) -> bool:
-    """Whether there is a TIMESTAMP in it, nothing at all, or words that are cut, so that nobody can tell."""
+    """Return whether the block contains a TIMESTAMP, is empty, or has cut words that may hide a TIMESTAMP."""
     if not block.data or block.gap or len(block.data) % 4:
         return True
     return bool((np.frombuffer(block.data, "<u4") >> 26 == TIMESTAMP_CODE).any())
@@ -65,8 +65,8 @@ class UsbReader(Thread):
         self._clock = clock
         self._blocks: deque[Block] = deque()
         self._waiting_bytes = 0
-        plausible_events(np.empty(0, np.uint32))  # loads or compiles it now, not where the queue is full already
-        self._is_due = False  # something waits that may end a slice
+        plausible_events(np.empty(0, np.uint32))  # loads or compiles it now, not when the queue is already full
+        self._is_due = False  # data that may end a slice are waiting
         self._changed = Condition()
         self._running = True
         self.failure: DeviceError | None = None
@@ -74,7 +74,7 @@ class UsbReader(Thread):
         self.messages: deque[str] = deque(maxlen=100)
 
     def take(self) -> Block | None:
-        """Wait for the next block, as many reads as have come without a break; None after the last one."""
+        """Return the next block, with all reads that follow without a gap; None after the last one."""
         with self._changed:
             while not self._is_due and self._running and self.failure is None:
                 self._changed.wait()
@@ -97,12 +97,12 @@ class UsbReader(Thread):
 
     @property
     def waiting(self) -> bytes:
-        """What is in the queue."""
+        """Return the data in the queue."""
         with self._changed:
             return b"".join(block.data for block in self._blocks)
 
     def end(self) -> None:
-        """Stop reading and wait until the thread has ended."""
+        """Stop reading and wait for the thread to end."""
         with self._changed:
             self._running = False
             self._changed.notify_all()
@@ -110,7 +110,7 @@ class UsbReader(Thread):
             self.join()
 
     def run(self) -> None:
-        """Read until the end; whatever breaks this thread is for `read` to say."""
+        """Read until the end; any failure of this thread is raised later by `read`."""
         try:
             self._read_on()
         except Exception as error:
@@ -139,7 +139,7 @@ class UsbReader(Thread):
                 self.lost["usb_errors"] += 1
                 if not self._recovered(error, failures):
                     return
-                if error.errno != errno.EPIPE:  # what a halted endpoint holds is not lost
+                if error.errno != errno.EPIPE:  # data in a halted endpoint are not lost
                     self.lost["failed_transfers"] += 1
                     gap = True
                 continue
@@ -153,11 +153,11 @@ class UsbReader(Thread):
                 self._read_log()
 
     def _put(self, block: Block) -> bool:
-        """Add a block to the queue; whether what was due before still waits there."""
+        """Add a block to the queue; return whether data that were due before are still waiting."""
         with self._changed:
             was_due = self._is_due
             if not block.data and self._blocks and not self._blocks[-1].data:
-                before = self._blocks.pop()  # of two empty reads in a row the later one is enough
+                before = self._blocks.pop()  # of two empty reads in a row, only the later one is needed
                 self._waiting_bytes -= BLOCK_BYTES
                 block = block._replace(gap=block.gap or before.gap)
             self._blocks.append(block)
@@ -173,7 +173,10 @@ class UsbReader(Thread):
             return was_due
 
     def _recovered(self, error: Any, failures: int) -> bool:
-        """Clear a halted endpoint; after too many errors in a row, or without a device, give up."""
+        """Clear a halted endpoint and return True.
+
+        Give up after too many errors in a row, or if the device has gone.
+        """
         recovered = not gone(error) and failures <= ERRORS_IN_A_ROW
         if recovered:
             try:
@@ -185,10 +188,10 @@ class UsbReader(Thread):
         return recovered
 
     def _read_log(self) -> None:
-        """Fetch the camera's own messages, which it sends only when something is wrong."""
+        """Fetch the camera's own messages; it sends them only if something is wrong."""
         try:
             packet = bytes(self._device.read(protocol.DEBUG_ENDPOINT, 64, 1))
-        except usb.core.USBError:  # mostly a timeout, no message; other errors show on the data endpoint
+        except usb.core.USBError:  # usually a timeout: no message; other errors show on the data endpoint
             return
         if len(packet) > 6 and packet[0] == protocol.LOG_PACKET:
             text = packet[6:].split(b"\0")[0].decode("latin-1")

@@ -1,1 +1,1 @@
-"""The ROBOTIS RH-P12-RN(A) gripper on a Dynamixel bus: registers, transactions, driver."""
+"""The ROBOTIS RH-P12-RN(A) gripper on a Dynamixel bus: registers, transactions and driver."""

@@ -1,7 +1,7 @@
-"""Closing in current mode until the fingers touch something: a small current, and a position that no longer changes.
+"""Close in current mode until the fingers touch something: a small current, until the position no longer changes.
 
-One step a command, so that whoever commands a gripper keeps its own pace. In the simulated drive 10 mA is just more
-than the gear's friction: a tick takes 0.09 s; a driver by Evetac's authors closes at the same current.
+One step per command, so the caller keeps its own pace. In the simulated drive, 10 mA is just more than the gear's
+friction, and a tick takes 0.09 s. A driver by Evetac's authors closes at the same current.
 """
 
 from dataclasses import dataclass
@@ -12,12 +12,12 @@ from evetac_cli.errors import DeviceError
 
 @dataclass(frozen=True)
 class ClosingSettings:
-    """Current (mA) and limits of closing; cycles are commands, 500 a second."""
+    """Current (mA) and limits of closing; cycles are commands, 500 per second."""
 
     current_ma: int = 10
-    still_cycles: int = 150  # without a new position: contact
+    still_cycles: int = 150  # cycles without a new position that count as contact
     longest_cycles: int = 10_000
-    last_tick: int = 717  # here the gap is 0 (sim/gripper.py), and the fingers met each other
+    last_tick: int = 717  # the gap is 0 here (sim/gripper.py): the fingers touch each other
 
     def __post_init__(self) -> None:
         for name in ("current_ma", "still_cycles", "longest_cycles"):
@@ -25,7 +25,7 @@ class ClosingSettings:
 
 
 class Closing:
-    """Where closing stands: command `settings.current_ma`, and ask `step` of every reading."""
+    """The state of closing: command `settings.current_ma`, and pass every reading to `step`."""
 
     def __init__(self, settings: ClosingSettings = ClosingSettings()) -> None:  # frozen: may be shared
         self.settings = settings
@@ -34,7 +34,10 @@ class Closing:
         self.moved_ticks = 0  # 0 at contact: it touched from the start, or the current was too small to move it
 
     def step(self, position_ticks: int) -> bool:
-        """Whether there is contact; DeviceError if the fingers met, or still move after longest_cycles."""
+        """Return whether there is contact.
+
+        DeviceError if the fingers closed fully or still move after longest_cycles.
+        """
         settings = self.settings
         if self._furthest is None:
             self._furthest = position_ticks
@@ -46,8 +49,8 @@ class Closing:
             self._still = 0
         if position_ticks >= settings.last_tick:
             raise DeviceError(
-                "the gripper closed and met nothing",
-                expected=f"something to touch before {settings.last_tick} ticks",
+                "the gripper closed without contact",
+                expected=f"contact before {settings.last_tick} ticks",
                 found=f"{position_ticks} ticks",
                 hint="put an object between the fingers",
             )
@@ -55,9 +58,9 @@ class Closing:
             return True
         if self._cycles >= settings.longest_cycles:
             raise DeviceError(
-                "the gripper still closes",
+                "the gripper is still closing",
                 expected=f"contact within {settings.longest_cycles} commands",
-                found=f"{self.moved_ticks} ticks further, none touched",
-                hint="open it less before, or close with more current",
+                found=f"{self.moved_ticks} ticks of motion without contact",
+                hint="open it less beforehand, or close with more current",
             )
         return False

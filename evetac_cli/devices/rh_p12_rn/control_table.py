@@ -1,8 +1,8 @@
-"""Control table of the ROBOTIS RH-P12-RN(A) as data: where each register lies, what may be written, in which unit.
+"""Control table of the ROBOTIS RH-P12-RN(A) as data: address, writable values and unit of each register.
 
-Sources: ROBOTIS e-Manual (rh-p12-rna), the maker's model file rh_p12_rn.model, and a driver of Evetac's authors. Where
-these differ (Current Limit 1984 or 661, Max Voltage Limit 350 or 300, Shutdown 52 or 58), the defaults here are those
-of the virtual servo only: a driver reads what its device says.
+Sources: ROBOTIS e-Manual (rh-p12-rna), the maker's model file rh_p12_rn.model, and a driver of Evetac's authors. These
+differ in Current Limit (1984 or 661), Max Voltage Limit (350 or 300) and Shutdown (52 or 58). The defaults here are
+only those of the virtual servo: a driver reads the values from its device.
 """
 
 from dataclasses import dataclass
@@ -10,12 +10,12 @@ from dataclasses import dataclass
 from evetac_cli.errors import DeviceError
 
 MODEL_NUMBER = 35074  # RH-P12-RN(A)
-OLD_MODEL_NUMBER = 35073  # RH-P12-RN: the same look, another control table
-RAM_START = 512  # below lies the EEPROM, which is locked while torque is on
+OLD_MODEL_NUMBER = 35073  # RH-P12-RN: looks the same, has a different control table
+RAM_START = 512  # addresses below are EEPROM, which is locked while torque is on
 TABLE_SIZE = 762
-CURRENT_MODE, POSITION_MODE = 0, 5  # of Operating Mode; position mode is limited by Goal Current
+CURRENT_MODE, POSITION_MODE = 0, 5  # values of Operating Mode; in position mode Goal Current limits the current
 WATCHDOG_MS = 20  # unit of Bus Watchdog
-WATCHDOG_TRIPPED = -1  # what Bus Watchdog reads after it
+WATCHDOG_TRIPPED = -1  # the value of Bus Watchdog after it tripped
 RETURN_DELAY_US = 2  # unit of Return Delay Time
 RPM = 0.01  # unit of speeds
 INDIRECT_COUNT = 128
@@ -35,7 +35,8 @@ BAUD_RATES = {  # values of Baud Rate
     9: 10_500_000,
 }
 
-SDK_RATES = tuple(rate for rate in BAUD_RATES.values() if rate <= 4_000_000)  # that the maker's dynamixel-sdk can set
+# rates that the maker's dynamixel-sdk can set
+SDK_RATES = tuple(rate for rate in BAUD_RATES.values() if rate <= 4_000_000)
 LAST_ID = 252
 
 HARDWARE_ERRORS = ("input voltage", "hall sensor", "overheating", "encoder", "electrical shock", "overload")  # bits 0-5
@@ -43,7 +44,7 @@ HARDWARE_ERRORS = ("input voltage", "hall sensor", "overheating", "encoder", "el
 
 @dataclass(frozen=True)
 class Register:
-    """One entry: `size` bytes from `address`, little-endian; values within [low, high] or of `only` may be written."""
+    """One entry: `size` bytes at `address`, little-endian; values in [low, high] or in `only` may be written."""
 
     name: str
     address: int
@@ -58,24 +59,24 @@ class Register:
 
     @property
     def eeprom(self) -> bool:
-        """Whether the value outlasts the power, and is locked while torque is on."""
+        """Whether the value survives a power cycle, and is locked while torque is on."""
         return self.address < RAM_START
 
     def decode(self, data: bytes | bytearray) -> int:
-        """Value of the register's bytes; ValueError if there are more or fewer."""
+        """Return the value of the register's bytes; ValueError if their number is wrong."""
         if len(data) != self.size:
             raise ValueError(f"{self.name} has {self.size} bytes, found {len(data)}")
         return int.from_bytes(data, "little", signed=self.signed)
 
     def encode(self, value: int) -> bytes:
-        """Bytes of a value; ValueError if it does not fit, which is wider than what may be written."""
+        """Return the bytes of a value; ValueError if it does not fit. Writable values may have a smaller range."""
         try:
             return value.to_bytes(self.size, "little", signed=self.signed)
         except OverflowError:
             raise ValueError(f"{self.name} has {self.size} bytes, too few for {value}") from None
 
     def accepts(self, value: int) -> bool:
-        """Whether the value is one that may be written."""
+        """Return whether the value may be written."""
         return value in self.only if self.only else self.low <= value <= self.high
 
 
@@ -156,7 +157,7 @@ BY_ADDRESS = {register.address: register for register in TABLE}
 
 
 def baud_code(baud: int) -> int:
-    """Value of the register Baud Rate for a rate in bit/s; ValueError if the gripper has no such rate."""
+    """Return the value of the register Baud Rate for a rate in bit/s; ValueError if the gripper has no such rate."""
     for code, rate in BAUD_RATES.items():
         if rate == baud:
             return code
@@ -164,16 +165,18 @@ def baud_code(baud: int) -> int:
 
 
 def hardware_errors(status: int) -> list[str]:
-    """Names of the bits set in Hardware Error Status."""
-    named = [name for bit, name in enumerate(HARDWARE_ERRORS) if status >> bit & 1]
-    return named + [f"bit {bit}" for bit in range(len(HARDWARE_ERRORS), 8) if status >> bit & 1]
+    """Return the names of the bits set in Hardware Error Status."""
+    errors = [name for bit, name in enumerate(HARDWARE_ERRORS) if status >> bit & 1]
+    return errors + [f"bit {bit}" for bit in range(len(HARDWARE_ERRORS), 8) if status >> bit & 1]
 
 
 def check_model(model: int, where: str) -> None:
-    """DeviceError unless the model number is that of an RH-P12-RN(A)."""
+    """Raise DeviceError unless the model number is that of an RH-P12-RN(A)."""
     if model == MODEL_NUMBER:
         return
-    older = "the older RH-P12-RN, whose control table is another" if model == OLD_MODEL_NUMBER else "another device"
+    older = (
+        "the older RH-P12-RN, which has a different control table" if model == OLD_MODEL_NUMBER else "another device"
+    )
     raise DeviceError(
         "this driver is for the RH-P12-RN(A)",
         where=where,

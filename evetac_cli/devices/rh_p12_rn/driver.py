@@ -1,21 +1,22 @@
-"""Driver of the ROBOTIS RH-P12-RN(A) gripper: one answered transaction a cycle, and no current left behind.
+"""Driver of the ROBOTIS RH-P12-RN(A) gripper: one answered transaction per cycle, and no current left on afterwards.
 
-In current mode the goal is a motor current; in position mode (the maker's current-based position mode) a position,
-reached with P gain and a largest current. Closing is positive in both. Limits are read from the device; a command
-beyond them is clamped to them, and counted. One cycle is a read of current, speed and position, and a command that is
-not answered; every 100th command is, which proves that commands arrive. Beside others of each hundred it is asked
-whether torque is still on, and whether supply and temperature can be (measurements.py). A second command in a cycle, as
-where slip is answered between two steps of a loop, is only sent: it asks nothing that the next read would wait for.
+In current mode the goal is a motor current. In position mode (the maker's current-based position mode) it is a
+position, reached with P gain and a maximum current. Closing is positive in both. Limits are read from the device; a
+command beyond them is clamped to them and counted. One cycle is a read of current, speed and position, and a command
+without an answer. Every 100th command is answered, which proves that commands arrive. Two others of each hundred are
+followed by a check: one of torque, one of supply and temperature (measurements.py). A second command in a cycle, for
+example when slip is answered between two steps of a loop, is only sent: it requests no answer that would delay the next
+read.
 
-Why so: whatever ends the driver - close, an error, Ctrl-C, the end of the program, SIGTERM, a lost terminal - sets
-current 0 and torque off, and `release_words` say what was read back. What no program can handle (SIGKILL, a pulled
-plug) is left to the servo's Bus Watchdog: then a program silent for 100 ms loses the gripper, and gets an error that
-says so. Setting up leaves torque off and the first command switches it on, watchdog first (torque.py), so a program may
-take its time before that command, and nothing but the commands keeps the watchdog quiet: no thread, no timer.
+However the driver ends (close, an error, Ctrl-C, the end of the program, SIGTERM, a lost terminal), it sets current 0
+and torque off, and `release_words` report what was read back. Events that no program can handle (SIGKILL, a pulled
+plug) are left to the servo's Bus Watchdog, which stops the motor. After 100 ms of silence a program loses the gripper
+and gets an error that explains it. Setting up leaves torque off, and the first command switches it on, watchdog first
+(torque.py). So a program may take its time before that command. Only commands reset the watchdog: no thread, no timer.
 
-EEPROM is written only where it differs from what is needed (operating mode, return delay), with torque off, and named
-in `described`. Nothing is ever reset to factory values. Source: hardware notes on the control table; the set-up order
-and P gain 50 are those of a driver by Evetac's authors.
+EEPROM is written only if a needed value differs (operating mode, return delay), with torque off, and is listed in
+`described`. Nothing is ever reset to factory values. Sources: hardware notes on the control table; the set-up order and
+P gain 50 are from a driver by Evetac's authors.
 """
 
 import atexit
@@ -50,9 +51,10 @@ from evetac_cli.interrupts import end_in_order
 
 Mode = Literal["current", "position"]
 CHECK_EVERY = 100  # commands between two that are answered
-TORQUE_AT, SUPPLY_AT = 33, 66  # of these: each question beside a command of its own, lest one cycle take too long
+# positions of the checks within these, each after a different command, so that no cycle takes too long
+TORQUE_AT, SUPPLY_AT = 33, 66
 SET_UP_TRIES = 5
-OPENING_STEP_S = 0.005  # between two commands while it opens
+OPENING_STEP_S = 0.005  # between two commands while opening
 LONGEST_OPENING_S = 10.0
 _GOAL = {"current": "Goal Current", "position": "Goal Position"}
 _T = TypeVar("_T")
@@ -60,15 +62,15 @@ _T = TypeVar("_T")
 
 @dataclass(frozen=True)
 class RhP12RnSettings:
-    """How a gripper is set up; None for max_current_ma is the device's own limit."""
+    """Settings of a gripper; None for max_current_ma is the device's own limit."""
 
     id: int = 1
     p_gain: int = 50  # register Position P Gain (paper: K_p)
     max_current_ma: int | None = None
     first_tick: int = 0  # open
-    last_tick: int = 740  # closed, with the maker's fingers; wider ones meet before
+    last_tick: int = 740  # closed, with the maker's fingers; wider ones touch each other earlier
     watchdog_ms: int = 100
-    return_delay_us: int | None = 0  # None leaves the device's
+    return_delay_us: int | None = 0  # None keeps the device's value
     answer_ms: float = ANSWER_MS
 
     def __post_init__(self) -> None:
@@ -84,7 +86,7 @@ class RhP12RnSettings:
 
 
 class RhP12Rn(AbstractContextManager["RhP12Rn"]):
-    """A gripper, with torque on from the first command to `close`; also a context manager."""
+    """A gripper with torque on from the first command to `close`; also a context manager."""
 
     def __init__(
         self,
@@ -93,21 +95,21 @@ class RhP12Rn(AbstractContextManager["RhP12Rn"]):
         mode: Mode = "current",
         settings: RhP12RnSettings = RhP12RnSettings(),  # frozen: may be shared
     ) -> None:
-        """Open the port and set the gripper up, torque off.
+        """Open the port and set the gripper up, with torque off.
 
-        DeviceError or DeviceTimeout if it is not there, not this model, or has a hardware error.
+        DeviceError or DeviceTimeout if it is missing, of another model, or has a hardware error.
         """
         if mode not in _GOAL:
             raise ValueError(f"mode must be current or position, found {mode!r}")
         self._mode, self._settings = mode, settings
         self._closed = False
-        self._is_ours = False  # the model that this driver is for
-        self._clamped = self._commands = 0  # of the commands those that are the first in their cycle
-        self._in_cycle = 0  # commands since the last reading, up to the next that counts
+        self._is_ours = False  # whether it is the model that this driver is for
+        self._clamped = self._commands = 0  # commands: only the first in each cycle are counted
+        self._in_cycle = 0  # commands since the last reading, up to the next counted one
         self._alone = threading.RLock()  # at the end of a program another thread may be in the middle of a command
         self._process = os.getpid()  # a child process that inherits this object must not touch the gripper
         self._spoken_s = time.monotonic()
-        self._silent_ms = 0.0  # the longest silence since a command was answered
+        self._silent_ms = 0.0  # the longest silence since an answered command
         self._bus = Bus(port, baud, settings.id, answer_ms=settings.answer_ms)
         self._torque = Torque(self._bus, settings.watchdog_ms)
         self._measured = Measurements(self._bus, self._torque)
@@ -126,12 +128,15 @@ class RhP12Rn(AbstractContextManager["RhP12Rn"]):
 
     @property
     def release_words(self) -> str:
-        """What is known of torque; once it is closed, what was read back, or why it could not be and what happens."""
+        """The known state of torque.
+
+        After `close`, the state that was read back, or why that failed and what happens then.
+        """
         return self._torque.words
 
     @property
     def counted(self) -> Mapping[str, int]:
-        """Losses so far: answers_lost, answers_damaged, answers_stray, commands_clamped, readings_impossible."""
+        """Losses so far: answers_lost, answers_damaged, answers_stray, commands_clamped and readings_impossible."""
         return {
             **self._bus.counted,
             "commands_clamped": self._clamped,
@@ -139,7 +144,10 @@ class RhP12Rn(AbstractContextManager["RhP12Rn"]):
         }
 
     def read(self) -> GripperReading:
-        """Present current (mA) and position (ticks), in one transaction; DeviceError where they cannot be."""
+        """Return present current (mA) and position (ticks), read in one transaction.
+
+        DeviceError if they are impossible.
+        """
         self._in_cycle = 0
         return self._attempt(self._measured.read)
 
@@ -152,7 +160,10 @@ class RhP12Rn(AbstractContextManager["RhP12Rn"]):
         self._command("position", goal_ticks, *self._range_ticks)
 
     def close(self) -> None:
-        """Current 0, torque off, port closed; a second call does nothing. DeviceError unless off was read back."""
+        """Set current 0 and torque off, and close the port; a second call does nothing.
+
+        DeviceError unless torque was read back as off.
+        """
         if os.getpid() != self._process:
             return
         with self._alone:
@@ -166,10 +177,11 @@ class RhP12Rn(AbstractContextManager["RhP12Rn"]):
             raise DeviceError(self.release_words, where=self._where, hint="switch 24 V off if the fingers still press")
 
     def emergency_open(self, current_ma: int = 100, seconds: float = 0.5) -> None:
-        """Open with at most this current for so long, then torque off and close: what an emergency key does.
+        """Open with at most this current for this time, then switch torque off and close.
 
-        Commands of other threads wait, and then find it closed. DeviceError as of a command and of `close`; ValueError
-        for no current, or a time that is not above 0 and at most 10 s.
+        This is the action of an emergency key. Commands of other threads wait, and then find the driver closed.
+        DeviceError for the same reasons as a command and `close`; ValueError for a current below 1 mA, or a time that
+        is not above 0 and at most 10 s.
         """
         if operator.index(current_ma) < 1 or not 0 < seconds <= LONGEST_OPENING_S:
             raise ValueError(f"expected 1 mA or more and 0 to {LONGEST_OPENING_S:g} s, found {current_ma}, {seconds}")
@@ -202,7 +214,7 @@ class RhP12Rn(AbstractContextManager["RhP12Rn"]):
     # Setting up
 
     def _set_up_soundly(self) -> dict[str, Any]:
-        """Set up until no answer was lost on the way: one that came late may have been taken for another's."""
+        """Repeat the set-up until no answer is lost: a late answer may have been taken for that to another question."""
         written: dict[str, list[int]] = {}
         for _ in range(SET_UP_TRIES):
             before = sum(self._bus.counted.values())
@@ -211,19 +223,19 @@ class RhP12Rn(AbstractContextManager["RhP12Rn"]):
                 return described
             time.sleep(SETTLE_S)
         raise DeviceError(
-            "answers are lost all the time",
+            "answers keep getting lost",
             where=self._where,
-            expected=f"a set-up without loss in {SET_UP_TRIES} tries",
+            expected=f"a set-up without lost answers within {SET_UP_TRIES} tries",
             found=", ".join(f"{name} {count}" for name, count in self._bus.counted.items()),
             hint="check cable, power and ground",
         )
 
     def _set_up(self, written: dict[str, list[int]]) -> dict[str, Any]:
         bus, settings = self._bus, self._settings
-        bus.tolerant = True  # a hardware error is the answer to what follows; first, which model it is
+        bus.tolerant = True  # a hardware error is handled below; first check the model
         check_model(bus.ping(), self._where)
         bus.tolerant, self._is_ours = False, True
-        bus.send("Status Return Level", 2)  # else it may not answer what follows
+        bus.send("Status Return Level", 2)  # otherwise it may not answer the next instructions
         self._torque.clear()
         needed = {"Operating Mode": CURRENT_MODE if self._mode == "current" else POSITION_MODE}
         if settings.return_delay_us is not None:
@@ -239,7 +251,7 @@ class RhP12Rn(AbstractContextManager["RhP12Rn"]):
         self._range_ticks = max(lowest, settings.first_tick), min(highest, settings.last_tick)
         if self._range_ticks[0] >= self._range_ticks[1]:
             raise DeviceError(
-                "the gripper's own position limits leave no room",
+                "the gripper's position limits leave no range of motion",
                 where=self._where,
                 expected=f"limits that overlap {settings.first_tick} to {settings.last_tick} ticks",
                 found=f"{lowest} to {highest}",
@@ -262,18 +274,21 @@ class RhP12Rn(AbstractContextManager["RhP12Rn"]):
 
     def _command(self, mode: Mode, value: int, low: int, high: int) -> None:
         if mode != self._mode:
-            raise DeviceError(f"a {mode} for a gripper opened in {self._mode} mode", where=self._where)
+            raise DeviceError(f"a {mode} command to a gripper opened in {self._mode} mode", where=self._where)
         goal = min(max(operator.index(value), low), high)
         self._clamped += goal != value
         self._in_cycle += 1
-        between = self._in_cycle == 2  # of more without a reading the others count: who never reads is checked too
+        # without a reading, the third and later commands count, so that a program that never reads is checked too
+        between = self._in_cycle == 2
         self._attempt(lambda: self._command_once(goal, between=between))
         self._commands += not between
 
     def _command_once(self, goal: int, *, between: bool) -> None:
-        """A command; with an answer every so often, and after a silence that may have tripped the watchdog.
+        """Send one command.
 
-        between: the second one in a cycle.
+        It is answered every CHECK_EVERY commands, and after a silence that may have tripped the watchdog.
+
+        between: whether it is the second command in a cycle.
         """
         name = _GOAL[self._mode]
         spoke = self._silent_ms < 0.5 * self._settings.watchdog_ms
@@ -290,9 +305,9 @@ class RhP12Rn(AbstractContextManager["RhP12Rn"]):
             self._measured.require_supply()
 
     def _put(self, goals: Mapping[str, int]) -> None:
-        """Goals that are answered, with torque on; in position mode the current follows the position it is for."""
+        """Write goals with an answer, with torque on; in position mode the current limit follows the position."""
         if not self._torque.is_on:
-            if self._mode == "position":  # now, not when it was set up: it may have restarted since
+            if self._mode == "position":  # now, not during set-up: it may have restarted since
                 self._bus.write("Position P Gain", self._settings.p_gain)
             self._torque.switch_on(self._here_ticks() if self._mode == "position" else None)
         try:
@@ -304,19 +319,19 @@ class RhP12Rn(AbstractContextManager["RhP12Rn"]):
                     "the gripper's bus watchdog has tripped and stopped it",
                     where=self._where,
                     expected=f"a command at least every {self._settings.watchdog_ms} ms",
-                    found=f"{self._silent_ms:.0f} ms of silence at most, as seen from here",
+                    found=f"longest silence {self._silent_ms:.0f} ms, by this program's clock",
                     hint="is the computer overloaded?",
                 ) from refused
             raise
         self._silent_ms = 0.0
 
     def _here_ticks(self) -> int:
-        """Where the fingers are, within the gripper's own limits."""
+        """Return the present position of the fingers, within the gripper's own limits."""
         lowest, highest = self._measured.limits_ticks
         return min(max(self._measured.read().position_ticks, lowest), highest)
 
     def _attempt(self, action: Callable[[], _T]) -> _T:
-        """Run a transaction; on any failure torque goes off, and the error says what was read back."""
+        """Run a transaction; on any failure switch torque off and add the read-back state to the error."""
         with self._alone:
             if self._closed:
                 raise DeviceError("the gripper is closed", where=self._where)
@@ -329,7 +344,7 @@ class RhP12Rn(AbstractContextManager["RhP12Rn"]):
             return result
 
     def _given_up(self, error: DeviceError) -> DeviceError:
-        """The error that ends the driver, with what became of torque; to another model nothing is written."""
+        """End the driver, and return the error with the state of torque added; nothing is written to another model."""
         if self._is_ours:
             self._torque.switch_off()
         self._end()
@@ -345,9 +360,10 @@ class RhP12Rn(AbstractContextManager["RhP12Rn"]):
 
 
 def change_baud(port: str, baud: int, new_baud: int, *, id_: int = 1, answer_ms: float = ANSWER_MS) -> None:
-    """Set the gripper's rate in its EEPROM, torque off, and find it again; nothing is written if it has that rate.
+    """Set the gripper's baud rate in its EEPROM with torque off, and find it again; an equal rate is not written.
 
-    What it holds may fall. DeviceError if it does not answer at the new rate; ValueError if there is no such rate.
+    A held object may fall. DeviceError if the gripper does not answer at the new rate; ValueError if there is no such
+    rate.
     """
     code = baud_code(new_baud)
     with Bus(port, baud, id_, answer_ms=answer_ms) as bus:
@@ -360,19 +376,18 @@ def change_baud(port: str, baud: int, new_baud: int, *, id_: int = 1, answer_ms:
             except InstructionRefused:
                 raise
             except DeviceError:
-                pass  # the answer may already have come at the new rate: the ping below decides
+                pass  # the answer may already have arrived at the new rate: the ping below decides
     with Bus(port, new_baud, id_, answer_ms=answer_ms) as bus:
         bus.tolerant = True
         bus.ping()
 
 
-# Grippers that are let go of when the program ends: Python ends on the spot at SIGTERM and SIGHUP, unless a
-# handler is set.
+# Grippers that are released when the program ends. At SIGTERM and SIGHUP Python ends at once, unless a handler is set.
 _OPEN: list[RhP12Rn] = []
 
 
 def _close_at_exit(gripper: RhP12Rn) -> None:
-    """Close it when the program ends; signals that would end it on the spot end it in order from now on."""
+    """Close the gripper when the program ends; signals that would end it at once now end it in order."""
     if not _OPEN:
         atexit.unregister(_close_all)
         atexit.register(_close_all)
@@ -381,7 +396,7 @@ def _close_at_exit(gripper: RhP12Rn) -> None:
 
 
 def _close_all() -> None:
-    """Close what the program left open, and say what was read back, as far as somebody still listens."""
+    """Close grippers that the program left open, and print what was read back, if output is still possible."""
     for gripper in _OPEN.copy():
         with contextlib.suppress(EvetacError):
             gripper.close()

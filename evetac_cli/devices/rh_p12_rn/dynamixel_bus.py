@@ -1,11 +1,12 @@
 """One Dynamixel device on a serial port, through the maker's dynamixel-sdk: registers by name, losses counted.
 
-The only module that imports dynamixel_sdk. A lost or damaged answer is asked for once more and counted; then it is an
-error. A bus belongs to one thread.
+This is the only module that imports dynamixel_sdk. A lost or damaged answer is counted and requested once more; a
+second loss is an error. A bus belongs to one thread.
 
-Why so: the SDK's port is given other habits. It sleeps for an answer where the SDK's would burn a core; it gives up
-after `answer_ms` where the SDK's takes 34 ms; it is locked, so that two programs cannot talk at once; it leaves the
-servo a pause after what is not answered. And whatever breaks off a transaction, the port is free for the next.
+Reason: the behaviour of the SDK's port is changed. It sleeps while it waits for an answer, where the SDK's port would
+occupy a core. It gives up after `answer_ms`, where the SDK's takes 34 ms. It is locked, so that two programs cannot
+talk at once. It leaves the servo a pause after an instruction without an answer. If a transaction is aborted,
+the port is free for the next one.
 """
 
 import select
@@ -31,12 +32,12 @@ from dynamixel_sdk import (
 from evetac_cli.devices.rh_p12_rn.control_table import REGISTERS, SDK_RATES, hardware_errors
 from evetac_cli.errors import DeviceError, DeviceTimeout
 
-ANSWER_MS = 20.0  # beyond the time on the wire; a serial adapter at its usual latency timer answers after 16 ms
-WRITE_S = 1.0  # a port that takes no bytes for so long is broken
-WARY_S = 2.0  # after a lost answer
-FOLLOWS_S = 1e-3  # an answer follows its question within this, and the time on the wire
-LONGEST_ANSWER = 40  # bytes, with its question
-PAUSE_S = 100e-6  # servos miss what follows too closely on an instruction without answer
+ANSWER_MS = 20.0  # on top of the time on the wire; a serial adapter at its default latency timer answers after 16 ms
+WRITE_S = 1.0  # a port that accepts no bytes for this long is broken
+WARY_S = 2.0  # how long stray answers are watched for after a lost answer
+FOLLOWS_S = 1e-3  # an answer follows its question within this, plus the time on the wire
+LONGEST_ANSWER = 40  # bytes, including its question
+PAUSE_S = 100e-6  # servos miss an instruction that follows too closely on one without an answer
 _FAULTS = {
     1: "could not carry it out",
     2: "does not know the instruction",
@@ -44,21 +45,21 @@ _FAULTS = {
     4: "refuses the value as out of range",
     5: "refuses the length of the data",
     6: "refuses the value as beyond a limit",
-    7: "does not give access to the register now",
+    7: "does not allow access to the register now",
 }
 CRC_FAULT, RANGE_FAULT = 3, 4
-_BROKEN = (OSError, termios.error)  # what a port that has gone raises; serial.SerialException is an OSError
+_BROKEN = (OSError, termios.error)  # raised by a port that has gone; serial.SerialException is an OSError
 _SYSFS = Path("/sys/bus/usb-serial/devices")
 
 
 class InstructionRefused(DeviceError):
-    """The servo answered that it did not do what it was asked; `fault` is its error number."""
+    """The servo answered that it did not carry out the instruction; `fault` is its error number."""
 
     fault = 0
 
 
 class HardwareAlert(DeviceError):
-    """The servo has a hardware error, such as an overload; its registers say which."""
+    """The servo has a hardware error, for example an overload; its registers identify it."""
 
 
 class PortGone(DeviceError):
@@ -66,7 +67,7 @@ class PortGone(DeviceError):
 
 
 class _Port(PortHandler):  # type: ignore[misc]
-    """The SDK's port with other habits; the methods' names are the SDK's."""
+    """The SDK's port with changed behaviour; the methods' names are the SDK's."""
 
     is_open: bool
     packet_timeout: float
@@ -77,8 +78,8 @@ class _Port(PortHandler):  # type: ignore[misc]
         self._pause_until_s = 0.0
         self._heard_s = 0.0
         self._wary_until_s = 0.0
-        self.least_ms = 0.0  # in which answers may come, where the SDK asks for less
-        self.strays = 0  # answers that came when nobody waited for them
+        self.least_ms = 0.0  # minimum time for answers, if the SDK allows less
+        self.strays = 0  # answers that arrived when none was expected
 
     def setupPort(self, cflag_baud: int) -> bool:
         if self.is_open:
@@ -99,9 +100,9 @@ class _Port(PortHandler):  # type: ignore[misc]
         super().setPacketTimeoutMillis(max(msec, self.least_ms))
 
     def be_wary(self) -> None:
-        """An answer was lost and may still come: for a while, see whether another follows the one that was taken.
+        """Watch for a while whether another answer follows the accepted one, because a lost answer may still arrive.
 
-        Else the next question would get the answer to this one, and so on for as long as questions follow closely.
+        Otherwise the next question would get the answer to this one, and so on as long as questions follow closely.
         """
         self._wary_until_s = time.monotonic() + WARY_S
 
@@ -131,18 +132,19 @@ class _Port(PortHandler):  # type: ignore[misc]
         return data
 
     def pause_after(self, size: int) -> None:
-        """Send nothing until so many bytes are on the wire and the servo had time to take them."""
+        """Send nothing until this many bytes are on the wire and the servo has had time to process them."""
         self._pause_until_s = time.monotonic() + size * self.tx_time_per_byte * 1e-3 + PAUSE_S
 
 
 class Bus(AbstractContextManager["Bus"]):
-    """A device with an id on a port at a rate; registers by the names of the control table."""
+    """A device with an id, on a port, at a rate; registers by the names of the control table."""
 
     def __init__(self, port: str, baud: int, id_: int = 1, *, answer_ms: float = ANSWER_MS) -> None:
-        """Open the port; DeviceError if it is not there, not permitted, in use, or cannot be set to the rate."""
+        """Open the port; DeviceError if it is missing, not permitted, in use, or cannot be set to the rate."""
         self.port, self.baud, self.id = port, baud, id_
-        self.tolerant = False  # go on in spite of a hardware error of the device
-        self.settle_s = 0.0  # wait so long after a lost answer, lest it be taken for that to the next question
+        self.tolerant = False  # continue despite a hardware error of the device
+        # how long to wait after a lost answer, so that it is not taken for the answer to the next question
+        self.settle_s = 0.0
         self._counted = {"answers_lost": 0, "answers_damaged": 0}
         self._packets = Protocol2PacketHandler()
         self._port = _Port(port, answer_ms)
@@ -157,22 +159,22 @@ class Bus(AbstractContextManager["Bus"]):
 
     @property
     def counted(self) -> Mapping[str, int]:
-        """Losses so far: answers_lost, answers_damaged, answers_stray (came too late, and were not used)."""
+        """Losses so far: answers_lost, answers_damaged, and answers_stray, which arrived too late and were not used."""
         return {**self._counted, "answers_stray": self._port.strays}
 
     def ping(self) -> int:
-        """Ask whether the device answers; returns its model number."""
+        """Check that the device answers, and return its model number."""
         return int.from_bytes(self._transact(INST_PING, b"", 3, "ping")[:2], "little")
 
     def read(self, name: str) -> int:
-        """Value of a register, by its name in the control table."""
+        """Return the value of a register, by its name in the control table."""
         register = REGISTERS[name]
         return register.decode(self.read_bytes(register.address, register.size))
 
     def read_bytes(self, address: int, size: int) -> bytes:
-        """Bytes of consecutive registers in one transaction."""
-        asked = address.to_bytes(2, "little") + size.to_bytes(2, "little")
-        return self._transact(INST_READ, asked, size, f"read {size} bytes at {address}")
+        """Return the bytes of consecutive registers, read in one transaction."""
+        request = address.to_bytes(2, "little") + size.to_bytes(2, "little")
+        return self._transact(INST_READ, request, size, f"read {size} bytes at {address}")
 
     def write(self, name: str, value: int) -> None:
         """Set a register and wait for the answer; DeviceError if it is refused or lost."""
@@ -181,7 +183,7 @@ class Bus(AbstractContextManager["Bus"]):
         self._transact(INST_WRITE, data, 0, f"write {value} to {name}")
 
     def send(self, name: str, value: int) -> None:
-        """Set a register without an answer, by a sync write to this device alone: half the traffic."""
+        """Set a register without an answer, by a sync write to this device only: half the traffic."""
         register = REGISTERS[name]
         row = [self.id, *register.encode(value)]
         try:
@@ -192,14 +194,17 @@ class Bus(AbstractContextManager["Bus"]):
             self._port.is_using = False
         self._port.pause_after(len(row) + 14)
         if result != COMM_SUCCESS:
-            raise DeviceError(f"the port did not take the write of {value} to {name}", where=self._where)
+            raise DeviceError(f"the port did not accept the write of {value} to {name}", where=self._where)
 
     def reboot(self) -> None:
         """Restart the device: torque off, hardware error cleared."""
         self._transact(INST_REBOOT, b"", 0, "reboot")
 
     def devices(self, least_ms: float = 0.0) -> dict[int, tuple[int, int]]:
-        """Model number and firmware of every device on the bus by id, by a broadcast ping (0.8 s, or least_ms)."""
+        """Return model number and firmware of every device on the bus, by id.
+
+        Uses a broadcast ping (0.8 s, or least_ms).
+        """
         self._port.least_ms = least_ms
         try:
             answers, _ = self._packets.broadcastPing(self._port)
@@ -226,7 +231,7 @@ class Bus(AbstractContextManager["Bus"]):
         return f"gripper {self.id} at {self.port}, {self.baud} baud"
 
     def _transact(self, instruction: int, parameters: bytes, size: int, what: str) -> bytes:
-        """Data of the answer to an instruction, of `size` bytes; asked for twice at most."""
+        """Return the data, `size` bytes, of the answer to an instruction; at most two attempts."""
         lost = "answers_lost"
         for _ in range(2):
             packet, result, error = self._once(instruction, parameters)
@@ -246,7 +251,7 @@ class Bus(AbstractContextManager["Bus"]):
             f"no answer to: {what}",
             where=self._where,
             expected="an answer at the first or second try",
-            hint=f"is the 24 V supply on? evetac doctor --gripper {self.port} says which id and rate answer",
+            hint=f"is the 24 V supply on? evetac doctor --gripper {self.port} reports which id and rate answer",
         )
 
     def _once(self, instruction: int, parameters: bytes) -> tuple[list[int], int, int]:
@@ -264,18 +269,18 @@ class Bus(AbstractContextManager["Bus"]):
         fault = error & 0x7F
         if fault:
             refused = InstructionRefused(
-                f"the gripper {_FAULTS.get(fault, f'gives error {fault}')}: {what}", where=self._where
+                f"the gripper {_FAULTS.get(fault, f'reports error {fault}')}: {what}", where=self._where
             )
             refused.fault = fault
             raise refused
         if error & 0x80 and not self.tolerant:
             self.tolerant = True
             try:
-                named = hardware_errors(self.read("Hardware Error Status"))
+                errors = hardware_errors(self.read("Hardware Error Status"))
             finally:
                 self.tolerant = False
             raise HardwareAlert(
-                f"hardware error: {', '.join(named) or 'unnamed'}",
+                f"hardware error: {', '.join(errors) or 'unnamed'}",
                 where=self._where,
                 hint="remove the cause; switching 24 V off and on clears it",
             )
@@ -290,7 +295,7 @@ class Bus(AbstractContextManager["Bus"]):
 
 
 def _not_opened(where: str, error: BaseException) -> DeviceError:
-    """The DeviceError for a port that cannot be opened: missing, not permitted, in use."""
+    """Return the DeviceError for a port that cannot be opened: missing, not permitted, or in use."""
     number = getattr(error, "errno", None)
     if number == 2 or "No such file" in str(error):
         return DeviceError("there is no such port", where=where, hint="evetac doctor lists the serial ports")
@@ -303,7 +308,7 @@ def _not_opened(where: str, error: BaseException) -> DeviceError:
 
 
 class BusDevice(NamedTuple):
-    """A device that answered a ping: at which rate, its id and its model number."""
+    """A device that answered a ping: its rate, id and model number."""
 
     baud: int
     id: int
@@ -313,11 +318,14 @@ class BusDevice(NamedTuple):
 def scan(
     port: str, bauds: Iterable[int] = SDK_RATES, ids: Iterable[int] = (1,), *, answer_ms: float = ANSWER_MS
 ) -> list[BusDevice]:
-    """Ping every id at every rate, and list who answers; reads only. DeviceError if the port cannot be opened."""
-    asked = list(ids)
+    """Ping every id at every rate, and return the devices that answer; reads only.
+
+    DeviceError if the port cannot be opened.
+    """
+    all_ids = list(ids)
     devices = []
     for baud in bauds:
-        for id_ in asked:
+        for id_ in all_ids:
             with Bus(port, baud, id_, answer_ms=answer_ms) as bus:
                 try:
                     bus.tolerant = True
@@ -330,7 +338,10 @@ def scan(
 
 
 def latency_timer_ms(port: str, sysfs: Path = _SYSFS) -> int | None:
-    """How long the USB adapter of a port holds back an answer (16 by default, 1 is needed); None if it has no timer."""
+    """Return how long the USB adapter of a port holds back an answer, in ms; None if it has no such timer.
+
+    The default is 16 ms; evetac needs 1 ms.
+    """
     file = sysfs / Path(port).resolve().name / "latency_timer"
     try:
         return int(file.read_text())

@@ -1,17 +1,17 @@
-"""What a gripper measures of itself, read in one transaction; what cannot be is refused, and a restart is noticed.
+"""Read a gripper's measurements in one transaction, reject impossible values, and detect a restart of the servo.
 
-Why so: a checksum says that an answer came as it was sent, not that it makes sense. A servo whose encoder, memory or
-supply is broken sends numbers that no finger can have, and a law would follow them. And a servo whose 24 V dip is back
-after some ms: without torque, without its watchdog, with no hardware error, and it takes every command. So Realtime
-Tick (ms since it was switched on) is read with every TICK_EVERY-th reading, whose block then begins 6 bytes earlier:
-0.6 bytes more a reading, where Torque Enable, 62 bytes before the others, would be as much again as all of it. A tick
-that is earlier than it was is asked about: only Torque Enable 0 is a restart, or another program's doing.
+Reason: a checksum shows that an answer arrived as sent, not that it makes sense. A servo with a broken encoder, memory
+or supply sends values that no finger can have, and the control law would follow them. After a dip of its 24 V supply, a
+servo is back within some ms: without torque, without its watchdog, without a hardware error, and it accepts every
+command. To detect this, every TICK_EVERY-th reading includes Realtime Tick (ms since power-on). That block begins 6
+bytes earlier, which costs 0.6 bytes per reading. Torque Enable is 62 bytes away and would double the reading. If the
+tick has gone back, Torque Enable is read: only 0 means a restart, or another program's action.
 
-Why these bounds: a servo's limits are those of its goals. Fingers are driven against their stop in current mode, and
-bend under load, so a position some ticks beyond is normal: BEYOND_TICKS are a tenth of the fingers' way. A finger goes
-2 ticks a ms at the servo's fastest (29.7 rpm), so a position that is three times that away was not reached. The motor's
-peak is 3.33 A (e-Manual). Beyond the limits of supply and temperature a servo raises a hardware error, which ends all
-by itself; a reading that is well beyond them without one is no measurement.
+Reason for the bounds: a servo's limits apply to its goals. In current mode fingers are driven against their stop and
+bend under load, so positions some ticks beyond the limits are normal: BEYOND_TICKS is a tenth of the fingers' range. A
+finger moves 2 ticks per ms at the servo's top speed (29.7 rpm), so a position three times that far away was not
+reached. The motor's peak current is 3.33 A (e-Manual). Beyond the limits of supply and temperature a servo raises a
+hardware error, which ends the run anyway; a reading well beyond them without that error is not a measurement.
 """
 
 import time
@@ -24,14 +24,14 @@ from evetac_cli.devices.rh_p12_rn.dynamixel_bus import Bus
 from evetac_cli.devices.rh_p12_rn.torque import Torque
 from evetac_cli.errors import DeviceError
 
-TICK_EVERY = 10  # readings: 20 ms at 500 a second
+TICK_EVERY = 10  # readings: 20 ms at 500 per second
 TICK_WRAPS_MS = 32768
-TICK_SLACK_MS = 1000.0  # a servo's clock that is ahead of ours by less did not restart
+TICK_SLACK_MS = 1000.0  # a servo's clock that is ahead of the host's by less than this did not restart
 BEYOND_TICKS = 64
 FASTEST_TICKS_MS = 6.0
 MOST_MA = 4000
-SUPPLY_SHARES = 0.8, 1.2  # of the lower and of the upper limit
-HOT_C = 20  # beyond the limit
+SUPPLY_SHARES = 0.8, 1.2  # factors on the lower and the upper limit
+HOT_C = 20  # degrees beyond the limit
 _T = TypeVar("_T")
 _TICK, _CURRENT, _POSITION = (REGISTERS[name] for name in ("Realtime Tick", "Present Current", "Present Position"))
 _END = _POSITION.address + _POSITION.size
@@ -40,20 +40,20 @@ _SUPPLY_SIZE = REGISTERS["Present Temperature"].address + REGISTERS["Present Tem
 
 
 class Impossible(DeviceError):
-    """A reading that no servo can have."""
+    """A reading that is impossible for a servo."""
 
 
 class Measurements:
-    """The readings of one gripper on an open bus; `impossible` counts those that were asked for again."""
+    """The readings of one gripper on an open bus; `impossible` counts readings that were rejected and repeated."""
 
     def __init__(self, bus: Bus, torque: Torque) -> None:
         self._bus, self._torque = bus, torque
         self._readings = self.impossible = 0
-        self._last: tuple[int, float] | None = None  # position, and when asking for it began
-        self._tick: tuple[int, float] | None = None  # the servo's clock, and when asking for it began
+        self._last: tuple[int, float] | None = None  # position, and when its request began
+        self._tick: tuple[int, float] | None = None  # the servo's clock, and when its request began
 
     def set_up(self) -> None:
-        """Read the limits by which readings are judged."""
+        """Read the limits that readings are checked against."""
         read = self._bus.read
         self.limits_ticks = read("Min Position Limit"), read("Max Position Limit")
         self._volts = tuple(
@@ -63,20 +63,20 @@ class Measurements:
         self._most_c = read("Temperature Limit") + HOT_C
 
     def read(self) -> GripperReading:
-        """Present current (mA) and position (ticks); DeviceError if they cannot be, or torque is gone."""
+        """Return present current (mA) and position (ticks); DeviceError if they are impossible or torque was lost."""
         return self._twice(self._read)
 
     def require_supply(self) -> None:
-        """DeviceError if the supply's voltage or the temperature cannot be."""
+        """Raise DeviceError if the supply voltage or the temperature is impossible."""
         self._twice(self._check_supply)
 
     def require_torque(self, restart: str = "") -> None:
-        """DeviceError if torque was switched on here, and is off; restart: what makes one think of a restart."""
+        """Raise DeviceError if this program switched torque on and it is off; restart: the evidence for a restart."""
         if self._torque.is_on and self._bus.read("Torque Enable") == 0:
-            restarted = "restarted, and " if restart else ""
+            restarted = "restarted and " if restart else ""
             dip = "did its 24 V dip, so that it restarted, or did another program switch torque off?"
             raise DeviceError(
-                f"the gripper {restarted}has no torque any more: what it held may have fallen",
+                f"the gripper {restarted}lost torque: the held object may have fallen",
                 where=self._where,
                 expected="Torque Enable 1, as this program wrote it",
                 found=f"0{restart}",
@@ -88,7 +88,7 @@ class Measurements:
         return f"gripper {self._bus.id} at {self._bus.port}"
 
     def _twice(self, ask: Callable[[], _T]) -> _T:
-        """What is asked; of a reading that cannot be a second one decides, as of an answer that is lost."""
+        """Return the result of `ask`; after an impossible reading a second one decides, as after a lost answer."""
         try:
             return ask()
         except Impossible:
@@ -109,7 +109,7 @@ class Measurements:
         return GripperReading(float(current_ma), position_ticks)
 
     def _look_at_the_clock(self, tick_ms: int, begun_s: float) -> None:
-        """Ask for torque where the servo's clock shows less than it did, but for its wrap."""
+        """Check torque if the servo's clock has gone back, other than by its wrap."""
         before, self._tick = self._tick, (tick_ms, begun_s)
         if before is None:
             return
@@ -119,7 +119,7 @@ class Measurements:
 
     def _check(self, current_ma: int, position_ticks: int, begun_s: float) -> None:
         if abs(current_ma) > MOST_MA:
-            raise self._impossible("current", f"{MOST_MA:,} mA at most, either way", f"{current_ma:,} mA")
+            raise self._impossible("current", f"at most {MOST_MA:,} mA in either direction", f"{current_ma:,} mA")
         (lowest, highest), shown = self.limits_ticks, f"{position_ticks:,} ticks"
         if not lowest - BEYOND_TICKS <= position_ticks <= highest + BEYOND_TICKS:
             about = (
@@ -132,7 +132,7 @@ class Measurements:
         passed_ms = (time.monotonic() - asked_s) * 1e3
         reach = BEYOND_TICKS + FASTEST_TICKS_MS * passed_ms
         if abs(position_ticks - before) > reach:
-            about = f"{reach:,.0f} ticks at most from {before:,}, where it was {passed_ms:.0f} ms before"
+            about = f"at most {reach:,.0f} ticks from {before:,}, its position {passed_ms:.0f} ms earlier"
             raise self._impossible("position", about, shown)
 
     def _check_supply(self) -> None:
@@ -142,7 +142,7 @@ class Measurements:
         if not low <= volts <= high:
             raise self._impossible("supply", f"{low:g} to {high:g} V", f"{volts:g} V")
         if temperature_c > self._most_c:
-            raise self._impossible("temperature", f"{self._most_c} C at most", f"{temperature_c} C")
+            raise self._impossible("temperature", f"at most {self._most_c} C", f"{temperature_c} C")
 
     def _impossible(self, what: str, expected: str, shown: str) -> Impossible:
         return Impossible(

@@ -1,12 +1,13 @@
-"""Torque of the gripper: on only under its Bus Watchdog and from goals that move nothing; off as it was read back.
+"""Torque of the gripper: on only with its Bus Watchdog armed and goals that move nothing; off only if read back as off.
 
-The servo's Bus Watchdog counts from the last instruction, any instruction, while torque is on (e-Manual, register 546).
-When it trips, the motor stops and goals are refused, but Torque Enable stays 1 until somebody writes 0.
+The servo's Bus Watchdog counts from the last instruction of any kind, while torque is on (e-Manual, register 546). When
+it trips, the motor stops and goals are refused, but Torque Enable stays 1 until a program writes 0.
 
-Why so: whoever is killed between two of these steps must leave no torque without a watchdog, so the watchdog is armed
-first and read back, and switched off last. It is cleared only without torque: cleared under torque, a motor that it
-had stopped could grip again. Goal Current is 0 before torque, which in position mode is a limit of 0 mA (register 550),
-and Goal Position is where the fingers are, so that nothing moves even if a firmware takes that limit otherwise.
+Reason: a program that is killed between two of these steps must not leave torque without a watchdog. So the watchdog is
+armed first and read back, and switched off last. It is cleared only without torque, because under torque a motor that
+it had stopped could grip again. Goal Current is 0 before torque is switched on; in position mode this is a limit of 0
+mA (register 550). Goal Position is the present position, so nothing moves even if a firmware interprets that limit
+differently.
 """
 
 import contextlib
@@ -17,42 +18,42 @@ from evetac_cli.devices.rh_p12_rn.dynamixel_bus import ANSWER_MS, Bus, PortGone
 from evetac_cli.errors import DeviceError
 
 RELEASE_TRIES = 5
-SETTLE_S = 0.1  # where there is time to wait for an answer that is late
+SETTLE_S = 0.1  # used if there is time to wait for a late answer
 IS_OFF = "torque is off (read back)"
 State = Literal["not known", "off", "on"]
 
 
 class Torque:
-    """Torque of one gripper on an open bus; `words` say at any time what is known of it."""
+    """Torque of one gripper on an open bus; `words` describe its known state at any time."""
 
     def __init__(self, bus: Bus, watchdog_ms: int, state: State = "not known") -> None:
-        """state: "not known" where another program may have left it on, "on" where it is known to have run so."""
+        """state: "not known" if another program may have left it on, "on" if it is known to have been on."""
         self._bus, self._watchdog_ms, self._state = bus, watchdog_ms, state
-        self.words = "torque was not read yet"
+        self.words = "torque has not been read yet"
 
     @property
     def is_on(self) -> bool:
-        """Whether it was switched on here, and not off since."""
+        """Whether this program switched torque on, and has not switched it off since."""
         return self._state == "on"
 
     def clear(self) -> None:
-        """Torque off and the watchdog cleared, whatever another program left behind; DeviceError if it stays on."""
+        """Switch torque off and clear the watchdog, from any previous state; DeviceError if torque stays on."""
         self._bus.write("Torque Enable", 0)
         if self._bus.read("Torque Enable") != 0:
             raise DeviceError(
-                "the gripper does not switch torque off",
+                "the gripper did not switch torque off",
                 where=f"gripper at {self._bus.port}",
                 expected="Torque Enable 0",
                 found="1",
                 hint="switch 24 V off and on",
             )
         self._bus.write("Bus Watchdog", 0)
-        self._state, self.words = "off", "torque is off: no command was given yet"
+        self._state, self.words = "off", "torque is off: no command has been sent yet"
 
     def switch_on(self, goal_ticks: int | None) -> None:
-        """Goals that move nothing, the watchdog, torque; DeviceError if one of them is not confirmed.
+        """Write goals that move nothing, arm the watchdog, switch torque on; DeviceError if a step is not confirmed.
 
-        goal_ticks: where the fingers are, in position mode; None in current mode.
+        goal_ticks: the present position of the fingers in position mode; None in current mode.
         """
         bus, code = self._bus, self._watchdog_ms // WATCHDOG_MS
         bus.write("Goal Current", 0)
@@ -67,13 +68,15 @@ class Torque:
                 found=str(armed),
                 hint="is its firmware up to date?",
             )
-        self._state, self.words = "on", "torque is on"  # also if the answer to what follows is lost
+        self._state, self.words = "on", "torque is on"  # also if the answer to the next write is lost
         bus.write("Torque Enable", 1)
 
     def switch_off(self) -> bool:
-        """Current 0, torque off; whether that was read back. `words` say which, and what happens if not.
+        """Set current 0 and torque off; return whether off was read back.
 
-        Ctrl-C meanwhile takes effect after it.
+        `words` report it, and what happens otherwise.
+
+        A Ctrl-C during this call takes effect after it.
         """
         try:
             return self._switch_off()
@@ -92,7 +95,7 @@ class Torque:
                 if (torque := bus.read("Torque Enable")) == 0:
                     with contextlib.suppress(DeviceError):
                         bus.write("Bus Watchdog", 0)
-                        bus.write("Goal Current", 0)  # refused before, if the watchdog had tripped
+                        bus.write("Goal Current", 0)  # refused before if the watchdog had tripped
                     self._state, self.words = "off", IS_OFF
                     return True
                 why = f"Torque Enable reads {torque}, though 0 was written"
@@ -106,10 +109,10 @@ class Torque:
 
 
 def release(port: str, baud: int, *, id_: int = 1, watchdog_ms: int = 100, answer_ms: float = ANSWER_MS) -> str:
-    """Torque off after the process that drove the gripper has died; in words, what was read back.
+    """Switch torque off after the process that drove the gripper has died; return a sentence on what was read back.
 
-    The fingers are not opened. watchdog_ms: what that process had set. Where the port cannot be opened or does not
-    answer, the words say so.
+    The fingers are not opened. watchdog_ms: the watchdog time that the dead process had set. If the port cannot be
+    opened or does not answer, the sentence reports that.
     """
     try:
         with Bus(port, baud, id_, answer_ms=answer_ms) as bus:
@@ -127,6 +130,6 @@ def _not_read_back(why: str, state: State, watchdog_ms: int) -> str:
         "on": f"its watchdog stops the motor {watchdog_ms} ms after the last instruction;"
         " Torque Enable stays 1 until the next start",
         "off": "this program never switched it on",
-        "not known": "if another program left it on it still is: switch 24 V off",
+        "not known": "if another program left it on, it is still on: switch 24 V off",
     }
     return f"torque could not be read back as off: {why}; {then[state]}"

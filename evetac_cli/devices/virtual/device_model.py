@@ -1,7 +1,7 @@
-"""What is inside a virtual DVXplorer Mini, behind its USB: registers, the stream of words, and what goes wrong.
+"""The inside of a virtual DVXplorer Mini, behind its USB: registers, the stream of words, and faults.
 
-Why so: crop, flip and flatten change events, not words, so a camera that is set to do so decodes what its source
-sends and encodes what is left; all others pass words through.
+Crop, flip and flatten change events, not words. A camera with these settings therefore decodes the words of its source
+and encodes the remaining events. All other cameras pass words through.
 """
 
 import time
@@ -20,73 +20,73 @@ from evetac_cli.realtime.shared_time import TimeSource
 DEFAULT_FLUSH_US = 2000
 _DAMAGED_SHARE = {"damage": 0.02, "random": 1.0}
 _JUMP_US = {"jump-forward": 5_000_000, "jump-back": -5_000_000}
-_RATE = {"fast": (10, 1), "slow": (1, 10)}  # of the camera's clock, as a fraction
+_RATE = {"fast": (10, 1), "slow": (1, 10)}  # rate of the camera's clock, as a fraction
 _TORN_BYTES = 3
-_BURST_BYTES = 16  # zeros fill the last one of a transfer
-_LONGEST_WAIT_S = 0.05  # after which a waiting transfer checks whether the camera was unplugged
+_BURST_BYTES = 16  # transfers are padded with zeros to a multiple of this
+_LONGEST_WAIT_S = 0.05  # interval at which a waiting transfer checks whether the camera was unplugged
 _SHORTEST_WAIT_S = 1e-6
-_COLUMN_CODE, _TIMESTAMP_CODE = 1, 2  # bits 26 up of a word
-_US_BITS = 0x3FF << 11  # of a COLUMN word
+_COLUMN_CODE, _TIMESTAMP_CODE = 1, 2  # bits 26 and up of a word
+_US_BITS = 0x3FF << 11  # the microseconds in a COLUMN word
 
 
 class WordSource(Protocol):
-    """Where the words of a virtual camera come from."""
+    """The source of a virtual camera's words."""
 
     @property
     def time(self) -> TimeSource:
-        """The clock by which the words come, and by which the camera's driver goes."""
+        """The clock that determines when words arrive; the camera's driver uses it too."""
 
     def run(self, on: bool) -> None:
         """Start (True) or stop the stream."""
 
     def take(self, most: int, timeout_s: float) -> bytes:
-        """At most so many bytes of little-endian words, as they come; b"" if none came in time."""
+        """Return at most this many bytes of little-endian words as they arrive; b"" if none arrived in time."""
 
 
 class DeviceModel:
-    """A camera without its USB; see VirtualDvxplorer for what it is made of."""
+    """A camera without its USB; see VirtualDvxplorer for the arguments."""
 
     def __init__(self, source: WordSource, firmware: int, faults: tuple[str, ...], fifo_bytes: int) -> None:
         self.generation = protocol.generation(firmware)
-        self.halted = False  # the data endpoint
-        self.overflowed = 0  # words that nobody fetched in time
-        self.events_seen = 0  # by the sensor while it ran, whatever became of them
+        self.halted = False  # whether the data endpoint is halted
+        self.overflowed = 0  # words that were not fetched in time
+        self.events_seen = 0  # events of the sensor while it ran, including lost ones
         self._source = source
         self._faults = [camera_fault(text) for text in faults]
-        self._done: set[str] = set()  # faults that happen once, and did
+        self._done: set[str] = set()  # faults that strike once and have struck
         self._random = np.random.default_rng(0)
         self._registers = _registers(self.generation)
         self._fifo = bytearray()
         self._fifo_bytes = fifo_bytes
         self._clock = CameraClock()
-        self._part = b""  # of a word that the source has not sent whole
+        self._part = b""  # bytes of a word that the source has not sent completely
         self._ran_s: float | None = None  # time of the first RUN
         self._runs = False
         self._sent_s = 0.0  # host time of the last transfer
-        self._alters = False  # whether it is set to crop, flip or flatten
-        self._decoder = event_words.start()  # where crop, flip or flatten change the events
+        self._alters = False  # whether crop, flip or flatten is set
+        self._decoder = event_words.start()  # used if crop, flip or flatten change the events
 
     @property
     def waiting(self) -> bytes:
-        """Words that nobody has fetched yet."""
+        """Words that were not fetched yet."""
         return bytes(self._fifo)
 
     def has(self, name: str) -> bool:
-        """Whether a fault lasts now; those before RUN always do."""
-        if not self._faults:  # as nearly always, in a loop that has to keep time
+        """Return whether a fault is active now; faults from before RUN always are."""
+        if not self._faults:  # the usual case, in a time-critical loop
             return False
         now_s = -1.0 if self._ran_s is None else self._source.time.now_s() - self._ran_s
         return any(each.name == name and (not CAMERA_FAULTS[name].moment or each.lasts(now_s)) for each in self._faults)
 
     def once(self, name: str) -> bool:
-        """Whether a fault that happens once is due; it is not again."""
+        """Return True once, when a fault that strikes once is due."""
         due = name not in self._done and self.has(name)
         if due:
             self._done.add(name)
         return due
 
     def _hits(self, name: str) -> bool:
-        """Whether a fault that alters words does so now: while it lasts, or later if no words came in that time."""
+        """Return whether a fault alters words now: while it is active, or later if no words arrived while it was."""
         if not self._faults:
             return False
         now_s = -1.0 if self._ran_s is None else self._source.time.now_s() - self._ran_s
@@ -99,11 +99,11 @@ class DeviceModel:
         return hits
 
     def read(self, module: int, parameter: int) -> int | None:
-        """Value of a parameter; None if there is no such."""
+        """Return the value of a parameter; None if it does not exist."""
         return self._registers.get((module, parameter))
 
     def write(self, module: int, parameter: int, value: int) -> bool:
-        """Set a parameter; False if there is no such, or it can only be read."""
+        """Set a parameter; return False if it does not exist or is read-only."""
         if (module, parameter) not in self._registers or (module == protocol.DVS and parameter < protocol.RUN):
             return False
         self._registers[module, parameter] = value
@@ -115,19 +115,22 @@ class DeviceModel:
         return True
 
     def flush_stale(self) -> None:
-        """Discard words of earlier runs that were not fetched."""
+        """Discard unfetched words of earlier runs."""
         self._fifo.clear()
 
     def power_off(self) -> None:
-        """Stop the stream, as when the plug is pulled."""
+        """Stop the stream, as if the plug were pulled."""
         self._run(False)
 
     def transfer(self, most: int, timeout_s: float) -> bytes:
-        """What one bulk transfer brings: when it is full, or when the flush time has passed; b"" if nothing in time."""
+        """Return the data of one bulk transfer, which ends when it is full or after the flush time.
+
+        Return b"" if nothing arrives in time.
+        """
         end_s = time.monotonic() + timeout_s
-        while self._fill(0.0):  # what came while nobody asked lies in a real camera's buffer
+        while self._fill(0.0):  # words that arrived between transfers are in a real camera's buffer
             pass
-        is_asked = False  # whether the source was waited for: a computer that stands still is no camera without words
+        is_asked = False  # whether the source was waited for: a stalled computer is not a camera without words
         while True:
             now_s = time.monotonic()
             flush_s = self._sent_s + 1e-6 * self._flush_us
@@ -166,9 +169,11 @@ class DeviceModel:
         self._source.run(on)
 
     def _fill(self, timeout_s: float) -> bool:
-        """Move words from the source into the buffer, through what is wrong with the camera; the oldest overflow.
+        """Move words from the source into the buffer, applying the camera's faults.
 
-        False if none came in time.
+        When full, the oldest words are dropped.
+
+        Return False if no words arrived in time.
         """
         if not self._runs:
             time.sleep(timeout_s)
@@ -179,7 +184,7 @@ class DeviceModel:
         if not whole:
             return False
         words = np.frombuffer(data, "<u4", whole // 4)
-        if not (self._faults or self._alters):  # as nearly always: words pass through
+        if not (self._faults or self._alters):  # the usual case: words pass through
             self.events_seen += events_in(words)
             self._keep(data[:whole])
             return True
@@ -197,7 +202,7 @@ class DeviceModel:
         return True
 
     def _keep(self, data: bytes) -> None:
-        """Put words into the buffer."""
+        """Append words to the buffer."""
         self._fifo += data
         over = (len(self._fifo) - self._fifo_bytes + 3) // 4
         if over > 0:
@@ -205,12 +210,12 @@ class DeviceModel:
             del self._fifo[: 4 * over]
 
     def _tears(self) -> bool:
-        """Whether bytes are missing inside the transfer that is due."""
+        """Return whether bytes are to be removed from the transfer that is due."""
         lasting = any(each.name == "torn" and each.duration_s for each in self._faults)
         return self._hits("torn") if lasting else self.once("torn")
 
     def _retimed(self, words: NDArray[np.uint32]) -> NDArray[np.uint32]:
-        """The words with the times of a clock that jumps, or runs at another rate."""
+        """Return the words with the times of a clock that jumps or runs at another rate."""
         if not self._faults or not any(each.name in (*_JUMP_US, *_RATE) for each in self._faults):
             return words
         jump_us = sum(jump for name, jump in _JUMP_US.items() if self.once(name))
@@ -218,7 +223,7 @@ class DeviceModel:
         return self._clock.retimed(words, rate, jump_us)
 
     def _is_set_to_alter(self) -> bool:
-        """Whether crop, flip or flatten, as the registers of firmware 10 say, leave the events not as they are."""
+        """Return whether crop, flip or flatten, by the registers of firmware 10, change the events."""
         if self.generation is Generation.REGISTERS:
             return False
         crop = tuple(self._registers[protocol.DVS, protocol.CROP + k] for k in range(4))
@@ -226,7 +231,7 @@ class DeviceModel:
         return crop != (0, 0, *FRAME_PX) or any(self._registers[protocol.DVS, parameter] for parameter in flips)
 
     def _altered(self, words: NDArray[np.uint32]) -> NDArray[np.uint32]:
-        """Words of what is left after crop, flip and flatten."""
+        """Return the words of the events that remain after crop, flip and flatten."""
         if not self._alters:
             return words
         x0, y0, width, height = (self._registers[protocol.DVS, protocol.CROP + k] for k in range(4))
@@ -245,23 +250,24 @@ class DeviceModel:
 
 
 class CameraClock:
-    """A camera's clock that may jump, or run at another rate: the same event words at other times."""
+    """A camera's clock that may jump or run at another rate: the same event words at other times."""
 
     def __init__(self) -> None:
-        self._ms = 0  # of the last TIMESTAMP that came
-        self._true_us = 0  # up to here words were given other times
-        self._shown_us = 0  # what the clock showed then
-        self._sent_ms = 0  # of the last TIMESTAMP that went
+        self._ms = 0  # ms of the last TIMESTAMP received
+        self._true_us = 0  # words up to this time were retimed
+        self._shown_us = 0  # what the clock showed at that time
+        self._sent_ms = 0  # ms of the last TIMESTAMP sent
 
     def retimed(self, words: NDArray[np.uint32], rate: tuple[int, int], jump_us: int) -> NDArray[np.uint32]:
-        """The next words with the clock's times; a TIMESTAMP is added where a frame begins in another millisecond.
+        """Return the next words with the clock's times; a TIMESTAMP is added if a frame begins in another millisecond.
 
-        rate: of the clock, as numerator and denominator; jump_us: by how much it jumps before these words.
+        rate: of the clock, as numerator and denominator; jump_us: jump before these words.
         """
         if len(words) == 0:
             return words
         is_stamp, is_column = words >> 26 == _TIMESTAMP_CODE, words >> 26 == _COLUMN_CODE
-        latest = np.maximum.accumulate(np.where(is_stamp, np.arange(1, len(words) + 1), 0))  # 0: of an earlier call
+        # 0: a TIMESTAMP of an earlier call
+        latest = np.maximum.accumulate(np.where(is_stamp, np.arange(1, len(words) + 1), 0))
         ms = np.concatenate([[self._ms], (words & REF_MASK).astype(np.int64)])[latest]
         true_us = SLICE_US * ms + np.where(is_column, words >> 11 & 0x3FF, 0)
         shown_us = self._shown_us + jump_us + (true_us - self._true_us) * rate[0] // rate[1]
@@ -281,7 +287,7 @@ class CameraClock:
 
 
 def _registers(generation: Generation) -> dict[tuple[int, int], int]:
-    """Values at power-up of all parameters that a generation has, by (module, parameter)."""
+    """Return the values at power-up of all parameters of a generation, by (module, parameter)."""
     width, height = FRAME_PX
     if generation is Generation.PARAMETERS:
         zero = {(protocol.DVS, k): 0 for k in range(26)} | {(protocol.IMU, k): 0 for k in range(11)}
@@ -299,7 +305,7 @@ def _registers(generation: Generation) -> dict[tuple[int, int], int]:
     return zero | {
         (protocol.DVS, protocol.COLUMNS): width,
         (protocol.DVS, protocol.ROWS): height,
-        (protocol.SYSTEM, 0): 18,  # logic version and patch that the maker's driver asks for
+        (protocol.SYSTEM, 0): 18,  # logic version and patch that the maker's driver requires
         (protocol.SYSTEM, 1): 20,
         (protocol.SYSTEM, 7): 2,
         (protocol.SENSOR, 0x3255): 0x0C,

@@ -1,12 +1,12 @@
-"""The virtual twin of a DVXplorer Mini: a backend of pyusb with one camera on its bus, of either protocol generation.
+"""The virtual twin of a DVXplorer Mini: a pyusb backend with one camera on its bus, of either protocol generation.
 
-It answers as the real one does, as far as that is known: descriptors, vendor requests with their lengths, registers, a
-stream only while it runs, transfers that are sent when they are full or when the flush time has passed. Words come from
-a source: anything with `run(on)` and `take(most, timeout_s) -> bytes` of little-endian words.
+It answers like the real camera, as far as that is known. This covers descriptors, vendor requests with their lengths,
+registers, and a stream only while the camera runs. Transfers are sent when they are full or after the flush time. Words
+come from a source: any object with `run(on)` and `take(most, timeout_s) -> bytes` of little-endian words.
 
-Why so: the driver, pyusb and all, runs against it unchanged. Not known of the real camera, and assumed here: 1024-byte
-packets, a buffer of 512 KiB (the memory of its USB chip) whose oldest words go first, no words of a run that was
-stopped once stale data were flushed.
+Purpose: the driver, including pyusb, runs unchanged on this backend. Three properties of the real camera are unknown
+and assumed here. Packets have 1024 bytes. The buffer has 512 KiB (the memory of its USB chip) and drops the oldest
+words. After stale data were flushed, no words of a stopped run follow.
 """
 
 import errno
@@ -25,7 +25,7 @@ from evetac_cli.devices.virtual.device_model import DeviceModel, WordSource
 from evetac_cli.realtime.shared_time import TimeSource
 
 FIFO_BYTES = 512 << 10
-STORE_TO_FLASH = 0xC7  # obeyed, and logged; the driver does not know it
+STORE_TO_FLASH = 0xC7  # executed and logged; the driver never sends it
 _STRINGS = ("iniVation", "DVXplorer Mini")
 _LOG_PACKET = b"\x00\x07\x40\xe2\x01\x00sensor fault\0"
 
@@ -38,8 +38,8 @@ def _fail(what: str, number: int, code: int) -> NoReturn:
 class VirtualDvxplorer(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has no types
     """One camera and its bus; pass it as `backend` to DvxplorerCamera.
 
-    firmware: 10 takes 8-byte values, 9 and before 4-byte ones; board: 4 for a Mini; faults: see faults.py.
-    `log` holds every vendor request that was obeyed: (request, value, index, data).
+    firmware: 10 takes 8-byte values, 9 and earlier 4-byte values; board: 4 for a Mini; faults: see faults.py. `log`
+    holds every executed vendor request: (request, value, index, data).
     """
 
     def __init__(
@@ -62,36 +62,36 @@ class VirtualDvxplorer(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
 
     @property
     def time(self) -> TimeSource:
-        """The time by which its words come; the driver goes by it."""
+        """The time source of its words; the driver uses it too."""
         return self._source.time
 
     @property
     def overflowed(self) -> int:
-        """Words that were lost because nobody fetched them in time."""
+        """Words that were lost because they were not fetched in time."""
         return self._model.overflowed
 
     @property
     def events_seen(self) -> int:
-        """Events that its sensor saw while it ran, whatever became of them: what a recording is measured by."""
+        """Events of its sensor while it ran, including lost ones: the reference for a recording."""
         return self._model.events_seen
 
     @property
     def waiting(self) -> bytes:
-        """Words in its buffer, which nobody has fetched yet."""
+        """Words in its buffer that were not fetched yet."""
         return self._model.waiting
 
-    # What pyusb asks of a bus.
+    # The interface that pyusb requires of a bus.
 
     def enumerate_devices(self) -> Iterator[Any]:
-        """The camera, unless it is unplugged."""
+        """Yield the camera, unless it is unplugged."""
         if not self._model.has("unplug"):
             yield self
 
     def get_parent(self, dev: Any) -> None:
-        """None: the camera hangs on no hub."""
+        """Return None: the camera is not on a hub."""
 
     def get_device_descriptor(self, dev: Any) -> Any:
-        """The device descriptor, as lsusb shows it."""
+        """Return the device descriptor, as lsusb shows it."""
         return SimpleNamespace(
             bLength=18,
             bDescriptorType=1,
@@ -115,7 +115,7 @@ class VirtualDvxplorer(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
         )
 
     def get_configuration_descriptor(self, dev: Any, config: int) -> Any:
-        """Descriptor of the only configuration."""
+        """Return the descriptor of the only configuration."""
         if config:
             raise IndexError
         numbers = {"bLength": 9, "bDescriptorType": 2, "wTotalLength": 32, "bNumInterfaces": 1}
@@ -123,7 +123,7 @@ class VirtualDvxplorer(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
         return SimpleNamespace(**numbers, extra_descriptors=[])
 
     def get_interface_descriptor(self, dev: Any, intf: int, alt: int, config: int) -> Any:
-        """Descriptor of the only interface, which has no alternate settings."""
+        """Return the descriptor of the only interface, which has no alternate settings."""
         if intf or alt:
             raise IndexError
         numbers = {"bLength": 9, "bDescriptorType": 4, "bInterfaceNumber": 0, "bAlternateSetting": 0}
@@ -131,21 +131,21 @@ class VirtualDvxplorer(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
         return SimpleNamespace(**numbers, iInterface=0, extra_descriptors=[])
 
     def get_endpoint_descriptor(self, dev: Any, ep: int, intf: int, alt: int, config: int) -> Any:
-        """Bulk endpoint of the events and interrupt endpoint of the log."""
+        """Return the bulk endpoint of the events or the interrupt endpoint of the log."""
         address, kind, packet = ((protocol.DATA_ENDPOINT, 2, 1024), (protocol.DEBUG_ENDPOINT, 3, 64))[ep]
         numbers = {"bLength": 7, "bDescriptorType": 5, "bEndpointAddress": address, "bmAttributes": kind}
         numbers |= {"wMaxPacketSize": packet, "bInterval": 1, "bRefresh": 0, "bSynchAddress": 0}
         return SimpleNamespace(**numbers, extra_descriptors=[])
 
     def open_device(self, dev: Any) -> Any:
-        """The handle for all further calls: this camera; USBError without permission."""
+        """Return the handle for all further calls, which is this camera; USBError without permission."""
         self._check()
         if self._model.has("no-permission"):
             _fail("Access denied (insufficient permissions)", errno.EACCES, -3)
         return self
 
     def close_device(self, dev_handle: Any) -> None:
-        """Without effect: a virtual camera holds nothing."""
+        """Do nothing: a virtual camera has no resources to release."""
 
     def set_configuration(self, dev_handle: Any, config_value: int) -> None:
         """Set the configuration by its number."""
@@ -153,21 +153,21 @@ class VirtualDvxplorer(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
         self._configuration = config_value
 
     def get_configuration(self, dev_handle: Any) -> int:
-        """Number of the configuration that is set."""
+        """Return the number of the configuration that is set."""
         self._check()
         return self._configuration
 
     def claim_interface(self, dev_handle: Any, intf: int) -> None:
-        """Claim the interface; USBError (busy) where the fault says that another program has it."""
+        """Claim the interface; USBError (busy) if the fault is that another program has it."""
         self._check()
         if self._model.has("busy"):
             _fail("Resource busy", errno.EBUSY, -6)
 
     def release_interface(self, dev_handle: Any, intf: int) -> None:
-        """Without effect: a virtual camera holds nothing."""
+        """Do nothing: a virtual camera has no resources to release."""
 
     def is_kernel_driver_active(self, dev_handle: Any, intf: int) -> bool:
-        """No driver of the kernel wants this camera."""
+        """Return False: no kernel driver claims this camera."""
         return False
 
     def clear_halt(self, dev_handle: Any, ep: int) -> None:
@@ -178,14 +178,14 @@ class VirtualDvxplorer(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
     def ctrl_transfer(
         self,
         dev_handle: Any,
-        bmRequestType: int,  # names of pyusb
+        bmRequestType: int,  # argument names of pyusb
         bRequest: int,
         wValue: int,
         wIndex: int,
         data: Any,
         timeout: int,
     ) -> int:
-        """A request to the camera; what it does not know it answers with a STALL."""
+        """Answer a request to the camera; unknown requests get a STALL."""
         self._check()
         if (bmRequestType, bRequest, wValue >> 8) == (0x80, 6, 3):
             text = self._strings[wValue & 0xFF].encode("utf-16-le")
@@ -200,7 +200,7 @@ class VirtualDvxplorer(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
         _fail("Pipe error", errno.EPIPE, -9)
 
     def bulk_read(self, dev_handle: Any, ep: int, intf: int, buff: "array[int]", timeout: int) -> int:
-        """One transfer of event words into the buffer; returns its bytes."""
+        """Read one transfer of event words into the buffer; return the number of bytes."""
         self._check()
         self._model.halted |= self._model.once("stall") or self._model.has("stall-for-good")
         if self._model.halted:
@@ -212,7 +212,7 @@ class VirtualDvxplorer(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
         return _answer(buff, data)
 
     def intr_read(self, dev_handle: Any, ep: int, intf: int, buff: "array[int]", timeout: int) -> int:
-        """One packet of the debug endpoint into the buffer; returns its bytes."""
+        """Read one packet of the debug endpoint into the buffer; return the number of bytes."""
         self._check()
         if self._model.once("log"):
             return _answer(buff, _LOG_PACKET)
@@ -220,7 +220,7 @@ class VirtualDvxplorer(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
         _fail("Operation timed out", errno.ETIMEDOUT, -7)
 
     def _obeys(self, request: int, value: int, index: int, data: bytes, timeout_ms: int) -> bool:
-        """Carry out a vendor request to write; False if the camera knows no such."""
+        """Execute a vendor request to write; return False if the camera has no such request."""
         if request == protocol.CONFIG:
             size = self._model.generation.value
             return len(data) == size and self._model.write(value, index, int.from_bytes(data, "big"))
@@ -234,14 +234,14 @@ class VirtualDvxplorer(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
         return request in (protocol.FLUSH_STALE, protocol.LOG_LEVEL, STORE_TO_FLASH)
 
     def _check(self) -> None:
-        """USBError (no such device) once the plug is pulled."""
+        """Raise USBError (no such device) once the plug is pulled."""
         if self._model.has("unplug"):
             self._model.power_off()
             _fail("No such device (it may have been disconnected)", errno.ENODEV, -4)
 
 
 def _answer(buffer: Any, data: bytes) -> int:
-    """Copy as many bytes as fit into a buffer of pyusb; returns how many."""
+    """Copy as many bytes as fit into a pyusb buffer; return their number."""
     count = min(len(buffer), len(data))
     buffer[:count] = array("B", data[:count])
     return count

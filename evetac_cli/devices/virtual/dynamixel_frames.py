@@ -1,13 +1,13 @@
-"""Frames of Dynamixel Protocol 2.0, built and taken apart: what the virtual servo speaks.
+"""Build and parse frames of Dynamixel Protocol 2.0 for the virtual servo.
 
     FF FF FD 00 | ID | LEN (2) | instruction, parameters ... | CRC (2)
 
-LEN counts the bytes after it. After FF FF FD inside instruction and parameters an FD is stuffed; LEN and CRC are of the
-stuffed form. A status has the instruction 55 and an error byte before its parameters. Source: ROBOTIS e-Manual,
-protocol 2.0.
+LEN counts the bytes after it. Within instruction and parameters, an FD is stuffed after each FF FF FD; LEN and CRC are
+those of the stuffed form. A status has the instruction 55 and an error byte before its parameters. Source: ROBOTIS
+e-Manual, protocol 2.0.
 
-Why so: the reader goes by LEN and never looks for a header inside a frame, because the Python SDK sends its frames
-without stuffing.
+The reader relies on LEN and never searches for a header inside a frame, because the Python SDK sends its frames without
+stuffing.
 """
 
 import struct
@@ -17,13 +17,13 @@ from typing import NamedTuple
 
 HEADER = b"\xff\xff\xfd\x00"
 BROADCAST_ID = 254
-LONGEST = 1024  # LEN beyond this is damage
+LONGEST = 1024  # a larger LEN is damage
 _AROUND = 7  # bytes of a frame that LEN does not count
 _ALERT = 0x80
 
 
 class Instruction(IntEnum):
-    """What a frame asks for; STATUS is the answer."""
+    """The instruction of a frame; STATUS is the answer."""
 
     PING = 0x01
     READ = 0x02
@@ -43,7 +43,7 @@ class Instruction(IntEnum):
 
 
 class StatusError(IntEnum):
-    """Error of a status: why an instruction was not carried out."""
+    """Error number of a status: why an instruction was not carried out."""
 
     NONE = 0
     RESULT = 1
@@ -56,7 +56,7 @@ class StatusError(IntEnum):
 
 
 class DynamixelFrame(NamedTuple):
-    """A frame taken apart: parameters without stuffing; `sound` is whether the CRC was right; size as on the wire."""
+    """A parsed frame: parameters without stuffing; `sound`: whether the CRC was right; size as on the wire."""
 
     id: int
     instruction: int
@@ -79,7 +79,7 @@ _CRC = _crc_table()
 
 
 def crc16(data: bytes) -> int:
-    """CRC-16 of Protocol 2.0: polynomial 8005, start 0, not reflected (CRC-16/UMTS)."""
+    """Return the CRC-16 of Protocol 2.0: polynomial 8005, start 0, not reflected (CRC-16/UMTS)."""
     crc = 0
     for byte in data:
         crc = (crc << 8 ^ _CRC[crc >> 8 ^ byte]) & 0xFFFF
@@ -87,31 +87,31 @@ def crc16(data: bytes) -> int:
 
 
 def stuffed(body: bytes) -> bytes:
-    """Instruction and parameters with an FD after each FF FF FD."""
+    """Return instruction and parameters with an FD after each FF FF FD."""
     return body.replace(b"\xff\xff\xfd", b"\xff\xff\xfd\xfd")
 
 
 def unstuffed(body: bytes) -> bytes:
-    """Instruction and parameters as they were before `stuffed`."""
+    """Return instruction and parameters as they were before `stuffed`."""
     return body.replace(b"\xff\xff\xfd\xfd", b"\xff\xff\xfd")
 
 
 def frame(id_: int, instruction: int, parameters: bytes = b"") -> bytes:
-    """Bytes of the frame in which a host sends an instruction to the device `id_`."""
+    """Return the bytes of the frame in which a host sends an instruction to the device `id_`."""
     body = stuffed(bytes([instruction]) + parameters)
     before = HEADER + bytes([id_]) + struct.pack("<H", len(body) + 2) + body
     return before + struct.pack("<H", crc16(before))
 
 
 def status(id_: int, fault: int = StatusError.NONE, parameters: bytes = b"", *, alert: bool = False) -> bytes:
-    """Bytes of an answer; alert says that Hardware Error Status is not zero."""
+    """Return the bytes of an answer; alert: whether Hardware Error Status is not zero."""
     return frame(id_, Instruction.STATUS, bytes([fault | (_ALERT if alert else 0)]) + parameters)
 
 
 def fast_status(blocks: Iterable[tuple[int, int, bytes]]) -> bytes:
-    """Bytes of the one answer to a fast sync or bulk read: (error, id, data) of each device in turn.
+    """Return the single answer to a fast sync or bulk read: (error, id, data) of each device in turn.
 
-    After each block comes the CRC of all that was sent so far; nothing is stuffed.
+    After each block follows the CRC of all bytes so far; nothing is stuffed.
     """
     listed = list(blocks)
     length = 1 + sum(len(data) + 4 for _, _, data in listed)
@@ -123,22 +123,22 @@ def fast_status(blocks: Iterable[tuple[int, int, bytes]]) -> bytes:
 
 
 class FrameReader:
-    """Takes frames out of a stream of bytes, however it is cut, and finds its way again after damage."""
+    """Extracts frames from a stream of bytes in pieces of any size, and resynchronizes after damage."""
 
     def __init__(self) -> None:
         self._waiting = bytearray()
 
     @property
     def partial(self) -> bool:
-        """Whether the beginning of a frame is waiting for its rest."""
+        """Whether the beginning of a frame is waiting for its remainder."""
         return bool(self._waiting)
 
     def forget(self) -> None:
-        """Drop what was begun: its rest did not come."""
+        """Drop a partial frame whose remainder did not arrive."""
         self._waiting.clear()
 
     def push(self, data: bytes) -> list[DynamixelFrame]:
-        """Take the next bytes; return the frames that they end, those with a wrong CRC included."""
+        """Take the next bytes; return the frames that they complete, including those with a wrong CRC."""
         self._waiting += data
         frames = []
         while (frame := self._next()) is not None:
@@ -164,7 +164,7 @@ class FrameReader:
             return None
         whole = bytes(waiting[:size])
         sound = crc16(whole[:-2]) == struct.unpack("<H", whole[-2:])[0]
-        # after damage LEN may be wrong too, and a good frame lie within
+        # after damage LEN may be wrong too, and a good frame may begin inside
         del waiting[: size if sound else len(HEADER)]
         body = unstuffed(whole[_AROUND:-2])
         return DynamixelFrame(whole[4], body[0], body[1:], sound, size)

@@ -1,9 +1,9 @@
-"""What can be made to go wrong with a virtual camera or gripper, and the text by which it is asked for.
+"""Faults of a virtual camera or gripper, and the text that requests them.
 
-A fault is `NAME[%PERCENT][@SECONDS[:DURATION]]`: %PERCENT strikes each answer with that probability, @SECONDS begins so
-long after the camera was started or the gripper's torque first switched on (without it at once; a watchdog trips, and a
-restart matters, under torque only, and waits for it), :DURATION ends it.
-On the command line they follow the device, joined by `+`: `--camera virtual:unplug@2 --gripper virtual:lost-answer%2`.
+A fault is `NAME[%PERCENT][@SECONDS[:DURATION]]`. %PERCENT strikes each answer with that probability. @SECONDS begins
+this long after the camera was started or the gripper's torque was first switched on; without it the fault begins at
+once. A watchdog trip and a restart only matter under torque and wait for it. :DURATION ends the fault. On the command
+line faults follow the device, joined by `+`: `--camera virtual:unplug@2 --gripper virtual:lost-answer%2`.
 """
 
 import re
@@ -15,47 +15,47 @@ from evetac_cli.errors import InputError
 
 
 class FaultKind(NamedTuple):
-    """What a fault does, and which parts of its text it takes."""
+    """The effect of a fault, and the parts of its text that it accepts."""
 
     effect: str
     moment: bool = True  # @SECONDS
-    duration: bool = True  # :DURATION; of one that takes %PERCENT only together with that
+    duration: bool = True  # :DURATION; for a fault with %PERCENT, only together with that
     percent: bool = False  # %PERCENT
-    usual_s: float = 0.0  # its duration if none is given; 0: it strikes once, or lasts for good
+    usual_s: float = 0.0  # its duration if none is given; 0: it strikes once, or lasts forever
     torque: bool = False  # it cannot strike before torque is on
-    reads: tuple[str, int] | None = None  # a register of the gripper, and what it shows as long as this lasts
+    reads: tuple[str, int] | None = None  # a register of the gripper, and its false value while this lasts
 
 
-_BEFORE: dict[str, Any] = {"moment": False, "duration": False}  # it is so from before the camera is opened
+_BEFORE: dict[str, Any] = {"moment": False, "duration": False}  # present before the camera is opened
 
 CAMERA_FAULTS: Mapping[str, FaultKind] = {
     "unplug": FaultKind("the camera is no longer on the bus"),
-    "stall": FaultKind("the data endpoint halts, until it is cleared"),
+    "stall": FaultKind("the data endpoint halts until it is cleared"),
     "stall-for-good": FaultKind("the data endpoint halts and cannot be cleared"),
     "lost-timestamps": FaultKind("TIMESTAMP words are missing", usual_s=0.1),
     "odd": FaultKind("reads return odd numbers of bytes, cutting words", usual_s=0.1),
-    "torn": FaultKind("3 bytes are missing inside a transfer; with :DURATION inside each one in that time"),
+    "torn": FaultKind("3 bytes are missing inside a transfer; with :DURATION, inside each transfer in that time"),
     "damage": FaultKind("one word in 50 is replaced by random bits", usual_s=0.1),
     "random": FaultKind("every word is replaced by random bits", usual_s=0.1),
     "jump-forward": FaultKind("the camera's clock jumps ahead by 5 s", duration=False),
     "jump-back": FaultKind("the camera's clock jumps back by 5 s", duration=False),
     "fast": FaultKind("the camera's clock runs ten times too fast"),
     "slow": FaultKind("the camera's clock runs ten times too slowly"),
-    "silence": FaultKind("nothing is sent, and what was seen is lost", usual_s=0.1),
-    "log": FaultKind("the camera says `sensor fault` on its debug endpoint"),
+    "silence": FaultKind("the camera sends nothing, and its events are lost", usual_s=0.1),
+    "log": FaultKind("the camera reports `sensor fault` on its debug endpoint"),
     "no-permission": FaultKind("the system refuses to open the camera", **_BEFORE),
     "busy": FaultKind("another program has claimed the camera", **_BEFORE),
-    "usb2": FaultKind("the camera is linked by USB 2", **_BEFORE),
+    "usb2": FaultKind("the camera is connected by USB 2", **_BEFORE),
     "slow-flush": FaultKind("the request to flush stale data is never answered", **_BEFORE),
 }
 GRIPPER_FAULTS: Mapping[str, FaultKind] = {
-    "late-answer": FaultKind("the answer comes when the host has long given up", percent=True),
+    "late-answer": FaultKind("the answer comes long after the host gave up", percent=True),
     "lost-answer": FaultKind("no answer", percent=True),
     "bad-crc": FaultKind("one byte of the answer is damaged", percent=True),
     "watchdog": FaultKind("the Bus Watchdog trips as if the host had been silent", duration=False, torque=True),
     "overload": FaultKind("hardware error: torque off, an alert in every answer until reboot", duration=False),
     "restart": FaultKind(
-        "24 V dip: torque off, everything as after power-on, no hardware error", duration=False, torque=True
+        "24 V dip: torque off, all registers as after power-on, no hardware error", duration=False, torque=True
     ),
     "false-position": FaultKind("its position reads 2,147,483,647 ticks", reads=("Present Position", 2**31 - 1)),
     "false-current": FaultKind("its current reads -32,768 mA", reads=("Present Current", -(2**15))),
@@ -69,26 +69,26 @@ _FORM = re.compile(rf"([a-z0-9-]+)(?:%({NUMBER}))?(?:@({NUMBER})(?::({NUMBER}))?
 
 
 class Fault(NamedTuple):
-    """One fault: when it begins (s, None: at once), how long it lasts (s, 0: once or for good), which share it hits."""
+    """One fault: start (s, None: at once), duration (s, 0: once or forever), and share of answers that it hits."""
 
     name: str
     start_s: float | None = None
     duration_s: float = 0.0
-    share: float = 0.0  # of answers; 0 for a fault without %PERCENT
+    share: float = 0.0  # share of answers; 0 for a fault without %PERCENT
 
     def lasts(self, now_s: float) -> bool:
-        """Whether it is there at this time, counted from where its moment is counted from."""
+        """Return whether the fault is active at this time, counted from its reference event."""
         start_s = self.start_s or 0.0
         return now_s >= start_s and (self.duration_s == 0.0 or now_s < start_s + self.duration_s)
 
 
 def camera_fault(text: str) -> Fault:
-    """A fault of a virtual camera; InputError if there is no such."""
+    """Return a fault of a virtual camera; InputError if it does not exist."""
     return _parse(text, CAMERA_FAULTS, "camera")
 
 
 def gripper_fault(text: str) -> Fault:
-    """A fault of a virtual gripper; InputError if there is no such."""
+    """Return a fault of a virtual gripper; InputError if it does not exist."""
     return _parse(text, GRIPPER_FAULTS, "gripper")
 
 
@@ -114,7 +114,7 @@ def _parse(text: str, kinds: Mapping[str, FaultKind], device: str) -> Fault:
 
 
 def _expected(kinds: Mapping[str, FaultKind]) -> str:
-    """What may be written, with the names for which it may."""
+    """Return the accepted forms, each with the names of its faults."""
     forms = (
         ("NAME@SECONDS or NAME@SECONDS:DURATION", [n for n, k in kinds.items() if k.duration and not k.percent]),
         ("NAME or NAME@SECONDS", [n for n, k in kinds.items() if k.moment and (k.percent or not k.duration)]),

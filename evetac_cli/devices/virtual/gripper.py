@@ -1,9 +1,9 @@
-"""A virtual RH-P12-RN(A): a servo in a process of its own on a pseudo terminal, which the real driver opens as a port.
+"""A virtual RH-P12-RN(A): a servo in its own process on a pseudo terminal, which the real driver opens as a port.
 
     with VirtualGripper(faults=["lost-answer@1.0"]) as gripper:
         driver = RhP12Rn(gripper.port)
 
-Simulated. The process sleeps while nothing happens and ends with its parent, however that ends.
+Simulated. The process sleeps while it has nothing to do. It ends with its parent, however the parent ends.
 """
 
 import json
@@ -40,11 +40,13 @@ class VirtualGripper(AbstractContextManager["VirtualGripper"]):
         position_ticks: float = 400.0,
         seed: int = 0,
     ) -> None:
-        """Start the process; when this returns, the servo listens.
+        """Start the process; when this returns, the servo is listening.
 
-        plant: what it moves: a gripper in a world stepped elsewhere; else its own drive, starting at position_ticks,
-        with or without an obstacle. faults: as in faults.py. registers: values that differ from the
-        factory's, by name. seed: of the faults that strike by chance.
+        plant: the gripper of a world that another process steps, or an obstacle for the servo's own drive, which starts
+        at position_ticks.
+
+        faults: as in faults.py; registers: values that differ from the factory values, by name; seed: for the faults
+        that strike at random.
         """
         if isinstance(plant, SharedPlant):
             plant_config: dict[str, Any] = {"shared": str(plant.path)}
@@ -58,7 +60,7 @@ class VirtualGripper(AbstractContextManager["VirtualGripper"]):
         }
         python_path = os.pathsep.join(filter(None, [str(PACKAGE.parent), os.environ.get("PYTHONPATH")]))
         self._process = subprocess.Popen(
-            # -P: no module of the working folder, where anybody may have put a json.py
+            # -P: ignores the working folder, where a user may have a json.py
             [sys.executable, "-P", "-m", "evetac_cli.devices.virtual.servo_process", json.dumps(choice)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
@@ -77,19 +79,19 @@ class VirtualGripper(AbstractContextManager["VirtualGripper"]):
         return self._process.pid
 
     def inject(self, fault: str) -> None:
-        """Let a fault strike, at once, or as its moment or share has it."""
+        """Let a fault strike at once, or according to the time or probability in its text."""
         self._ask(inject=_checked(fault))
 
     def faults_struck(self) -> dict[str, int]:
-        """How often each fault has struck so far, by name; those that did not are missing."""
+        """Return how often each fault has struck so far, by name; faults that did not strike are missing."""
         return {str(name): int(times) for name, times in self._ask(struck=True).items()}
 
     def read_register(self, register: str) -> int:
-        """Value of a register, read without using the serial port."""
+        """Return the value of a register, read without the serial port."""
         return int(self._ask(read=register))
 
     def instructions(self) -> dict[int, int]:
-        """How often the servo received each instruction."""
+        """Return how often the servo received each instruction."""
         return {int(code): count for code, count in self._ask(instructions=True).items()}
 
     def close(self) -> None:
@@ -127,6 +129,6 @@ class VirtualGripper(AbstractContextManager["VirtualGripper"]):
 
 
 def _checked(fault: str) -> str:
-    """The text of a fault; InputError if there is no such."""
+    """Return the text of a fault; InputError if it does not exist."""
     gripper_fault(fault)
     return fault

@@ -1,12 +1,12 @@
-"""An RH-P12-RN(A) as it answers: control table, instructions, errors, watchdog; no port and no clock of its own.
+"""The logic of an RH-P12-RN(A): control table, instructions, errors and watchdog, without a port or its own clock.
 
-Frames and the time go in, answers and their delay come out, so that a test can drive it step by step. Simulated: what
-moves is a plant (servo_plant).
+Frames and the time go in; answers and their delays come out. So a test can drive it step by step. Simulated: it
+moves a plant (servo_plant).
 
-Where the maker's manual leaves it open, this servo is the strict one: Goal Current starts at 0, a wrong CRC is answered
-with error 3, a tripped watchdog takes the current from the motor, leaves Torque Enable as it is and accepts nothing but
-0, an overload switches torque off until reboot, a factory reset is refused. Profiles, PWM and the position integral and
-derivative are registers without effect.
+Where the maker's manual is unclear, this servo is strict. Goal Current starts at 0. A wrong CRC is answered with error
+3. A tripped watchdog cuts the motor current, leaves Torque Enable as it is and accepts only 0. An overload switches
+torque off until reboot. A factory reset is refused. Profiles, PWM, and the integral and derivative gains of position
+are registers without effect.
 """
 
 import struct
@@ -28,44 +28,44 @@ from evetac_cli.devices.virtual.servo_plant import Goals, Plant
 
 TICK_DEG = 0.088
 _CLEAR = bytes([0x01, 0x44, 0x58, 0x4C, 0x22])
-_NO_ID = 253  # Secondary ID from here on: none
-_TICK_MS = 32768  # Realtime Tick wraps here
+_NO_ID = 253  # Secondary ID from this value upward: none
+_TICK_MS = 32768  # Realtime Tick wraps at this value
 _OVERLOAD = 1 << table.HARDWARE_ERRORS.index("overload")
 _LIMITED_BY = {"Goal PWM": "PWM Limit", "Goal Current": "Current Limit", "Goal Velocity": "Velocity Limit"}
 _GOALS = (*_LIMITED_BY, "Goal Position")
 
 
 class Answer(NamedTuple):
-    """Bytes for the wire, and when their last one has left the servo: seconds after the frame was seen."""
+    """Bytes for the wire, and the time in s from the receipt of the frame until the last byte has left the servo."""
 
     data: bytes
     after_s: float
 
 
 class ServoRefused(Exception):
-    """An instruction that is not carried out; `fault` is the error of its answer."""
+    """An instruction was not carried out; `fault` is the error of its answer."""
 
     def __init__(self, fault: StatusError) -> None:
         self.fault = fault
 
 
 class VirtualServo:
-    """One servo; `handle` takes a frame, `tick` lets time pass between frames."""
+    """One servo: `handle` takes a frame and returns the answers; `tick` lets time pass."""
 
     def __init__(self, plant: Plant, registers: Mapping[str, int], now_s: float) -> None:
-        """Registers differ from their factory values as given; ValueError for an unknown name or a wrong size."""
+        """registers: values that differ from the factory values; ValueError for an unknown name or a wrong size."""
         self._plant = plant
         self._booted_s = self._heard_s = self._now_s = now_s
-        self.instructions: Counter[int] = Counter()  # how often each was received
-        self.false_readings: Mapping[str, int] = {}  # what registers show instead of what is measured
+        self.instructions: Counter[int] = Counter()  # how often each instruction was received
+        self.false_readings: Mapping[str, int] = {}  # values that registers show instead of the measured ones
         self._memory = bytearray(table.TABLE_SIZE)
         for register in table.TABLE:
             self._set(register.name, register.default)
         for name, value in registers.items():
             if name not in REGISTERS:
-                raise ValueError(f"{name} is no register of the gripper")
+                raise ValueError(f"{name} is not a register of the gripper")
             self._set(name, value)
-        self._ram = bytes(self._memory[table.RAM_START :])  # as after a restart
+        self._ram = bytes(self._memory[table.RAM_START :])  # RAM as after a restart
         self._supply = {name: self._get(name) for name in ("Present Input Voltage", "Present Temperature")}
         self._registered: tuple[int, bytes] | None = None
         self._motion = self._plant.advance(Goals(), now_s)
@@ -73,13 +73,13 @@ class VirtualServo:
         self._apply_registers()
 
     def value(self, name: str) -> int:
-        """A register's value, what is measured included."""
+        """Return a register's value, with measurements up to date."""
         self._measure()
         return self._get(name)
 
     @property
     def baud(self) -> int:
-        """Baud rate at which the servo listens and answers."""
+        """The baud rate of the servo."""
         return table.BAUD_RATES[self._get("Baud Rate")]
 
     @property
@@ -95,33 +95,33 @@ class VirtualServo:
         register = REGISTERS[name]
         self._memory[register.address : register.address + register.size] = register.encode(value)
 
-    # What happens to it
+    # Events
 
     def tick(self, now_s: float) -> None:
-        """Let the plant move until now, and trip the watchdog where the host was silent."""
+        """Let the plant move until now, and trip the watchdog if the host was silent."""
         self._now_s = now_s
         if self._watchdog_s and now_s - self._heard_s > self._watchdog_s:
             self.trip()
         self._motion = self._plant.advance(self._goals, now_s)
 
     def forgive(self, frozen_s: float) -> None:
-        """Leave out a time for which this process was stopped (s): the host was not silent then."""
+        """Exclude a time (s) for which this process was stopped: the host was not silent then."""
         self._heard_s += frozen_s
 
     def trip(self) -> None:
-        """The Bus Watchdog trips: no current, and goals are refused until 0 is written to it."""
+        """Trip the Bus Watchdog: no current, and goals are refused until 0 is written to it."""
         self._set("Bus Watchdog", table.WATCHDOG_TRIPPED)
         self._apply_registers()
 
     def overload(self) -> None:
-        """A hardware error; torque off where Shutdown says so."""
+        """Raise an overload error; torque goes off if Shutdown includes it."""
         self._set("Hardware Error Status", self._get("Hardware Error Status") | _OVERLOAD)
         if self._get("Shutdown") & _OVERLOAD:
             self._set("Torque Enable", 0)
         self._apply_registers()
 
     def restart(self, now_s: float) -> None:
-        """As after its power was off for a moment, or a reboot: no torque, no watchdog, no error, its clock at 0."""
+        """Restart, as after a short power cut or a reboot: no torque, no watchdog, no error, clock at 0."""
         self._memory[table.RAM_START :] = self._ram
         self._registered = None
         self._booted_s = now_s
@@ -129,7 +129,7 @@ class VirtualServo:
         self._apply_registers()
 
     def _apply_registers(self) -> None:
-        """Apply what was written: the plant's goals, the watchdog's time (s, 0 without watchdog or torque)."""
+        """Apply the written registers: the plant's goals, and the watchdog time (s, 0 without watchdog or torque)."""
         watchdog = self._get("Bus Watchdog")
         self._watchdog_s = max(watchdog, 0) * table.WATCHDOG_MS * 1e-3 if self.torque else 0.0  # e-Manual, 546
         self._goals = Goals(
@@ -142,7 +142,7 @@ class VirtualServo:
         )
 
     def _measure(self) -> None:
-        """Write down what is measured, as of the last tick."""
+        """Write the measurements of the last tick to the registers."""
         velocity = round(self._motion.velocity_ticks_s * TICK_DEG / 360.0 * 60.0 / table.RPM)
         self._set("Realtime Tick", int((self._now_s - self._booted_s) * 1000.0) % _TICK_MS)
         self._set("Moving", int(abs(velocity) > self._get("Moving Threshold")))
@@ -156,7 +156,7 @@ class VirtualServo:
     # Instructions
 
     def handle(self, frame: DynamixelFrame, now_s: float) -> list[Answer]:
-        """Carry out an instruction; its answers (none, or one), in order."""
+        """Execute an instruction; return its answers (none or one)."""
         answer_level = self._get("Status Return Level")
         delay_s = self._get("Return Delay Time") * table.RETURN_DELAY_US * 1e-6
         byte_s = 10.0 / self.baud
@@ -200,7 +200,10 @@ class VirtualServo:
         return frame.instruction >= Instruction.SYNC_READ
 
     def _read_by_list(self, frame: DynamixelFrame, own_id: int) -> bytes | None:
-        """The answer to a sync or bulk read that asks this servo first: it would wait for those before it."""
+        """Return the answer to a sync or bulk read that names this servo first, or None.
+
+        A servo that is named later would wait for those before it.
+        """
         sync = frame.instruction in (Instruction.SYNC_READ, Instruction.FAST_SYNC_READ)
         bulk = frame.instruction in (Instruction.BULK_READ, Instruction.FAST_BULK_READ)
         if not (sync or bulk) or frame.id != BROADCAST_ID or len(frame.parameters) < 5:
@@ -218,13 +221,13 @@ class VirtualServo:
             fault = refused.fault
         if frame.instruction in (Instruction.SYNC_READ, Instruction.BULK_READ):
             return self._status(own_id, fault, b"" if fault else data)
-        # of several devices each would add its block: the only one in the list, or silence
+        # each of several devices would add its block, so this answers only if it is the only one listed
         alone = len(frame.parameters) == 5
         alert = 0x80 if self._get("Hardware Error Status") else 0
         return fast_status([(fault | alert, own_id, data)]) if alone else None
 
     def _carry_out(self, frame: DynamixelFrame, now_s: float) -> bytes:
-        """Data of the answer; ServoRefused with the reason."""
+        """Return the data of the answer; ServoRefused with the reason."""
         steps: dict[int, Callable[[bytes], bytes | None]] = {
             Instruction.PING: self._ping,
             Instruction.READ: self._read_one,
@@ -294,7 +297,7 @@ class VirtualServo:
     # Memory
 
     def _read(self, address: int, size: int) -> bytes:
-        """Bytes from an address that begins a register; holes further on read as 0."""
+        """Return bytes from an address that begins a register; holes after it read as 0."""
         if address not in BY_ADDRESS or address + size > table.TABLE_SIZE:
             raise ServoRefused(StatusError.ACCESS)
         self._measure()
@@ -303,7 +306,7 @@ class VirtualServo:
         return bytes(self._memory[self._mapped(at)] for at in range(address, address + size))
 
     def _mapped(self, address: int) -> int:
-        """Where a byte really lies: Indirect Data show the byte that their Indirect Address names."""
+        """Return the true address of a byte: Indirect Data show the byte that their Indirect Address names."""
         if not table.INDIRECT_DATA <= address < table.INDIRECT_DATA + table.INDIRECT_COUNT:
             return address
         at = table.INDIRECT_ADDRESSES + 2 * (address - table.INDIRECT_DATA)
@@ -316,7 +319,7 @@ class VirtualServo:
             self._set(register.name, value)
 
     def _check(self, address: int, data: bytes) -> list[tuple[Register, int]]:
-        """Registers and values of a write; Refused if any of them may not be written."""
+        """Return registers and values of a write; ServoRefused if any of them may not be written."""
         if not data:
             raise ServoRefused(StatusError.DATA_LENGTH)
         if address + len(data) > table.TABLE_SIZE:
@@ -353,7 +356,7 @@ class VirtualServo:
 
 
 def _target(parameters: bytes) -> tuple[int, bytes]:
-    """Address and data in the parameters of a write; ServoRefused if they are too short."""
+    """Return address and data from the parameters of a write; ServoRefused if they are too short."""
     if len(parameters) < 2:
         raise ServoRefused(StatusError.DATA_LENGTH)
     return struct.unpack_from("<H", parameters)[0], parameters[2:]

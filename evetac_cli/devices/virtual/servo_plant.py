@@ -1,8 +1,10 @@
-"""What a virtual servo moves: the simulation's own drive with or without something between the fingers, or the gripper
-of a world that another process steps, met in a small block of shared memory.
+"""The plant that a virtual servo moves.
 
-Why so: a servo knows its goals and sees its encoder; whether there is a finger, an object or a whole world behind the
-encoder is not its business. All of it is simulated.
+It is either the simulation's own drive, with or without an obstacle between the fingers, or the gripper of a world that
+another process steps, connected through a small block of shared memory.
+
+A servo has goals and an encoder. Whether a finger, an object or a whole world is behind the encoder does not concern
+it. All of this is simulated.
 """
 
 import math
@@ -17,21 +19,22 @@ from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol
 from evetac_cli.realtime.shared_row import SharedRow
 from evetac_cli.realtime.shared_time import SharedTime
 
-if TYPE_CHECKING:  # numba is heavy, and a servo on shared memory does without it
+if TYPE_CHECKING:  # numba is slow to import, and a servo on shared memory does not need it
     from evetac_cli.sim.gel.contact import ForceCurve
     from evetac_cli.sim.gripper import Drive, DriveState
 
-GAIN_MA_TICK = 0.1  # current per tick off the goal and unit of Position P Gain: 5 mA at the paper's 50 (sim/gripper.py)
+# mA per tick from the goal per unit of Position P Gain: 5 mA per tick at the paper's 50 (sim/gripper.py)
+GAIN_MA_TICK = 0.1
 STEP_S = 1e-3
 LONGEST_CATCH_UP_S = 2.0  # a servo that slept longer has been at rest since
 OBSTACLE_REACH_TICKS = 200
 
 
 class Goals(NamedTuple):
-    """What moves a servo: registers as they are now; torque is off too where a fault or the watchdog stopped it."""
+    """The present goal registers of a servo; torque is also False if a fault or the watchdog stopped it."""
 
     torque: bool = False
-    mode: int = 0  # of Operating Mode: 0 current, 5 position
+    mode: int = 0  # value of Operating Mode: 0 current, 5 position
     goal_current_ma: int = 0
     current_limit_ma: int = 0
     goal_ticks: int = 0
@@ -39,7 +42,7 @@ class Goals(NamedTuple):
 
     @property
     def limit_ma(self) -> float:
-        """The largest current: Current Limit, in position mode Goal Current if that is less; 0 without torque."""
+        """The largest current: Current Limit, or in position mode Goal Current if that is lower; 0 without torque."""
         if not self.torque:
             return 0.0
         most = min(self.current_limit_ma, abs(self.goal_current_ma)) if self.mode else self.current_limit_ma
@@ -47,11 +50,11 @@ class Goals(NamedTuple):
 
     @property
     def gain_ma_tick(self) -> float:
-        """Current for each tick that the goal is ahead, in position mode."""
+        """Current per tick that the goal is ahead, in position mode."""
         return GAIN_MA_TICK * self.p_gain
 
     def command(self) -> tuple[Literal["position", "current"], float]:
-        """As the simulated drive takes it: ("position", ticks) or ("current", mA), the current within the limit."""
+        """Return the command to the simulated drive: ("position", ticks), or ("current", mA) within the limit."""
         if not self.torque:
             return "current", 0.0
         if self.mode:
@@ -60,7 +63,7 @@ class Goals(NamedTuple):
 
 
 class ServoMotion(NamedTuple):
-    """What a servo measures: current (mA), position (ticks), speed (ticks/s)."""
+    """Measurements of a servo: current (mA), position (ticks), speed (ticks/s)."""
 
     current_ma: float = 0.0
     position_ticks: int = 0
@@ -68,22 +71,25 @@ class ServoMotion(NamedTuple):
 
 
 class Plant(Protocol):
-    """What a servo moves: it is given goals and returns what is measured."""
+    """The plant that a servo moves: it takes goals and returns measurements."""
 
     def advance(self, goals: Goals, now_s: float) -> ServoMotion:
-        """Move under these goals until now (seconds of a clock that never goes back); what is measured then."""
+        """Move under these goals until now (seconds of a clock that never goes back).
+
+        Return the measurements at that time.
+        """
 
 
 @dataclass(frozen=True)
 class Obstacle:
-    """Something between the fingers: first touched at `at_ticks`, pushing back with `stiffness_n_tick` per finger."""
+    """An object between the fingers: first touched at `at_ticks`, pushes back with `stiffness_n_tick` per finger."""
 
     at_ticks: float = 437.0
-    stiffness_n_tick: float = 0.27  # of fingers, links and mounts (sim/scenes/gripped.py)
+    stiffness_n_tick: float = 0.27  # stiffness of fingers, links and mounts (sim/scenes/gripped.py)
 
 
 class OwnDynamics:
-    """The simulation's drive of a finger, alone in the world but for an obstacle."""
+    """The simulation's drive of a finger, alone except for an optional obstacle."""
 
     def __init__(self, obstacle: Obstacle | None = None, position_ticks: float = 400.0) -> None:
         from evetac_cli.sim.gripper import Drive, start, step
@@ -92,13 +98,13 @@ class OwnDynamics:
         touch_ticks = obstacle.at_ticks if obstacle else self._drive.open_ticks
         self._curve = _curve(obstacle, self._drive)
         self._state: DriveState = start(self._drive, self._curve, touch_ticks, position_ticks - touch_ticks)
-        # at rest without current nothing moves; but the first step compiles, which must not take from real time
+        # At rest without current nothing moves, but the first step compiles, which must not happen in real time.
         step(self._state, self._drive, self._curve, "current", 0.0, STEP_S)
         self._now_s = math.nan
         self._goals: Goals | None = None
 
     def advance(self, goals: Goals, now_s: float) -> ServoMotion:
-        """Steps of 1 ms until now; time not yet a whole step is kept for the next call."""
+        """Advance in steps of 1 ms until now; a remainder is kept for the next call."""
         from evetac_cli.sim.gripper import step
 
         if math.isnan(self._now_s):
@@ -132,12 +138,12 @@ def _curve(obstacle: Obstacle | None, drive: "Drive") -> "ForceCurve":
 class SharedPlant:
     """The gripper of a world that another process steps, in a block of shared memory.
 
-    The servo passes its goals (`advance`) and the world reads them (`goals`); the world shows how its gripper moved
-    (`show`) and the servo reads that. Whoever makes it without a path owns the block; others attach to its path, as
-    long as the owner has not closed it. It may be pickled: the copy is attached. `time` is the time of that world.
+    The servo passes its goals (`advance`) and the world reads them (`goals`). The world publishes the gripper's motion
+    (`show`) and the servo reads it. The process that creates the block without a path owns it; others attach to its
+    path until the owner closes it. Pickling gives an attached copy. `time` is the time of that world.
 
-    Why so: on Linux the block is a file without a name, which its owner's folder in /proc leads to. It is gone with the
-    last process that has it open, whatever ended them.
+    On Linux the block is a file without a name, reached through its owner's folder in /proc. It disappears with the
+    last process that has it open, however those processes end.
     """
 
     _GOALS_AT, _MOTION_AT, _TIME_AT = 0, 128, 256
@@ -165,7 +171,7 @@ class SharedPlant:
         return SharedPlant, (self.path,)
 
     def advance(self, goals: Goals, now_s: float) -> ServoMotion:
-        """For the servo: pass on its goals; what the world showed last."""
+        """For the servo: pass on its goals; return the motion that the world published last."""
         if goals != self._passed_on:
             self._goals.write(*goals)
             self._passed_on = goals
@@ -176,7 +182,7 @@ class SharedPlant:
         return ServoMotion(current_ma, int(position_ticks), velocity)
 
     def goals(self) -> Goals:
-        """For the world: the servo's goals; without torque as long as there is no servo."""
+        """For the world: return the servo's goals; without torque as long as there is no servo."""
         row = self._goals.read()
         if row is None:
             return Goals()
@@ -184,11 +190,11 @@ class SharedPlant:
         return Goals(bool(torque), *(int(value) for value in rest))
 
     def show(self, motion: ServoMotion) -> None:
-        """For the world: how the gripper moved."""
+        """For the world: publish the gripper's motion."""
         self._motion.write(*motion)
 
     def close(self) -> None:
-        """Let go of the memory, and end it if it was made here; a second call does nothing."""
+        """Release the memory, and end it if it was created here; a second call does nothing."""
         if not self._memory.closed:
             self._memory.close()
             os.close(self._handle)
@@ -196,6 +202,6 @@ class SharedPlant:
                 self.remove()
 
     def remove(self) -> None:
-        """Take its name away, where it has one; it lasts as long as some process has it open."""
+        """Remove the block's file name, if it has one; the block lasts as long as a process has it open."""
         if sys.platform != "linux":
             self.path.unlink(missing_ok=True)

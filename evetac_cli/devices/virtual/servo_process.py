@@ -1,9 +1,9 @@
 """The process behind a virtual gripper: a pseudo terminal with a servo at its other end, in real time.
 
-Started by gripper.py, which holds the other end of stdin and stdout: one JSON object a line asks, one answers, and
-the end of stdin ends the process, also when its parent was killed. It sleeps until a byte, an answer or the watchdog is
-due. Answers leave when their last byte would have passed the wire: bytes of request and answer * 10 / baud and the
-return delay. A frame sent at another baud rate than the servo's is noise, and ignored.
+gripper.py starts it and holds the other end of stdin and stdout. One JSON object per line is a request, and one line is
+its answer. The end of stdin ends the process, also if its parent was killed. The process sleeps until a byte, an answer
+or the watchdog is due. Answers leave when their last byte would have passed the wire: bytes of request and answer * 10
+/ baud, plus the return delay. A frame sent at another baud rate than the servo's is noise and is ignored.
 """
 
 import contextlib
@@ -28,10 +28,10 @@ from evetac_cli.devices.virtual.servo_plant import Obstacle, OwnDynamics, Plant,
 from evetac_cli.interrupts import ignore_interrupts
 from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
 
-LATE_S = 0.5  # of a late answer
-IDLE_S = 0.02  # how long the servo's world may stand still between two instructions
-FROZEN_S = 0.01  # woken later than this: a busy machine had stopped the process
-PAUSE_S = 0.02  # a frame whose rest does not come within this is given up
+LATE_S = 0.5  # delay of a late answer
+IDLE_S = 0.02  # longest time between updates of the servo without an instruction
+FROZEN_S = 0.01  # if woken later than this, a busy machine had stopped the process
+PAUSE_S = 0.02  # a frame whose remainder does not arrive within this time is dropped
 _RATES = {
     getattr(termios, f"B{rate}"): rate
     for rate in (9600, 57600, 115200, 1_000_000, 2_000_000, 3_000_000, 4_000_000)
@@ -40,24 +40,24 @@ _RATES = {
 
 
 class Faults:
-    """Which faults strike now; times are counted from when torque was first switched on."""
+    """The faults that strike now; times are counted from the first time torque was switched on."""
 
     def __init__(self, faults: list[Fault], rng: np.random.Generator) -> None:
         self._waiting = faults
         self._rng = rng
-        self._torque_s: float | None = None  # when torque was first on
-        self.struck: Counter[str] = Counter()  # how often each did
+        self._torque_s: float | None = None  # time at which torque was first on
+        self.struck: Counter[str] = Counter()  # how often each fault struck
 
     def add(self, fault: Fault) -> None:
-        """Add a fault to those that wait."""
+        """Add a waiting fault."""
         self._waiting.append(fault)
 
     def due(self, now_s: float, torque: bool) -> list[str]:
-        """Names of those whose moment has come, except those that wait for an answer to spoil."""
+        """Return the names of faults that are due now, except those that wait for an answer to spoil."""
         return self._take(now_s, torque, spoiling=False)
 
     def spoil(self, answer: Answer, now_s: float, torque: bool) -> Answer | None:
-        """The answer as the faults leave it; None if it is lost."""
+        """Return the answer as changed by the faults; None if it is lost."""
         names = self._take(now_s, torque, spoiling=True)
         hit = [
             fault.name
@@ -74,7 +74,7 @@ class Faults:
         return Answer(data, after_s + (LATE_S if "late-answer" in names else 0.0))
 
     def false_readings(self, now_s: float) -> dict[str, int]:
-        """What registers show now instead of what is measured, by name."""
+        """Return the false values that registers show now, by name."""
         shown: dict[str, int] = {}
         for fault in self._waiting:
             reads = GRIPPER_FAULTS[fault.name].reads
@@ -84,7 +84,7 @@ class Faults:
         return shown
 
     def _take(self, now_s: float, torque: bool, *, spoiling: bool) -> list[str]:
-        """Names of faults that strike once, and do so now; they are no longer waiting."""
+        """Return the names of faults that strike once and do so now; they stop waiting."""
         if torque and self._torque_s is None:
             self._torque_s = now_s
         kinds = {name for name, kind in GRIPPER_FAULTS.items() if kind.reads is None and kind.percent == spoiling}
@@ -102,7 +102,7 @@ class Faults:
 
 
 class ServoLine:
-    """The pseudo terminal and the servo on it: the wire goes by the host's time, the servo by that of its world."""
+    """The pseudo terminal and its servo: the wire follows the host's time, the servo that of its world."""
 
     def __init__(self, servo: VirtualServo, faults: Faults, clock: TimeSource) -> None:
         self._servo = servo
@@ -114,16 +114,16 @@ class ServoLine:
         self._due: list[tuple[float, bytes]] = []
         self._servo_end, self._host_end = (
             pty.openpty()
-        )  # the host's end stays open here, or closing the port would end ours
+        )  # the host's end also stays open here, otherwise closing the port would end the servo's end
         for end in (self._servo_end, self._host_end):
             tty.setraw(end)
-        os.fchmod(self._host_end, 0o600)  # the system may let a group write to terminals
+        os.fchmod(self._host_end, 0o600)  # some systems let a group write to terminals
         os.set_blocking(self._servo_end, False)
         self.port = os.ttyname(self._host_end)
         self.plugged = True
 
     def wait(self, more: int) -> bool:
-        """Sleep until something is to be done, and do it; True if the descriptor `more` is ready."""
+        """Sleep until something is due, and do it; return True if the descriptor `more` is ready."""
         until_s = max(min([IDLE_S, *(due_s - time.monotonic() for due_s, _ in self._due)]), 0.0)
         listening = [self._servo_end, more] if self.plugged else [more]
         ready = select.select(listening, [], [], until_s)[0]
@@ -132,7 +132,7 @@ class ServoLine:
             self._servo.forgive(late_s)
         self._woken_s = now_s
         if not ready and not self._due:
-            self._servo.tick(now_s)  # an instruction does so itself
+            self._servo.tick(now_s)  # an instruction also does this
         self._strike(now_s)
         if self.plugged:
             self._send()
@@ -172,11 +172,11 @@ class ServoLine:
         for entry in sorted(self._due):
             if entry[0] <= time.monotonic():
                 self._due.remove(entry)
-                with contextlib.suppress(BlockingIOError):  # nobody reads: a wire does not wait
+                with contextlib.suppress(BlockingIOError):  # no reader: a wire does not wait
                     os.write(self._servo_end, entry[1])
 
     def unplug(self) -> None:
-        """The port disappears; the servo keeps its power."""
+        """Remove the port; the servo keeps its power."""
         if self.plugged:
             self.plugged = False
             os.close(self._servo_end)
@@ -184,27 +184,27 @@ class ServoLine:
 
 
 def make_plant(choice: Mapping[str, Any]) -> Plant:
-    """The plant that the configuration from gripper.py describes."""
+    """Return the plant that the configuration from gripper.py describes."""
     if "shared" in choice:
         return SharedPlant(choice["shared"])
     return OwnDynamics(Obstacle(**choice["obstacle"]) if choice["obstacle"] else None, choice["position_ticks"])
 
 
-def _reply(asked: Mapping[str, Any], servo: VirtualServo, faults: Faults, now_s: float) -> Any:
-    if "inject" in asked:
-        faults.add(gripper_fault(asked["inject"]))
+def _reply(request: Mapping[str, Any], servo: VirtualServo, faults: Faults, now_s: float) -> Any:
+    if "inject" in request:
+        faults.add(gripper_fault(request["inject"]))
         return True
-    if "struck" in asked:
+    if "struck" in request:
         return dict(faults.struck)
-    if "read" in asked:
+    if "read" in request:
         servo.tick(now_s)
-        return servo.value(asked["read"])
+        return servo.value(request["read"])
     return dict(servo.instructions)
 
 
 def serve(choice: Mapping[str, Any]) -> None:
-    """Be the servo until stdin ends or the parent is gone."""
-    ignore_interrupts()  # Ctrl-C is for the host, which still wants to switch torque off
+    """Run the servo until stdin ends or the parent has gone."""
+    ignore_interrupts()  # Ctrl-C is for the host, which still has to switch torque off
     parent = os.getppid()
     faults = Faults([gripper_fault(text) for text in choice["faults"]], np.random.default_rng(choice["seed"]))
     plant = make_plant(choice["plant"])
@@ -220,8 +220,8 @@ def serve(choice: Mapping[str, Any]) -> None:
         data = os.read(asking, 4096)
         if not data:
             return
-        *asked, begun = (begun + data).split(b"\n")
-        for text in asked:
+        *requests, begun = (begun + data).split(b"\n")
+        for text in requests:
             _write_line(_reply(json.loads(text), servo, faults, clock.now_s()))
 
 
@@ -232,4 +232,4 @@ def _write_line(answer: Any) -> None:
 
 if __name__ == "__main__":
     serve(json.loads(sys.argv[1]))
-    os._exit(0)  # nothing to tidy up, and whoever closes a gripper waits for this process
+    os._exit(0)  # nothing to clean up, and the caller of VirtualGripper.close waits for this process

@@ -1,7 +1,8 @@
-"""Attacks on the stream of a virtual camera: what each does to a recording, against the camera's own count of events.
+"""Attacks on the stream of a virtual camera, and their effect on a recording.
 
-`ATTACKS` are faults of a virtual camera (faults.py) that a driver must outlast: it ends in time, makes no more slices
-than the host's time allows, and says how many events were lost, or at least how many.
+The driver's loss report is compared with the camera's own count of events. `ATTACKS` are faults of a virtual camera
+(faults.py) that a driver must survive. It must end in time, make no more slices than the host's time allows, and report
+the number of lost events, or a lower bound.
 """
 
 from contextlib import closing
@@ -19,12 +20,12 @@ from evetac_cli.devices.virtual.word_sources import PreparedWords, random_event_
 from evetac_cli.events import SLICE_US, SLICES_PER_S
 from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
 
-SHARE = 0.01  # of all events by which a number of lost ones may differ from the camera's own
-IN_FLIGHT_S = 0.05  # of events that the camera sent, and that no slice was to hold any more, where nobody counts them
+SHARE = 0.01  # share of all events by which the reported loss may differ from the camera's count
+IN_FLIGHT_S = 0.05  # time span of events that were sent for later slices, if they cannot be counted
 
 
 class Attack(NamedTuple):
-    """A fault, and whether the protocol tells how many events it costs."""
+    """A fault, and whether the protocol allows the events that it costs to be counted."""
 
     fault: str
     is_countable: bool
@@ -55,51 +56,54 @@ class Ending:
 
     slices: int
     host_ms: float  # from just before the camera is opened to its last slice
-    events: int  # in the slices
-    seen: int  # by the camera's sensor until then
-    said: int | str  # how many were lost, as the driver says
-    waiting: int | None = None  # on the way to a later slice when it ended; None where nobody can count them
+    events: int  # events in the slices
+    seen: int  # events of the camera's sensor until then
+    said: int | str  # number of lost events reported by the driver
+    waiting: int | None = None  # events on the way to a later slice when it ended; None if they cannot be counted
 
     @property
     def lost(self) -> int:
-        """Events that the camera saw, that no slice holds, and none that were on the way to a later one."""
+        """Number of events of the camera that are in no slice and were not on the way to a later one."""
         return self.seen - self.events - (self.waiting or 0)
 
     def faults(self, attack: Attack, events_s: float) -> list[str]:
-        """What is wrong with this ending, in words; nothing if it is as it should be."""
+        """Return descriptions of everything wrong with this ending; empty if it is as it should be."""
         wrong = []
         most = (self.host_ms * (1.0 + DRIFT)) + RESERVE_US / SLICE_US
-        least = self.host_ms - 3 * FAR_US / SLICE_US  # behind for so long, for so long, and read that much later
+        least = self.host_ms - 3 * FAR_US / SLICE_US  # late by FAR_US, for FAR_US, and read FAR_US later
         if not least <= self.slices <= most:
             wrong.append(f"{self.slices} slices in {self.host_ms:.0f} ms")
         tolerance = SHARE * self.seen
-        if self.waiting is None:  # what was seen after the last slice is on the way
+        if self.waiting is None:  # events after the last slice are on the way
             tolerance += (IN_FLIGHT_S + max(0.0, self.host_ms - self.slices) * 1e-3) * events_s
-        said = int(str(self.said).rpartition(" ")[2].replace(",", ""))
+        reported = int(str(self.said).rpartition(" ")[2].replace(",", ""))
         is_number = isinstance(self.said, int)
-        if said > self.lost + tolerance:
-            wrong.append(f"{said} events said to be lost, of {self.lost}")
-        if is_number and abs(said - self.lost) > tolerance:
-            wrong.append(f"{said} events said to be lost, {self.lost} were")
+        if reported > self.lost + tolerance:
+            wrong.append(f"{reported} events reported as lost, at most {self.lost} were")
+        if is_number and abs(reported - self.lost) > tolerance:
+            wrong.append(f"{reported} events reported as lost, {self.lost} were")
         if attack.is_countable and not is_number:
-            wrong.append("the number is not known")
+            wrong.append("the number of lost events is unknown")
         return wrong
 
 
 def attack(attacked: Attack, seconds: float, events_s: float, time: TimeSource = HOST_TIME) -> Ending:
-    """Read so many seconds of a stream with a fault, by the real driver, as a recording does; time: of the stream."""
+    """Read this many seconds of a stream with a fault, through the real driver, as a recording does.
+
+    time: the stream's time source.
+    """
     words = random_event_words(events_s, 2.0 * seconds, np.random.default_rng(0))
     device = VirtualDvxplorer(PreparedWords(words, time=time), faults=(attacked.fault,))
     slices = events = 0
-    began_s = time.now_s()  # before the camera's start: this program may be kept from running just after it
+    began_s = time.now_s()  # before the camera's start: this program may be paused just after it
     with closing(DvxplorerCamera(backend=device)) as camera:
         while slices < round(SLICES_PER_S * seconds) and (part := camera.read()) is not None:
             slices += 1
             events += part.size
         host_ms = 1e3 * (time.now_s() - began_s)
-        said = events_lost(camera.counted)
-    # Once it is closed nothing moves any more: however busy the computer is, each event is in one place.
+        reported = events_lost(camera.counted)
+    # After closing, nothing moves any more: each event is in one place, however busy the computer is.
     waiting, words_left = camera.waiting
     words_left += device.waiting
     waiting += int(events_in(np.frombuffer(words_left, "<u4", len(words_left) // 4)))
-    return Ending(slices, host_ms, events, device.events_seen, said, waiting if attacked.is_countable else None)
+    return Ending(slices, host_ms, events, device.events_seen, reported, waiting if attacked.is_countable else None)

@@ -1,4 +1,4 @@
-"""Event words made beforehand, as something for a virtual camera to send."""
+"""Prepared event words for a virtual camera to send."""
 
 import math
 import time
@@ -13,16 +13,16 @@ from evetac_cli.devices.dvxplorer.event_words import encode
 from evetac_cli.events import FRAME_PX, SLICE_US, Events
 from evetac_cli.realtime.shared_time import HOST_TIME, READER_S, SharedTime, TimeSource
 
-_FRAME_US = 200  # of rain: the camera's default readout
+_FRAME_US = 200  # frame time of the random events: the camera's default readout
 _DIFFERENT_FRAMES = 500
 
 
 class PreparedWords:
     """A stream of words as a camera would have sent it, at its own pace or as fast as it is fetched.
 
-    paced: a word may be taken once the time of its frame has passed, counted from `run`. Unpaced, there are words
-    whenever a reader waits for them (so that no buffer overflows); device time runs ahead of the host's then, and the
-    driver believes no silence of more than a second.
+    paced: a word may be taken once the time of its frame has passed since `run`. Unpaced, words are available whenever
+    a reader waits for them, so no buffer overflows. Device time then runs ahead of the host's, and the driver believes
+    no silence of more than a second.
     """
 
     def __init__(
@@ -36,17 +36,18 @@ class PreparedWords:
     ) -> None:
         """times: how often the words are sent, each time with TIMESTAMPs that are period_ms later.
 
-        time: the clock by which words are due; a SharedTime waits for a driver whose slices are not read in time.
+        time: the clock that determines when words are due; a SharedTime waits for a driver whose slices are not read in
+        time.
         """
         self._words = words.astype("<u4")
         self._is_stamp = words >> 26 == 2
         self.times, self._period_ms = times, period_ms
         self._due_us = due_us(words) if paced else None
         self.time = time
-        self._at = 0  # bytes taken
+        self._at = 0  # number of bytes taken
         self._bytes = 4 * len(words) * times
-        self._ran_us = 0.0  # before the last run
-        self._began_s: float | None = None  # of this run
+        self._ran_us = 0.0  # running time before the present run
+        self._began_s: float | None = None  # start of the present run
         self._changed = Condition()
 
     @property
@@ -55,7 +56,7 @@ class PreparedWords:
         return (self._bytes - self._at) // 4
 
     def run(self, on: bool) -> None:
-        """Let time pass (True), or stand still."""
+        """Let time pass (True) or stop it."""
         with self._changed:
             now_s = self.time.now_s()
             if self._began_s is not None:
@@ -65,7 +66,7 @@ class PreparedWords:
             self._changed.notify_all()
 
     def take(self, most: int, timeout_s: float) -> bytes:
-        """At most so many bytes that are due, waiting for the first of them; b"" if there are none in time."""
+        """Return at most this many bytes that are due, waiting for the first; b"" if there are none in time."""
         end_s = time.monotonic() + timeout_s if timeout_s > 0 else 0.0
         with self._changed:
             self._limit_time()
@@ -81,25 +82,25 @@ class PreparedWords:
             return self._between(start, self._at)
 
     def _between(self, start: int, end: int) -> bytes:
-        """The bytes [start, end) of all that is sent."""
+        """Return the bytes [start, end) of the whole stream."""
         parts = []
         length = 4 * len(self._words)
         for turn in range(start // length, -(-end // length)):
             first, last = max(start - turn * length, 0), min(end - turn * length, length)
-            chosen = slice(first // 4, -(-last // 4))
-            words = self._words[chosen].copy()
-            words[self._is_stamp[chosen]] += np.uint32(turn * self._period_ms)
+            part = slice(first // 4, -(-last // 4))
+            words = self._words[part].copy()
+            words[self._is_stamp[part]] += np.uint32(turn * self._period_ms)
             parts.append(words.tobytes()[first % 4 : first % 4 + last - first])
         return b"".join(parts)
 
     def _limit_time(self) -> None:
-        """Let time go on as far as the reader of the slices has come."""
+        """Let time advance as far as the reader of the slices has come."""
         if isinstance(self.time, SharedTime):
             ends = self._began_s is None or self._at == self._bytes
             self.time.limit(math.inf if ends else self.time.reader_s + READER_S)
 
     def _due(self) -> int:
-        """Number of bytes from the start whose time has come."""
+        """Return the number of bytes from the start that are due."""
         if self._began_s is None:
             return self._at
         if self._due_us is None:
@@ -110,7 +111,7 @@ class PreparedWords:
         return 4 * (turn * len(self._words) + int(self._due_us.searchsorted(within_us, side="right")))
 
     def _wait_s(self) -> float | None:
-        """Until the next word is due, None if none will be."""
+        """Return the time until the next word is due, in s; None if none will be."""
         if self._began_s is None or self._due_us is None or self._at == self._bytes:
             return None
         turn, place = divmod(self._at // 4, len(self._words))
@@ -119,7 +120,7 @@ class PreparedWords:
 
 
 def due_us(words: NDArray[np.uint32]) -> NDArray[np.int64]:
-    """Time of every word after the first TIMESTAMP: of its frame, or of its own."""
+    """Return the time of every word after the first TIMESTAMP, in us: the time of its frame, or its own."""
     if len(words) == 0:
         return np.empty(0, np.int64)
     stamps = np.flatnonzero(words >> 26 == 2)
@@ -129,20 +130,21 @@ def due_us(words: NDArray[np.uint32]) -> NDArray[np.int64]:
     of_stamp[stamps] = SLICE_US * np.diff(ms, prepend=0)
     begins = words >> 21 == (1 << 26 | 1 << 21) >> 21
     within = np.where(begins, words >> 11 & 0x3FF, 0).astype(np.int64)
-    known = np.maximum.accumulate(np.where(begins | (words >> 26 == 2), np.arange(len(words)), 0))
-    return np.cumsum(of_stamp) + within[known]
+    latest = np.maximum.accumulate(np.where(begins | (words >> 26 == 2), np.arange(len(words)), 0))
+    return np.cumsum(of_stamp) + within[latest]
 
 
 def random_event_words(events_per_s: float, seconds: float, rng: np.random.Generator) -> NDArray[np.uint32]:
-    """Words of events at random, as many in every frame, no pixel twice in it: a load of a known number of events.
+    """Return words of random events, equally many per frame and no pixel twice in a frame: a load of known size.
 
-    seconds * events_per_s events, rounded to whole events a frame of 200 us. They fall in patches of 8 x 8 pixels, half
-    of which fire, some two events a word; after 0.1 s the same comes again. ValueError for less than an event a frame,
-    and for more than half of the pixels.
+    The total is seconds * events_per_s, rounded to whole events per frame of 200 us. The events fall in patches of 8 x
+    8 pixels, half of which fire, with about two events per word; after 0.1 s the pattern repeats. ValueError for less
+    than one event per frame, and for more than half of the pixels.
     """
     frames = round(seconds * 1e6 / _FRAME_US)
     width, height = FRAME_PX
-    least, most = 1e6 / _FRAME_US, width * height / 2 * 1e6 / _FRAME_US  # an event in a frame, half of all pixels
+    # one event per frame, half of all pixels per frame
+    least, most = 1e6 / _FRAME_US, width * height / 2 * 1e6 / _FRAME_US
     check_range("events_per_s", events_per_s, least, most)
     each = round(events_per_s * _FRAME_US * 1e-6)
     patches = -(-each // 32)
@@ -153,9 +155,9 @@ def random_event_words(events_per_s: float, seconds: float, rng: np.random.Gener
         patch = rng.choice(width * height // 64, patches, replace=False)
         x = (8 * (patch % (width // 8)))[:, np.newaxis] + np.arange(64) % 8
         y = (8 * (patch // (width // 8)))[:, np.newaxis] + np.arange(64) // 8
-        chosen = rng.choice(64 * patches, each, replace=False)
+        picks = rng.choice(64 * patches, each, replace=False)
         polarity = np.broadcast_to(rng.integers(0, 2, patches)[:, np.newaxis], (patches, 64))
-        parts.append((x.ravel()[chosen], y.ravel()[chosen], polarity.ravel()[chosen]))
+        parts.append((x.ravel()[picks], y.ravel()[picks], polarity.ravel()[picks]))
     t = np.repeat(_FRAME_US * np.arange(len(parts), dtype=np.int64) + _FRAME_US // 2, each)
     x, y, p = (np.concatenate(column) for column in zip(*parts, strict=True))
     once = Events(t, x.astype(np.uint16), y.astype(np.uint16), p.astype(np.uint8))

@@ -1,19 +1,20 @@
-"""A simulated world in a process of its own, in real time, behind a virtual camera and a virtual gripper.
+"""A simulated world in its own process, in real time, behind a virtual camera and a virtual gripper.
 
-The world makes a slice a millisecond from the moment the camera is started. Its events become event words, which
-the virtual camera sends over its virtual USB; its finger follows the registers of the virtual gripper, through shared
-memory. So drivers meet both as they would meet hardware.
+The world makes one slice per millisecond, starting when the camera is started. Its events become event words, which the
+virtual camera sends over its virtual USB. Its finger follows the registers of the virtual gripper through shared
+memory. So the drivers see both devices as they would see hardware.
 
-Why so: device time is the world's time. A world that cannot keep up with the host's clock is late, never slow, and
-counts the slices that were late. When a camera answers that it has no words, none may be left from before the question:
-so before it gives that answer, a late world first catches up with the moment at which it was asked.
+Device time is the world's time. A world that cannot keep up with the host's clock is late, never slow, and counts late
+slices. When a camera answers that it has no words, no words from before the question may remain. So before it gives
+that answer, a late world first catches up with the time of the question.
 
-A world with two cameras, one at each finger, makes the words of both: `seen_by` is the world as one of them sees it.
-Its time stands still until both were started.
+A world with two cameras, one at each finger, makes the words of both: `seen_by` returns the world as one of them sees
+it. Its time pauses until both cameras have started.
 
-A world that `waits` is never late: `time`, by which the camera's driver, the virtual servo and the control loops of a
-grasp go, stands still until the world has made what is due and the driver's slices were read. It waits unless a real
-gripper moves beside it. How well time is kept is measured with prepared words, which come by the host's clock.
+A world that `waits` is never late. Its `time`, used by the camera's driver, the virtual servo and the control loops of
+a grasp, pauses until the world has made the slices that are due and the driver's slices were read. A world waits
+unless a real gripper moves with it. How well time is kept is measured with prepared words, which follow the host's
+clock.
 """
 
 import copy
@@ -42,26 +43,27 @@ from evetac_cli.realtime.shared_time import READER_S, SharedTime
 from evetac_cli.sim.setup.plan import Plan
 
 SLICE_S = 1e-3
-LATE_S = 5e-3  # a slice whose words leave later than this after its end was late
-BACKLOG_BYTES = 4 << 20  # of words that nobody fetched; further slices are dropped and counted
-FIRST_MS = 1  # device time of the first slice: a camera whose clock reads 0 looks as if it had wrapped
+LATE_S = 5e-3  # a slice is late if its words leave later than this after its end
+BACKLOG_BYTES = 4 << 20  # limit of unfetched words; further slices are dropped and counted
+FIRST_MS = 1  # device time of the first slice: a camera clock of 0 would look as if it had wrapped
 PAPER_P_GAIN = 50  # the servo's gain at which the simulated drive was fitted
 WORD_BYTES = 4
 END_S = 2.0
-WARMING = 2500  # slices of a first world, which only compile: in 2 s a grasp comes to the moment at which a hand rises
-WARMING_TICKS = 3  # how far ahead of the finger the goal is in it: it closes
-TRUTH_SLICES = 50  # whose truth is sent at once
-CATCH_UP_S = 10.0  # a world that is later than this is given up on, for the moment
-STANDING_S = 5e-4  # how often a world that waits checks whether its time may go on
-_LATE, _DROPPED, _MADE, _BEGAN_NS = range(4)  # shared with the process; began: host time of time 0, 0 while it stands
+WARMING = 2500  # slices of a warm-up world that compiles all code: after 2 s a grasp reaches the lift
+WARMING_TICKS = 3  # how far the goal is ahead of the finger during warm-up: it closes
+TRUTH_SLICES = 50  # number of slices whose ground truth is sent together
+CATCH_UP_S = 10.0  # a world that is later than this is not waited for any longer in this call
+STANDING_S = 5e-4  # how often a waiting world checks whether its time may continue
+# counters shared with the process; began: host time of world time 0, or 0 while it is paused
+_LATE, _DROPPED, _MADE, _BEGAN_NS = range(4)
 
 
 class VirtualWorld:
     """The world's side of a virtual camera (`run`, `take`) and of a virtual gripper (`plant`).
 
-    It may be given to a process that is being spawned: the copy is a source of words like this one, and whoever built
-    the world ends it. `truths` gives the truth of slices, a row of every array
-    for each, and None after the last, if asked for.
+    It may be passed to a process that is being spawned. The copy there is an equal source of words, but only the
+    process that built the world ends it. If requested, `truths` returns the ground truth of slices, one row of every
+    array per slice, and None after the last.
     """
 
     def __init__(
@@ -73,16 +75,16 @@ class VirtualWorld:
         waits: bool = True,
         **durations: float,
     ) -> None:
-        """Build the world of a plan, as devices.simulated.rig does; its time stands still until `run`.
+        """Build the world of a plan, as devices.simulated.rig does; its time is paused until `run`.
 
-        waits: whether `time` waits for whoever is late.
+        waits: whether `time` waits for a late world or reader.
         """
         context = multiprocessing.get_context("spawn")
         self.plant = SharedPlant()
         self.time: SharedTime = self.plant.time
         self._finger = 0
         self._asked_s = 0.0
-        self._polling = False  # whether the last call had no time to wait, and got words
+        self._polling = False  # whether the last call had no time to wait and got words
         self._counters = context.Array("q", 4, lock=False)
         self._last_words = LastWords()
         self._orders, orders = context.Pipe()
@@ -112,7 +114,7 @@ class VirtualWorld:
             raise
 
     def _wait_until_built(self, process: BaseProcess) -> None:
-        """Wait until the process has built the world; DeviceError if it does not come up."""
+        """Wait until the process has built the world; DeviceError if it does not start."""
         wait_while_computing(self._orders, process, "the virtual world did not start")
         try:
             reply = self._orders.recv()
@@ -136,43 +138,44 @@ class VirtualWorld:
         return self._all_words[self._finger]
 
     def seen_by(self, finger: int) -> "VirtualWorld":
-        """A source of the words of a finger's camera: a copy, to be given to the process that reads them."""
+        """Return a source of the words of a finger's camera: a copy for the process that reads them."""
         seen = copy.copy(self)
         vars(seen).update(_finger=finger, time=self.time.of_reader(finger), _process=None, truths=None)
         return seen
 
     @property
     def pid(self) -> int | None:
-        """Process id of the world; None once it has ended."""
+        """The process id of the world; None once it has ended."""
         return None if self._process is None else self._process.pid
 
     @property
     def counted(self) -> Mapping[str, int]:
-        """Slices that left later than 5 ms after their end, and slices whose words nobody fetched."""
+        """Numbers of slices that left later than 5 ms after their end, and of slices whose words were not fetched."""
         return {"slices_late": self._counters[_LATE], "slices_dropped": self._counters[_DROPPED]}
 
     def run(self, on: bool) -> None:
-        """Let the world's time pass (True) or stand still; DeviceError if its process has died."""
+        """Let the world's time pass (True) or stop it; DeviceError if its process has died."""
         try:
             self._orders.send((self._finger, on))
         except OSError:
             raise self.died() from None
 
     def died(self, when: str = "") -> DeviceError:
-        """The error for a world whose process is gone; a copy in another process knows its last words at most."""
+        """Return the error for a world whose process has gone; a copy in another process has at most its last words."""
         words, process = self._last_words, self._process
         how = words.read() if process is None else exit_words(process, words)
         return DeviceError(with_reason(f"the process of the virtual world died {when}".rstrip(), how))
 
     @property
     def has_died(self) -> bool:
-        """Whether its process ended before it was closed; unknown, and so False, to a copy in another process."""
+        """Whether its process ended before it was closed; a copy in another process cannot know, and returns False."""
         return self._process is not None and self._process.pid is not None and self._process.exitcode is not None
 
     def take(self, most: int, timeout_s: float) -> bytes:
-        """Event words, little-endian, as they come; b"" if none came in time, and none are due from before the call.
+        """Return event words, little-endian, as they arrive; b"" if none arrived in time.
 
-        Calls without time to wait, repeated until there are no words, count as one that was made when the first was.
+        An empty result also means that no words from before the call are due. Repeated calls with no time to wait,
+        until no words are left, count as one call made at the time of the first.
         """
         if timeout_s > 0 or not self._polling:
             self._asked_s = self.time.now_s()
@@ -192,7 +195,7 @@ class VirtualWorld:
         return b""
 
     def _is_behind(self, now_s: float) -> bool:
-        """Whether a slice that ended before this moment has not been sent yet."""
+        """Return whether a slice that ended before this time has not been sent yet."""
         began_ns = self._counters[_BEGAN_NS]
         return bool(began_ns and (self._counters[_MADE] + 1) * SLICE_S < now_s - began_ns * 1e-9)
 
@@ -221,8 +224,8 @@ def _run_world(
     truths: Connection | None,
     counters: Any,
 ) -> None:
-    """The world's process: build, say so, then obey orders until the other side is gone."""
-    ignore_interrupts()  # Ctrl-C is for the recorder, which then ends this
+    """Run the world's process: build, report that, then obey orders until the other side has gone."""
+    ignore_interrupts()  # Ctrl-C is for the recorder, which then ends this process
     running_world, reply = _build(plan, seeds, durations, waits, plant, words, truths, counters)
     try:
         orders.send(reply)
@@ -238,24 +241,24 @@ def _run_world(
             if readable:
                 running_world.run(*orders.recv())
             running_world.tick()
-        except (EOFError, BrokenPipeError, ConnectionResetError):  # the recorder is gone, perhaps without being asked
+        except (EOFError, BrokenPipeError, ConnectionResetError):  # the recorder has gone, perhaps killed
             plant.remove()
             return
 
 
 def _build(*made_of: Any) -> tuple["_RunningWorld | None", Any]:
-    """The world, and the reply to the other process: what it is, or why it cannot be built."""
+    """Return the world, and the reply to the other process: its description, or why it cannot be built."""
     try:
         running_world = _RunningWorld(*made_of)
     except EvetacError as error:
         return None, error
-    except Exception as error:  # raised by the other process
+    except Exception as error:  # the other process raises it
         return None, f"{type(error).__name__}: {error}"
     return running_world, running_world.described()
 
 
 class _RunningWorld:
-    """A world whose slices are made when their time has come."""
+    """A world that makes its slices when they are due."""
 
     def __init__(
         self,
@@ -272,7 +275,7 @@ class _RunningWorld:
         from evetac_cli.devices.simulated import SimulatedGripper, rig
 
         first = rig(plan, np.random.SeedSequence(0), **durations)
-        for _ in range(WARMING):  # loads or compiles everything, before there is a clock to keep
+        for _ in range(WARMING):  # loads or compiles everything before time is critical
             events = first.camera.read()
             if events is None:
                 break
@@ -298,18 +301,18 @@ class _RunningWorld:
             os.set_blocking(pipe.fileno(), False)
         self._counters = counters
         self._truths = None if truths is None else MessageWriter(truths)
-        self._pending: list[Mapping[str, Any]] = []  # truth that was not sent yet
+        self._pending: list[Mapping[str, Any]] = []  # ground truth that was not sent yet
         self._backlogs = [b""] * len(words)
-        self._on = [False] * len(words)  # which cameras were started
+        self._on = [False] * len(words)  # which cameras are started
         self._running = False
-        self._stands_s = math.inf  # since when a camera waits for another to be started: it shall close no slices yet
-        self._began_s = 0.0  # when the world's time was 0
-        self._torque = False  # whether the servo ever had torque: until then the scene's own command holds
+        self._stands_s = math.inf  # time since which a camera waits for the other to start: it must close no slices yet
+        self._began_s = 0.0  # time at which the world's time was 0
+        self._torque = False  # whether the servo ever had torque: until then the scene's own command applies
         self._goals = Goals()
         self._publish_motion(self._world.finger.motor_ticks)
 
     def described(self) -> dict[str, Any]:
-        """What the other side is to know of this world."""
+        """Return the description of this world for the other side."""
         return {
             "sensors": tuple(dict(camera.sensor) for camera in self._cameras),
             "holding_ma": self._rig.holding_ma,
@@ -323,7 +326,7 @@ class _RunningWorld:
         return [self._rig.camera] if second is None else [self._rig.camera, second.camera]
 
     def run(self, finger: int, on: bool) -> None:
-        """Start or stop the camera of a finger: the world goes on from its time once all run, and stands till then."""
+        """Start or stop the camera of a finger. The world continues from its time once all cameras run."""
         self._on[finger] = on
         self._stands_s = math.inf
         if on and not all(self._on):
@@ -340,7 +343,7 @@ class _RunningWorld:
 
     @property
     def wait_s(self) -> float | None:
-        """Until the end of the next slice; None without an end, for a world that stands still or is over."""
+        """Time until the end of the next slice, in s; None for a world that is paused or over."""
         if not self._running or self._world.finished:
             return None
         left_s = self._began_s + (self._world.slices + 1) * SLICE_S - self._time.now_s()
@@ -348,7 +351,7 @@ class _RunningWorld:
 
     @property
     def waiting_for(self) -> list[Connection | MessageWriter]:
-        """The pipes of the words and of the truth, where some of it waits for room; for select."""
+        """The pipes for words and ground truth that have data waiting for room; for select."""
         pipes: list[Connection | MessageWriter] = [
             pipe for pipe, backlog in zip(self._words, self._backlogs, strict=True) if backlog
         ]
@@ -357,14 +360,14 @@ class _RunningWorld:
         return pipes
 
     def tick(self) -> None:
-        """Make one slice if its time has come, and send what there is to send."""
+        """Make one slice if it is due, and send waiting data."""
         if self.wait_s == 0.0:
             self._pass_on(self._plant.goals())
             before_ticks = self._world.finger.motor_ticks
             seen = [camera.read() for camera in self._cameras]
             self._publish_motion(before_ticks)
-            # A sensor that is read out 5000 times a second begins every millisecond, whether or not it sees something:
-            # its TIMESTAMP comes once, at the end of the slice before, but for the very first.
+            # A sensor that is read out 5000 times per second starts every millisecond with a TIMESTAMP, with or without
+            # events. Here it is sent once, at the end of the slice before, except for the very first.
             first = self._timestamp(FIRST_MS).tobytes() if self._world.slices == 1 else b""
             last = self._timestamp(FIRST_MS + self._world.slices).tobytes()
             for finger, events in enumerate(seen):
@@ -387,7 +390,7 @@ class _RunningWorld:
         self._counters[_MADE] = self._world.slices
 
     def _limit_time(self) -> None:
-        """Let time go on as far as this world and the reader of its slices have come."""
+        """Let time advance as far as this world and the reader of its slices have come."""
         if not self._waits:
             return
         until_s = self._stands_s
@@ -397,7 +400,7 @@ class _RunningWorld:
         self._time.limit(until_s)
 
     def _send_truth(self) -> None:
-        """Send the truth of the slice just made, some slices at a time."""
+        """Send the ground truth of the last slice, several slices at a time."""
         if self._truths is None or self._rig.truth is None:
             return
         row, second = self._rig.truth(), self._rig.second
@@ -431,7 +434,7 @@ class _RunningWorld:
             self._world.command = goals.command()
 
     def _publish_motion(self, before_ticks: float) -> None:
-        """Write down for the servo how the finger moved: current, position, and speed over the last slice."""
+        """Publish the finger's motion for the servo: current, position, and speed over the last slice."""
         finger = self._world.finger
         speed = (finger.motor_ticks - before_ticks) / SLICE_S
         self._plant.show(ServoMotion(finger.current_ma, finger.position_ticks, speed))

@@ -1,10 +1,11 @@
 """grasp: detect slip at 1000 Hz and control the gripper at 500 Hz (paper, section VII).
 
-Light contact, lifting, balancing. The detector folds the same kernels over live slices that `track` and `featurize`
-fold over a file (online_detector.py). It counts slices with slip; the controller checks every 2 ms whether the count
-has risen (loop.py). Where two cameras are named, one looks at each finger, and each has a detector (two_fingers.py, in
-real time grasp_processes.py). What the flags say is resolved once (settings.py) and carried by the trials, of each of
-which a module takes care: SimulatedGrasp (simulated.py), DeviceGrasp (real_time.py) and ReplayGrasp (replay.py).
+A grasp has three phases: light contact, lifting, balancing. The detector applies the kernels of `track` and `featurize`
+to live slices instead of a file (online_detector.py). It counts slices with slip, and the controller checks every 2 ms
+whether the count has risen (loop.py). With two cameras, one looks at each finger, and each has a detector
+(two_fingers.py; in real time grasp_processes.py). The flags are resolved once (settings.py) and stored in the trials.
+One module runs each kind of trial: SimulatedGrasp (simulated.py), DeviceGrasp (real_time.py) and ReplayGrasp
+(replay.py).
 """
 
 from collections.abc import Sequence
@@ -31,14 +32,15 @@ from evetac_cli.trials.trial import for_people, simulated_trials
 METHOD = simulated.METHOD
 OF_DETECTOR = ("model", "slip_threshold", "false_alarms_per_min", "tracker")
 FINGERS = 2
-_OF_A_KIND = (Capability.STEPPED, Capability.REPLAY, Capability.SCENE, Capability.SIMULATED)  # alike in both cameras
+# must be the same for both cameras
+_OF_A_KIND = (Capability.STEPPED, Capability.REPLAY, Capability.SCENE, Capability.SIMULATED)
 NOT_OF_GRASP = frozenset(
     {Capability.IMPORT, Capability.RECORDED, Capability.PREVIEW, Capability.MOVED}
-)  # words of `record`
+)  # capabilities that only `record` uses
 
 
 def jobs(files: list[Path], params: Grasp, out: Path | None) -> Sequence[Job]:
-    """One recording for every object and trial."""
+    """Return one job per object and trial."""
     cameras = _cameras(params)
     camera = cameras[0]
     _refuse_unused(params, camera)
@@ -47,10 +49,10 @@ def jobs(files: list[Path], params: Grasp, out: Path | None) -> Sequence[Job]:
         _refuse_detector_options(params)
     gripper = _gripper(params, camera)
     if not camera.has(Capability.STEPPED):
-        from evetac_cli.trials.grasp import real_time  # with all that belongs to devices
+        from evetac_cli.trials.grasp import real_time  # imported here because it loads all device code
 
         grasps = real_time.jobs(cameras, gripper, params, settings, out)
-        if params.listen:  # of devices alone, as _refuse_unused sees to
+        if params.listen:  # only with devices, as _refuse_unused ensures
             return [listening([each for each in grasps if isinstance(each, DeviceGrasp)], out, params.listen_port)]
         return grasps
     return [
@@ -64,15 +66,19 @@ def jobs(files: list[Path], params: Grasp, out: Path | None) -> Sequence[Job]:
 
 
 def _cameras(params: Grasp) -> tuple[NamedCamera, ...]:
-    """That of the first finger and, if named, that of the second; InputError where they do not fit together."""
+    """Return the camera of the first finger and, if named, of the second; InputError if they do not fit together."""
     cameras = named_cameras.parse_several(params.camera)
     if len(cameras) > FINGERS:
-        expected = "a camera, or one for each of both fingers"
+        expected = "one camera, or one for each of the two fingers"
         raise InputError("too many cameras", where="--camera", expected=expected, found=params.camera)
     kinds = {tuple(camera.has(each) for each in (*_OF_A_KIND,)) for camera in cameras}
     if len(kinds) > 1:
-        expected = "both simulated, both recordings, or both in real time; if virtual, both before one scene or none"
-        raise InputError("these cameras make no grasp", where="--camera", expected=expected, found=params.camera)
+        expected = (
+            "both simulated, both recordings, or both in real time; if virtual, both in the same scene or without one"
+        )
+        raise InputError(
+            "these cameras cannot be combined in a grasp", where="--camera", expected=expected, found=params.camera
+        )
     return cameras
 
 
@@ -89,7 +95,7 @@ def _refuse_unused(params: Grasp, camera: NamedCamera) -> None:
 
 
 def _refuse_detector_options(params: Grasp) -> None:
-    """InputError for an option of the detector, for a controller that uses none."""
+    """Raise InputError for an option of the detector with a controller that uses none."""
     for item in fields(params):
         value = getattr(params, item.name)
         if item.name in OF_DETECTOR and value != item.default:
@@ -98,23 +104,23 @@ def _refuse_detector_options(params: Grasp) -> None:
 
 
 def _gripper(params: Grasp, camera: NamedCamera) -> NamedGripper:
-    """The gripper that is named, or that belongs to the camera; InputError for a pair that makes no grasp."""
+    """Return the named gripper, or the camera's own; InputError if the pair cannot grasp."""
     stepped, replayed = camera.has(Capability.STEPPED), camera.has(Capability.REPLAY)
     own = named_grippers.Simulated.name if replayed else camera.own_gripper
     gripper = named_grippers.parse(params.gripper if params.gripper is not None else own)
     fits = stepped or replayed if gripper.has(Capability.STEPPED) else gripper.has(Capability.MOVED) and not stepped
     if not fits:
         raise InputError(
-            "a grasp needs a camera and a gripper that belong together",
+            "a grasp needs a camera and a gripper of matching kinds",
             where="--camera, --gripper",
-            expected="both sim; or a gripper that is virtual or at a PORT; or replay:RECORDING with sim",
+            expected="both sim; or a virtual gripper or one at a PORT; or replay:RECORDING with sim",
             found=f"{camera}, {gripper}",
         )
     return gripper
 
 
 def dry_run(jobs: Sequence[Job], params: Grasp, *, force: bool = False, progress: Progress = silent) -> Outcome:
-    """What would be built or done, and what that costs; refused what a run refuses."""
+    """Return what would be built or done and its cost; it refuses everything that a run refuses."""
     trials = [job for job in jobs if isinstance(job, SimulatedGrasp)]
     if not trials:
         from evetac_cli.trials.grasp import real_time

@@ -1,18 +1,22 @@
-"""The controller's process of a grasp in real time: every 2 ms read the gripper and the detector's status, command.
+"""The controller's process of a grasp in real time: every 2 ms it reads the gripper and the detector, and commands.
 
-Deadlines are absolute (pace.py): a step that comes late does not move those after it, and one that is missed is
-counted, not made up for. New slip between two steps is answered at once (early_answer.py).
+Deadlines are absolute (pace.py): a late step does not move the following ones, and a missed one is counted, not made up
+for. New slip between two steps is answered at once (early_answer.py).
 
-Whatever ends the grasp, torque is switched off and read back; nothing is opened, but by the emergency key. That is also
-what happens where the bus fails, and where the detector publishes no status or its camera gives no event for longer
-than FRESH of the watchdog's time; of two fingers, where that holds of either. A recorder (the parent of all) that gives
-no sign of life for so long, or RECORDER_MS if that is longer, ends it if it was stopped or killed; one that only waits
-for a core has RECORDER_LATE_MS, in which the detector keeps what it sends. What this process itself cannot notice, its
-own death, is noticed by the servo, whose Bus Watchdog only the commands of this loop keep quiet. And if it was stopped
-for longer than that, it lets go before it commands anything.
+However the grasp ends, torque is switched off and read back; only the emergency key opens the fingers. Failures, and
+the process that detects each:
 
-Why so: a sensor's noise alone gives events in every slice, at rest too. So a camera without any is broken or unplugged,
-not idle.
+- The bus fails: this process switches torque off.
+- A detector publishes no status, or a camera sends no event, for FRESH of the watchdog's time: this process switches
+  torque off. With two fingers, one such fault is enough.
+- The recorder, the parent of all processes, gives no sign of life for FRESH of the watchdog's time, or RECORDER_MS if
+  longer. This process ends the grasp if the recorder was stopped or killed. A recorder that only waits for a core has
+  RECORDER_LATE_MS; the detector buffers its data meanwhile.
+- This process dies: the servo notices, because only the commands of this loop keep its Bus Watchdog from tripping.
+- This process was stopped for longer than the watchdog's time: it switches torque off before it commands again.
+
+A camera without any events is broken or unplugged, not idle: sensor noise alone causes events in every slice, even at
+rest.
 """
 
 import contextlib
@@ -48,13 +52,13 @@ from evetac_cli.trials.grasp.pace import Pace, shift_us
 from evetac_cli.trials.session import FRESH, OPENED, OVERLOADED, RECORDER_LATE_MS, RECORDER_MS
 
 PRIORITY = 30
-BATCH_STEPS = 25  # whose rows the recorder gets at once
-COMMAND_BYTES = 19  # of a goal position on the wire, 10 bits each
-FROZEN_US = 10_000.0  # a step so much later than due was stopped, or waited for an answer
+BATCH_STEPS = 25  # number of steps whose rows are sent to the recorder at once
+COMMAND_BYTES = 19  # bytes of a goal position on the wire, 10 bits each
+FROZEN_US = 10_000.0  # a step later than due by this much was stopped, or waited for an answer
 FLUSH_S = 5.0
-LAST_FLUSH_S = 60.0  # of the last messages, for a recorder that is busy: without them it would not know how this ended
+LAST_FLUSH_S = 60.0  # time for the last messages to a busy recorder, which needs them to know how the grasp ended
 DYING_S = 0.5
-FIRST_STATUS_S = 30.0  # in which the camera must be found and give its first slice
+FIRST_STATUS_S = 30.0  # limit for the camera to be found and send its first slice
 WAITING_S = 0.01
 ORDER_S = 0.1
 OVER = "the grasp is over"
@@ -67,7 +71,7 @@ TOO_LONG = "the time allowed is over"
 
 @dataclass(frozen=True)
 class ControllerSettings:
-    """What the controller's process is made of; it is sent there."""
+    """The settings of the controller's process, which are sent to it."""
 
     gripper: NamedGripper
     port: str
@@ -75,41 +79,41 @@ class ControllerSettings:
     law: Law
     timing: Timing
     watchdog_ms: int
-    most_s: float  # that the grasp may take, whatever the camera's clock says
-    time: TimeSource = HOST_TIME  # by which the controller goes
-    controller: str = ""  # its name, for errors
-    servo: int | None = None  # process of a virtual gripper, to see what it takes
+    most_s: float  # longest duration of the grasp, independent of the camera's clock
+    time: TimeSource = HOST_TIME  # time source of the controller
+    controller: str = ""  # name of the controller, for errors
+    servo: int | None = None  # process id of a virtual gripper, to measure its CPU use
 
 
 class GripperReady(NamedTuple):
-    """The gripper is set up, and has no torque before its first command."""
+    """The gripper is set up, without torque until its first command."""
 
     setup: dict[str, Any]
     scheduling: str
 
 
 class ControllerEnded(NamedTuple):
-    """Why no more commands are given."""
+    """The end of the controller's commands, and the reason."""
 
     ended: str
-    error: Exception | None  # where that was not meant
+    error: Exception | None  # the error, if the end was not intended
     steps: int
-    missed: int  # deadlines
+    missed: int  # number of missed deadlines
     seconds: float  # from the first step to the last
-    cycle_us: "array[float]"  # of every step, from its beginning to the end of its command
-    alive_us: float  # last event of the camera where it is silent, else last status; NaN if the bus failed
-    released_us: float  # when torque was off; NaN where that is not known
+    cycle_us: "array[float]"  # duration of every step, from its beginning to the end of its command
+    alive_us: float  # last event of the camera if it is silent, otherwise last status; NaN if the bus failed
+    released_us: float  # time at which torque was off; NaN if unknown
     counted: dict[str, int]
-    torque: str = "torque was never on"  # in words, as it was read back
-    missed_by_gripper: int = 0  # of the missed deadlines, those missed because its answers were late
+    torque: str = "torque was never on"  # sentence on the torque state that was read back
+    missed_by_gripper: int = 0  # missed deadlines because the gripper's answers were late
 
 
 class Watch:
-    """Says when detector or recorder are dead or hang, or the camera is silent.
+    """Detects a dead or hanging detector or recorder, and a silent camera.
 
-    Why so: a busy computer stops all of its processes now and then. So silence counts from where the controller itself
-    has been awake, and who was stopped with it has the time to go on; but no more than once that time, or a controller
-    that is late at every step would never see anything.
+    A busy computer stops all of its processes now and then. So silence is counted from the time at which the controller
+    itself was awake again, and a process that was stopped with it gets that much more time. The extra time is limited
+    to the same length, because otherwise a controller that is late at every step would detect nothing.
     """
 
     def __init__(
@@ -118,10 +122,10 @@ class Watch:
         has_ended: Callable[[int], bool] = lambda finger: False,
         recorder_stopped: Callable[[], bool] = lambda: True,
     ) -> None:
-        """`has_ended` says whether the process of a finger's detector has ended, which needs no waiting.
+        """has_ended: returns whether the process of a finger's detector has ended, without waiting.
 
-        `recorder_stopped` is asked once the recorder is silent: whether it was stopped, and does not only wait for a
-        core.
+        recorder_stopped: called once the recorder is silent; returns whether it was stopped, and does not just wait for
+        a core.
         """
         self._fresh_us = 1e3 * FRESH * watchdog_ms
         self._recorder_us = max(self._fresh_us, 1e3 * RECORDER_MS)
@@ -130,13 +134,13 @@ class Watch:
         self._awake_us = -math.inf
 
     def slept_until(self, now_us: float) -> None:
-        """The controller was stopped until now."""
+        """Record that the controller was stopped until now."""
         self._awake_us = now_us
 
     def fault(self, status: DetectorStatus, recorder_us: float, now_us: float) -> tuple[str, float]:
-        """What is wrong, "" if nothing is, and when what is at fault was last alive.
+        """Return the fault, or "" for none, and when the faulty part was last alive.
 
-        recorder_us: when the recorder last was. Of two fingers, the first that something is wrong with is named.
+        recorder_us: when the recorder was last alive. With two fingers, the first one with a fault is named.
         """
         for finger, each in enumerate(status.fingers):
             of = "" if status.second is None else OF_FINGER[finger]
@@ -167,11 +171,12 @@ def run_controller(
     pipe: Connection,
     detectors: Sequence[Connection],
 ) -> None:
-    """The controller's process: wait for an order, open the gripper, command until the end, torque off, say why.
+    """Run the controller's process: wait for an order, open the gripper, command until the end, torque off, report why.
 
-    detectors: of each finger, the end of a pipe whose other end only its detector holds; it ends when that does.
+    detectors: for each finger, the end of a pipe whose other end only its detector holds, so that it closes with the
+    detector.
     """
-    ignore_interrupts()  # Ctrl-C is for the recorder, which then stops this
+    ignore_interrupts()  # Ctrl-C is for the recorder, which then stops this process
     ending = remember_signals()
     recorder = os.getppid()
     outbox = MessageWriter(pipe)
@@ -188,18 +193,18 @@ def run_controller(
             outbox.flush(FLUSH_S)
             gc.collect()
             gc.freeze()
-            gc.disable()  # the loop makes no cycles
+            gc.disable()  # the loop creates no reference cycles
             clock, sleep = settings.time.now_s, settings.time.sleep
             has_ended = [detector.poll for detector in detectors]
             watch = Watch(settings.watchdog_ms, lambda finger: has_ended[finger](), lambda: stands_still(recorder))
             result = command_grasp(gripper, shared, settings, outbox, clock, sleep, watch, ending)
-    except PeerGone:  # whoever started this; it may have only asked this to end
+    except PeerGone:  # the process that started this has gone, or asked this one to end
         result = result._replace(torque=result.torque if gripper is None else gripper.release_words)
         _speak_for_recorder(result, died=_has_died(recorder))
         return
     except EvetacError as error:
         result = result._replace(ended=str(error).splitlines()[0], error=error)
-    except BaseException as error:  # raised by the process that started this
+    except BaseException as error:  # the process that started this raises it
         torque = result.torque if gripper is None else gripper.release_words
         failed = DeviceError(f"the controller failed: {error_words(error)}; {torque}")
         result = result._replace(ended=str(failed), error=failed, torque=torque)
@@ -210,7 +215,10 @@ def run_controller(
 
 
 def _has_died(parent: int) -> bool:
-    """Whether the parent is dead, given that its end of a pipe is closed: a dying one closes them a little before."""
+    """Return whether the parent died, given that its end of a pipe is closed.
+
+    A dying process closes it a little earlier.
+    """
     until_s = time.monotonic() + DYING_S
     while os.getppid() == parent and time.monotonic() < until_s:
         time.sleep(WAITING_S)
@@ -218,10 +226,10 @@ def _has_died(parent: int) -> bool:
 
 
 def _speak_for_recorder(result: ControllerEnded, *, died: bool) -> None:
-    """Tell the user what became of torque, where the recorder cannot, or not now."""
+    """Report the torque state to the user if the recorder cannot, or not now."""
     with contextlib.suppress(OSError):  # there may be no terminal any more
         if died:
-            kept = "what was recorded until then waits for `evetac repair`"
+            kept = "`evetac repair` completes the recording up to then"
             console.say(f"error: the recorder died; {result.torque}; {kept}")
         elif RECORDER_HANGS in result.ended:
             console.say(f"error: {result.ended}; {result.torque}")
@@ -237,10 +245,10 @@ def command_grasp(
     watch: Watch | None = None,
     ending: Sequence[int] = (),
 ) -> ControllerEnded:
-    """Command until the grasp is over, the order to stop or open comes, or something fails; then torque off.
+    """Command until the grasp is over, an order to stop or open arrives, or something fails; then switch torque off.
 
-    watch: over detector, camera and recorder; clock, sleep: in seconds, as of a TimeSource; ending: signals that came
-    here.
+    watch: supervises detector, camera and recorder; clock, sleep: in seconds, as in a TimeSource; ending: signals
+    received by this process.
     """
     result = ControllerEnded(STOPPED, None, 0, 0, 0.0, array("d"), math.nan, math.nan, {})
     try:
@@ -249,18 +257,18 @@ def command_grasp(
             result = _command(gripper, shared, settings, outbox, clock, sleep, watch, ending)
         if result.ended == OPENED:
             gripper.emergency_open()
-        gripper.close()  # without effect where the driver has let go of it already
+        gripper.close()  # without effect if the driver has already released the gripper
     except DeviceError as failed:
-        with contextlib.suppress(DeviceError):  # the words say it
+        with contextlib.suppress(DeviceError):  # release_words report the failure
             gripper.close()
-        # before it, another fault may have ended the grasp
+        # another fault may have ended the grasp before it
         first = result.error if result.error is not None else failed
         result = result._replace(ended=str(first).splitlines()[0], error=first, alive_us=math.nan)
     torque = gripper.release_words
     error = result.error
     if isinstance(error, EvetacError) and torque not in str(error):
         error.message += f"; {torque}"
-    bus_failed = error is not None and math.isnan(result.alive_us)  # the error says whether torque is off
+    bus_failed = error is not None and math.isnan(result.alive_us)  # the error reports whether torque is off
     released_us = math.nan if bus_failed else clock() * 1e6
     return result._replace(released_us=released_us, counted=dict(gripper.counted), torque=torque)
 
@@ -275,10 +283,10 @@ def _command(
     watch: Watch,
     ending: Sequence[int],
 ) -> ControllerEnded:
-    """The loop; its result does not yet say when torque was off."""
+    """Run the loop; its result does not contain yet when torque was off."""
     timing = settings.timing
     control = Control(settings.law, timing.control_hz, settings.controller)
-    control.copy()  # what early answers need: refused before there is torque
+    control.copy()  # early answers need copies: fail before there is torque
     wire_us = COMMAND_BYTES * 1e7 / settings.gripper.baud
     early = EarlyAnswer(
         *(gripper, shared, timing, wire_us * 1e-6, clock, sleep),
@@ -292,8 +300,9 @@ def _command(
     error: EvetacError | None = None
     began_s = begun_s = last_s = clock()
     missed_before = 0
-    seen_slips = [0, 0]  # slices with slip of each finger that are known
-    waited_s, least_s = 0.0, math.inf  # for the gripper: longer than need be in the last step; by any step
+    seen_slips = [0, 0]  # number of known slices with slip per finger
+    # time on the bus: excess of the last step over the shortest step; the shortest step
+    waited_s, least_s = 0.0, math.inf
     while True:
         try:
             late_us = pace.wait(waited_s)
@@ -325,11 +334,12 @@ def _command(
             if ended:
                 break
             phase = timing.phase(slice_)
-            told = status.told
-            goal = control.step(phase, told, reading.position_ticks)
+            slip_signal = status.told
+            goal = control.step(phase, slip_signal, reading.position_ticks)
             decided_s = clock()
             silent_ms = (decided_s - last_s) * 1e3
-            if silent_ms > settings.watchdog_ms:  # the servo has let go, and must not be made to grip again
+            # the servo's watchdog has stopped the motor, which must not grip again
+            if silent_ms > settings.watchdog_ms:
                 ended, alive_us = f"the controller was stopped for {silent_ms:.0f} ms", last_s * 1e6
                 error = DeviceError(ended, hint=OVERLOADED)
                 break
@@ -337,7 +347,7 @@ def _command(
         except DeviceError as failed:
             ended, error, alive_us = str(failed).splitlines()[0], failed, math.nan
             break
-        except EvetacError as failed:  # a law of another package
+        except EvetacError as failed:  # raised by a plug-in's law
             ended, error, alive_us = str(failed).splitlines()[0], failed, begun_s * 1e6
             break
         last_s = clock()
@@ -346,7 +356,7 @@ def _command(
         on_bus_s = read_s - begun_s + last_s - decided_s
         least_s = min(least_s, on_bus_s)
         waited_s = on_bus_s - least_s
-        row = control_row(control, phase, told, reading, goal, round(now_us - status.zero_us))
+        row = control_row(control, phase, slip_signal, reading, goal, round(now_us - status.zero_us))
         row["control/late_us"] = late_us
         row["control/missed"] = pace.missed - missed_before
         row["control/slices_processed"] = status.slices
@@ -356,7 +366,7 @@ def _command(
         answered_s = last_s if math.isnan(early.written.done_s) else early.written.done_s
         row["control/latency_us"] = answered_s * 1e6 + wire_us - _slip_began_us(status, seen_slips)
         missed_before, seen_slips = pace.missed, [each.signal.slips for each in status.fingers]
-        early.after_step(control, phase, reading.position_ticks, told.slips)
+        early.after_step(control, phase, reading.position_ticks, slip_signal.slips)
         rows.append(row)
         if len(rows) >= BATCH_STEPS:
             outbox.put(rows)
@@ -369,13 +379,16 @@ def _command(
 
 
 def _slip_began_us(status: DetectorStatus, seen: Sequence[int]) -> float:
-    """First event of the earliest slice with slip, of any finger, after the `seen` ones of each; NaN if none was."""
+    """Return the time of the first event of the earliest new slice with slip, of any finger; NaN if there is none.
+
+    seen: number of known slices with slip per finger.
+    """
     began_us = [each.slip_began_us(known) for each, known in zip(status.fingers, seen, strict=False)]
     return min((each for each in began_us if not math.isnan(each)), default=math.nan)
 
 
 def _raise_if_ended(ending: Sequence[int]) -> None:
-    """DeviceError if a signal came that ends this process."""
+    """Raise DeviceError if a signal to end this process was received."""
     if ending:
         raise DeviceError(f"the controller was ended by {signal.Signals(ending[0]).name}")
 
@@ -383,7 +396,7 @@ def _raise_if_ended(ending: Sequence[int]) -> None:
 def _wait_for_status(
     shared: SharedStatus, clock: Callable[[], float], sleep: Callable[[float, Bell | None], bool], ending: Sequence[int]
 ) -> bool:
-    """Wait until the detector has evaluated a first slice; False if it was stopped before.
+    """Wait until the detector has evaluated a first slice; return False if it was stopped before.
 
     There is no torque yet.
     """
@@ -395,6 +408,6 @@ def _wait_for_status(
             return False
         _raise_if_ended(ending)
         if clock() > until_s:
-            raise DeviceError(f"{DETECTOR} did not begin", expected=f"a first slice within {FIRST_STATUS_S:g} s")
+            raise DeviceError(f"{DETECTOR} did not start", expected=f"a first slice within {FIRST_STATUS_S:g} s")
         sleep(WAITING_S, None)
     return True

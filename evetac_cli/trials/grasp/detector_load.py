@@ -1,4 +1,4 @@
-"""How much of a core the detector takes while it runs, and at how many events per second it would take all of one."""
+"""The share of a core that the detector uses, and an estimate of the event rate at which it would use all of it."""
 
 import time
 from collections.abc import Callable
@@ -6,43 +6,44 @@ from typing import NamedTuple
 
 from evetac_cli.events import SLICE_US
 
-WARM_SLICES = 100  # at the beginning, in which it catches up
+WARM_SLICES = 100  # slices at the beginning, during which it catches up
 FEWEST_SLICES = 1000
-FULL = 0.9  # of a core that may be taken: of threads that share an interpreter, one waits for the other now and then
-EVENTS_OF_A_SLICE = 1000  # that cost at most what a slice without any does: some 0.07 us each, and 85 us or more
+FULL = 0.9  # Usable share of a core: threads of one interpreter sometimes wait for each other.
+# Events that cost at most as much as an empty slice: about 0.07 us each, and 85 us or more per slice.
+EVENTS_OF_A_SLICE = 1000
 
 
 class DetectorLoad(NamedTuple):
-    """What a detector took on this computer, its camera's driver included."""
+    """The load of a detector on this computer, including its camera's driver."""
 
-    core_share: float  # processor's time per second of the recording
+    core_share: float  # CPU time per second of the recording
     events_per_s: float
-    bearable_events_per_s: float  # an estimate, for a detector that has a core for itself
+    bearable_events_per_s: float  # an estimate for a detector with its own core
 
     def words(self) -> str:
-        """In half a sentence."""
+        """Return the load as half a sentence."""
         return (
-            f"the detector took {self.core_share:.0%} of a core for {self.events_per_s:,.0f} events per s, and with a"
-            f" core for itself could bear some {self.bearable_events_per_s:,.0f}"
+            f"the detector used {self.core_share:.0%} of a core at {self.events_per_s:,.0f} events per s; with its own"
+            f" core it could process about {self.bearable_events_per_s:,.0f}"
         )
 
 
 class LoadMeter:
-    """Adds up what a detector's process takes, slice by slice.
+    """Sums the CPU time of a detector's process, slice by slice.
 
-    Why so: most of what a slice costs it costs without events too, and their rate hardly changes in a grasp, so that
-    one figure of time has to do for both. What they cost relative to each other is nearly the same on all computers.
+    Most of the cost of a slice does not depend on its events, and their rate hardly changes during a grasp. So one
+    measured time must serve for both costs. Their ratio is nearly the same on all computers.
     """
 
     def __init__(self, cpu_s: Callable[[], float] = time.process_time) -> None:
-        """cpu_s: the processor's time that this process has taken."""
+        """cpu_s: returns the CPU time used by this process."""
         self._cpu_s = cpu_s
         self._began_s = cpu_s()
         self._slices = -WARM_SLICES
         self._events = 0
 
     def add(self, slices: int, events: int) -> None:
-        """Some slices with so many events were evaluated."""
+        """Record that some slices with this number of events were evaluated."""
         if self._slices >= 0:
             self._events += events
         elif self._slices + slices >= 0:
@@ -50,7 +51,7 @@ class LoadMeter:
         self._slices += slices
 
     def load(self) -> DetectorLoad | None:
-        """What it was so far; None where that was too short to say."""
+        """Return the load so far; None if the time was too short to estimate it."""
         if self._slices < FEWEST_SLICES:
             return None
         share = (self._cpu_s() - self._began_s) / (1e-6 * SLICE_US * self._slices)

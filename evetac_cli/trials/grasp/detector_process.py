@@ -1,7 +1,7 @@
-"""The detector's process of a grasp in real time: a slice in, a status in shared memory out, 1000 times a second.
+"""The detector's process of a grasp in real time: slices in, status in shared memory out, 1000 times per second.
 
-Everything that takes long is done before the camera runs: loading, compiling, a first run on noise. Slices go to the
-recorder in batches, without waiting for it.
+Everything slow is done before the camera runs: loading, compiling, and a first run on noise. Slices go to the recorder
+in batches, without waiting for it.
 """
 
 import contextlib
@@ -40,31 +40,31 @@ from evetac_cli.trials.session import OVERLOADED
 if TYPE_CHECKING:
     from evetac_cli.devices.virtual.world import VirtualWorld
 
-BATCH_MS = 5  # slices that the recorder gets at once: of 50, copying took a millisecond
-COUNTED_SLICES = 100  # the recorder gets to know what the camera lost after so many
-FLUSH_US = 250  # a quiet camera's words are sent this often: a slice is evaluated the sooner
-WARM_UP_SLICES, MOST_WARM_UP_SLICES = 30, 2000  # of noise, before the camera runs
-WARM_UP_EVENTS = 3000  # in each
+BATCH_MS = 5  # slices sent to the recorder at once: with 50, copying took a millisecond
+COUNTED_SLICES = 100  # number of slices after which the recorder receives the camera's losses
+FLUSH_US = 250  # a quiet camera's words are sent this often, so that a slice is evaluated sooner
+WARM_UP_SLICES, MOST_WARM_UP_SLICES = 30, 2000  # fewest and most slices of noise before the camera runs
+WARM_UP_EVENTS = 3000  # events per noise slice
 FLUSH_S = 5.0
-LAST_FLUSH_S = 60.0  # of the last messages, for a recorder that is busy: without them it would not know how this ended
+LAST_FLUSH_S = 60.0  # time for the last messages to a busy recorder, which needs them to know how the grasp ended
 ORDER_S = 0.1
-SWITCH_S = 2e-4  # the threads that read and decode take turns so often
+SWITCH_S = 2e-4  # how often the reading and decoding threads take turns
 
 
 @dataclass(frozen=True)
 class DetectorSettings:
-    """What the detector's process is made of; it is sent there."""
+    """The settings of the detector's process, which are sent to it."""
 
     camera: NamedCamera
     seeds: np.random.SeedSequence
-    sensor: Mapping[str, Any]  # with the dot grid
-    model: DetectorModel | None  # None: slices are recorded, and no slip is detected
-    slices: int  # after which the grasp is over
-    finger: int = 0  # 1: the second, whose camera leads nothing: it sees until it is stopped
+    sensor: Mapping[str, Any]  # datasets `sensor/...`, including the dot grid
+    model: DetectorModel | None  # None: slices are recorded, but no slip is detected
+    slices: int  # number of slices after which the grasp is over
+    finger: int = 0  # 1: the second finger, whose camera does not determine the end: it runs until it is stopped
 
 
 class CameraReady(NamedTuple):
-    """The camera runs: what it is, how it is set, and how its process is scheduled."""
+    """The camera runs; its sensor, its settings, and the scheduling of its process."""
 
     sensor: Mapping[str, Any]
     setup: Mapping[str, Any]
@@ -74,21 +74,21 @@ class CameraReady(NamedTuple):
 
 @dataclass
 class SliceBatch:
-    """Some slices, one after the other, for the recorder; the lists have an item for each.
+    """Consecutive slices for the recorder; the lists have one item per slice.
 
-    Why so: columns travel as bytes, joined without a step between, in a quarter of the time that arrays take.
+    The columns are sent as joined bytes, which takes a quarter of the time of arrays.
     """
 
-    columns: tuple[bytes, ...] = ()  # of the events of all, as they lie in memory
+    columns: tuple[bytes, ...] = ()  # columns of all events, as stored in memory
     counts: list[int] = field(default_factory=list)
     probability: list[float] = field(default_factory=list)
-    at_us: list[float] = field(default_factory=list)  # when it was evaluated
-    late_us: list[float] = field(default_factory=list)  # from the end of a slice until it was evaluated, where known
-    counted: Mapping[str, int] | None = None  # what the camera lost so far, by reason; now and then
+    at_us: list[float] = field(default_factory=list)  # when the slice was evaluated
+    late_us: list[float] = field(default_factory=list)  # time from the end of a slice until its evaluation, if known
+    counted: Mapping[str, int] | None = None  # losses of the camera so far, by reason; only now and then
 
     @property
     def size(self) -> int:
-        """Bytes of memory that the events take."""
+        """The number of bytes that the events take."""
         return sum(len(column) for column in self.columns)
 
     @property
@@ -102,22 +102,22 @@ class SliceBatch:
 
 
 def joined(slices: Sequence[Events]) -> tuple[bytes, ...]:
-    """The columns of slices for a batch."""
+    """Return the joined columns of slices for a batch."""
     return tuple(b"".join(column) for column in zip(*slices, strict=True))
 
 
 class DetectorEnded(NamedTuple):
-    """What the camera lost, by reason, what failed, if anything did, and what it took, once the detector has ended."""
+    """The end of a detector: the camera's losses by reason, the error if any, and the detector's load."""
 
     counted: Mapping[str, int]
     error: Exception | None
-    load: DetectorLoad | None = None  # of the computer, where it ran long enough to say
+    load: DetectorLoad | None = None  # None if it ran too briefly
 
 
 def open_detector(settings: DetectorSettings) -> SliceDetector | None:
-    """The detector, and a run through it on noise with another of its kind, so that everything is compiled and loaded.
+    """Return the detector, after a run of an identical one on noise, so that everything is loaded and compiled.
 
-    Until a first probability comes: the network is not run before, and loads a library of linear algebra when it is.
+    The run lasts until a first probability, because only then the network runs and loads a linear algebra library.
     """
     if settings.model is None:
         return None
@@ -132,7 +132,7 @@ def open_detector(settings: DetectorSettings) -> SliceDetector | None:
 
 
 def noise(rng: np.random.Generator, slice_: int) -> Events:
-    """A slice of events at random places."""
+    """Return a slice of events at random positions."""
     t = np.sort(rng.integers(0, SLICE_US, WARM_UP_EVENTS)) + slice_ * SLICE_US
     x, y = (rng.integers(0, size, WARM_UP_EVENTS).astype(np.uint16) for size in FRAME_PX)
     p: NDArray[np.uint8] = rng.integers(0, 2, WARM_UP_EVENTS).astype(np.uint8)
@@ -147,12 +147,12 @@ def run_detector(
     pipe: Connection,
     alive: Connection,
 ) -> None:
-    """The detector's process: load, wait for an order, open the camera, detect until stopped; publish from an order on.
+    """Run the detector's process: load, open the camera after an order, then detect until stopped.
 
-    orders: any message is the next order; pipe: to the recorder; alive: never written to, it closes when this process
-    ends, however it ends.
+    A status is published only after another order. orders: any message is the next order; pipe: to the recorder; alive:
+    nothing is written to it, and it closes when this process ends in any way.
     """
-    ignore_interrupts()  # Ctrl-C is for the recorder, which then stops this
+    ignore_interrupts()  # Ctrl-C is for the recorder, which then stops this process
     ending = remember_signals()
     outbox = MessageWriter(pipe)
     camera = meter = None
@@ -164,25 +164,25 @@ def run_detector(
         outbox.flush(FLUSH_S)
         while not take_order(orders, ORDER_S):
             _raise_if_ended(ending)
-        gc.collect()  # which takes long, and once the camera runs its slices wait
-        scheduling = set_niceness(NICE)  # before the camera's thread, which inherits it
+        gc.collect()  # collect now, because it takes long and would delay slices once the camera runs
+        scheduling = set_niceness(NICE)  # before the camera's thread starts, which inherits it
         camera, setup, _ = settings.camera.open(CameraSettings(flush_us=FLUSH_US), world, settings.seeds)
         outbox.put(CameraReady(camera.sensor, setup, camera.notes, scheduling))
         gc.freeze()
-        gc.disable()  # the loop makes no cycles
+        gc.disable()  # the loop creates no reference cycles
         outbox.flush(FLUSH_S)
         meter = LoadMeter()
         may_move, finger = (lambda: take_order(orders)), settings.finger
         detect(camera, detector, status, outbox, settings.slices, ending, may_move, meter, finger)
-    except PeerGone:  # whoever started this
+    except PeerGone:  # the process that started this has gone
         return
     except EvetacError as failed:
         error = failed
-    except BaseException as failed:  # raised by the process that started this
+    except BaseException as failed:  # the process that started this raises it
         error = DeviceError(f"the detector failed: {error_words(failed)}")
     finally:
         if camera is not None:
-            with contextlib.suppress(DeviceError):  # it may have failed already
+            with contextlib.suppress(DeviceError):  # the camera may have failed already
                 camera.close()
     counted = dict(camera.counted) if camera is not None else {}
     outbox.put(DetectorEnded(counted, error, meter.load() if meter is not None else None), always=True)
@@ -207,17 +207,17 @@ def detect(
     meter: LoadMeter | None = None,
     finger: int = 0,
 ) -> None:
-    """Evaluate and hand over slice after slice, until there are `most`, or an order to stop.
+    """Evaluate slices and pass them to the recorder, until there are `most`, or an order to stop.
 
-    Nothing is published before `may_move`: from the first status on, the gripper moves. Slices are evaluated before,
-    because those that wait in the meantime would have to be caught up with, while the gripper moves by old ones.
-    meter: gets to know how many slices and events there were. DeviceError where the stream ends before, the recorder
-    cannot keep up, or a signal came (`ending`).
+    Nothing is published before `may_move`, because the gripper moves as soon as there is a first status. Slices are
+    evaluated before that anyway. Otherwise waiting slices would have to be caught up with, while the gripper moves by
+    old ones. meter: counts slices and events. DeviceError if the stream ends too early, the recorder cannot keep up, or
+    a signal was received (`ending`).
     """
     slip_us: deque[float] = deque(maxlen=REMEMBERED)
     parent = os.getppid()
     clock = camera.time
-    events_us = clock.now_s() * 1e6  # when the camera last gave an event
+    events_us = clock.now_s() * 1e6  # when the camera last sent an event
     slips = slices = 0
     moves = False
     slices_held: list[Events] = []
@@ -228,8 +228,8 @@ def detect(
         if events is None:
             raise DeviceError("the camera's stream ended", expected=f"{most} slices", found=f"{slices}")
         slices += 1
-        if detector is not None and (told := status.gripper) is not None:
-            detector.tell_gripper(*told)
+        if detector is not None and (gripper_state := status.gripper) is not None:
+            detector.tell_gripper(*gripper_state)
         probability = float("nan") if detector is None else detector.step(events)
         signal = SlipSignal() if detector is None else detector.signal
         now_us = clock.now_s() * 1e6
@@ -262,9 +262,9 @@ def detect(
 
 
 def _hand_over(outbox: MessageWriter, batch: SliceBatch, slices: list[Events]) -> None:
-    """Send a batch to the recorder; DeviceError if too much waits for it already."""
+    """Send a batch to the recorder; DeviceError if too much is waiting for it already."""
     batch.columns = joined(slices)
     if not outbox.put(batch):
-        waiting = f"{outbox.waiting_bytes / 1e6:.0f} MB wait to be written"
+        waiting = f"{outbox.waiting_bytes / 1e6:.0f} MB waiting to be written"
         raise DeviceError("the recorder cannot keep up", found=waiting, hint=OVERLOADED)
     outbox.send()

@@ -1,20 +1,20 @@
-"""A new slip is answered as it comes to be known, not with the controller's next step.
+"""Answer new slip at once, before the controller's next step.
 
-The detector knows of a slip after any slice, a step of the controller comes after every second one. Until that step the
-bus is idle. So the controller sleeps beside a bell, which the detector rings (shared_status.py), and on new slip it
-writes at once what the step to come would command: the law's step on a copy of its state, with the position that was
-last read, which is at most a step old.
+The detector may find slip after any slice, and the controller makes a step after every second one. Until that step the
+bus is idle. So the controller sleeps until the step, or until the detector rings a bell (shared_status.py). On new slip
+it immediately writes the command that the next step would give: the law's step on a copy of its state, with the last
+position read, which is at most one step old.
 
-Why a copy: laws count steps. The paper's opens and closes by so much a step of 2 ms, and knows the end of slip from one
-step to the next. So its state goes on from step to step of the grid alone, and so do the rows of the recording: the law
-over them gives their goals, as if nothing had been written between. A row says beside that what was written ahead of it
-and on which slices, which the law gives again from the row before. The step itself then reads the fingers, and commands
-by where they are.
+Why a copy: laws count steps. The paper's law opens and closes by a fixed amount per step of 2 ms, and recognises the
+end of slip from one step to the next. So the law's own state only advances with the regular steps, and the rows of the
+recording do too. The law reproduces its goals from these rows as if nothing had been written in between. Each row also
+stores what was written ahead of it and on which slices, which the law reproduces from the row before. The step itself
+then reads the fingers, and commands from their true position.
 
-Why once per step: to the law slip is a flag, which one slice raises or several; and a bus of 2 ms has room for a read
-(0.35 ms) and two writes (0.2 ms each), but must be free when the next read is due. What is not safe to decide here is
-left to the step: whatever ends a grasp, the change of phases, and any command after this process was stopped, when the
-servo may have let go.
+Why once per step: to the law, slip is a flag, raised by one slice or several. A bus period of 2 ms has room for a read
+(0.35 ms) and two writes (0.2 ms each), but the bus must be free when the next read is due. Decisions that are not safe
+here are left to the step. These are everything that ends a grasp, the change of phases, and any command after this
+process was stopped, because the servo may have released the object.
 """
 
 import math
@@ -29,14 +29,15 @@ from evetac_cli.realtime.bell import Bell
 from evetac_cli.realtime.shared_status import SharedStatus
 from evetac_cli.trials.grasp.loop import Timing
 
-ROOM_S = 2e-4  # beside the time on the wire: computing, and the pause after it; with less left, the step is as fast
+# margin on top of the time on the wire: computing and the pause after it; with less left, the step is as fast
+ROOM_S = 2e-4
 
 
 class EarlyCommand(NamedTuple):
-    """What was written ahead of a step, on which slices, and when: begun in us of the recording, done in s."""
+    """A command written ahead of a step, its slices, and its times: begin in us of the recording, end in s."""
 
     goal_ticks: int
-    slices: tuple[int, ...]  # of each finger
+    slices: tuple[int, ...]  # slice count of each finger
     t_us: float
     done_s: float
 
@@ -45,7 +46,7 @@ NOTHING = EarlyCommand(-1, (0, 0), math.nan, math.nan)
 
 
 class EarlyAnswer:
-    """Sleeps for the controller, and answers slip in its sleep."""
+    """Sleeps for the controller, and answers slip while it sleeps."""
 
     def __init__(
         self,
@@ -57,45 +58,46 @@ class EarlyAnswer:
         sleep: Callable[[float, Bell | None], bool],
         may_write: Callable[[], bool],
     ) -> None:
-        """wire_s: that a command is on the wire; clock and sleep: in s, as of a TimeSource.
+        """wire_s: time of a command on the wire; clock and sleep: in s, as in a TimeSource.
 
-        may_write: False once an order or a signal has come.
+        may_write: returns False once an order or a signal was received.
         """
         self._gripper, self._shared, self._timing = gripper, shared, timing
         self._room_s = wire_s + ROOM_S
         self._clock, self._sleep, self._may_write = clock, sleep, may_write
-        self._ahead: Control | None = None  # as the law is after the last step; None: nothing more before the next
+        # the law's state after the last step; None: no further early answer before the next step
+        self._ahead: Control | None = None
         self._phase, self._position, self._slips = GraspPhase.CONTACT, 0, 0
         self._written = NOTHING
 
     def after_step(self, control: Control, phase: GraspPhase, position_ticks: int, slips: int) -> None:
-        """A step was made: in this phase, with fingers here, and so many slices with slip known."""
-        # In contact no law reacts to slip.
+        """Record a step: its phase, the position of the fingers, and the number of known slices with slip."""
+        # During contact no law reacts to slip.
         self._ahead = None if phase is GraspPhase.CONTACT else control.copy()
         self._phase, self._position, self._slips = phase, position_ticks, slips
         self._written = NOTHING
 
     @property
     def written(self) -> EarlyCommand:
-        """What was written since the last step."""
+        """The command written since the last step."""
         return self._written
 
     def sleep(self, seconds: float) -> None:
-        """Sleep for so long; DeviceError where a command fails on the way, EvetacError where a law does."""
+        """Sleep for this time; DeviceError if a command fails meanwhile, EvetacError if a law does."""
         due_s = self._clock() + seconds
         while (left_s := due_s - self._clock()) > 0:
             if self._sleep(left_s, self._shared.slip_bell):
                 self._answer(due_s)
 
     def _answer(self, due_s: float) -> None:
-        """Command what the next step would, if there is slip that the last one did not know, and time."""
+        """Send the command of the next step now, if there is slip that the last step did not know, and enough time."""
         status = self._shared.latest()
         ahead, began_s = self._ahead, self._clock()
         if ahead is None or status is None or status.told.slips <= self._slips or began_s + self._room_s > due_s:
             return
         t_us = began_s * 1e6 - status.zero_us
         slice_ = max(int(t_us) // SLICE_US, 0)
-        is_last = slice_ + self._timing.every_ms >= self._timing.end_ms  # no step would record it
+        is_last = slice_ + self._timing.every_ms >= self._timing.end_ms  # no later step would record it
         if is_last or self._timing.phase(slice_) is not self._phase or not self._may_write():
             return
         self._ahead = None
@@ -105,7 +107,7 @@ class EarlyAnswer:
 
 
 def columns(written: EarlyCommand, fingers: int = 1) -> dict[str, Any]:
-    """What a row of the recording says of it; fingers: how many have a detector."""
+    """Return the columns of a recording's row for an early command; fingers: number of fingers with a detector."""
     row = {
         "control/early_goal_ticks": written.goal_ticks,
         "control/early_slices_processed": written.slices[0],

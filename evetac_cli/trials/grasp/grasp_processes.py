@@ -1,8 +1,7 @@
-"""The processes of a grasp in real time, as the recorder sees them, which is their parent: started, watched, ended.
+"""Start, supervise and end the processes of a real-time grasp; this module runs in the recorder, which is their parent.
 
-A detector for each finger that a camera looks at, so that each has a core for itself; one controller.
-
-Where the controller died or hangs, it is ended here, torque switched off and read back.
+There is one controller, and one detector per finger with a camera, so that each has a core of its own. If the
+controller has died or hangs, the recorder ends it, switches torque off and reads it back.
 """
 
 import contextlib
@@ -30,40 +29,41 @@ from evetac_cli.trials.grasp.detector_process import CameraReady, DetectorEnded,
 if TYPE_CHECKING:
     from evetac_cli.devices.virtual.world import VirtualWorld
 
-HANGS_S = 0.5  # a controller without a sign of life for so long, or some times the watchdog's time, is ended
+# a controller is killed after this long without a sign of life, or after HANGS_WATCHDOGS watchdog times if longer
+HANGS_S = 0.5
 HANGS_WATCHDOGS = 4
-OPENING_S = 2.0  # so much longer while it opens the gripper
-LOAD_S = 120.0  # in which both must be ready, compiling included
-OPEN_S = 30.0  # in which the camera must run
+OPENING_S = 2.0  # extra time while it opens the gripper
+LOAD_S = 120.0  # limit for detector and controller to be ready, including compilation
+OPEN_S = 30.0  # limit for the camera to run
 END_S = 3.0
 POLL_S = 0.05
 _T = TypeVar("_T")
 
 
 class GraspProcesses:
-    """Detectors and controller, each in a process of its own; closing them switches torque off."""
+    """Detectors and controller, each in its own process; closing them switches torque off."""
 
     def __init__(
         self, detectors: Sequence[DetectorSettings], controller: ControllerSettings, world: "VirtualWorld | None"
     ) -> None:
-        """Start all, a detector for each finger; they load, and wait for `begin`."""
+        """Start all processes, with one detector per finger; they load, and wait for `begin`."""
         context = multiprocessing.get_context("spawn")
         self.status = SharedStatus(len(detectors))
         self._settings = controller
         self.now_s = controller.time.now_s
         self._hangs_us = 1e6 * max(HANGS_S, HANGS_WATCHDOGS * 1e-3 * controller.watchdog_ms)
         self._began_us = math.inf
-        self._orders: list[Connection] = []  # to the detectors
+        self._orders: list[Connection] = []  # pipes to the detectors
         theirs: list[Connection] = []
         readers: list[MessageReader] = []
         detector_ends: list[Connection] = []
         started: list[BaseProcess] = []
-        self._words: list[LastWords] = []  # of the detectors and of the controller
+        self._words: list[LastWords] = []  # last words of the detectors and of the controller
         for settings in detectors:
             of = "-second" if settings.finger else ""
             order, ours = context.Pipe(duplex=False)
             slices, slices_end = context.Pipe(duplex=False)
-            detector_end, alive = context.Pipe(duplex=False)  # nothing is sent: it ends when the detector does
+            detector_end, alive = context.Pipe(duplex=False)  # nothing is sent on it: it closes when the detector ends
             self._orders.append(ours)
             readers.append(MessageReader(slices))
             self._words.append(LastWords())
@@ -96,13 +96,13 @@ class GraspProcesses:
         for process in (*self.detectors, self.controller):
             process.daemon = True
             start_shielded(process)
-        self._cores = CoreUse(self._known(world))
-        # Our copies of their ends; else a pipe would not end with the process at its other end.
+        self._cores = CoreUse(self._process_ids(world))
+        # Close the recorder's copies of their ends; otherwise a pipe would not close with the process at its other end.
         for end in (*theirs, *detector_ends, order, steps_end):
             end.close()
 
-    def _known(self, world: "VirtualWorld | None") -> dict[str, int]:
-        """The processes of the grasp, by their names in words."""
+    def _process_ids(self, world: "VirtualWorld | None") -> dict[str, int]:
+        """Return the process ids of the grasp, by name."""
         names = ("the detector",) if len(self.detectors) == 1 else ("the first detector", "the second detector")
         found = {
             **{name: process.pid for name, process in zip(names, self.detectors, strict=True)},
@@ -114,9 +114,9 @@ class GraspProcesses:
         return {name: process for name, process in found.items() if process is not None}
 
     def begin(self, signals: list[int]) -> tuple[tuple[CameraReady, ...], GripperReady]:
-        """Open the gripper once all detectors have loaded, then the cameras; what they are. EvetacError if one fails.
+        """Open the gripper once all detectors have loaded, then the cameras; return what they report.
 
-        Nothing moves before `go`. signals: grows when Ctrl-C is pressed.
+        EvetacError if one fails. Nothing moves before `go`. signals: grows when Ctrl-C is pressed.
         """
         both = tuple(zip(self.slices, self.detectors, strict=True))
         for slices, detector in both:
@@ -127,22 +127,22 @@ class GraspProcesses:
         return tuple(self._wait_for(CameraReady, *each, OPEN_S, signals) for each in both), gripper
 
     def go(self) -> None:
-        """Let the detectors begin, upon which the controller moves the gripper; now it needs signs of life."""
+        """Start the detectors, after which the controller moves the gripper; from here it needs signs of life."""
         self.give_sign_of_life()
         self._began_us = self.now_s() * 1e6
         _order(self._orders, "go")
 
     def give_sign_of_life(self) -> None:
-        """For the loop that watches: it is alive."""
+        """Report that the supervising loop is alive."""
         self.status.recorder_lives(self.now_s() * 1e6)
         self._cores.sample(time.monotonic())
 
     def cores_used(self, *, whole: bool = False) -> str:
-        """Who used the cores of this computer in the last second, or since the beginning, in words."""
+        """Return a sentence on which processes used the cores in the last second, or since the beginning."""
         return self._cores.words(whole=whole)
 
     def end_hanging_controller(self) -> str:
-        """End a controller that gives no sign of life; for how long it did not, in words, "" if it does."""
+        """Kill a controller that gives no sign of life; return a sentence on that, or "" if it is alive."""
         patience_us = self._hangs_us + 1e6 * OPENING_S * self.status.opening
         silent_us = self.now_s() * 1e6 - max(self.status.controller_us, self._began_us)
         if not silent_us > patience_us:
@@ -151,7 +151,7 @@ class GraspProcesses:
         return f"the controller hangs: no sign of life for {silent_us * 1e-6:.1f} s"
 
     def switch_off(self) -> str:
-        """Torque off, once the controller has ended without saying what torque is; in words, what was read back.
+        """Switch torque off after the controller ended without reporting its state; return what was read back.
 
         The port is free once the process has ended.
         """
@@ -160,7 +160,7 @@ class GraspProcesses:
         return self._settings.gripper.release(self._settings.port, self._settings.driver)
 
     def _wait_for(self, kind: type[_T], inbox: MessageReader, process: Any, most_s: float, signals: list[int]) -> _T:
-        """The first message of a kind; what went wrong before it comes is raised."""
+        """Return the first message of a kind; raise any error that occurs before it arrives."""
         until_s = time.monotonic() + most_s
         while time.monotonic() < until_s and not signals:
             select.select([inbox], [], [], POLL_S)
@@ -174,14 +174,17 @@ class GraspProcesses:
                 raise DeviceError(f"{process.name} died while it started{torque}", found=self.exit_words(process))
         if signals:
             raise KeyboardInterrupt("interrupted: nothing was recorded")
-        raise DeviceError(f"{process.name} did not come up", expected=f"within {most_s:g} s")
+        raise DeviceError(f"{process.name} did not start", expected=f"within {most_s:g} s")
 
     def exit_words(self, process: Any) -> str:
-        """How one of them ended, in words; "" if it has not within a second."""
+        """Return how one of the processes ended; "" if it has not ended within a second."""
         return exit_words(process, self._words[(*self.detectors, self.controller).index(process)])
 
     def close(self) -> None:
-        """End all; torque is off afterwards, or the servo's watchdog sees to it. Signals wait until then."""
+        """End all processes; afterwards torque is off, or the servo's watchdog stops the motor.
+
+        Signals wait until then.
+        """
         with signals_held():
             self._close()
 
@@ -196,12 +199,12 @@ class GraspProcesses:
                 process.join()
 
     def last_words(self) -> str:
-        """What torque is once all were closed; for whoever broke off recording."""
+        """Return the torque state after all processes were closed, for a caller that aborts the recording."""
         ended = [message for message in self.steps.take() if isinstance(message, ControllerEnded)]
         return ended[-1].torque if ended else self.switch_off()
 
 
 def _order(whom: Sequence[Connection], order: str) -> None:
     for each in whom:
-        with contextlib.suppress(OSError):  # it has died, which whoever waits for its answer finds out
+        with contextlib.suppress(OSError):  # the process has died, which the code that waits for its answer detects
             each.send(order)

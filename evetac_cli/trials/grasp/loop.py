@@ -1,6 +1,6 @@
 """The loop of a grasp: read a slice, detect slip, and at the controller's rate read the gripper and command it.
 
-What happens goes into a `TrialBuffer`: in memory, because a simulated grasp can be made again.
+The slices and rows go into a `TrialBuffer` in memory, because a simulated grasp can be repeated.
 """
 
 from collections import deque
@@ -17,51 +17,51 @@ from evetac_cli.sim.parts import Timer, untimed
 
 
 class SliceDetector(Protocol):
-    """A detector of slip: an `OnlineSlipDetector`, or what a measurement puts in its place."""
+    """A slip detector: an `OnlineSlipDetector`, or a substitute for measurements."""
 
     def step(self, events: Events) -> float:
-        """Slip probability after one more slice."""
+        """Return the slip probability after one more slice."""
 
     def tell_gripper(self, position_ticks: float, goal_ticks: float) -> None:
-        """Where the fingers were read in a step of the controller, and the goal that it gave them."""
+        """Pass on the position read in a controller step, and the goal that the step set."""
 
     @property
     def signal(self) -> SlipSignal:
-        """What the controller gets to know after the last slice."""
+        """The signal to the controller after the last slice."""
 
 
 @dataclass(frozen=True)
 class Timing:
-    """When phases end, in slices from the start, and how the controller is timed.
+    """The durations of the phases, in slices, and the timing of the controller.
 
-    InputError where the steps of the controller are no whole number of slices apart.
+    InputError if the controller's steps are not a whole number of slices apart.
     """
 
     touch_ms: int
     lift_ms: int
     balance_ms: int
     control_hz: float = 500.0
-    latency_ms: int = 0  # from the detector's signal to the controller that gets it
+    latency_ms: int = 0  # from the detector's signal to its arrival at the controller
 
     def __post_init__(self) -> None:
         if SLICES_PER_S % self.control_hz:
-            expected = "a rate of which 1000 is a multiple, as in 50, 100, 250, 500, 1000"
+            expected = "a rate that divides 1000, for example 50, 100, 250, 500, 1000"
             raise InputError(
                 "slices end every millisecond", where="--control-hz", expected=expected, found=f"{self.control_hz:g}"
             )
 
     @property
     def every_ms(self) -> int:
-        """Slices between steps of the controller."""
+        """Number of slices between steps of the controller."""
         return round(SLICES_PER_S / self.control_hz)
 
     @property
     def end_ms(self) -> int:
-        """When a grasp that holds ends."""
+        """The end of a grasp that holds, in ms."""
         return self.touch_ms + self.lift_ms + self.balance_ms
 
     def phase(self, slice_: int) -> GraspPhase:
-        """The phase of the grasp in which a slice lies."""
+        """Return the grasp phase of a slice."""
         if slice_ < self.touch_ms:
             return GraspPhase.CONTACT
         return GraspPhase.LIFT if slice_ < self.touch_ms + self.lift_ms else GraspPhase.BALANCE
@@ -70,7 +70,7 @@ class Timing:
 def control_row(
     control: Control, phase: GraspPhase, signal: SlipSignal, reading: GripperReading, goal: int, now_us: int
 ) -> dict[str, Any]:
-    """What is recorded of a step of the controller: the gripper's row, and the control's."""
+    """Return the recorded row of a controller step: the columns of the gripper and of the control."""
     return {
         **gripper_row(now_us, reading),
         "control/t_us": now_us,
@@ -86,7 +86,10 @@ def control_row(
 def grasp_slices(
     devices: Rig, detector: SliceDetector | None, control: Control, timing: Timing, timer: Timer = untimed
 ) -> Iterator[tuple[Events, dict[str, Any]]]:
-    """Read, detect, control, until the scene has ended; each slice with its rows. timer: measures the detector."""
+    """Read, detect and control until the scene has ended.
+
+    Yield each slice with its rows. timer: measures the detector.
+    """
     detect = None if detector is None else timer("slip detector", detector.step)
     gripper = devices.gripper
     assert gripper is not None
@@ -120,10 +123,7 @@ def run_grasp(
     progress: Callable[[int], None],
     timer: Timer = untimed,
 ) -> int:
-    """Hand each slice of a grasp and its rows to `append`, until the scene has ended; returns how many there were.
-
-    timer: measures the detector.
-    """
+    """Pass each slice of a grasp and its rows to `append` until the scene has ended; return their number."""
     slices = 0
     for events, rows in grasp_slices(devices, detector, control, timing, timer):
         append(events, rows)

@@ -1,10 +1,10 @@
 """The slip detector of a grasp: tracker, features and network, one slice after the other.
 
-The same start/step kernels as in `track` and `featurize`. The controller gets a `SlipSignal`: a few numbers that fit
+It uses the start/step kernels of `track` and `featurize`. The controller gets a `SlipSignal`: a few numbers that fit
 into shared memory, so that the detector may run in another process.
 
-Why so: a closed gel has one column of dots more than a cut one, where the window would be. All dots are tracked,
-because they steady each other; a network for a cut gel gets only the dots that a cut gel has.
+A closed gel has one more column of dots than a cut one, where the window would be. All dots are tracked, because they
+stabilise each other. A network for a cut gel only gets the dots that a cut gel has.
 """
 
 from collections.abc import Mapping
@@ -32,25 +32,28 @@ from evetac_cli.store.files import StageFile
 
 
 def known_dots(dot_xy_px: NDArray[np.float64], rows: int, columns: int) -> NDArray[np.bool_]:
-    """Mask (dots,) of the dots (rows, columns, 2) of a gel that a network for a grid of rows x columns takes.
+    """Return the mask (dots,) of the dots (rows, columns, 2) that a network for a rows x columns grid uses.
 
-    All of a grid of that size; of one with a column more, all but one of which no dot is known, or else the one
-    farthest to the right. ValueError for another grid.
+    For a grid of that size, all dots. For a grid with one more column, all columns except one: the one without known
+    dots, otherwise the rightmost. ValueError for another grid.
     """
     grid = int(dot_xy_px.shape[0]), int(dot_xy_px.shape[1])
-    known = np.ones(grid, np.bool_)
+    mask = np.ones(grid, np.bool_)
     if grid == (rows, columns + 1):
         x_px = dot_xy_px[..., 0]
         unknown = np.isnan(x_px).all(axis=0)
-        known[:, np.argmax(unknown if unknown.any() else np.nanmean(x_px, axis=0))] = False
+        mask[:, np.argmax(unknown if unknown.any() else np.nanmean(x_px, axis=0))] = False
     elif grid != (rows, columns):
-        wanted = f"{rows} rows x {columns} columns of dots, or a column more"
+        wanted = f"{rows} rows x {columns} columns of dots, or one more column"
         raise ValueError(f"expected {wanted}, found {in_words(*grid)}")
-    return known.reshape(-1)
+    return mask.reshape(-1)
 
 
 def dots_for(model: StageFile, dot_xy_px: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Mask (dots,) of the dots, at rest at (rows, columns, 2), that a model takes; InputError for another grid."""
+    """Return the mask (dots,) of the dots, at rest at (rows, columns, 2), that a model uses.
+
+    InputError for another grid.
+    """
     rows, columns = (int(size) for size in model.read("dot_shape"))
     try:
         return known_dots(dot_xy_px, rows, columns)
@@ -67,8 +70,8 @@ class OnlineSlipDetector:
     live: Live
     alarm: AlarmState = field(default_factory=lambda: alarms.start(1.0))
     probability: float = float("nan")
-    sticking: StickingShare | None = None  # for a network that learned with it, or a law that asks what sticks
-    _told: tuple[float, float] = (float("nan"), float("nan"))  # position and goal of the gripper
+    sticking: StickingShare | None = None  # for a network trained with the sticking share, or a law that needs it
+    _gripper_state: tuple[float, float] = (float("nan"), float("nan"))  # position and goal of the gripper
 
     @classmethod
     def start(
@@ -81,28 +84,28 @@ class OnlineSlipDetector:
     ) -> "OnlineSlipDetector":
         """Load a model for a gel whose dots are at rest at (rows, columns, 2); InputError if it is for another grid.
 
-        sensor: what is known of it.
+        sensor: the known sensitivity of the sensor.
         """
-        known = dots_for(model, dot_xy_px)
+        dots = dots_for(model, dot_xy_px)
         tracking = tracker.start(dot_xy_px.reshape(-1, 2), constants)
         detector = load_detector(model)
-        live = Live(detector, tracking, window_px, sensor, known)
-        tracker.mean_displacement_px(tracking.record)  # compiles or loads it now and not in the first slice
+        live = Live(detector, tracking, window_px, sensor, dots)
+        tracker.mean_displacement_px(tracking.record)  # compiles or loads it now instead of in the first slice
         started = cls(live, alarms.start(chosen_threshold(model)))
         if "sticking" in detector.learned_extras:
             started.tell_what_sticks()
         return started
 
     def tell_what_sticks(self) -> None:
-        """Before the first slice: let the signal and the network know which share of the contact sticks."""
+        """Enable the sticking share of the contact for the signal and the network; call before the first slice."""
         tracking = self.tracking
         self.sticking, first = (StickingShare(tracking.rest_xy_px) for _ in range(2))
-        first.step(tracking.dot_xy_px, tracking.lost)  # compiles or loads it now and not in the first slice
-        tracker.turn_px(tracking.record)  # as well
+        first.step(tracking.dot_xy_px, tracking.lost)  # compiles or loads it now instead of in the first slice
+        tracker.turn_px(tracking.record)  # also compiles or loads it
 
     @property
     def threshold(self) -> float:
-        """The probability that three slices in a row have to reach."""
+        """The probability that three consecutive slices must reach."""
         return self.alarm.threshold
 
     @threshold.setter
@@ -111,17 +114,17 @@ class OnlineSlipDetector:
 
     @property
     def count(self) -> int:
-        """Slices that alarmed so far: what the controller reads."""
+        """The number of slices with an alarm so far, which the controller reads."""
         return self.alarm.alarms
 
     @property
     def slip(self) -> bool:
-        """Whether the last slice alarms: it is the third in a row, at least, that reaches the threshold."""
+        """Whether the last slice raises an alarm: at least the third in a row that reaches the threshold."""
         return self.alarm.alarming
 
     def tell_gripper(self, position_ticks: float, goal_ticks: float) -> None:
-        """Where the fingers were last read, and the goal they were then given, for a network that is told of them."""
-        self._told = position_ticks, goal_ticks
+        """Store the last position of the fingers and the goal set then, for a network with these inputs."""
+        self._gripper_state = position_ticks, goal_ticks
         self._tell()
 
     @property
@@ -130,7 +133,7 @@ class OnlineSlipDetector:
         return self.live.tracking
 
     def step(self, events: Events) -> float:
-        """Slip probability after one more slice; NaN until the history is full."""
+        """Return the slip probability after one more slice; NaN until the history is full."""
         self.probability = self.live.step(events.x, events.y, events.p, events.t)
         alarms.step(self.alarm, self.probability)
         if self.sticking is not None:
@@ -139,17 +142,17 @@ class OnlineSlipDetector:
         return self.probability
 
     def _tell(self) -> None:
-        """Tell the network of the next slice what is known before it."""
-        self.live.tell(*self._told, float("nan") if self.sticking is None else self.sticking.share)
+        """Pass to the network what is known before the next slice."""
+        self.live.tell(*self._gripper_state, float("nan") if self.sticking is None else self.sticking.share)
 
     @property
     def signal(self) -> SlipSignal:
-        """The signal to the controller after the last slice, with how far all dots have moved."""
+        """The signal to the controller after the last slice, with the mean displacement of all dots."""
         record = self.live.tracking.record
-        told = SlipSignal(self.count, self.probability, *tracker.mean_displacement_px(record))
+        result = SlipSignal(self.count, self.probability, *tracker.mean_displacement_px(record))
         if self.sticking is None:
-            return told
-        return told._replace(turn_px=tracker.turn_px(record), sticking_share=self.sticking.share)
+            return result
+        return result._replace(turn_px=tracker.turn_px(record), sticking_share=self.sticking.share)
 
 
 def open_detector(
@@ -160,12 +163,10 @@ def open_detector(
     *,
     sticking: bool = False,
 ) -> OnlineSlipDetector:
-    """The detector of a model, for a sensor with these datasets `sensor/...`, as a controller is told of slip.
+    """Return the detector of a model, for a sensor with these datasets `sensor/...`, set up for a controller.
 
-    threshold: None for what `controller_threshold` chooses.
-
-    constants: of the tracker, for dots of the usual size; sticking: whether it tells what sticks, too. InputError if
-    the model is for another dot grid.
+    threshold: None for the choice of `controller_threshold`. constants: of the tracker, for dots of the usual size;
+    sticking: whether the signal includes the sticking share. InputError if the model is for another dot grid.
     """
     constants = constants.for_dots(float(sensor["sensor/dot_radius_px"]))
     detector = OnlineSlipDetector.start(
@@ -180,16 +181,16 @@ def open_detector(
 def open_view_detector(
     path: Path | None, preset: str, threshold: float | None, sensor: Mapping[str, Any]
 ) -> OnlineSlipDetector:
-    """The detector that a live view follows a recording with.
+    """Return the detector with which a live view follows a recording.
 
-    path: of the model, None for the package's; threshold: None for the model's own.
+    path: of the model, None for the pretrained one; threshold: None for the model's own.
     """
     with StageFile(resources.model_file(path), "model") as model:
         own = chosen_threshold(model, threshold)
         detector = open_detector(model, sensor, presets.PRESETS[preset], own)
     if detector.live.needs_times:
         raise InputError(
-            "the live view does not know the times of events, which this network sees",
+            "this network needs the times of events, which the live view does not have",
             where=str(model.path),
             expected="a network over dots",
             found=detector.live.detector.architecture.name,

@@ -1,17 +1,17 @@
-"""The controller's beat: absolute deadlines, those missed and by whom, and how they follow the detector's slices."""
+"""The controller's timing: absolute deadlines, missed ones and their cause, and alignment with the detector."""
 
 import time
 from collections.abc import Callable
 
 from evetac_cli.events import SLICE_US
 
-FRESH_US = 150.0  # age that a status should have when a step reads it: the detector is not always as fast
-FOLLOWING = 0.02  # of what a step is off, so much is corrected at a time
+FRESH_US = 150.0  # target age of a status when a step reads it; the detector's delay varies
+FOLLOWING = 0.02  # share of a step's offset that is corrected at once
 MOST_SHIFT_US = 4.0
 
 
 class Pace:
-    """Absolute deadlines at equal distances, on a clock that may be another one in tests."""
+    """Absolute deadlines at equal intervals, on a clock that tests can replace."""
 
     def __init__(
         self, period_s: float, clock: Callable[[], float] = time.monotonic, sleep: Callable[[float], None] = time.sleep
@@ -21,18 +21,19 @@ class Pace:
         self._began_s = clock()
         self._next = 0
         self.missed = 0
-        self.missed_by_gripper = 0  # of these, those that an answer as fast as its fastest would have met
+        # missed deadlines that a gripper answer as fast as its fastest would have kept
+        self.missed_by_gripper = 0
 
     def shift(self, later_us: float) -> None:
         """Move all further deadlines by this time, which may be negative."""
         self._began_s += later_us * 1e-6
 
     def wait(self, waited_s: float = 0.0) -> float:
-        """Sleep until the next deadline; how much later than that it is then, in us.
+        """Sleep until the next deadline; return the delay after it, in us.
 
-        A step has until the next deadline to be done. Deadlines that passed before it was are counted as missed; the
-        next step then begins at once, and where several passed, it stands for all of them. waited_s: how much longer
-        than need be the step waited for the gripper.
+        A step must be done by the next deadline. Deadlines that pass before that are counted as missed. The next step
+        then begins at once, and replaces all deadlines that passed. waited_s: how much longer than necessary the step
+        waited for the gripper.
         """
         if self._next:
             now_s = self._clock()
@@ -48,16 +49,16 @@ class Pace:
         return max(self._clock() - due_s, 0.0) * 1e6
 
     def _passed(self, now_s: float) -> int:
-        """How many deadlines have passed by then since the one of this step."""
+        """Return how many deadlines have passed by then since the one of this step."""
         return max(int((now_s - self._began_s) / self._period_s) - (self._next - 1), 0)
 
 
 def shift_us(age_us: float) -> float:
-    """How much later deadlines should be, given how old the status was that a step read.
+    """Return how much later deadlines should be, given the age of the status that a step read.
 
-    There is a new one every millisecond. One should come just before a step reads it; the next then comes while the
-    controller sleeps beside an idle bus, where new slip is answered at once (early_answer.py). So the steps follow, by
-    little at a time: the camera's clock may run a little otherwise.
+    There is a new status every millisecond. One should arrive just before a step reads it. The next then arrives while
+    the controller sleeps and the bus is idle, when new slip is answered at once (early_answer.py). The steps therefore
+    follow the slices by small corrections, because the camera's clock may run slightly faster or slower.
     """
     off_us = (FRESH_US - age_us + SLICE_US / 2) % SLICE_US - SLICE_US / 2
     return min(max(FOLLOWING * off_us, -MOST_SHIFT_US), MOST_SHIFT_US)

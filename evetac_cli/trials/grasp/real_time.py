@@ -1,12 +1,13 @@
-"""A grasp in real time, with devices or their virtual twins: checked, started, recorded, and reported at the end.
+"""A grasp in real time, with real or virtual devices: checked, started, recorded, and reported at the end.
 
-Three processes: the detector (detector_process.py) at 1000 Hz, the controller (controller_process.py) at 500 Hz, and
-this one, which records (recorder.py); with a camera at each finger, a detector for each. Detectors and law are those of
-a simulated grasp.
+Three processes run: the detector (detector_process.py) at 1000 Hz, the controller (controller_process.py) at 500 Hz,
+and this one, which records (recorder.py). With a camera at each finger, there is one detector per camera. Detectors and
+law are those of a simulated grasp.
 
 Latency is counted from the first event of the slice with slip to the last byte of the command. The event has the
-camera's time; the host's clock is matched to it by the fastest delivery within 5 s. So the shortest time of words from
-sensor to program (some 0.1 ms over USB) is not in it, and the clocks' drift in 5 s, 0.25 ms at 50 ppm, may be.
+camera's time; the host's clock is matched to it by the fastest delivery within 5 s. So the latency does not include the
+minimum time of words from sensor to program (about 0.1 ms over USB). It may include the clocks' drift in 5 s, 0.25 ms
+at 50 ppm.
 """
 
 import json
@@ -51,25 +52,23 @@ if TYPE_CHECKING:
     from evetac_cli.devices.virtual.world import VirtualWorld
     from evetac_cli.trials.listen.desk import Desk
 
-METHOD = 4  # of grasps in real time
-KINDS = ("lift",)  # of scenes that are grasped
-WATCHDOG_MS = 60  # where none is asked for
-UNTIL_STOPPED = 2**62  # slices
-EVENTS_S = 500_000  # that the disk must have room for
-SLOWEST_HZ = 100.0  # below, the watchdog would be blind
-SERVO_PRIORITY = 40  # hardware does not wait for a scheduler
-WRITING_NICE, BESIDE_VIRTUAL = (
-    -5,
-    15,
-)  # of the thread that writes, behind the detector; beside devices that take as much, behind all
+METHOD = 4  # method version of grasps in real time
+KINDS = ("lift",)  # kinds of scenes for grasps
+WATCHDOG_MS = 60  # default
+UNTIL_STOPPED = 2**62  # a number of slices that is never reached
+EVENTS_S = 500_000  # event rate that the disk must have room for
+SLOWEST_HZ = 100.0  # slowest control rate at which hangs are still detected in time
+SERVO_PRIORITY = 40  # real hardware does not wait for a scheduler, so its virtual replacement should not either
+# Niceness of the writing thread: below the detector, or with virtual devices, which need as much CPU, below everything.
+WRITING_NICE, BESIDE_VIRTUAL = -5, 15
 LAST_TICK = 740  # closed; the law's own limit
-FALLS = "torque is switched off at the end, and at once if detector, camera or bus fail: what is held then falls"
+FALLS = "torque is switched off at the end, and at once if detector, camera or bus fail: a held object then falls"
 
 
 def jobs(
     cameras: tuple[NamedCamera, ...], gripper: NamedGripper, params: Grasp, settings: GraspSettings, out: Path | None
 ) -> Sequence[DeviceGrasp | ReplayGrasp]:
-    """One recording for every trial and finger; InputError for what cannot be done, or must not without --arm."""
+    """Return one job per trial; InputError for what is impossible, or not allowed without --arm."""
     watchdog_ms = WATCHDOG_MS if params.watchdog_ms is None else params.watchdog_ms
     driver = _driver(params, gripper, watchdog_ms)
     touch_s = scene_file.load_of_kind(params.scene, KINDS).time.touch_s
@@ -80,7 +79,7 @@ def jobs(
         f" {params.max_current_ma} mA; {FALLS}"
     )
     require_arm(gripper, armed=params.arm or params.dry_run, plan=plan)
-    replayed = gripper.has(Capability.STEPPED)  # which makes one file: the decisions, beside the first finger's events
+    replayed = gripper.has(Capability.STEPPED)  # a replay makes one file: the decisions, with the first finger's events
     trials = device_trials(KINDS, cameras[:1] if replayed else cameras, gripper, params, out, prefix="grasp-")
     if replayed:
         files = tuple(path for camera in cameras for path in camera.files)
@@ -109,13 +108,13 @@ def jobs(
 
 
 def _check_timing(timing: Timing, params: Grasp, gripper: NamedGripper) -> None:
-    """InputError for a timing that devices cannot keep."""
+    """Raise InputError for a timing that devices cannot keep."""
     if timing.latency_ms and not gripper.has(Capability.STEPPED):
-        raise InputError("latency is added in simulation alone", where="--latency-ms", found=str(timing.latency_ms))
+        raise InputError("latency can only be added in simulation", where="--latency-ms", found=str(timing.latency_ms))
     if timing.every_ms > 1000 / SLOWEST_HZ:
         expected = f"at least {SLOWEST_HZ:g} Hz in real time"
         raise InputError(
-            "too slow to be watched", where="--control-hz", expected=expected, found=str(params.control_hz)
+            "too slow to detect hangs in time", where="--control-hz", expected=expected, found=str(params.control_hz)
         )
     if timing.end_ms > 1000 * params.max_seconds:
         raise InputError(
@@ -127,7 +126,7 @@ def _check_timing(timing: Timing, params: Grasp, gripper: NamedGripper) -> None:
 
 
 def _driver(params: Grasp, gripper: NamedGripper, watchdog_ms: int) -> RhP12RnSettings:
-    """How the gripper is set up: an answer is waited for so long that two tries fit into the watchdog's time."""
+    """Return the gripper's settings; the answer timeout is short enough for two tries within the watchdog's time."""
     try:
         return gripper.settings(
             max_current_ma=params.max_current_ma,
@@ -140,12 +139,12 @@ def _driver(params: Grasp, gripper: NamedGripper, watchdog_ms: int) -> RhP12RnSe
 
 
 def check(trial: DeviceGrasp, *, force: bool) -> None:
-    """InputError for whatever can be known to be wrong with a grasp before a device is touched."""
+    """Raise InputError for every fault of a grasp that can be found before a device is touched."""
     again, hint = "a grasp in real time", "--force replaces it, -o NAME writes elsewhere"
     session.refuse_taken(trial, again=again, hint=hint, force=force)
     session.check_room(trial, EVENTS_S, trial.timing.end_ms * 1e-3, "a shorter --balance-s")
     if trial.plan is not None and not trial.calibrations:
-        return  # its scene will say where the dots are
+        return  # its scene provides the dot positions
     for finger in range(len(trial.cameras)):
         sensor = _sensor(trial, None, finger)
         if trial.settings.detector is not None:
@@ -153,7 +152,7 @@ def check(trial: DeviceGrasp, *, force: bool) -> None:
 
 
 def dry_run(trials: Sequence[DeviceGrasp | ReplayGrasp], *, force: bool = False) -> Outcome:
-    """What would be opened and done, checked as by a run; no device is touched, and no file written."""
+    """Return what would be opened and done, checked as in a run; no device is touched, and no file written."""
     for trial in trials:
         if isinstance(trial, ReplayGrasp):
             replay.check(trial, force=force)
@@ -170,7 +169,7 @@ def dry_run(trials: Sequence[DeviceGrasp | ReplayGrasp], *, force: bool = False)
     else:
         cameras = first.cameras
         moves = [("gripper", str(first.gripper), f"{steps}, at most {first.driver.max_current_ma} mA")]
-        watched = [("watchdog", f"{first.driver.watchdog_ms} ms", "of silence, and torque is off")]
+        watched = [("watchdog", f"{first.driver.watchdog_ms} ms", "without a command switch torque off")]
     detector = "no slip detector"
     if settings.detector is not None:
         detector = f"slip detected 1000 times per second by {settings.detector.path}"
@@ -187,9 +186,9 @@ def run(
     say: Callable[[str], None] = console.say,
     desk: "Desk | None" = None,
 ) -> Outcome:
-    """Grasp once, in real time, and record everything. say: takes a line where the computer was too slow.
+    """Grasp once, in real time, and record everything. say: receives a line if the computer was too slow.
 
-    desk: a robot's program began it, and may mark and end it.
+    desk: a robot's program started the grasp, and may mark and end it.
     """
     check(trial, force=force)
     cameras, gripper, seeds = trial.cameras, trial.gripper, trial.seeds()
@@ -204,7 +203,7 @@ def run(
         world, servo = open_peers(
             cameras[0], gripper, trial.plan, seeds, opened, armed=trial.armed, tells_truth=True, **durations
         )
-        signals = opened.enter_context(interrupts.signals_counted(came))  # until here Ctrl-C breaks off
+        signals = opened.enter_context(interrupts.signals_counted(came))  # until here Ctrl-C aborts
         if desk is not None:
             opened.callback(desk.signals_came, signals)
         sensors = [_sensor(trial, world, finger) for finger in range(len(cameras))]
@@ -222,7 +221,7 @@ def run(
             trial.driver,
             settings.law,
             timing,
-            # as the servo's own: where nothing real moves, a busy computer is forgiven
+            # same as the servo's watchdog: without real motion, a busy computer gets more time
             (VIRTUAL_WATCHDOG_FACTOR if servo is not None else 1) * trial.watchdog_ms,
             trial.most_s,
             HOST_TIME if world is None else world.time,
@@ -234,7 +233,7 @@ def run(
         if servo is not None and servo.pid is not None:
             set_realtime_priority(SERVO_PRIORITY, servo.pid)
         cameras_ready, gripper_ready = processes.begin(signals)
-        with raised_priority(WATCHING_PRIORITY):  # the camera runs, and until `go` the time of the grasp is lost
+        with raised_priority(WATCHING_PRIORITY):  # the camera runs: time before `go` is lost to the grasp
             writers, recipes = [], []
             shared = {} if len(cameras) == 1 else {"trajectory": uuid4().hex}
             for finger, ready in enumerate(cameras_ready):
@@ -285,12 +284,12 @@ def run(
 
 
 def _seeds_of(seeds: np.random.SeedSequence, finger: int) -> np.random.SeedSequence:
-    """What prepared words of a finger's camera are drawn from."""
+    """Return the seeds of the prepared words of a finger's camera."""
     return np.random.SeedSequence(seeds.entropy, spawn_key=(finger,)) if finger else seeds
 
 
 def _sensor(trial: DeviceGrasp, world: "VirtualWorld | None", finger: int) -> dict[str, Any]:
-    """The dot grid, which has to be known before the camera is opened; InputError if it is not."""
+    """Return the dot grid, which must be known before the camera is opened; InputError if it is not."""
     camera = trial.cameras[finger]
     if trial.calibrations:
         sensor: Mapping[str, Any] = trial.calibrations[finger].recorded()
@@ -300,7 +299,7 @@ def _sensor(trial: DeviceGrasp, world: "VirtualWorld | None", finger: int) -> di
         sensor = camera.known_sensor()
     if "sensor/dot_xy_px" not in sensor:
         raise InputError(
-            "it is not known where the dots of this gel are",
+            "the dot positions of this gel are unknown",
             where=str(camera),
             expected="a dot grid",
             hint=MAKE_GRID,
@@ -315,10 +314,10 @@ def _recipe(
     parents: tuple[Header, ...],
     shared: Mapping[str, str],
 ) -> Recipe:
-    """What is known of a grasp beforehand; its content stands in for the rest.
+    """Return the recipe of a grasp as known beforehand; its content digest replaces the rest.
 
-    parents: headers of the model and of what the camera plays. They take long to read, and now the camera runs.
-    shared: by the files of one grasp.
+    parents: headers of the model and of replayed recordings, read earlier because reading is slow and the camera now
+    runs. shared: parameters common to the files of one grasp.
     """
     return session.make_recipe(
         METHOD,
@@ -339,10 +338,10 @@ def _finish(
     datasets: Mapping[str, Any],
     world: "VirtualWorld | None",
 ) -> tuple[dict[str, Any], Path | None]:
-    """Make the files; returns what became of the grasp, where truth is known, and the file, or the folder that is left.
+    """Write the files; return the outcome of the grasp, if ground truth is known, and the file or the remaining folder.
 
-    No file is made of one without a step, nor of a second finger without a slice. Where the first cannot be made, the
-    segments of the second stay, too.
+    No file is written for a grasp without a step, nor for a second finger without a slice. If the first file cannot be
+    written, the segments of the second stay too.
     """
     if not recorded.has_steps:
         for writer in writers:

@@ -1,4 +1,4 @@
-"""The row of a grasp in real time: what became of it, how well time was kept, and what it was too slow for."""
+"""The row of a real-time grasp: its outcome, how well time was kept, and what the computer was too slow for."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -24,7 +24,7 @@ def result_of(
     *,
     interrupted: bool,
 ) -> Outcome:
-    """The row of a grasp; an error or Ctrl-C goes on from here, and says what was saved."""
+    """Return the row of a grasp; an error or Ctrl-C is raised again here with the saved files."""
     result = None
     if recorded.has_steps:
         result = _row(trial, recipe, recorded, datasets, grasp_outcome)
@@ -46,7 +46,7 @@ def _row(
     datasets: Mapping[str, Any],
     grasp_outcome: Mapping[str, Any],
 ) -> Outcome:
-    """The figures of a grasp of which there is a file."""
+    """Return the figures of a grasp that has a file."""
     timing: dict[str, float | None] = {}
     for name, path, index in (
         ("latency_us_median", "latency_us", 0),
@@ -87,7 +87,7 @@ def _row(
 
 
 def _of_second(trial: DeviceGrasp, recorded: RecordedGrasp) -> dict[str, Any]:
-    """The figures of the second finger, if a camera looks at it."""
+    """Return the figures of the second finger, if it has a camera."""
     if recorded.second is None:
         return {}
     datasets, second = recorded.second_datasets(), recorded.second

@@ -1,4 +1,4 @@
-"""What is known of the camera and the detector of one finger while a grasp in real time is recorded."""
+"""The record of one finger's camera and detector while a real-time grasp is recorded."""
 
 import math
 from array import array
@@ -15,24 +15,27 @@ from evetac_cli.trials.session import LateSlices, lost_datasets, spread
 
 @dataclass(kw_only=True)
 class RecordedFinger:
-    """What was recorded of one finger, and how its detector ended."""
+    """The recorded data of one finger, and how its detector ended."""
 
     slices: int = 0
     events: int = 0
-    first_us: float = math.nan  # when the first and the last slice were evaluated
+    first_us: float = math.nan  # time at which the first and the last slice were evaluated
     last_us: float = math.nan
-    zero_us: float = math.nan  # when the camera's recording began, on the host's clock, as last estimated
+    zero_us: float = math.nan  # latest estimate of when the camera's recording began, on the host's clock
     slice_late_us: "array[float]" = field(default_factory=lambda: array("d"))
     late_slices: LateSlices = field(default_factory=LateSlices)
-    behind_s: float = 0.0  # that slices waited for the recorder, at most
+    behind_s: float = 0.0  # longest time that slices waited for the recorder
     detector_died: bool = False
-    detector: DetectorEnded | None = None  # what it said at its end
-    probability: "array[float]" = field(default_factory=lambda: array("f"))  # of each slice, of a second finger
+    detector: DetectorEnded | None = None  # its final message
+    probability: "array[float]" = field(default_factory=lambda: array("f"))  # of each slice, only for a second finger
 
     def take(
         self, batch: SliceBatch, writer: RecordingWriter, most: int | None, now_s: float, rows: dict[str, Any]
     ) -> int:
-        """Write the slices of a batch, but none beyond `most` in all; how many they were. rows: beside the events."""
+        """Write the slices of a batch, at most up to `most` in total; return how many were written.
+
+        rows: columns written with the events.
+        """
         self.behind_s = max([self.behind_s, *(now_s - at_us * 1e-6 for at_us in batch.at_us[-1:])])
         wanted = len(batch.counts)
         if most is not None:
@@ -55,7 +58,7 @@ class RecordedFinger:
         return wanted
 
     def camera_datasets(self) -> dict[str, Any]:
-        """The datasets capture/... of the camera: what was lost, how well time was kept."""
+        """Return the datasets capture/... of the camera: losses and timing."""
         rows: dict[str, Any] = {}
         passed_us = self.last_us - self.first_us
         if passed_us > 0:

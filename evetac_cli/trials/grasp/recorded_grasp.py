@@ -1,8 +1,8 @@
-"""What is known of a grasp in real time while it is recorded, and why it ended.
+"""The record of a real-time grasp while it runs, and why it ended.
 
-The recorder's two threads share it: the one that watches (recorder.py) learns how the others ended, the one that writes
-(writing_thread.py) takes slices and steps. Of the second finger, where there is a camera, only its own slices are
-known (recorded_finger.py); all else is the grasp's.
+The recorder's two threads share it. The supervising thread (recorder.py) learns how the other processes ended; the
+writing thread (writing_thread.py) takes slices and steps. A second finger, if it has a camera, only has its own slices
+(recorded_finger.py); everything else belongs to the grasp.
 """
 
 import math
@@ -46,36 +46,37 @@ WHERE_FINGER = " (first finger)", " (second finger)"
 
 @dataclass
 class RecordedGrasp(RecordedFinger):
-    """What was recorded of a grasp in real time, as one of its first finger, and why it ended."""
+    """The recorded data of a real-time grasp, including its first finger, and why it ended."""
 
-    end_ms: int  # when it is to be over
+    end_ms: int  # planned end
     second: RecordedFinger | None = None
     ended: str = ""
     error: Exception | None = None
     step_late_us: "array[float]" = field(default_factory=lambda: array("d"))
     latency_us: "array[float]" = field(default_factory=lambda: array("d"))
-    steps: TrialBuffer = field(default_factory=TrialBuffer)  # of the controller, as far as the outcome needs them
-    truth: TrialBuffer = field(default_factory=TrialBuffer)  # of a virtual world
-    truths: int = 0  # slices whose truth is known
+    steps: TrialBuffer = field(default_factory=TrialBuffer)  # columns of the controller's steps that the outcome needs
+    truth: TrialBuffer = field(default_factory=TrialBuffer)  # ground truth of a virtual world
+    truths: int = 0  # number of slices with known ground truth
     world_over: bool = False
-    controller: ControllerEnded | None = None  # what it said at its end
-    controller_hung: str = ""  # in words
-    torque: str = ""  # what it was at the end, in words
-    cores_used: str = ""  # by whom, in words: from beginning to end, and in the second before something ended it
+    controller: ControllerEnded | None = None  # its final message
+    controller_hung: str = ""  # sentence, if it hung
+    torque: str = ""  # sentence on its state at the end
+    # sentences on which process used the cores: over the whole grasp, and in the second before a failure
+    cores_used: str = ""
     cores_at_end: str = ""
 
     @property
     def fingers(self) -> tuple[RecordedFinger, ...]:
-        """The first finger, and the second if a camera looks at it."""
+        """The first finger, and the second if it has a camera."""
         return (self,) if self.second is None else (self, self.second)
 
     @property
     def has_steps(self) -> bool:
-        """Whether so much was recorded that a file can be made of it."""
+        """Whether enough was recorded to write a file."""
         return bool(self.slices and self.steps.rows)
 
     def datasets(self) -> dict[str, Any]:
-        """The datasets capture/...: why it ended, what was lost, how well time was kept."""
+        """Return the datasets capture/...: why it ended, losses and timing."""
         rows: dict[str, Any] = {"capture/ended": self.ended, **self.camera_datasets()}
         for name in ("step_late_us", "latency_us"):
             if len(getattr(self, name)):
@@ -97,7 +98,7 @@ class RecordedGrasp(RecordedFinger):
         return rows
 
     def second_datasets(self) -> dict[str, Any]:
-        """Those of the second finger's file, with the offset of its camera's clock."""
+        """Return the datasets of the second finger's file, with the offset of its camera's clock."""
         assert self.second is not None
         rows: dict[str, Any] = {"capture/ended": self.ended, **self.second.camera_datasets()}
         if not math.isnan(self.clock_offset_us):
@@ -106,20 +107,23 @@ class RecordedGrasp(RecordedFinger):
 
     @property
     def clock_offset_us(self) -> float:
-        """From the time 0 of the first camera to that of the second; NaN where it is not known."""
+        """Time from time 0 of the first camera to that of the second; NaN if unknown."""
         return math.nan if self.second is None else self.second.zero_us - self.zero_us
 
     def _second_probability(self, second: RecordedFinger) -> NDArray[np.float32]:
-        """What the second detector said of the last slice that had ended at the end of each slice of the first."""
+        """Return the second detector's probabilities, one per slice of the first finger.
+
+        Each is that of the second finger's last slice that had ended by the end of the first finger's slice.
+        """
         offset_ms = 0.0 if math.isnan(self.clock_offset_us) else self.clock_offset_us / SLICE_US
         last = np.floor(np.arange(1, self.slices + 1) - offset_ms).astype(np.int64) - 1
-        said = np.append(np.frombuffer(second.probability, np.float32), np.float32(math.nan))
-        last[last >= len(said) - 1] = len(said) - 2
-        row: NDArray[np.float32] = said[np.maximum(last, -1)]
+        probabilities = np.append(np.frombuffer(second.probability, np.float32), np.float32(math.nan))
+        last[last >= len(probabilities) - 1] = len(probabilities) - 2
+        row: NDArray[np.float32] = probabilities[np.maximum(last, -1)]
         return row
 
     def take_steps(self, rows: list[dict[str, Any]], writer: RecordingWriter, view: LiveView | None = None) -> None:
-        """Write steps of the controller, and remember what of them says how the grasp went."""
+        """Write steps of the controller, and keep the columns that the outcome needs."""
         for row in rows:
             writer.append_rows(row)
             if view is not None:
@@ -127,12 +131,12 @@ class RecordedGrasp(RecordedFinger):
             self.steps.append_rows({name: row[name] for name in grasp_outcome.NEEDED if name in row})
             self.step_late_us.append(row["control/late_us"])
             if row["control/phase"] != GraspPhase.CONTACT and not math.isnan(row["control/latency_us"]):
-                self.latency_us.append(row["control/latency_us"])  # in contact the law does not react to slip
+                self.latency_us.append(row["control/latency_us"])  # during contact the law does not react to slip
 
     def take_slices(
         self, batch: SliceBatch, writer: RecordingWriter, now_s: float = -math.inf, view: LiveView | None = None
     ) -> None:
-        """Write slices of the camera, but for those after the end of a virtual world. now_s: when they came here."""
+        """Write slices of the camera, except those after the end of a virtual world. now_s: time of arrival."""
         most = self.truths if self.world_over else None
         wanted = self.take(batch, writer, most, now_s, {"control/probability": batch.probability})
         if view is None:
@@ -145,7 +149,7 @@ class RecordedGrasp(RecordedFinger):
             view.lost({f"camera.{why}": count for why, count in batch.counted.items()})
 
     def take_second(self, batch: SliceBatch, writer: RecordingWriter, now_s: float) -> None:
-        """Write slices of the second finger's camera, but for those after the end of the grasp."""
+        """Write slices of the second finger's camera, except those after the end of the grasp."""
         assert self.second is not None
         offset_ms = 0.0 if math.isnan(self.clock_offset_us) else self.clock_offset_us / SLICE_US
         most = self.end_ms - round(offset_ms)
@@ -155,7 +159,7 @@ class RecordedGrasp(RecordedFinger):
         self.second.probability.extend(batch.probability[:wanted])
 
     def take_truth(self, rows: Mapping[str, NDArray[Any]] | None) -> None:
-        """Truth of some slices of a virtual world; None once it is over, which it is too when the object has fallen."""
+        """Store the ground truth of some slices of a virtual world; None at its end, also if the object has fallen."""
         if rows is None:
             self.world_over = True
             return
@@ -164,7 +168,7 @@ class RecordedGrasp(RecordedFinger):
         self.truths += len(next(iter(rows.values())))
 
     def must_stop(self) -> bool:
-        """Whether something has come up for which the other processes have to end now."""
+        """Return whether something happened that must end the other processes now."""
         if self.world_over and self.truths < self.end_ms and not self.ended:
             self.ended = FELL
         if self.controller is not None and self.controller.ended != OVER:
@@ -173,24 +177,24 @@ class RecordedGrasp(RecordedFinger):
             if each.detector_died or (each.detector is not None and each.detector.error is not None):
                 return True
         if self.second is not None and self.controller is not None and self.detector is not None:
-            return True  # the second goes on until it is told to stop
-        return bool(self.ended) and self.ended != OPENED  # then the controller ends by itself
+            return True  # the second detector runs until it is stopped
+        return bool(self.ended) and self.ended != OPENED  # in that case the controller ends by itself
 
     def conclude(self, processes: GraspProcesses, world: "VirtualWorld | None" = None) -> None:
-        """Find out why it ended, from what both said at their end, or from that they said nothing.
+        """Determine why the grasp ended, from the final messages of detector and controller, or from their absence.
 
-        world: the virtual one, if there is one: the detector sees that it is gone, and does not know why.
+        world: the virtual world, if any: the detector notices that it has gone, but does not know why.
         """
         controller = self.controller
         if controller is not None:
             self.torque = controller.torque
         if controller is None:
             exit_ = processes.exit_words(processes.controller)
-            died = f"the controller died ({exit_})" if exit_ else "the controller does not end"
+            died = f"the controller died ({exit_})" if exit_ else "the controller did not end"
             self.torque = self.torque or processes.switch_off()
             self.error = DeviceError(f"{self.controller_hung or died}; {self.torque}")
         elif (
-            controller.error is None or DETECTOR in controller.ended  # else the controller failed before
+            controller.error is None or DETECTOR in controller.ended  # otherwise the controller failed first
         ) and (died := self._detector_deaths(processes)):
             self.error = DeviceError(f"{died}; {self.torque}")
         else:
@@ -208,14 +212,14 @@ class RecordedGrasp(RecordedFinger):
             self.ended = str(self.error).splitlines()[0] if self.error or controller is None else controller.ended
 
     def _detector_deaths(self, processes: GraspProcesses) -> str:
-        """That a detector died without a word, in words; "" if none did."""
+        """Return a sentence on a detector that died without a final message; "" if none did."""
         for finger, (each, process) in enumerate(zip(self.fingers, processes.detectors, strict=True)):
             if each.detector is None and (exit_ := processes.exit_words(process)):
                 return f"{DETECTOR}{'' if self.second is None else OF_FINGER[finger]} died ({exit_})"
         return ""
 
     def _detector_errors(self) -> list[Exception | None]:
-        """What failed in the detectors; of two, with the finger."""
+        """Return the errors of the detectors; with two, each names its finger."""
         errors = [None if each.detector is None else each.detector.error for each in self.fingers]
         for finger, error in enumerate(errors):
             if self.second is not None and isinstance(error, EvetacError):
@@ -223,7 +227,7 @@ class RecordedGrasp(RecordedFinger):
         return errors
 
     def outcome(self, mm_per_px: float) -> dict[str, Any] | None:
-        """Success of each phase and so on, as in simulation; None where there is no truth, or too little of it."""
+        """Return the success of each phase and other figures, as in simulation; None without enough ground truth."""
         steps, (truth, *others) = self.steps.row_arrays(), self.truth_arrays()
         if not truth or not steps or not (steps["control/phase"] == GraspPhase.CONTACT).any():
             return None
@@ -232,12 +236,15 @@ class RecordedGrasp(RecordedFinger):
         return grasp_outcome.outcome(rows, mm_per_px, self.end_ms, second_slip_share=second_slip_share)
 
     def truth_arrays(self) -> tuple[dict[str, Any], ...]:
-        """Truth of the slices of each finger that were recorded; nothing if some have none."""
-        known: list[dict[str, Any]] = []
+        """Return the ground truth of the recorded slices of each finger.
+
+        Empty for a finger if some slices have none.
+        """
+        arrays: list[dict[str, Any]] = []
         for finger, each in enumerate(self.fingers):
             if not each.slices or self.truths < each.slices:
-                known.append({})
+                arrays.append({})
                 continue
             buffer = TrialBuffer(rows=of_finger(self.truth.rows, finger))
-            known.append({name: rows[: each.slices] for name, rows in buffer.row_arrays().items()})
-        return tuple(known)
+            arrays.append({name: rows[: each.slices] for name, rows in buffer.row_arrays().items()})
+        return tuple(arrays)

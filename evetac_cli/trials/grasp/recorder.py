@@ -1,12 +1,13 @@
-"""The third process of a grasp in real time: watches over detector and controller, and records what they send.
+"""The third process of a real-time grasp: it supervises detector and controller, and records what they send.
 
-It never keeps them waiting, and they never wait for it; but a grasp goes on only while it is alive. It is the parent of
-the others, so one sign of life stands for both. It knows why the grasp ended: because it was over, because of Ctrl-C or
-the emergency key, or because something failed; the file says so in any case.
+It never delays them, and they never wait for it, but a grasp only continues while the recorder is alive. It is the
+parent of the others, so one sign of life covers both. It knows why the grasp ended: it was over, Ctrl-C or the
+emergency key ended it, or something failed. The file states the reason in every case.
 
-The loop here watches and is quick; a thread behind all others writes (writing_thread.py). What may wait, so that one
-that gets neither core nor disk loses nothing: 192 MB of events in this process, then 1 MB in the pipe and 64 MB in the
-detector's process, which then ends the grasp. At a million events a second that is 20 s.
+The loop here supervises and is fast; a thread with lower priority than all others writes (writing_thread.py). Data may
+wait in several places, so that a recorder without core or disk time loses nothing. There is room for 192 MB of events
+in this process, 1 MB in the pipe, and 64 MB in the detector's process, which then ends the grasp. At a million events
+per second this lasts 20 s.
 """
 
 import math
@@ -31,15 +32,15 @@ if TYPE_CHECKING:
     from evetac_cli.devices.virtual.world import VirtualWorld
     from evetac_cli.trials.listen.desk import Desk
 
-PRIORITY = 20  # of the loop that watches, behind servo and controller: it takes some hundredths of a core
-LAST_S = 0.5  # for the one to end by itself, once the other has ended
-ALIVE_S = 0.005  # the loop that watches gives a sign of life as often as this
-STOP_S = 0.05  # that a robot's `stop` waits for the slice of its moment: torque must not wait for a slow disk
-SWITCH_S = 5e-4  # after so long the thread that writes lets the loop go on
+PRIORITY = 20  # priority of the supervising loop, below servo and controller: it uses some hundredths of a core
+LAST_S = 0.5  # time for one process to end by itself after the other has ended
+ALIVE_S = 0.005  # interval between signs of life of the supervising loop
+STOP_S = 0.05  # how long a robot's `stop` waits for the current slice: torque must not wait for a slow disk
+SWITCH_S = 5e-4  # after this time the writing thread yields to the loop
 
 
 class OfSecond(NamedTuple):
-    """Slices of the second finger, that wait to be written."""
+    """Slices of the second finger that wait to be written."""
 
     batch: SliceBatch
 
@@ -56,12 +57,13 @@ def record(
     niceness: int = 0,
     desk: "Desk | None" = None,
 ) -> RecordedGrasp:
-    """Write until all have ended; what failed is in the result.
+    """Write until all processes have ended; the result contains their failures.
 
-    writers: of the file of each finger; signals: grows when Ctrl-C is pressed; key: opens the gripper; view: shows the
-    grasp, of the first finger, and its button lets go; niceness: of the thread that writes; desk: of a robot's program,
-    which may mark and end it. What fails in writing is
-    raised.
+    writers: one per finger's file; signals: grows when Ctrl-C is pressed; key: opens the gripper.
+
+    view: shows the first finger of the grasp, and its button releases the gripper; niceness: of the writing thread.
+
+    desk: for a robot's program, which may mark and end the grasp. A failure in writing is raised.
     """
     recorded = RecordedGrasp(end_ms=end_ms, second=RecordedFinger() if len(writers) > 1 else None)
 
@@ -103,20 +105,20 @@ def _watch(
     view: LiveView | None,
     desk: "Desk | None",
 ) -> None:
-    """Take what comes, and end what must end, until all have ended."""
+    """Take incoming messages, and end processes that must end, until all have ended."""
     truths = None if world is None else world.truths
     first_end_s = stopped_s = math.inf
-    came = 0  # slices of the first finger
-    heard_s = -math.inf  # when something last came: who sends goes on being waited for
+    received = 0  # slices received of the first finger
+    heard_s = -math.inf  # time of the last message: a process that still sends is waited for
     while not (all(inbox.ended for inbox in processes.slices) and processes.steps.ended):
-        slices = () if writing.is_full else processes.slices  # then they wait with the detectors
+        slices = () if writing.is_full else processes.slices  # then slices wait in the detectors
         inboxes = [inbox for inbox in (*slices, processes.steps, truths) if inbox is not None and not inbox.ended]
         readable = select.select(inboxes, [], [], ALIVE_S)[0]
         processes.give_sign_of_life()
         now_s = time.monotonic()
         if writing.is_full or any(inbox is not truths for inbox in readable):
             heard_s = now_s
-        elif now_s > max(stopped_s, heard_s) + END_S:  # nothing waits now, however late this loop comes
+        elif now_s > max(stopped_s, heard_s) + END_S:  # nothing is waiting now, even if this loop is late
             break
         for message in truths.take() if truths is not None else ():
             recorded.take_truth(message)
@@ -125,7 +127,7 @@ def _watch(
                 if not isinstance(message, SliceBatch):
                     finger.detector = message
                 elif finger is recorded:
-                    came += len(message.counts)
+                    received += len(message.counts)
                     writing.put(message, message.size)
                 else:
                     writing.put(OfSecond(message), message.size)
@@ -142,7 +144,7 @@ def _watch(
         for inbox, finger in zip(processes.slices, recorded.fingers, strict=True):
             finger.detector_died = inbox.ended and finger.detector is None
         if desk is not None and not recorded.ended:
-            recorded.ended = _asked_to_end(desk, recorded, came, processes)
+            recorded.ended = _asked_to_end(desk, recorded, received, processes)
         if signals and not recorded.ended:
             recorded.ended = INTERRUPTED
         if view is not None and view.is_asked_to_let_go and not recorded.ended:
@@ -161,22 +163,25 @@ def _watch(
             recorded.cores_at_end = processes.cores_used()
 
 
-def _asked_to_end(desk: "Desk", recorded: RecordedGrasp, came: int, processes: GraspProcesses) -> str:
-    """Why a robot's program ends the grasp, "" if it does not. came: slices, of which some may wait to be written."""
+def _asked_to_end(desk: "Desk", recorded: RecordedGrasp, received: int, processes: GraspProcesses) -> str:
+    """Return why a robot's program ends the grasp, "" if it does not.
+
+    received: number of received slices, some of which may wait to be written.
+    """
     if not recorded.slices:
         return desk.called_off
-    return desk.recorded(came, processes.now_s, recorded.zero_us, patience_s=STOP_S)
+    return desk.recorded(received, processes.now_s, recorded.zero_us, patience_s=STOP_S)
 
 
 def _take_last_truths(recorded: RecordedGrasp, world: "VirtualWorld | None") -> None:
-    """Take the truth of the last slices, which may come after them."""
+    """Take the ground truth of the last slices, which may arrive after them."""
     truths = None if world is None else world.truths
     until_s = time.monotonic() + END_S
     while (
         truths is not None
         and not truths.ended
         and recorded.truths < recorded.slices
-        and time.monotonic() < until_s  # a world that sends goes on being waited for
+        and time.monotonic() < until_s  # a world that still sends is waited for
     ):
         select.select([truths], [], [], POLL_S)
         for message in truths.take():

@@ -1,10 +1,10 @@
-"""A grasp on a recording: what detector and controller would have decided, slice by slice; nothing moves.
+"""A grasp on a recording: the decisions of detector and controller, slice by slice; nothing moves.
 
-Of a grasp with two fingers, the recordings of both, that of the first before that of the second. What is written are
-the decisions, beside the events of the first finger.
+For a grasp with two fingers, both recordings are given, the first finger's first. The decisions are written together
+with the events of the first finger.
 
-The gripper is where the recording says it was, if it says so, and no command moves it. Time is the recording's: every
-slice is evaluated and every step made, however long they take, so that the same recording gives the same decisions.
+The gripper has the positions in the recording, if any, and no command moves it. Time is the recording's: every slice is
+evaluated and every step made, however long they take, so that the same recording gives the same decisions.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -39,7 +39,7 @@ OFFSET = "capture/clock_offset_us"
 
 
 class RecordedGripper:
-    """A gripper that was where a recording says, at the time of the camera; commands have no effect."""
+    """A gripper with the positions of a recording, at the time of the camera; commands have no effect."""
 
     counted: Mapping[str, int] = MappingProxyType({})
     release_words = ""
@@ -54,27 +54,27 @@ class RecordedGripper:
             self._current_ma = recording.read("gripper/current_ma")
 
     def read(self) -> GripperReading:
-        """The last reading before now; zeros if there was none."""
+        """Return the last reading before now; zeros if there was none."""
         at = max(int(np.searchsorted(self._t_us, self._camera.now_us(), side="right")) - 1, 0)
         return GripperReading(float(self._current_ma[at]), int(self._ticks[at]))
 
     def write_current(self, current_ma: int) -> None:
-        """Without effect: the finger is where it was recorded."""
+        """Do nothing: the finger's positions are recorded."""
 
     def write_position(self, goal_ticks: int) -> None:
-        """Without effect: the finger is where it was recorded."""
+        """Do nothing: the finger's positions are recorded."""
 
     def emergency_open(self) -> None:
-        """Without effect: the finger is where it was recorded."""
+        """Do nothing: the finger's positions are recorded."""
 
     def close(self) -> None:
-        """Without effect: the recording belongs to whoever opened it."""
+        """Do nothing: the caller closes the recording."""
 
 
 def grasp_of(trial: ReplayTrial, settings: GraspSettings, touch_s: float) -> ReplayGrasp:
-    """The grasp on a recording; InputError if the recording cannot be read.
+    """Return the grasp on a recording; InputError if the recording cannot be read.
 
-    Its phases are those of the recording, if it is one of a grasp, else those of the flags after a touch of `touch_s`.
+    Its phases are those of the recording, if it is a grasp, otherwise those of the flags after a touch of `touch_s`.
     """
     with open_recording(trial.inputs[0]) as recording:
         parameters = recording.header["parameters"]
@@ -88,20 +88,22 @@ def grasp_of(trial: ReplayTrial, settings: GraspSettings, touch_s: float) -> Rep
 
 
 def _refuse_another_grasp(first: Recording, path: Path) -> None:
-    """InputError unless these are the first and the second finger of one grasp, as far as they say so."""
+    """Raise InputError unless these are the first and the second finger of one grasp, according to their headers."""
     with open_recording(path) as second:
         both = first.header["parameters"].get("trajectory"), second.header["parameters"].get("trajectory")
         if both[0] != both[1]:
-            expected = f"of the trajectory of {first.path}, {both[0]}"
-            raise InputError("not of the same grasp", where=str(path), expected=expected, found=str(both[1]))
+            expected = f"the trajectory of {first.path}, {both[0]}"
+            raise InputError(
+                "the recordings are of different grasps", where=str(path), expected=expected, found=str(both[1])
+            )
         if first.has(OFFSET) or not second.has(OFFSET):
-            expected = "replay:FIRST,replay:SECOND: the second has the offset of its clock from the first"
+            expected = "replay:FIRST,replay:SECOND; SECOND stores the offset of its clock from FIRST"
             found = f"{OFFSET} in {first.path if first.has(OFFSET) else 'neither'}"
-            raise InputError("which finger is the first?", where="--camera", expected=expected, found=found)
+            raise InputError("the first finger cannot be identified", where="--camera", expected=expected, found=found)
 
 
 def check(trial: ReplayGrasp, *, force: bool) -> None:
-    """InputError for what a run would refuse; only files are read."""
+    """Raise InputError for everything that a run would refuse; only files are read."""
     with _opened(trial) as recordings:
         if not up_to_date(trial.output, _recipe(trial, recordings), force=force):
             for recording in recordings:
@@ -110,7 +112,7 @@ def check(trial: ReplayGrasp, *, force: bool) -> None:
 
 @contextmanager
 def _opened(trial: ReplayGrasp) -> Iterator[list[Recording]]:
-    """The recordings of the fingers, while the block lasts."""
+    """Yield the recordings of the fingers, open within the block."""
     with ExitStack() as opened:
         yield [opened.enter_context(open_recording(path)) for path in trial.inputs]
 
@@ -151,7 +153,7 @@ def run(trial: ReplayGrasp, *, force: bool, progress: Progress) -> Outcome:
         detector = None if settings.detector is None else settings.detector.open(sensor)
         slices = len(recording)
         if not slices:
-            raise InputError("there is not a single slice", where=str(trial.inputs[0]))
+            raise InputError("the recording has no slices", where=str(trial.inputs[0]))
         camera = ReplayCamera(trial.inputs[0])
         devices = Rig(camera, RecordedGripper(recording, camera))
         both: TwoFingers | None = None
@@ -163,7 +165,7 @@ def run(trial: ReplayGrasp, *, force: bool, progress: Progress) -> Outcome:
         steps = steps_with_slip = 0
 
         def blocks() -> Iterator[dict[str, Any]]:
-            """What happened, in blocks of slices: an hour takes no more memory than a minute."""
+            """Yield the decisions in blocks of slices, so that an hour takes no more memory than a minute."""
             nonlocal steps, steps_with_slip
             happening = grasp_slices(devices, detector, settings.control(), trial.timing)
             for first, stop in row_blocks(slices):

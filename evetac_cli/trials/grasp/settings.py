@@ -1,4 +1,4 @@
-"""How a grasp is done, resolved once from its flags: law, detector, timing, gripper; and the trials that carry it."""
+"""The settings of a grasp, resolved once from its flags (law, detector, timing, gripper), and the trials with them."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -32,11 +32,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class DetectorModel:
-    """The model of a slip detector, checked, and how it is run.
+    """The checked model of a slip detector, and how it is run.
 
-    header: of its file, a parent of what is recorded; preset, constants: of the tracker; threshold: which probability
-    three slices in a row have to reach, for the controller to be told of slip; sticking: whether it is told what
-    sticks, too.
+    header: of its file, a parent of the recording; preset, constants: of the tracker. threshold: the probability that
+    three consecutive slices must reach for a slip signal; sticking: whether the signal includes the sticking share.
     """
 
     path: Path
@@ -48,9 +47,10 @@ class DetectorModel:
 
     @classmethod
     def of(cls, params: Grasp, *, sticking: bool = False) -> "DetectorModel":
-        """The model that the flags name; InputError if it must not be run, or is of no use.
+        """Return the model that the flags name; InputError if it must not be run, or is not useful.
 
-        Why so: asked before any device is touched, and a graph is better refused now than in the detector's process.
+        It is checked before any device is touched, and a faulty graph is refused here rather than in the detector's
+        process.
         """
         path = resources.model_file(params.model)
         with StageFile(path, "model") as model:
@@ -63,26 +63,29 @@ class DetectorModel:
         return cls(path, header, params.tracker, constants, threshold, sticking)
 
     def open(self, sensor: Mapping[str, Any]) -> OnlineSlipDetector:
-        """The detector for a sensor with these datasets `sensor/...`; InputError if its file was replaced meanwhile."""
+        """Return the detector for a sensor with these datasets `sensor/...`.
+
+        InputError if its file was replaced meanwhile.
+        """
         with StageFile(self.path, "model") as model:
             if model.header["id"] != self.header["id"]:
-                raise InputError("the model was replaced since this command began", where=str(self.path))
+                raise InputError("the model was replaced after this command started", where=str(self.path))
             return open_detector(model, sensor, self.constants, self.threshold, sticking=self.sticking)
 
     def require_dots(self, dot_xy_px: NDArray[np.float64]) -> None:
-        """InputError for dots, at rest at (rows, columns, 2), that the model is not for."""
+        """Raise InputError if the model is not for these dots, at rest at (rows, columns, 2)."""
         with StageFile(self.path, "model") as model:
             dots_for(model, dot_xy_px)
 
 
 def _law(name: str, gain: float, margin: float) -> Law:
-    """The law of a controller, ours or a plug-in's; InputError if there is none of this name, gain and margin."""
+    """Return the built-in or plug-in law of a controller; InputError if it does not exist with this gain and margin."""
     law = plugins.find(plugins.CONTROLLERS, name, PluginLaw)
     if law is not None and gain != 1.0:
-        raise InputError("a gain is for paper and paper-reset", where="--gain", found=f"{name} with gain {gain:g}")
+        raise InputError("only paper and paper-reset have a gain", where="--gain", found=f"{name} with gain {gain:g}")
     if law is not None and margin != MARGIN:
         found = f"{name} with margin {margin:g}"
-        raise InputError("a margin is for load-proportional", where="--grip-margin", found=found)
+        raise InputError("only load-proportional has a margin", where="--grip-margin", found=found)
     if law is not None:
         return law
     try:
@@ -95,7 +98,7 @@ def _law(name: str, gain: float, margin: float) -> Law:
 
 @dataclass(frozen=True)
 class GraspSettings:
-    """Law, detector and timing of a series of grasps; detector: None for a law that does without."""
+    """Law, detector and timing of a series of grasps; detector: None for a law that uses none."""
 
     controller: str
     gain: float
@@ -108,7 +111,7 @@ class GraspSettings:
 
     @classmethod
     def of(cls, params: Grasp) -> "GraspSettings":
-        """As the flags say; InputError if there is no such controller, none with that gain, or no such model."""
+        """Return the settings of the flags; InputError if the controller, its gain or the model does not exist."""
         law = _law(params.controller, params.gain, params.grip_margin)
         sticking = grip_control.uses_sticking(law)
         detector = DetectorModel.of(params, sticking=sticking) if grip_control.uses_detector(law) else None
@@ -116,20 +119,20 @@ class GraspSettings:
         return cls(params.controller, params.gain, law, params.control_hz, params.latency_ms, *lasts_s, detector)
 
     def timing(self, touch_s: float) -> Timing:
-        """When the phases end, and how the controller is timed, after a contact of so long."""
+        """Return the phases and the controller timing, for a contact of this duration."""
         return self.timing_with(touch_s, self.lift_s, self.balance_s)
 
     def timing_with(self, touch_s: float, lift_s: float, balance_s: float) -> Timing:
-        """The timing for phases that are not those of the flags."""
+        """Return the timing for phases that differ from those of the flags."""
         touch_ms, lift_ms, balance_ms = (round(SLICES_PER_S * each) for each in (touch_s, lift_s, balance_s))
         return Timing(touch_ms, lift_ms, balance_ms, self.control_hz, self.latency_ms)
 
     def control(self) -> Control:
-        """The controller at the beginning of a grasp."""
+        """Return the controller at the beginning of a grasp."""
         return Control(self.law, self.control_hz, self.controller)
 
     def view(self, params: Grasp) -> ViewRequest | None:
-        """How the trials are shown, if the flags say so: with the detector of the grasp, else the package's."""
+        """Return how the trials are shown, if requested: with the grasp's detector, otherwise the pretrained one."""
         if params.shown_in is None:
             return None
         if self.detector is None:
@@ -137,11 +140,11 @@ class GraspSettings:
         return ViewRequest(params.shown_in, self.detector.path, self.detector.threshold, params.tracker)
 
     def parents(self) -> tuple[Header, ...]:
-        """The header of the detector's model, if there is one, as parents of a recipe."""
+        """Return the header of the detector's model, if any, as parents of a recipe."""
         return () if self.detector is None else (self.detector.header,)
 
     def parameters(self, trial: Trial) -> dict[str, Any]:
-        """The parameters of a grasp's recipe."""
+        """Return the parameters of a grasp's recipe."""
         detector = self.detector
         tracking = None
         if detector is not None:
@@ -174,8 +177,8 @@ class SimulatedGrasp(SimulatedTrial):
 class DeviceGrasp(DeviceTrial):
     """A grasp with devices in real time.
 
-    driver: settings of the gripper's driver; watchdog_ms: as asked for; most_s: that it may take; calibrations: of the
-    sensor of each camera, or none; armed: whether real fingers may be moved.
+    driver: settings of the gripper's driver; watchdog_ms: as requested; most_s: longest duration; calibrations: of each
+    camera's sensor, or none; armed: whether a real gripper may be moved.
     """
 
     settings: GraspSettings
@@ -189,7 +192,7 @@ class DeviceGrasp(DeviceTrial):
 
 @dataclass(frozen=True)
 class ReplayGrasp(ReplayTrial):
-    """A grasp on a recording: what would have been decided; timing: the recording's, if it is one of a grasp."""
+    """A grasp on a recording, without motion; timing: the recording's, if it is a grasp."""
 
     settings: GraspSettings
     timing: Timing

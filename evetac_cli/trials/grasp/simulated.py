@@ -1,6 +1,6 @@
 """A grasp in a simulated scene, whose time passes as its slices are read.
 
-What became of it is in the file and in the row (sim/grasp_outcome.py).
+Its outcome is in the file and in the row (sim/grasp_outcome.py).
 """
 
 import json
@@ -27,18 +27,19 @@ from evetac_cli.trials.live_view import LiveView, shown_in_real_time
 from evetac_cli.trials.trial import OUTPUT, SolverFigures
 
 METHOD = 12
-TRAJECTORY = 32  # letters of its name, as those of uuid4
-SAME_CLOCK = {"capture/ended": "the grasp is over", "capture/clock_offset_us": np.float64(0.0)}  # simulated cameras
+TRAJECTORY = 32  # length of the trajectory name, as for uuid4
+# both simulated cameras have one clock
+SAME_CLOCK = {"capture/ended": "the grasp is over", "capture/clock_offset_us": np.float64(0.0)}
 
 
 def make_recipe(trial: SimulatedGrasp) -> Recipe:
-    """What determines the recording of a grasp."""
+    """Return the recipe of a grasp's recording."""
     parameters, parents = trial.settings.parameters(trial), trial.settings.parents()
     return Recipe(OUTPUT, METHOD, parameters, seed=trial.seed, parents=parents, simulated_source=True)
 
 
 def recipes(trial: SimulatedGrasp) -> tuple[Recipe, ...]:
-    """That of each file of a grasp: with a camera at both fingers, they share the name of their trajectory."""
+    """Return the recipe of each file of a grasp; the files of two fingers share the name of their trajectory."""
     recipe = make_recipe(trial)
     if trial.second_output is None:
         return (recipe,)
@@ -47,7 +48,7 @@ def recipes(trial: SimulatedGrasp) -> tuple[Recipe, ...]:
 
 
 def are_up_to_date(trial: SimulatedGrasp, *, force: bool) -> bool:
-    """Whether all files of a grasp are there already; InputError where one is there, of another recipe."""
+    """Return whether all files of a grasp exist; InputError if an existing file has another recipe."""
     found = [
         up_to_date(output, recipe, force=force) for output, recipe in zip(trial.outputs, recipes(trial), strict=True)
     ]
@@ -55,7 +56,7 @@ def are_up_to_date(trial: SimulatedGrasp, *, force: bool) -> bool:
 
 
 def run(trial: SimulatedGrasp, *, force: bool, progress: Progress) -> Outcome:
-    """Simulate one grasp, and write it with what became of it."""
+    """Simulate one grasp, and write it with its outcome."""
     if are_up_to_date(trial, force=force):
         return outcome(trial, made=False, simulated=True)
     recipe, *others = recipes(trial)
@@ -64,8 +65,8 @@ def run(trial: SimulatedGrasp, *, force: bool, progress: Progress) -> Outcome:
         devices, slipping = play(trial, buffer.append, progress=progress, view=view, append_second=second.append)
     second_slip_share = None
     if trial.second_output is not None and devices.second is not None:
-        known = {**devices.second.camera.sensor, "truth/sampled_parameters": devices.sampled}
-        of_second = {**known, **second.arrays(), "t_offset": np.int64(0), **SAME_CLOCK}
+        sensor = {**devices.second.camera.sensor, "truth/sampled_parameters": devices.sampled}
+        of_second = {**sensor, **second.arrays(), "t_offset": np.int64(0), **SAME_CLOCK}
         second_slip_share = of_second["truth/visible_slip_share"]
         write_stage(trial.second_output, others[0], of_second)
     arrays = buffer.arrays()
@@ -92,12 +93,12 @@ def play(
     view: LiveView | None = None,
     append_second: Callable[[Events, Mapping[str, Any]], None] = lambda events, rows: None,
 ) -> tuple[Rig, int]:
-    """Hand over every slice of a grasp and its rows, until it ends or `append` raises.
+    """Pass every slice of a grasp and its rows to `append`, until the grasp ends or `append` raises.
 
-    timer: measures its parts; append_second: gets the slices of a second finger. Returns its devices, closed, and in
-    how many slices the detector saw slip; of two fingers, together.
+    timer: measures its parts; append_second: receives the slices of a second finger. Returns the closed devices, and
+    the number of slices with detected slip, summed over both fingers.
     """
-    from evetac_cli.devices.simulated import rig  # builds on numba: only when there is something to simulate
+    from evetac_cli.devices.simulated import rig  # imports numba, so only if there is something to simulate
 
     settings, timing = trial.settings, trial.timing
     devices = rig(trial.plan, trial.seeds(), timer, lift_s=settings.lift_s, balance_s=settings.balance_s)

@@ -1,8 +1,9 @@
-"""Two detectors as one, for a loop that reads the camera of the first finger: simulated, or on two recordings.
+"""Two detectors combined, for a loop that reads the camera of the first finger: simulated, or on two recordings.
 
-The first camera leads. At the end of each of its slices the second detector has seen those slices of its own that had
-ended by then, as the offset of their clocks says. In real time each detector has a process of its own instead, and the
-controller merges what they publish (realtime/shared_status.py); how, is the same: kernels/grip/two_fingers.py.
+The first camera leads. At the end of each of its slices, the second detector has processed its own slices that had
+ended by then, according to the offset between their clocks. In real time each detector has its own process instead, and
+the controller merges their status (realtime/shared_status.py). The merging rule is the same:
+kernels/grip/two_fingers.py.
 """
 
 import math
@@ -27,7 +28,7 @@ class TwoFingers:
         seen: Callable[[Events], None] = lambda _: None,
         clock_offset_us: float = 0.0,
     ) -> None:
-        """camera: of the second finger, whose slices `seen` gets.
+        """camera: of the second finger; `seen` receives its slices.
 
         clock_offset_us: from time 0 of the first camera to time 0 of the second.
         """
@@ -35,16 +36,19 @@ class TwoFingers:
         self._camera, self._seen = camera, seen
         self._offset_us = clock_offset_us
         self._slices = self._second_slices = 0
-        self._is_over = False  # the second camera
+        self._is_over = False  # whether the second camera has ended
         self.second_probability = math.nan
 
     @property
     def count(self) -> int:
-        """Slices that alarmed so far, of both."""
+        """The number of slices with an alarm so far, of both fingers."""
         return sum(each.count for each in (self._first, self._second) if each is not None)
 
     def step(self, events: Events) -> float:
-        """Slip probability of the first finger after one more slice; the second finger comes as far."""
+        """Return the first finger's slip probability after one more slice.
+
+        The second finger advances to the same time.
+        """
         probability = math.nan if self._first is None else self._first.step(events)
         self._slices += 1
         while not self._is_over and (self._second_slices + 1 - self._slices) * SLICE_US + self._offset_us <= 0.0:
@@ -62,7 +66,10 @@ class TwoFingers:
             self.second_probability = self._second.step(events)
 
     def recorded_by(self, append: Callable[[Events, dict[str, Any]], None]) -> Callable[[Events, dict[str, Any]], None]:
-        """What takes the slices of the first finger and their rows, with what the second detector says beside it."""
+        """Return a function that adds the second detector's probability to the first finger's rows.
+
+        It then calls `append` with the events and the rows.
+        """
 
         def both(events: Events, rows: dict[str, Any]) -> None:
             rows["control/second_probability"] = self.second_probability
@@ -71,14 +78,14 @@ class TwoFingers:
         return both
 
     def tell_gripper(self, position_ticks: float, goal_ticks: float) -> None:
-        """Where the fingers were read in a step of the controller, and the goal that it gave them."""
+        """Pass on the position read in a controller step, and the goal that the step set."""
         for each in (self._first, self._second):
             if each is not None:
                 each.tell_gripper(position_ticks, goal_ticks)
 
     @property
     def signal(self) -> SlipSignal:
-        """What the controller gets to know after the last slice."""
+        """The signal to the controller after the last slice."""
         if self._first is None or self._second is None:
             return SlipSignal()
         return two_fingers.both(self._first.signal, self._second.signal)

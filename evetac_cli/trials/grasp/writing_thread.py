@@ -1,13 +1,14 @@
-"""The thread of a recorder that writes what came, behind everybody else, while the recorder itself goes on watching.
+"""The recorder's writing thread: it writes at lowest priority, while the recorder's main thread keeps supervising.
 
-Why so: who packs and writes waits for a disk, and on two cores, behind a detector, a controller and a servo, for a core
-as well. A grasp must not end for that, and nothing that can be late by so much may listen for Ctrl-C and for the
-emergency key. So what came waits here, in memory of a bounded size, and is written as there is time.
+Packing and writing wait for a disk. On two cores shared with a detector, a controller and a servo, they also wait for a
+core. A grasp must not end because of that, and code that can be so late must not be responsible for Ctrl-C and the
+emergency key. So messages wait here, in memory of bounded size, and are written as time permits.
 
-The two threads share an interpreter: HDF5 holds it while it packs, not while the disk takes the bytes, and a thread
-that has lost its core keeps it. On two cores with 18 processes that wanted one, a loop of 5 ms at real-time priority
-came up to 50 ms late (21 to 29 at p99) beside a thread that wrote without a break at usual niceness, and 0.7 s beside
-one of niceness 15, which is for virtual devices. So a late sign of life alone ends no grasp (controller_process.py).
+The two threads share an interpreter. HDF5 holds it while it packs, not while the disk takes the bytes, and a thread
+that loses its core keeps the interpreter. This was measured on two cores with 18 processes that wanted one. With a
+continuously writing thread at normal niceness, a loop of 5 ms at real-time priority came up to 50 ms late (21 to 29 ms
+at p99). With niceness 15, which is for virtual devices, it came 0.7 s late. So a late sign of life alone ends no grasp
+(controller_process.py).
 """
 
 import contextlib
@@ -20,15 +21,15 @@ from typing import Any
 
 from evetac_cli.realtime.processes import set_niceness
 
-MOST_BYTES = 192 << 20  # that may wait: at 13 bytes an event, 15 s of a million events a second
-WAIT_S = 0.1  # between two looks at whether the main thread was interrupted
+MOST_BYTES = 192 << 20  # limit of waiting data: at 13 bytes per event, 15 s at a million events per s
+WAIT_S = 0.1  # interval at which to check whether the main thread was interrupted
 
 
 class WritingThread(threading.Thread):
-    """Hands messages, in their order, to a function that may take long; used as the block in which they come."""
+    """Passes messages, in order, to a function that may be slow; used as a context manager."""
 
     def __init__(self, write: Callable[[Any], None], niceness: int, most_bytes: int = MOST_BYTES) -> None:
-        """niceness: of this thread alone, where it is permitted; most_bytes: from which on no more should be put."""
+        """niceness: of this thread only, where permitted; most_bytes: above this, no more should be put."""
         super().__init__(name="writes the recording", daemon=True)
         self._write = write
         self._niceness = niceness
@@ -44,10 +45,10 @@ class WritingThread(threading.Thread):
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        """Wait until all is written, or, where the block failed, until what is being written is."""
+        """Wait until everything is written, or after a failure in the block until the current write is done."""
         try:
             self._end(drop=kind is not None)
-        except BaseException:  # a second Ctrl-C: what waits is given up
+        except BaseException:  # a second Ctrl-C: waiting messages are dropped
             self._end(drop=True)
             raise
         if kind is None:
@@ -55,18 +56,18 @@ class WritingThread(threading.Thread):
 
     @property
     def is_full(self) -> bool:
-        """Whether as much waits as may; what comes then should wait where it is."""
+        """Whether the limit of waiting data is reached; new data should then wait at their source."""
         return self.waiting_bytes >= self._most_bytes
 
     def put(self, message: Any, size: int = 0) -> None:
-        """Take a message of so many bytes."""
+        """Queue a message with this number of bytes."""
         with self._changed:
             self._waiting.append((message, size))
             self.waiting_bytes += size
             self._changed.notify()
 
     def check(self) -> None:
-        """Raise what went wrong with writing, such as a full disk."""
+        """Raise the error that writing failed with, for example a full disk."""
         if self._error is not None:
             raise self._error
 
@@ -81,18 +82,20 @@ class WritingThread(threading.Thread):
 
     def run(self) -> None:
         """Write until the block is over, or writing fails."""
-        if sys.platform == "linux":  # where both are of this thread alone; it may have inherited another priority
+        if (
+            sys.platform == "linux"
+        ):  # on Linux both settings apply to this thread only; it may have inherited another priority
             with contextlib.suppress(OSError):
                 os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
             set_niceness(self._niceness)
         try:
             while (message := self._next()) is not None:
                 self._write(message)
-        except BaseException as error:  # raised by whoever puts messages
+        except BaseException as error:  # raised in the thread that puts messages
             self._error = error
 
     def _next(self) -> Any:
-        """The next message; None at the end."""
+        """Return the next message; None at the end."""
         with self._changed:
             while not self._waiting and not self._ends:
                 self._changed.wait()

@@ -1,8 +1,9 @@
-"""--listen: a robot's program starts, marks and stops the recordings of a series, each of them named by it.
+"""--listen: a robot's program starts, marks and stops the recordings of a series, and names each of them.
 
-The thread that records asks the desk (desk.py) once a slice what is wanted; requests come through the door (door.py),
-whose address and token lie in a file (address.py). A program that breaks off its connection changes nothing: the trial
-goes on, and whoever has the token may ask for it, mark it and stop it. What nobody stops ends after --seconds.
+The recording thread asks the desk (desk.py) once per slice what is wanted. Requests arrive through the door (door.py),
+whose address and token are stored in a file (address.py). A program that closes its connection changes nothing: the
+trial continues, and any program with the token may query, mark and stop it. A trial that no program stops ends after
+--seconds.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -21,16 +22,16 @@ from evetac_cli.trials.session import ABORTED
 from evetac_cli.trials.trial import OUTPUT, DeviceTrial
 
 FILE_NAME = "evetac.listen"
-WAIT_S = 0.1  # for a request, where no camera is read meanwhile
+WAIT_S = 0.1  # how long to wait for a request while no camera is read
 AnyTrial = TypeVar("AnyTrial", bound=DeviceTrial)
 
 
 @dataclass(frozen=True)
 class Listening(Job):
-    """Trials that a robot's program names and starts, into a folder.
+    """Trials that a robot's program names and starts, in one folder.
 
-    first: what all of them are like; port: to listen at, 0 for one that the system chooses; longest_s: after which a
-    trial ends that nobody stops, None where it ends by itself.
+    first: the template of all trials; port: to listen at, 0 for one that the system chooses; longest_s: the time after
+    which an unstopped trial ends, None if it ends by itself.
     """
 
     exclusive = True
@@ -40,14 +41,14 @@ class Listening(Job):
 
     @property
     def folder(self) -> Path:
-        """Where the recordings and the file with the address lie."""
+        """The folder of the recordings and of the address file."""
         return self.output.parent
 
 
 def listening(trials: Sequence[DeviceTrial], out: Path | None, port: int, longest_s: float | None = None) -> Listening:
-    """The job of trials like the one that the flags describe; InputError where they describe several, or name a file.
+    """Return the job of trials like the one that the flags describe; InputError for several trials, or a file name.
 
-    Each start names a trial, so that --count and several objects have no meaning.
+    Each start names its own trial, so --count and several objects have no meaning.
     """
     if out is not None and out.suffix == ".h5":
         raise InputError("each start names its file", where="--out", expected="a folder", found=str(out))
@@ -56,14 +57,14 @@ def listening(trials: Sequence[DeviceTrial], out: Path | None, port: int, longes
         raise InputError("several trials", where="--listen", expected=expected, found=f"{len(trials)} trials")
     (first,) = trials
     if first.plan is not None and first.plan.sensor_ranges is not None:
-        expected = f"one sensor, as {first.plan.sensor_name}:0"
+        expected = f"one sensor, for example {first.plan.sensor_name}:0"
         raise InputError("each trial would have the same sensor", where="--sensor", expected=expected)
     return Listening(first.inputs, (out or Path()) / FILE_NAME, first, port, longest_s)
 
 
 def listen(job: Listening, record: Callable[[Any, Desk], Outcome]) -> Outcome:
-    """Record what is asked for until Ctrl-C, which is raised. record: makes a trial, (trial, desk) -> Outcome."""
-    from evetac_cli.trials.listen.address import AddressFile  # with all that sockets need, here alone
+    """Record the requested trials until Ctrl-C, which is raised. record: makes a trial, (trial, desk) -> Outcome."""
+    from evetac_cli.trials.listen.address import AddressFile  # loads the socket libraries, only here
     from evetac_cli.trials.listen.door import Door
 
     desk, first = Desk(job.longest_s), job.first
@@ -94,23 +95,23 @@ def listen(job: Listening, record: Callable[[Any, Desk], Outcome]) -> Outcome:
     except KeyboardInterrupt as error:
         rows += getattr(attached_outcome(error), "rows", [])
         words = f"{error}; " if str(error) else ""
-        said = f"{words}{len(rows)} recordings in {job.folder}"
-        raise attach_outcome(KeyboardInterrupt(said), Outcome(rows, simulated)) from None
+        summary = f"{words}{len(rows)} recordings in {job.folder}"
+        raise attach_outcome(KeyboardInterrupt(summary), Outcome(rows, simulated)) from None
 
 
 def _next(desk: Desk, kept: list[KeptCamera]) -> str:
-    """The name of the next trial, once it is asked for; cameras that are kept open are read meanwhile."""
+    """Return the name of the next trial once it is requested; meanwhile kept cameras are read."""
     while not (name := desk.wanted(0.0 if any(camera.is_open for camera in kept) else WAIT_S)):
         for camera in kept:
             try:
                 camera.skip()
             except DeviceError as error:
-                console.say(f"{error}; the next start opens it anew")
+                console.say(f"{error}; the next start opens it again")
     return name
 
 
 def _named(first: AnyTrial, folder: Path, name: str, number: int) -> AnyTrial:
-    """A trial like the first, with this name and number."""
+    """Return a trial like the first, with this name and number."""
     stems = [f"-{camera.file_stem}" if len(first.cameras) > 1 else "" for camera in first.cameras]
     same = [stems[:place].count(stem) for place, stem in enumerate(stems)]
     files = tuple(
@@ -121,7 +122,7 @@ def _named(first: AnyTrial, folder: Path, name: str, number: int) -> AnyTrial:
 
 
 def _one(trial: DeviceTrial, desk: Desk, record: Callable[[Any, Desk], Outcome]) -> Rows:
-    """Record a trial, and say what became of it; an error in it ends no series. Returns its rows."""
+    """Record a trial, report its outcome, and return its rows; an error in it does not end the series."""
     outcome: Outcome | None = None
     error: BaseException | None = None
     try:
@@ -151,11 +152,11 @@ def _in_one_line(error: BaseException | None) -> str:
 
 @contextmanager
 def _folder(folder: Path) -> Iterator[None]:
-    """Make the folder where there is none, and remove it again where nothing was put into it."""
+    """Create the folder if necessary, and remove it again if nothing was written to it."""
     existing_folder(folder)
-    made = missing_folders(folder)
+    new_folders = missing_folders(folder)
     folder.mkdir(parents=True, exist_ok=True)
     try:
         yield
     finally:
-        remove_empty(made)
+        remove_empty(new_folders)

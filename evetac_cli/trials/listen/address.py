@@ -1,7 +1,7 @@
-"""The file by which a robot's program finds the door: address, port and token on one line, for this user alone.
+"""The file through which a robot's program finds the door: address, port and token on one line.
 
-It is written beside its place and moved there whole, and locked by whoever listens for as long as that process lives:
-so a file that is not locked is what a killed one left, and is replaced.
+Only this user can read the file. It is written under a temporary name and moved into place as a whole. The listening
+process locks it for as long as it lives. So an unlocked file was left by a killed process, and is replaced.
 """
 
 import errno
@@ -17,15 +17,15 @@ from evetac_cli.errors import InputError
 from evetac_cli.trials.listen.door import ADDRESS, MOST_BYTES
 
 LINE = re.compile(rb"127\.0\.0\.1 [0-9]{1,5} [A-Za-z0-9_-]{20,100}\n")
-NO_LINKS = (errno.EPERM, errno.ENOTSUP, errno.ENOSYS)  # of file systems that have no second names for a file
-TRIES = 20  # at a place that others take and leave at the same time
+NO_LINKS = (errno.EPERM, errno.ENOTSUP, errno.ENOSYS)  # errors of file systems without hard links
+TRIES = 20  # attempts, if other processes create and remove the file at the same time
 
 
 class AddressFile:
-    """The file in a folder while somebody listens; `remove` takes it away."""
+    """The address file of a listening process; `remove` deletes it."""
 
     def __init__(self, path: Path, port: int, token: str) -> None:
-        """Write it; InputError where another listens in this folder, or something else has this name."""
+        """Write the file; InputError if another process listens in this folder, or another file has this name."""
         self.path = path
         temporary = path.with_name(f".{path.name}.{secrets.token_hex(8)}.tmp")
         try:
@@ -44,7 +44,7 @@ class AddressFile:
             raise InputError(f"cannot be written: {error.strerror}", where=str(self.path)) from None
 
     def remove(self) -> None:
-        """Take the file away, unless another is there in its place."""
+        """Delete the file, unless another has replaced it."""
         with suppress(OSError):
             if os.path.samestat(os.fstat(self._file), self.path.lstat()):
                 self.path.unlink()
@@ -52,7 +52,7 @@ class AddressFile:
             os.close(self._file)
 
     def _put(self, temporary: Path) -> None:
-        """Move the file to its place, where nothing is, or what a killed process left."""
+        """Move the file to its path, if nothing is there, or only the file of a killed process."""
         for _ in range(TRIES):
             try:
                 os.link(temporary, self.path)
@@ -71,7 +71,7 @@ class AddressFile:
         raise InputError("another evetac listens here", where=str(self.path), hint="-o FOLDER listens elsewhere")
 
     def _replace(self, temporary: Path) -> bool:
-        """Take the place of a file that nobody holds; whether that was done. InputError for what is not ours."""
+        """Replace an unlocked file; return whether that succeeded. InputError for a file that evetac did not write."""
         try:
             old = os.open(self.path, os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
         except FileNotFoundError:

@@ -1,7 +1,7 @@
-"""What a robot's program asks of a recording, and what whoever records knows: the desk between the two.
+"""The desk between a robot's program and the recording thread: requests on one side, the state on the other.
 
-Requests come through a thread of their own (door.py) and are answered from what the thread that records last said. That
-one looks here once a slice, which takes some us, and never waits for a request.
+Requests arrive on a separate thread (door.py) and are answered from the last state that the recording thread reported.
+The recording thread looks here once per slice, which takes some us, and never waits for a request.
 """
 
 import math
@@ -18,17 +18,18 @@ from evetac_cli.store.recordings import marks
 from evetac_cli.trials.session import ABORTED, STOPPED
 
 NAME = re.compile("[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
-COMMANDS = {"start": ("name",), "mark": ("text", "at_s"), "stop": (), "abort": (), "status": ()}  # and their fields
-PATIENCE_S = 1.0  # for the slice in which a trial was stopped, of a camera that is late
-READINGS = 3  # of two clocks: a thread may be kept from running in between
-EARLY_S = 1e-3  # clocks are read one after the other
+# commands and their fields
+COMMANDS = {"start": ("name",), "mark": ("text", "at_s"), "stop": (), "abort": (), "status": ()}
+PATIENCE_S = 1.0  # how long to wait for the slice in which a trial was stopped, if the camera is late
+READINGS = 3  # readings of two clocks: a thread may be paused between them
+EARLY_S = 1e-3  # tolerance, because clocks are read one after the other
 NOTHING = "nothing is being recorded"
 
 Answer = dict[str, Any]
 
 
 class State(StrEnum):
-    """What whoever records does now."""
+    """The state of the recording thread."""
 
     IDLE = "idle"
     STARTING = "starting"
@@ -37,39 +38,39 @@ class State(StrEnum):
 
 
 class Refusal(ValueError):
-    """A request that cannot be granted, in words."""
+    """A request that cannot be granted; its text is the reason."""
 
 
 class Desk:
-    """Takes requests (`ask`), and tells whoever records what is wanted; each method may be called from any thread."""
+    """Takes requests (`ask`), and informs the recording thread of them; each method may be called from any thread."""
 
     def __init__(self, longest_s: float | None = None) -> None:
-        """longest_s: after which a trial ends that nobody stops; None: no limit."""
+        """longest_s: the time after which an unstopped trial ends; None: no limit."""
         self._longest_s = longest_s
         self._lock = threading.Condition()
         self._state = State.IDLE
         self._name = ""
         self._slices = self._trials = 0
-        self._last: Answer | None = None  # what became of the latest start
+        self._last: Answer | None = None  # outcome of the latest start
         self._last_file: str | None = None
-        self._starting: list[Future[Answer]] = []  # who waits for the first slice
-        self._ending: list[Future[Answer]] = []  # who waits for the file
-        self._why = ""  # a trial is to end
+        self._starting: list[Future[Answer]] = []  # requests waiting for the first slice
+        self._ending: list[Future[Answer]] = []  # requests waiting for the file
+        self._why = ""  # why the trial should end
         self._end_slices = 0
         self._stopped_s = math.inf
         self._interrupted = False
-        self._marks: list[tuple[int, str]] = []  # that were not fetched yet
+        self._marks: list[tuple[int, str]] = []  # marks that were not fetched yet
         self._latest_us = 0  # time of the last mark
         self._now_s: Callable[[], float] = time.monotonic
         self._zero_us = math.nan  # when the recording began, by the same clock
 
-    # For the door.
+    # Called by the door.
 
     def ask(self, request: Mapping[str, Any]) -> "Future[Answer]":
-        """The answer to a request: at once, or when a trial has begun or its file is complete."""
+        """Return the answer to a request: at once, or when a trial has started or its file is complete."""
         came_s = time.monotonic()
         answered: Future[Answer] = Future()
-        answered.set_running_or_notify_cancel()  # from now on nobody can cancel it
+        answered.set_running_or_notify_cancel()  # from here it cannot be cancelled
         try:
             command = request.get("command")
             if not isinstance(command, str) or command not in COMMANDS:
@@ -109,9 +110,9 @@ class Desk:
             raise Refusal(NOTHING)
         t_us = self._time_us(came_s, at_s)
         if at_s > came_s + EARLY_S or t_us < 0:
-            raise Refusal("the time of the mark is outside of this trial: expected at_s by the monotonic clock")
+            raise Refusal("the time of the mark is outside this trial: expected at_s by the monotonic clock")
         if t_us < self._latest_us - 1e6 * EARLY_S:
-            raise Refusal(f"the mark before it is at {self._latest_us * 1e-6:.3f} s, this one at {t_us * 1e-6:.3f} s")
+            raise Refusal(f"the previous mark is at {self._latest_us * 1e-6:.3f} s, this one at {t_us * 1e-6:.3f} s")
         self._latest_us = max(self._latest_us, int(t_us))
         self._marks.append((self._latest_us, text))
         answered.set_result(self._answer(slice=self._latest_us // SLICE_US, t_us=self._latest_us))
@@ -137,7 +138,7 @@ class Desk:
         answered.set_result(self._answer())
 
     def _end(self, why: str, came_s: float) -> None:
-        """The trial is to end, once the slice of this moment is recorded."""
+        """End the trial once the present slice is recorded."""
         if self._why and why != ABORTED:
             return
         self._why = why
@@ -146,24 +147,24 @@ class Desk:
         self._stopped_s = came_s
 
     def _time_us(self, came_s: float, at_s: float) -> float:
-        """The time in the recording of a moment, by the monotonic clock; came_s: when it was heard of."""
+        """Return the recording's time of an instant on the monotonic clock; came_s: when the request arrived."""
         t_us = 1e6 * (min(at_s, came_s) + self._ahead_s()) - self._zero_us
         return float(SLICE_US * self._slices) if math.isnan(t_us) else t_us
 
     def _ahead_s(self) -> float:
-        """How far the clock of the recording is ahead of the monotonic one, by the quickest of a few readings."""
+        """Return how far the recording's clock is ahead of the monotonic one, from the quickest of a few readings."""
         readings = [(time.monotonic(), self._now_s(), time.monotonic()) for _ in range(READINGS)]
         before_s, now_s, after_s = min(readings, key=lambda each: each[2] - each[0])
         return now_s - 0.5 * (before_s + after_s)
 
     def _answer(self, *, ok: bool = True, **more: Any) -> Answer:
-        known = {"state": self._state, "name": self._name, "slices": self._slices, "trials": self._trials}
-        return {"ok": ok, **more, **known, "last": self._last_file}
+        state = {"state": self._state, "name": self._name, "slices": self._slices, "trials": self._trials}
+        return {"ok": ok, **more, **state, "last": self._last_file}
 
-    # For whoever records.
+    # Called by the recording thread.
 
     def wanted(self, wait_s: float = 0.0) -> str:
-        """The name of the trial that is to be recorded; "" if none was asked for within so many seconds."""
+        """Return the name of the requested trial; "" if none is requested within this many seconds."""
         with self._lock:
             if self._state is State.IDLE and wait_s:
                 self._lock.wait(wait_s)
@@ -171,26 +172,26 @@ class Desk:
 
     @property
     def called_off(self) -> str:
-        """Why the trial is to end or, where it has not begun, is not to begin; "" if neither."""
+        """Why the trial should end, or not start; "" if neither."""
         with self._lock:
             return self._why
 
     @property
     def interrupted(self) -> bool:
-        """Whether Ctrl-C or the like came during a trial: there is to be no other."""
+        """Whether Ctrl-C or a similar signal came during a trial, so that no other may start."""
         return self._interrupted
 
     def signals_came(self, signals: Sequence[int]) -> None:
-        """These came during a trial, which heeded them or was ending anyway; 0 is none."""
+        """Record signals that came during a trial, which obeyed them or was ending anyway; 0 means none."""
         self._interrupted = self._interrupted or any(signals)
 
     def recorded(
         self, slices: int, now_s: Callable[[], float], zero_us: float, *, patience_s: float = PATIENCE_S
     ) -> str:
-        """So many slices were recorded; why the trial is to end, "" if it is not.
+        """Record the number of slices so far; return why the trial should end, "" if it should not.
 
-        now_s: a clock; zero_us: its time at the beginning of the recording, NaN where that is not known; patience_s:
-        for the slice in which it was stopped.
+        now_s: a clock; zero_us: its time at the beginning of the recording, NaN if unknown; patience_s: how long to
+        wait for the slice in which the trial was stopped.
         """
         with self._lock:
             self._slices, self._now_s, self._zero_us = slices, now_s, zero_us
@@ -198,14 +199,14 @@ class Desk:
                 self._state = State.RECORDING
                 _set(self._starting, self._answer())
             if self._longest_s is not None and slices >= SLICES_PER_S * self._longest_s and not self._why:
-                return f"after {self._longest_s:g} s, as nobody stopped it"
+                return f"after {self._longest_s:g} s, because no stop command came"
             waits = slices < self._end_slices and time.monotonic() < self._stopped_s + patience_s
             if not self._why or waits:
                 return ""
             return self._why
 
     def marked(self, *, last: bool = False) -> list[Mapping[str, Any]]:
-        """Rows of the marks that came since the last call. last: the trial is over, and there will be no more."""
+        """Return the rows of marks since the last call. last: the trial is over, and there will be no more."""
         with self._lock:
             if last:
                 self._state = State.SAVING
@@ -213,7 +214,10 @@ class Desk:
         return [marks.mark_row(t_us, text) for t_us, text in taken]
 
     def ended(self, file: str | None, ended: str, slices: int = 0, error: str = "") -> None:
-        """What became of the trial; whoever waits for it is told. file: that it is in, None: it is in none."""
+        """Record the outcome of the trial, and answer the requests that wait for it.
+
+        file: its file, None without one.
+        """
         with self._lock:
             self._state = State.IDLE
             self._slices = slices
@@ -226,7 +230,7 @@ class Desk:
 
 
 def _set(waiting: "list[Future[Answer]]", answer: Answer) -> None:
-    """Give all of them this answer."""
+    """Answer all of them with this."""
     for one in waiting:
         one.set_result(answer)
     waiting.clear()

@@ -1,9 +1,9 @@
-"""The door for a robot's program: a socket on this computer, a JSON object a line, answers to whoever has the token.
+"""The door for a robot's program: a local socket with one JSON object per line, for holders of the token only.
 
 All users of a computer share 127.0.0.1, and a page of any site that is open in a browser can send to it. So each line
-carries the token, and one without it is answered by a refusal, whereupon the connection is closed: an HTTP request is
-such a line. Strangers get a few seconds, a few connections, lines of a bounded length, and no more than some
-connections a second: the program that records shall not be kept from its work by them.
+carries the token. A line without it, for example an HTTP request, is refused and its connection closed. Connections
+without a token get a few seconds, are few in number and per second, and may send only short lines. So they cannot
+disturb the recording program.
 """
 
 import asyncio
@@ -21,21 +21,21 @@ from evetac_cli.errors import InputError
 from evetac_cli.text_files import parse_json
 
 ADDRESS = "127.0.0.1"
-MOST_BYTES = 4096  # of a line
-STRANGER_S = 5.0  # in which a connection has to show the token
-MOST_STRANGERS, MOST_KNOWN = 16, 16  # connections; the oldest makes room for another
-BACKLOG = 128  # connections that the system holds until they are taken on
-PAUSE_S = 2e-3  # between two that are taken on
-SEND_S = 5.0  # for an answer that nobody reads
-END_S = 1.0  # for the last answers
+MOST_BYTES = 4096  # longest line
+STRANGER_S = 5.0  # time within which a connection must show the token
+MOST_STRANGERS, MOST_KNOWN = 16, 16  # most connections without and with token; the oldest is closed for a new one
+BACKLOG = 128  # connections that the system queues until they are accepted
+PAUSE_S = 2e-3  # pause between accepting two connections
+SEND_S = 5.0  # timeout for an answer that is not read
+END_S = 1.0  # time for the last answers
 REFUSED = b'{"ok": false, "error": "refused"}\n'
 
 
 class Door:
-    """Listens until it is closed. ask: takes a request, of which it says what becomes."""
+    """Listens until it is closed. ask: takes a request and returns the future of its answer."""
 
     def __init__(self, ask: Callable[[Mapping[str, Any]], "Future[dict[str, Any]]"], port: int) -> None:
-        """Begin to listen, at a port that the system chooses where it is 0; InputError for one that is taken."""
+        """Begin to listen, at a port that the system chooses if it is 0; InputError if the port is in use."""
         self.token = secrets.token_urlsafe(24)
         self._ask = ask
         try:
@@ -44,7 +44,7 @@ class Door:
             raise InputError(f"cannot listen: {error.strerror}", where=f"--listen-port {port}") from None
         self._socket.setblocking(False)
         self.port = int(self._socket.getsockname()[1])
-        self._strangers: dict[asyncio.StreamWriter, None] = {}  # the oldest first
+        self._strangers: dict[asyncio.StreamWriter, None] = {}  # oldest first
         self._known: dict[asyncio.StreamWriter, None] = {}
         self._answering: set[asyncio.Task[None]] = set()
         self._loop = asyncio.new_event_loop()
@@ -53,7 +53,7 @@ class Door:
         self._thread.start()
 
     def close(self) -> None:
-        """Take no more requests, and close all connections once those that wait have their answers."""
+        """Accept no more requests, and close all connections after the waiting ones have their answers."""
         self._loop.call_soon_threadsafe(self._over.set)
         self._thread.join(2 * END_S)
 
@@ -74,12 +74,12 @@ class Door:
         await asyncio.gather(*others, return_exceptions=True)
 
     async def _take(self) -> None:
-        """Take on whoever connects."""
+        """Accept connections."""
         while True:
             try:
                 connection, _ = await self._loop.sock_accept(self._socket)
                 reader, writer = await asyncio.open_connection(sock=connection, limit=MOST_BYTES)
-            except OSError:  # it has gone again, or this process has too many files open
+            except OSError:  # the connection has gone again, or this process has too many open files
                 await asyncio.sleep(PAUSE_S)
                 continue
             self._strangers[writer] = None
@@ -90,7 +90,7 @@ class Door:
             await asyncio.sleep(PAUSE_S)
 
     async def _talk(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Answer the lines of one connection until it ends, or has no token."""
+        """Answer the lines of one connection until it ends, or lacks the token."""
         task = asyncio.current_task()
         assert task is not None
         try:
@@ -109,7 +109,7 @@ class Door:
                 answer = await asyncio.wrap_future(self._ask(request))
                 writer.write(json.dumps(answer).encode() + b"\n")
                 await asyncio.wait_for(writer.drain(), SEND_S)
-        except ValueError:  # a line that is too long
+        except ValueError:  # a line is too long
             writer.write(REFUSED)
         except (TimeoutError, OSError):
             pass
@@ -120,7 +120,7 @@ class Door:
                 writer.close()
 
     def _read(self, line: bytes) -> Mapping[str, Any] | None:
-        """The request of a line; None for one that is none, or has not the token."""
+        """Return the request of a line; None if it is not a request or lacks the token."""
         try:
             request: Any = parse_json(line.decode()) if line.endswith(b"\n") else None
         except ValueError:
@@ -132,7 +132,7 @@ class Door:
 
 
 def _drop_oldest(connections: dict[asyncio.StreamWriter, None], most: int) -> None:
-    """Close the oldest connections, where there are more than so many."""
+    """Close the oldest connections if there are more than `most`."""
     while len(connections) > most:
         oldest = next(iter(connections))
         del connections[oldest]

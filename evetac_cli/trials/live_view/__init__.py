@@ -1,7 +1,7 @@
-"""--live: a page in the browser, or a picture of characters on the terminal, of a recording while it is made.
+"""--live: a browser page, or a character picture on the terminal, that shows a recording while it is made.
 
-Whoever records hands over slices and commands through shared memory, which takes some us, and never waits for the view.
-The view is a process of its own, behind all others (process.py).
+The recording process passes slices and commands through shared memory, which takes some us, and never waits for the
+view. The view is a separate process with the lowest priority (process.py).
 """
 
 import multiprocessing
@@ -39,15 +39,15 @@ if TYPE_CHECKING:
 
 LIBRARY = "tornado"
 END_S = 3.0
-MOST_BYTES = 1 << 20  # of messages that the view has not read yet
-SETTLED_MS = 2000  # after a simulation was this far behind real time, its pace counts from anew
+MOST_BYTES = 1 << 20  # limit of messages that the view has not read yet
+SETTLED_MS = 2000  # if a simulation falls this far behind real time, its pace is counted again from there
 
 
 class LiveView:
-    """The view of one recording, as whoever records sees it; nothing here waits, and nothing fails with the view."""
+    """The view of one recording, from the recorder's side; nothing here waits, and a failing view causes no error."""
 
     def __init__(self, where: str, title: Title, open_detector: "OpenDetector") -> None:
-        """Start the view's process, and wait until it can be looked at; DeviceError if it does not come up."""
+        """Start the view's process, and wait until it can be viewed; DeviceError if it does not start."""
         from evetac_cli.trials.live_view.process import run_view
 
         context = multiprocessing.get_context("spawn")
@@ -56,7 +56,7 @@ class LiveView:
         inbox, outbox = context.Pipe(duplex=False)
         ready, ready_end = context.Pipe(duplex=False)
         self._messages = MessageWriter(outbox, MOST_BYTES)
-        self._said: list[str] = []
+        self._delayed: list[str] = []
         self._lost: tuple[str, str] | None = None
         self._missed = 0
         self._has_ended = self._has_told = False
@@ -72,7 +72,7 @@ class LiveView:
         inbox.close()
         ready_end.close()
         try:
-            wait_while_computing(ready, self._process, "the live view did not come up")
+            wait_while_computing(ready, self._process, "the live view did not start")
             self.url = str(ready.recv())
         except EOFError:
             how = exit_words(self._process, self._last_words)
@@ -86,16 +86,16 @@ class LiveView:
             ready.close()
 
     def begin(self, sensor: Mapping[str, Any]) -> None:
-        """The camera runs; sensor: its datasets `sensor/...`, and what else is known of them."""
-        known = {name: value for name, value in sensor.items() if name.startswith("sensor/")}
-        self._send(Begun(known))
+        """Report that the camera runs; sensor: its datasets `sensor/...`, and other known ones."""
+        datasets = {name: value for name, value in sensor.items() if name.startswith("sensor/")}
+        self._send(Begun(datasets))
 
     def add_slice(self, events: Events, late_us: float = float("nan"), probability: float = float("nan")) -> None:
-        """Show one more slice; late_us: from its end until it came; probability: of slip, where the loop knows it."""
+        """Show one more slice; late_us: from its end until its arrival; probability: of slip, if the loop has one."""
         self._shared.add_slice(events, late_us, probability)
 
     def add_command(self, row: Mapping[str, Any]) -> None:
-        """Show a command, as a row of datasets `gripper/...` and `control/...`."""
+        """Show a command, given as a row of datasets `gripper/...` and `control/...`."""
         self._missed += int(row.get("control/missed", 0))
         self._shared.set_gripper(
             GripperNumbers(
@@ -109,7 +109,7 @@ class LiveView:
         )
 
     def lost(self, counts: Mapping[str, int]) -> None:
-        """Show what devices lost so far, by DEVICE.REASON; asked every so often, it says too that the view died."""
+        """Show the losses of devices so far, by DEVICE.REASON; called regularly, it also reports that the view died."""
         self._tell_death()
         lost = losses.events_lost(counts)
         now = (lost if isinstance(lost, str) else f"{lost:,}", losses.reasons(counts) or "")
@@ -118,20 +118,20 @@ class LiveView:
             self._send(Lost(*now))
 
     def say(self, text: str) -> None:
-        """A message to the user: at once on the terminal, unless the view is drawn there; then at its end."""
+        """Show a message to the user: on the terminal at once, or if the view is drawn there, at its end."""
         self._send(Said(text))
         if self._where == TERMINAL and sys.stderr.isatty():
-            self._said.append(text)
+            self._delayed.append(text)
         else:
             console.say(text)
 
     @property
     def is_asked_to_let_go(self) -> bool:
-        """Whether somebody pressed the button."""
+        """Whether the user pressed the button."""
         return self._shared.is_asked_to_let_go
 
     def end(self, why: str) -> None:
-        """Say why there will be no more slices, and end the process; a second call does nothing."""
+        """Report why there will be no more slices, and end the process; a second call does nothing."""
         if self._has_ended:
             return
         self._tell_death()
@@ -143,39 +143,40 @@ class LiveView:
         if self._process.is_alive():
             self._process.kill()
             self._process.join()
-        for text in self._said:
+        for text in self._delayed:
             console.say(text)
 
     def _tell_death(self) -> None:
-        """Say once that the view is gone, why, and what that means for its button."""
+        """Report once that the view has died, why, and the effect on its button."""
         if self._has_told or self._has_ended or self._process.exitcode is None:
             return
         self._has_told = True
         how = exit_words(self._process, self._last_words)
-        button = ", and its button with it: Ctrl-C lets go" if self._moves else ""
-        console.say(f"{with_reason('the live view died', how)}{button}; the recording goes on")
+        button = ", so its button no longer works: Ctrl-C releases the gripper" if self._moves else ""
+        console.say(f"{with_reason('the live view died', how)}{button}; the recording continues")
 
     def _send(self, message: Any) -> None:
-        with suppress(BrokenPipeError):  # the view has gone, which ends no recording
+        with suppress(BrokenPipeError):  # the view has gone, which does not end the recording
             self._messages.put(message)
             self._messages.send()
 
 
 @contextmanager
 def opened(trial: Trial, name: str, *, moves: bool) -> Iterator[LiveView | None]:
-    """The view of a trial while the block lasts, announced, its page opened where there is a display; or None.
+    """Yield the view of a trial, announced, with its page opened if there is a display; or None.
 
-    name: of what is shown; moves: whether a gripper moves that can be let go of.
+    name: of the displayed trial; moves: whether a gripper moves that the button can release.
     """
-    asked = trial.view
-    if asked is None:
+    request = trial.view
+    if request is None:
         yield None
         return
-    from evetac_cli.trials.grasp.online_detector import open_view_detector  # loads what a recording does not need
+    # loads modules that a recording does not need
+    from evetac_cli.trials.grasp.online_detector import open_view_detector
 
-    where = place(asked.where)
+    where = place(request.where)
     title = Title(name, trial.shows_simulation, moves)
-    view = LiveView(where, title, partial(open_view_detector, asked.model, asked.preset, asked.threshold))
+    view = LiveView(where, title, partial(open_view_detector, request.model, request.preset, request.threshold))
     ended = "ended"
     try:
         with (
@@ -191,24 +192,24 @@ def opened(trial: Trial, name: str, *, moves: bool) -> Iterator[LiveView | None]
         view.end(ended)
 
 
-def place(asked: str) -> str:
-    """BROWSER or TERMINAL, as asked for; else the browser where there is a display, and what serves the page.
+def place(where: str) -> str:
+    """Return BROWSER or TERMINAL, as requested; by default the browser if there are a display and the server library.
 
-    MissingLibrary where a page is asked for that cannot be served.
+    MissingLibrary if a page is requested that cannot be served.
     """
     can_serve = find_spec(LIBRARY) is not None
-    if asked == BROWSER and not can_serve:
+    if where == BROWSER and not can_serve:
         message, otherwise = f"the page needs the library {LIBRARY}", "--live-in terminal"
         raise missing_extra(message, "plot", where="--live-in browser", otherwise=otherwise)
-    if asked in (BROWSER, TERMINAL):
-        return asked
+    if where in (BROWSER, TERMINAL):
+        return where
     return BROWSER if can_serve and page_address.has_display() else TERMINAL
 
 
 def shown_in_real_time(
     view: LiveView | None, append: Callable[[Events, dict[str, Any]], None]
 ) -> Callable[[Events, dict[str, Any]], None]:
-    """What takes the slices of a simulation and their rows, so that each is shown, no faster than in real time."""
+    """Return a function that also shows the slices and rows of a simulation, no faster than in real time."""
     if view is None:
         return append
     slices, began_s = 0, time.monotonic()

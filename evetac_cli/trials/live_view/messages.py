@@ -1,20 +1,20 @@
-"""What the process of a live view is told by whoever records, apart from slices and commands.
+"""Messages from the recording process to the process of a live view, other than slices and commands.
 
-Why so: whoever records loads this module, and not what tracks dots, which takes a second.
+The recording process loads this module, but not the modules that track dots, which take a second to load.
 """
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-BROWSER, TERMINAL = "browser", "terminal"  # where it is shown
+BROWSER, TERMINAL = "browser", "terminal"  # where the view is shown
 
 
 class Title(NamedTuple):
-    """What a view shows, known before a device is opened."""
+    """The title of a view, known before a device is opened."""
 
-    name: str  # of the command and its file
+    name: str  # name of the command and its file
     simulated: bool
-    moves: bool  # a gripper that can be let go of
+    moves: bool  # whether a gripper moves that can be released
 
 
 class Begun(NamedTuple):
@@ -24,7 +24,7 @@ class Begun(NamedTuple):
 
 
 class Lost(NamedTuple):
-    """Events lost so far, and why, in words."""
+    """Events lost so far, and the reasons as text."""
 
     events: str
     why: str
@@ -37,6 +37,6 @@ class Said(NamedTuple):
 
 
 class Ended(NamedTuple):
-    """Why there will be no more slices, in words."""
+    """The reason, as text, why there will be no more slices."""
 
     why: str

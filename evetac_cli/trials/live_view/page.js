@@ -7,12 +7,12 @@
     if (name) made.className = name;
     return made;
   };
-  const SECONDS = 20;  // that charts show
+  const SECONDS = 20;  // time span of the charts
   const FIGURES_MS = 90;  // figures and charts are drawn this often
   const canvas = by("image"), pen = canvas.getContext("2d");
   let about = null, samples = [], latest = null, picture = null, held = false, over = false, asked = false, drawn = [], came = [], figuresAt = 0;
 
-  // What there is to see, by the fields of a sample ----------------------------------------------------------------
+  // The displayed figures, by the fields of a sample ---------------------------------------------------------------
   const number = (value, digits) => value === null || value === undefined ? "–"
     : (Math.abs(value) < 0.5 / 10 ** digits ? 0 : value).toLocaleString("en", { minimumFractionDigits: digits, maximumFractionDigits: digits });
   const CHARTS = [
@@ -23,7 +23,7 @@
       unit: "N", digits: 2, low: 0 },
     { title: "Torsion, estimated", fields: ["torsion_n_mm"], sds: ["torsion_sd_n_mm"], names: ["torsion"], unit: "N mm", digits: 2 },
     { title: "Events", fields: ["events_per_s"], names: ["rate"], unit: "1/s", digits: 0, low: 0 },
-    { title: "Slices are late by", fields: ["late_ms", "late_most_ms"], names: ["median", "most"], unit: "ms", digits: 2, low: 0 },
+    { title: "Delay of slices", fields: ["late_ms", "late_most_ms"], names: ["median", "maximum"], unit: "ms", digits: 2, low: 0 },
   ];
   const PHASES = ["contact", "lift", "balance"];
 
@@ -39,10 +39,10 @@
       ["pictures", `${number(rate, 0)} /s`, latest && latest.left_out ? `${number(latest.left_out, 0)} slices not shown` : ""],
       ["events", `${number(now.events_per_s, 0)} /s`, ""],
       ["events lost", latest ? latest.lost : "–", latest ? latest.lost_why : "", latest && latest.lost !== "0"],
-      ["late, most", `${number(now.late_most_ms, 1)} ms`, ""],
+      ["longest delay", `${number(now.late_most_ms, 1)} ms`, ""],
     ];
     if (now.probability !== undefined && now.probability !== null)
-      rows.push(["slip", number(now.probability, 2), about.threshold === null ? "" : `slip from ${number(about.threshold, 2)}`,
+      rows.push(["slip", number(now.probability, 2), about.threshold === null ? "" : `threshold ${number(about.threshold, 2)}`,
                  about.threshold !== null && now.probability >= about.threshold]);
     if (now.position_ticks !== undefined)
       rows.push(["gripper", `${number(now.position_ticks, 0)} ticks`, now.goal_ticks === null ? "" : `goal ${number(now.goal_ticks, 0)}`],
@@ -81,7 +81,7 @@
     for (const chart of charts) {
       const values = chart.fields.map((field) => shown.map((sample) => sample[field]));
       const is = (value) => value !== null && value !== undefined;
-      // one standard deviation below and above each value, where it has one; never below what the axis begins with
+      // one standard deviation below and above each value, if it has one; never below the start of the axis
       const bands = values.map((series, which) => series.map((value, k) => {
         const sd = chart.sds && shown[k][chart.sds[which]];
         return is(value) && is(sd) ? [Math.max(value - sd, chart.low ?? -Infinity), value + sd] : null;
@@ -121,7 +121,7 @@
         if (!series.some(is)) return;
         ink.fillStyle = ink.strokeStyle = colour(which ? "--second" : "--accent");
         ink.globalAlpha = 0.2;
-        let edge = [];  // upper edge of the band, up to a gap; the lower one leads back
+        let edge = [];  // upper edge of the band, up to a gap; then the lower edge in reverse
         [...bands[which], null].forEach((band, k) => {
           if (band) { edge.push([x(shown[k].t), y(band[1]), y(band[0])]); return; }
           ink.beginPath();
@@ -148,8 +148,8 @@
     }
   }
 
-  // The touch map: its scales end above the highest of the last seconds, at 1, 2 or 5 times a power of 10 -----------------
-  const highest = { most_kpa: 0, most_shear_kpa: 0 };  // it fades, by a half in 3 s
+  // The touch map: its scales end above the recent maximum, at 1, 2 or 5 times a power of 10 ------------------------------
+  const highest = { most_kpa: 0, most_shear_kpa: 0 };  // the maximum decays by half in 3 s
   const round = (value) => { const power = 10 ** Math.floor(Math.log10(value)); return [1, 2, 5, 10].map((each) => each * power).find((each) => each >= value); };
   function drawTouch() {
     const map = latest.touch;
@@ -176,7 +176,7 @@
   }
 
   // The picture: brighter events in the lower four bits of a pixel's byte, darker ones in the upper four ------------------
-  const colours = new Uint32Array(256);  // as they lie in memory: red, green, blue, alpha
+  const colours = new Uint32Array(256);  // byte order in memory: red, green, blue, alpha
   for (let value = 0; value < 256; value++) {
     const on = Math.min(1, Math.sqrt((value & 15) / 4)), off = Math.min(1, Math.sqrt((value >> 4) / 4));
     const mix = (back, bright, dark) => Math.round(Math.min(255, back + (bright - back) * on + (dark - back) * off));
@@ -202,7 +202,7 @@
       pen.lineWidth = 1.5; pen.strokeStyle = lost ? "#ff5d5d" : "#5be584";
       pen.beginPath(); pen.arc(x, y, 4, 0, 7); pen.stroke();
       const size = Math.hypot(dx, dy) * longer;
-      if (lost || size < 1) continue;  // how far a lost dot has moved is not known
+      if (lost || size < 1) continue;  // the displacement of a lost dot is unknown
       const tip = [x + dx * longer, y + dy * longer], angle = Math.atan2(dy, dx);
       pen.lineWidth = 2; pen.strokeStyle = "#ffffff";
       pen.beginPath(); pen.moveTo(x, y); pen.lineTo(...tip);
@@ -260,7 +260,7 @@
       if (socket.readyState === WebSocket.OPEN) socket.send("next");
     });
   };
-  socket.onclose = () => end("the connection is lost: whoever records has gone, or four pages show this already");
+  socket.onclose = () => end("the connection is lost: the recording program has ended, or four pages already show this");
 
   function end(why) {
     if (over) return;
@@ -281,7 +281,7 @@
 
   function hold() {
     held = !held;
-    by("pause").textContent = held ? "Go on" : "Hold";
+    by("pause").textContent = held ? "Resume" : "Hold";
     by("pause").setAttribute("aria-pressed", String(held));
     show();
   }
@@ -293,7 +293,7 @@
   document.addEventListener("keydown", (event) => {
     if (event.ctrlKey || event.altKey || event.metaKey || event.repeat) return;
     const typing = event.target.tagName === "BUTTON" || event.target.tagName === "SELECT" || event.target.tagName === "INPUT";
-    if (event.key === "Escape" && event.target.tagName !== "SELECT") letGo();  // there it closes the menu
+    if (event.key === "Escape" && event.target.tagName !== "SELECT") letGo();  // in a menu Esc closes the menu
     else if (event.key === " " && !typing) { event.preventDefault(); hold(); }
     else if (event.key === "d" || event.key === "w") { const box = by(event.key === "d" ? "dots" : "window"); box.checked = !box.checked; show(); }
     else if (event.key === "a") { const menu = by("arrows"); menu.selectedIndex = (menu.selectedIndex + 1) % menu.options.length; show(); }

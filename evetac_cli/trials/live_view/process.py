@@ -1,7 +1,7 @@
-"""The process of a live view: serves a page or draws on the terminal, behind everything that records.
+"""The process of a live view: serves a page or draws on the terminal, with lower priority than all recording processes.
 
-It has the highest niceness there is, so that a busy computer costs pictures first. It ends with whoever started it, and
-whatever happens to it changes nothing in the recording.
+It has the highest possible niceness, so that a busy computer loses pictures first. It ends with the process that
+started it, and its failure never affects the recording.
 """
 
 import asyncio
@@ -33,18 +33,18 @@ MOST_SAID = 20
 
 
 class ViewState:
-    """What a view knows beside the slices, from the messages of whoever records."""
+    """The state of a view besides the slices, from the messages of the recording process."""
 
     def __init__(self, title: Title, follower: Follower, inbox: MessageReader, open_detector: OpenDetector) -> None:
         self.title, self.follower = title, follower
         self._inbox, self._open_detector = inbox, open_detector
-        self.version = 0  # of `known`
+        self.version = 0  # version of `known`
         self.lost = Lost("0", "")
         self.said: list[str] = []
         self.ended = ""
 
     def listen(self) -> None:
-        """Take the messages that have come."""
+        """Take the messages that have arrived."""
         for message in self._inbox.take():
             match message:
                 case Begun():
@@ -58,10 +58,10 @@ class ViewState:
                 case Ended():
                     self.ended = message.why
         if self._inbox.ended and not self.ended:
-            self.ended = "the program that records has gone"
+            self.ended = "the recording program has ended"
 
     def known(self) -> dict[str, Any]:
-        """What a page has to know before its first picture."""
+        """Return the data that a page needs before its first picture."""
         follower = self.follower
         return {
             "about": {
@@ -75,7 +75,7 @@ class ViewState:
         }
 
     def news(self, sample: Mapping[str, Any]) -> dict[str, Any]:
-        """What a page is told with every picture."""
+        """Return the data that a page gets with every picture."""
         follower = self.follower
         return {
             "sample": sample,
@@ -92,12 +92,15 @@ class ViewState:
 def run_view(
     where: str, title: Title, shared: SharedView, open_detector: OpenDetector, pipe: Connection, ready: Connection
 ) -> None:
-    """The process: `where` is BROWSER or TERMINAL; `ready` gets the page's address, or "", once it can be looked at."""
+    """Run the process: `where` is BROWSER or TERMINAL.
+
+    `ready` receives the page's address, or "", once it can be viewed.
+    """
     ignore_interrupts()
-    load(open_detector)  # nothing is recorded yet
+    load(open_detector)  # nothing is being recorded yet
     set_niceness(NICENESS)
     state = ViewState(title, Follower(shared), MessageReader(pipe), open_detector)
-    with contextlib.suppress(BrokenPipeError):  # whoever records has gone, and is told nothing any more
+    with contextlib.suppress(BrokenPipeError):  # the recording process has gone and can receive nothing
         if where == BROWSER:
             asyncio.run(_serve(state, shared, ready))
         else:
@@ -126,7 +129,7 @@ def _draw(state: ViewState) -> None:
 
 
 def _samples(state: ViewState) -> Iterator[tuple[float, dict[str, Any]]]:
-    """A sample each time it is asked for, and when (s) it was begun, until the recording ends."""
+    """Yield a sample, and when (s) it was begun, until the recording ends."""
     while True:
         began_s = time.monotonic()
         state.listen()
@@ -136,5 +139,5 @@ def _samples(state: ViewState) -> Iterator[tuple[float, dict[str, Any]]]:
 
 
 def _left_s(began_s: float, period_s: float) -> float:
-    """How long to wait until the next sample; one that was late does not make the next one earlier."""
+    """Return the time until the next sample, in s; a late sample does not make the next one earlier."""
     return max(began_s + period_s - time.monotonic(), 1e-3)

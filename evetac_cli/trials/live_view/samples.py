@@ -1,11 +1,11 @@
-"""What a live view knows of a recording: it follows the slices in shared memory, and tracks the dots by itself.
+"""The data of a live view: it follows the slices in shared memory, and tracks the dots itself.
 
-A sample is made for every picture, some 20 a second, whether or not anybody looks. Dots and slip are found by the
-kernels of `track` and `grasp` on the slices that were seen; where the loop has a slip probability of its own, that one
-is shown. What touches the gel comes from the touch maps of `predict-touch` (touch.py).
+A sample is made for every picture, some 20 per second, whether or not anyone is looking. The kernels of `track` and
+`grasp` find dots and slip on the slices seen. If the recording loop has a slip probability, that one is shown. The
+touch data come from the touch maps of `predict-touch` (touch.py).
 
-Why so: the view runs behind all that records. Where it cannot keep up it goes on at the newest slice, counts what it
-left out, and its dots catch up as after a silence of the camera.
+The view has lower priority than all recording processes. If it cannot keep up, it continues at the newest slice and
+counts the skipped slices. Its dots then recover as after a silence of the camera.
 """
 
 import math
@@ -24,55 +24,55 @@ from evetac_cli.store.calibration import MAKE_GRID
 from evetac_cli.trials.live_view.shared_view import SeenSlices, SharedView
 from evetac_cli.trials.live_view.touch import LiveTouch
 
-PERIOD_S = 0.05  # from one picture to the next
-KEPT = 600  # samples, for a page that is opened later: 30 s
-MOST_BEHIND = 400  # slices; farther behind, the view goes on at the newest
-SHOWN_MS = 50  # events of the latest so many ms make a picture
-MOST_COUNT = 15  # events of one polarity in a pixel of a picture
+PERIOD_S = 0.05  # time from one picture to the next
+KEPT = 600  # samples kept for a page that is opened later: 30 s
+MOST_BEHIND = 400  # slices; if farther behind, the view continues at the newest
+SHOWN_MS = 50  # a picture shows the events of the latest 50 ms
+MOST_COUNT = 15  # most events of one polarity in a pixel of a picture
 
 
 class ViewDetector(Protocol):
-    """A slip detector with its tracker, as an `OnlineSlipDetector`."""
+    """A slip detector with its tracker, for example an `OnlineSlipDetector`."""
 
     threshold: float
     probability: float
 
     def step(self, events: Events) -> float:
-        """Slip probability after one more slice."""
+        """Return the slip probability after one more slice."""
 
     @property
     def tracking(self) -> tracker.TrackerState:
         """The dots after the slices so far."""
 
 
-OpenDetector = Callable[[Mapping[str, Any]], ViewDetector]  # for datasets `sensor/...`
+OpenDetector = Callable[[Mapping[str, Any]], ViewDetector]  # called with datasets `sensor/...`
 
 
 class Follower:
-    """Follows the slices of a recording as they come."""
+    """Follows the slices of a recording as they arrive."""
 
     def __init__(self, shared: SharedView) -> None:
         self._shared = shared
         self._next = 0
-        self._latest: deque[tuple[NDArray[Any], NDArray[Any], NDArray[Any]]] = deque()  # of the slices shown
+        self._latest: deque[tuple[NDArray[Any], NDArray[Any], NDArray[Any]]] = deque()  # events of the slices shown
         self._detector: ViewDetector | None = None
         self._tracking: tracker.TrackerState | None = None
         self._touch: LiveTouch | None = None
-        self.left_out = 0  # slices that came too fast
+        self.left_out = 0  # slices that arrived too fast
         self.samples: deque[dict[str, Any]] = deque(maxlen=KEPT)
         self.frame_px = (640, 480)
         self.window_px: list[int] | None = None  # x0, y0, x1, y1
         self.threshold: float | None = None
-        self.notes: list[str] = []  # what cannot be shown, and what to do about it
+        self.notes: list[str] = []  # what cannot be shown, and how to fix that
 
     def begin(self, sensor: Mapping[str, Any], open_detector: OpenDetector) -> None:
-        """Take the datasets `sensor/...` of the camera: they say where the dots are."""
+        """Take the camera's datasets `sensor/...`, which contain the dot positions."""
         width, height = sensor["sensor/frame_px"]
         self.frame_px = int(width), int(height)
         if "sensor/window_px" in sensor:
             self.window_px = [int(edge) for edge in sensor["sensor/window_px"]]
         if not {"sensor/dot_xy_px", "sensor/dot_radius_px"} <= sensor.keys():
-            self.notes = [f"no dots, slip or touch: the dot grid is not known; {MAKE_GRID}"]
+            self.notes = [f"no dots, slip or touch: the dot grid is unknown; {MAKE_GRID}"]
             return
         try:
             self._detector = open_detector(sensor)
@@ -86,18 +86,18 @@ class Follower:
             self._touch = LiveTouch(sensor, self._tracking, PERIOD_S)
         except ValueError as error:
             self.notes.append(f"no touch: {error}")
-        self._next = max(0, self._shared.slices - SHOWN_MS)  # more came while this was loaded
+        self._next = max(0, self._shared.slices - SHOWN_MS)  # more slices arrived during loading
 
     def sample(self) -> dict[str, Any]:
-        """What came since the sample before, as it goes to a page; NaN is None."""
+        """Return the data since the previous sample, in the form for a page; NaN is None."""
         newest = self._shared.slices
         first = self._next if newest - self._next <= MOST_BEHIND else newest - SHOWN_MS
         seen = self._shared.since(first)
         self.left_out += seen.first - self._next
         own = self._take(seen)
         self._next = seen.first + seen.slices
-        known = seen.probability[~np.isnan(seen.probability)]
-        probability = float(known.max()) if len(known) else own
+        from_loop = seen.probability[~np.isnan(seen.probability)]
+        probability = float(from_loop.max()) if len(from_loop) else own
         late_us = seen.late_us[~np.isnan(seen.late_us)]
         gripper = self._shared.gripper
         sample = {
@@ -116,7 +116,7 @@ class Follower:
         return sample
 
     def _take(self, seen: SeenSlices) -> float:
-        """Track and detect over new slices; the highest probability, NaN where there is none."""
+        """Track and detect on new slices; return the highest probability, NaN if there is none."""
         highest = math.nan
         for k in range(seen.slices):
             part = slice(int(seen.starts[k]), int(seen.starts[k + 1]))
@@ -131,7 +131,7 @@ class Follower:
         return float(highest)
 
     def dots(self) -> list[list[float]]:
-        """x, y, displacement right and down in px, and 1 where it is lost, of every dot that is not missing."""
+        """Return x, y, displacement to the right and down in px, and 1 if lost, of every dot that is not missing."""
         if self._tracking is None:
             return []
         now, rest, lost = self._tracking.dot_xy_px, self._tracking.rest_xy_px, self._tracking.lost
@@ -139,18 +139,21 @@ class Follower:
         return [[round(value, 2) for value in row] for row in rows.tolist()]
 
     def touch_map(self) -> dict[str, Any] | None:
-        """The touch map of the latest sample, as it goes to a page; None where there is none."""
+        """Return the touch map of the latest sample, in the form for a page; None without one."""
         return None if self._touch is None else self._touch.map()
 
     def latest(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
-        """Columns x, y, p of the events of the latest SHOWN_MS slices."""
+        """Return the columns x, y, p of the events of the latest SHOWN_MS slices."""
         if not self._latest:
             return np.empty(0, np.uint16), np.empty(0, np.uint16), np.empty(0, np.uint8)
         x, y, p = (np.concatenate(column) for column in zip(*self._latest, strict=True))
         return x, y, p
 
     def image(self) -> bytes:
-        """A byte for each pixel, row by row: brighter events in the lower four bits, darker ones in the upper four."""
+        """Return one byte per pixel, row by row.
+
+        Brighter events are counted in the lower four bits, darker ones in the upper four.
+        """
         width, height = self.frame_px
         counts = np.zeros((height, width), np.uint8)
         for x, y, p in self._latest:
@@ -160,7 +163,7 @@ class Follower:
 
 @njit(cache=True)
 def _count(x: NDArray[np.uint16], y: NDArray[np.uint16], p: NDArray[np.uint8], counts: NDArray[np.uint8]) -> None:
-    """Add events to a picture (height, width), but for those beside it; no count goes beyond MOST_COUNT."""
+    """Add events to a picture (height, width), except those outside it; no count exceeds MOST_COUNT."""
     height, width = counts.shape
     for k in range(x.shape[0]):
         if y[k] >= height or x[k] >= width:
@@ -173,7 +176,7 @@ def _count(x: NDArray[np.uint16], y: NDArray[np.uint16], p: NDArray[np.uint8], c
 
 
 def load(open_detector: OpenDetector) -> None:
-    """Load models and compiled code, with a slice of noise on a grid of dots: later it takes no time."""
+    """Load models and compiled code by running a slice of noise on a grid of dots, so that it takes no time later."""
     grid = np.stack(np.meshgrid(60.0 * np.arange(8) + 60.0, 60.0 * np.arange(7) + 50.0), axis=-1)
     sensor = {"sensor/frame_px": FRAME_PX, "sensor/dot_xy_px": grid, "sensor/dot_radius_px": 11.0}
     shared = SharedView()
@@ -186,7 +189,7 @@ def load(open_detector: OpenDetector) -> None:
 
 
 def _plain(value: Any) -> Any:
-    """A number as JSON takes it: what is not finite is None, and five digits are enough."""
+    """Return a number for JSON: None if it is not finite, rounded to five digits."""
     if isinstance(value, int):
         return value
     return None if value is None or not math.isfinite(value) else float(f"{value:.5g}")

@@ -1,8 +1,8 @@
-"""Serves the page of a live view on this computer, and sends pictures to whoever asks for the next one.
+"""Serve the page of a live view on this computer, and send a picture to each client that requests the next one.
 
-A client gets a picture only when it has drawn the one before and asks: so a slow browser, or a tab that nobody looks
-at, gets fewer, and nothing piles up. The page is `page.html` with `page.js` and `page.css`, and what draws touch maps
-on the page of `view` too; it loads nothing else. Who may look at it is told by page_server.py.
+A client gets a picture only after it has drawn the previous one and requests the next. So a slow browser, or a hidden
+tab, gets fewer pictures, and nothing piles up. The page is `page.html` with `page.js`, `page.css`, and the touch map
+drawing of the `view` page; it loads nothing else. page_server.py controls access.
 """
 
 import asyncio
@@ -19,8 +19,8 @@ from evetac_cli.resources import DATA
 
 HERE = Path(__file__).parent
 MOST_CLIENTS = 4
-LAST_S = 0.3  # for the last words to arrive
-NEXT, LET_GO = "next", "let go"  # all that a client can say
+LAST_S = 0.3  # time for the last messages to arrive
+NEXT, LET_GO = "next", "let go"  # the only messages from a client
 CONTENT: dict[str, tuple[Path, str]] = {
     "": (HERE / "page.html", "text/html"),
     "page.js": (HERE / "page.js", "text/javascript"),
@@ -30,10 +30,10 @@ CONTENT: dict[str, tuple[Path, str]] = {
 
 
 class PageServer(OwnServer):
-    """The page at `url`, and the clients that look at it; used within a running asyncio loop."""
+    """The page at `url` and its clients; used within a running asyncio loop."""
 
     def __init__(self, let_go: Callable[[], None]) -> None:
-        """Begin to listen; let_go: called when somebody presses the button."""
+        """Begin to listen; let_go: called when the user presses the button."""
         self.let_go = let_go
         self.clients: set[_Pictures] = set()
         super().__init__(CONTENT, [(r"/([^/]*)/pictures", _Pictures, {})])
@@ -46,8 +46,8 @@ class PageServer(OwnServer):
     def send(self, news: Mapping[str, Any], image: bytes, known: Callable[[], Mapping[str, Any]], version: int) -> None:
         """Send a picture to every client that waits for one.
 
-        image: a byte for each pixel; known: what a client has to know before its first picture, and again when its
-        version changes.
+        image: one byte per pixel; known: data that a client needs before its first picture, and again when its version
+        changes.
         """
         for client in list(self.clients):
             if client.waits:
@@ -57,7 +57,7 @@ class PageServer(OwnServer):
                 client.say({**news, **more}, image)
 
     async def end(self, news: Mapping[str, Any]) -> None:
-        """Tell every client why there will be no more pictures, and close."""
+        """Send every client the reason for the end, and close."""
         for client in list(self.clients):
             client.say(news, b"")
             client.close()
@@ -67,19 +67,22 @@ class PageServer(OwnServer):
 
 
 class _Pictures(Guarded, websocket.WebSocketHandler):
-    """One client that looks at the page."""
+    """One client of the page."""
 
     _page_server: PageServer
     waits = False
     version = -1
 
     def check_origin(self, origin: str) -> bool:
-        """Whether a page that came from here asks; a program that is no browser names no origin."""
+        """Return whether the request comes from the page served here.
+
+        A program other than a browser sends no origin.
+        """
         return urlsplit(origin).netloc == self.request.host
 
     def open(self, *args: str, **kwargs: str) -> None:
         if len(self._page_server.clients) >= MOST_CLIENTS:
-            self.close(1013, f"{MOST_CLIENTS} pages show this already")
+            self.close(1013, f"{MOST_CLIENTS} pages already show this")
             return
         self._page_server.clients.add(self)
 
@@ -95,7 +98,7 @@ class _Pictures(Guarded, websocket.WebSocketHandler):
         self._page_server.clients.discard(self)
 
     def say(self, news: Mapping[str, Any], image: bytes) -> None:
-        """Send news as JSON, its length before it, and the picture behind it."""
+        """Send the news as JSON, preceded by its length and followed by the picture."""
         text = json.dumps(news, allow_nan=False, separators=(",", ":")).encode()
         try:
             sent = self.write_message(len(text).to_bytes(4, "little") + text + image, binary=True)
@@ -105,6 +108,6 @@ class _Pictures(Guarded, websocket.WebSocketHandler):
             sent.add_done_callback(self._notice)
 
     def _notice(self, sent: "asyncio.Future[None]") -> None:
-        """A message has gone, or the client has while it was on its way: then this is what says so."""
+        """Handle the end of a transmission; this is where a client that left meanwhile is noticed."""
         if not sent.cancelled() and sent.exception() is not None:
             self._page_server.clients.discard(self)

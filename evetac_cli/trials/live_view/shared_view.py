@@ -1,11 +1,11 @@
-"""What a live view reads of a recording that is under way: the latest slices and commands, in shared memory.
+"""The latest slices and commands of a running recording, in shared memory for a live view.
 
-The loop that records writes here and never waits: the oldest is written over, whether or not anybody has read it. A
-reader that was too slow for a slice never sees it. The other way goes one byte: whether somebody asked to let go.
+The recording loop writes here and never waits: it overwrites the oldest data, read or not. A slow reader misses
+slices. One byte goes the other way: whether the user pressed the release button.
 
-Why so: a view may be late and may leave out what it likes, a recording may not. So a reader takes no lock. A slice
-of 1000 events costs its writer 5 us. What is written over while it is read is only ever shown, and every pixel and
-polarity in the memory is a valid one, so a picture with a few wrong events is the worst that can come of it.
+A view may be late and may skip data; a recording may not. So a reader takes no lock. A slice of 1000 events costs its
+writer 5 us. Data that are overwritten while being read are only displayed, and every pixel and polarity in the memory
+is valid. So the worst result is a picture with a few wrong events.
 """
 
 import multiprocessing
@@ -18,12 +18,12 @@ from evetac_cli.events import Events
 from evetac_cli.realtime.shared_row import SharedRow
 
 SLICES = 1 << 13  # 8 s
-EVENTS = 1 << 21  # 2 s of a million a second
-MOST_EVENTS = EVENTS // 8  # of one slice; so many may be under way while others are read
+EVENTS = 1 << 21  # 2 s at a million per second
+MOST_EVENTS = EVENTS // 8  # limit of one slice; this many may be in the middle of a write while others are read
 GRIPPER_NUMBERS = 6
 _COLUMNS: dict[str, tuple[Any, int]] = {
-    "head": (np.int64, 2),  # slices so far, events so far
-    "end": (np.int64, SLICES),  # events so far after each slice
+    "head": (np.int64, 2),  # number of slices so far, number of events so far
+    "end": (np.int64, SLICES),  # number of events so far after each slice
     "late_us": (np.float32, SLICES),
     "probability": (np.float32, SLICES),
     "x": (np.uint16, EVENTS),
@@ -35,35 +35,35 @@ _GRIPPER_BYTES = 128
 
 
 class SeenSlices(NamedTuple):
-    """Slices in a row, from number `first` on: slice k has the events [starts[k], starts[k + 1])."""
+    """Consecutive slices, starting at number `first`: slice k has the events [starts[k], starts[k + 1])."""
 
     first: int
     starts: NDArray[np.int64]  # (n + 1,)
     x: NDArray[np.uint16]
     y: NDArray[np.uint16]
     p: NDArray[np.uint8]
-    late_us: NDArray[np.float32]  # (n,) how late each came, from its end; NaN where that is not known
-    probability: NDArray[np.float32]  # (n,) of slip, as the loop knows it; NaN where it does not
+    late_us: NDArray[np.float32]  # (n,) delay of each, from its end; NaN if unknown
+    probability: NDArray[np.float32]  # (n,) slip probability from the loop; NaN without one
 
     @property
     def slices(self) -> int:
-        """How many slices."""
+        """The number of slices."""
         return len(self.late_us)
 
 
 class GripperNumbers(NamedTuple):
-    """The latest command of a gripper and what was read before it; NaN for what is not commanded, or not known."""
+    """The latest command of a gripper and the reading before it; NaN for values that are not commanded or unknown."""
 
     position_ticks: float
     goal_ticks: float
     current_ma: float
     goal_ma: float
-    missed: float  # commands so far
-    phase: float  # of a grasp
+    missed: float  # missed commands so far
+    phase: float  # phase of a grasp
 
 
 class SharedView:
-    """The shared memory; may be given to a process that is being spawned."""
+    """The shared memory; may be passed to a process that is being spawned."""
 
     def __init__(self) -> None:
         size = sum(np.dtype(kind).itemsize * length for kind, length in _COLUMNS.values())
@@ -89,7 +89,7 @@ class SharedView:
         self._attach()
 
     def add_slice(self, events: Events, late_us: float = float("nan"), probability: float = float("nan")) -> None:
-        """For the loop: one more slice. The events of one that has more than MOST_EVENTS are left out."""
+        """For the loop: add one more slice. If it has more than MOST_EVENTS events, they are left out."""
         slices, written = self._head.tolist()
         size = events.size
         if size <= MOST_EVENTS:
@@ -109,7 +109,7 @@ class SharedView:
         self._head[0] = slices + 1
 
     def set_gripper(self, numbers: GripperNumbers) -> None:
-        """For the loop: the latest command."""
+        """For the loop: set the latest command."""
         self._gripper.write(*numbers)
 
     @property
@@ -118,12 +118,12 @@ class SharedView:
         return bool(self._let_go[0])
 
     def let_go(self) -> None:
-        """For the view: somebody wants the gripper to let go."""
+        """For the view: request the release of the gripper."""
         self._let_go[0] = 1
 
     @property
     def slices(self) -> int:
-        """How many slices there were so far."""
+        """The number of slices so far."""
         return int(self._head[0])
 
     @property
@@ -133,25 +133,25 @@ class SharedView:
         return None if row is None else GripperNumbers(*row[1])
 
     def since(self, first: int) -> SeenSlices:
-        """Copies of the slices from number `first` on, without those that were written over already."""
+        """Return copies of the slices starting at number `first`, without those already overwritten."""
         slices = self.slices
         first = min(max(first, slices - SLICES // 2), slices)
         bounds = self._end[np.arange(first - 1, slices) % SLICES]
         if first == 0:
             bounds[0] = 0
-        bounds = np.maximum.accumulate(bounds)  # some processors show what another wrote in another order
+        bounds = np.maximum.accumulate(bounds)  # some processors see the writes of another in a different order
         places = np.arange(first, slices) % SLICES
         late_us, probability = self._late_us[places], self._probability[places]
         kept = self._kept(bounds)
         positions = np.arange(bounds[kept], bounds[-1]) % EVENTS
         x, y, p = (column[positions] for column in self._events)
-        over = self._kept(bounds)  # by what was written since
+        over = self._kept(bounds)  # overwritten since then
         if over > kept:
             x, y, p = (column[bounds[over] - bounds[kept] :] for column in (x, y, p))
         starts = bounds[over:] - bounds[over]
         return SeenSlices(first + over, starts, x, y, p, late_us[over:], probability[over:])
 
     def _kept(self, bounds: NDArray[np.int64]) -> int:
-        """The first slice of which no event was, or is being, written over."""
+        """Return the first slice without events that were, or are being, overwritten."""
         oldest = int(self._head[1]) + MOST_EVENTS - EVENTS
         return min(int(np.searchsorted(bounds, oldest)), len(bounds) - 1)

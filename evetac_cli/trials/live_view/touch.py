@@ -1,7 +1,7 @@
-"""What a live view shows of touch: forces and a touch map from where the dots are, a sample at a time.
+"""Touch in a live view: forces and a touch map from the dot positions, one sample at a time.
 
-The patch is renewed in parts, one per sample, each some milliseconds of the 50 that a sample has: it is 0.2 s old at
-most. A first touch has its patch at once.
+The patch is updated in parts, one per sample. Each part takes some milliseconds of the sample's 50 ms, so the patch is
+at most 0.2 s old. A first touch gets its patch at once.
 """
 
 from collections.abc import Mapping
@@ -20,21 +20,24 @@ from evetac_cli.stages.touch import touch_fold
 from evetac_cli.stages.touch.known_gel import KnownGel, gel_of
 from evetac_cli.stages.touch.touch_fold import Factor, Slices, forces_of, normal_factor, shear_factor
 
-DIGITS = 3  # of numbers in a map
+DIGITS = 3  # digits after the decimal point in a map
 
 
 class LiveTouch:
-    """Touch maps of dots that a tracker follows, with what is known and expected of the gel as in predict-touch."""
+    """Touch maps from the dots of a tracker, with the same assumptions on the gel as predict-touch."""
 
     def __init__(self, sensor: Mapping[str, Any], tracking: TrackerState, period_s: float) -> None:
-        """For datasets `sensor/...` of a camera, and a sample so often; ValueError where its dots can tell nothing."""
+        """sensor: datasets `sensor/...` of a camera; period_s: time between samples.
+
+        ValueError if the dots cannot be used.
+        """
         width, height = (int(side) for side in sensor["sensor/frame_px"])
-        if (width, height) != FRAME_PX:  # how large its pixels are on the gel is not known
+        if (width, height) != FRAME_PX:  # the size of its pixels on the gel is unknown
             raise ValueError("the frame is not {} x {} px".format(*FRAME_PX))
         self._tracking, self._middle_px = tracking, np.array(FRAME_PX) / 2
         modulus = sensor.get("sensor/shear_modulus_pa")
-        known = KnownGel(shear_modulus_pa=None if modulus is None else float(modulus))
-        gel = gel_of(known, PredictTouch().stiffness_error)
+        known_gel = KnownGel(shear_modulus_pa=None if modulus is None else float(modulus))
+        gel = gel_of(known_gel, PredictTouch().stiffness_error)
         self._gel, self._mm_per_px, self._period_s = gel, gel.mm_per_px, period_s
         self._creep = CreepMemory()
         self._shear, self._normal = shear_factor(gel), normal_factor(gel)
@@ -49,12 +52,12 @@ class LiveTouch:
         return np.asarray((dot_xy_px - self._middle_px) * self._mm_per_px)
 
     def now(self) -> dict[str, float]:
-        """Forces, torsion and area now, with deviations; NaN where too few dots are tracked."""
+        """Return the present forces, torsion and area, with standard deviations; NaN if too few dots are tracked."""
         state, dots_mm, lost = self._state, self._mm(self._tracking.dot_xy_px), self._tracking.lost
         reading = touch_map.step(state, dots_mm, lost)
         if reading.touches:
             touch_map.renew_part(state)
-        elif reading.known and state.touches:  # a touch that has begun
+        elif reading.known and state.touches:  # a touch has begun
             touch_map.renew(state)
             reading = touch_map.step(state, dots_mm, lost)
         self._reading = reading
@@ -82,7 +85,10 @@ class LiveTouch:
         }
 
     def map(self) -> dict[str, Any] | None:
-        """The map of the latest reading: its grid in mm, and number, pressure and shear in kPa of each touched cell."""
+        """Return the map of the latest reading; None before the first.
+
+        It has the grid in mm, and index, pressure and shear in kPa of each touched cell.
+        """
         reading, (x_mm, y_mm) = self._reading, self._state.cells
         if reading is None:
             return None
@@ -91,7 +97,7 @@ class LiveTouch:
             [reading.pressure_pa * self._normal.value, *(reading.shear_pa * self._shear.value[:, None, None])]
         )
         kpa = pa.reshape(3, -1)[:, cells] * 1e-3
-        known = reading.touches and bool(np.isfinite(reading.centre_mm).all())
+        has_centre = reading.touches and bool(np.isfinite(reading.centre_mm).all())
         return {
             "known": reading.known,
             "x_mm": float(x_mm[0]),
@@ -100,8 +106,8 @@ class LiveTouch:
             "columns": len(x_mm),
             "rows": len(y_mm),
             "area_mm2": round(reading.area_mm2, DIGITS) if reading.touches else None,
-            "centre_mm": _rounded(reading.centre_mm) if known else None,
-            "centre_sd_mm": _rounded(reading.centre_sd_mm) if known else None,
+            "centre_mm": _rounded(reading.centre_mm) if has_centre else None,
+            "centre_sd_mm": _rounded(reading.centre_sd_mm) if has_centre else None,
             "cells": [[cell, *_rounded(values)] for cell, values in zip(cells.tolist(), kpa.T, strict=True)],
         }
 

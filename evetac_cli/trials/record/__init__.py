@@ -1,8 +1,8 @@
-"""record: events of one trial into a file, from a simulated scene, from devices or from a foreign event file.
+"""record: write the events of one trial to a file, from a simulated scene, from devices or from a foreign event file.
 
-Each of the three is a type of job with a module of its own: SimulatedTrial (simulated.py), DeviceRecording (capture.py)
-and ImportJob (imported.py). With --preview, a Preview (preview.py) shows what the camera of a trial sees, and nothing
-is written. With --listen, a robot's program starts trials of the second type, as often as it likes (trials/listen).
+Each of the three sources is a type of job with its own module: SimulatedTrial (simulated.py), DeviceRecording
+(capture.py) and ImportJob (imported.py). With --preview, a Preview (preview.py) shows the camera's view, and nothing is
+written. With --listen, a robot's program starts trials of the second type, any number of them (trials/listen).
 """
 
 from collections.abc import Sequence
@@ -34,12 +34,12 @@ from evetac_cli.trials.trial import SimulatedTrial, device_trials, for_people, s
 
 METHOD = simulated.METHOD
 WATCHDOG_STEP_MS = 20  # unit of the register Bus Watchdog
-LONGEST_S = 3600.0  # after which a trial ends that a robot's program started and does not stop; --seconds names another
-SCENE_KINDS = ("ramp", "hold", "press", "rub", "tone")  # lift scenes are grasped
+LONGEST_S = 3600.0  # limit for a trial that a robot's program started and does not stop; --seconds sets another
+SCENE_KINDS = ("ramp", "hold", "press", "rub", "tone")  # lift scenes are for `grasp`
 
 
 def jobs(files: list[Path], params: Record, out: Path | None) -> Sequence[Job]:
-    """One recording for every object and trial, or for the imported file; InputError for options of another."""
+    """Return one job per object and trial, or one for the imported file; InputError for options of other sources."""
     cameras, gripper = devices(params)
     _refuse_unused(params, cameras, gripper)
     if params.source is not None:
@@ -50,7 +50,7 @@ def jobs(files: list[Path], params: Record, out: Path | None) -> Sequence[Job]:
     if cameras[0].has(Capability.STEPPED):
         scenes = simulated_trials(SCENE_KINDS, params, out, params.tones)
         return [Preview.of(trial, cameras[0], params) for trial in scenes] if shows else scenes
-    require_arm(gripper, armed=params.arm or params.dry_run or params.preview)  # which moves nothing
+    require_arm(gripper, armed=params.arm or params.dry_run or params.preview)  # dry run and preview move nothing
     trials = device_trials(("ramp", "hold"), cameras, gripper, params, out)
     if params.listen:
         return [_listening([DeviceRecording.of(each, params) for each in trials], params, out)]
@@ -58,7 +58,7 @@ def jobs(files: list[Path], params: Record, out: Path | None) -> Sequence[Job]:
 
 
 def _listening(trials: list[DeviceRecording], params: Record, out: Path | None) -> Listening:
-    """Trials that a robot's program starts; cameras that see no scene of their own stay open between them."""
+    """Return trials that a robot's program starts; cameras without a scene of their own stay open between them."""
     if params.resume:
         raise InputError("has no effect with --listen: each start names its file", where="--resume")
     job = listening(trials, out, params.listen_port, None if params.seconds is not None else LONGEST_S)
@@ -71,7 +71,7 @@ def _listening(trials: list[DeviceRecording], params: Record, out: Path | None) 
 
 
 def _refuse_unused(params: Record, cameras: Sequence[NamedCamera], gripper: NamedGripper) -> None:
-    """InputError for an option that belongs to nothing that this run has."""
+    """Raise InputError for an option that applies to nothing in this run."""
     if params.source is not None:
         refuse_unused(params, {Capability.IMPORT}, f"--from {params.source}", never={Capability.GRASPED})
         return
@@ -90,13 +90,13 @@ def _refuse_unused(params: Record, cameras: Sequence[NamedCamera], gripper: Name
 
 
 def devices(params: Record) -> tuple[tuple[NamedCamera, ...], NamedGripper]:
-    """The devices that are named; InputError for names that there are not, and for flags that do not fit them."""
+    """Return the named devices; InputError for unknown names, and for flags that do not fit them."""
     cameras = named_cameras.parse_several(params.camera)
     gripper = named_grippers.parse(params.gripper if params.gripper is not None else cameras[0].own_gripper)
     if params.watchdog_ms is not None:
         if params.watchdog_ms % WATCHDOG_STEP_MS:
             raise InputError(
-                "not a time of the watchdog",
+                "not a valid watchdog time",
                 where="--watchdog-ms",
                 expected="a multiple of 20 ms",
                 found=str(params.watchdog_ms),
@@ -104,22 +104,22 @@ def devices(params: Record) -> tuple[tuple[NamedCamera, ...], NamedGripper]:
         gripper = replace(gripper, watchdog_ms=params.watchdog_ms)
     if any(camera.has(Capability.STEPPED) != gripper.has(Capability.STEPPED) for camera in cameras):
         raise InputError(
-            "a simulated camera and a real gripper (or the other way round) cannot be combined",
+            "a simulated camera and a real gripper (or vice versa) cannot be combined",
             where="--camera, --gripper",
             expected="both sim, or neither",
             found=f"{params.camera}, {gripper}",
         )
     if params.source is not None and not cameras[0].has(Capability.STEPPED):
-        raise InputError("either a file or a camera", where="--from, --camera", found=params.camera)
+        raise InputError("a file and a camera cannot be combined", where="--from, --camera", found=params.camera)
     scenes = any(camera.has(Capability.SCENE) for camera in cameras)
     if len(cameras) > 1 and (scenes or params.preview):
-        expected = "one camera of a simulated world" if scenes else "one camera to look through"
+        expected = "one camera of a simulated world" if scenes else "one camera to preview"
         raise InputError("too many cameras", where="--camera", expected=expected, found=params.camera)
     return cameras, gripper
 
 
 def dry_run(jobs: Sequence[Job], params: Record, *, force: bool = False, progress: Progress = silent) -> Outcome:
-    """What would be built or done, and what that costs; refused what a run refuses."""
+    """Return what would be built or done and its cost; it refuses everything that a run refuses."""
     each = [job.first if isinstance(job, Listening) else job for job in jobs]
     trials = [job for job in each if isinstance(job, DeviceRecording)]
     if trials:
@@ -134,7 +134,7 @@ def dry_run(jobs: Sequence[Job], params: Record, *, force: bool = False, progres
 
 
 def run(job: Job, params: Record, *, force: bool = False, progress: Progress = silent) -> Outcome:
-    """Record one trial, or import one file; with --preview, show the camera of the trial instead."""
+    """Record one trial, or import one file; with --preview, only show the camera of the trial."""
     match job:
         case Preview():
             return preview.run(job)

@@ -1,4 +1,4 @@
-"""One camera of a trial: the file that it fills, and the thread that reads it where it is not the first."""
+"""One camera of a trial: its file, and the thread that reads it if it is not the first camera."""
 
 import math
 import threading
@@ -18,31 +18,31 @@ from evetac_cli.trials import session
 from evetac_cli.trials.record.current_ramp import GripperLoop
 from evetac_cli.trials.session import LateSlices, TimeSample
 
-# Of another camera; beyond them its driver drops, and counts, events.
+# Limits for a camera other than the first; beyond them its driver drops, and counts, events.
 WAITING_EVENTS, WAITING_SLICES = 4_000_000, 60_000
 
 
 class SliceThread:
     """Reads another camera of the same trial, so that no camera waits for the other.
 
-    Slices are kept, each with the time (s) at which it came, until they are taken; not more than a bounded number.
+    Slices are kept until they are taken, up to a limit, each with the time (s) of its arrival.
     """
 
     def __init__(self, camera: EventCamera) -> None:
         self._camera = camera
         self._slices: deque[tuple[Events, float]] = deque()
-        self._waiting = 0  # events
+        self._waiting = 0  # waiting events
         self._lock = threading.Lock()
         self._running = True
         self._thread = threading.Thread(target=self._run, name="slices", daemon=True)
         self.error: Exception | None = None
 
     def start(self) -> None:
-        """Begin to read the camera."""
+        """Start reading the camera."""
         self._thread.start()
 
     def take(self) -> list[tuple[Events, float]]:
-        """The slices that came since the last call, oldest first."""
+        """Return the slices that arrived since the last call, oldest first."""
         with self._lock:
             taken = list(self._slices)
             self._slices.clear()
@@ -50,7 +50,7 @@ class SliceThread:
         return taken
 
     def stop(self) -> None:
-        """End after the slice that is awaited; the camera is not read after this returns."""
+        """Stop after the next slice; the camera is not read after this returns."""
         self._running = False
         if self._thread.is_alive():
             self._thread.join()
@@ -63,13 +63,13 @@ class SliceThread:
                     self._waiting += events.size
                 while self._running and (self._waiting > WAITING_EVENTS or len(self._slices) > WAITING_SLICES):
                     time.sleep(1e-3)
-        except Exception as error:  # raised by the thread that records
+        except Exception as error:  # raised by the recording thread
             self.error = error
 
 
 @dataclass
 class CameraRecording:
-    """One camera of a trial, the file that it fills, and how that goes."""
+    """One camera of a trial, its file, and the state of its recording."""
 
     output: Path
     rig: Rig
@@ -78,11 +78,11 @@ class CameraRecording:
     slices: int = 0
     events: int = 0
     ended: str = ""
-    saved: Path | None = None  # the file, or the folder that is left to repair
+    saved: Path | None = None  # the file, or the folder left for repair
     error: Exception | None = None
-    first_s: float = 0.0  # when the first and the last slice came
+    first_s: float = 0.0  # arrival time of the first and the last slice
     last_s: float = 0.0
-    late_us: float = math.nan  # of the last slice, from its end until it came, where that is known
+    late_us: float = math.nan  # delay of the last slice, from its end to its arrival, if known
     delays: TimeSample = field(default_factory=TimeSample)
     late_slices: LateSlices = field(default_factory=lambda: LateSlices(1e6 * session.BEHIND_S))
     loop: GripperLoop | None = None  # commands the gripper, if there is one
@@ -101,7 +101,7 @@ class CameraRecording:
         self.writer.append(events)
 
     def datasets(self, first: Rig) -> dict[str, Any]:
-        """The datasets capture/...; how the clock of this camera lies to that of the first, if it is another."""
+        """Return the datasets capture/...; for another camera, with the offset of its clock to the first camera's."""
         seconds = self.last_s - self.first_s
         rows: dict[str, Any] = {"capture/ended": self.ended}
         if seconds > 0:

@@ -1,12 +1,12 @@
-"""Recording from devices: whatever ends it, what was recorded until then is saved.
+"""Recording from devices: however it ends, the data recorded until then are saved.
 
-The camera gives the pace: its slices are written as they come. A gripper is commanded by a thread of its own
-(current_ramp.py). The end of the time, Ctrl-C, a gripper that has let go and a device that fails all end with a valid
-file, which says why it ended, what was lost and how well time was kept. A full disk and a kill leave a NAME.part/ for
-`evetac repair`.
+The camera sets the pace: its slices are written as they arrive. A thread of its own commands the gripper
+(current_ramp.py). When the time is over, Ctrl-C is pressed, the gripper has released the object, or a device fails, the
+result is a valid file. The file states why it ended, what was lost and how well time was kept. A full disk or a kill
+leaves a NAME.part/ for `evetac repair`.
 
-Several cameras of one trial fill a file each; these share a trajectory id and say how their clocks lie to each other.
-The first camera leads: it gives the number of slices, and its file has the gripper.
+Several cameras of one trial fill one file each. These share a trajectory id and store the offset between their clocks.
+The first camera leads: it determines the number of slices, and its file has the gripper.
 """
 
 import sys
@@ -45,17 +45,18 @@ from evetac_cli.trials.trial import OUTPUT
 if TYPE_CHECKING:
     from evetac_cli.trials.listen.desk import Desk
 
-NEWS_SLICES = 100  # after so many slices it is asked what was lost, and said
-METHOD = 1  # of recordings from devices
-SWITCH_S = 5e-4  # the interpreter's threads take turns so often: a command waits no longer for the camera's thread
-OWN_PARAMETERS = (  # of each trial
+NEWS_SLICES = 100  # number of slices after which losses are checked and reported
+METHOD = 1  # method version of recordings from devices
+# how often the interpreter's threads take turns: a command waits no longer than this for the camera's thread
+SWITCH_S = 5e-4
+OWN_PARAMETERS = (  # parameters that may differ between trials of a series
     *("trial", "trajectory", "object", "object_row", "sensor_row"),
     *("sampled_holding_ma", "sampled_fall_factor"),
 )
 
 
 def run(trial: DeviceRecording, *, force: bool = False, progress: Progress, desk: "Desk | None" = None) -> Outcome:
-    """Record one trial from devices. desk: a robot's program began it, and may mark and end it."""
+    """Record one trial from devices. desk: a robot's program started it, and may mark and end it."""
     if is_done(trial, force=force):
         return _earlier(trial)
     check(trial, force=force, taken=TAKEN if desk is None else NAME_TAKEN)
@@ -67,11 +68,11 @@ def run(trial: DeviceRecording, *, force: bool = False, progress: Progress, desk
         came = opened.enter_context(interrupts.signals_interrupt())
         name = f"record {trial.output.name}"
         view = opened.enter_context(live_view.opened(trial, name, moves=trial.hold is not None))
-        # A gripper holds for as long as all threads are in time: those of the camera, which share the interpreter, too.
-        held = trial.gripper.has(Capability.HARDWARE) and not any(
+        # The gripper only holds while all threads are on time, including the camera's, which share the interpreter.
+        needs_priority = trial.gripper.has(Capability.HARDWARE) and not any(
             camera.has(Capability.SCENE) for camera in trial.cameras
         )
-        priority.enter_context(raised_priority(session.PRIORITY, wanted=held))
+        priority.enter_context(raised_priority(session.PRIORITY, wanted=needs_priority))
         recordings: list[CameraRecording] = []
         opened.push(lambda kind, error, trace: _discard_empty(recordings, failed=error is not None))
         trajectory = {"trajectory": uuid4().hex} if len(trial.cameras) > 1 else {}
@@ -99,13 +100,13 @@ def run(trial: DeviceRecording, *, force: bool = False, progress: Progress, desk
             priority.close()
             if recordings[0].ended == ABORTED:
                 return _thrown_away(recordings)
-            signals.append(0)  # from here on a single Ctrl-C breaks off: the devices are let go of, the segments stay
+            signals.append(0)  # from here a single Ctrl-C aborts: the devices are released, and the segments stay
             _finish(recordings, datasets)
     return _result(trial, recordings, datasets, interrupted=any(signals))
 
 
 def _thrown_away(recordings: Sequence[CameraRecording]) -> Outcome:
-    """Throw away what was recorded; an error in letting go of the devices goes on from here."""
+    """Discard the recording; an error from the release of the devices is raised."""
     for recording in recordings:
         recording.writer.discard()
     if recordings[0].error is not None:
@@ -114,7 +115,7 @@ def _thrown_away(recordings: Sequence[CameraRecording]) -> Outcome:
 
 
 def _earlier(trial: DeviceRecording) -> Outcome:
-    """The rows of a trial that was recorded before."""
+    """Return the rows of a trial that was recorded before."""
     simulated = [bool(header_of(output, OUTPUT)["simulated"]) for output in trial.outputs]
     rows = [
         row
@@ -131,7 +132,7 @@ def _begin(
     trajectory: Mapping[str, Any],
     view: LiveView | None,
 ) -> CameraRecording:
-    """Begin the file of the camera at this place among those of a trial."""
+    """Begin the file of the camera with this index in a trial."""
     output = trial.outputs[place]
     sensor = {"t_offset": np.int64(0), **rig.known_sensor()}
     if trial.calibrations:
@@ -141,10 +142,10 @@ def _begin(
         view.begin(sensor)
     hold = _hold(trial, rig)
     asked_ma = None if trial.hold is None else trial.hold.holding_ma
-    # A current that every trial draws for itself belongs to the trial, not to how the series is set up.
-    drawn = {} if hold is None or asked_ma is not None else {"sampled_holding_ma": hold.holding_ma}
+    # A current that every trial draws belongs to the trial, not to the setup of the series.
+    sampled = {} if hold is None or asked_ma is not None else {"sampled_holding_ma": hold.holding_ma}
     if hold is not None and hold.fall_factor != 1.0:
-        drawn["sampled_fall_factor"] = hold.fall_factor
+        sampled["sampled_fall_factor"] = hold.fall_factor
     recipe = session.make_recipe(
         METHOD,
         {**({} if trial.plan is None else trial.plan.parameters()), **trajectory, "trial": trial.number},
@@ -152,7 +153,7 @@ def _begin(
         sensor,
         {
             "current_ramp": None if hold is None else _set_up(hold, asked_ma),
-            **drawn,
+            **sampled,
             "current_ramp_seed": trial.seed,
         },
         parents=rig.parents,
@@ -164,7 +165,7 @@ def _begin(
 
 
 def _set_up(hold: Hold, asked_ma: float | None) -> dict[str, Any]:
-    """How the gripper is commanded, for the recipe: the course of its current, if it follows one."""
+    """Return the gripper's commands for the recipe: the course of its current if it follows one, or the ramp."""
     if hold.course is not None:
         return {"course": asdict(hold.course)}
     ramp = {**asdict(hold), "holding_ma": asked_ma}
@@ -173,7 +174,7 @@ def _set_up(hold: Hold, asked_ma: float | None) -> dict[str, Any]:
 
 
 def check_series(others: Iterable[Path], recipe: Recipe) -> None:
-    """Refuse to go on with a series, the files of one camera, that was begun with another set-up."""
+    """Refuse to resume a series, the files of one camera, that was begun with another setup."""
     for other in others:
         if not other.exists():
             continue
@@ -183,22 +184,22 @@ def check_series(others: Iterable[Path], recipe: Recipe) -> None:
         now = Recipe(OUTPUT, METHOD, wanted, header["seed"], recipe.parents, header["content"], recipe.simulated_source)
         if now.id != header["id"]:
             raise InputError(
-                "the series was begun with another set-up",
+                "the series was begun with a different setup",
                 where=str(other),
                 found=first_difference(now, header),
-                hint="set it up as it was, or begin a series of its own with -o",
+                hint="restore the setup, or start a new series with -o",
             )
 
 
 def _discard_empty(recordings: Sequence[CameraRecording], *, failed: bool) -> None:
-    """Where nothing was recorded before something failed, nothing is left."""
+    """Discard the files if something failed before anything was recorded."""
     for recording in recordings:
         if failed and recording.slices == 0:
             recording.writer.discard()
 
 
 def _release(recordings: Sequence[CameraRecording]) -> None:
-    """Let go of all devices before the files are joined, which may take a while: torque must not wait for it."""
+    """Release all devices before the files are joined, which may take a while: torque must not wait for it."""
     for recording in recordings:
         try:
             recording.rig.close()
@@ -207,7 +208,7 @@ def _release(recordings: Sequence[CameraRecording]) -> None:
 
 
 def _finish(recordings: Sequence[CameraRecording], datasets: Sequence[Mapping[str, Any]]) -> None:
-    """Join every file, also where another cannot be."""
+    """Join every file, even if another cannot be joined."""
     errors: list[EvetacError] = []
     for recording, late in zip(recordings, datasets, strict=True):
         if recording.slices == 0:
@@ -222,7 +223,7 @@ def _finish(recordings: Sequence[CameraRecording], datasets: Sequence[Mapping[st
 
 
 def _hold(trial: DeviceRecording, rig: Rig) -> Hold | None:
-    """How the object is handled; None without a gripper, as beside a second camera."""
+    """Return how the object is handled; None without a gripper, for example for a second camera."""
     return None if rig.gripper is None or trial.hold is None else trial.hold.hold(rig.holding_ma, rig.fall_factor)
 
 
@@ -237,7 +238,7 @@ def _write(
     view: LiveView | None,
     desk: "Desk | None",
 ) -> None:
-    """Follow the cameras until something ends the recording; a device that failed is in the result."""
+    """Follow the cameras until something ends the recording; a device failure is stored in the result."""
     first = recordings[0]
     if first.rig.gripper is not None and hold is not None:
         state, law = start(hold), hold
@@ -262,7 +263,7 @@ def _write(
         if first.slices == 0:
             raise
         for recording in recordings:
-            with suppress(EvetacError):  # of a full disk, which is the error already
+            with suppress(EvetacError):  # on a full disk, which is the error already
                 recording.writer.close_segment()
             recording.writer.leave()
         raise session.with_hint(error, first.writer) from None
@@ -288,7 +289,7 @@ def _follow(
     view: LiveView | None,
     desk: "Desk | None",
 ) -> None:
-    """Read and write slice by slice until something ends the recording, and say what; a failure is raised."""
+    """Read and write slices until something ends the recording, and store the reason; a failure is raised."""
     first = recordings[0]
     loop = first.loop
     news = [LossNews() for _ in recordings]
@@ -331,13 +332,13 @@ def _follow(
 
 
 def _mark(first: CameraRecording, desk: "Desk", *, last: bool = False) -> None:
-    """Write the marks that came; last: there will be no more."""
+    """Write the marks that arrived; last: there will be no more."""
     for row in desk.marked(last=last):
         first.writer.append_rows(row)
 
 
 def _tell(recordings: Sequence[CameraRecording], news: Sequence[LossNews], view: LiveView | None) -> None:
-    """Say what was lost since the last time; a second camera by the name of its file."""
+    """Report new losses; for several cameras with the name of the file."""
     if view is not None:
         view.lost(recordings[0].rig.counted())
     say = console.say if view is None else view.say
@@ -347,7 +348,7 @@ def _tell(recordings: Sequence[CameraRecording], news: Sequence[LossNews], view:
 
 
 def _fetch(recordings: Sequence[CameraRecording], view: LiveView | None) -> None:
-    """Write what came beside the slices of the first camera: commands, and slices of the others."""
+    """Write data that arrived alongside the first camera's slices: commands, and slices of other cameras."""
     first = recordings[0]
     if first.loop is not None:
         for row in first.loop.rows():
@@ -367,7 +368,7 @@ def _result(
     *,
     interrupted: bool,
 ) -> Outcome:
-    """A row for each file; an error or Ctrl-C goes on from here, and says what was saved."""
+    """Return a row per file; an error or Ctrl-C is raised again here with the saved files."""
     saved = [(each, rows) for each, rows in zip(recordings, datasets, strict=True) if each.slices]
     files = ", ".join(
         f"{recording.slices:,} slices in {session.place(recording.saved)}" for recording, _ in saved if recording.saved
@@ -383,7 +384,7 @@ def _result(
 
 
 def _row(trial: DeviceRecording, recording: CameraRecording, datasets: Mapping[str, Any]) -> dict[str, Any]:
-    """What the table says of one file."""
+    """Return the table row of one file."""
     none = (None, None, None)
     late_us, command_us = (datasets.get(f"capture/{name}", none) for name in ("slice_late_us", "command_us"))
     loop = recording.loop

@@ -1,4 +1,4 @@
-"""What a recording from devices is about to do: shown, and refused where it would fail, before a device is touched."""
+"""The plan of a recording from devices: shown, and refused if it would fail, before a device is touched."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
@@ -17,26 +17,30 @@ from evetac_cli.trials import session
 from evetac_cli.trials.record.current_ramp import Hold
 from evetac_cli.trials.trial import DeviceTrial
 
-HOLDING_MA = 50.0  # where no current is asked for
-SECONDS = 60.0  # room on the disk for so long, where nothing says how long it will take
-INSTEAD = ("closing_ma", "holding_ma", "hold_s", "lowest_ma")  # what a current to follow stands in place of
-TAKEN = "--resume goes on with a series, --force replaces it, -o NAME writes elsewhere"
+HOLDING_MA = 50.0  # default holding current
+SECONDS = 60.0  # duration for the disk space check, if no duration is known
+INSTEAD = ("closing_ma", "holding_ma", "hold_s", "lowest_ma")  # options that a followed current replaces
+TAKEN = "--resume continues a series, --force replaces it, -o NAME writes elsewhere"
 NAME_TAKEN = "start another name; record --listen --force replaces it"
 
 
 @dataclass(frozen=True)
 class HoldRequest:
-    """How the object is to be handled; holding_ma: None where a simulated scene draws it for each trial."""
+    """The requested handling of the object; holding_ma: None if a simulated scene draws it for each trial."""
 
     closing_ma: int
     holding_ma: float | None
     hold_s: float
     lowest_ma: float
-    course: GripperCurrent | None  # that the gripper follows instead of closing, holding and letting the current fall
+    # current that the gripper follows instead of closing, holding and lowering the current
+    course: GripperCurrent | None
 
     @classmethod
     def of(cls, params: Record, plan: Plan | None) -> "HoldRequest":
-        """As the flags and the scene say; InputError for a current that cannot fall, and for options without effect."""
+        """Return the request of the flags and the scene.
+
+        InputError for a current that cannot fall, or unused options.
+        """
         asked_ma = params.holding_ma if params.holding_ma is not None or plan is not None else HOLDING_MA
         request = cls(params.closing_ma, asked_ma, params.hold_s, params.lowest_ma, _course(params, plan))
         if asked_ma is not None:
@@ -44,7 +48,7 @@ class HoldRequest:
         return request
 
     def hold(self, sampled_ma: float, fall_factor: float = 1.0) -> Hold:
-        """The hold of one trial; both are what its scene draws. InputError for a current that cannot fall."""
+        """Return the hold of one trial; its scene draws both arguments. InputError for a current that cannot fall."""
         holding_ma = sampled_ma if self.holding_ma is None else self.holding_ma
         if self.course is None and self.lowest_ma >= holding_ma:
             raise InputError(
@@ -62,7 +66,7 @@ class HoldRequest:
         holding = f"{self.holding_ma} mA" if self.holding_ma is not None else "the current of its scene"
         return (
             f"closes with {self.closing_ma:g} mA until contact, holds with {holding} for {self.hold_s:g} s,"
-            f" lets the current fall to {self.lowest_ma:g} mA"
+            f" lowers the current to {self.lowest_ma:g} mA"
         )
 
 
@@ -70,9 +74,11 @@ class HoldRequest:
 class DeviceRecording(DeviceTrial):
     """A trial that is recorded from devices.
 
-    settings: of the cameras; hold: None where no gripper is moved; calibrations: of each camera, to store with it;
-    seconds: after which it ends, if anything else does not; events_per_s: that the disk must have room for; resume: go
-    on with a series; armed: whether real fingers may be moved.
+    settings: of the cameras; hold: None if no gripper moves; calibrations: of each camera, to store with it.
+
+    seconds: the longest duration; events_per_s: the event rate that the disk must have room for.
+
+    resume: continue a series; armed: whether a real gripper may be moved.
     """
 
     settings: CameraSettings
@@ -85,7 +91,7 @@ class DeviceRecording(DeviceTrial):
 
     @classmethod
     def of(cls, trial: DeviceTrial, params: Record) -> "DeviceRecording":
-        """A trial as the flags say; InputError for what does not fit together."""
+        """Return a trial with the settings of the flags; InputError for settings that do not fit together."""
         frames_px = [] if params.calibration is None else [camera.frame_px() for camera in trial.cameras]
         return cls(
             **vars(trial),
@@ -100,7 +106,7 @@ class DeviceRecording(DeviceTrial):
 
     @property
     def expected_s(self) -> float:
-        """How long it is taken to be where room on the disk is asked for."""
+        """The duration assumed for the disk space check, in s."""
         if self.seconds is not None:
             return self.seconds
         course = None if self.hold is None else self.hold.course
@@ -108,80 +114,82 @@ class DeviceRecording(DeviceTrial):
 
 
 def camera_settings(params: Record) -> CameraSettings:
-    """Thresholds and readout rate of the camera, as the flags say."""
+    """Return thresholds and readout rate of the camera from the flags."""
     return CameraSettings(params.threshold_on, params.threshold_off, params.readout_rate)
 
 
 def _course(params: Record, plan: Plan | None) -> GripperCurrent | None:
-    """The current that the gripper follows: that of --current-of, else of the scene, if it names one.
+    """Return the current that the gripper follows: that of --current-of, or of the scene, if it names one.
 
-    InputError if the scene of --current-of names none, or for an option that then has no effect.
+    InputError if the scene of --current-of names none, or for an option without effect.
     """
     if params.current_of is not None:
-        named = f"--current-of {params.current_of}"
+        flag = f"--current-of {params.current_of}"
         course = scene_file.load(params.current_of).gripper.current
         if course is None:
             raise InputError(
                 "this scene names no current for the gripper",
                 where="--current-of",
-                expected="a scene with gripper.current, as grip-steps",
+                expected="a scene with gripper.current, for example grip-steps",
                 found=params.current_of,
             )
     else:
-        named = f"--scene {params.scene}"
+        flag = f"--scene {params.scene}"
         course = None if plan is None else plan.scene.gripper.current
     for item in fields(params) if course is not None else ():
         if item.name in INSTEAD and getattr(params, item.name) != item.default:
-            expected = "one of the two: the gripper follows the scene's current from the first command to the last"
-            raise InputError(f"has no effect with {named}", where=flag_of(item), expected=expected)
+            expected = "only one of them: the gripper follows the scene's current from the first command to the last"
+            raise InputError(f"has no effect with {flag}", where=flag_of(item), expected=expected)
     return course
 
 
 def check(trial: DeviceRecording, *, force: bool, taken: str = TAKEN) -> None:
-    """InputError for whatever can be known to be wrong with the outputs of a trial before a device is touched.
+    """Raise InputError for every fault of a trial's outputs that can be found before a device is touched.
 
-    taken: what to do where one exists.
+    taken: the hint if an output exists.
     """
     for camera in trial.cameras:
-        camera.frame_px()  # of a recording that is played: that it can be read
+        camera.frame_px()  # for a replay, this checks that the recording can be read
     session.refuse_taken(trial, again="a recording from a device", hint=taken, force=force, resume=trial.resume)
-    hint = "--expected-event-rate and --seconds say what is needed"
+    hint = "--expected-event-rate and --seconds set the room that is needed"
     session.check_room(trial, trial.events_per_s, trial.expected_s, hint)
 
 
 def is_done(trial: DeviceRecording, *, force: bool) -> bool:
-    """Whether the trial of a series that goes on was recorded before."""
+    """Return whether the trial of a resumed series was recorded before."""
     return trial.resume and not force and all(output.exists() for output in trial.outputs)
 
 
 def dry_run(trials: Sequence[DeviceRecording], *, force: bool, writes: bool) -> Outcome:
-    """What would be opened and done, checked as by a run; no device is touched, and no file written.
+    """Return what would be opened and done, checked as in a run; no device is touched, and no file written.
 
-    writes: whether a run would write files, as a preview does not.
+    writes: whether a run would write files; a preview does not.
     """
     for trial in trials:
         if writes and not is_done(trial, force=force):
             check(trial, force=force)
     first = trials[0]
-    given = ", ".join(f"{name} {value}" for name, value in first.settings.given().items())
+    settings = ", ".join(f"{name} {value}" for name, value in first.settings.given().items())
     room_mb = session.needed_bytes(first.events_per_s, first.expected_s) / 1e6
     rate = f"{first.events_per_s:,.0f} events/s for {first.expected_s:g} s"
     parts = [
-        *(("camera", str(camera), given or "the driver's settings") for camera in first.cameras),
+        *(("camera", str(camera), settings or "the driver's settings") for camera in first.cameras),
         ("gripper", str(first.gripper), "not moved" if first.hold is None else str(first.hold)),
-        ("end", _end(first), f"room for {room_mb:,.0f} MB is asked for, {rate}"),
+        ("end", _end(first), f"needs room for {room_mb:,.0f} MB, {rate}"),
     ]
     return session.plan_shown(trials, parts, simulated=any(camera.shows_simulation() for camera in first.cameras))
 
 
 def _end(trial: DeviceRecording) -> str:
-    """What ends a recording, in words."""
+    """Return a phrase on what ends a recording."""
     if trial.seconds is not None:
         return f"after {trial.seconds:g} s"
     ends = []
     if trial.hold is not None:
         course = trial.hold.course
-        ends.append("it lets go" if course is None else f"the gripper has followed its current, {course.ends_s:g} s")
+        ends.append(
+            "the gripper lets go" if course is None else f"the gripper has followed its current, {course.ends_s:g} s"
+        )
     if trial.cameras[0].has(Capability.REPLAY):
         ends.append("the recording is over")
     return "until " + ", or ".join([*ends, "Ctrl-C"])

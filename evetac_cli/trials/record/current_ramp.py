@@ -1,12 +1,13 @@
-"""What a gripper does in a recording from devices: it closes until contact, holds, and lets the current fall.
+"""The gripper in a recording from devices: it closes until contact, holds, and then lowers the current.
 
-Or it follows the current that a scene names (gripper.current).
+Alternatively it follows the current that a scene names (gripper.current).
 
-The law is a pure start/step state machine; the loop runs it at 500 Hz in a thread of its own, so that a gripper that
-answers late does not hold up the camera. Whoever fetches its rows records, and shows by that that it is alive: where it
-is not for FRESH of the watchdog's time (or RECORDER_MS), or the loop itself was stopped for longer than that time, the
-gripper is let go of before it is commanded again. (paper, "Experimental Setup and Data Collection Procedure"; in a
-simulated scene simulated.py commands in step with the scene's time instead.)
+The law is a pure start/step state machine (paper, "Experimental Setup and Data Collection Procedure"). GripperLoop runs
+it at 500 Hz in a thread of its own, so that a gripper that answers late does not delay the camera. The recording thread
+fetches the loop's rows, which also shows that it is alive. The loop switches torque off before its next command if the
+recording thread gave no sign of life for FRESH of the watchdog's time (or RECORDER_MS if longer). It does the same if
+it was itself stopped for longer than the watchdog's time. In a simulated scene there is no loop; simulated.py
+commands in step with the scene's time.
 """
 
 import math
@@ -30,16 +31,16 @@ from evetac_cli.sim.setup.held import GripperCurrent
 from evetac_cli.trials.session import FRESH, OPENED, OVERLOADED, RECORDER_MS, TimeSample
 
 COMMAND_MS = 2  # the gripper is commanded at 500 Hz
-RAMP_MA = (-0.025, -0.0025)  # change of the target current a command (paper)
-HANGS_S = 0.5  # a loop that gave no command for so long, or some times the watchdog's time, hangs
+RAMP_MA = (-0.025, -0.0025)  # change of the target current per command (paper)
+HANGS_S = 0.5  # a loop hangs after this long without a command, or after HANGS_WATCHDOGS watchdog times if longer
 HANGS_WATCHDOGS = 4
-OPENING_S = 2.0  # so much longer while it opens the gripper
-END_S = 5.0  # for the command that is under way, at the end
-OPENED_TICKS = 30  # an object is lost once the fingers are so far apart again: 4 mm
+OPENING_S = 2.0  # extra time while it opens the gripper
+END_S = 5.0  # time for the command in progress, at the end
+OPENED_TICKS = 30  # an object counts as lost once the fingers are this far apart again: 4 mm
 
 
 class RampPhase(IntEnum):
-    """The three phases of a recording with a gripper, in their order."""
+    """The three phases of a recording with a gripper, in order."""
 
     CLOSING = 0
     HOLDING = 1
@@ -48,15 +49,16 @@ class RampPhase(IntEnum):
 
 @dataclass(frozen=True)
 class Hold:
-    """How an object is gripped and let go, in motor current; closing is positive.
+    """How an object is gripped and released, in motor current; closing is positive.
 
-    course: what the current follows instead, from the first command on; fall_factor: on how fast the current falls.
+    course: a current to follow instead, starting at the first command; fall_factor: factor on the rate at which the
+    current falls.
     """
 
     closing_ma: int
     holding_ma: float
     hold_s: float
-    lowest_ma: float  # the recording ends where the target falls below
+    lowest_ma: float  # the recording ends when the target falls below this
     course: GripperCurrent | None = None
     fall_factor: float = 1.0
 
@@ -70,19 +72,19 @@ class HoldState:
     target_ma: float = math.nan
     touch_ticks: int = 0
     held: int = 0
-    ended: str = ""  # why there is nothing left to do
+    ended: str = ""  # why the sequence is over; "" before
 
 
 def start(hold: Hold) -> HoldState:
-    """The state before the first command."""
+    """Return the state before the first command."""
     return HoldState(Closing(ClosingSettings(current_ma=hold.closing_ma)))
 
 
 def step(state: HoldState, hold: Hold, reading: GripperReading, rng: np.random.Generator) -> float:
-    """One command: returns the target current in mA, and sets `state.ended` in words once there is nothing left to do.
+    """Return the target current of one command in mA, and set `state.ended` to the reason once the sequence is over.
 
-    The target falls by fall_factor times U(-0.025, -0.0025) mA per command (paper, with a factor of 1); what is written
-    to the gripper is its whole number. DeviceError if the fingers meet nothing.
+    The target falls by fall_factor times U(-0.025, -0.0025) mA per command (paper, with a factor of 1). The integer
+    nearest to it is written to the gripper. DeviceError if the fingers close without contact.
     """
     if hold.course is not None:
         time_s = state.held * COMMAND_MS * 1e-3
@@ -110,11 +112,11 @@ def step(state: HoldState, hold: Hold, reading: GripperReading, rng: np.random.G
 
 
 class RecorderHangs(DeviceError):
-    """Whoever records gives no sign of life; it cannot say so itself now."""
+    """The recording thread gives no sign of life; it cannot report that itself now."""
 
 
 class GripperLoop:
-    """A thread that reads and commands a gripper every 2 ms, and keeps a row of each command until it is fetched."""
+    """A thread that reads and commands a gripper every 2 ms, and keeps a row per command until it is fetched."""
 
     def __init__(
         self,
@@ -125,9 +127,10 @@ class GripperLoop:
         watchdog_ms: float = math.inf,
         key: EmergencyKey | None = None,
     ) -> None:
-        """act: (target current in mA, why it is over or "") for a reading; now_us: device time of the recording.
+        """act: returns (target current in mA, reason for the end or "") for a reading.
 
-        time: by which the loop goes; watchdog_ms: of the gripper; key: opens the gripper, and ends the loop.
+        now_us: device time of the recording; time: time source of the loop; watchdog_ms: of the gripper; key: opens the
+        gripper, and ends the loop.
         """
         self._gripper = gripper
         self._act = act
@@ -138,32 +141,32 @@ class GripperLoop:
         self._rows: deque[dict[str, Any]] = deque()
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="gripper", daemon=True)
-        self._fetched_s = self._alive_s = math.inf  # when rows were last fetched, and when the loop last commanded
+        self._fetched_s = self._alive_s = math.inf  # time of the last fetch of rows, and of the loop's last command
         self._error: Exception | None = None
         self.commands = 0
-        self.misses = 0  # times at which no command was given, because the one before took too long
-        self.cycle_us = TimeSample()  # time that reading and commanding took
+        self.misses = 0  # missed commands, because the one before took too long
+        self.cycle_us = TimeSample()  # duration of reading and commanding
         self.ended = ""
 
     def start(self) -> None:
-        """Begin to command the gripper."""
+        """Start commanding the gripper."""
         self._fetched_s = self._alive_s = self._time.now_s()
         self._thread.start()
 
     def stop(self) -> None:
-        """End after the command that is under way; the gripper is not used after this returns."""
+        """End after the command in progress; the gripper is not used after this returns."""
         self._stop.set()
         if self._thread.is_alive():
             self._thread.join(END_S)
 
     def rows(self) -> list[dict[str, Any]]:
-        """The rows of the commands given since the last call, oldest first; shows that somebody records."""
+        """Return the rows of commands since the last call, oldest first; the call shows that the recording is alive."""
         self._fetched_s = self._time.now_s()
         return [self._rows.popleft() for _ in range(len(self._rows))]
 
     @property
     def error(self) -> Exception | None:
-        """What failed, that the loop hangs included; None if nothing did."""
+        """The failure of the loop, including a hang; None without one."""
         silent_s = self._time.now_s() - self._alive_s
         if (
             self._error is None
@@ -190,7 +193,7 @@ class GripperLoop:
                     self.misses += missed
                     due += missed * COMMAND_MS * 1e-3
                 self._time.sleep(max(0.0, due - now))
-        except Exception as error:  # raised by the thread that records
+        except Exception as error:  # raised by the recording thread
             self._let_go(error)
 
     def _command(self) -> None:
@@ -205,9 +208,10 @@ class GripperLoop:
         self.commands += 1
 
     def _check_that_all_live(self) -> None:
-        """DeviceError where no command may be given: this loop was stopped, or nobody records."""
+        """Raise DeviceError if no command may be sent: this loop was stopped, or the recording thread hangs."""
         now_s = self._time.now_s()
-        if self.commands and now_s - self._alive_s > self._watchdog_s:  # the servo has let go, and must not grip again
+        # the servo's watchdog has stopped the motor, which must not grip again
+        if self.commands and now_s - self._alive_s > self._watchdog_s:
             stopped_ms = (now_s - self._alive_s) * 1e3
             raise DeviceError(f"the program was stopped for {stopped_ms:.0f} ms", hint=OVERLOADED)
         if now_s - self._fetched_s > max(FRESH * self._watchdog_s, 1e-3 * RECORDER_MS):
@@ -215,13 +219,13 @@ class GripperLoop:
             raise RecorderHangs(f"the recorder hangs: no sign of life for {silent_ms:.0f} ms", hint=OVERLOADED)
 
     def _open(self) -> None:
-        """What the emergency key does."""
+        """Open the gripper: the action of the emergency key."""
         self._alive_s += OPENING_S
         self._gripper.emergency_open()
         self.ended = OPENED
 
     def _let_go(self, error: Exception) -> None:
-        """Torque off at once, whatever the thread that records is doing; then let that one know."""
+        """Switch torque off at once, without waiting for the recording thread; then store the error for it."""
         try:
             self._gripper.close()
         except DeviceError as failed:

@@ -21,26 +21,26 @@ from evetac_cli.store.layout.provenance import ContentDigest, Recipe
 from evetac_cli.store.recordings.read import UNKNOWN_SENSOR
 from evetac_cli.trials.trial import OUTPUT
 
-if TYPE_CHECKING:  # with the libraries of its format
+if TYPE_CHECKING:  # needs the libraries of the file's format
     from evetac_cli.formats.imports import EventFile
 
 METHOD = 3
-# What a user may say of a file; in the header where it was said.
+# Properties of a file that the user may specify; stored in the header if specified.
 SAID = ("drop_late", "from_restart", "columns", "time_unit")
 NO_TIMES = np.empty(0, np.int64)
 
 
 @dataclass(frozen=True)
 class ImportJob(Job):
-    """One recording to make of a foreign event file, its only input."""
+    """One recording to make from a foreign event file, its only input."""
 
 
 def run(job: ImportJob, params: Record, *, force: bool, progress: Progress) -> Outcome:
     """Import an event file of another program as a recording.
 
-    The events are written as they are read, once; what they are, and whether they can be used, is known at the end.
+    The events are written once, as they are read. Their properties, and whether they are usable, are known at the end.
     """
-    from evetac_cli.formats.imports import EventFile, left_out_text  # with the libraries of its format
+    from evetac_cli.formats.imports import EventFile, left_out_text  # needs the libraries of the file's format
     from evetac_cli.formats.read.time_order import OrderOptions
 
     file = EventFile(
@@ -54,12 +54,12 @@ def run(job: ImportJob, params: Record, *, force: bool, progress: Progress) -> O
         folder=existing_folder(job.output.parent),
         progress=progress,
     )
-    known: dict[str, Any] = {"sensor/frame_px": np.array(file.frame_px, np.int32), "sensor/name": UNKNOWN_SENSOR}
+    datasets: dict[str, Any] = {"sensor/frame_px": np.array(file.frame_px, np.int32), "sensor/name": UNKNOWN_SENSOR}
     if params.calibration is not None:
-        known |= read_calibration(params.calibration, file.frame_px).recorded()
+        datasets |= read_calibration(params.calibration, file.frame_px).recorded()
     digest, starts = ContentDigest(), SliceStarts()
     made, folders = False, missing_folders(job.output.parent)
-    with _removed_if_refused(folders), writing(job.output, OUTPUT, known) as recording:
+    with _removed_if_refused(folders), writing(job.output, OUTPUT, datasets) as recording:
         for block in _blocks(file):
             recording.append(block)
             digest.update_all(block)
@@ -70,7 +70,7 @@ def run(job: ImportJob, params: Record, *, force: bool, progress: Progress) -> O
             "t_offset": np.int64(facts.t_offset_us),
             **{path: text for stream in facts.streams for path, text in stream.texts().items()},
         }
-        digest.update_all(known | late)
+        digest.update_all(datasets | late)
         parameters = {
             "source": job.inputs[0].name,
             "format": facts.format,
@@ -98,7 +98,7 @@ def run(job: ImportJob, params: Record, *, force: bool, progress: Progress) -> O
 
 @contextmanager
 def _removed_if_refused(folders: list[Path]) -> Iterator[None]:
-    """Remove folders that were made for a recording of a file that turned out to be unusable; no other job is there."""
+    """Remove folders created for a recording if its source file turns out to be unusable; no other job uses them."""
     try:
         yield
     except EvetacError:
@@ -107,7 +107,7 @@ def _removed_if_refused(folders: list[Path]) -> Iterator[None]:
 
 
 def _blocks(file: "EventFile") -> Iterator[dict[str, Any]]:
-    """The events in blocks, and then the other streams, as the datasets of a recording; each dataset is in one."""
+    """Yield the events in blocks, then the other streams, as datasets of a recording; each dataset is in one stream."""
     for events in chain([empty()], file.blocks()):
         yield {f"events/{column}": getattr(events, column) for column in Events._fields}
     for stream in file.facts.streams:
@@ -115,10 +115,12 @@ def _blocks(file: "EventFile") -> Iterator[dict[str, Any]]:
 
 
 def _frame(text: str | None) -> tuple[int, int] | None:
-    """Width and height of --frame-size; InputError if it is not two numbers."""
+    """Return width and height of --frame-size; InputError if it is not two numbers."""
     if text is None:
         return None
     width, _, height = text.lower().partition("x")
     if not re.fullmatch("[1-9][0-9]{0,4}x[1-9][0-9]{0,4}", text.lower()):
-        raise InputError("not a frame size", where="--frame-size", expected="as in 640x480", found=text)
+        raise InputError(
+            "not a frame size", where="--frame-size", expected="WIDTHxHEIGHT, for example 640x480", found=text
+        )
     return int(width), int(height)

@@ -1,4 +1,4 @@
-"""record --preview: what a camera sees, shown live; nothing is written or moved."""
+"""record --preview: a live display of a camera; nothing is written or moved."""
 
 import time
 from dataclasses import dataclass
@@ -18,12 +18,12 @@ from evetac_cli.trials.live_view import LiveView
 from evetac_cli.trials.record.capture_plan import camera_settings
 from evetac_cli.trials.trial import Trial
 
-NEWS_SLICES = 100  # after so many slices it is asked what was lost
+NEWS_SLICES = 100  # number of slices after which losses are checked
 
 
 @dataclass(frozen=True)
 class Preview(Trial):
-    """A trial whose camera is shown for so many seconds, until its stream ends where they are None."""
+    """A trial whose camera is shown for some seconds, or if they are None until its stream ends."""
 
     exclusive = True
     camera: NamedCamera
@@ -33,7 +33,10 @@ class Preview(Trial):
 
     @classmethod
     def of(cls, trial: Trial, camera: NamedCamera, params: Record) -> "Preview":
-        """A trial as the flags say; InputError for a calibration that does not fit the camera."""
+        """Return a preview with the settings of the flags.
+
+        InputError for a calibration that does not fit the camera.
+        """
         calibration = None
         if params.calibration is not None:
             calibration = read_calibration(params.calibration, camera.frame_px())
@@ -45,7 +48,7 @@ class Preview(Trial):
 
     @property
     def shows_simulation(self) -> bool:
-        """Whether what is shown is, or once was, simulated."""
+        """Whether the camera shows a simulation, or a recording of one."""
         return self.camera.shows_simulation()
 
 
@@ -71,7 +74,7 @@ def run(trial: Preview) -> Outcome:
 
 
 def _watch(rig: Rig, view: LiveView, most: int | None, *, paced: bool) -> dict[str, Any]:
-    """Read and show; `paced` holds a simulation back to real time."""
+    """Read and show slices; `paced` holds a simulation back to real time."""
     slices = total = 0
     began_s = time.monotonic()
     camera = rig.camera

@@ -1,7 +1,7 @@
 """Record a trial in a simulated scene, whose time passes as its slices are read.
 
-Where the scene has a gripper, the object is held by motor current, which is lowered at random until the object slips
-out (paper, "Experimental Setup and Data Collection Procedure"), or the servo opens the gripper (paper, "Data Rate
+If the scene has a gripper, motor current holds the object. The current is lowered at random until the object slips out
+(paper, "Experimental Setup and Data Collection Procedure"), or the servo opens the gripper (paper, "Data Rate
 Experiments").
 """
 
@@ -28,19 +28,19 @@ from evetac_cli.trials.record.current_ramp import COMMAND_MS, RAMP_MA
 from evetac_cli.trials.trial import OUTPUT, SimulatedTrial, SolverFigures
 
 METHOD = 6
-GONE_MS = 250  # from slip to the end of a trial
-CLOSING_TICKS = 3  # how far ahead of the finger the goal is while it closes: one more than just moves it
+GONE_MS = 250  # time from slip to the end of a trial
+CLOSING_TICKS = 3  # how far the goal is ahead of the closing finger: one more than just moves it
 
 
 def make_recipe(trial: SimulatedTrial) -> Recipe:
-    """What determines the recording of a trial."""
+    """Return the recipe of a trial's recording."""
     return Recipe(
         OUTPUT, METHOD, {**trial.plan.parameters(), "trial": trial.number}, seed=trial.seed, simulated_source=True
     )
 
 
 def run(trial: SimulatedTrial, *, force: bool, progress: Progress) -> Outcome:
-    """Simulate one trial and write it; nothing is left of one that is broken off."""
+    """Simulate one trial and write it; an aborted one leaves nothing."""
     recipe = make_recipe(trial)
     if up_to_date(trial.output, recipe, force=force):
         return outcome(trial, made=False, simulated=True)
@@ -52,13 +52,13 @@ def run(trial: SimulatedTrial, *, force: bool, progress: Progress) -> Outcome:
 def _record(trial: SimulatedTrial, recipe: Recipe, view: LiveView | None, progress: Progress) -> Outcome:
     devices, slices = play(trial)
     expected = _expected_slices(devices, GripperSchedule.of_scene(trial.plan.scene))
-    known = {**devices.camera.sensor, "t_offset": np.int64(0), "truth/sampled_parameters": devices.sampled}
+    datasets = {**devices.camera.sensor, "t_offset": np.int64(0), "truth/sampled_parameters": devices.sampled}
     if view is not None:
         view.begin(devices.camera.sensor)
     written = event_count = 0
     solver = SolverFigures()
     try:
-        with TrialWriter(trial.output, known) as writer:
+        with TrialWriter(trial.output, datasets) as writer:
             append = shown_in_real_time(view, writer.append)
             for events, rows in slices:
                 append(events, rows)
@@ -76,11 +76,11 @@ def _record(trial: SimulatedTrial, recipe: Recipe, view: LiveView | None, progre
 
 
 def play(trial: SimulatedTrial, timer: Timer = untimed) -> tuple[Rig, Iterator[tuple[Events, dict[str, Any]]]]:
-    """The devices of a trial, and its slices, each with the truth of the slice and every 2 ms a gripper row.
+    """Return the devices of a trial, and its slices, each with its ground truth and every 2 ms a gripper row.
 
-    A slice is simulated when it is asked for; whoever asks closes the devices. timer: measures the scene's parts.
+    A slice is simulated when it is requested; the caller closes the devices. timer: measures the scene's parts.
     """
-    from evetac_cli.devices.simulated import rig  # builds on numba: only when there is something to simulate
+    from evetac_cli.devices.simulated import rig  # imports numba, so only if there is something to simulate
 
     seeds = trial.seeds()
     ramp = np.random.default_rng(seeds.spawn(1)[0])
@@ -91,7 +91,10 @@ def play(trial: SimulatedTrial, timer: Timer = untimed) -> tuple[Rig, Iterator[t
 def play_through(
     trial: SimulatedTrial, append: Callable[[Events, dict[str, Any]], None], timer: Timer = untimed
 ) -> None:
-    """Hand over every slice of a trial and its rows, until the trial ends or `append` raises; `timer` as for `play`."""
+    """Pass every slice of a trial and its rows to `append`, until the trial ends or `append` raises.
+
+    `timer` as in `play`.
+    """
     devices, slices = play(trial, timer)
     try:
         for events, rows in slices:
@@ -102,10 +105,10 @@ def play_through(
 
 @dataclass(frozen=True)
 class GripperSchedule:
-    """When the gripper does what, in slices: closes to touch, grips with the holding current, lowers it.
+    """The gripper's schedule in slices: close to touch, grip with the holding current, lower the current.
 
-    opens: from ramp_ms on the servo opens it instead, to where it started. course: the current that it follows instead
-    of all that, where the scene names one.
+    opens: starting at ramp_ms the servo opens it instead, to its start position. course: the current that it follows
+    instead of all that, if the scene names one.
     """
 
     close_ms: int
@@ -116,7 +119,7 @@ class GripperSchedule:
 
     @classmethod
     def of_scene(cls, scene: Scene) -> "GripperSchedule":
-        """As the scene says; in a ramp scene the object is held from the start."""
+        """Return the schedule of a scene; in a ramp scene the object is held from the start."""
         time, gripper = scene.time, scene.gripper
         if scene.kind == "ramp":
             return cls(0, 0, round(SLICES_PER_S * (time.rest_s + time.load_s + time.hold_s)))
@@ -128,7 +131,7 @@ class GripperSchedule:
 
 
 def _expected_slices(devices: Rig, schedule: GripperSchedule) -> int:
-    """How many slices a trial will have, for the progress shown: where the object slips out, about so many."""
+    """Return the expected number of slices, for the progress display; an estimate if the object slips out."""
     if math.isnan(devices.slips_at_ma):
         return devices.slices
     a_command_ma = devices.fall_factor * np.mean(RAMP_MA)
@@ -139,7 +142,7 @@ def _expected_slices(devices: Rig, schedule: GripperSchedule) -> int:
 def _slices(
     devices: Rig, schedule: GripperSchedule, rng: np.random.Generator
 ) -> Iterator[tuple[Events, dict[str, Any]]]:
-    """Read every slice, and command the gripper, if there is one, every 2 ms, until the scene has ended."""
+    """Read every slice, and command the gripper, if any, every 2 ms, until the scene has ended."""
     target_ma = devices.holding_ma
     course = schedule.course
     open_ticks = 0 if devices.gripper is None else devices.gripper.read().position_ticks
@@ -148,7 +151,8 @@ def _slices(
     while (events := devices.camera.read()) is not None:
         rows: dict[str, Any] = dict(devices.truth()) if devices.truth else {}
         due = number % COMMAND_MS == 0
-        if course is not None:  # a new current is given at once, so that commands lie at all times between readings
+        # a new current is commanded at once, so that commands occur at all times between readings
+        if course is not None:
             target_ma = course.at(number * 1e-3)
             due = due or round(target_ma) != written_ma
             written_ma = round(target_ma)
@@ -164,7 +168,10 @@ def _slices(
 def _command(
     gripper: Gripper, now_us: int, target_ma: float, now_ms: int, schedule: GripperSchedule, open_ticks: int
 ) -> dict[str, Any]:
-    """One command to the gripper, and its row: position mode until it grips, then current mode, or until it opens."""
+    """Send one command to the gripper and return its row.
+
+    The gripper is in position mode until it grips, then in current mode, unless the schedule opens it.
+    """
     reading = gripper.read()
     if now_ms < schedule.grip_ms:
         gripper.write_position(reading.position_ticks + (CLOSING_TICKS if now_ms >= schedule.close_ms else 0))

@@ -25,10 +25,10 @@ def test_a_position_that_falls_back_is_no_motion() -> None:
 
 def test_closing_on_nothing_is_an_error() -> None:
     """Assert an error in words where the fingers meet, and where they never stop."""
-    with pytest.raises(DeviceError, match="met nothing"):
+    with pytest.raises(DeviceError, match="without contact"):
         Closing(FEW).step(660)
     closing = Closing(FEW)
-    with pytest.raises(DeviceError, match="still closes"):
+    with pytest.raises(DeviceError, match="still closing"):
         for position in range(400, 421):
             closing.step(position)
 

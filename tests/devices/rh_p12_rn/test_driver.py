@@ -213,7 +213,7 @@ def test_watchdog_runs_from_the_first_command_on(monkeypatch: pytest.MonkeyPatch
         driver.write_current(12)
         servo.pass_time(0.5)
         assert (servo.value("Bus Watchdog"), servo.value("Torque Enable")) == (-1, 1)
-        said = r"bus watchdog has tripped(.|\n)*every 100 ms(.|\n)*500 ms of silence(.|\n)*torque is off"
+        said = r"bus watchdog has tripped(.|\n)*every 100 ms(.|\n)*silence 500 ms(.|\n)*torque is off"
         with pytest.raises(DeviceError, match=said):
             driver.write_current(12)
         assert servo.value("Torque Enable") == 0

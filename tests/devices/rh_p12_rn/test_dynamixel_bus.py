@@ -26,7 +26,7 @@ def test_what_cannot_be_opened_is_said(gripper: VirtualGripper, tmp_path: Path) 
         RhP12Rn(gripper.port, baud=12345)
     with RhP12Rn(gripper.port, settings=SLOW), pytest.raises(DeviceError, match="in use"):
         RhP12Rn(gripper.port)
-    with pytest.raises(DeviceTimeout, match="says which id and rate answer"):
+    with pytest.raises(DeviceTimeout, match="which id and rate answer"):
         RhP12Rn(gripper.port, baud=57_600)
     with pytest.raises(DeviceTimeout, match="gripper 7"):
         RhP12Rn(gripper.port, settings=RhP12RnSettings(id=7))

@@ -33,7 +33,7 @@ SEEN_AS = {
     "bad-crc": "answers_damaged",
     "watchdog": "bus watchdog has tripped",
     "overload": "hardware error: overload",
-    "restart": "has no torque any more",
+    "restart": "lost torque",
     "false-position": "reports an impossible position",
     "false-current": "reports an impossible current",
     "false-voltage": "reports an impossible supply",
@@ -409,7 +409,7 @@ def half_open() -> Iterator[VirtualGripper]:
 def test_words_say_what_was_read_back(fresh: VirtualGripper) -> None:
     """Assert that the driver says before, while and after it drove the gripper what is known of torque."""
     driver = RhP12Rn(fresh.port, settings=SLOW)
-    assert driver.release_words == "torque is off: no command was given yet"
+    assert driver.release_words == "torque is off: no command has been sent yet"
     driver.write_current(5)
     assert driver.release_words == "torque is on"
     driver.close()

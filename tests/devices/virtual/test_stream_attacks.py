@@ -57,14 +57,18 @@ def test_a_computer_that_stands_still_changes_no_count(
     [
         (Ending(5000, 1000.0, 100_000, 100_000, 0), True, ["5000 slices in 1000 ms"]),
         (Ending(100, 5000.0, 500_000, 500_000, 0), True, ["100 slices in 5000 ms"]),
-        (Ending(1000, 1000.0, 50_000, 100_000, 0), True, ["0 events said to be lost, 50000 were"]),
+        (Ending(1000, 1000.0, 50_000, 100_000, 0), True, ["0 events reported as lost, 50000 were"]),
         (Ending(1000, 1000.0, 90_000, 100_000, 30_000), True, None),
         (Ending(1000, 1000.0, 90_000, 100_000, "unknown, at least 30,000"), False, None),
-        (Ending(1000, 1000.0, 90_000, 100_000, "unknown, at least 9,000"), True, ["the number is not known"]),
+        (
+            Ending(1000, 1000.0, 90_000, 100_000, "unknown, at least 9,000"),
+            True,
+            ["the number of lost events is unknown"],
+        ),
         (Ending(1000, 1000.0, 50_000, 100_000, "unknown, at least 9,000"), False, []),
         (Ending(1000, 1000.0, 50_000, 100_000, 49_000), True, []),
         (Ending(1000, 1200.0, 100_000, 120_000, 0, 20_000), True, []),
-        (Ending(1000, 1200.0, 100_000, 120_000, 0, 10_000), True, ["0 events said to be lost, 10000 were"]),
+        (Ending(1000, 1200.0, 100_000, 120_000, 0, 10_000), True, ["0 events reported as lost, 10000 were"]),
         (Ending(1000, 1200.0, 100_000, 120_000, 9_500, 10_000), True, []),
     ],
 )

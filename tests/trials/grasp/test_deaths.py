@@ -212,7 +212,7 @@ def test_a_recorder_waits_for_who_still_sends(monkeypatch: pytest.MonkeyPatch) -
     """
     monkeypatch.setattr(recorder, "END_S", 2.0)
     slices, steps = (multiprocessing.Pipe(duplex=False) for _ in range(2))
-    failed = DeviceError("the gripper restarted, and has no torque any more; torque is off (read back)")
+    failed = DeviceError("the gripper restarted and lost torque; torque is off (read back)")
     outbox = MessageWriter(steps[1])
     outbox.put(ControllerEnded(str(failed), failed, 2, 0, 0.1, array("d"), nan, nan, {}, "torque is off"))
     outbox.flush(PATIENCE_S)
@@ -253,7 +253,7 @@ class EndedInbox(MessageReader):
 def test_a_recorder_that_is_kept_from_running_reads_all_that_is_there(monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that the reason a detector gave is told, and who used the cores, though every look comes a minute late."""
     hangs = DeviceError("the detector hangs: no sign of life for 50 ms; torque is off", hint=OVERLOADED)
-    behind = DeviceError("the recorder cannot keep up", found="64 MB wait to be written", hint=OVERLOADED)
+    behind = DeviceError("the recorder cannot keep up", found="64 MB waiting to be written", hint=OVERLOADED)
     ended = ControllerEnded(str(hangs), hangs, 2, 0, 0.1, array("d"), nan, nan, {}, "torque is off")
     batch = SliceBatch(joined([empty()] * 5), [0] * 5, [nan] * 5, [1.0] * 5, [0.0] * 5)
     minutes = itertools.count()
@@ -271,7 +271,7 @@ def test_a_recorder_that_is_kept_from_running_reads_all_that_is_there(monkeypatc
     assert writer.slices == 45
     assert recorded.ended == "the recorder cannot keep up; torque is off"
     assert recorded.error is behind
-    assert behind.found == "64 MB wait to be written; the recorder waited 93% of the time for a core"
+    assert behind.found == "64 MB waiting to be written; the recorder waited 93% of the time for a core"
 
 
 def test_who_failed_first_is_told() -> None:

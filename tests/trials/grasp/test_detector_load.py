@@ -24,7 +24,7 @@ def test_the_rate_does_not_hang_on_the_rate_at_which_it_was_measured(events: int
     assert load.core_share == pytest.approx(0.2 * (1.0 + events / EVENTS_OF_A_SLICE))
     assert load.events_per_s == pytest.approx(1e3 * events)
     assert load.bearable_events_per_s == pytest.approx(1e3 * EVENTS_OF_A_SLICE * (FULL / 0.2 - 1.0))
-    assert "could bear some 3,500,000" in load.words()
+    assert "could process about 3,500,000" in load.words()
 
 
 def test_a_computer_on_which_slices_alone_fill_a_core() -> None:

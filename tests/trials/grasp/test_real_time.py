@@ -56,10 +56,10 @@ def jobs(out: Path, **flags: Any) -> Any:
 @pytest.mark.parametrize(
     ("flags", "what"),
     [
-        ({"camera": "dvxplorer"}, "belong together"),
-        ({"camera": "dvxplorer", "gripper": "none"}, "belong together"),
-        ({"camera": "virtual", "gripper": "sim"}, "belong together"),
-        ({"camera": "sim", "gripper": "virtual"}, "belong together"),
+        ({"camera": "dvxplorer"}, "matching kinds"),
+        ({"camera": "dvxplorer", "gripper": "none"}, "matching kinds"),
+        ({"camera": "virtual", "gripper": "sim"}, "matching kinds"),
+        ({"camera": "sim", "gripper": "virtual"}, "matching kinds"),
         ({"camera": "webcam"}, "no such camera"),
         ({"camera": "virtual", "gripper": "hand"}, "no such gripper"),
         ({"camera": "virtual", "latency_ms": 3}, "--latency-ms"),
@@ -106,7 +106,7 @@ def test_dry_run_touches_nothing(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("flags", "said"),
     [
-        ({}, "it is not known where the dots"),
+        ({}, "dot positions"),
         ({"calibration": Path("nope.json")}, "nope.json: cannot be read"),
         ({"camera": "virtual", "gripper": None, "calibration": Path("nope.json")}, "nope.json: cannot be read"),
         ({"calibration": "grid", "model": Path("nope.h5")}, "nope.h5: no such file"),
@@ -359,7 +359,7 @@ def test_a_virtual_grasp(tmp_path: Path) -> None:
     assert header["content"] is not None
     assert header["parameters"]["setup"]["gripper"]["mode"] == "position"
     assert header["parameters"]["setup"]["gripper"]["current_limit_ma"] == 100
-    with pytest.raises(InputError, match="cannot be made again"):
+    with pytest.raises(InputError, match="cannot be repeated"):
         grasp.run(job, params)
 
 

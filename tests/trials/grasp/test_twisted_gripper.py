@@ -18,7 +18,7 @@ CAMERA = "virtual:prepared=1e4"
 AT_S = "0.3"  # after torque was first on: some rows are there by then
 
 SAYS = {
-    "restart": "has no torque any more: what it held may have fallen",
+    "restart": "lost torque",
     "false-position": "reports an impossible position: 2,147,483,647 ticks",
     "false-current": "reports an impossible current: -32,768 mA",
     "false-voltage": "reports an impossible supply: 0 V",

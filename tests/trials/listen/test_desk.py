@@ -165,7 +165,7 @@ def test_a_trial_that_nobody_stops_ends() -> None:
     desk = Desk(longest_s=2.0)
     began_us = recording(desk)
     assert desk.recorded(1999, time.monotonic, began_us) == ""
-    assert "nobody stopped it" in desk.recorded(2000, time.monotonic, began_us)
+    assert "no stop command" in desk.recorded(2000, time.monotonic, began_us)
 
 
 def test_rows_hold_texts_as_they_are() -> None:

@@ -221,7 +221,7 @@ def test_a_recording_goes_on_without_its_view(tmp_path: Path) -> None:
         os.kill(view, signal.SIGKILL)
         code, said = page.end()
     assert code == 0, said
-    assert said.count("the live view died (SIGKILL); the recording goes on") == 1
+    assert said.count("the live view died (SIGKILL); the recording continues") == 1
     with StageFile(tmp_path / "a.recording.h5", "recording") as file:
         assert file.length("ms_to_idx") == 4001
 
@@ -252,7 +252,7 @@ def test_a_view_ends_with_whoever_records(tmp_path: Path) -> None:
     with shown(tmp_path, "record", "--gripper", "none", "--seconds", "60", "--expected-event-rate", "1e4") as page:
         view = page.view
         news = page.watch(page.run.kill)
-        assert news[-1] == {"ended": "the program that records has gone"}
+        assert news[-1] == {"ended": "the recording program has ended"}
         assert until(lambda: not lives(view))
 
 

@@ -253,7 +253,7 @@ def test_existing_recording_is_not_replaced(rig_is: Callable[..., Rig], tmp_path
     rig_is(Camera())
     path, _ = recording(tmp_path, seconds=0.05)
     before = path.read_bytes()
-    with pytest.raises(InputError, match="cannot be made again"):
+    with pytest.raises(InputError, match="cannot be repeated"):
         recording(tmp_path, seconds=0.05)
     assert path.read_bytes() == before
     params = Record(camera="dvxplorer", expected_event_rate=1e4, seconds=0.07)
@@ -330,7 +330,7 @@ def test_changed_setup_is_refused(
             dataclasses.replace(trial, output=files[0], files=files, series=series)
             for trial, files in zip(jobs, series, strict=True)
         ]
-    with pytest.raises(InputError, match="another set-up") as refused:
+    with pytest.raises(InputError, match="different setup") as refused:
         record.run(jobs[1], params)
     assert said in str(refused.value)
     assert not jobs[1].output.exists()
@@ -354,7 +354,7 @@ def test_drawn_current_is_the_trials(rig_is: Callable[..., Rig], tmp_path: Path)
     headers = [header_of(path, "recording")["parameters"] for path in paths]
     assert [header["sampled_holding_ma"] for header in headers] == [10.0, 19.0]
     assert [header["current_ramp"]["holding_ma"] for header in headers] == [None, None]
-    with pytest.raises(InputError, match="another set-up(.|\n)*holding_ma"):
+    with pytest.raises(InputError, match="different setup(.|\n)*holding_ma"):
         trials(3, 19.0, resume=True, holding_ma=19.0)
 
 
@@ -417,7 +417,7 @@ def test_drawn_current_below_the_lowest(rig_is: Callable[..., Rig], tmp_path: Pa
     ("flags", "end"),
     [
         ({}, "until Ctrl-C"),
-        (ARMED, "until it lets go, or Ctrl-C"),
+        (ARMED, "until the gripper lets go, or Ctrl-C"),
         ({**ARMED, "seconds": 3.0}, "after 3 s"),
     ],
 )

@@ -97,7 +97,7 @@ def test_open_gripper_ends_it() -> None:
 def test_nothing_between_the_fingers() -> None:
     """Assert that fingers that meet each other are an error in words."""
     state, rng = start(HOLD), np.random.default_rng(0)
-    with pytest.raises(DeviceError, match="met nothing"):
+    with pytest.raises(DeviceError, match="without contact"):
         step(state, HOLD, GripperReading(0.0, ClosingSettings().last_tick), rng)
 
 

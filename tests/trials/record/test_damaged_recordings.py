@@ -44,7 +44,7 @@ def test_m8_a_silent_camera_is_news(tmp_path: Path, capfd: pytest.CaptureFixture
     assert row["lost"] == "unknown, at least 0"
     assert "camera.ms_without_time" in row["lost_why"]
     said = capfd.readouterr().err
-    assert "sends nothing, not even the time" in said
+    assert "sends nothing, not even timestamps" in said
 
 
 @pytest.mark.usefixtures("words_wait")
