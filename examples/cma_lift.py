@@ -32,7 +32,7 @@ GRIPS = (5.0, 10.0, 15.0, 20.0, 30.0)
 
 @dataclass
 class GripLaw:
-    """Goal in ticks beyond light contact, from observations; to be made anew for each episode."""
+    """Computes the goal, in ticks beyond light contact, from observations; make a new one for each episode."""
 
     first: float
     per_px: float
@@ -66,7 +66,7 @@ def environment(objects: str) -> LiftEnv:
 
 
 def episode(task: tuple[str, int, tuple[float, ...]]) -> dict[str, float]:
-    """Run one episode of (objects, seed, policy); a policy is (ticks,) for a fixed grip or the four numbers of a law."""
+    """Run an episode of (objects, seed, policy); a policy is (ticks,) for a fixed grip or a law's four numbers."""
     objects, seed, theta = task
     env = environment(objects)
     observation, _ = env.reset(seed=seed)

@@ -139,8 +139,7 @@ class Gripper:
         return float(self.data.body("object").xpos[2]) - self._bottom_m
 
     def step(self, goal_ticks: int, height_m: float) -> tuple[float, tuple[float, float]]:
-        """Simulate one millisecond; return the object's force on the right pad, in N: normal, shear along the image's
-        (x, y).
+        """Simulate 1 ms; return the object's force on the right pad, in N: normal, and shear along the image's x and y.
 
         The finger looks along -X of the world. The image's x axis points down, its y axis along -Y.
         """

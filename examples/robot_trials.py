@@ -23,7 +23,9 @@ class Recorder:
         self._lines = socket.create_connection((address, int(port))).makefile("rw")
 
     def ask(self, command: str, **fields: object) -> dict:
-        """Send start, mark, stop, status or abort and return the answer; RuntimeError with the reason if it is refused."""
+        """Send start, mark, stop, status or abort; return the answer, or raise RuntimeError with the reason of a
+        refusal.
+        """
         print(json.dumps({"token": self._token, "command": command, **fields}), file=self._lines, flush=True)
         line = self._lines.readline()
         answer = json.loads(line) if line else {"ok": False, "error": "evetac has ended"}

@@ -32,7 +32,7 @@ BUSY = "while True: pass"
 
 
 def killed_after(seconds: float, camera: str, gripper: str, output: Path) -> float:
-    """Start a recording and kill it a given time after its first file appeared; return how long it actually ran, in s."""
+    """Start a recording and kill it a given time after its first file appeared; return its actual length in s."""
     arguments = ["record", "--camera", camera, "--gripper", gripper, "--seconds", "60"]
     arguments += ["--expected-event-rate", "1e5", "-q"]
     run = subprocess.Popen([sys.executable, "-P", "-m", "evetac_cli", *arguments, "-o", str(output)])

@@ -42,7 +42,7 @@ TEXT_MINUTES = 6
 
 
 class Repeated:
-    """The end of a trial, a part with enough events, as arrays that begin at slice 0, and the rules for repeating it."""
+    """The end of a trial, with enough events, as arrays that begin at slice 0, and the rules for repeating it."""
 
     def __init__(self, trial: Recording, events_a_slice: float = EVENTS_A_SLICE) -> None:
         starts = trial.starts

@@ -84,9 +84,7 @@ class Stage:
         return path
 
     def _compiled(self) -> None:
-        """Give the owner the kernels compiled next to the source, so that only the doors for kernels wait for
-        compilation.
-        """
+        """Give the owner the kernels compiled next to the source, so that only the doors that test kernels compile."""
         import hashlib
 
         for beside in (self.code / "evetac_cli").rglob("__pycache__"):

@@ -18,8 +18,7 @@ READ_S = 5.0  # how long `read` waits, in s; LeRobot specifies no limit
 
 
 class EvetacCamera(Camera):
-    """A camera whose pictures (height, width, 3) show the last event frames. Raises evetac's DeviceError and
-    InputError.
+    """A camera whose pictures (height, width, 3) show the last event frames; raises DeviceError and InputError.
 
     opened: an evetac camera that is already open, used instead of the one named in `config`.
     """
@@ -73,9 +72,7 @@ class EvetacCamera(Camera):
             self._frames.newest(WARM_UP_S)
 
     def read(self) -> NDArray[Any]:
-        """Return the next event frame, each exactly once. If a picture shows several frames, return one up to the
-        newest.
-        """
+        """Return the next event frame, each exactly once; with several frames in a picture, one up to the newest."""
         frames = self._of()
         return _coloured(frames.next(READ_S).grey if self.config.event_frames == 1 else frames.newest(READ_S))
 

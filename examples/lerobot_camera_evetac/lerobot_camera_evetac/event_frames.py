@@ -53,7 +53,7 @@ class EventFrames:
         return self._camera
 
     def next(self, timeout_s: float) -> EventFrame:
-        """Return the oldest frame not yet taken; TimeoutError if none arrives in time, or the camera's own exception."""
+        """Return the oldest frame not yet taken; raise TimeoutError, or an exception of the camera."""
         with self._changed:
             self._wait(timeout_s)
             return self._waiting.popleft()
@@ -66,7 +66,7 @@ class EventFrames:
             return self._picture()
 
     def latest(self) -> tuple[NDArray[np.uint8], float]:
-        """Return a picture up to the newest frame, taken or not, and its age in s; RuntimeError before the first frame."""
+        """Return a picture up to the newest frame and that frame's age in s; RuntimeError before the first frame."""
         with self._changed:
             if self._ended is not None:
                 raise self._ended

@@ -72,7 +72,7 @@ def _fill(writer: Any, parts: list[Events], *, packets: bool, ros2: bool) -> Non
 
 
 def _mono(events: Events, first_us: int) -> np.ndarray:
-    """Encode events as `mono` of event_camera_msgs: 64-bit words with polarity, y, x, and ns since the packet's base."""
+    """Encode events as `mono` of event_camera_msgs: 64-bit words of polarity, y, x, and ns since the packet's base."""
     t, x, y, p = (column.astype(np.uint64) for column in events)
     words = p << np.uint64(63) | y << np.uint64(48) | x << np.uint64(32) | (t - np.uint64(first_us)) * np.uint64(1000)
     return words.astype("<u8").view(np.uint8)

@@ -145,7 +145,7 @@ def damage_hdf5(path: Path, rng: Rng) -> str:
 
 
 def _read(file: h5py.File, name: str) -> Any:
-    """Read a dataset; OSError if an earlier mutation announced so many rows that they would fill the fuzzer's memory."""
+    """Read a dataset; OSError if an earlier mutation announced more rows than fit into the fuzzer's memory."""
     if file[name].size * file[name].dtype.itemsize > LARGEST_READ:
         raise OSError(f"{name} is too large to change")
     return file[name][()]
