@@ -1,7 +1,7 @@
 """A robot program that records its trials with evetac. It needs only Python's standard library.
 
-evetac record --camera dvxplorer --gripper none --listen --out data      # in another terminal python
-examples/robot_trials.py data 3
+evetac record --camera dvxplorer --gripper none --listen --out data      # in another terminal
+python examples/robot_trials.py data 3
 """
 
 import json
@@ -23,9 +23,7 @@ class Recorder:
         self._lines = socket.create_connection((address, int(port))).makefile("rw")
 
     def ask(self, command: str, **fields: object) -> dict:
-        """Send start, mark, stop, status or abort; return the answer, or raise RuntimeError with the reason of a
-        refusal.
-        """
+        """Send start, mark, stop, status or abort; return the answer, or raise RuntimeError with the reason."""
         print(json.dumps({"token": self._token, "command": command, **fields}), file=self._lines, flush=True)
         line = self._lines.readline()
         answer = json.loads(line) if line else {"ok": False, "error": "evetac has ended"}

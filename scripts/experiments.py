@@ -1,4 +1,4 @@
-"""Every experiment of the paper, and every study beside them, as a row of one table; scripts/reproduce.py runs it."""
+"""The table of all experiments of the paper and all additional studies; scripts/reproduce.py runs them."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -12,21 +12,21 @@ from experiment_tables import Table
 
 @dataclass(frozen=True)
 class Experiment:
-    """What is done, at which sizes, and what comes out of it."""
+    """One experiment: its commands, its sizes and its results."""
 
     name: str
     shows: str
-    folder: str  # of its files; experiments that build on each other share one
+    folder: str  # folder of its files; experiments that build on each other share one
     hours: float  # at full size on two cores: an estimate
     full: Sizes
-    small: Sizes  # those that differ
+    small: Sizes  # the sizes that differ from full size
     steps: Callable[[Sizes], Iterator[Command]] = lambda sizes: iter(())
     evaluations: Callable[[Sizes], dict[str, Command]] = lambda sizes: {}
-    measure: str = ""  # MODULE.FUNCTION of this folder that measures what no command evaluates
+    measure: str = ""  # MODULE.FUNCTION in this folder, for measurements that no command makes
     tables: tuple[Table, ...] = ()
-    after: tuple[str, ...] = ()  # experiments that come first
-    published: bool = True  # its tables go to docs/results/; else they stay in its folder
-    in_plan: bool = True  # plan.py counts its commands
+    after: tuple[str, ...] = ()  # experiments that must run first
+    published: bool = True  # whether its tables go to docs/results/; otherwise they stay in its folder
+    in_plan: bool = True  # whether plan.py counts its commands
 
 
 EXPERIMENTS: tuple[Experiment, ...] = (
@@ -79,7 +79,7 @@ EXPERIMENTS: tuple[Experiment, ...] = (
     ),
     Experiment(
         "ship", "the package's slip detector, trained on many motions, sensors and objects", "data/ship", 1.0,
-        full={"motions": (), "per_object": 40, "steps": 10_000},  # no motions named: all; 40: the most that there are
+        full={"motions": (), "per_object": 40, "steps": 10_000},  # no motions given: all; 40: the most available
         small={"motions": ("slip", "pushes"), "per_object": 1, "steps": 200},
         steps=steps.ship_steps, in_plan=False,
     ),

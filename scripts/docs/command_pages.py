@@ -41,7 +41,7 @@ def _walk(command: Any, names: tuple[str, ...]) -> Iterator[tuple[str, Any]]:
 
 
 def page_name(command: str) -> str:
-    """Return the file name of a command's page; the command `index` has another one, as `index.md` is the list of all."""
+    """Return the file name of a command's page; `index.md` is the list of all, so the command `index` has another."""
     return "index-command.md" if command == "index" else f"{command.replace(' ', '-')}.md"
 
 
