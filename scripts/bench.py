@@ -191,7 +191,7 @@ def network() -> list[dict[str, object]]:
 
 
 def online_step(count: int = 500) -> list[dict[str, object]]:
-    """Time the step from the events of a slice to a slip probability and the controller's signal, pretrained detector."""
+    """Time the pretrained detector's step from the events of a slice to slip probability and control signal."""
     with StageFile(MODEL, "model") as model:
         name, constants = model.read("architecture"), presets.PRESETS[Grasp().tracker]
         detector = OnlineSlipDetector.start(model, DOTS_PX.reshape(7, 9, 2)[:, :8], (540, 0, 640, 480), constants)
@@ -260,7 +260,7 @@ def checkout(base: str) -> Iterator[Path]:
 
 
 def times_us(code: Path, group: str) -> dict[str, float]:
-    """Return the median times of a group's rows, run in a separate process with a folder's package; none if it fails."""
+    """Return median times of a group's rows, run in a separate process with a folder's package; none if it fails."""
     run = [sys.executable, __file__, "--only", group, "--json"]
     environment = os.environ | {"PYTHONPATH": str(code)}
     done = subprocess.run(run, env=environment, capture_output=True, text=True, check=False)

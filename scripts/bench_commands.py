@@ -35,7 +35,7 @@ COMMANDS = {
 
 
 def cpu_s(code: Path, words: str, folder: Path) -> float:
-    """Return the CPU seconds of `evetac WORDS` in a folder with a checkout's package; CalledProcessError if it fails."""
+    """Return the CPU seconds of `evetac WORDS` in a folder, with a checkout's package; CalledProcessError."""
     for old in folder.glob(f"{NEW}.*"):
         old.unlink()
     before = resource.getrusage(resource.RUSAGE_CHILDREN)

@@ -65,24 +65,17 @@ SCENES: dict[str, dict[str, Any]] = {
     },
     "grip-steps": {"randomise": {"touch_mm": 3.0}},
 }
-SECOND_SEED, TWIN_SEED, GRIP_SEED = (
-    1000,
-    2000,
-    3000,
-)  # distance between the seeds of a sensor's recordings, or of its grips
+SECOND_SEED, TWIN_SEED, GRIP_SEED = 1000, 2000, 3000  # distance between seeds of a sensor's recordings, or grips
 OBJECT, OBJECT_G, OBJECT_FRICTION = 18, 550, 0.9  # the object in the gripper, a glass bottle
 OPEN_M = 0.060  # the current at which the bending of the fingers is evaluated
-QUARTER, HELD = (
-    0.25,
-    0.9,
-)  # a parameter counts as identified if its interval is at most this wide, in prior ranges, and contains the truth in at least this share of cases
+QUARTER, HELD = 0.25, 0.9  # identified: width in prior ranges at most, share with truth at least
 AUC_ROOM, AUC_OTHER = 0.05, 0.9
 
 Windows = dict[str, NDArray[np.float64]]
 
 
 def ends_of(entry: Any) -> tuple[Any, Any]:
-    """Return the lowest and the highest value of a sensors.toml entry, which is a range, a list of ranges, or a value."""
+    """Return the lowest and the highest value of a sensors.toml entry: a range, a list of ranges, or one value."""
     if isinstance(entry, list):
         low, high = zip(*map(ends_of, entry), strict=True)
         return list(low), list(high)
@@ -128,7 +121,7 @@ def _over_n_ma(name: str, unit: float = 1.0) -> Callable[[Sensor], float]:
 
 
 def _rubs(sensor: Sensor) -> float:
-    """Return the kinetic friction of the gear divided by its force per current; its static friction is not identified."""
+    """Return the gear's kinetic friction divided by its force per current; static friction is not identified."""
     drive = _drive(sensor)
     return drive.kinetic_share * drive.friction_n / drive.force_per_current_n_ma
 
@@ -228,7 +221,7 @@ def features(paths: list[Path]) -> NDArray[np.float64]:
 
 
 def places(sensor: Sensor, file: Path) -> NDArray[np.float64] | None:
-    """Return the distances of the identified sensor's dots from the true ones in the image, in px; None without dots."""
+    """Return the distances of the identified sensor's dots from the true ones, in px; None without dots."""
     _, twin = sensor_file.read(file, one_sensor)
     if not twin.dot_xy_px:
         return None
@@ -309,9 +302,7 @@ def all_kept(work: Path, *, camera_only: bool) -> dict[int, tuple[Row, Windows]]
 
 
 def interval(result: Row, parameter: Parameter) -> tuple[float, bool] | None:
-    """Return the width of a parameter's interval in prior ranges and whether it contains the truth; None if
-    unidentified.
-    """
+    """Return an interval's width in prior ranges and whether it contains the truth; None if not identified."""
     row = next((row for row in result["rows"] if row["parameter"] == parameter.name), None)
     if row is None or row["estimate"] is None:
         return None
@@ -386,7 +377,7 @@ def summary(results: list[Row], parameters: list[Row], areas: list[Row]) -> Row:
 
 
 def measure(sizes: Sizes, folder: Path, jobs: int) -> Evaluations:
-    """Process the missing sensors, several at once; return the parameters of all sensors, and the classifier's results."""
+    """Process the missing sensors, several at once; return all sensors' parameters and classifier results."""
     work, camera_only = folder.resolve(), not sizes["grips"]
     for name, changes in SCENES.items():
         (work / f"{name}.toml").write_text(changed(name, changes))

@@ -83,7 +83,7 @@ def digests(folder: Path) -> dict[str, str]:
 
 
 def different(one: Path, other: Path) -> tuple[int, list[str]]:
-    """Return how many files two folders have in total, and which of them are missing in one or have different arrays."""
+    """Return how many files two folders have in total, and which are missing in one or have other arrays."""
     first, second = digests(one), digests(other)
     names = sorted(first.keys() | second.keys())
     return len(names), [name for name in names if first.get(name) != second.get(name)]
@@ -262,9 +262,7 @@ def kills(folder: Path, count: int) -> list[Row]:
 
 
 def nodes(folder: Path, count: int) -> list[Row]:
-    """Run the same number of trajectories per worker, with one and with four workers, each limited to a share of a
-    core.
-    """
+    """Run equally many trajectories per worker with one and with four workers, each limited to a share of a core."""
     rows: list[Row] = []
     for workers in (1, NODES):
         made = count * workers // NODES

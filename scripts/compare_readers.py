@@ -147,7 +147,7 @@ def packets_of(path: Path, store: Any) -> Iterator[Any]:
 
 
 def libcaer_words(content: Any, base_us: int) -> list[tuple[int, ...]]:
-    """Return the events (t, x, y, p) of one packet of libcaer_driver; the four high bits of a 16-bit word are its kind."""
+    """Return the events (t, x, y, p) of a libcaer_driver packet; a 16-bit word's four high bits are its kind."""
     high = low = column = row = polarity = 0
     events = []
     for word in content.view("<u2").tolist():

@@ -36,7 +36,7 @@ def cpu_of(*words: str, cwd: Path) -> tuple[float, float]:
 
 
 def files(most_trials: int) -> list[Row]:
-    """Return a row for each size of a data set of real files: first index, one file more, and a command with no work."""
+    """Return a row for each size of a data set of real files: first index, one file more, nothing to do."""
     rows: list[Row] = []
     with tempfile.TemporaryDirectory() as name:
         place = Path(name)

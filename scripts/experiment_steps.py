@@ -199,7 +199,7 @@ FEWER = ("*-00[1-9]", "*-01[0-2]")  # of 35 trajectories per object, when their 
 
 
 def recipe_steps(sizes: Sizes) -> Iterator[Command]:
-    """Run the paper's recipe (tracker, labels, numbers of trajectories, training), then change one of them at a time."""
+    """Run the paper's recipe (tracker, labels, numbers of trajectories, training), then change one at a time."""
     for change in ("nothing", *sizes["changes"]):
         if change == "size":  # trains on a subset of the trajectories
             features = [f"nothing/learn/{name}.features.h5" for name in FEWER]
@@ -297,9 +297,7 @@ def data_rate_evaluations(sizes: Sizes) -> dict[str, Command]:
 
 
 def force_steps(sizes: Sizes) -> Iterator[Command]:
-    """Record force trajectories; the first one for evaluation has the same pushes on every gel, so only the gel
-    differs.
-    """
+    """Record force trajectories; the first one for evaluation has the same pushes on every gel."""
     seed = sizes["seed"]
     yield evetac("record", "--scene", "shear", "--count", 4, "--seed", seed, "--out", "learn")
     yield evetac("record", "--scene", "shear", "--count", sizes["judged"], "--seed", seed + 500, "--out", "unseen")
@@ -323,7 +321,7 @@ def force_evaluations(sizes: Sizes) -> dict[str, Command]:
 
 
 def grasp_steps(sizes: Sizes) -> Iterator[Command]:
-    """Grasp the objects of the paper's figure, with double gain where the paper did; then weights, sensor, closed gel."""
+    """Grasp the objects of the paper's figure, some with double gain as there; then weights, sensor, closed gel."""
     trials, half = sizes["trials"], (sizes["trials"] + 1) // 2
 
     def grasp(out: str, count: int, objects: str, *words: object) -> Command:

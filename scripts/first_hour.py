@@ -133,7 +133,7 @@ def main() -> None:
     """Follow the pages; exit code 1 if a result differs from its page."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--folder", type=Path, default=None, help="an empty folder; default: a temporary one")
-    parser.add_argument("--minutes", type=float, default=15.0, help="time limit")
+    parser.add_argument("--minutes", type=float, default=15.0, help="time limit, in minutes")
     parser.add_argument("--write", action="store_true", help="put the printed output into the pages")
     chosen = parser.parse_args()
     started = time.monotonic()

@@ -65,9 +65,7 @@ class Measured(TypedDict):
 EVENTS = (0, 50, 200, 500, 1_000, 2_000, 5_000, 10_000, 20_000)
 USUAL_EVENTS = 1_000
 SIDES = (2, 3, 4, 6, 8, 10, 12, 14, 16)
-DISTINCT = (
-    400_000  # total number of events in the slices that take turns; with few, their pixels would be hot and ignored
-)
+DISTINCT = 400_000  # events in the slices that take turns; with few, their pixels would be hot and ignored
 REPEAT, WARM_UP = 300, 20
 BEFORE = {  # the stages whose files a stage reads, in addition to the recording
     "featurize": ("label", "track"), "evaluate labels": ("label",), "evaluate tracking": ("track",),
@@ -174,7 +172,7 @@ def stage_commands(name: str) -> dict[str, tuple[str, ...]]:
 
 
 def slices(longest_s: int, events_a_slice: float, stages: Collection[str]) -> list[Row]:
-    """Return a row for each stage and length; up to a minute, the mean of several runs, because start-up matters there."""
+    """Return a row for each stage and length; up to a minute, the mean of several runs, as start-up matters."""
     rows: list[Row] = []
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
