@@ -5,13 +5,13 @@
 
 For each sensor randomized-narrow:N the script does four things:
 
-- It simulates the recordings that docs/identify.md requires from an owner, shortened: a rest; strokes of a press with a
-  pause after each; and a gripper that closes, holds, and lets an object slip, at three places.
+- It simulates the recordings that docs/identify.md requires from an owner, shortened. These are a rest, strokes of a
+  press with a pause after each, and a gripper that closes, holds, and lets an object slip, at three positions.
 - It runs `evetac identify` and compares the interval of each parameter in PARAMETERS with the truth.
 - It simulates rest and press again, by the sensor itself with another seed, and by its twin, the identified sensor,
   with a third seed.
-- A classifier (kernels/realism) learns to distinguish half seconds of the first recordings from those of the second, of
-  either from the twin's, and of the first from the next sensor's.
+- A classifier (kernels/realism) learns to distinguish half seconds of recordings: first from second, either from the
+  twin's, and first from the next sensor's.
 
 The comparison was fixed by a commit before the first run on sensors from 20,000. The script skips sensors whose results
 are complete in the folder, so a run may be stopped and continued. The table covers all sensors in the folder, either

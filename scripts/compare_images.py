@@ -10,9 +10,11 @@ runs. Times are counted from the first event, as in tonic. Counts must be equal.
 computes in double precision, must agree to 1e-6 of the largest value. Exit code 1 if they do not.
 
 Some peers define a representation differently. tonic's voxel grid spans the time from its first event to its last, so
-two extra events mark the window, and are removed afterwards. dv-processing has the time of each pixel's last event,
-without a decay. Its surface is compared by these times, at the last image only, because it returns times one by one;
-its run time is that of its own image. Its accumulator, used without decay, counts ON minus OFF, or both.
+two extra events mark the window, and are removed afterwards.
+
+dv-processing has the time of each pixel's last event, without a decay. Its surface is compared by these times, at the
+last image only, because it returns times one by one; its run time is that of its own image. Its accumulator, used
+without decay, counts ON minus OFF, or both.
 """
 
 import argparse

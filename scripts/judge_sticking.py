@@ -67,7 +67,7 @@ def alarms_of(share: Singles) -> Flags:
 
 
 def at_slices(looks: Looks, values: Flags, slices: int) -> Flags:
-    """Return the values of looks for every slice, each held until the next look; 0 or NaN without touch."""
+    """Return the values of looks for every slice, each held until the next look; False without touch."""
     whole = np.zeros(slices, np.bool_)
     for at, value in zip(looks.slices.tolist(), values.tolist(), strict=True):
         whole[at : at + BLOCK_MS] = value

@@ -67,7 +67,7 @@ class PlayedSlip:
 
 
 def play_slip(number: int, seed: int, sensor: str = "evetac", trial: int = 0, scene: str = "slip") -> PlayedSlip:
-    """Simulate the slip that `evetac record --scene SCENE --objects NUMBER --seed SEED --sensor SENSOR` would record."""
+    """Simulate the slip of `evetac record --scene SCENE --objects NUMBER --seed SEED --sensor SENSOR`."""
     plan = plans(scene, str(number), sensor, ("ramp",))[0].of_trial((seed, seed_of(number), trial))
     blocks: list[Events] = []
     rows: list[dict[str, Any]] = []

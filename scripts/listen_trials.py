@@ -13,8 +13,8 @@ and `evetac repair` joins the segments.
 
 A trial counts as kept if its file is valid, has a slice for each ms from the answer to `start` until `stop` was sent,
 and has all events in these slices. After a kill of the server, the last LOST_MS may be missing. After the trials, the
-script tries to get in without the token: lines without it, HTTP, an endless line, many silent connections and, if this
-script runs as root, another user who reads the file. -o gets one line of JSON for each trial and attempt. All trials
+script tries to get in without the token: lines without it, HTTP, an endless line, and many silent connections. As root
+it also tries to read the token file as another user. -o gets one line of JSON for each trial and attempt. All trials
 are simulated, by the computer's own clock.
 """
 
@@ -85,9 +85,7 @@ class Server:
         until_s = time.monotonic() + PATIENCE_S
         while time.monotonic() < until_s:
             with contextlib.suppress(OSError, ValueError, RuntimeError):
-                Recorder(str(self.folder)).ask(
-                    "status"
-                )  # a file left by a killed server names a port that no longer exists
+                Recorder(str(self.folder)).ask("status")  # a killed server's file names a port that no longer exists
                 break
             time.sleep(0.05)
         self.began_s = float(self.began_file.read_text())

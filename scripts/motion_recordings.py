@@ -61,7 +61,7 @@ class Asked(NamedTuple):
 
 
 def every_one(role: str, names: list[str], per_object: int, out: Path) -> Iterator[Asked]:
-    """Return the recordings of a role, for these motions, or for all if none is given; per_object limits their number."""
+    """Return the recordings of a role, for these motions or, if none is given, all; per_object limits their number."""
     for motion, count in COUNTS[role].items():
         several = min(count, per_object) * len(OBJECTS[role])
         if not names or motion in names:

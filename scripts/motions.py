@@ -44,7 +44,7 @@ EVETAC = "evetac"
 # A grasp closes to this multiple of the force that just holds the object, with about this force per tick.
 GRASP_FACTORS, N_PER_TICK = (0.9, 3.0), 0.2
 WEAK_FACTORS = (0.0, 0.9)  # the same, for grasps too weak to lift the object
-LIGHT_TICKS = 2  # limit of closing after the fingers meet the object, in a light touch
+LIGHT_TICKS = 2  # limit of closing after first contact, in a light touch
 # Fingers that open without slip: the forces to which they close and open, as multiples of the force that just holds,
 # and the duration.
 FIRM_FACTORS, LOOSE_FACTORS, OPENING_S = (5.0, 20.0), (2.2, 4.0), (0.04, 1.5)
@@ -173,7 +173,7 @@ def _grip(scene: Scene, rng: np.random.Generator, weight_n: float) -> Scene:
 
 
 def _opening(scene: Scene, rng: np.random.Generator, holds_n: float, drive: gripper.Drive) -> Scene:
-    """Return fingers that grip firmly, and open and close without slip; holds_n: the force that just holds the object."""
+    """Return fingers that grip firmly, and open and close without slip; holds_n: force that just holds the object."""
 
     def rising_ma(force_n: float) -> float:
         return gripper.closing_push_n(drive, force_n) / drive.force_per_current_n_ma
@@ -197,7 +197,7 @@ def _opening(scene: Scene, rng: np.random.Generator, holds_n: float, drive: grip
 
 
 def _light_touch(scene: Scene, rng: np.random.Generator, weight_n: float) -> Scene:
-    """Return fingers that meet an object on its table, close slightly and stay; the hand does not rise."""
+    """Return fingers that touch an object on its table, close slightly and stay; the hand does not rise."""
     time = replace(scene.time, touch_s=1.5, before_rise_s=600.0)
     return _either_way(replace(scene, time=time), rng)
 

@@ -4,9 +4,9 @@
     make part-effects SIZES="slips=0 grasps=0"              # the table of the existing trials
     python scripts/reproduce.py --only part-effects --size seed=0 --size slips=3 --size "parts=leak,slow pixels"
 
-Every part is added alone to the noise-free sensor `evetac` in the scenes `slip` (objects 2, 8, 14 in turn) and `lift`
-(11, 12, 17). Its size is the worse end of the range of `--sensor randomized`, or that of the docs. A part that needs
-another part is compared with that one alone.
+Every part is added alone to the quiet sensor `evetac` in the scenes `slip` (objects 2, 8, 14 in turn) and `lift` (11,
+12, 17). Its size is the worse end of the range of `--sensor randomized`, or that of the docs. A part that needs another
+part is compared with that one alone.
 
 Every slip is labelled, tracked, featurized and evaluated by the pretrained detector, with the default methods. A grasp
 uses the default controller. A trial is a line of data/part-effects/effects.jsonl; trials that already have a line are

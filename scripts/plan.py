@@ -10,7 +10,7 @@ one core, times their number. As in reproduce.py, a command begins when the prev
 trainings uses 5 cores. The tasks of one command are assumed to be equal.
 
 The table also has a lower bound for any schedule: the longest chain of dependent tasks (record, label, track,
-featurize, train, judge), or the total work divided by the cores, whichever is larger. Training may stop earlier than
+featurize, train, judge), or the total work divided by the cores, if that is larger. Training may stop earlier than
 planned, by its validation. A training's data includes the files for evaluating its checkpoints. Pictures, `ship`,
 studies and reports of costs are left out, as are storage, transfers and the cluster's own time.
 

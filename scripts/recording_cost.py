@@ -62,7 +62,7 @@ class TimedWriter(TrialWriter):
 def measure(results: Path) -> None:
     """Make every simulated trial of this process add a line to the file of results."""
     run = simulated.run
-    # A full collection of all objects takes 60 ms, and would hit whichever part allocates next.
+    # A full collection of all objects takes 60 ms, and would add to the time of the next part that allocates.
     gc.disable()
 
     def measured(*arguments: Any, **named: Any) -> Any:

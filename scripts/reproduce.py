@@ -55,13 +55,7 @@ IN_PARALLEL = (
 )  # commands given --jobs; fmt: skip
 KINDS = ("recording", "labels", "tracks", "features", "model", "report")
 INTERRUPTS_TO_KILL = 3  # after this many Ctrl-C, a command that does not end is killed
-COUNTS = (
-    "recordings",
-    "objects",
-    "models",
-    "training_steps",
-    "trials",
-)  # counts that decide whether a run is larger than another
+COUNTS = ("recordings", "objects", "models", "training_steps", "trials")  # counts that define the size of a run
 
 # A function that runs a command in a folder and returns its output and exit code.
 Run = Callable[[Command, Path], tuple[int, str]]
@@ -78,7 +72,8 @@ def run_command(words: Command, folder: Path) -> tuple[int, str]:
     program = ["-P", "-m", "evetac_cli", *rest] if ours else [str(ROOT / rest[0]), *rest[1:]]
     with interrupts.signals_blocked(interrupts.CTRL_C):
         # Ctrl-C is blocked until evetac handles it, because during Python's start it would end in a traceback. A script
-        # does not handle it: it inherits an unblocked signal, and the handler here waits for it.
+        # does not unblock it, so it inherits an unblocked signal. In both cases the handler of this process waits for
+        # the command.
         if not ours:
             signal.pthread_sigmask(signal.SIG_UNBLOCK, interrupts.CTRL_C)
         process = subprocess.Popen([sys.executable, *program], cwd=folder, stdout=subprocess.PIPE, text=True)

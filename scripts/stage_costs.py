@@ -177,7 +177,7 @@ def main() -> None:
     about.add_argument("--rounds", type=int, default=2, help="rounds; the least time counts")
     about.add_argument("--scene", default="slip", help="name of a scene, or a TOML file")
     about.add_argument("--grasp-s", type=float, default=3.0, help="how long a grasp lifts")
-    about.add_argument("--only", default="", help="comma-separated stages")
+    about.add_argument("--only", default="", help="stages, separated by commas")
     about.add_argument("--inside", default="", help="a stage: show its longest functions instead")
     about.add_argument("-o", "--out", type=Path, help="write the figures as JSON too")
     given = about.parse_args()

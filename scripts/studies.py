@@ -51,8 +51,7 @@ def force_sensor_steps(sizes: Sizes) -> Iterator[Command]:
 
 
 def force_sensor_evaluations(sizes: Sizes) -> dict[str, Command]:
-    """Evaluate touch maps with different knowledge of the gel, on faces by both trackers and on objects; paper's
-    models.
+    """Evaluate the paper's models, and touch maps with different knowledge of the gel, on faces and objects.
 
     The seed is that of the force readings and of the errors of moduli.
     """

@@ -61,7 +61,7 @@ class Setting(NamedTuple):
     name: str
     layer: GelLayer
     missing: float = 0.0  # share of dots
-    print_depth_mm: float = 0.0  # true positions of the dots, whatever is given
+    print_depth_mm: float = 0.0  # the true dots, independent of the given properties
 
 
 KNOWN = Setting("known sensor", GelLayer())

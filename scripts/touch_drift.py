@@ -6,9 +6,9 @@ A gripper holds an object that is pushed every 0.65 s. There are two courses: th
 every minute, with one tracker for all grips; or it is held throughout. One tracker per remedy gets the same events. A
 flash changes the events, so its trials are simulated separately.
 
-Errors are measured at looks every half second in the last five seconds of a period in which the object is held: the rms
-of the dots' errors and of their mean, the largest error of any dot, and the error of the net shear of a touch map of
-these dots against one of the true dots. All simulated, in about half of the simulated time.
+Errors are measured at looks every half second, in the last five seconds of a period in which the object is held. The
+table has the rms of the dots' errors and of their mean, and the largest error of any dot. It also has the net shear
+error of a touch map of these dots, relative to a map of the true dots. All simulated, in about half the simulated time.
 """
 
 import argparse
@@ -45,7 +45,7 @@ LAST_LOOK_S = 4  # before the end of a grip
 AFTER_MINUTES = (1, 2, 5, 10)
 FIRST_LOOK_S = 10
 FRAME_PX = 0.1  # error of a frame, per dot and axis
-FRAME_SHARES = {1: 0.4, 10: 0.7}  # gain towards a frame, by interval in s; chosen on seeds 7010-7012
+FRAME_SHARES = {1: 0.4, 10: 0.7}  # correction gain, keyed by frame interval in s; chosen on seeds 7010-7012
 FLASH_EVERY_S = 1
 FLASH = (0.2, 0.1)
 FLASH_SLICES = 2 * len(FLASH)  # slices whose events are kept from the tracker

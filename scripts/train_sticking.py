@@ -36,7 +36,7 @@ EPOCHS, BATCH, RATE, DECAY = 30, 256, 2e-3, 0.05
 SLIPS, KEPT = 0.03, 0.5  # of the looks with less slip, only this share is kept
 MISSING = (0.0, 0.0, 0.0, 0.1)  # shares of dots that may be missing in a trial
 SD_POINTS = 11
-BEGUN = 0.12  # from this share on, slip has begun; looks between trials.LOW and it are not used
+BEGUN = 0.12  # slip has begun at this share; looks between it and trials.LOW count as neither
 BEGUN_WEIGHT = 0.5  # weight of its cross entropy relative to the error of the share
 DROPPED = 0.02  # share of the inputs that are left out at random
 

@@ -41,9 +41,7 @@ def instructions(text: str) -> list[tuple[str, str]]:
 
 
 def context(ignored: str) -> list[Path]:
-    """Return the clone's files that a build sees: the last matching .dockerignore pattern of a file or its folders
-    counts.
-    """
+    """Return the clone's files that a build sees; of several .dockerignore patterns that match, the last counts."""
     patterns = [line for line in ignored.splitlines() if line and not line.startswith("#")]
     seen = []
     for folder, folders, names in os.walk(ROOT):
@@ -74,7 +72,7 @@ def require_own(folder: Path) -> None:
 
 
 class Image:
-    """The folder that stands for an image, and the settings of its instructions so far."""
+    """The folder used as an image, and the settings of its instructions so far."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder

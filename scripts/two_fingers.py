@@ -163,7 +163,7 @@ class Blind:
 
 
 def unlike_grasp(seed: int, how: str) -> Row:
-    """Test whether slip of the second finger alone has an effect; how `one`: its signal does not reach the controller."""
+    """Test whether slip of the second finger alone has an effect; `one` hides its signal from the controller."""
     plan = first_plan("lift", "11")
     assert plan.touched is not None
     scene = replace(

@@ -4,7 +4,7 @@
 
 The script starts evetac as the user 64001, the owner. As the user 64002 it runs the attempts in tries_as_other_user.py.
 The attacker has no capability, belongs to no group, and cannot gain either (NoNewPrivs). Neither user needs to exist.
-World-writable folders stand in for /tmp and for a shared folder, so that nothing else on this computer is disturbed.
+World-writable folders replace /tmp and a shared folder, so that nothing else on this computer is disturbed.
 
 Each row states the attempt, its target (door), and the result. Exit code 1 if anything was reached. Exit code 2 if this
 script cannot become other users (it needs root); then nothing was tried. --code attacks another checkout.

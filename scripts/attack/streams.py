@@ -2,9 +2,9 @@
 
     python scripts/attack/streams.py --seconds 5 --events-per-s 300000
 
-A fault fails if the recording does not end in time, needs more memory than --memory-mb, makes more slices than the
-host's time allows, or reports another number of lost events than the camera counts. devices/virtual/stream_attacks.py
-gives the allowed difference for each fault, and whether the report may be `at least`.
+A fault fails if the recording does not end in time, needs more memory than --memory-mb, or makes more slices than the
+host's time allows. It also fails if the recording reports another number of lost events than the camera counts.
+devices/virtual/stream_attacks.py gives the allowed difference for each fault, and whether the report may be `at least`.
 """
 
 import argparse

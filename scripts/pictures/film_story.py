@@ -92,7 +92,7 @@ def frame_times(plan: list[Act]) -> list[float]:
 
 
 def read_story(trial: OpenTrial) -> Story:
-    """Read all data except events; InputError if the recording is not a simulated grasp, lacks tracks, or has no catch."""
+    """Read all data except events; InputError if the recording is no simulated grasp, lacks tracks, or has no catch."""
     recording, tracks = trial.recording, trial.tracks
     if recording is None or not (recording.has("control") and recording.has("truth/table_gap_mm")):
         raise InputError("the film needs a simulated grasp", expected="a recording made by evetac grasp")
