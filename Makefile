@@ -174,7 +174,7 @@ docs: $(ALL)  ## build the documentation, site/index.html, with the reference pa
 bench: $(READY)  ## compare kernel run times in one run: with real time, other methods, or a commit (BASE)
 	$(BIN)/python scripts/bench.py $(if $(BASE),--against $(BASE))
 
-profile: $(READY)  ## measure each stage: processor time, memory and bytes per trial, without start-up (COSTS, for JSON)
+profile: $(READY)  ## measure each stage: processor time, memory and bytes per trial, and start-up (COSTS, for JSON)
 	$(BIN)/python scripts/stage_costs.py $(if $(COSTS),-o $(COSTS))
 
 clean:  ## remove files from demo, tests and builds; keep the environment

@@ -266,7 +266,7 @@ def times_us(code: Path, group: str) -> dict[str, float]:
     done = subprocess.run(run, env=environment, capture_output=True, text=True, check=False)
     if done.returncode:
         why = (done.stderr.strip().splitlines() or [f"exit status {done.returncode}"])[-1]
-        print(f"{group}: not with {code}: {why}", file=sys.stderr)
+        print(f"{group} failed with {code}: {why}", file=sys.stderr)
         return {}
     return {row["what"]: row["time_us_median"] for row in json.loads(done.stdout)["rows"]}
 

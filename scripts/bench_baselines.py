@@ -38,7 +38,7 @@ REPEATS = 5
 # Camera and tracker see dots on circles, at a speed that makes some 350 events per slice.
 PERIOD, RADIUS_PX = 1000, 3.0
 SLICES = 50  # slices of the motion in one call
-FRAME_MS = 10  # events per image for Lucas-Kanade and Farneback
+FRAME_MS = 10  # ms of events per image for Lucas-Kanade and Farneback
 BLOCK = 1000  # slices that are read at once
 
 

@@ -65,9 +65,9 @@ SCENES: dict[str, dict[str, Any]] = {
     },
     "grip-steps": {"randomise": {"touch_mm": 3.0}},
 }
-SECOND_SEED, TWIN_SEED, GRIP_SEED = 1000, 2000, 3000  # distance between seeds of a sensor's recordings, or grips
+SECOND_SEED, TWIN_SEED, GRIP_SEED = 1000, 2000, 3000  # seed offsets of later recordings, and between grips
 OBJECT, OBJECT_G, OBJECT_FRICTION = 18, 550, 0.9  # the object in the gripper, a glass bottle
-OPEN_M = 0.060  # the current at which the bending of the fingers is evaluated
+OPEN_M = 0.060  # the gap at which the bending of the fingers is evaluated
 QUARTER, HELD = 0.25, 0.9  # identified: width in prior ranges at most, share with truth at least
 AUC_ROOM, AUC_OTHER = 0.05, 0.9
 
@@ -91,8 +91,8 @@ class Parameter:
 
     name: str
     part: str = "camera"
-    of_sensor: Callable[[Sensor], float] | None = None  # the entry's name, unless it differs from the parameter's
-    ranges: tuple[str, ...] = ()  # the entry's name
+    of_sensor: Callable[[Sensor], float] | None = None  # default: the sensor's attribute of this name
+    ranges: tuple[str, ...] = ()  # default: the entry of this name
 
     def truth(self, sensor: Sensor) -> float:
         """Return the true value for a sensor."""
@@ -296,7 +296,7 @@ def all_kept(work: Path, *, camera_only: bool) -> dict[int, tuple[Row, Windows]]
         raise InputError(
             f"there are sensors that were made {how} the gripper: {', '.join(others)}",
             where=str(work),
-            hint="take another folder, with --out",
+            hint="use another folder with --out",
         )
     return held
 

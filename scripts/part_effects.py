@@ -67,7 +67,7 @@ from evetac_cli.trials.trial import SimulatedTrial
 NONE = "none"
 SLIPPED, GRASPED = (2, 8, 14), (11, 12, 17)  # objects, in turn
 RESAMPLES = 2000
-LEAST_PAIRS = 3  # resamples of the trials, for the interval of a change
+LEAST_PAIRS = 3  # fewest pairs of trials for the interval of a change
 
 
 @dataclass(frozen=True)

@@ -42,9 +42,9 @@ from evetac_cli.kernels.slip.metrics import LAST_CHECKPOINTS
 Costs = dict[str, dict[str, float]]
 
 COSTS = Path(__file__).with_name("plan_costs.json")
-TONES = 5  # seconds of the scenes `vibration` and `vibration-randomized` without --tone
-VIBRATION_S = 102.2  # seconds of the scene `vibration`, the same scene except for its length
-TOUCH_S = 1.5  # seconds of a grasp before it lifts
+TONES = 5  # number of tones in the scenes `vibration` and `vibration-randomized` without --tone
+VIBRATION_S = 102.2  # seconds of the scene `vibration`; the other scene differs only in its length
+TOUCH_S = 1.5  # of a grasp, before it lifts
 LIFT_S, BALANCE_S = 10.0, 20.0
 PRESETS = ("unregularised", "paper", "official", "stable")
 RECORDED = ("slip", "edge", "shear", "data-rate", "vibration-randomized")

@@ -46,7 +46,7 @@ from evetac_cli.inspect.doctor.speed import Computer
 from evetac_cli.store.files import StageFile
 
 HERE = Path(__file__).resolve().parents[1]
-TOUCH_S = 1.5  # as in the scene `lift`, before the law reacts to slip
+TOUCH_S = 1.5  # contact phase of the scene `lift`, before the law reacts to slip
 JITTER_S = 2.0
 OVER = "the grasp is over"
 SPREADS = {"latency": "latency_us", "slice_late": "slice_late_us", "step_late": "step_late_us"}

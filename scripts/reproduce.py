@@ -131,7 +131,7 @@ def sizes_for(experiment: Experiment, *, small: bool, given: dict[str, str]) -> 
 
 
 def with_engine(words: Command, jobs: int, engine: str) -> Command:
-    """Add folder, engine and number of jobs to a command that works on files; a running cluster has its own number."""
+    """Add engine and number of jobs to a command that works on files; a running cluster has its own number."""
     if words[1] not in IN_PARALLEL and words[1:3] != ["evaluate", "slip"]:
         return words
     ours = words[0] == "evetac"

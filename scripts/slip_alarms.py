@@ -49,7 +49,7 @@ class Judged(NamedTuple):
 def judge(alarming: Flags, share: Singles, slips: Flags) -> Judged:
     """Classify alarms by the true slipping share of the contact and by gross slip."""
     slips_at = slip_begins(slips)
-    slides = slips.copy()  # long enough for an alarm to be late
+    slides = slips.copy()  # slices at which an alarm would be late
     for begin in slips_at:
         slides[begin : begin + LATE_MS + 1] = False
 

@@ -49,7 +49,7 @@ from evetac_cli.sim.setup.sensor import Sensor  # noqa: E402
 READING_SD_N = 0.05
 ADAPTED_ON = 3  # seeds of eight contacts each
 CONTACT_S = 5.0
-STIFFNESS_LOG_SD = 0.2  # before: the assumed error of the given modulus
+STIFFNESS_LOG_SD = 0.2  # assumed error of the given modulus before adaptation
 CALIBRATION, NORMAL_N, SHEAR_N = 219, (1.0, 20.0), (0.0, 4.0)
 PUBLISHED = {"x_mae_n": 0.14, "y_mae_n": 0.10, "normal_mae_n": 0.93}  # arXiv 2606.09451, over 4, 4 and 20 N
 

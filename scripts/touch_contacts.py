@@ -61,7 +61,7 @@ class Setting(NamedTuple):
     name: str
     layer: GelLayer
     missing: float = 0.0  # share of dots
-    print_depth_mm: float = 0.0  # the true dots, independent of the given properties
+    print_depth_mm: float = 0.0  # true depth of the dots, independent of the given layer
 
 
 KNOWN = Setting("known sensor", GelLayer())

@@ -176,8 +176,8 @@ class Flashes(Remedy):
 
     def __init__(self, rest_px: Floats, radius_px: float) -> None:
         super().__init__(rest_px, radius_px)
-        self.shown_px: Floats | None = None  # by the last flash
-        self.true_px = rest_px  # the dots at that time
+        self.shown_px: Floats | None = None  # the dots as shown by the last flash
+        self.true_px = rest_px  # the true dots at that time
 
     def constants(self) -> tracker.TrackerConstants:
         """The constants of the tracker."""
@@ -221,7 +221,7 @@ class Looks:
 class WrongDots:
     """How well a touch map's own patch identified wrong dots; px are from the median error."""
 
-    by_px: dict[float, list[int]] = field(default_factory=lambda: {px: [0, 0] for px in WRONG_PX})  # found, of
+    by_px: dict[float, list[int]] = field(default_factory=lambda: {px: [0, 0] for px in WRONG_PX})  # found, total
     called: int = 0  # called wrong although off by less than the smallest of WRONG_PX
     right: int = 0
 
@@ -316,7 +316,7 @@ def blocks(scene: Path, seed: int) -> Iterator[tuple[evetac.Simulation, Events, 
 
 
 def times(length_s: int, minutes: int) -> list[tuple[int, str, int]]:
-    """Yield the times of looks: number of the grip, name, and second within the grip."""
+    """Return the last times of looks: number of the grip, name, and second within the grip."""
     grips = {minute: divmod(minute * MINUTE_S - 1, length_s)[0] for minute in AFTER_MINUTES if minute <= minutes}
     ends = {minute: minute * MINUTE_S - grip * length_s for minute, grip in grips.items()}
     return [(0, f"{FIRST_LOOK_S} s", FIRST_LOOK_S)] + [

@@ -115,7 +115,7 @@ class Servo:
         self._begun_s = time.monotonic()
 
     def spans(self, from_s: float) -> list[tuple[float, float]]:
-        """Return the spans in which the motor had current since a time: start and end (inf: still on)."""
+        """Return the spans with motor current that end after a time, as start and end (inf: still on)."""
         spans: list[tuple[float, float]] = []
         for text in self._log.read_text().splitlines():
             line = json.loads(text)
@@ -246,7 +246,7 @@ def lives_s(name: str, servo: Servo, watchdog_ms: int, folder: Path) -> tuple[fl
 def one(
     name: str, part: str, since: str, after_s: float, how: str, watchdog_ms: int, servo: Servo, folder: Path
 ) -> dict[str, Any]:
-    """Run a command; kill or stop one process a given time after the command's start, or after the motor's.
+    """Run a command; kill or stop one process a given time after the command's start, or after first current.
 
     Return the servo's log and the command's outcome.
     """

@@ -441,7 +441,7 @@ DOORS = {each.__name__: each for each in (devices, cache, folder, output, dask, 
 
 
 def libraries(python: Path) -> list[str]:
-    """Return the path with which another Python finds the libraries of this one."""
+    """Return the folders in which another Python finds the libraries of this one."""
     return [] if python == Path(sys.executable) else [path for path in sys.path if path.endswith("site-packages")]
 
 
@@ -458,7 +458,7 @@ def running() -> int:
 def why_not(python: Path) -> str:
     """Return why this script cannot become other users; empty if it can."""
     if os.geteuid() != 0:
-        return "it needs root, to become two other users"
+        return "this script needs root to become two other users"
     for user in (OWNER, OTHER):
         with contextlib.suppress(KeyError):
             return f"the user {user} exists: {pwd.getpwuid(user).pw_name}"
@@ -466,17 +466,17 @@ def why_not(python: Path) -> str:
     while running() and time.monotonic() < end_s:
         time.sleep(0.1)
     if running():
-        return f"programs of the users {OWNER} or {OTHER} run: of another attack?"
+        return f"programs of the users {OWNER} or {OTHER} are running, perhaps from another attack"
     tried = subprocess.run(
         ["/bin/sh", "-c", "id -u; id -G"], user=OTHER, group=OTHER, extra_groups=[], capture_output=True, text=True,
         check=False,
     ).stdout.split()  # fmt: skip
     if tried != [str(OTHER), str(OTHER)]:
-        return f"it may not become another user here (setuid, setgroups): {' '.join(tried)}"
+        return f"this script may not become another user (setuid, setgroups): {' '.join(tried)}"
     try:
         subprocess.run([python, "-c", ""], user=OTHER, group=OTHER, extra_groups=[], check=True)
     except OSError:
-        return f"other users may not run {python.resolve()}: name another of its version with --python"
+        return f"other users may not run {python.resolve()}; choose another Python of its version with --python"
     return ""
 
 
@@ -493,7 +493,7 @@ def main() -> int:
     try:
         reason = why_not(chosen.python)
     except OSError as error:
-        reason = f"it may not become another user here: {error}"
+        reason = f"this script may not become another user: {error}"
     if reason:
         print(f"nothing was tried: {reason}", file=sys.stderr)
         return 2

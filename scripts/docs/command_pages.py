@@ -48,8 +48,8 @@ def page_name(command: str) -> str:
 def pages() -> dict[str, str]:
     """Return the text of every page by its path: one page per command, and the list of all commands."""
     every = every_command()
-    made = {f"{FOLDER}/{page_name(name)}": _page(name, command) for name, command in every.items()}
-    return {f"{FOLDER}/index.md": _list(every), **made}
+    page_of = {f"{FOLDER}/{page_name(name)}": _page(name, command) for name, command in every.items()}
+    return {f"{FOLDER}/index.md": _list(every), **page_of}
 
 
 def _list(every: Mapping[str, Any]) -> str:
@@ -65,7 +65,7 @@ def _list(every: Mapping[str, Any]) -> str:
         panels.setdefault(str(panel), []).append((link, prose(_help(command)[0][0])))
     for panel in sorted(panels, key=lambda name: name == "Inspect"):
         parts += [f"## {panel}\n", table(("command", "what it does"), panels[panel])]
-    parts += ["## Exit codes\n", table(("code", "meaning"), [(str(number), said) for number, said in ENDS])]
+    parts += ["## Exit codes\n", table(("code", "meaning"), [(str(number), meaning) for number, meaning in ENDS])]
     parts.append(
         "With `--json` a command always prints exactly one JSON object on stdout, with the keys `command`, `simulated`,"
         " `rows` and `summary`, and `error` if the command failed. Progress and messages go to stderr.\n"
@@ -106,8 +106,8 @@ def _in_a_file(name: str, known: Mapping[str, Field[Any]]) -> str:
     flags = {flag_of(item): item.name for item in known.values() if flag_of(item).startswith("--")}
     others = [f"{code(key)} for {code(flag)}" for flag, key in flags.items() if flag[2:].replace("-", "_") != key]
     table_of = code(f"[{name.replace(' ', '.')}]")
-    said = f"In a `--config` file, write these options in the table {table_of}, with `_` instead of `-`"
-    return said + (f", except {', '.join(others)}" if others else "") + ".\n"
+    text = f"In a `--config` file, write these options in the table {table_of}, with `_` instead of `-`"
+    return text + (f", except {', '.join(others)}" if others else "") + ".\n"
 
 
 def _argument(param: Any) -> str:

@@ -132,8 +132,8 @@ def _page(schema: Schema) -> str:
 
 def _row(row: Dataset) -> tuple[str, ...]:
     meaning, limits = sentence(prose(row.meaning)), _limits(row.limits, row.meaning)
-    said = " ".join(part for part in (meaning, limits, "*Optional.*" if row.optional else "") if part)
-    return code(row.path), "text" if row.dtype == "utf8" else code(row.dtype), _shape(row.dims), row.unit, said
+    text = " ".join(part for part in (meaning, limits, "*Optional.*" if row.optional else "") if part)
+    return code(row.path), "text" if row.dtype == "utf8" else code(row.dtype), _shape(row.dims), row.unit, text
 
 
 def _shape(dims: Sequence[str | int] | None) -> str:

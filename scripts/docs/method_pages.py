@@ -110,7 +110,7 @@ def _constants(named: Mapping[str, Any], meanings: Mapping[str, str]) -> str:
 
 
 def _presets() -> str:
-    said = [
+    lines = [
         "# Presets and label methods\n",
         "A preset is a named, complete set of an algorithm's constants. If you change a constant by hand, the file"
         " records the preset as `custom from NAME`.\n",
@@ -118,21 +118,21 @@ def _presets() -> str:
         "`evetac track --preset NAME`, `evetac grasp --tracker NAME`, `evetac.DotTracker(gel, preset=NAME)`.\n",
     ]
     for name in presets.PRESETS:
-        said += [f"### Tracker preset {name}\n", TRACKERS[name] + "\n"]
+        lines += [f"### Tracker preset {name}\n", TRACKERS[name] + "\n"]
     constants = {name: asdict(each) for name, each in presets.PRESETS.items()}
-    said += ["### Constants of the tracker\n", "Lengths in px.\n", _constants(constants, comments(TrackerConstants))]
-    said += ["## Training\n", "`evetac train --preset NAME`.\n"]
+    lines += ["### Constants of the tracker\n", "Lengths in px.\n", _constants(constants, comments(TrackerConstants))]
+    lines += ["## Training\n", "`evetac train --preset NAME`.\n"]
     trainings = {**PRESETS, ADAPT.name: ADAPT}
     for name in trainings:
-        said += [f"### Training preset {name}\n", TRAININGS[name] + "\n"]
+        lines += [f"### Training preset {name}\n", TRAININGS[name] + "\n"]
     constants = {
         name: {key: item for key, item in asdict(each).items() if key != "name"} for name, each in trainings.items()
     }
-    said += ["### Constants of training\n", _constants(constants, comments(type(ADAPT)))]
-    said += ["## Label methods\n", "`evetac label --method NAME` marks the slices in which the object slips.\n"]
+    lines += ["### Constants of training\n", _constants(constants, comments(type(ADAPT)))]
+    lines += ["## Label methods\n", "`evetac label --method NAME` marks the slices in which the object slips.\n"]
     for name in label_methods():
-        said += [f"### Label method {name}\n", LABELS[name] + "\n"]
-    return "\n".join(said)
+        lines += [f"### Label method {name}\n", LABELS[name] + "\n"]
+    return "\n".join(lines)
 
 
 def controller_names() -> list[str]:
@@ -141,23 +141,23 @@ def controller_names() -> list[str]:
 
 
 def _controllers() -> str:
-    said = [
+    lines = [
         "# Controllers\n",
         "`evetac grasp --controller NAME` chooses how the gripper touches, lifts and holds the object. Each control"
         " step reads the slip signal and the position of the fingers, and returns a goal position in ticks of the"
         " gripper's encoder (0.088 degrees each). There are 500 steps per second unless `--control-hz` is given.\n",
     ]
     for name in controller_names():
-        said += [f"## {name}\n", CONTROLLERS[name] + "\n"]
+        lines += [f"## {name}\n", CONTROLLERS[name] + "\n"]
         law = LAWS.get(name)
         if is_dataclass(law):
-            said.append(_constants({name: asdict(law)}, comments(type(law))))
-    said.append("The [results](../results.md) show how many objects each controller held, and how firmly.\n")
-    return "\n".join(said)
+            lines.append(_constants({name: asdict(law)}, comments(type(law))))
+    lines.append("The [results](../results.md) show how many objects each controller held, and how firmly.\n")
+    return "\n".join(lines)
 
 
 def _models() -> str:
-    said = [
+    lines = [
         "# Models\n",
         "## Slip detectors\n",
         "`evetac train --model NAME`. A detector estimates the probability of slip from the dots or event images of the"
@@ -183,22 +183,22 @@ def _models() -> str:
         else:
             facts.append(("input", f"{' x '.join(map(str, architecture.input_shape))} (slices, height, width)"))
         facts.append(("weights", f"{weights:,}"))
-        said += [f"### {name}\n", MODELS[name] + "\n", table(("what", "value"), facts)]
-    said += [f"## The detector that comes with evetac: {MODEL.name.removesuffix('.model.h5')}\n", _shipped()]
-    said += ["## Force models\n", "`evetac train-force --method NAME`.\n"]
+        lines += [f"### {name}\n", MODELS[name] + "\n", table(("what", "value"), facts)]
+    lines += [f"## The detector that comes with evetac: {MODEL.name.removesuffix('.model.h5')}\n", _shipped()]
+    lines += ["## Force models\n", "`evetac train-force --method NAME`.\n"]
     for name in force_methods():
-        said += [f"### Force model {name}\n", FORCE_MODELS[name] + "\n"]
-    said.append("`predict-touch` also estimates forces without a model: see [touch maps](../touch-maps.md).\n")
-    return "\n".join(said)
+        lines += [f"### Force model {name}\n", FORCE_MODELS[name] + "\n"]
+    lines.append("`predict-touch` also estimates forces without a model: see [touch maps](../touch-maps.md).\n")
+    return "\n".join(lines)
 
 
 def _channels(architecture: DotArchitecture) -> str:
-    said = []
+    lines = []
     for view in architecture.views:
         parts = [f"{view.recent} slice{'s' if view.recent > 1 else ''}"] if view.recent else []
         parts += [f"{view.means} means of {view.block}"] if view.means else []
-        said.append(f"{view.channel} ({' and '.join(parts)}{', as changes' if view.change else ''})")
-    return ", ".join(said)
+        lines.append(f"{view.channel} ({' and '.join(parts)}{', as changes' if view.change else ''})")
+    return ", ".join(lines)
 
 
 def _shipped() -> str:

@@ -37,24 +37,24 @@ OPENING, EVENTS, SIMULATING, ERRORS = "Open files", "Events, dots, slip", "Simul
 
 def every_page() -> dict[str, str]:
     """Return the text of all reference pages by their paths below the folder."""
-    made = {path: text for module in MODULES for path, text in module.pages().items()}
+    generated = {path: text for module in MODULES for path, text in module.pages().items()}
     copied = {path: for_the_site((ROOT / name).read_text("utf-8")) for path, name in OF_THE_REPOSITORY.items()}
-    return {path: MADE + text for path, text in {**made, "python.md": _python(), **copied}.items()}
+    return {path: MADE + text for path, text in {**generated, "python.md": _python(), **copied}.items()}
 
 
 def _python() -> str:
     """Return the page of public Python names; mkdocstrings inserts their docstrings."""
-    said = [
+    lines = [
         "# All names in Python\n",
         "    import evetac_cli as evetac\n",
         "Each name is imported on first use. The package is fully typed. A test runs all examples on this page.\n",
     ]
     for part in (OPENING, EVENTS, SIMULATING, ERRORS):
-        said.append(f"## {part}\n")
-        said += [f"::: evetac_cli.{name}\n" for name in evetac.__all__ if _part_of(name) == part]
+        lines.append(f"## {part}\n")
+        lines += [f"::: evetac_cli.{name}\n" for name in evetac.__all__ if _part_of(name) == part]
         if part == OPENING:
-            said.append("::: evetac_cli.store.files.StageFile\n")
-    return "\n".join(said)
+            lines.append("::: evetac_cli.store.files.StageFile\n")
+    return "\n".join(lines)
 
 
 def _part_of(name: str) -> str:
@@ -71,10 +71,10 @@ def for_the_site(text: str) -> str:
     """Adapt links for the site: links to docs/ are kept; other repository files, not on the site, are only named."""
 
     def replace(match: re.Match[str]) -> str:
-        said, path, place = match[1], match[2], match[3] or ""
+        label, path, place = match[1], match[2], match[3] or ""
         if path.startswith("docs/"):
-            return f"[{said}](../{path.removeprefix('docs/')}{place})"
-        return f"`{path}`" if said.strip("`") == path else f"{said} (`{path}`)"
+            return f"[{label}](../{path.removeprefix('docs/')}{place})"
+        return f"`{path}`" if label.strip("`") == path else f"{label} (`{path}`)"
 
     return LINK.sub(replace, text)
 

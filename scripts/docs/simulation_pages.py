@@ -100,7 +100,7 @@ def plan_of(name: str, sensor: str = EXAMPLE) -> Plan:
 
 
 def _scenes() -> str:
-    said = [
+    lines = [
         "# Scenes\n",
         "A scene describes a simulated trial. All files made from a scene are marked as simulated. `--dry-run` shows"
         " which [parts](parts.md) a scene builds; parts that it does not name cost no run time. To write your own"
@@ -112,7 +112,7 @@ def _scenes() -> str:
         named = read_toml(SCENES / f"{name}.toml")
         command = "grasp" if named["kind"] == "lift" else "record"
         built = [row["part"] for row in rows_of(plan_of(name)) if row["built"]]
-        said += [
+        lines += [
             f"## {name}\n",
             sentence(prose(named["summary"])) + "\n",
             prose(comment) + "\n" if comment else "",
@@ -120,7 +120,7 @@ def _scenes() -> str:
             f"Kind `{named['kind']}`. Parts: {', '.join(built)}.\n",
             folded(f"{name}.toml", fenced(text, "toml")),
         ]
-    return "\n".join(said)
+    return "\n".join(lines)
 
 
 def _head(text: str) -> Iterator[str]:
@@ -134,23 +134,23 @@ def _head(text: str) -> Iterator[str]:
 def _sensors() -> str:
     rows = sensor_rows()
     rules = _rules("sensor")
-    said = [
+    lines = [
         "# Sensors\n",
         "Simulated sensors for `--sensor NAME`: gel, dots, camera and noise. None of them was measured on a real"
         " Evetac. `evetac` is fitted to figures in the paper. [`identify`](commands/identify.md) estimates a sensor"
         " like yours from recordings ([how it works](../identify.md)).\n",
     ]
     for name, row in rows.items():
-        said += [f"## {name}\n", sentence(prose(row["summary"])) + "\n"]
+        lines += [f"## {name}\n", sentence(prose(row["summary"])) + "\n"]
         if name in FOR_EACH_TRIAL:
-            said.append("Each value below is sampled from its own random stream. All others are those of `evetac`.\n")
-            said.append(table(("key", "value or range"), [(code(key), _range(item)) for key, item in _flat(row)]))
+            lines.append("Each value below is sampled from its own random stream. All others are those of `evetac`.\n")
+            lines.append(table(("key", "value or range"), [(code(key), _range(item)) for key, item in _flat(row)]))
         elif name != EXAMPLE:
             base = dict(_flat(rows[EXAMPLE]))
             differing = [(key, item) for key, item in _flat(row) if key != "summary" and item != base.get(key)]
             shown = [(code(key), value(base[key]) if key in base else "", value(item)) for key, item in differing]
-            said.append(table(("key", f"`{EXAMPLE}`", code(name)), shown))
-    said += [
+            lines.append(table(("key", f"`{EXAMPLE}`", code(name)), shown))
+    lines += [
         "## Keys of a sensor's file\n",
         "Write your own sensor as a TOML file and pass it with `--sensor mine.sensor.toml`. With"
         ' `like = "evetac"` it needs only the keys that differ from `evetac`.\n',
@@ -162,7 +162,7 @@ def _sensors() -> str:
             ],
         ),
     ]
-    return "\n".join(said)
+    return "\n".join(lines)
 
 
 def _parts() -> str:
@@ -180,32 +180,32 @@ def _parts() -> str:
             else:
                 why_not.setdefault(row["part"], row["left_out"])
     realistic = {row["part"]: row["built"] for row in rows_of(plan_of("slip", "realistic")) if row["built"]}
-    said = [
+    lines = [
         "# Parts of a scene and a sensor\n",
         "A simulation is built from parts. A part that neither scene nor sensor names is left out and costs no run"
         " time. [Disturbances](../disturbances.md) shows how each part changes events, labels, tracks and grasps.\n",
     ]
     for name in order:
         keys = PARTS[name]
-        said.append(f"## {name}\n")
+        lines.append(f"## {name}\n")
         rows = [
             (code(path), owner, prose(rule.get("description", "")), _values(rule))
             for owner, paths in (("sensor", keys.sensor), ("scene", keys.scene))
             for path in paths
             for rule in (_rule(rules[owner], path),)
         ]
-        said.append(table(("key", "of", "meaning", "values"), rows))
+        lines.append(table(("key", "of", "meaning", "values"), rows))
         scenes, reason = built[name], prose(why_not.get(name, ""))
         if len(scenes) == len(scene_names()):
-            said.append("In every packaged scene.\n")
+            lines.append("In every packaged scene.\n")
         elif scenes:
             listed = ", ".join(f"[{each}](scenes.md#{each})" for each in scenes)
-            said.append(f"In {listed}. Left out elsewhere: {reason}.\n")
+            lines.append(f"In {listed}. Left out elsewhere: {reason}.\n")
         else:
-            said.append(f"Left out of all packaged scenes with the sensor `{EXAMPLE}`: {reason}.\n")
+            lines.append(f"Left out of all packaged scenes with the sensor `{EXAMPLE}`: {reason}.\n")
         if name in realistic and not scenes:
-            said.append(f"The sensor [`realistic`](sensors.md#realistic) has it: {prose(realistic[name])}.\n")
-    return "\n".join(said)
+            lines.append(f"The sensor [`realistic`](sensors.md#realistic) has it: {prose(realistic[name])}.\n")
+    return "\n".join(lines)
 
 
 def _keys_page(owner: str, title: str, flag: str) -> str:
