@@ -53,7 +53,7 @@ class StripeCamera:
         return self.slices * SLICE_US
 
     def host_us(self, device_us: float) -> float:
-        """Convert a time of the recording to host time, in us; evetac uses it to measure lateness."""
+        """Convert a time of the recording to host time, in us; lateness is measured with it."""
         return self.began_s * 1e6 + device_us if self.open else math.nan
 
     def close(self) -> None:

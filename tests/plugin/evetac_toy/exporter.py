@@ -9,7 +9,7 @@ from evetac_cli.store.recordings.read import Recording
 
 
 def write(recording: Recording, path: Path, progress: Progress) -> None:
-    """Write a line for every event. evetac itself reports which parts of the recording were left out."""
+    """Write a line for every event. The command reports which parts of the recording were left out."""
     with path.open("w", encoding="ascii") as file:
         file.write("toy events {}x{}\n".format(*recording.frame_px))
         for events in pieces(recording, progress):

@@ -13,7 +13,7 @@ MARK = b"toy events "
 
 
 def read(path: Path, frame_px: tuple[int, int] | None) -> Foreign:
-    """Return the frame at once and the events batch by batch; evetac checks times, order and frame."""
+    """Return the frame at once and the events batch by batch; their times, order and frame are checked afterwards."""
     with path.open(encoding="ascii", errors="replace") as file:
         width, _, height = file.readline().removeprefix(MARK.decode()).strip().partition("x")
     if not (width.isdigit() and height.isdigit()):
