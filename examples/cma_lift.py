@@ -2,8 +2,12 @@
 
     python examples/cma_lift.py --runs 5 --jobs 2 --json lift.json
 
-The law closes A + B * load + C * slip ticks beyond light contact. load is the mean displacement of the dots in px since
-light contact. slip is the accumulated share of milliseconds with slip, which decays at the rate D.
+The law closes by a number of ticks beyond light contact:
+
+    A + B * load + C * slip
+
+load is the mean displacement of the dots in px since light contact. slip is the accumulated share of milliseconds with
+slip, which decays at the rate D.
 
 CMA-ES (from the library cma) searches A to D on objects 1 to 9 with seeds below 10,000. The mean of its last generation
 is evaluated on the unseen objects 10 to 18, with seeds starting at 22,000. All results are simulated. Needs the extra

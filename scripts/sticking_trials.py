@@ -85,7 +85,7 @@ def touched(dot_mm: Floats, rest_mm: Floats) -> Flags:
 class Looks(NamedTuple):
     """Inputs and outputs of a network at each look of a trial during touch.
 
-    slices: of the looks; inputs: (looks, INPUTS); told: the slipping share and its standard deviation; begun:
+    slices: of the looks; inputs: (looks, INPUTS); `told`: the slipping share and its standard deviation; begun:
     probability that slip has begun; fields_mm: displacements of dots at the reference and now (looks, 2, dots, 2).
     """
 

@@ -113,7 +113,7 @@ class EventFrames:
                     self._shown.append(frame)
                     self._changed.notify_all()
             ended: BaseException = EOFError("the camera's stream has ended")
-        except Exception as error:  # raised for the next caller that requests a frame
+        except Exception as error:  # raised again when the next frame is requested
             ended = error
         with self._changed:
             self._ended = ended
