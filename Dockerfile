@@ -1,8 +1,8 @@
-# evetac for those who want no Python of their own; docs/install.md says how to use it. `scripts/try_dockerfile.py`
-# follows these lines where there is no Docker.
+# An image with evetac, for users without a Python of their own; docs/install.md explains how to use it.
+# `scripts/try_dockerfile.py` tests these lines on machines without Docker.
 FROM python:3.11-slim
 
-# torch alone and first: it is the largest and changes least. The build for CPUs: that for CUDA is gigabytes larger.
+# torch has its own layer, first, because it is the largest and changes least. The CPU build saves gigabytes over CUDA.
 COPY constraints.txt /opt/evetac/
 RUN pip install --no-cache-dir --constraint /opt/evetac/constraints.txt \
     --extra-index-url https://download.pytorch.org/whl/cpu torch
@@ -10,8 +10,8 @@ RUN pip install --no-cache-dir --constraint /opt/evetac/constraints.txt \
 COPY . /opt/evetac/
 RUN pip install --no-cache-dir --constraint /opt/evetac/constraints.txt '/opt/evetac[convert,plot]'
 
-# Compiled kernels lie beside their source and are root's, as the source is: nobody may write what others load and run.
-# `docker run --user` takes any number: each user gets a copy (evetac_cli/kernel_cache.py).
+# Compiled kernels are stored next to their source and, like it, belong to root, so that no user can change code that
+# others run. `docker run --user` accepts any number; each user gets a copy of the kernels (evetac_cli/kernel_cache.py).
 RUN evetac doctor --compile
 RUN useradd --create-home evetac && mkdir --mode=1777 /data
 USER evetac

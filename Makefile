@@ -1,38 +1,38 @@
-# The experiments, the tests and the checks. `make help` lists the targets; each sets up first what it needs.
+# Experiments, tests and checks. `make help` lists the targets; each target first sets up its environment.
 SHELL := /bin/bash
 .SHELLFLAGS := -o pipefail -c
 PYTHON ?= python3
-# Of the experiments: files worked on at the same time; SMALL=1 for sizes of minutes; SIZES="each=1 seed=7" for others,
-# of which `make experiments` prints a list.
+# For experiments: JOBS, the number of files processed in parallel; SMALL=1 for sizes that take minutes;
+# SIZES="each=1 seed=7" for other sizes. `make experiments` lists the sizes.
 JOBS ?= $(shell nproc 2>/dev/null || echo 2)
 SMALL ?=
 SIZES ?=
-# Of bench: a revision, or the folder of another checkout, to compare with.
+# For bench: a revision, or the folder of another checkout, to compare with.
 BASE ?=
-# Of profile: a file for its figures as JSON.
+# For profile: a file for its figures as JSON.
 COSTS ?=
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 ALL := $(VENV)/.ready-to-develop
-# Extras of the commands of README and of the first hour; the others come with setup-all, or one by one when needed.
+# Extras for the commands of README and the first hour; setup-all installs the others.
 USED := plot
 EVERY := camera,cluster,convert,log,plot,robot,view,dev,docs
-# Where pip looks beside its own index, for torch without CUDA: https://download.pytorch.org/whl/cpu, or a folder.
+# Additional pip index or folder, for torch without CUDA: https://download.pytorch.org/whl/cpu
 TORCH_INDEX ?=
 LOWEST := .venv-lowest
 LEROBOT := .venv-lerobot
-# Of lerobot: its newest version that is tested wants Python 3.12.
+# For lerobot: the newest tested version of LeRobot requires Python 3.12.
 LEROBOT_PYTHON ?= python3.12
 REPRODUCE = $(BIN)/python scripts/reproduce.py --jobs $(JOBS) $(if $(SMALL),--small) $(SIZES:%=--size %)
 
-# Installs, and says of each larger package that it comes: pip says either nothing for minutes, or hundreds of lines.
+# Installs packages and prints a line for each large one. pip itself prints nothing for minutes, or hundreds of lines.
 INSTALL = $(BIN)/python -m pip install --no-compile --disable-pip-version-check --progress-bar off \
 	--constraint constraints.txt $(if $(TORCH_INDEX),--extra-index-url $(TORCH_INDEX)) --editable
 SAYING = awk '/(Downloading|Using cached) .*MB\)/ {sub(/^ +/, ""); print "  " $$0} \
 	/^Installing collected packages/ {print "  unpacking " NF - 3 " packages"} {fflush()}' >&2
 
-# Modules are kept compiled, whatever the environment says: the tests start hundreds of processes.
+# Always keep compiled modules, because the tests start hundreds of processes.
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
@@ -43,102 +43,102 @@ unexport PYTHONDONTWRITEBYTECODE
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 22
 
-setup: $(READY)  ## make a virtual environment in .venv for README's commands, and compile them (TORCH_INDEX)
+setup: $(READY)  ## make a virtual environment in .venv for README's commands, and compile the kernels (TORCH_INDEX)
 
-setup-all: $(ALL)  ## ... with every extra, and what tests, checks and documentation use
+setup-all: $(ALL)  ## ... with all extras and all packages for tests, checks and documentation
 
 $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
-	@echo 'installing evetac and what it uses, [$(USED)], into $(VENV)'
+	@echo 'installing evetac with the extra [$(USED)] into $(VENV)'
 	@$(INSTALL) '.[$(USED)]' | $(SAYING)
 	$(BIN)/evetac doctor --compile
 	@touch $@
 
 $(ALL): $(READY)
-	@echo 'installing the other extras, and what tests, checks and documentation use, [$(EVERY)], into $(VENV)'
+	@echo 'installing all extras and the packages for tests, checks and documentation, [$(EVERY)], into $(VENV)'
 	@$(INSTALL) '.[$(EVERY)]' | $(SAYING)
 	@touch $@
 
 experiments: $(READY)  ## list the experiments with their sizes
 	@$(REPRODUCE) --list
 
-demo: $(READY)  ## from touch to grasp on a simulated sensor, one to four minutes; results in demo/ (SIZES, JOBS)
+demo: $(READY)  ## all steps from touch to grasp on a simulated sensor, in one to four minutes; results in demo/ (SIZES, JOBS)
 	@$(REPRODUCE) --only $@
 
-slip-data: $(READY)  ## simulated slips to learn from and to be judged on, in data/slip (SMALL, SIZES, JOBS, as all that follow)
+slip-data: $(READY)  ## simulate slips for training and evaluation, in data/slip (SMALL, SIZES, JOBS, like all targets below)
 	@$(REPRODUCE) --only $@
 
-slip-models: $(READY)  ## ... train slip detectors on them
+slip-models: $(READY)  ## ... train slip detectors on these slips
 	@$(REPRODUCE) --only $@
 
-slip-table: $(READY)  ## ... and judge these on unseen slips
+slip-table: $(READY)  ## ... evaluate the slip detectors on unseen slips
 	@$(REPRODUCE) --only $@
 
-slip-images: $(READY)  ## ... train and judge those that see images, the slowest part
+slip-images: $(READY)  ## ... train and evaluate slip detectors on event images, the slowest target
 	@$(REPRODUCE) --only $@
 
-true-slip-share: $(READY)  ## ... what the true share of the contact that slips is worth to a training
+true-slip-share: $(READY)  ## ... measure the benefit of training on the true slipping share of the contact
 	@$(REPRODUCE) --only $@
 
-paper-recipe: $(READY)  ## the paper's recipe at its size, and one thing of it changed at a time
+paper-recipe: $(READY)  ## run the paper's recipe at full size, and with one change at a time
 	@$(REPRODUCE) --only $@
 
-ship: $(READY)  ## train the slip detector on many motions, sensors and objects, and put it into the package
+ship: $(READY)  ## train the pretrained slip detector on many motions, sensors and objects, and put it into the package
 	@$(REPRODUCE) --only $@
 
-tracking: $(READY)  ## presets of the tracker on edges, slip and shear
+tracking: $(READY)  ## compare tracker presets on edges, slip and shear
 	@$(REPRODUCE) --only $@
 
-vibration: $(READY)  ## at which frequency the gel vibrates
+vibration: $(READY)  ## measure the vibration frequency of the gel
 	@$(REPRODUCE) --only $@
 
-data-rate: $(READY)  ## bytes a second against an RGB sensor
+data-rate: $(READY)  ## compare bytes per second with an RGB sensor
 	@$(REPRODUCE) --only $@
 
-force: $(READY)  ## shear force from dots in events and in frames
+force: $(READY)  ## estimate shear force from dots in events and in frames
 	@$(REPRODUCE) --only $@
 
-grasp-table: $(READY)  ## lift and balance by feel, all controllers side by side
+grasp-table: $(READY)  ## compare all controllers in lifting and balancing by feel
 	@$(REPRODUCE) --only $@
 
-part-effects: $(READY)  ## what each part of a sensor or a scene does to each stage
+part-effects: $(READY)  ## measure the effect of each part of a sensor or a scene on each stage
 	@$(REPRODUCE) --only $@
 
-blind-identification: $(READY)  ## whether sensors that identify has never seen are found again
+blind-identification: $(READY)  ## test whether identify recovers unseen sensors
 	@$(REPRODUCE) --only $@
 
-force-sensors: $(READY)  ## ... and forces by touch maps of these sensors
+force-sensors: $(READY)  ## ... evaluate forces from touch maps of these sensors
 	@$(REPRODUCE) --only $@
 
-touch-cost: $(READY)  ## what a step of the touch sensor costs
+touch-cost: $(READY)  ## measure the cost of a step of the touch sensor
 	@$(REPRODUCE) --only $@
 
-mujoco-grasps: $(ALL)  ## grasps in MuJoCo with our touch
+mujoco-grasps: $(ALL)  ## grasp in MuJoCo with evetac's touch sensor
 	@$(REPRODUCE) --only $@
 
-lift-baseline: $(ALL)  ## a grip law found by CMA-ES against fixed grips
+lift-baseline: $(ALL)  ## compare a grip law found by CMA-ES with fixed grips
 	@$(REPRODUCE) --only $@
 
-strips: $(READY)  ## a picture of every scene, in strips/: events, forces and slip
+strips: $(READY)  ## draw every scene, in strips/: events, forces and slip
 	@$(REPRODUCE) --only $@
 
-film: $(READY)  ## a short film of a catch: docs/catch.gif
+film: $(READY)  ## make the short film of a catch, docs/catch.gif
 	@$(REPRODUCE) --only $@
 	cp $(if $(SMALL),small/)film/catch.gif docs/catch.gif
 
 results: $(READY)  ## write the tables in docs/results/ into README and docs
 	$(BIN)/python scripts/results.py
 
-# Threads of BLAS that wait for each other's cores make small matrices ten times as dear.
+# With several BLAS threads that wait for each other's cores, small matrices take ten times as long.
 ONE_THREAD := OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 MKL_NUM_THREADS=1
 
-test: $(ALL)  ## the test suite; first installs what it needs, if anything is missing
+test: $(ALL)  ## run the test suite; installs missing packages first
 	$(ONE_THREAD) $(BIN)/python -m pytest --numprocesses 3 --dist loadfile -m 'not slow'
 
-test-all: $(ALL)  ## the test suite with its longer cases
+test-all: $(ALL)  ## run the test suite with its longer cases
 	$(ONE_THREAD) $(BIN)/python -m pytest --numprocesses 2 --dist loadfile
 
-test-lowest: $(LOWEST)/.ready  ## the test suite with the lowest versions that pyproject.toml allows, in .venv-lowest
+test-lowest: $(LOWEST)/.ready  ## run the test suite with the lowest versions that pyproject.toml allows, in .venv-lowest
 	NUMBA_CACHE_DIR=$(CURDIR)/$(LOWEST)/numba $(LOWEST)/bin/python -m pytest --numprocesses 2 --dist loadfile -m 'not slow'
 
 $(LOWEST)/.ready: pyproject.toml scripts/lowest.py
@@ -147,7 +147,7 @@ $(LOWEST)/.ready: pyproject.toml scripts/lowest.py
 	$(LOWEST)/bin/python -m pip install --quiet --disable-pip-version-check --constraint $(LOWEST)/lowest.txt --editable '.[camera,cluster,convert,log,plot,robot,dev]'
 	@touch $@
 
-lerobot:  ## environments of their own for LeRobot 0.6.1 (LEROBOT_PYTHON) and 0.4.4, gigabytes, for slow tests
+lerobot:  ## make environments with LeRobot 0.6.1 (LEROBOT_PYTHON) and 0.4.4 for slow tests (gigabytes)
 	$(LEROBOT_PYTHON) -m venv --clear $(LEROBOT)
 	$(LEROBOT)/bin/python -m pip install --quiet --disable-pip-version-check 'lerobot[training,core-scripts]==0.6.1' \
 		torch==2.7.1 torchvision==0.22.1 'torchcodec<0.6' 'opencv-contrib-python-headless<4.14' \
@@ -155,7 +155,7 @@ lerobot:  ## environments of their own for LeRobot 0.6.1 (LEROBOT_PYTHON) and 0.
 	$(PYTHON) -m venv --clear $(LEROBOT)-0.4.4
 	$(LEROBOT)-0.4.4/bin/python -m pip install --quiet --disable-pip-version-check lerobot==0.4.4 torch==2.7.1 torchvision==0.22.1
 
-check: $(ALL)  ## ruff, mypy --strict and the documentation, side by side
+check: $(ALL)  ## run ruff, mypy --strict and the documentation build in parallel
 	@$(MAKE) --no-print-directory --jobs 3 --output-sync=target lint types docs
 
 lint: $(ALL)
@@ -165,18 +165,18 @@ lint: $(ALL)
 types: $(ALL)
 	$(BIN)/mypy
 
-docs: $(ALL)  ## the documentation: site/index.html, with every page of the reference made from the code
+docs: $(ALL)  ## build the documentation, site/index.html, with the reference pages made from the code
 	$(BIN)/python scripts/docs/pages.py
 	$(BIN)/zensical build --clean --strict
 	$(BIN)/python scripts/docs/check_site.py
 	@echo 'open site/index.html; its search needs a server: python3 -m http.server --bind 127.0.0.1 --directory site'
 
-bench: $(READY)  ## run times of the kernels, as ratios in one run: to real time, to other ways, to a commit (BASE)
+bench: $(READY)  ## compare kernel run times in one run: with real time, other methods, or a commit (BASE)
 	$(BIN)/python scripts/bench.py $(if $(BASE),--against $(BASE))
 
-profile: $(READY)  ## what each stage costs: processor time, memory and bytes per trial, start-up apart (COSTS, for JSON)
+profile: $(READY)  ## measure each stage: processor time, memory and bytes per trial, and start-up (COSTS, for JSON)
 	$(BIN)/python scripts/stage_costs.py $(if $(COSTS),-o $(COSTS))
 
-clean:  ## remove what demo, tests and builds left; the environment stays
+clean:  ## remove files from demo, tests and builds; keep the environment
 	rm -rf demo strips film small dist site docs/reference .cache .pytest_cache .ruff_cache .mypy_cache .hypothesis
 	find . -name __pycache__ -not -path './$(VENV)/*' -prune -exec rm -rf {} +

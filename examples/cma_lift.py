@@ -1,11 +1,17 @@
-"""A small baseline for evetac/Lift-v0: four numbers of a grip law, found by CMA-ES, against fixed grips.
+"""A small baseline for evetac/Lift-v0: a grip law with four parameters, found by CMA-ES, against fixed grips.
 
     python examples/cma_lift.py --runs 5 --jobs 2 --json lift.json
 
-The law closes to A + B * load + C * slip ticks beyond light contact: load is the mean displacement of the dots in px
-since light contact, slip the share of milliseconds with slip, summed up and forgotten at a rate D. CMA-ES (the library
-cma) finds A to D on objects 1 to 9 with seeds below 10,000; the mean of its last generation is judged on objects 10 to
-18, which it never saw, with seeds from 22,000 on. All of it is simulated. Needs the extra `robot`.
+The law closes by a number of ticks beyond light contact:
+
+    A + B * load + C * slip
+
+load is the mean displacement of the dots in px since light contact. slip is the accumulated share of milliseconds with
+slip, which decays at the rate D.
+
+CMA-ES (from the library cma) searches A to D on objects 1 to 9 with seeds below 10,000. The mean of its last generation
+is evaluated on the unseen objects 10 to 18, with seeds starting at 22,000. All results are simulated. Needs the extra
+`robot`.
 """
 
 import argparse
@@ -30,23 +36,23 @@ GRIPS = (5.0, 10.0, 15.0, 20.0, 30.0)
 
 @dataclass
 class GripLaw:
-    """Goal in ticks beyond light contact, from observations; to be made anew for each episode."""
+    """Computes the goal, in ticks beyond light contact, from observations; make a new one for each episode."""
 
     first: float
     per_px: float
     per_slip: float
-    forget: float  # share a step
+    forget: float  # decay per step
     slip: float = 0.0
     rest_px: Any = None
 
     @classmethod
     def of(cls, theta: Sequence[float]) -> "GripLaw":
-        """The law of four numbers of about 1, which CMA-ES searches."""
+        """Return the law for four numbers near 1, which CMA-ES searches."""
         a, b, c, d = theta
         return cls(6.0 + 6.0 * a, 1.5 + 1.5 * b, 3.0 + 3.0 * c, min(max(0.02 + 0.02 * d, 0.0), 1.0))
 
     def goal(self, observation: dict[str, Any]) -> float:
-        """One step."""
+        """Return the goal of one step."""
         mean_px = observation["displacement_px"].mean(axis=0)
         if self.rest_px is None:
             self.rest_px = mean_px
@@ -57,14 +63,14 @@ class GripLaw:
 
 @cache
 def environment(objects: str) -> LiftEnv:
-    """One of these in each process."""
+    """Return the environment; each process has its own."""
     made = gymnasium.make("evetac/Lift-v0", objects=objects, disable_env_checker=True).unwrapped
     assert isinstance(made, LiftEnv)
     return made
 
 
 def episode(task: tuple[str, int, tuple[float, ...]]) -> dict[str, float]:
-    """An episode of objects, a seed and a policy: (ticks,) of a fixed grip, or four numbers of a law."""
+    """Run an episode of (objects, seed, policy); a policy is (ticks,) for a fixed grip or a law's four numbers."""
     objects, seed, theta = task
     env = environment(objects)
     observation, _ = env.reset(seed=seed)
@@ -81,13 +87,13 @@ def episode(task: tuple[str, int, tuple[float, ...]]) -> dict[str, float]:
 
 
 def judge(pool: Executor, objects: str, seeds: Sequence[int], theta: tuple[float, ...]) -> dict[str, float]:
-    """Mean figures of a policy over episodes."""
+    """Return the mean results of a policy over episodes."""
     rows = list(pool.map(episode, [(objects, seed, theta) for seed in seeds]))
     return {name: float(np.mean([row[name] for row in rows])) for name in rows[0]}
 
 
 def search(pool: Executor, run: int, generations: int, candidates: int, episodes: int) -> tuple[float, ...]:
-    """The numbers that one run of CMA-ES ends with; its seeds are run * 1000 on."""
+    """Return the four numbers found by one run of CMA-ES; its seeds start at run * 1000."""
     options = {"seed": run + 1, "popsize": candidates, "verbose": -9, "maxiter": generations}
     strategy = cma.CMAEvolutionStrategy(4 * [0.0], 0.5, options)
     for generation in range(generations):
@@ -102,15 +108,15 @@ def search(pool: Executor, run: int, generations: int, candidates: int, episodes
 
 
 def main() -> None:
-    """Search, judge, and print a table."""
+    """Search, evaluate, and print the results."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--runs", type=int, default=5)
     parser.add_argument("--generations", type=int, default=4)
     parser.add_argument("--candidates", type=int, default=6)
-    parser.add_argument("--episodes", type=int, default=2, help="of each candidate")
-    parser.add_argument("--judged", type=int, default=20, help="episodes that each policy is judged on")
-    parser.add_argument("--judged-from", type=int, default=JUDGED_FROM, help="seed of the first of them")
-    parser.add_argument("--grips", type=float, nargs="*", default=GRIPS, help="fixed ones, in ticks")
+    parser.add_argument("--episodes", type=int, default=2, help="episodes per candidate")
+    parser.add_argument("--judged", type=int, default=20, help="episodes that evaluate each policy")
+    parser.add_argument("--judged-from", type=int, default=JUDGED_FROM, help="seed of the first of these episodes")
+    parser.add_argument("--grips", type=float, nargs="*", default=GRIPS, help="fixed grips, in ticks")
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--json", type=Path)
     chosen = parser.parse_args()

@@ -1,12 +1,14 @@
-"""Lift objects by feel in MuJoCo: our touch on a finger of a parallel gripper, our slip detector, our grip laws.
+"""Lift objects by feel in MuJoCo with evetac's touch sensor, slip detector and grip laws.
 
     python examples/mujoco_grasp.py --trials 20 --json grasps.json
     python examples/mujoco_grasp.py --trials 1 --controllers paper --film grasp.gif
 
-MuJoCo moves hand, fingers and object, and finds the contact force. Each millisecond the force of the object on one pad
-goes to `evetac.TouchSensor`, its events to the detector, and every second one a law sets the gripper's goal. The
-fingers are driven as the package's own gripper is: 2 N for each tick between goal and encoder, against dry friction.
-All of it is simulated. Needs the extra `robot`, a film `plot` too.
+MuJoCo moves the hand, the fingers and the object, and computes the contact force. Each millisecond, the force of the
+object on one pad goes to `evetac.TouchSensor`, and the sensor's events go to the slip detector. Every second
+millisecond, a grip law sets the goal of the gripper. The fingers are driven like evetac's simulated gripper: 2 N for
+each tick between goal and encoder, against dry friction.
+
+All results are simulated. Needs the extra `robot`; --film also needs `plot`.
 """
 
 import argparse
@@ -29,9 +31,9 @@ from evetac_cli.sim.gripper import Drive, gap_m, ticks_at_gap
 from evetac_cli.store.files import StageFile
 from evetac_cli.trials.grasp.online_detector import OnlineSlipDetector
 
-SLIP_THRESHOLD = 0.3  # as `evetac grasp`
-FINGER_N_M = 3.6e3  # of one finger: 1.8 N/mm of the gap, as the package's own
-AWAY_TICKS = 4  # before touch, where the fingers begin
+SLIP_THRESHOLD = 0.3  # the default of `evetac grasp`
+FINGER_N_M = 3.6e3  # per finger: 1.8 N/mm of the gap, as in evetac's simulated gripper
+AWAY_TICKS = 4  # distance of the fingers from the object at the start
 WIDEST_M = gap_m(0.0)
 TOUCH_MS, LIFT_MS, HOLD_MS = 1000, 3000, 1000
 RISE_M, RISE_M_S, RISES_AT_MS = 0.1, 0.05, 300
@@ -84,20 +86,20 @@ class Thing:
 
     @classmethod
     def drawn(cls, rng: np.random.Generator) -> "Thing":
-        """An object of random shape, size, mass and friction."""
+        """Return an object of random shape, size, mass and friction."""
         shape = str(rng.choice(["box", "cylinder"]))
         width_m, height_m = rng.uniform(0.03, 0.06), rng.uniform(0.08, 0.12)
         return cls(shape, width_m, height_m, rng.uniform(0.05, 0.4), rng.uniform(0.5, 1.0))
 
     @property
     def touched(self) -> dict[str, Any]:
-        """The same as the sensor is told of it."""
+        """Describe the object as `TouchSensor` expects it."""
         shape = "flat" if self.shape == "box" else "cylinder"
         return {"shape": shape, "width_mm": self.width_m * 1e3, "static_friction": self.friction}
 
 
 class Gripper:
-    """MuJoCo's world with hand, two fingers and an object."""
+    """The MuJoCo model of a hand, two fingers and an object."""
 
     def __init__(self, thing: Thing, drive: Drive) -> None:
         self.drive = drive
@@ -127,19 +129,19 @@ class Gripper:
 
     @property
     def position_ticks(self) -> int:
-        """What the encoder reads."""
+        """Return the encoder reading."""
         closed_m = self.data.joint("left").qpos[0] + self.data.joint("right").qpos[0]
         return math.floor(ticks_at_gap(min(max(self._open_m - closed_m, 0.0), WIDEST_M)))
 
     @property
     def lifted_m(self) -> float:
-        """How far the object's bottom is above the table."""
+        """Return the height of the object's bottom above the table."""
         return float(self.data.body("object").xpos[2]) - self._bottom_m
 
     def step(self, goal_ticks: int, height_m: float) -> tuple[float, tuple[float, float]]:
-        """A millisecond; returns the object's force on the right pad: normal, and shear along the image's x and y.
+        """Simulate 1 ms; return the object's force on the right pad, in N: normal, and shear along the image's x and y.
 
-        The finger looks along -X of the world; the image's x points down, its y along -Y.
+        The finger looks along -X of the world. The image's x axis points down, its y axis along -Y.
         """
         drive = self.drive
         current_ma = drive.gain_ma_tick * (goal_ticks - self.position_ticks)
@@ -151,25 +153,25 @@ class Gripper:
             contact = self.data.contact[number]
             if set(contact.geom.tolist()) == {self._pad, self._object}:
                 mujoco.mj_contactForce(self.model, self.data, number, wrench)
-                force = contact.frame.reshape(3, 3).T @ wrench[:3]  # on the second of the two
+                force = contact.frame.reshape(3, 3).T @ wrench[:3]  # the force on the second geom of the contact
                 on_pad += force if contact.geom[1] == self._pad else -force
         return max(float(on_pad[0]), 0.0), (-float(on_pad[2]), -float(on_pad[1]))
 
 
 def hand_height_m(now_ms: int) -> float:
-    """Where the hand is to be: at rest, then up at a constant speed."""
+    """Return the height that the hand should have: at rest, then rising at a constant speed."""
     return min(max((now_ms - TOUCH_MS - RISES_AT_MS) * 1e-3 * RISE_M_S, 0.0), RISE_M)
 
 
 def phase_at(now_ms: int) -> GraspPhase:
-    """The phase of the grasp, as the laws know it."""
+    """Return the phase of the grasp that is passed to the grip law."""
     if now_ms < TOUCH_MS:
         return GraspPhase.CONTACT
     return GraspPhase.LIFT if now_ms < TOUCH_MS + LIFT_MS else GraspPhase.BALANCE
 
 
 def detector_for(sensor: evetac.TouchSensor) -> OnlineSlipDetector:
-    """The package's slip detector on a sensor."""
+    """Return the pretrained slip detector for a sensor."""
     constants = presets.PRESETS["stable"].for_dots(sensor.dot_radius_px)
     with StageFile(resources.MODEL, "model") as model:
         gel = sensor.dot_xy_px, sensor.window_px, constants, sensor.sensitivity
@@ -179,7 +181,7 @@ def detector_for(sensor: evetac.TouchSensor) -> OnlineSlipDetector:
 
 
 def grasp(seed: int, controller: str, film: "Film | None" = None) -> dict[str, Any]:
-    """One trial; what came of it."""
+    """Run one trial and return its results."""
     rng = np.random.default_rng(seed)
     thing = Thing.drawn(rng)
     gripper = Gripper(thing, Drive())
@@ -213,9 +215,9 @@ def grasp(seed: int, controller: str, film: "Film | None" = None) -> dict[str, A
 
 
 class Film:
-    """Draws the gripper from the side, and the events of one finger, as a GIF."""
+    """Draws the gripper from the side and the events of one finger, as a GIF."""
 
-    EVERY_MS, SIZE, SCALE = 80, (480, 240), 900.0  # pixels a metre
+    EVERY_MS, SIZE, SCALE = 80, (480, 240), 900.0  # pixels per metre
 
     def __init__(self) -> None:
         from PIL import Image
@@ -227,7 +229,7 @@ class Film:
     def see(
         self, now_ms: int, gripper: Gripper, thing: Thing, touch: evetac.Touch, normal_n: float, probability: float
     ) -> None:
-        """Take a millisecond, and draw a frame when it is due."""
+        """Add one millisecond; draw a frame when one is due."""
         self._events += touch.slices
         if (now_ms + 1) % self.EVERY_MS:
             return
@@ -252,7 +254,7 @@ class Film:
         for events in self._events:
             seen[events.y, events.x] = 255 * events.p
         self._events = []
-        blocks = seen[:, :639].reshape(160, 3, 213, 3)  # of each block what is farthest from grey
+        blocks = seen[:, :639].reshape(160, 3, 213, 3)  # keep the pixel of each block that differs most from grey
         small = np.where(blocks.max(axis=(1, 3)) > 128, blocks.max(axis=(1, 3)), blocks.min(axis=(1, 3)))
         picture.paste(self._image.fromarray(small).convert("RGB"), (256, 60))
         for x, y in touch.dot_xy_px / 3 + np.array([256, 60]):
@@ -270,10 +272,10 @@ class Film:
 
 
 def main() -> None:
-    """Run trials with each controller, and say how many objects were lifted."""
+    """Run trials with each controller and print how many objects were lifted."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--trials", type=int, default=20)
-    parser.add_argument("--seed", type=int, default=22_000, help="of the first trial; each has the next")
+    parser.add_argument("--seed", type=int, default=22_000, help="seed of the first trial; each trial adds one")
     parser.add_argument("--controllers", nargs="+", default=["load-proportional", "paper", "none"])
     parser.add_argument("--json", type=Path, help="file for all trials")
     parser.add_argument("--film", type=Path, help="GIF of the first trial with the first controller")
@@ -293,7 +295,7 @@ def main() -> None:
         print(
             f"simulated, {controller}: lifted {lifted} of {len(of_one)},"
             f" grip at the end {np.median(grips) if grips else math.nan:.1f} N (median),"
-            f" {speed:,.0f} steps of 1 ms a second of CPU"
+            f" {speed:,.0f} steps of 1 ms per CPU second"
         )
     if chosen.json:
         chosen.json.write_text(json.dumps(rows, indent=1) + "\n")

@@ -1,4 +1,4 @@
-"""A robot's program that records its trials with evetac. Python's standard library alone.
+"""A robot program that records its trials with evetac. It needs only Python's standard library.
 
 evetac record --camera dvxplorer --gripper none --listen --out data      # in another terminal
 python examples/robot_trials.py data 3
@@ -13,7 +13,7 @@ from pathlib import Path
 
 
 class Recorder:
-    """The evetac that listens in a folder."""
+    """A connection to the evetac process that listens in a folder."""
 
     def __init__(self, folder: str) -> None:
         file = Path(folder, "evetac.listen")
@@ -23,7 +23,7 @@ class Recorder:
         self._lines = socket.create_connection((address, int(port))).makefile("rw")
 
     def ask(self, command: str, **fields: object) -> dict:
-        """The answer to start, mark, stop, status or abort; RuntimeError says why it was refused."""
+        """Send start, mark, stop, status or abort; return the answer, or raise RuntimeError with the reason."""
         print(json.dumps({"token": self._token, "command": command, **fields}), file=self._lines, flush=True)
         line = self._lines.readline()
         answer = json.loads(line) if line else {"ok": False, "error": "evetac has ended"}
@@ -36,8 +36,8 @@ def main() -> None:
     """Record a few trials."""
     recorder = Recorder(sys.argv[1])
     for number in range(int(sys.argv[2])):
-        recorder.ask("start", name=f"trial-{time.strftime('%Y%m%d-%H%M%S')}-{number:03d}")  # slices are recorded now
-        time.sleep(0.3)  # the arm moves
+        recorder.ask("start", name=f"trial-{time.strftime('%Y%m%d-%H%M%S')}-{number:03d}")  # evetac records from here
+        time.sleep(0.3)  # move the arm here
         recorder.ask("mark", text="touched", at_s=time.monotonic())
         time.sleep(0.3)
         print(recorder.ask("stop")["file"])

@@ -1,13 +1,13 @@
-"""Run times of the kernels on one core, as ratios in one run: to real time, to other ways, to another commit.
+"""Run times of the kernels on one core, as ratios within one run: to real time, to other methods, to another commit.
 
     python scripts/bench.py                                  # all rows, those of bench_baselines.py last
     python scripts/bench.py --only touch baselines
     python scripts/bench.py --only commands --against HEAD~20 --rounds 5   # CPU of whole commands (bench_commands.py)
     python scripts/bench.py --against HEAD~20                # or the folder of another checkout: `make bench BASE=...`
 
-Times depend on the machine and on what else it does; the ratios of one run are what to compare. Simulated input.
-With --against, this script runs in processes of its own with either package, in turn; a group of rows that fails with
-one of them is left out.
+Times depend on the machine and on its load. Compare only the ratios within one run. The input is simulated. With
+--against, this script runs in separate processes with each package in turn; a group of rows that fails with one of them
+is left out.
 """
 
 import argparse
@@ -47,7 +47,7 @@ OBJECTS = (8, 11, 17, 18)
 
 
 def timed(call: Callable[[], object], repeat: int) -> np.ndarray:
-    """Seconds of each repetition, the first (compilation, caches) left out."""
+    """Return the seconds of each repetition except the first, which compiles and fills caches."""
     call()
     times = []
     for _ in range(repeat):
@@ -58,9 +58,9 @@ def timed(call: Callable[[], object], repeat: int) -> np.ndarray:
 
 
 def simulation(name: str, number: int) -> list[dict[str, object]]:
-    """A whole trajectory of a scene: mean over all slices, together and by parts.
+    """Simulate a whole trajectory of a scene; return the mean time over all slices, in total and by part.
 
-    slip: the current falls by 6.9 mA/s from 0.9 s on. lift: the paper's control law, fed with the true slip.
+    slip: the current falls by 6.9 mA/s, starting at 0.9 s. lift: the paper's control law with the true slip signal.
     """
     kind = "lift" if name == "lift" else "ramp"
     plan = first_plan(name, str(number))
@@ -88,7 +88,7 @@ def simulation(name: str, number: int) -> list[dict[str, object]]:
 
 
 def edges() -> list[dict[str, object]]:
-    """Two trials of the scene edge, from the first slice to the last: a finger and a handle."""
+    """Time two trials of the scene edge, from the first slice to the last: a finger and a handle."""
     rows = []
     for trial in (0, 1):
         plan = first_plan("edge")
@@ -101,7 +101,7 @@ def edges() -> list[dict[str, object]]:
 
 
 def stillness() -> list[dict[str, object]]:
-    """Slices in which nothing slips: an object before its weight is on the gripper, held, and a face at rest."""
+    """Time slices without slip: an object before its weight is on the gripper, a held object, and a face at rest."""
     rows = []
     for name, what, first, end in (
         ("slip", "before its weight", 30, 200),
@@ -115,7 +115,7 @@ def stillness() -> list[dict[str, object]]:
 
 
 def slice_times(devices: Rig, slices: int) -> np.ndarray:
-    """Seconds of this thread in each of the first slices of a scene."""
+    """Return this thread's seconds for each of the first slices of a scene."""
     times = []
     for _ in range(slices):
         started = time.thread_time()
@@ -126,7 +126,7 @@ def slice_times(devices: Rig, slices: int) -> np.ndarray:
 
 
 class Stopwatch:
-    """A call, and the seconds of this thread that it has taken so far."""
+    """A function with a count of the thread seconds spent in it."""
 
     def __init__(self, call: Callable[..., object]) -> None:
         self._call = call
@@ -150,12 +150,12 @@ def row(what: str, seconds: np.ndarray, slices: float = 1.0) -> dict[str, object
 
 
 def touch() -> list[dict[str, object]]:
-    """Tracker and features at several loads, events on the edges of 63 dots."""
+    """Time tracker and features at several loads, with events on the edges of 63 dots."""
     rng = np.random.default_rng(0)
     dots = DOTS_PX
     rows = []
     for count in (0, 200, 463, 1000, 5000, 20000):
-        # Different slices: the same one again and again would make its pixels hot, and they would be left out.
+        # Different slices, because repeating one slice would make its pixels hot, and hot pixels are ignored.
         slices = [rim_events(rng, count) for _ in range(min(400, 400_000 // max(count, 1)))]
         for preset in ("paper", "official", "stable"):
             state = tracker.start(dots, presets.PRESETS[preset])
@@ -169,7 +169,7 @@ def touch() -> list[dict[str, object]]:
 
 
 def labels() -> list[dict[str, object]]:
-    """One pair of pictures in each region, per pair."""
+    """Time one pair of images in each region."""
     rng = np.random.default_rng(0)
     rows = []
     for name, region in (("window", (540, 0, 640, 480)), ("gel", (0, 0, 540, 480))):
@@ -180,7 +180,7 @@ def labels() -> list[dict[str, object]]:
 
 
 def network() -> list[dict[str, object]]:
-    """One prediction of hist10."""
+    """Time one prediction of hist10."""
     from evetac_cli.kernels.slip.detector import Detector
     from evetac_cli.kernels.slip.networks import SlipNet, onnx_graph
 
@@ -191,7 +191,7 @@ def network() -> list[dict[str, object]]:
 
 
 def online_step(count: int = 500) -> list[dict[str, object]]:
-    """From the events of a slice to a slip probability and the signal to the controller, with the package's model."""
+    """Time the pretrained detector's step from the events of a slice to slip probability and control signal."""
     with StageFile(MODEL, "model") as model:
         name, constants = model.read("architecture"), presets.PRESETS[Grasp().tracker]
         detector = OnlineSlipDetector.start(model, DOTS_PX.reshape(7, 9, 2)[:, :8], (540, 0, 640, 480), constants)
@@ -208,7 +208,7 @@ def online_step(count: int = 500) -> list[dict[str, object]]:
 
 
 def events_near(rng: np.random.Generator, count: int) -> Events:
-    """A slice of events at the rims of the dots that a cut gel has."""
+    """Return a slice of events at the rims of the dots of a cut gel."""
     x, y, p = rim_events(rng, 2 * count)
     left = np.flatnonzero(x < 517)[:count]
     return Events(np.sort(rng.integers(0, 1000, len(left))), x[left], y[left], p[left])
@@ -246,7 +246,7 @@ GROUPS: dict[str, Callable[[], list[dict[str, object]]]] = {
 
 @contextmanager
 def checkout(base: str) -> Iterator[Path]:
-    """The folder of another checkout: `base` itself, or a work tree of that revision while this lasts."""
+    """Return the folder of another checkout: `base` itself, or a temporary work tree of that revision."""
     if Path(base).is_dir():
         yield Path(base).resolve()
         return
@@ -260,19 +260,19 @@ def checkout(base: str) -> Iterator[Path]:
 
 
 def times_us(code: Path, group: str) -> dict[str, float]:
-    """Median times of a group's rows, run by a process of its own with the package in a folder; none if it fails."""
+    """Return median times of a group's rows, run in a separate process with a folder's package; none if it fails."""
     run = [sys.executable, __file__, "--only", group, "--json"]
     environment = os.environ | {"PYTHONPATH": str(code)}
     done = subprocess.run(run, env=environment, capture_output=True, text=True, check=False)
     if done.returncode:
         why = (done.stderr.strip().splitlines() or [f"exit status {done.returncode}"])[-1]
-        print(f"{group}: not with {code}: {why}", file=sys.stderr)
+        print(f"{group} failed with {code}: {why}", file=sys.stderr)
         return {}
     return {row["what"]: row["time_us_median"] for row in json.loads(done.stdout)["rows"]}
 
 
 def against(base: Path, groups: Iterable[str], rounds: int) -> list[dict[str, object]]:
-    """Rows that both checkouts have, each the fastest of its rounds; the checkouts take turns."""
+    """Return the rows that both checkouts have, each the fastest of its rounds; the checkouts take turns."""
     rows: list[dict[str, object]] = []
     for group in groups:
         if group == "commands":
@@ -297,7 +297,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", nargs="+", choices=GROUPS, default=list(GROUPS), help="groups of rows")
     parser.add_argument("--against", metavar="BASE", help="a revision, or the folder of another checkout")
-    parser.add_argument("--rounds", type=int, default=3, help="of --against, of which the fastest counts")
+    parser.add_argument("--rounds", type=int, default=3, help="rounds of --against; the fastest counts")
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of tables")
     chosen = parser.parse_args()
     if chosen.against is None:

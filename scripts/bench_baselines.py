@@ -1,7 +1,7 @@
-"""What our kernels are compared with in one run: the obvious way to do the same, in plain numpy or with a library.
+"""Compare evetac's kernels with the straightforward method for the same task, in plain numpy or with a library.
 
-Ours and the others take turns on the same simulated input, each on one core; of each the fastest run counts. What the
-obvious way gives is only compared where it is the same by definition: tests/scripts/test_bench.py.
+All methods take turns on the same simulated input, each on one core, and the fastest run of each counts. Results are
+compared only where both methods compute the same by definition: tests/scripts/test_bench.py.
 """
 
 import math
@@ -35,15 +35,15 @@ from evetac_cli.store.recordings.trial_writer import TrialWriter
 
 OURS = "ours"
 REPEATS = 5
-# Camera and tracker see dots on circles, at a speed that makes some 350 events a slice.
+# Camera and tracker see dots on circles, at a speed that makes some 350 events per slice.
 PERIOD, RADIUS_PX = 1000, 3.0
-SLICES = 50  # of it in one call
-FRAME_MS = 10  # events that are summed into one picture for Lucas-Kanade and Farneback
+SLICES = 50  # slices of the motion in one call
+FRAME_MS = 10  # ms of events per image for Lucas-Kanade and Farneback
 BLOCK = 1000  # slices that are read at once
 
 
 def fastest(calls: Mapping[str, Callable[[], int]]) -> dict[str, float]:
-    """Seconds of this thread for one of what a call says that it has done (slices, events), by the name of the call."""
+    """Return thread seconds per unit of work (slice or event) that a function reports, by the function's name."""
     for call in calls.values():
         call()  # compiles, loads, fills caches
     seconds = dict.fromkeys(calls, math.inf)
@@ -56,7 +56,7 @@ def fastest(calls: Mapping[str, Callable[[], int]]) -> dict[str, float]:
 
 
 def compared(task: str, calls: Mapping[str, Callable[[], int]]) -> list[Row]:
-    """A row for each way to do a task, of which each call does some slices."""
+    """Return a row for each method of a task; one call of a method does several slices."""
     seconds = fastest(calls)
     return [
         {
@@ -71,33 +71,33 @@ def compared(task: str, calls: Mapping[str, Callable[[], int]]) -> list[Row]:
 
 
 def circle(slice_: float) -> Floats:
-    """Where the dots (dots, 2) are at a time in slices."""
+    """Return the positions of the dots (dots, 2) at a time in slices."""
     angle = 2.0 * math.pi * slice_ / PERIOD
     return DOTS_PX + RADIUS_PX * np.array([math.sin(angle), 1.0 - math.cos(angle)])
 
 
 def gel_camera(scans_per_ms: int = 5) -> camera.CameraState:
-    """A camera without noise before the dots, from which the naive one takes references and thresholds."""
+    """Return a noise-free camera looking at the dots; the naive camera copies its references and thresholds."""
     model = camera.CameraModel(scans_per_ms=scans_per_ms, noise_rate_hz=0.0, hot_pixels=0)
     return camera.start(model, circle(0), None, None, np.random.default_rng(0))
 
 
 def seen(state: camera.CameraState, slice_: int) -> Events:
-    """Our camera's events of one slice of the motion; the dots move on a straight line."""
+    """Return the events that evetac's camera makes in one slice of the motion; the dots move on a straight line."""
     still = np.zeros(2)
     ends = circle(slice_ % PERIOD), circle(slice_ % PERIOD + 1)
     return camera.step(state, SliceMotion(*ends, still, still, 0.0), SLICE_US * slice_, np.random.default_rng(0))
 
 
 class DenseFrames:
-    """The obvious simulator of an event camera: draw the whole frame at every scan, and compare all of its pixels."""
+    """The straightforward event camera simulator: renders the whole frame at every scan and compares all pixels."""
 
     def __init__(self, state: camera.CameraState) -> None:
         self._profile, self._readout_us = state.profile, state.readout_us
         self._reference, self._threshold = state.reference.copy(), state.threshold
 
     def slice(self, slice_: int) -> Events:
-        """The events of one slice of the motion, sorted by time."""
+        """Return the events of one slice of the motion, sorted by time."""
         start, end = circle(slice_ % PERIOD), circle(slice_ % PERIOD + 1)
         parts = []
         for scan, readout_us in enumerate(self._readout_us):
@@ -114,7 +114,7 @@ class DenseFrames:
 
 
 class NumpyTracker:
-    """The paper's gradient step in plain numpy: every event against every dot; preset `paper` but for hot pixels."""
+    """The paper's gradient step in plain numpy, every event against every dot: preset `paper` without hot pixels."""
 
     def __init__(self, dot_xy_px: Floats) -> None:
         state = tracker.start(dot_xy_px, presets.PRESETS["paper"])
@@ -141,7 +141,7 @@ class NumpyTracker:
 
 
 def cameras() -> list[Row]:
-    """The gel camera on moving dots, against full frames."""
+    """Compare the gel camera with full frames, on moving dots."""
 
     def ours() -> Callable[[], int]:
         state, turn = gel_camera(), iter(range(10**9))
@@ -157,7 +157,7 @@ def cameras() -> list[Row]:
 
 
 def trackers() -> list[Row]:
-    """Trackers on the events of moving dots."""
+    """Compare trackers on the events of moving dots."""
     state = gel_camera()
     slices = [seen(state, slice_) for slice_ in range(SLICES)]
     pictures = [concatenate(slices[max(0, k - FRAME_MS + 1) : k + 1]) for k in range(SLICES)]
@@ -194,7 +194,7 @@ def trackers() -> list[Row]:
 
 
 def labellers() -> list[Row]:
-    """Labels of a forced slip by our default, and dense flow of the window alone at every slice."""
+    """Compare the default label method with dense flow of the window alone at every slice, on a forced slip."""
     trial = evetac_cli.simulate("slip", 8)
     slices = list(trial)
     starts = np.cumsum([0, *(events.size for events in slices)])
@@ -211,7 +211,7 @@ def labellers() -> list[Row]:
         return len(slices)
 
     def farneback() -> int:
-        for k in range(len(slices) - 100, len(slices) - 50):  # while it slips
+        for k in range(len(slices) - 100, len(slices) - 50):  # during slip
             pair = (flow.event_picture(between(first, first + FRAME_MS), window) for first in (k, k + FRAME_MS))
             flow.region_flow(*pair)
         return 50
@@ -221,7 +221,7 @@ def labellers() -> list[Row]:
 
 
 def networks() -> list[Row]:
-    """One prediction of hist10: onnxruntime, and torch as it was trained."""
+    """Compare one prediction of hist10 in onnxruntime and in torch."""
     architecture = ARCHITECTURES["hist10"]
     net = SlipNet(architecture).eval()
     detector = Detector(onnx_graph(net), architecture)
@@ -242,7 +242,7 @@ def networks() -> list[Row]:
 
 
 def storage(slices: list[Events]) -> list[Row]:
-    """Events to and from disk: our recordings, checked as they are written and read, and plain h5py."""
+    """Compare writing and reading events: evetac's recordings, checked in both directions, and plain h5py."""
     events = concatenate(slices)
     static = {"sensor/frame_px": np.array(FRAME_PX, np.int32), "sensor/name": "evetac", "t_offset": np.int64(0)}
     with tempfile.TemporaryDirectory(prefix="evetac-bench-") as folder:
@@ -295,7 +295,7 @@ PLAIN: dict[str, dict[str, Any]] = {"plain h5py": {}, "plain h5py, gzip": {"comp
 
 
 def rows() -> list[Row]:
-    """All comparisons, on one core."""
+    """Return all comparisons, on one core."""
     cv2.setNumThreads(1)
     torch.set_num_threads(1)
     return [*cameras(), *trackers(), *networks(), *labellers()]

@@ -1,6 +1,6 @@
-"""What a command costs from its start to its end, on one trial of 4 s: the CPU time of its process, user and system.
+"""Measure the CPU time of whole commands on one trial of 4 s: user and system time of the process.
 
-Two checkouts take turns, and of each the cheapest round counts: the rest is what else the computer does.
+Two checkouts take turns, and the cheapest round of each counts, because other programs can only add to the time.
 """
 
 import os
@@ -13,7 +13,7 @@ from pathlib import Path
 
 RECORD = "record --scene slip --object 3 --seed 20011 -o a.recording.h5"
 STAGES = ("track", "label", "featurize")
-# In a folder with a trial and all that is made of it; what NEW stands for is removed before each round.
+# Run in a folder with a trial and all files made from it; the output named by NEW is removed before each round.
 NEW = "new"
 COMMANDS = {
     "--version": "--version",
@@ -35,7 +35,7 @@ COMMANDS = {
 
 
 def cpu_s(code: Path, words: str, folder: Path) -> float:
-    """CPU seconds of `evetac WORDS` in a folder, with the package of a checkout; CalledProcessError if it fails."""
+    """Return the CPU seconds of `evetac WORDS` in a folder, with a checkout's package; CalledProcessError."""
     for old in folder.glob(f"{NEW}.*"):
         old.unlink()
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -46,10 +46,10 @@ def cpu_s(code: Path, words: str, folder: Path) -> float:
 
 
 def cheapest(codes: Sequence[Path], rounds: int, commands: dict[str, str] = COMMANDS) -> dict[str, list[float]]:
-    """CPU seconds of each command with the package of each checkout; the first run of each loads caches and is not one.
+    """Return the CPU seconds of each command with the package of each checkout; the first run loads caches, uncounted.
 
-    Each works on a trial of its own, as one may not read what the other writes: recipe and seed are the same, and where
-    the simulator differs the trials do.
+    Each checkout has a trial of its own, because one may not be able to read the other's files. Recipe and seed are the
+    same; the trials differ only if the simulator does.
     """
     with tempfile.TemporaryDirectory(prefix="evetac-bench-") as name:
         folders = [Path(name) / str(number) for number in range(len(codes))]
@@ -67,12 +67,12 @@ def cheapest(codes: Sequence[Path], rounds: int, commands: dict[str, str] = COMM
 
 
 def rows(code: Path, rounds: int = 3) -> list[dict[str, object]]:
-    """A row for each command, with the package of this checkout."""
+    """Return a row for each command, with the package of this checkout."""
     return [{"what": what, "cpu_s": spent} for what, (spent,) in cheapest([code], rounds).items()]
 
 
 def against(code: Path, base: Path, rounds: int) -> list[dict[str, object]]:
-    """A row for each command, with the package of this checkout, of another, and their ratio."""
+    """Return a row for each command, with the package of this checkout, of another, and their ratio."""
     return [
         {"what": what, "cpu_s": ours, "cpu_s_base": theirs, "ratio": ours / theirs}
         for what, (ours, theirs) in cheapest([code, base], rounds).items()

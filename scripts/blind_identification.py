@@ -1,19 +1,21 @@
-"""Blind identification: are sensors that identify has never seen found again, and is their twin told from them?
+"""Blind identification: does `identify` recover unseen sensors, and can their twins be distinguished from them?
 
-    make blind-identification                       # 20 sensors from randomized-narrow:20020 on
+    make blind-identification                       # 20 sensors, starting at randomized-narrow:20020
     make blind-identification SIZES="first=20100 sensors=3 grips=0"
 
-For each sensor randomized-narrow:N it simulates what docs/identify.md asks of an owner, shortened: a rest, strokes of a
-press with a pause after each, and a gripper that closes, holds, and lets an object slip, at three places; runs `evetac
-identify`; and compares the interval of each parameter in PARAMETERS with the truth. Then it simulates rest and press
-again: by the sensor itself with another seed, and by its twin, the identified sensor, with a third. A classifier
-(kernels/realism) tells the half seconds of the first recordings from those of the second, of either from the twin's,
-and of the first from the next sensor's.
+For each sensor randomized-narrow:N the script does four things:
 
-What is compared and how was committed before the first run on sensors from 20,000 on. A sensor that the folder holds
-already is not made again, so that a run may be stopped; one that was cut off is made again. The table is of all sensors
-that the folder holds, with grips or without, never both.
-All figures are simulated.
+- It simulates the recordings that docs/identify.md requires from an owner, shortened. These are a rest, strokes of a
+  press with a pause after each, and a gripper that closes, holds, and lets an object slip, at three positions.
+- It runs `evetac identify` and compares the interval of each parameter in PARAMETERS with the truth.
+- It simulates rest and press again, by the sensor itself with another seed, and by its twin, the identified sensor,
+  with a third seed.
+- A classifier (kernels/realism) learns to distinguish half seconds of recordings: first from second, either from the
+  twin's, and first from the next sensor's.
+
+The comparison was fixed by a commit before the first run on sensors from 20,000. The script skips sensors whose results
+are complete in the folder, so a run may be stopped and continued. The table covers all sensors in the folder, either
+with grips or without, never both. All figures are simulated.
 """
 
 import json
@@ -51,10 +53,10 @@ from evetac_cli.sim.setup.scene_file import changed, merged
 from evetac_cli.sim.setup.sensor import Sensor
 from evetac_cli.store.recordings.read import open_recording
 
-RANGES = "randomized-narrow"  # whose ranges are the priors of the committed table
+RANGES = "randomized-narrow"  # the ranges of this sensor are the priors of the committed table
 ROOT = Path(__file__).resolve().parents[1]
-# The packaged scenes, with a longer rest, with fewer and faster strokes after each of which the gel comes to rest, and
-# with objects that are touched farther from the middle of the gel.
+# The packaged scenes with a longer rest, with fewer and faster strokes, each followed by a pause until the gel is at
+# rest, and with objects that touch farther from the middle of the gel.
 SCENES: dict[str, dict[str, Any]] = {
     "rest": {"time": {"rest_s": 3.0}},
     "press": {
@@ -63,17 +65,17 @@ SCENES: dict[str, dict[str, Any]] = {
     },
     "grip-steps": {"randomise": {"touch_mm": 3.0}},
 }
-SECOND_SEED, TWIN_SEED, GRIP_SEED = 1000, 2000, 3000  # beyond the seed of a sensor's first recordings, or grip before
-OBJECT, OBJECT_G, OBJECT_FRICTION = 18, 550, 0.9  # what the gripper holds, a bottle of glass
-OPEN_M = 0.060  # about which the fingers bend
-QUARTER, HELD = 0.25, 0.9  # an interval so wide, in prior ranges, that holds the truth in so many cases, is told
+SECOND_SEED, TWIN_SEED, GRIP_SEED = 1000, 2000, 3000  # seed offsets of later recordings, and between grips
+OBJECT, OBJECT_G, OBJECT_FRICTION = 18, 550, 0.9  # the object in the gripper, a glass bottle
+OPEN_M = 0.060  # the gap at which the bending of the fingers is evaluated
+QUARTER, HELD = 0.25, 0.9  # identified: width in prior ranges at most, share with truth at least
 AUC_ROOM, AUC_OTHER = 0.05, 0.9
 
 Windows = dict[str, NDArray[np.float64]]
 
 
 def ends_of(entry: Any) -> tuple[Any, Any]:
-    """The lowest and the highest value of an entry of sensors.toml, which is a range, a list of them, or one value."""
+    """Return the lowest and the highest value of a sensors.toml entry: a range, a list of ranges, or one value."""
     if isinstance(entry, list):
         low, high = zip(*map(ends_of, entry), strict=True)
         return list(low), list(high)
@@ -85,20 +87,20 @@ def ends_of(entry: Any) -> tuple[Any, Any]:
 
 @dataclass(frozen=True)
 class Parameter:
-    """A row of identify's table: the truth of a sensor, and the ranges of RANGES from which that follows."""
+    """A row of identify's table: the true value of a sensor, and the entries of RANGES from which its prior follows."""
 
     name: str
     part: str = "camera"
-    of_sensor: Callable[[Sensor], float] | None = None  # that of its name, unless it is another
-    ranges: tuple[str, ...] = ()  # that of its name
+    of_sensor: Callable[[Sensor], float] | None = None  # default: the sensor's attribute of this name
+    ranges: tuple[str, ...] = ()  # default: the entry of this name
 
     def truth(self, sensor: Sensor) -> float:
-        """The value of a sensor."""
+        """Return the true value for a sensor."""
         return (self.of_sensor or attrgetter(self.name))(sensor)
 
     @cached_property
     def prior(self) -> tuple[float, float]:
-        """The least and the largest value at the ends of its ranges."""
+        """Return the lowest and the highest value over the ends of its ranges."""
         keys = self.ranges or (self.name,)
         values = []
         for corner in product(*(ends_of(reduce(getitem, key.split("."), sensor_ranges(RANGES))) for key in keys)):
@@ -114,12 +116,12 @@ def _drive(sensor: Sensor) -> Drive:
 
 
 def _over_n_ma(name: str, unit: float = 1.0) -> Callable[[Sensor], float]:
-    """A constant of the drive over its force per current."""
+    """Return a constant of the drive divided by its force per current."""
     return lambda sensor: unit * getattr(_drive(sensor), name) / _drive(sensor).force_per_current_n_ma
 
 
 def _rubs(sensor: Sensor) -> float:
-    """Friction of the gear in motion over its force per current: that at rest is not told."""
+    """Return the gear's kinetic friction divided by its force per current; static friction is not identified."""
     drive = _drive(sensor)
     return drive.kinetic_share * drive.friction_n / drive.force_per_current_n_ma
 
@@ -137,19 +139,19 @@ def _creep(sensor: Sensor) -> float:
 
 
 def _held(sensor: Sensor) -> float:
-    """Static friction of the held object times the force per current."""
+    """Return the static friction of the held object times the force per current."""
     return OBJECT_FRICTION * sensor.static_friction_factor * _drive(sensor).force_per_current_n_ma
 
 
 def _shift_px(sensor: Sensor) -> float:
-    """How far the columns of dots are from where their range begins."""
+    """Return the distance of the dot columns from the start of their range."""
     ranges = sensor_ranges(RANGES)
     least_px, _ = ends_of(ranges["dot_shift_x_px"])
     return float(sensor.dot_columns_px[0] - ranges["dot_columns_px"][0] - least_px)
 
 
 def _bending(sensor: Sensor) -> float:
-    """How many ticks the fingers bend per mA."""
+    """Return how many ticks the fingers bend per mA."""
     stiffness_n_m = sensor.gripper.finger_stiffness_n_m
     assert stiffness_n_m is not None
     return _drive(sensor).force_per_current_n_ma / stiffness_n_m / gripper.metres_per_tick(OPEN_M)
@@ -189,7 +191,7 @@ PARAMETERS = (
 
 
 def evetac(*words: object) -> Row:
-    """Run a command of evetac and return what --json prints."""
+    """Run a command of evetac and return the output of --json."""
     command = [sys.executable, "-P", "-m", "evetac_cli", *map(str, words), "--json"]
     done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT)
     if done.returncode:
@@ -199,7 +201,7 @@ def evetac(*words: object) -> Row:
 
 
 def recordings(work: Path, folder: Path, sensor: str, seed: int, name: str) -> list[Path]:
-    """A rest and a press by a sensor."""
+    """Record a rest and a press by a sensor."""
     paths = []
     for kind in ("rest", "press"):
         path = folder / f"{name}-{kind}.recording.h5"
@@ -210,7 +212,7 @@ def recordings(work: Path, folder: Path, sensor: str, seed: int, name: str) -> l
 
 
 def features(paths: list[Path]) -> NDArray[np.float64]:
-    """Windows of recordings for the classifier."""
+    """Return the windows of recordings for the classifier."""
     parts = []
     for path in paths:
         with open_recording(path) as recording:
@@ -219,7 +221,7 @@ def features(paths: list[Path]) -> NDArray[np.float64]:
 
 
 def places(sensor: Sensor, file: Path) -> NDArray[np.float64] | None:
-    """How far dots of the identified sensor are from where the true one's are seen, in px; None without them."""
+    """Return the distances of the identified sensor's dots from the true ones, in px; None without dots."""
     _, twin = sensor_file.read(file, one_sensor)
     if not twin.dot_xy_px:
         return None
@@ -232,7 +234,7 @@ def places(sensor: Sensor, file: Path) -> NDArray[np.float64] | None:
 
 
 def identify_one(work: Path, number: int, grip_count: int) -> None:
-    """All of one sensor, into WORK/NUMBER.json and WORK/NUMBER.npz."""
+    """Process one sensor; write WORK/NUMBER.json and WORK/NUMBER.npz."""
     if kept(work, number) is not None:
         return
     started = time.perf_counter()
@@ -275,7 +277,7 @@ def identify_one(work: Path, number: int, grip_count: int) -> None:
 
 
 def kept(work: Path, number: int) -> tuple[Row, Windows] | None:
-    """What WORK holds of a sensor: its result and its windows; None where either is missing or cut off."""
+    """Return a sensor's result and windows from WORK; None if either is missing or incomplete."""
     try:
         result: Row = json.loads((work / f"{number}.json").read_text())
         with (work / f"{number}.npz").open("rb") as file, np.load(file) as windows:
@@ -285,7 +287,7 @@ def kept(work: Path, number: int) -> tuple[Row, Windows] | None:
 
 
 def all_kept(work: Path, *, camera_only: bool) -> dict[int, tuple[Row, Windows]]:
-    """All sensors that WORK holds, by number; InputError where some are with the gripper, and others without."""
+    """Return all sensors in WORK by number; InputError if only some of them have grips."""
     numbers = sorted(int(path.stem) for path in work.glob("*.json") if path.stem.isdigit())
     held = {number: one for number in numbers if (one := kept(work, number)) is not None}
     others = [str(number) for number, (result, _) in held.items() if result["camera_only"] != camera_only]
@@ -294,13 +296,13 @@ def all_kept(work: Path, *, camera_only: bool) -> dict[int, tuple[Row, Windows]]
         raise InputError(
             f"there are sensors that were made {how} the gripper: {', '.join(others)}",
             where=str(work),
-            hint="take another folder, with --out",
+            hint="use another folder with --out",
         )
     return held
 
 
 def interval(result: Row, parameter: Parameter) -> tuple[float, bool] | None:
-    """Width of a parameter's interval in prior ranges and whether it holds the truth; None where nothing is told."""
+    """Return an interval's width in prior ranges and whether it contains the truth; None if not identified."""
     row = next((row for row in result["rows"] if row["parameter"] == parameter.name), None)
     if row is None or row["estimate"] is None:
         return None
@@ -315,7 +317,7 @@ def interval(result: Row, parameter: Parameter) -> tuple[float, bool] | None:
 
 
 def parameter_rows(results: list[Row]) -> list[Row]:
-    """A row for every parameter: how often it is told, how wide, and how often the truth is held."""
+    """Return a row for every parameter: how often it is identified, its width, and how often it contains the truth."""
     rows = []
     for parameter in PARAMETERS:
         intervals = [one for one in (interval(row, parameter) for row in results) if one is not None]
@@ -333,7 +335,7 @@ def parameter_rows(results: list[Row]) -> list[Row]:
 
 
 def area_rows(windows: Mapping[int, Windows]) -> list[Row]:
-    """A row for every sensor: how well its windows are told from its own again, its twin's, and the next one's."""
+    """Return a row for every sensor: the classifier's areas for its repeats, its twin and the next sensor."""
     numbers = list(windows)
     rows = []
     for place, number in enumerate(numbers):
@@ -357,7 +359,7 @@ def area_rows(windows: Mapping[int, Windows]) -> list[Row]:
 
 
 def summary(results: list[Row], parameters: list[Row], areas: list[Row]) -> Row:
-    """How many parameters are found, and the classifier's mean areas."""
+    """Return how many parameters are identified, and the classifier's mean areas."""
     means: Row = {}
     for name in ("auc_same", "auc_twin", "auc_other"):
         known = [row[name] for row in areas if row[name] is not None]
@@ -375,7 +377,7 @@ def summary(results: list[Row], parameters: list[Row], areas: list[Row]) -> Row:
 
 
 def measure(sizes: Sizes, folder: Path, jobs: int) -> Evaluations:
-    """Make the sensors that are not there yet, so many at once; the parameters of all that are, and the classifier."""
+    """Process the missing sensors, several at once; return all sensors' parameters and classifier results."""
     work, camera_only = folder.resolve(), not sizes["grips"]
     for name, changes in SCENES.items():
         (work / f"{name}.toml").write_text(changed(name, changes))

@@ -1,10 +1,10 @@
-"""`evetac` with one camera more, `--camera clock`: our driver before a virtual DVXplorer that shows the time.
+"""Run `evetac` with an additional camera, `--camera clock`: evetac's driver with a virtual DVXplorer that shows time.
 
     python scripts/clock_camera.py record --camera clock --gripper none --listen -o data
 
-Each event lies at a pixel that says which one it is, and so when it was made, by the computer's clock: a recording
-tells of itself when its slices were. The variable EVETAC_CLOCK_BEGAN names a file, into which the camera writes when
-its time began (s, by time.monotonic). listen_trials.py starts it. Simulated.
+The pixel of each event encodes its number, and thus the time, by the computer's clock, at which it was made. A
+recording therefore contains the true time of each slice. The camera writes its start time (s, by time.monotonic) to the
+file named by the variable EVETAC_CLOCK_BEGAN. listen_trials.py uses this camera. Simulated.
 """
 
 import os
@@ -23,7 +23,7 @@ from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
 
 BEGAN = "EVETAC_CLOCK_BEGAN"
 EVENT_US = 200  # between two events
-EVENTS = SLICE_US // EVENT_US  # of a slice
+EVENTS = SLICE_US // EVENT_US  # per slice
 PIXELS = FRAME_PX[0] * FRAME_PX[1]
 
 
@@ -37,14 +37,14 @@ class ClockWords:
         self._sent = 0  # slices
 
     def run(self, on: bool) -> None:
-        """Let time begin, and write down when."""
+        """Start the clock and write its start time to a file."""
         if on and self._began_s is None:
             self._began_s = time.monotonic()
             if BEGAN in os.environ:
                 Path(os.environ[BEGAN]).write_text(repr(self._began_s))
 
     def take(self, most: int, timeout_s: float) -> bytes:
-        """The words of all slices that are over, waiting for the end of one."""
+        """Return the words of all completed slices, waiting for the end of one."""
         from evetac_cli.devices.dvxplorer.event_words import encode, timestamp
 
         if self._began_s is None:
@@ -68,18 +68,18 @@ class ClockWords:
 
 @dataclass(frozen=True)
 class Clock(NamedCamera):
-    """`clock`: our driver before a virtual camera that shows the time."""
+    """The camera `clock`: evetac's driver with a virtual camera that shows the time."""
 
     name = "clock"
 
     @classmethod
     def parse(cls, text: str) -> Self:
-        """No options."""
+        """Accept no options."""
         return cls()
 
     @property
     def capabilities(self) -> frozenset[Capability]:
-        """A device that sees a simulation."""
+        """Return the capabilities of a device whose events are simulated."""
         return frozenset({Capability.DEVICE, Capability.SIMULATED})
 
     def open(self, settings: CameraSettings, world: Any, seeds: np.random.SeedSequence) -> OpenedCamera:

@@ -1,21 +1,21 @@
-"""Many short trajectories through record, label, track and featurize on every engine: equal digests, and how long.
+"""Run many short trajectories through record, label, track and featurize on every engine; compare digests and times.
 
     python scripts/compare_engines.py FOLDER --count 1000 --rounds 2    # local --jobs 2 against dask --jobs 2
     python scripts/compare_engines.py FOLDER --count 300 --kill     # workers that die and join, every 20 s
     python scripts/compare_engines.py FOLDER --count 200 --nodes    # 4 workers at 40 % of a core each, against 1
 
-The scene is `slip`, cut to 150 slices and with a coarse gel: some tenths of a second of processor time a trajectory.
-A table says what every command took, and on which engine. Digests are those of digests.py, of all arrays of all files.
+The scene is `slip`, cut to 150 slices and with a coarse gel: a few tenths of a second of processor time per trajectory.
+A table lists the time of every command on each engine. The digests cover all arrays of all files (digests.py).
 
---kill: a Dask cluster of its own (scheduler and two workers), on which a worker is killed every 20 s while another
-joins. --nodes: a simulation of 4 nodes on the cores of this computer: each worker is stopped (SIGSTOP) for 60 ms of
-every 100 ms, the workers' 40 ms spread over the period, so that no more than two ever run at once. One such worker
-makes a fourth of the trajectories, then four make all of them; efficiency is the ratio of their times. Workers have
-loaded and warmed up what they need before. What limits it: the processor time of a trajectory (cores that share caches
-and memory), and the share of their 40 % that workers do not use (waiting for the next task, and for the last ones to
-end).
+--kill starts a separate Dask cluster (scheduler and two workers). Every 20 s, one worker is killed and another joins.
 
-Exit code 1 where a command fails or digests differ. Run it on a quiet computer: times are those of the wall clock.
+--nodes simulates 4 nodes on the cores of this computer. Each worker is stopped (SIGSTOP) for 60 ms of every 100 ms. The
+workers' 40 ms are spread over the period so that at most two run at once. First one such worker makes a fourth of the
+trajectories, then four make all of them; efficiency is the ratio of the times. Workers load and warm up first.
+Efficiency is limited by the processor time per trajectory (cores share caches and memory), and by the share of their 40
+% that workers wait, for the next task and for the last tasks to end.
+
+Exit code 1 if a command fails or digests differ. Run it on a quiet computer, because it measures wall-clock time.
 """
 
 import argparse
@@ -47,11 +47,11 @@ KINDS = ("recording", "labels", "tracks", "features")
 OBJECTS = 20
 KILL_EVERY_S = 20.0
 NODES, SHARE, PERIOD_S = 4, 0.4, 0.1
-START_S = 60.0  # in which a cluster has to be there
+START_S = 60.0  # time limit for the start of a cluster, in s
 
 
 def write_scene(path: Path) -> None:
-    """The scene `slip`, as short as it can be with all its parts."""
+    """Write the scene `slip`, shortened as far as all of its parts allow."""
     scene = tomllib.loads((SCENES / "slip.toml").read_text())
     scene["name"] = "tiny"
     scene["time"] |= {"rest_s": 0.05, "load_s": 0.05, "hold_s": 0.05, "after_lost_s": 0.02, "longest_s": 0.15}
@@ -61,7 +61,7 @@ def write_scene(path: Path) -> None:
 
 
 def run_stage(stage: str, folder: Path, count: int, *engine: str, seed: int = 0) -> float:
-    """Run one command on all files of a folder; seconds that it took. SystemExit in its words if it fails."""
+    """Run one command on all files of a folder; return its seconds. SystemExit with its messages if it fails."""
     words = [sys.executable, "-P", "-m", "evetac_cli", stage, "--quiet", *engine]
     if stage == "record":
         each = -(-count // OBJECTS)
@@ -78,21 +78,21 @@ def run_stage(stage: str, folder: Path, count: int, *engine: str, seed: int = 0)
 
 
 def digests(folder: Path) -> dict[str, str]:
-    """Digest of every stage file of a folder."""
+    """Return the digest of every stage file of a folder."""
     return {path.name: digest(path) for kind in KINDS for path in sorted(folder.glob(f"*.{kind}.h5"))}
 
 
 def different(one: Path, other: Path) -> tuple[int, list[str]]:
-    """How many files two folders have together, and which are not in both, with equal arrays."""
+    """Return how many files two folders have in total, and which are missing in one or have other arrays."""
     first, second = digests(one), digests(other)
     names = sorted(first.keys() | second.keys())
     return len(names), [name for name in names if first.get(name) != second.get(name)]
 
 
 def with_certificates(folder: Path) -> None:
-    """Let all Dask of this process and those that it starts use one certificate, as docs/cluster.md has it by hand.
+    """Make all Dask processes started from here use one certificate, as docs/cluster.md does by hand.
 
-    Whoever can reach a scheduler without one can run programs as its owner, other users of this computer too.
+    Without a certificate, any user who can reach the scheduler, also on this computer, can run programs as its owner.
     """
     import dask
     from distributed import Security
@@ -115,7 +115,7 @@ def with_certificates(folder: Path) -> None:
 
 
 class Cluster:
-    """A Dask scheduler and workers of one thread, each a process of its own that can be killed or stopped."""
+    """A Dask scheduler and single-threaded workers, each a separate process that can be killed or stopped."""
 
     def __init__(self, folder: Path, workers: int) -> None:
         self.folder = str(folder)
@@ -128,20 +128,20 @@ class Cluster:
         self.workers = [self.join() for _ in range(workers)]
 
     def join(self) -> subprocess.Popen[bytes]:
-        """Another worker; it is not in `workers` yet."""
+        """Start another worker; it is not in `workers` yet."""
         return self._start(
             "worker", "--nthreads", "1", "--no-nanny", "--memory-limit", "0", "--local-directory", self.folder
         )
 
     def wait(self, workers: int) -> None:
-        """Until so many workers have joined."""
+        """Wait until a number of workers have joined."""
         from distributed import Client
 
         with Client(self.address, set_as_default=False) as client:
             client.wait_for_workers(workers, timeout=START_S)
 
     def close(self) -> None:
-        """End all of it."""
+        """End the scheduler and all workers."""
         for process in (*self.workers, self.scheduler):
             with suppress(ProcessLookupError):
                 process.kill()
@@ -157,7 +157,7 @@ class Cluster:
     def _address(self) -> str:
         deadline = time.monotonic() + START_S
         while time.monotonic() < deadline:
-            with suppress(OSError, ValueError):  # not there, or half written
+            with suppress(OSError, ValueError):  # missing, or half written
                 return str(json.loads(self.file.read_text())["address"])
             time.sleep(0.1)
         self.scheduler.kill()
@@ -166,7 +166,7 @@ class Cluster:
 
 @contextmanager
 def killing(cluster: Cluster) -> Iterator[list[float]]:
-    """Every KILL_EVERY_S another worker joins and the oldest is killed; the times at which this was done, in s."""
+    """Every KILL_EVERY_S, add a worker and kill the oldest; return the times of the kills, in s."""
     ended, began = threading.Event(), time.monotonic()
     killed: list[float] = []
 
@@ -189,7 +189,7 @@ def killing(cluster: Cluster) -> Iterator[list[float]]:
 
 @contextmanager
 def held_to(share: float, processes: list[subprocess.Popen[bytes]]) -> Iterator[None]:
-    """Let each process run for a share of every period only, one after the other as far as they fit."""
+    """Let each process run for only a share of every period, one after the other as far as possible."""
     ended = threading.Event()
 
     def turn(process: subprocess.Popen[bytes], first_s: float) -> None:
@@ -217,7 +217,7 @@ def held_to(share: float, processes: list[subprocess.Popen[bytes]]) -> Iterator[
 
 
 def cpu_s(process: subprocess.Popen[bytes]) -> float:
-    """Processor time of a process so far, of all its threads."""
+    """Return the processor time of a process so far, over all its threads."""
     fields = Path(f"/proc/{process.pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
@@ -226,7 +226,7 @@ def cpu_s(process: subprocess.Popen[bytes]) -> float:
 
 
 def engines(folder: Path, count: int, rounds: int) -> list[Row]:
-    """Every command on both engines, in turns which is first; of several rounds the least that a command took."""
+    """Run every command on both engines, alternating the order; return the shortest time over several rounds."""
     both = {"local": ("--jobs", "2"), "dask": ("--jobs", "2", "--engine", "dask")}
     took: dict[tuple[str, str], float] = {}
     for number in range(rounds):
@@ -244,7 +244,7 @@ def engines(folder: Path, count: int, rounds: int) -> list[Row]:
 
 
 def kills(folder: Path, count: int) -> list[Row]:
-    """Every command on a cluster whose workers die and join, and on this computer for what is right."""
+    """Run every command on a cluster whose workers die and join, and on this computer for reference."""
     rows: list[Row] = []
     cluster = Cluster(folder, 2)
     try:
@@ -262,7 +262,7 @@ def kills(folder: Path, count: int) -> list[Row]:
 
 
 def nodes(folder: Path, count: int) -> list[Row]:
-    """The same number of trajectories a worker, for one worker and for four, each held to a share of a core."""
+    """Run equally many trajectories per worker with one and with four workers, each limited to a share of a core."""
     rows: list[Row] = []
     for workers in (1, NODES):
         made = count * workers // NODES
@@ -293,18 +293,18 @@ def nodes(folder: Path, count: int) -> list[Row]:
 
 
 def main() -> int:
-    """Read the flags, run what is asked for, compare."""
+    """Read the flags, run the requested comparison, and compare the files."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, help="a new folder for all files")
-    parser.add_argument("--count", type=int, default=40, help="trajectories, some multiple of 20")
-    parser.add_argument("--rounds", type=int, default=1, help="of both engines; the least counts")
+    parser.add_argument("--count", type=int, default=40, help="trajectories, a multiple of 20")
+    parser.add_argument("--rounds", type=int, default=1, help="rounds of both engines; the shortest time counts")
     what = parser.add_mutually_exclusive_group()
-    what.add_argument("--kill", action="store_true", help="workers that die and join")
-    what.add_argument("--nodes", action="store_true", help="a simulation of 4 nodes")
+    what.add_argument("--kill", action="store_true", help="kill workers and add new ones")
+    what.add_argument("--nodes", action="store_true", help="simulate 4 nodes")
     parser.add_argument("--page", type=Path, help="put the table into this page")
     chosen = parser.parse_args()
     if chosen.folder.exists():
-        parser.error(f"{chosen.folder} is there already")
+        parser.error(f"{chosen.folder} already exists")
     if chosen.count < OBJECTS or chosen.count % OBJECTS:
         parser.error(f"--count takes multiples of {OBJECTS}")
     folder = chosen.folder.absolute()

@@ -1,18 +1,20 @@
-"""Images of events by evetac, by tonic and by dv-processing: equal, and how fast?
+"""Compare event images made by evetac, tonic and dv-processing: are they equal, and how long do they take?
 
     pip install tonic dv-processing
     python scripts/compare_images.py FILE ... [--seconds 1] [--rounds 9] [--out docs/results]
 
-FILE: a recording, or an event file of anybody's. A row for each file, each of our representations, and each peer that
-defines the same: how many images were compared over the first `--seconds`, how many values differ, by how much at most,
-and how long each took, alternately, in the median. Times are counted from the first event, as tonic does. Counts have
-to be equal; voxels and surfaces, which tonic computes in double precision, to 1e-6 of the largest value. Exit code 1
-where they are not.
+FILE is a recording, or an event file of another program. The table has a row for each file, each representation of
+evetac, and each library (peer) that defines the same representation. A row states how many images of the first
+`--seconds` were compared, how many values differ, the largest difference, and the median time of each, in alternating
+runs. Times are counted from the first event, as in tonic. Counts must be equal. Voxels and surfaces, which tonic
+computes in double precision, must agree to 1e-6 of the largest value. Exit code 1 if they do not.
 
-What a peer defines otherwise: tonic's voxel grid lasts from the first of its events to the last, so two more events
-mark the window, and are taken out again. dv-processing has the time of each pixel's last event, without a decay; its
-surface is compared by its times, at the last image alone, as it gives them one by one; its time is that of its own
-picture. Its accumulator, which does not decay here, has counts of ON less OFF, or of both.
+Some peers define a representation differently. tonic's voxel grid spans the time from its first event to its last, so
+two extra events mark the window, and are removed afterwards.
+
+dv-processing has the time of each pixel's last event, without a decay. Its surface is compared by these times, at the
+last image only, because it returns times one by one; its run time is that of its own image. Its accumulator, used
+without decay, counts ON minus OFF, or both.
 """
 
 import argparse
@@ -40,7 +42,7 @@ Images = NDArray[Any]
 BLOCK_SLICES = 1000
 NAME = "event-images"
 DECAY_MS = 10.0
-ROUNDING = 1e-6  # ours are in single precision
+ROUNDING = 1e-6  # evetac uses single precision
 COLUMNS = {
     "images": "{representation}",
     "compared with": "{peer}",
@@ -52,7 +54,7 @@ COLUMNS = {
 
 
 class Input(NamedTuple):
-    """Events in order of time, from 0 on, as evetac, tonic and dv-processing take them."""
+    """Events sorted by time, starting at 0, in the formats of evetac, tonic and dv-processing."""
 
     blocks: list[SliceBlock]
     rows: NDArray[Any]
@@ -63,7 +65,7 @@ class Input(NamedTuple):
 
 
 class Peer(NamedTuple):
-    """Somebody's images of a representation: all of them, or the last alone; by how much values may differ."""
+    """A peer's images of a representation: all of them, or only the last, and the largest allowed difference."""
 
     name: str
     of: Representation
@@ -96,14 +98,14 @@ def main() -> None:
             " dv-processing's"
         )
         table = table_of(NAME, title, COLUMNS, summed(rows), command, sizes)
-        write(chosen.out, table | {"simulated": False})  # as the title says
+        write(chosen.out, table | {"simulated": False})  # as in the title
         lines = "".join(json.dumps(row) + "\n" for row in rows)
         (chosen.out / "rows" / f"{NAME}.jsonl").write_text(lines)
     sys.exit(any(row["differ"] for row in rows))
 
 
 def summed(rows: list[Row]) -> list[Row]:
-    """A row for each representation and peer, over all files."""
+    """Return a row for each representation and peer, over all files."""
     by_pair: dict[tuple[str, str], list[Row]] = {}
     for row in rows:
         by_pair.setdefault((row["representation"], row["peer"]), []).append(row)
@@ -122,7 +124,7 @@ def summed(rows: list[Row]) -> list[Row]:
 
 
 def load(file: Path, seconds: float) -> Input:
-    """The first seconds of a file; times are counted from the first event."""
+    """Load the first seconds of a file; times are counted from the first event."""
     import dv_processing as dv
 
     simulated = False
@@ -152,7 +154,7 @@ def load(file: Path, seconds: float) -> Input:
 
 
 def peers(frame_px: tuple[int, int]) -> Iterator[Peer]:
-    """What is compared with whom."""
+    """Return the comparisons to make."""
     surface = representation("surface", frame_px, None, 100.0, None, decay_ms=DECAY_MS)
     counts, signed, both = (
         representation("frames", frame_px, None, 200.0, None, polarity=polarity) for polarity in POLARITIES
@@ -168,7 +170,7 @@ def peers(frame_px: tuple[int, int]) -> Iterator[Peer]:
 
 
 def compared(given: Input, peer: Peer, rounds: int) -> Row:
-    """The row of one representation and one peer."""
+    """Return the row of one representation and one peer."""
     of = peer.of
 
     def ours() -> list[Images]:
@@ -202,7 +204,7 @@ def compared(given: Input, peer: Peer, rounds: int) -> Row:
 
 
 def window(given: Input, of: Representation, image: int) -> NDArray[Any]:
-    """Rows of tonic of the window of an image; a copy, as tonic changes them."""
+    """Return tonic's rows for the window of an image, as a copy, because tonic changes them."""
     end_us = of.end(image) * SLICE_US
     first, last = np.searchsorted(given.rows["t"], (end_us - of.window_ms * SLICE_US, end_us))
     return given.rows[first:last].copy()
@@ -268,14 +270,14 @@ def dv_counts(given: Input, of: Representation) -> Images:
 
 
 def dv_surfaces(given: Input) -> list[tuple[Any, Any]]:
-    """An empty surface of dv-processing for each polarity, with the filter of its events."""
+    """Return an empty surface of dv-processing for each polarity, with the filter for its events."""
     import dv_processing as dv
 
     return [(dv.TimeSurface(given.frame_px), dv.EventPolarityFilter(on)) for on in (False, True)]
 
 
 def dv_surface(given: Input, of: Representation) -> Images:
-    """The last surface."""
+    """Return the last surface."""
     end_us = of.end(of.images(given.slices) - 1) * SLICE_US
     result = np.zeros((1, *of.shape))
     rows = given.rows[given.rows["t"] < end_us]
@@ -288,7 +290,7 @@ def dv_surface(given: Input, of: Representation) -> Images:
 
 
 def dv_surface_pictures(given: Input, of: Representation) -> None:
-    """What it draws of its surfaces, image after image."""
+    """Return dv-processing's own images of its surfaces."""
     surfaces, begin_us = dv_surfaces(given), 0
     for image in range(of.images(given.slices)):
         end_us = of.end(image) * SLICE_US

@@ -1,10 +1,11 @@
-"""Other people's event files, read by evetac and by an independent reader: equal event for event?
+"""Read other programs' event files with evetac and with an independent reader: are all events equal?
 
     python scripts/compare_readers.py FILE_OR_FOLDER ... [--json]
 
-A row a file and judge: which columns were compared, how many events there are, and how many of these differ. Judges are
-libraries where they are installed, and for layouts of a few lines numpy. What a judge is known to do otherwise is in
-its row of JUDGES. Exit code 1 where anything differs. docs/recordings.md has a table of real files.
+The table has a row for each file and independent reader (judge): the columns compared, the number of events, and how
+many differ. Judges are libraries, if they are installed, and numpy for layouts that take a few lines to read. A known
+difference of a judge is in its row of JUDGES. Exit code 1 if anything differs. docs/recordings.md has a table of real
+files.
 """
 
 import argparse
@@ -33,7 +34,7 @@ def expelliarmus(encoding: str) -> Read:
 
 def columns_of(rows: Any, polarity: str = "p") -> dict[str, Any]:
     if rows is None:
-        raise LookupError("it refuses the file")
+        raise LookupError("the reader refuses the file")
     return {name: rows[polarity if name == "p" else name] for name in "txyp"}
 
 
@@ -63,7 +64,7 @@ def aedat(path: Path, _: Imported) -> dict[str, Any]:
 
 
 def dat_words(path: Path, _: Imported) -> dict[str, Any]:
-    """As Prophesee's toolbox reads version 2: lines that begin with %, two bytes, then time and place."""
+    """Read version 2 as Prophesee's toolbox does: lines that begin with %, two bytes, then time and position."""
     content = path.read_bytes()
     at = 0
     while content[at : at + 1] == b"%":
@@ -74,7 +75,7 @@ def dat_words(path: Path, _: Imported) -> dict[str, Any]:
 
 
 def aedat2_words(path: Path, imported: Imported) -> dict[str, Any]:
-    """As jAER writes a DAVIS: lines that begin with #, then address and time, big-endian."""
+    """Read a DAVIS file as jAER writes it: lines that begin with #, then address and time, big-endian."""
     content = path.read_bytes()
     at = 0
     while content[at : at + 1] == b"#":
@@ -92,7 +93,7 @@ def aedat2_words(path: Path, imported: Imported) -> dict[str, Any]:
 
 
 def evt3_words(path: Path, _: Imported) -> dict[str, Any]:
-    """By the maker's page, word by word; high bits of time count on where they fall from the last to the first."""
+    """Read EVT3 word by word, per Prophesee's page; each fall of the time-high bits from last to first is a wrap."""
     content = path.read_bytes()
     at = 0
     while content[at : at + 2] == b"% ":
@@ -125,7 +126,7 @@ def evt3_words(path: Path, _: Imported) -> dict[str, Any]:
 
 
 def packets_of(path: Path, store: Any) -> Iterator[Any]:
-    """The messages EventPacket of a bag: of MCAP by mcap, as rosbags takes no folder whose metadata name no storage."""
+    """Return the EventPacket messages of a bag. MCAP is read by mcap, as rosbags needs metadata that name a storage."""
     kind = "event_camera_msgs/msg/EventPacket"
     files = sorted(path.glob("*.mcap")) if path.is_dir() else [path] if path.suffix == ".mcap" else []
     if files:
@@ -146,7 +147,7 @@ def packets_of(path: Path, store: Any) -> Iterator[Any]:
 
 
 def libcaer_words(content: Any, base_us: int) -> list[tuple[int, ...]]:
-    """Events (t, x, y, p) of one packet of libcaer_driver, word by word: kind in the four high bits of 16."""
+    """Return the events (t, x, y, p) of a libcaer_driver packet; a 16-bit word's four high bits are its kind."""
     high = low = column = row = polarity = 0
     events = []
     for word in content.view("<u2").tolist():
@@ -168,7 +169,7 @@ def libcaer_words(content: Any, base_us: int) -> list[tuple[int, ...]]:
 
 
 def bag_packets(path: Path, _: Imported) -> dict[str, Any]:
-    """The words of all packets but triggers, found by rosbags or mcap, as one RAW file for expelliarmus."""
+    """Return the words of all packets except triggers, found by rosbags or mcap, as one RAW file for expelliarmus."""
     import tempfile
 
     from expelliarmus import Wizard
@@ -200,7 +201,7 @@ def bag_packets(path: Path, _: Imported) -> dict[str, Any]:
 
 
 class Judge(NamedTuple):
-    """A reader, the columns it can judge, and after how many ticks its times begin anew (0: they do not)."""
+    """A reader, the columns it can check, and the number of ticks after which its times wrap (0: never)."""
 
     name: str
     read: Read
@@ -209,7 +210,7 @@ class Judge(NamedTuple):
 
 JUDGES: dict[str, tuple[Judge, ...]] = {
     "EVT2": (Judge("expelliarmus", expelliarmus("evt2")), Judge("faery", faery)),
-    # It counts high bits of time twice: the low twelve are right.
+    # It counts the high bits of time twice; the low twelve are right.
     "EVT3": (
         Judge("expelliarmus", expelliarmus("evt3"), 1 << 12),
         Judge("Python, by the maker's page", evt3_words),
@@ -222,7 +223,7 @@ JUDGES: dict[str, tuple[Judge, ...]] = {
 
 
 def kind_of(path: Path) -> str:
-    """The row of JUDGES for a file, by its first bytes; empty for none."""
+    """Return the row of JUDGES for a file, by its first bytes; empty if there is none."""
     if path.is_dir() or path.suffix in (".bag", ".db3", ".mcap"):
         return "bag"
     head = path.read_bytes()[:4096]
@@ -249,7 +250,7 @@ def rows(path: Path) -> Iterator[dict[str, Any]]:
         row: dict[str, Any] = {"file": path.name, "format": kind, "judge": judge.name, "events": imported.events.size}
         try:
             theirs = judge.read(path, imported)
-        except Exception as error:  # whatever a library says of a file that it does not take
+        except Exception as error:  # any exception that a library raises for a file that it refuses
             yield row | {"differ": None, "note": f"not judged: {error}"}
             continue
         yield row | compared(imported, theirs, judge.span_us)

@@ -1,21 +1,24 @@
-"""Whole trials with the default steps of the mechanics, and again with a very fine fixed step: what differs?
+"""Run whole trials with the default steps of the mechanics and with a very fine fixed step, and compare them.
 
     python scripts/compare_steps.py -o steps.jsonl                           # 100 slips, then 40 grasps
     python scripts/compare_steps.py -o steps.jsonl --kind slip --first 20 --count 20
-    python scripts/compare_steps.py -o steps.jsonl --count 0                 # the summary of what is there
+    python scripts/compare_steps.py -o steps.jsonl --count 0                 # the summary of the existing trials
 
 Both simulations of a trial have the same seeds, node pitch, friction and camera; only the steps differ. The trials are
 those of `evetac record --scene slip --object 1-20 --seed 10017 --count 5` and of `evetac grasp --object 1-20 --seed
-10017 --count 2 --lift-s 3.5 --balance-s 1`, taken object after object and then the same again. From every slip are made
-labels, tracks, features, and the detections of the package's detector, by the default methods.
+10017 --count 2 --lift-s 3.5 --balance-s 1`, one trial of each object in turn, then the next of each. Every slip is
+labelled, tracked, featurized and evaluated by the pretrained detector, with the default methods.
 
-A trial is a line of JSON, written when both simulations are done, with the commit that made it; trials whose line is
-there are not run again. Three tables are printed, all simulated. How many slips differ, and by how much, in t_s (onset
-of gross slip), in the onset by the last stuck node, of the labels, and of the first detection. How often labels and
-detector are right against the truth of their own simulation, and how many grasps held. Every slip. Shares have their
-intervals, 95 %. Exit code 1 where t_s differs by more than 1 ms in more than 2 of 100 slips.
+A trial is a line of JSON, written when both simulations are done, with the commit that made it. Trials that already
+have a line are not run again. Three tables are printed, all simulated:
 
-A step of 0.0125 ms costs about 80 times a step of 1 ms: some 10 to 30 s of processor time a slip.
+- How many slips differ, and by how much, in t_s (onset of gross slip), in the onset by the last stuck node, in the
+  onset of the labels, and in the first detection.
+- How often labels and detector are right against the truth of their own simulation, and how many grasps held.
+- Every slip.
+
+Shares have 95 % intervals. Exit code 1 if t_s differs by more than 1 ms in more than 2 of 100 slips. A step of 0.0125
+ms costs about 80 times as much as a step of 1 ms: some 10 to 30 s of processor time per slip.
 """
 
 import argparse
@@ -46,17 +49,17 @@ FINE_STEP_MS = 0.0125
 APART_MS = (1, 5)
 BOTH = DEFAULT, FINE = "default", "fine"
 TIMINGS = ("early", "correct", "late")
-MOST_APART = 0.02  # of all slips, in which t_s may differ by more than 1 ms
+MOST_APART = 0.02  # share of slips in which t_s may differ by more than 1 ms
 ONSETS = ("t_s_ms", "t_every_node_ms", "label_ms", "detection_ms")
 
 
 def settings(step_ms: float) -> dict[str, SolverSetting]:
-    """The two simulations of a trial."""
+    """Return the two settings of the simulation of a trial."""
     return {DEFAULT: SolverSetting(DEFAULT), FINE: SolverSetting("fixed step", solver={"step_ms": step_ms})}
 
 
 def slip(trial: ChainTrial, setting: SolverSetting, folder: Path) -> Row:
-    """Onsets of one slip, in slices from the start of the recording; None where there is none."""
+    """Return the onsets of one slip, in slices from the start of the recording; None if there is none."""
     chain = run_chain(trial, setting, folder)
     with open_recording(slip_trial(trial, setting, folder).output) as recording:
         true = true_onsets(recording)
@@ -67,13 +70,13 @@ def slip(trial: ChainTrial, setting: SolverSetting, folder: Path) -> Row:
 
 
 def grasp(trial: ChainTrial, setting: SolverSetting, folder: Path) -> Row:
-    """What became of one grasp."""
+    """Return the outcome of one grasp."""
     lifted = run_grasp(trial, setting, folder)
     return {"held": lifted.held, "moved_mm": lifted.moved_mm, "grasp_us": lifted.grasp_us}
 
 
 def missing(chosen: argparse.Namespace, rows: list[Row]) -> Iterator[Row]:
-    """The trials that are asked for and not in rows: what tells a trial from others."""
+    """Return the identities of requested trials that are not in rows."""
     done = {identity(row) for row in rows}
     for kind in chosen.kind:
         count = COUNTS[kind] - chosen.first if chosen.count is None else chosen.count
@@ -85,7 +88,7 @@ def missing(chosen: argparse.Namespace, rows: list[Row]) -> Iterator[Row]:
 
 
 def identity(row: Row) -> tuple[Any, ...]:
-    """What tells a trial from others."""
+    """Return the fields that identify a trial."""
     return tuple(row[name] for name in ("kind", "object", "number", "seed", "step_ms"))
 
 
@@ -100,7 +103,7 @@ def run(row: Row) -> Row:
 
 
 def finished_rows(path: Path) -> list[Row]:
-    """The lines of JSON of a file, if there is one; a last line that was cut off is removed from it."""
+    """Return the JSON lines of a file, if it exists; an incomplete last line is removed from the file."""
     content = path.read_bytes() if path.exists() else b""
     whole = content[: content.rfind(b"\n") + 1]
     if len(whole) < len(content):
@@ -109,13 +112,13 @@ def finished_rows(path: Path) -> list[Row]:
 
 
 def commit() -> str:
-    """The commit that runs, marked where files were changed since."""
+    """Return the current commit, marked if files have changed since."""
     command = ("git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty", "--exclude", "*")
     return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
 
 
 def tables(rows: list[Row]) -> list[Row]:
-    """Three tables: how often onsets differ, how often what was made from them is right, and every slip."""
+    """Return three tables: how often onsets differ, how often labels and detections are right, and every slip."""
     slips = [row for row in rows if row["kind"] == "slip"]
     grasps = [row for row in rows if row["kind"] == "grasp"]
     held = {one: np.array([row[one]["held"] for row in grasps], bool) for one in BOTH}
@@ -129,7 +132,7 @@ def tables(rows: list[Row]) -> list[Row]:
 
 
 def _differences(slips: list[Row], name: str) -> Row:
-    """How far an onset is apart; one that is found in one simulation alone counts as infinitely far."""
+    """Return the differences of an onset; an onset found in only one simulation counts as infinitely far."""
     apart = np.array([_apart(row, name) for row in slips])
     both = apart[np.isfinite(apart)]
     row: Row = {
@@ -146,7 +149,7 @@ def _differences(slips: list[Row], name: str) -> Row:
 
 
 def _shares(what: str, holds: dict[str, Flags]) -> Row:
-    """In how many trials something holds by default, with the fine step, and in how many more by default."""
+    """Return the share of trials in which a condition holds by default and with the fine step, and the difference."""
     shares = {one: share(holds[one]) for one in BOTH}
     shares["more_by_default"] = share_difference(holds[DEFAULT], holds[FINE])
     row: Row = {"what": what, "trials": len(holds[DEFAULT])}
@@ -161,13 +164,13 @@ def _ends(interval: ConfidenceInterval) -> Row:
 
 
 def _trial(row: Row) -> Row:
-    """A slip by default, and by how much later each onset is than with the fine step."""
+    """Return a slip by default, and how much later each onset is than with the fine step."""
     later = {f"{name.removesuffix('_ms')}_later_ms": known(_apart(row, name)) for name in ONSETS}
     return {"object": row["object"], "trial": row["number"], "t_s_ms": row[DEFAULT]["t_s_ms"], **later}
 
 
 def _apart(row: Row, name: str) -> float:
-    """The onset by default less that with the fine step; 0 where neither has one."""
+    """Return the onset by default minus that with the fine step; 0 if neither has one."""
     default, fine = row[DEFAULT][name], row[FINE][name]
     if default is None or fine is None:
         return 0.0 if default is fine else np.inf
@@ -175,13 +178,13 @@ def _apart(row: Row, name: str) -> float:
 
 
 def _labelled(slipped: list[Row], one: str) -> Flags:
-    """In which trials the labels' onset is within the bounds about the truth of the same simulation."""
+    """Return in which trials the labels' onset is within the bounds around the truth of the same simulation."""
     errors = [_or_never(row[one]["label_ms"]) - row[one]["t_s_ms"] for row in slipped]
     return np.array([EARLIEST_MS <= error <= LATEST_MS for error in errors], bool)
 
 
 def _detected(slipped: list[Row], one: str, when: str) -> Flags:
-    """In which trials the first detection is early, correct or late against the truth of the same simulation."""
+    """Return in which trials the first detection is early, correct or late against the truth of the same simulation."""
     first_ms = [(-1 if row[one]["detection_ms"] is None else row[one]["detection_ms"]) for row in slipped]
     pairs = zip(first_ms, slipped, strict=True)
     return np.array([metrics.timing(first, row[one]["t_s_ms"]) == when for first, row in pairs], bool)
@@ -192,12 +195,12 @@ def _or_never(onset_ms: int | None) -> float:
 
 
 def main() -> None:
-    """Run what is missing, print the summary."""
+    """Run the missing trials and print the summary."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("-o", "--out", type=Path, required=True, help="JSON lines, one a trial")
+    parser.add_argument("-o", "--out", type=Path, required=True, help="JSON lines, one per trial")
     parser.add_argument("--kind", action="append", choices=tuple(COUNTS), help="slip or grasp; default: both")
-    parser.add_argument("--first", type=int, default=0, help="trial to begin with, from 0")
-    parser.add_argument("--count", type=int, help="trials of each kind; default: to 100 slips and 40 grasps")
+    parser.add_argument("--first", type=int, default=0, help="number of the first trial, from 0")
+    parser.add_argument("--count", type=int, help="trials of each kind; default: up to 100 slips and 40 grasps")
     parser.add_argument("--seed", type=int, default=10_017)
     parser.add_argument("--step-ms", type=float, default=FINE_STEP_MS, help="the fine step")
     parser.add_argument("--json", action="store_true", help="one JSON object instead of tables")

@@ -1,7 +1,7 @@
-"""What commands cost over data sets of real files; a part of growth.py.
+"""Measure the cost of commands over data sets of real files; a part of growth.py.
 
-The files are those of one recorded trial, made by the stages, and copied as if each had been recorded with another
-seed: the same arrays, other recipe ids. Small or empty files would be opened in a fraction of the time.
+The stages make the files of one recorded trial. Copies of these files pretend to be recorded with other seeds: the
+arrays are the same, the recipe ids differ. Small or empty files would open in a fraction of the time.
 """
 
 import json
@@ -19,13 +19,13 @@ from evetac_cli.store.files import StageFile
 from evetac_cli.store.layout.netcdf import header_in_words
 from evetac_cli.store.layout.provenance import Header, folded, recompute_id
 
-TRIALS = (30, 100, 300, 1_000, 3_000, 10_000)  # of a data set
-OF_TRIAL = ("recording", "labels", "tracks", "features")  # its files
-SEED = 10_000  # of the trial that is repeated: the package's detector was not trained on it
+TRIALS = (30, 100, 300, 1_000, 3_000, 10_000)  # trials per data set
+OF_TRIAL = ("recording", "labels", "tracks", "features")  # files per trial
+SEED = 10_000  # object of the repeated trial, which the pretrained detector was not trained on
 
 
 def cpu_of(*words: str, cwd: Path) -> tuple[float, float]:
-    """Processor time of a command in s, and its largest resident set in MB; SystemExit if it fails."""
+    """Return a command's processor time in s and its largest resident set in MB; SystemExit if it fails."""
     command = [sys.executable, "-P", "-m", "evetac_cli", *words]
     process = subprocess.Popen(command, cwd=cwd, stdout=subprocess.DEVNULL)
     _, status, used = os.wait4(process.pid, 0)
@@ -36,7 +36,7 @@ def cpu_of(*words: str, cwd: Path) -> tuple[float, float]:
 
 
 def files(most_trials: int) -> list[Row]:
-    """A row for each size of a data set of real files: its index, that of one file more, and nothing to do over it."""
+    """Return a row for each size of a data set of real files: first index, one file more, nothing to do."""
     rows: list[Row] = []
     with tempfile.TemporaryDirectory() as name:
         place = Path(name)
@@ -66,7 +66,7 @@ def files(most_trials: int) -> list[Row]:
 
 
 def copy_trial(place: Path, folder: Path, number: int) -> None:
-    """Copies of the files of a trial, as if it had been recorded with another seed: every recipe id is another."""
+    """Copy the files of a trial as if it had been recorded with another seed, with new recipe ids."""
     ids: dict[str, str] = {}
     for kind in OF_TRIAL:
         path = Path(shutil.copyfile(place / f"trial.{kind}.h5", folder / f"{number}.{kind}.h5"))
@@ -81,7 +81,7 @@ def copy_trial(place: Path, folder: Path, number: int) -> None:
 
 
 def as_of(header: Header, number: int, ids: dict[str, str]) -> Header:
-    """A header as of the trial of this number; `ids`: of the trial that was recorded -> of this one."""
+    """Return a header for the trial of this number; `ids` maps ids of the recorded trial to those of this one."""
     changed = {**header, "parents": [ids[parent] for parent in header["parents"]]}
     if header["kind"] == "recording":
         changed["seed"] = SEED + number

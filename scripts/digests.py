@@ -1,15 +1,16 @@
-"""Whether a change of structure changed a number: digests of all arrays that a set of commands makes.
+"""Check whether a refactoring changed any number: digests of all arrays that a set of commands makes.
 
     python scripts/digests.py NOW.json                              # 211 files, some 8 minutes on two cores
     python scripts/digests.py NOW.json --against scripts/digests.json
     python scripts/digests.py NOW.json --against scripts/digests.json --other-recipes   # arrays alone
 
-Two trials of every scene, every sensor, tracker preset, label method and training preset, the demo, force, RGB, the
-ideal readout, all grip laws. The numba cache is an empty folder, because numba stamps only the file that defines a
-kernel and would go on with an edited callee of another file. A file's digest is over dtype, shape and bytes of its
-numeric arrays by name; texts and ONNX graphs hold names, and are left out. Beside it stands the file's recipe id. With
---against, each file that is missing, new or different is printed, and the exit status is 1. Digests hold for one type
-of machine.
+The commands cover two trials of every scene, every sensor, tracker preset, label method and training preset, the demo,
+force, RGB, the ideal readout, and all grip laws. The numba cache is an empty folder: numba stamps only the file that
+defines a kernel, and would otherwise keep using a kernel after a function in another file was edited.
+
+A file's digest covers dtype, shape and bytes of its numeric arrays, sorted by name. Texts and ONNX graphs contain names
+and are left out. The file's recipe id is stored next to the digest. With --against, the script prints each file that is
+missing, new or different, and exits with 1 if there is one. Digests are valid for one type of machine.
 """
 
 import argparse
@@ -27,7 +28,7 @@ import h5py
 import numpy as np
 
 ROOT = Path(__file__).resolve().parents[1]
-Commands = list[str]  # of one case, run one after the other in a folder of its name
+Commands = list[str]  # commands of one case, run one after the other in a folder of its name
 
 RECORDED = ("slip", "shear", "press", "edge", "data-rate")
 GRASPED = ("lift", "sideways", "drop-20g", "drop-100g")
@@ -44,7 +45,7 @@ TRAINED = (
 
 
 def cases() -> Iterator[tuple[str, Commands]]:
-    """Name of a case and its commands."""
+    """Return the name of each case and its commands."""
     for scene in RECORDED:
         yield scene, [f"record --scene {scene} --count 2 --out ."]
     for scene in ("vibration", "vibration-randomized"):
@@ -94,7 +95,7 @@ def _stages() -> Iterator[str]:
 
 
 def digest(path: Path) -> dict[str, str]:
-    """SHA-256 over the numeric datasets of a file, by name, and its recipe id."""
+    """Return the SHA-256 of a file's numeric datasets, by name, and its recipe id."""
     arrays: dict[str, bytes] = {}
 
     def add(name: str, item: object) -> None:
@@ -113,7 +114,7 @@ def digest(path: Path) -> dict[str, str]:
 
 
 def make(folder: Path, only: list[str]) -> None:
-    """Run the cases, two at a time; SystemExit with the words of a command that fails."""
+    """Run the cases, two at a time; SystemExit with the messages of a command that fails."""
     environment = os.environ | {
         "NUMBA_CACHE_DIR": tempfile.mkdtemp(prefix="evetac-numba-"),
         "PYTHONPATH": str(ROOT),
@@ -148,11 +149,11 @@ def make(folder: Path, only: list[str]) -> None:
 
 
 def main() -> int:
-    """Make the files, write their digests, and compare them if asked."""
+    """Make the files, write their digests, and compare them if requested."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("out", type=Path, help="JSON file: path of a file -> its digest and recipe id")
-    parser.add_argument("--against", type=Path, help="kept digests to compare with")
-    parser.add_argument("--other-recipes", action="store_true", help="recipe ids may be others")
+    parser.add_argument("--against", type=Path, help="stored digests to compare with")
+    parser.add_argument("--other-recipes", action="store_true", help="allow other recipe ids")
     parser.add_argument("--only", nargs="+", default=[], help="cases to run, default: all")
     parser.add_argument("--folder", type=Path, help="where the files go; default: a new temporary folder")
     chosen = parser.parse_args()

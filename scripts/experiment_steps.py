@@ -1,6 +1,7 @@
-"""The commands of every experiment, built from its sizes.
+"""Build the commands of every experiment from its sizes.
 
-A command is a list of words; its globs are expanded in the experiment's folder when it is run. `--jobs` is added then.
+A command is a list of words. Its globs are expanded in the experiment's folder when it runs, and `--jobs` is added
+then.
 """
 
 from collections.abc import Iterator
@@ -22,7 +23,7 @@ def script(name: str, *words: object) -> Command:
 
 
 def demo_steps(sizes: Sizes) -> Iterator[Command]:
-    """Training, validation and test trajectories have seeds of their own."""
+    """Return the demo's commands; training, validation and test trajectories have separate seeds."""
     seed = sizes["seed"]
     yield evetac("record", "--object", "3,6,8,9", "--count", sizes["learn"], "--seed", seed, "--out", "learn")
     yield evetac("record", "--object", "3,6,8,9", "--seed", seed + 500, "--out", "choose")
@@ -52,8 +53,8 @@ SLIP: Sizes = {
     "sensor": "evetac",
     "tracker": "stable",
     "known": "1-9",  # objects that detectors are trained on
-    "unseen": "10-17",  # objects that they never saw
-    "train": 12,  # trajectories of each object, by role
+    "unseen": "10-17",  # unseen objects
+    "train": 12,  # trajectories per object, by role
     "validate": 2,
     "test": 10,
     "seeds": 5,  # of training
@@ -78,7 +79,7 @@ SMALL_SLIP: Sizes = {
     "folds": 2,
     "steps": 200,
 }
-AHEAD = ("hist20", "fast-slow")  # the models that are trained to predict too
+AHEAD = ("hist20", "fast-slow")  # models that are also trained to predict
 LABELS = "event-flow"
 
 
@@ -96,7 +97,7 @@ def slip_data_steps(sizes: Sizes) -> Iterator[Command]:
 
 
 def learn(sizes: Sizes, features: str, folder: str, seeds: int, preset: str, steps: int, *words: object) -> Command:
-    """Train one architecture with so many seeds."""
+    """Train one architecture with several seeds."""
     return evetac("train", f"{features}/*.features.h5", *words, "--preset", preset, "--max-steps", steps,
                   "--validate", "choose", "--seed", sizes["seed"], "--seeds", seeds,
                   "--out", f"models/{folder}")  # fmt: skip
@@ -120,7 +121,7 @@ def slip_model_steps(sizes: Sizes) -> Iterator[Command]:
 
 
 def slip_image_steps(sizes: Sizes) -> Iterator[Command]:
-    """Image baselines on images summed over 6 x 6 px, for a CPU, and beside them hist10 for as many steps."""
+    """Train image baselines on images summed over 6 x 6 px, for a CPU, and hist10 for the same number of steps."""
     steps = min(sizes["steps"], 3_000)
     for model in ("hist10", *sizes["image_models"]):
         yield learn(sizes, "learn", "images", sizes["seeds"], "adamw", steps, "--model", model)
@@ -151,7 +152,7 @@ def slip_image_evaluations(sizes: Sizes) -> dict[str, Command]:
 
 
 def true_share_steps(sizes: Sizes) -> Iterator[Command]:
-    """The same trainings twice: on labels alone, and with the true share of the contact that slips beside them."""
+    """Run the same trainings on labels alone, and with the true slipping share of the contact in addition."""
     roles = (("learn", "known", "train", 0), ("choose", "known", "validate", 500), ("unseen", "unseen", "test", 1500))
     for folder, objects, count, offset in roles:
         yield evetac("record", "--scene", "slip", "--object", sizes[objects], "--count", sizes[count],
@@ -170,13 +171,13 @@ RECIPE: Sizes = {
     "seed": 41_000,
     "known": "1-9",
     "unseen": "10-17",
-    "train": 35,  # of each known object: 315, beside 45 on which checkpoint and threshold are chosen
+    "train": 35,  # of each object: 315 for training, and 45 on which checkpoint and threshold are chosen
     "choose": 5,
     "test": 10,
     "models": ("fast-slow", "hist20", "hist10", "no-hist", "events-only", "disp-only"),
-    "ahead": ("10",),  # ms ahead of slip that CHANGED_MODEL is trained to warn, besides
+    "ahead": ("10",),  # ms ahead of slip that CHANGED_MODEL is also trained to warn
     "seeds": 2,
-    "steps": 150_000,  # at most, for 70 epochs
+    "steps": 150_000,  # upper limit of steps, for 70 epochs
     "changes": ("tracker", "labels", "size", "noise"),
 }
 SMALL_RECIPE: Sizes = {
@@ -193,14 +194,14 @@ SMALL_RECIPE: Sizes = {
 }
 ROLES = (("learn", "known", "train", 0), ("choose", "known", "choose", 500), ("known", "known", "test", 1000),
          ("unseen", "unseen", "test", 1500))  # fmt: skip
-CHANGED_MODEL = "fast-slow"  # the one that is trained where something is changed
-FEWER = ("*-00[1-9]", "*-01[0-2]")  # of 35 trajectories of an object, where their number is changed
+CHANGED_MODEL = "fast-slow"  # the model that is trained for changed settings
+FEWER = ("*-00[1-9]", "*-01[0-2]")  # of 35 trajectories per object, when their number is varied
 
 
 def recipe_steps(sizes: Sizes) -> Iterator[Command]:
-    """The paper's recipe: its tracker, labels, numbers of trajectories and training; then one of them changed."""
+    """Run the paper's recipe (tracker, labels, numbers of trajectories, training), then change one at a time."""
     for change in ("nothing", *sizes["changes"]):
-        if change == "size":  # learns from fewer of those that are there
+        if change == "size":  # trains on a subset of the trajectories
             features = [f"nothing/learn/{name}.features.h5" for name in FEWER]
             yield from _recipe_trainings(sizes, "nothing", change, *features)
             continue
@@ -233,7 +234,7 @@ def _recipe_trainings(sizes: Sizes, features: str, change: str, *learnt: str) ->
 
 
 def recipe_evaluations(sizes: Sizes) -> dict[str, Command]:
-    """Each training is judged on what its own tracker and labels make of the same slips."""
+    """Evaluate each training with its own tracker and labels on the same slips."""
     return {
         f"recipe-{change}-{role}": evetac(
             "evaluate", "slip", f"{'nothing' if change == 'size' else change}/{role}/*.features.h5",
@@ -286,7 +287,7 @@ def vibration_evaluations(sizes: Sizes) -> dict[str, Command]:
 
 
 def data_rate_steps(sizes: Sizes) -> Iterator[Command]:
-    """The paper does not name its object; the scene gives object 1 the weight of an unknown one (docs/simulator.md)."""
+    """Record the data-rate scene; it gives object 1 an assumed weight, as the paper does not name its object."""
     yield evetac("record", "--scene", "data-rate", "--object", "1", "--count", sizes["trajectories"],
                  "--seed", sizes["seed"], "--out", ".")  # fmt: skip
 
@@ -296,7 +297,7 @@ def data_rate_evaluations(sizes: Sizes) -> dict[str, Command]:
 
 
 def force_steps(sizes: Sizes) -> Iterator[Command]:
-    """The first trajectory to be judged on is pushed over every gel in the same way, so that only the gel differs."""
+    """Record force trajectories; the first one for evaluation has the same pushes on every gel."""
     seed = sizes["seed"]
     yield evetac("record", "--scene", "shear", "--count", 4, "--seed", seed, "--out", "learn")
     yield evetac("record", "--scene", "shear", "--count", sizes["judged"], "--seed", seed + 500, "--out", "unseen")
@@ -320,7 +321,7 @@ def force_evaluations(sizes: Sizes) -> dict[str, Command]:
 
 
 def grasp_steps(sizes: Sizes) -> Iterator[Command]:
-    """Objects of the paper's figure, the gain doubled where it did so; falling weights; another sensor, closed gel."""
+    """Grasp the objects of the paper's figure, some with double gain as there; then weights, sensor, closed gel."""
     trials, half = sizes["trials"], (sizes["trials"] + 1) // 2
 
     def grasp(out: str, count: int, objects: str, *words: object) -> Command:
@@ -371,7 +372,7 @@ def strip_steps(sizes: Sizes) -> Iterator[Command]:
 
 
 def film_steps(sizes: Sizes) -> Iterator[Command]:
-    """The film shows the farthest slide that was caught: the recording is one that has such a slide."""
+    """Record the catch for the film, which shows the farthest slide that was caught."""
     yield evetac("grasp", "--object", 17, "--seed", 0, "--lift-s", 7, "--balance-s", 5,
                  "--texture", "on", "--out", "catch.recording.h5")  # fmt: skip
     yield evetac("track", "catch.recording.h5")
@@ -379,7 +380,7 @@ def film_steps(sizes: Sizes) -> Iterator[Command]:
 
 
 def ship_steps(sizes: Sizes) -> Iterator[Command]:
-    """Record motions for the package's slip detector, train it on them, and put it into the package."""
+    """Record motions for the pretrained slip detector, train it, and put it into the package."""
     some = ("--motions", ",".join(sizes["motions"])) if sizes["motions"] else ()
     for role in ("learn", "choose"):
         yield script("motion_recordings.py", role, "--out", role, "--per-object", sizes["per_object"], *some)

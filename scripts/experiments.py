@@ -1,4 +1,4 @@
-"""Every experiment of the paper, and every study beside them, as a row of one table; scripts/reproduce.py runs it."""
+"""The table of all experiments of the paper and all additional studies; scripts/reproduce.py runs them."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -12,53 +12,53 @@ from experiment_tables import Table
 
 @dataclass(frozen=True)
 class Experiment:
-    """What is done, at which sizes, and what comes out of it."""
+    """One experiment: its commands, its sizes and its results."""
 
     name: str
     shows: str
-    folder: str  # of its files; experiments that build on each other share one
+    folder: str  # folder of its files; experiments that build on each other share one
     hours: float  # at full size on two cores: an estimate
     full: Sizes
-    small: Sizes  # those that differ
+    small: Sizes  # the sizes that differ from full size
     steps: Callable[[Sizes], Iterator[Command]] = lambda sizes: iter(())
     evaluations: Callable[[Sizes], dict[str, Command]] = lambda sizes: {}
-    measure: str = ""  # MODULE.FUNCTION of this folder that measures what no command evaluates
+    measure: str = ""  # MODULE.FUNCTION in this folder, for measurements that no command makes
     tables: tuple[Table, ...] = ()
-    after: tuple[str, ...] = ()  # experiments that come first
-    published: bool = True  # its tables go to docs/results/; else they stay in its folder
-    in_plan: bool = True  # plan.py counts its commands
+    after: tuple[str, ...] = ()  # experiments that must run first
+    published: bool = True  # whether its tables go to docs/results/; otherwise they stay in its folder
+    in_plan: bool = True  # whether plan.py counts its commands
 
 
 EXPERIMENTS: tuple[Experiment, ...] = (
     Experiment(
-        "demo", "from touch to grasp on a simulated sensor", "demo", 0.1,
+        "demo", "all steps from touch to grasp on a simulated sensor", "demo", 0.1,
         full={"seed": 0, "learn": 5, "unseen": 3, "epochs": 30},
         small={"learn": 1, "unseen": 1, "epochs": 2},
         steps=steps.demo_steps, evaluations=steps.demo_evaluations, published=False,
         tables=(tables.DEMO,),
     ),
     Experiment(
-        "slip-data", "simulated slips to learn from and to be judged on", "data/slip", 0.3,
+        "slip-data", "simulated slips for training and evaluation", "data/slip", 0.3,
         full=SLIP, small=SMALL_SLIP, steps=steps.slip_data_steps,
     ),
     Experiment(
-        "slip-models", "slip detectors, by architecture, training and how far ahead they warn", "data/slip", 4.0,
+        "slip-models", "train slip detectors, by architecture, training and warning time", "data/slip", 4.0,
         full=SLIP, small=SMALL_SLIP, steps=steps.slip_model_steps, after=("slip-data",),
     ),
     Experiment(
-        "slip-table", "slip detectors judged on unseen slips", "data/slip", 0.3,
+        "slip-table", "evaluate slip detectors on unseen slips", "data/slip", 0.3,
         full=SLIP, small=SMALL_SLIP, evaluations=steps.slip_evaluations,
         after=("slip-models",),
         tables=(tables.SLIP_TRAINING_OBJECTS, tables.SLIP_UNSEEN_OBJECTS, tables.MODEL_COST),
     ),
     Experiment(
-        "slip-images", "slip detectors that see images, trained and judged, the slowest part", "data/slip", 3.0,
+        "slip-images", "train and evaluate slip detectors on event images, the slowest part", "data/slip", 3.0,
         full=SLIP, small=SMALL_SLIP, steps=steps.slip_image_steps, evaluations=steps.slip_image_evaluations,
         after=("slip-data",),
         tables=(tables.IMAGES_TRAINING_OBJECTS, tables.IMAGES_UNSEEN_OBJECTS, tables.IMAGE_MODEL_COST),
     ),
     Experiment(
-        "true-slip-share", "what the true share of the contact that slips is worth to a training",
+        "true-slip-share", "benefit of training on the true slipping share of the contact",
         "data/true-slip-share", 0.1,
         full={
             "seed": 5_000, "known": "1-9", "unseen": "10-17", "train": 6, "validate": 2, "test": 5, "seeds": 3,
@@ -72,32 +72,32 @@ EXPERIMENTS: tuple[Experiment, ...] = (
         tables=(tables.TRUE_SLIP_SHARE,), in_plan=False,
     ),
     Experiment(
-        "paper-recipe", "the paper's recipe at its size, and one thing of it changed at a time", "data/paper-recipe",
+        "paper-recipe", "the paper's recipe at full size, and with one change at a time", "data/paper-recipe",
         3.5, full=steps.RECIPE, small=steps.SMALL_RECIPE,
         steps=steps.recipe_steps, evaluations=steps.recipe_evaluations,
         tables=(tables.PAPER_RECIPE, tables.RECIPE_CHANGES), in_plan=False,
     ),
     Experiment(
-        "ship", "the package's slip detector, trained on many motions, sensors and objects", "data/ship", 1.0,
-        full={"motions": (), "per_object": 40, "steps": 10_000},  # no motions named: all; 40: the most that there are
+        "ship", "the pretrained slip detector, trained on many motions, sensors and objects", "data/ship", 1.0,
+        full={"motions": (), "per_object": 40, "steps": 10_000},  # no motions given: all; 40: the most available
         small={"motions": ("slip", "pushes"), "per_object": 1, "steps": 200},
         steps=steps.ship_steps, in_plan=False,
     ),
     Experiment(
-        "tracking", "presets of the tracker on edges, slip and shear", "data/tracking", 2.0,
+        "tracking", "tracker presets compared on edges, slip and shear", "data/tracking", 2.0,
         full={"seed": 0, "edges": 50, "presets": ("unregularised", "paper", "official", "stable")},
         small={"edges": 1, "presets": ("paper", "stable")},
         steps=steps.tracking_steps, evaluations=steps.tracking_evaluations,
         tables=(tables.TRACKING_EDGE, tables.TRACKING_DISTANCE),
     ),
     Experiment(
-        "data-rate", "bytes a second against an RGB sensor", "data/data-rate", 0.1,
+        "data-rate", "bytes per second compared with an RGB sensor", "data/data-rate", 0.1,
         full={"seed": 0, "trajectories": 5}, small={"trajectories": 1},
         steps=steps.data_rate_steps, evaluations=steps.data_rate_evaluations,
         tables=(tables.DATA_RATE,),
     ),
     Experiment(
-        "vibration", "at which frequency the gel vibrates", "data/vibration", 1.0,
+        "vibration", "vibration frequency of the gel", "data/vibration", 1.0,
         full={"seed": 0, "tones": (), "randomized": 20}, small={"tones": ("200",), "randomized": 1},
         steps=steps.vibration_steps, evaluations=steps.vibration_evaluations,
         tables=(tables.VIBRATION, tables.VIBRATION_RANDOMIZED),
@@ -110,7 +110,7 @@ EXPERIMENTS: tuple[Experiment, ...] = (
         tables=(tables.FORCE,),
     ),
     Experiment(
-        "grasp-table", "lift and balance by feel, all controllers side by side", "data/grasps", 3.0,
+        "grasp-table", "lift and balance by feel, with all controllers", "data/grasps", 3.0,
         full={
             "seed": 0, "objects": "10-18", "trials": 10, "alone": 5,
             "controllers": ("paper", "paper-reset", "load-proportional"),
@@ -127,38 +127,38 @@ EXPERIMENTS: tuple[Experiment, ...] = (
         "film", "a short film of a catch", "film", 0.1, full={}, small={}, steps=steps.film_steps, in_plan=False,
     ),
     Experiment(
-        "part-effects", "what each part of a sensor or a scene does to each stage", "data/part-effects", 1.0,
+        "part-effects", "effect of each part of a sensor or a scene on each stage", "data/part-effects", 1.0,
         full={"seed": 20_000, "slips": 15, "grasps": 9, "parts": ()},
         small={"slips": 3, "grasps": 0, "parts": ("leak",)},
         measure="part_effects.measure", in_plan=False,
         tables=(studies.PART_EFFECTS,),
     ),
     Experiment(
-        "blind-identification", "are sensors that identify has never seen found again", "data/blind-identification",
+        "blind-identification", "does identify recover unseen sensors", "data/blind-identification",
         0.8, full={"first": 20_020, "sensors": 20, "grips": 3}, small={"sensors": 1},
         measure="blind_identification.measure", in_plan=False,
         tables=(studies.BLIND_IDENTIFICATION,),
     ),
     Experiment(
-        "force-sensors", "shear and normal force by touch maps of different sensors", "data/force-sensors", 3.0,
+        "force-sensors", "shear and normal force from touch maps of different sensors", "data/force-sensors", 3.0,
         full={"first": 20_020, "sensors": 20, "adapt": 12}, small={"sensors": 1, "adapt": 1},
         steps=studies.force_sensor_steps, evaluations=studies.force_sensor_evaluations, in_plan=False,
         tables=(studies.FORCE_SENSORS, studies.FORCE_OBJECTS), after=("blind-identification",),
     ),
     Experiment(
-        "touch-cost", "what a step of the touch sensor costs", "data/touch-cost", 0.1,
+        "touch-cost", "cost of a step of the touch sensor", "data/touch-cost", 0.1,
         full={"rounds": 4, "ms": 500}, small={"rounds": 2, "ms": 50},
         measure="robot_tables.touch_cost", in_plan=False,
         tables=(studies.TOUCH_COST,),
     ),
     Experiment(
-        "mujoco-grasps", "grasps in MuJoCo with our touch, detector and laws", "data/mujoco-grasps", 0.1,
+        "mujoco-grasps", "grasps in MuJoCo with evetac's touch sensor, detector and laws", "data/mujoco-grasps", 0.1,
         full={"trials": 20, "seed": 22_000}, small={"trials": 1},
         steps=studies.mujoco_steps, measure="robot_tables.mujoco_grasps", in_plan=False,
         tables=(studies.MUJOCO_GRASPS,),
     ),
     Experiment(
-        "lift-baseline", "a grip law found by CMA-ES against fixed grips", "data/lift-baseline", 0.5,
+        "lift-baseline", "a grip law found by CMA-ES compared with fixed grips", "data/lift-baseline", 0.5,
         full={"runs": 5, "generations": 4, "candidates": 6, "episodes": 2, "judged": 20, "judged_from": 22_000},
         small={"runs": 1, "generations": 1, "candidates": 4, "episodes": 1, "judged": 1},
         steps=studies.lift_steps, measure="robot_tables.lift_baseline", in_plan=False,

@@ -1,12 +1,12 @@
-"""Follow docs/first-hour.md and README word by word in an empty environment, and check what they say comes out.
+"""Follow docs/first-hour.md and README word by word in an empty environment, and check the results they promise.
 
     python scripts/first_hour.py [--folder EMPTY] [--minutes 15] [--write]
 
-The last commit is cloned, and the blocks ```sh of each page are run from there, one shell a page. A comment
-`<!-- expect NAME LOW..HIGH -->` below a block says within which range a figure has to lie that the block prints, as
-`NAME: 0.84` or as cells `NAME | 0.84` of a table. All commands have to succeed, within the minutes.
+The last commit is cloned. The ```sh blocks of each page run in the clone, one shell per page. A comment `<!-- expect
+NAME LOW..HIGH -->` below a block gives the range of a figure that the block prints, as `NAME: 0.84` or as table cells
+`NAME | 0.84`. All commands must succeed within the time limit.
 
-`--write` puts what a block printed on stdout into the block ```text that follows it, in the pages of this checkout.
+`--write` puts the stdout of each block into the ```text block that follows it, in the pages of this checkout.
 """
 
 import argparse
@@ -20,8 +20,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = ("docs/first-hour.md", "README.md")  # whose files the second finds up to date
-MOST_LINES = 45  # of what a block printed, in a page
+PAGES = ("docs/first-hour.md", "README.md")  # its files are up to date for the second page
+MOST_LINES = 45  # lines of a block's output that a page shows
 COLUMNS = "100"
 BLOCK = re.compile(r"^```sh\n(?P<code>.*?)^```\n(?P<rest>.*?)(?=^```sh\n|\Z)", re.DOTALL | re.MULTILINE)
 EXPECT = re.compile(r"<!-- expect (?P<name>.+?) (?P<low>-?[\d.]+)\.\.(?P<high>-?[\d.]+) -->")
@@ -30,14 +30,14 @@ OUTPUT = re.compile(r"\A(?P<before>(?:\s|<!--.*?-->)*```text\n).*?(?P<after>^```
 
 @dataclass(frozen=True)
 class Block:
-    """Commands of a page, and the figures that they have to print: name, lowest, highest."""
+    """Commands of a page, and the figures that they must print: name, lowest and highest value."""
 
     code: str
     expected: tuple[tuple[str, float, float], ...]
 
 
 def blocks(page: str) -> list[Block]:
-    """The blocks of commands of a page in Markdown, in their order."""
+    """Return the blocks of commands of a Markdown page, in order."""
     return [
         Block(
             match["code"],
@@ -48,13 +48,13 @@ def blocks(page: str) -> list[Block]:
 
 
 def figure(printed: str, name: str) -> float | None:
-    """The first number behind a name at the beginning of a line or cell; None where there is none."""
+    """Return the first number after a name at the beginning of a line or cell; None if there is none."""
     match = re.search(rf"(?:^|[|│])\s*{re.escape(name)}\s*[:|│]\s*(-?[\d,]*\.?\d+)", printed, re.MULTILINE)
     return float(match[1].replace(",", "")) if match else None
 
 
 def faults(block: Block, printed: str) -> list[str]:
-    """In what a block's figures differ from what its page says."""
+    """Return the differences between a block's figures and those that its page promises."""
     wrong = []
     for name, low, high in block.expected:
         value = figure(printed, name)
@@ -64,9 +64,9 @@ def faults(block: Block, printed: str) -> list[str]:
 
 
 def run(page: list[Block], folder: Path, environment: dict[str, str]) -> tuple[int, list[str]]:
-    """Run the blocks in one shell: its exit code, and what each block printed, as far as it came.
+    """Run the blocks in one shell; return its exit code and the output of each block that ran.
 
-    Blocks are told apart by a line that no command prints.
+    A line that no command prints separates the blocks.
     """
     mark = f"--- next block {os.urandom(8).hex()}"
     script = "".join(f"echo '{mark}'\n{block.code}" for block in page)
@@ -85,7 +85,7 @@ def run(page: list[Block], folder: Path, environment: dict[str, str]) -> tuple[i
 
 
 def with_outputs(page: str, printed: list[str]) -> str:
-    """A page whose blocks ```text hold what the blocks of commands above them printed."""
+    """Return the page with the ```text blocks replaced by the output of the commands above them."""
     outputs = iter(printed)
 
     def replace(match: re.Match[str]) -> str:
@@ -99,7 +99,7 @@ def with_outputs(page: str, printed: list[str]) -> str:
 
 
 def empty_environment(folder: Path) -> dict[str, str]:
-    """The variables of this process without those of a Python environment, and with caches that are empty."""
+    """Return this process's variables without those of a Python environment, and with empty caches."""
     kept = {
         name: value
         for name, value in os.environ.items()
@@ -110,7 +110,7 @@ def empty_environment(folder: Path) -> dict[str, str]:
 
 
 def follow(folder: Path, *, write: bool) -> list[str]:
-    """Follow the pages in a clone in this folder; what was not as they say, in words."""
+    """Follow the pages in a clone in this folder; return the differences, in words."""
     clone = folder / "evetac"
     subprocess.run(["git", "clone", "--quiet", str(ROOT), str(clone)], check=True)
     wrong = []
@@ -130,11 +130,11 @@ def follow(folder: Path, *, write: bool) -> list[str]:
 
 
 def main() -> None:
-    """Follow the pages; exit code 1 where something is not as they say."""
+    """Follow the pages; exit code 1 if a result differs from its page."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--folder", type=Path, default=None, help="an empty folder; default: a temporary one")
-    parser.add_argument("--minutes", type=float, default=15.0, help="longest time that it may take")
-    parser.add_argument("--write", action="store_true", help="put what was printed into the pages")
+    parser.add_argument("--minutes", type=float, default=15.0, help="time limit, in minutes")
+    parser.add_argument("--write", action="store_true", help="put the printed output into the pages")
     chosen = parser.parse_args()
     started = time.monotonic()
     with tempfile.TemporaryDirectory() as temporary:

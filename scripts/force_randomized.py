@@ -1,15 +1,15 @@
-"""Recordings of simulated sensors that are all different, to adapt and to evaluate touch maps on.
+"""Record simulated sensors that all differ, to adapt and to evaluate touch maps on.
 
     python scripts/force_randomized.py FOLDER --first 20000 --sensors 20
 
 For each sensor randomized-narrow:N, 5 s each (10 s with --waypoints 4):
 
-- N-adapt-0 to 11: a flat face, pressed on with 6 to 20 N and sheared: a minute to adapt on;
-- N-shear-0, 1: the scene `shear` with fewer waypoints: to evaluate on, 20 N of normal force;
-- N-disc: a disc of 16 mm, 10 N; N-slip: an object of the paper's table slips out of the grip (a cut gel).
+- N-adapt-0 to 11: a flat face, pressed with 6 to 20 N and sheared: one minute in total, to adapt on;
+- N-shear-0, 1: the scene `shear` with fewer waypoints and 20 N of normal force, to evaluate on;
+- N-disc: a disc of 16 mm, pressed with 10 N; N-slip: an object of the paper's table slips out of the grip (cut gel).
 
-Beside them is scenes/evetac.toml, of `shear-0` with eight waypoints, for the sensor on which the paper's method learns.
-What is there already is not made again.
+The script also writes scenes/evetac.toml: `shear-0` with eight waypoints, for the sensor on which the paper's method is
+trained. Existing recordings are not made again.
 """
 
 import argparse
@@ -20,7 +20,7 @@ from evetac_cli.commands.record import Record
 from evetac_cli.sim.setup.scene_file import changed
 from evetac_cli.trials import record
 
-FLAT: dict[str, Any] = {}  # that of the scene, 30 mm x 30 mm
+FLAT: dict[str, Any] = {}  # the face of the scene, 30 mm x 30 mm
 DISC = {"size_mm": None, "radius_mm": 8.0}
 # name of the trial: face, normal force and largest shear force in N
 PRESSES = {
@@ -40,13 +40,13 @@ EVETAC_WAYPOINTS = 8
 
 
 def scene_text(face: dict[str, Any], normal_n: float, shear_n: float, waypoints: int) -> str:
-    """The scene `shear` with another face, other forces and fewer waypoints."""
+    """Return the scene `shear` with another face, other forces and fewer waypoints."""
     motion = {"normal_n": normal_n, "shear_n": shear_n, "count": waypoints, "offset_mm": 5.0 if face else 10.0}
     return changed("shear", {"name": "shear-short", "face": face, "motion": motion})
 
 
 def make(scene_name: str, sensor: int, seed: int, objects: str, output: Path) -> None:
-    """Record one trial, unless that is done."""
+    """Record one trial, unless it exists."""
     chosen = Record(scene=scene_name, objects=objects, sensor=f"randomized-narrow:{sensor}", seed=seed)
     (trial,) = record.jobs([], chosen, output)
     record.run(trial, chosen)
@@ -57,8 +57,10 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--first", type=int, default=0, help="number of the first sensor, and the first seed")
     parser.add_argument("--sensors", type=int, default=20)
-    parser.add_argument("--trials", nargs="+", choices=TRIALS, default=TRIALS, help="only these of each sensor")
-    parser.add_argument("--waypoints", type=int, default=2, help="places that a face is moved to")
+    parser.add_argument(
+        "--trials", nargs="+", choices=TRIALS, default=TRIALS, help="record only these trials of each sensor"
+    )
+    parser.add_argument("--waypoints", type=int, default=2, help="positions that a face is moved to")
     chosen = parser.parse_args()
     scenes = chosen.folder / "scenes"
     scenes.mkdir(parents=True, exist_ok=True)

@@ -1,10 +1,10 @@
-"""A grip law that knows what no controller can: mass, friction and the force on the object, at every moment.
+"""An oracle grip law that has the true mass, friction and force on the object at every step.
 
-It stands beside the laws as a bound of what a gripper of whole ticks and rubbing gear permits; it is no controller of
-`grasp`. At each step it wants `margin` times what just holds the object now, with what its motion adds, and pushes by
-what moves the finger from the force that there is. An object that slides is held by less friction, so it wants more
-until SETTLED_STEPS after nearly all of the contact has stopped. It knows nothing of what is to come.
-grip_ceiling.json keeps what it held of seeds 0 to 99 (simulated).
+The oracle bounds what a gripper with whole ticks and a gear with friction can do. It is not a controller of `grasp`. At
+each step it aims for `margin` times the force that just holds the object, including the force for its motion, and
+pushes by the amount that moves the finger from the present force. A sliding object is held by less friction, so the
+oracle aims higher until SETTLED_STEPS after nearly all of the contact has stopped. It has no information about the
+future. grip_ceiling.json contains its results for seeds 0 to 99 (simulated).
 """
 
 import math
@@ -17,18 +17,18 @@ from evetac_cli.sim.scenes.gripped import GraspSimulation
 
 NAME = "oracle"
 MARGIN = 1.3
-LIGHT_N = 0.1  # of light contact
-SHORT, LONG = 0.98, 1.04  # of what is wanted: it closes below, and opens above
-OPENS_TICKS = 0.5  # of push beyond what holds the finger: opens by pulses
-PAUSE_STEPS = 4  # after one, so that the finger rests and late commands have come
-SLIDES = 0.9  # of the contact slips
+LIGHT_N = 0.1  # at light contact
+SHORT, LONG = 0.98, 1.04  # tolerance around the target force: the oracle closes below it, and opens above it
+OPENS_TICKS = 0.5  # push beyond the force that holds the finger: the oracle opens by pulses
+PAUSE_STEPS = 4  # after an opening pulse, so that the finger rests and late commands have arrived
+SLIDES = 0.9  # slipping share of the contact above which the object slides
 SETTLED_STEPS = 50
-GAIN = 2.0  # ticks of push for each N that is lacking
+GAIN = 2.0  # ticks of push for each N that is missing
 
 
 @dataclass
 class OracleState(LawState):
-    """Steps until the next pulse that opens, and until a slide is over."""
+    """Steps until the next opening pulse, and until a slide counts as over."""
 
     pause: int = 0
     slides: int = 0
@@ -36,7 +36,7 @@ class OracleState(LawState):
 
 @dataclass(frozen=True)
 class Oracle(PluginLaw):
-    """Holds with margin times what just holds the object of a simulation."""
+    """Grips with `margin` times the force that just holds the object of a simulation."""
 
     simulation: GraspSimulation
     margin: float = MARGIN
@@ -44,11 +44,11 @@ class Oracle(PluginLaw):
     needs_detector: ClassVar[bool] = False
 
     def start(self, control_hz: float) -> OracleState:
-        """The state before the first step."""
+        """Return the state before the first step."""
         return OracleState()
 
     def step(self, state: LawState, phase: GraspPhase, slip: bool, signal: SlipSignal, position_ticks: int) -> int:
-        """One control step."""
+        """Return the goal of one control step."""
         assert isinstance(state, OracleState)
         simulation = self.simulation
         drive, force_n = simulation.drive, simulation.finger.force_n
@@ -58,7 +58,7 @@ class Oracle(PluginLaw):
         falls = sampled.static_friction / sampled.kinetic_friction if state.slides else 1.0
         wanted_n = LIGHT_N if phase is GraspPhase.CONTACT else self.margin * falls * simulation.holding_n
         per_tick_n = drive.gain_ma_tick * drive.force_per_current_n_ma
-        holds = force_n / per_tick_n  # ticks of push that the force of the object takes
+        holds = force_n / per_tick_n  # ticks of push that balance the object's force
         band = (drive.friction_n + drive.friction_share * force_n) / per_tick_n
         state.pause -= 1
         if force_n < SHORT * wanted_n:
@@ -71,7 +71,7 @@ class Oracle(PluginLaw):
 
 
 def of_name(name: str, simulation: GraspSimulation) -> Oracle:
-    """The oracle of a name such as oracle:1.5; ValueError where it names no margin from 1 to 10."""
+    """Return the oracle for a name such as oracle:1.5; ValueError if its margin is not from 1 to 10."""
     margin = float(name.partition(":")[2] or MARGIN)
     if not 1.0 <= margin <= 10.0:
         raise ValueError(f"expected a margin from 1 to 10, found {name}")

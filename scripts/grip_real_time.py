@@ -1,12 +1,12 @@
-"""Grasps in real time on virtual devices beside the same grasps simulated: what became of both, and how late it was.
+"""Run grasps in real time on virtual devices and the same grasps simulated; compare outcomes and lateness.
 
     python scripts/grip_real_time.py --seeds 0-19 -o rows.jsonl
 
-A seed draws object and sensor as in grip_trials.py; the scene is `lift`, with the phases of these trials and without a
-disturbance. Each grasp is made twice by `evetac grasp` with one law, detector and threshold: with --camera virtual
---gripper virtual, in processes that keep real time (a computer that is too slow makes the virtual world wait), and with
---camera sim. Noise of camera and gripper differ, so that figures agree as those of two seeds do. A row is written as
-its grasps end; rows that are there are not made again. All of it simulated.
+A seed draws object and sensor as in grip_trials.py. The scene is `lift`, with the phases of these trials and without a
+disturbance. `evetac grasp` runs each grasp twice with the same law, detector and threshold. The first run uses --camera
+virtual --gripper virtual, in processes that keep real time; if the computer is too slow, the virtual world waits. The
+second uses --camera sim. The noise of camera and gripper differs, so the results agree only as well as those of two
+seeds. A row is written when its grasps end; existing rows are not made again. All results are simulated.
 """
 
 import argparse
@@ -28,7 +28,7 @@ OBJECT_KEYS = ("static_friction", "mass_g", "width_mm", "height_mm", "lever_mm")
 
 
 def object_text(one: Drawn) -> str:
-    """The file of --object of a grasp's object."""
+    """Return the text of the --object file for a grasp's object."""
     touched = one.plan.touched
     assert touched is not None
     numbers = [f"{key} = {getattr(touched, key)!r}" for key in OBJECT_KEYS]
@@ -36,13 +36,13 @@ def object_text(one: Drawn) -> str:
 
 
 def lateness(file: StageFile) -> Row:
-    """How late slices were evaluated and steps begun in a recording, in us: median, 99th percentile, most."""
+    """Return how late slices were evaluated and steps begun, in us: median, 99th percentile and maximum."""
     paths = {name: f"capture/{name}_late_us" for name in ("slice", "step")}
     return {f"{name}_late_us": file.read(path).tolist() for name, path in paths.items() if file.has(path)}
 
 
 def grasped(one: Drawn, law: str, how: str, folder: Path) -> Row:
-    """What became of one grasp with these devices; why there is nothing to tell where the command failed."""
+    """Return the outcome of one grasp with these devices, or the error message if the command failed."""
     (folder / "object.toml").write_text(object_text(one))
     out = folder / f"{how}.recording.h5"
     words = [
@@ -60,7 +60,7 @@ def grasped(one: Drawn, law: str, how: str, folder: Path) -> Row:
 
 
 def main() -> None:
-    """Make what is missing, and say how many ended alike."""
+    """Run the missing grasps and print how many pairs ended alike."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--law", default="load-proportional")
     parser.add_argument("--seeds", type=seeds_of, default="0-19", help="FIRST-LAST")

@@ -1,18 +1,21 @@
-"""Grasps of randomised objects by a grip law, in memory: what was lost, and force over what just holds.
+"""Run grasps of randomised objects by a grip law, in memory: losses, and force relative to the force that just holds.
 
     python scripts/grip_trials.py --law load-proportional --seeds 0-99 --rows rows/grip --jobs 2
     python scripts/grip_trials.py --law paper fixed:40 oracle --seeds 0-99 --rows rows/grip
     python scripts/grip_trials.py --table --rows rows/grip
 
-A grasp is determined by law and seed. A seed draws the object (30 to 600 g, friction 0.3 to 1.2, shape, width, centre
-of mass up to 20 mm beside the fingers), its sensor (evetac, or a randomized one of the seed's number), the friction of
-the gear times 0.7 to 1.3, 0 to 6 ms from detector to controller, and a disturbance: none, a weight that falls on the
-object, a knock against the arm, or a hand that lifts it fast. Camera, tracker, detector and law are those of `grasp`;
-1.5 s of contact, 6 s of lift, 10 s of balance. Laws that use no detector are played without the camera, which changes
-nothing for them. Rows are JSON lines in FOLDER/LAW.jsonl, written as grasps end; those that are there are not played
-again. All of it simulated.
+Law and seed determine a grasp. A seed draws:
 
-`oracle` and `oracle:1.5` know mass, friction and the force on the object at every moment (grip_oracle.py).
+- the object: 30 to 600 g, friction 0.3 to 1.2, shape, width, centre of mass up to 20 mm away from the fingers;
+- its sensor: evetac, or the randomized sensor of the seed's number;
+- the friction of the gear, times 0.7 to 1.3, and a delay of 0 to 6 ms from detector to controller;
+- a disturbance: none, a weight that falls on the object, a knock against the arm, or a hand that lifts fast.
+
+Camera, tracker, detector and law are those of `grasp`, with 1.5 s of contact, 6 s of lift and 10 s of balance. Laws
+without a detector run without the camera, which changes nothing for them. Rows are JSON lines in FOLDER/LAW.jsonl,
+written as grasps end; existing ones are not run again. All results are simulated.
+
+`oracle` and `oracle:1.5` have the true mass, friction and force on the object at every step (grip_oracle.py).
 """
 
 import argparse
@@ -51,19 +54,19 @@ from evetac_cli.trials.trial import SimulatedTrial
 LIFT_S, BALANCE_S = 6.0, 10.0
 MASS_G, FRICTION, WIDTH_MM, HEIGHT_MM = (30.0, 600.0), (0.3, 1.2), (10.0, 95.0), (60.0, 200.0)
 LEVER_MM = 20.0
-# What no gripper should need: the force of the strongest grip of the RH-P12-RN(A) at the limit of its motor's current
-# that the paper's authors set is several times as large. A centre of mass that asks for more is drawn again.
+# The most that a gripper should need: the strongest grip of the RH-P12-RN(A), at the motor current limit set by the
+# paper's authors, is several times as large. If a centre of mass requires more, it is drawn again.
 MOST_HOLDING_N = 20.0
 GEAR, LATENCY_MS = (0.7, 1.3), 6
 DISTURBANCES = ("none", "weight", "knock", "hand")
 CALLED = "drawn"
-STREAM = 41  # with the seed of a grasp: what draws it
+STREAM = 41  # combined with the seed of a grasp to draw it
 SHAPES: tuple[Literal["flat", "cylinder", "sphere"], ...] = ("flat", "cylinder", "sphere")
 
 
 @dataclass(frozen=True)
 class Drawn:
-    """A grasp that a seed draws, but for the law."""
+    """The properties of a grasp that its seed determines; the law is not among them."""
 
     seed: int
     plan: Plan
@@ -71,14 +74,14 @@ class Drawn:
     disturbance: str
 
     def rig(self, *, camera: bool) -> Rig:
-        """Its devices; without a camera slices are empty."""
+        """Return its devices; without a camera, slices are empty."""
         one = SimulatedTrial((), Path(), 0, self.seed, self.plan)
         timer = untimed if camera else without_camera
         return rig(self.plan, one.seeds(), timer, lift_s=LIFT_S, balance_s=BALANCE_S)
 
 
 def drawn(seed: int) -> Drawn:
-    """The grasp of a seed."""
+    """Return the grasp of a seed."""
     rng = np.random.default_rng([STREAM, seed])
     of_lever, of_disturbance = rng.spawn(2)
     mass_g = float(np.exp(rng.uniform(*np.log(MASS_G))))
@@ -91,7 +94,7 @@ def drawn(seed: int) -> Drawn:
         height_mm=float(rng.uniform(*HEIGHT_MM)),
     )
     plan = first_plan("lift", "11", "evetac" if rng.random() < 0.5 else f"randomized:{seed}")
-    # friction is that of the object on this gel
+    # the friction between the object and this gel
     touched = replace(touched, static_friction=friction / plan.sensor.static_friction_factor)
     scene = plan.scene
     gear, latency_ms = float(rng.uniform(*GEAR)), int(rng.integers(LATENCY_MS + 1))
@@ -108,7 +111,7 @@ def drawn(seed: int) -> Drawn:
 
 
 def _disturbed(scene: Any, disturbance: str, mass_g: float, rng: np.random.Generator) -> Any:
-    """The scene with what happens to the object on the way."""
+    """Return the scene with its disturbance of the object."""
     if disturbance == "weight":
         drop = FallingWeight(
             mass_g=mass_g * float(rng.uniform(0.1, 0.5)),
@@ -140,7 +143,7 @@ def _simulation(devices: Rig) -> GraspSimulation:
 
 @dataclass(frozen=True)
 class Asked:
-    """What is asked of a law and of its detector in place of the defaults of `grasp`; None: the default."""
+    """Settings of the law and its detector that replace the defaults of `grasp`; None: the default."""
 
     margin: float | None = None
     model: Path | None = None
@@ -148,18 +151,18 @@ class Asked:
     false_alarms_per_min: float | None = None
 
     def flags(self) -> dict[str, Any]:
-        """What `Grasp` is asked for."""
+        """Return the settings as flags of `Grasp`."""
         named = {"grip_margin": self.margin, "model": self.model, "slip_threshold": self.slip_threshold}
         named["false_alarms_per_min"] = self.false_alarms_per_min
         return {name: value for name, value in named.items() if value is not None}
 
     def row(self) -> Row:
-        """What a row says of it, the model by the name of its file."""
+        """Return the settings as entries of a row, the model by its file name."""
         model = None if self.model is None else self.model.name
         return {**asdict(self), "model": model}
 
     def file_name(self, law: str) -> str:
-        """The file of the rows of a law."""
+        """Return the file for the rows of a law."""
         said = {name.replace("_", "-"): value for name, value in self.row().items() if value is not None}
         words = [f"{name}-{value if isinstance(value, str) else format(value, 'g')}" for name, value in said.items()]
         return "-".join([law.replace(":", "-"), *words]) + ".jsonl"
@@ -168,16 +171,16 @@ class Asked:
 AS_SHIPPED = Asked()
 
 
-@lru_cache  # reading a model's file takes a twentieth of a grasp
+@lru_cache  # reading a model file takes 1/20 of the time of a grasp
 def settings_of(law: str, latency_ms: int, asked: Asked) -> GraspSettings:
-    """Law, detector and timing, as the flags of `grasp` make them; of an oracle without the law."""
+    """Return law, detector and timing for the flags of `grasp`; for an oracle, without the law."""
     named = "none" if law.startswith(grip_oracle.NAME) else law
     lasts = {"lift_s": LIFT_S, "balance_s": BALANCE_S}
     return GraspSettings.of(Grasp(controller=named, latency_ms=latency_ms, **lasts, **asked.flags()))
 
 
 def play(law: str, seed: int, asked: Asked = AS_SHIPPED) -> tuple[dict[str, Any], Row]:
-    """Rows of a grasp by their paths in a recording, without events, and what became of it."""
+    """Run a grasp; return its datasets by their paths in a recording, without events, and its outcome."""
     one = drawn(seed)
     settings = settings_of(law, one.latency_ms, asked)
     timing = settings.timing(one.plan.scene.time.touch_s)
@@ -223,7 +226,7 @@ def _of_one(one: tuple[str, int, Asked]) -> Row:
 
 
 def played(law: str, seeds: Sequence[int], folder: Path, jobs: int, asked: Asked = AS_SHIPPED) -> Rows:
-    """The rows of some grasps by a law, those that are not yet in its file first played and added to it."""
+    """Return the rows of some grasps by a law; missing ones are run first and added to its file."""
     path = folder / asked.file_name(law)
     there = {row["seed"] for row in rows_in(path)}
     missing = [(law, seed, asked) for seed in seeds if seed not in there]
@@ -242,22 +245,24 @@ def _each(grasps: Sequence[tuple[str, int, Asked]], jobs: int) -> Iterator[Row]:
 
 
 def main() -> None:
-    """Play what is missing, and print a table of all that the folder holds of these seeds."""
+    """Run the missing grasps, and print a table of all rows in the folder for these seeds."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--law", nargs="+", default=[], help="laws of --controller, or oracle[:MARGIN]")
     parser.add_argument("--seeds", type=seeds_of, default="0-99", help="FIRST-LAST")
     parser.add_argument("--rows", type=Path, required=True, help="folder of the rows")
-    parser.add_argument("--grip-margin", type=float, help="of load-proportional, where not its default")
-    parser.add_argument("--model", type=Path, help="detector, where not the package's")
-    parser.add_argument("--slip-threshold", type=float, help="as of grasp")
-    parser.add_argument("--false-alarms-per-min", type=float, help="as of grasp")
+    parser.add_argument("--grip-margin", type=float, help="margin of load-proportional, if not its default")
+    parser.add_argument("--model", type=Path, help="detector, if not the pretrained one")
+    parser.add_argument("--slip-threshold", type=float, help="as for grasp")
+    parser.add_argument("--false-alarms-per-min", type=float, help="as for grasp")
     parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--table", action="store_true", help="in place of --law: of all laws that the folder holds")
+    parser.add_argument(
+        "--table", action="store_true", help="instead of --law: print a table of all laws in the folder"
+    )
     chosen = parser.parse_args()
     if bool(chosen.law) == chosen.table:
         parser.error("expected --law or --table; name one of them")
     if chosen.grip_margin is not None and chosen.law != ["load-proportional"]:
-        parser.error("--grip-margin is of load-proportional; name that law alone")
+        parser.error("--grip-margin needs --law load-proportional, and no other law")
     seeds = chosen.seeds
     asked = Asked(chosen.grip_margin, chosen.model, chosen.slip_threshold, chosen.false_alarms_per_min)
     rows = [row for law in chosen.law for row in played(law, seeds, chosen.rows, chosen.jobs, asked)]
@@ -268,7 +273,7 @@ def main() -> None:
 
 
 def summary(rows: Rows) -> Rows:
-    """A row for each law and what was asked of it and of its detector."""
+    """Return a row for each law and its settings."""
     names = ("law", *(item.name for item in fields(Asked)))
     groups: dict[tuple[Any, ...], Rows] = {}
     for row in rows:

@@ -1,23 +1,24 @@
-"""How cost grows, measured: with events a slice, dots, slices, trajectories, workers and files of a data set.
+"""Measure how cost grows with events per slice, dots, slices, trajectories, workers, and files of a data set.
 
     python scripts/growth.py OUT.json events dots                # seconds
     python scripts/growth.py OUT.json slices --longest-min 60    # a recording of 1 s to 1 h: half an hour
-    python scripts/growth.py OUT.json slices --stages export,import    # these again, the others stay as they are
+    python scripts/growth.py OUT.json slices --stages export,import    # measures these again and keeps the others
     python scripts/growth.py OUT.json trajectories workers files
-    python scripts/growth.py OUT.json --draw docs/growth.svg --page docs/cost.md     # all that OUT.json has
+    python scripts/growth.py OUT.json --draw docs/growth.svg --page docs/cost.md     # all parts of OUT.json
 
-Each part replaces its own rows in OUT.json and leaves the others. Times of a step are medians; of a command, those of
-all processors, with what it starts. Run it on a quiet computer. All of it is simulated.
+Each part replaces its own rows in OUT.json and keeps the others. Times of a step are medians. Times of a command are
+processor times, including the processes that it starts. Run it on a quiet computer. All of it is simulated.
 
 - events: a step of the tracker, by preset, and of the detector of `grasp`, on events of the dots' rims.
-- dots: the same with the default tracker, on square grids of 2 x 2 to 16 x 16 dots and 1,000 events a slice, without
-  the detector's network, which is made for one grid.
-- slices: every stage by its default method, on the end of a trial repeated in time (attack/long_recording.py). What a
-  recording of 1 s takes is start-up, and is taken away; `over_linear` is how far the rest is from what the recording of
-  1 minute says, which may be 0.1 at most.
+- dots: a step of the default tracker, on square grids of 2 x 2 to 16 x 16 dots with 1,000 events per slice. The
+  detector's network is left out, because it is made for one grid.
+- slices: every stage by its default method, on the end of a trial repeated in time (attack/long_recording.py). The cost
+  of a recording of 1 s is start-up and is subtracted. `over_linear` is the deviation of the rest from a linear
+  extrapolation of the recording of 1 minute; it may be at most 0.1.
 - trajectories, workers: record, label, track and featurize of compare_engines.py.
-- files: of data sets of 30 trials and more, four real files each, made by the stages from one recording and copied with
-  other recipe ids: the first index by all cores, the index again, one file more, and a command that has nothing to do.
+- files: data sets of 30 trials or more, with four real files each, made by the stages from one recording and copied
+  with other recipe ids. Measured are the first index by all cores, the index again, one file more, and a command that
+  has no work.
 """
 
 import argparse
@@ -64,20 +65,20 @@ class Measured(TypedDict):
 EVENTS = (0, 50, 200, 500, 1_000, 2_000, 5_000, 10_000, 20_000)
 USUAL_EVENTS = 1_000
 SIDES = (2, 3, 4, 6, 8, 10, 12, 14, 16)
-DISTINCT = 400_000  # events in slices that are timed in turn: with few, their pixels would be hot, and left out
+DISTINCT = 400_000  # events in the slices that take turns; with few, their pixels would be hot and ignored
 REPEAT, WARM_UP = 300, 20
-BEFORE = {  # the stages whose files a stage reads, beside the recording
+BEFORE = {  # the stages whose files a stage reads, in addition to the recording
     "featurize": ("label", "track"), "evaluate labels": ("label",), "evaluate tracking": ("track",),
     "evaluate slip": ("label", "track", "featurize"), "import": ("export",),
 }  # fmt: skip
 LENGTHS_S = (1, 60, 600, 3600)
-SLOPE = 1.1  # how much more than 1 s a minute has to cost, to say what an hour should
+SLOPE = 1.1  # a minute must cost this many times as much as 1 s before it can predict the cost of an hour
 TRAJECTORIES = (20, 60, 180)
 MOST_OVER_LINEAR = 0.1
 
 
 def grid_px(rows: int, columns: int) -> NDArray[np.float64]:
-    """Dots at rest that fill the gel, (rows, columns, 2)."""
+    """Return dots at rest that fill the gel, (rows, columns, 2)."""
     pitch_x, pitch_y = 540.0 / columns, 480.0 / rows
     x = pitch_x * (np.arange(columns) + 0.5)
     y = pitch_y * (np.arange(rows) + 0.5)
@@ -85,7 +86,7 @@ def grid_px(rows: int, columns: int) -> NDArray[np.float64]:
 
 
 def rims(rng: np.random.Generator, rest: NDArray[np.float64], radius_px: float, count: int) -> Events:
-    """Events on the rims of dots at rest, 0.7 px blurred."""
+    """Return events on the rims of dots at rest, with a blur of 0.7 px."""
     dots = rest.reshape(-1, 2)
     angle = rng.uniform(0.0, 2.0 * np.pi, count)
     away = (radius_px + 0.7 * rng.standard_normal(count))[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
@@ -95,7 +96,7 @@ def rims(rng: np.random.Generator, rest: NDArray[np.float64], radius_px: float, 
 
 
 def step_us(step: Callable[[Events], object], slices: list[Events]) -> float:
-    """Median time of a step in us."""
+    """Return the median time of a step in us."""
     times = np.empty(REPEAT)
     for number in range(WARM_UP + REPEAT):
         events = slices[number % len(slices)]
@@ -106,7 +107,7 @@ def step_us(step: Callable[[Events], object], slices: list[Events]) -> float:
 
 
 def tracking(rest: NDArray[np.float64], preset: str) -> Callable[[Events], object]:
-    """A step of the tracker."""
+    """Return a function that runs one step of the tracker."""
     state = tracker.start(rest.reshape(-1, 2), presets.PRESETS[preset])
     return lambda events: tracker.step(state, events.x, events.y, events.p)
 
@@ -117,7 +118,7 @@ def slices_of(rest: NDArray[np.float64], radius_px: float, count: int) -> list[E
 
 
 def events() -> list[Row]:
-    """A row for every number of events and every tracker, and for the detector with the default tracker."""
+    """Return a row for every number of events and every tracker, and for the detector with the default tracker."""
     rest = grid_px(7, 8)
     rows: list[Row] = []
     for count in EVENTS:
@@ -133,7 +134,7 @@ def events() -> list[Row]:
 
 
 def dots() -> list[Row]:
-    """A row for every grid: tracker, and tracker with features, at the same number of events."""
+    """Return a row for every grid: tracker, and tracker with features, at the same number of events."""
     rows: list[Row] = []
     for side in (side for side in SIDES if side * side <= MOST_DOTS):
         rest = grid_px(side, side)
@@ -150,7 +151,7 @@ def dots() -> list[Row]:
 
 
 def stage_commands(name: str) -> dict[str, tuple[str, ...]]:
-    """The stages on a recording of this name, in an order in which each finds what it needs."""
+    """Return the stages on a recording of this name, in an order in which each finds its inputs."""
     recording, rate = f"{name}.recording.h5", f"{name}-rate.report.h5"
     featured = f"{name}.features.h5"
     return {
@@ -171,7 +172,7 @@ def stage_commands(name: str) -> dict[str, tuple[str, ...]]:
 
 
 def slices(longest_s: int, events_a_slice: float, stages: Collection[str]) -> list[Row]:
-    """A row for each of some stages and every length; up to a minute the mean of turns, in which start-up weighs."""
+    """Return a row for each stage and length; up to a minute, the mean of several runs, as start-up matters."""
     rows: list[Row] = []
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -180,7 +181,7 @@ def slices(longest_s: int, events_a_slice: float, stages: Collection[str]) -> li
             repeated = Repeated(trial, events_a_slice)
         lengths = [length for length in LENGTHS_S if length <= longest_s]
         short = [length for length in lengths if length <= 60]
-        # Short ones again before and after every long one: a computer is faster at one time than at another.
+        # Short recordings run again before and after every long one, because the speed of a computer varies over time.
         order = [*short * 2, *(length for longer in lengths[len(short) :] for length in (longer, *short * 2))]
         for length_s in order:
             rows += _stages(folder / str(length_s), repeated, length_s, stages)
@@ -189,7 +190,7 @@ def slices(longest_s: int, events_a_slice: float, stages: Collection[str]) -> li
 
 
 def means(rows: list[Row]) -> list[Row]:
-    """A row for every stage and length, with the mean processor time and the most memory of its turns."""
+    """Return a row for every stage and length, with the mean processor time and the most memory of its runs."""
     turns: dict[tuple[str, int], list[Row]] = {}
     for row in rows:
         turns.setdefault((row["stage"], row["length_s"]), []).append(row)
@@ -205,7 +206,7 @@ def means(rows: list[Row]) -> list[Row]:
 
 
 def _stages(place: Path, repeated: Repeated, length_s: int, stages: Collection[str]) -> list[Row]:
-    """A row for each stage on one recording, in a folder that is made for it and removed."""
+    """Return a row for each stage on one recording, in a temporary folder."""
     place.mkdir()
     repeated.write(place / "long.recording.h5", SLICES_PER_S * length_s)
     rows: list[Row] = []
@@ -220,9 +221,9 @@ def _stages(place: Path, repeated: Repeated, length_s: int, stages: Collection[s
 
 
 def with_linear(rows: list[Row]) -> list[Row]:
-    """Rows with `over_linear`: what is more than 1 s, against as much as a minute says.
+    """Return the rows with `over_linear`: the cost beyond that of 1 s, compared with the prediction from 1 minute.
 
-    Stages of which a minute costs hardly more than a second have none: it would be the scatter of their start-up.
+    Stages whose minute costs hardly more than a second have none, because it would only show the scatter of start-up.
     """
     cpu = {(row["stage"], row["length_s"]): row["cpu_s"] for row in rows}
     for row in rows:
@@ -234,12 +235,12 @@ def with_linear(rows: list[Row]) -> list[Row]:
 
 
 def trajectories() -> list[Row]:
-    """Processor time of so many trajectories, in one process."""
+    """Measure the processor time of several numbers of trajectories, in one process."""
     return [_trajectories(count, "--jobs", "1") for count in TRAJECTORIES]
 
 
 def workers() -> list[Row]:
-    """As many trajectories in one to so many processes as there are cores: seconds of the wall clock."""
+    """Measure the wall-clock time of the same trajectories with one process, up to as many as there are cores."""
     return [_trajectories(TRAJECTORIES[1], "--jobs", str(jobs)) for jobs in range(1, (os.cpu_count() or 1) + 1)]
 
 
@@ -257,11 +258,11 @@ def _trajectories(count: int, *engine: str) -> Row:
 
 
 def draw(measured: dict[str, list[Row]], path: Path) -> None:
-    """A panel for every part, both axes logarithmic but for workers, in the style of the pictures beside reports."""
+    """Draw a panel for every part, with logarithmic axes except for workers, in the style of the figures in reports."""
     import matplotlib
     from matplotlib.figure import Figure
 
-    # Column across, column that names a line, columns drawn with their words, axes in words.
+    # column on the x axis, column that names a line, plotted columns with their labels, axis labels
     lines: dict[str, tuple[str, str | None, dict[str, str], str, str]] = {
         "events": ("events", "what", {"us": ""}, "events a slice", "time of a step [us]"),
         "dots": ("dots", None, {"track_us": "track", "features_us": "features"}, "dots", "time of a step [us]"),
@@ -281,12 +282,12 @@ def draw(measured: dict[str, list[Row]], path: Path) -> None:
         ),
     }
     shown = [part for part in lines if part in measured]
-    # The salt makes it the same picture for the same figures.
+    # the fixed salt gives the same SVG for the same figures
     with matplotlib.rc_context({**picture.STYLE, "svg.hashsalt": "growth"}):
         rows_of_panels = math.ceil(len(shown) / 3)
         figure = Figure(figsize=(14.0, 0.4 + 4.4 * rows_of_panels), layout="constrained")
         places = figure.subfigures(rows_of_panels, math.ceil(len(shown) / rows_of_panels), squeeze=False).ravel()
-        for place, part in zip(places, shown, strict=False):  # each with a legend of its own
+        for place, part in zip(places, shown, strict=False):  # each with its own legend
             axes = place.subplots()
             across, group, values, *words = lines[part]
             number = 0
@@ -312,14 +313,14 @@ def draw(measured: dict[str, list[Row]], path: Path) -> None:
 
 
 def replaced(rows: list[Row], new: list[Row]) -> list[Row]:
-    """Rows of all stages, those that were measured again replaced, in the order of lengths and stages."""
+    """Return the rows of all stages, with those measured again replaced, sorted by length and stage."""
     by_place = {(row["length_s"], row["stage"]): row for row in (*rows, *new)}
     order = list(stage_commands(""))
     return [by_place[place] for place in sorted(by_place, key=lambda place: (place[0], order.index(place[1])))]
 
 
 def said(of: Measured) -> str:
-    """By what a table was measured, and which stages later."""
+    """State by which commit a table was measured, and which stages were measured later."""
     later: dict[str, list[str]] = {}
     for row in of["rows"]:
         if "commit" in row and row["stage"] not in later.setdefault(row["commit"], []):
@@ -329,7 +330,7 @@ def said(of: Measured) -> str:
 
 
 def spread(part: str, rows: list[Row]) -> list[Row]:
-    """Rows as they stand in a page: one for each stage or number of events, what varies beside each other."""
+    """Return rows for a page: one for each stage or number of events, with the varied quantity in columns."""
     if part == "events":
         by_count: dict[int, Row] = {}
         for row in rows:
@@ -347,7 +348,7 @@ def spread(part: str, rows: list[Row]) -> list[Row]:
 
 
 def main() -> int:
-    """Read the flags, measure the parts that are asked for, keep them."""
+    """Read the flags, measure the requested parts, and store them."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parts: dict[str, Callable[[], list[Row]]] = {
         "events": events,
@@ -358,12 +359,18 @@ def main() -> int:
     }
     parser.add_argument("out", type=Path, help="JSON file: part -> commit and rows")
     parser.add_argument("parts", nargs="*", metavar="PART", help=f"slices, {', '.join(parts)}")
-    parser.add_argument("--longest-min", type=float, default=60.0, help="of `slices`; lengths are 1 s to 1 h")
-    parser.add_argument("--events-a-slice", type=float, default=50.0, help="of `slices`, at least")
-    parser.add_argument("--stages", help="of `slices`: these, by commas; each needs the files of some before it")
-    parser.add_argument("--most-trials", type=int, default=1_000, help="of `files`: 3.6 MB and 0.1 s each")
-    parser.add_argument("--draw", type=Path, help="write a picture of what OUT has")
-    parser.add_argument("--page", type=Path, help="put tables of what OUT has into this page")
+    parser.add_argument(
+        "--longest-min", type=float, default=60.0, help="longest recording of `slices`; lengths are 1 s to 1 h"
+    )
+    parser.add_argument("--events-a-slice", type=float, default=50.0, help="least events per slice in `slices`")
+    parser.add_argument(
+        "--stages", help="only these stages of `slices`, comma-separated; each needs files of earlier ones"
+    )
+    parser.add_argument(
+        "--most-trials", type=int, default=1_000, help="largest data set of `files`; 3.6 MB and 0.1 s per trial"
+    )
+    parser.add_argument("--draw", type=Path, help="draw all parts of OUT")
+    parser.add_argument("--page", type=Path, help="put tables of all parts of OUT into this page")
     chosen = parser.parse_args()
     wrong = [part for part in chosen.parts if part not in (*parts, "slices")]
     if wrong:

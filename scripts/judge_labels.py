@@ -1,12 +1,12 @@
-"""How well labels tell the onset of slip, `event-flow` and the paper's `farneback` beside each other.
+"""Evaluate how well labels find the onset of slip: `event-flow` against the paper's `farneback`.
 
-`python scripts/judge_labels.py --seeds 50000-50009 --rows FOLDER` plays 200 slips of all twenty objects on `evetac`,
-100 on sensors `randomized:SEED`, one each, and 60 on `realistic` (docs/results/labels.json). Slips are played in
-memory, as `evetac record` would write them (label_trials.py). Rows, one per trial and method, are kept in the folder as
-they come, and what is there is not played again; --trials has fewer or more.
+`python scripts/judge_labels.py --seeds 50000-50009 --rows FOLDER` simulates 200 slips of all twenty objects on
+`evetac`, 100 on the sensors `randomized:SEED`, one each, and 60 on `realistic` (docs/results/labels.json). The slips
+are simulated in memory, as `evetac record` would write them (label_trials.py). Each row (one per trial and method) is
+added to the folder at once, and existing rows are not simulated again. --trials changes the numbers of slips.
 
-Errors are as `evaluate labels` says: how far the object truly slid between the labels' onset and the true one, and ms.
-Intervals of 95 % are of whole objects drawn again with replacement, as trials of one object are alike.
+Errors are those of `evaluate labels`: the true slide of the object between the labels' onset and the true onset, and
+the difference in ms. The 95 % intervals resample whole objects, because trials of one object are alike.
 """
 
 import argparse
@@ -35,11 +35,11 @@ NAME = "labels"
 METHODS = ("event-flow", "farneback")
 OBJECTS = range(1, 21)
 SENSORS = ("evetac", "randomized", "realistic")
-TRIALS = (200, 100, 60)  # of each
+TRIALS = (200, 100, 60)  # slips on each
 
 
 class Slip(NamedTuple):
-    """Which slip is played."""
+    """A slip to simulate."""
 
     sensors: str
     sensor: str
@@ -48,7 +48,7 @@ class Slip(NamedTuple):
 
 
 def slips(sensors: str, seeds: range, trials: int) -> Iterator[Slip]:
-    """So many slips: object after object of each seed; a randomised sensor for each."""
+    """Return the slips: all objects for each seed, with a randomised sensor for each."""
     if trials > len(seeds) * len(OBJECTS):
         raise SystemExit(f"{sensors}: {len(seeds)} seeds are too few for {trials} trials")
     for number in range(trials):
@@ -57,14 +57,14 @@ def slips(sensors: str, seeds: range, trials: int) -> Iterator[Slip]:
 
 
 def rows_of(slip: Slip) -> list[Row]:
-    """A row for each method."""
+    """Return a row for each method."""
     played = play_slip(slip.object, slip.seed, slip.sensor)
     true = true_onsets(played.as_recording())
     return [{**slip._asdict(), "method": method, **row_of(played, true, method)} for method in METHODS]
 
 
 def row_of(played: PlayedSlip, true: dict[str, int | None], method: str) -> Row:
-    """What a method says of a slip, held against truth; run time is the processor's."""
+    """Compare a method's labels of a slip with the truth; the run time is processor time."""
     began_s = time.process_time()
     try:
         told = label.compute(played.as_recording(), Label(method=method))
@@ -77,7 +77,7 @@ def row_of(played: PlayedSlip, true: dict[str, int | None], method: str) -> Row:
 
 
 def all_rows(sensors: str, seeds: range, trials: int, folder: Path) -> list[Row]:
-    """The rows of all slips of some sensors, from the folder as far as they are there."""
+    """Return the rows of all slips of some sensors, read from the folder if they exist there."""
     path = folder / f"{sensors}.jsonl"
     known: dict[Slip, list[Row]] = {}
     for row in rows_in(path):
@@ -92,7 +92,7 @@ def all_rows(sensors: str, seeds: range, trials: int, folder: Path) -> list[Row]
 
 
 def shown(sensors: str, method: str, rows: list[Row]) -> Row:
-    """A row of the table."""
+    """Return a row of the table."""
     near = interval([(row["object"], is_near(row)) for row in rows if _counts(row)])
     figures = summary(rows)
     return {
@@ -112,7 +112,7 @@ def _counts(row: Row) -> bool:
 
 
 def interval(flags: list[tuple[int, bool]]) -> Estimate | None:
-    """The share of flags with its interval, objects drawn again; None where there is one object at most."""
+    """Return the share of flags with its interval from resampled objects; None if there are fewer than two objects."""
     objects, told = [number for number, _ in flags], np.array([flag for _, flag in flags], float)
     if len(set(objects)) < 2:
         return None
@@ -145,7 +145,9 @@ def main() -> None:
     """Measure and write the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=seeds_of, required=True, help="FIRST-LAST; a trial of each object per seed")
-    parser.add_argument("--trials", default=",".join(map(str, TRIALS)), help="on " + ", ".join(SENSORS))
+    parser.add_argument(
+        "--trials", default=",".join(map(str, TRIALS)), help="numbers of slips on " + ", ".join(SENSORS)
+    )
     parser.add_argument("--rows", type=Path, required=True, help="folder of the rows, one file for each kind of sensor")
     parser.add_argument("--out", type=Path, default=RESULTS, help="folder of the table")
     chosen = parser.parse_args()

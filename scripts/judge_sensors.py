@@ -1,13 +1,13 @@
-"""How well slip detectors travel from sensor to sensor, and what a minute of slips of one's own is worth.
+"""Evaluate how well slip detectors transfer between sensors, and the value of a minute of slips on the user's sensor.
 
     python scripts/judge_sensors.py adapt --model slip.model.h5 --seed 55000 --out ADAPTED
     python scripts/judge_sensors.py judge --model NAME=FILE ... --seed 54000 --rows ROWS --adapted ADAPTED
 
-`adapt` records slips on each sensor until they are a minute of contact, labels them from events, and goes on from the
-model with them, as a user would; not where labels abstain from nearly all. `judge` plays slips of other objects,
-unloaded at other speeds, and writes the table slip-detectors-sensors; the model that was adapted has to be among those
-it is given. Rows and models that are there are not made again. --sensors names some, as in second,54000-54005: a number
-is that of a randomised one. All of it simulated.
+`adapt` records slips on each sensor until they add up to a minute of contact, labels them from events, and continues
+the training of the model with them, as a user would. It skips sensors on which the labels abstain from nearly all
+slips. `judge` simulates slips of other objects, unloaded at other speeds, and writes the table slip-detectors-sensors;
+--model must include the model that was adapted. Existing rows and models are not made again. --sensors selects sensors,
+for example second,54000-54005: a number is that of a randomised sensor. All results are simulated.
 """
 
 import argparse
@@ -42,47 +42,47 @@ from evetac_cli.store.recordings.onset import labelled_onset
 from evetac_cli.trials.record import simulated
 
 ORACLE = "ahead 10 ms"
-MOTION, OWN_MOTION = "slip-speeds", "slip"  # of what is judged, and of a user's own minute
+MOTION, OWN_MOTION = "slip-speeds", "slip"  # of the evaluated slips, and of the user's own minute
 NAMED = ("evetac", "second", "realistic", "bare-dvxplorer")
 RANDOMISED = 20
 TRIALS, TRIALS_RANDOMISED = 20, 10
 OWN_MINUTES = 1.0
-SEEDS_APART = 40  # seeds that each sensor has to itself: as many trials at most
-# Of slips whose onset labels tell, every third validates, or as many as `train` asks for. By default it holds back
-# every 8th, here two of 19: of such models, on sensors 9000 and 9001, thresholds were far too low.
+SEEDS_APART = 40  # seeds reserved for each sensor, and thus its largest number of trials
+# Every third slip with a labelled onset validates, or the number that `train` requires. The default of every 8th left
+# only two of 19 on sensors 9000 and 9001, and the thresholds of those models were far too low.
 HELD_BACK, LEAST_HELD_BACK = 3, FEWEST_VALIDATED_ON
 ADAPTED_ROWS = "adapted.jsonl"
 
 
 class Sensor(NamedTuple):
-    """A named sensor, or a randomised one; place: among all, by which its seeds go."""
+    """A named or randomised sensor; place: its index among all sensors, which determines its seeds."""
 
     name: str
     place: int
 
     @property
     def file(self) -> str:
-        """What its files are called."""
+        """The stem of the sensor's file names."""
         return self.name.replace(":", "-")
 
     @property
     def randomised(self) -> bool:
-        """Whether it is a randomised one."""
+        """Whether it is a randomised sensor."""
         return self.name not in NAMED
 
     def first(self, seed: int) -> int:
-        """The seed of its first trial; seed: that of the first sensor's."""
+        """Return the seed of this sensor's first trial; seed: that of the first sensor's first trial."""
         return seed + SEEDS_APART * self.place
 
     def trials(self, motion: str, objects: Sequence[int], seed: int) -> Iterator[tuple[int, Planned]]:
-        """Object and plan of each of its trials."""
+        """Yield object and plan of each of its trials."""
         for place in range(SEEDS_APART):
             number = objects[place % len(objects)]
             yield number, planned_on(self.name, motion, number, self.first(seed) + place)
 
 
 def sensors_of(text: str) -> list[Sensor]:
-    """The sensors that `second,54000-54005` names; ArgumentTypeError for other text, as of `type` in argparse."""
+    """Parse a list of sensors such as `second,54000-54005`; ArgumentTypeError, for argparse, if it is invalid."""
     found = []
     for part in text.split(","):
         if part in NAMED:
@@ -92,17 +92,17 @@ def sensors_of(text: str) -> list[Sensor]:
         else:
             raise argparse.ArgumentTypeError(f"expected numbers or some of {', '.join(NAMED)}, found {part!r}")
     if len({sensor.place for sensor in found}) < len(found):
-        raise argparse.ArgumentTypeError(f"expected each sensor once, and {RANDOMISED} in a row at most, found {text}")
+        raise argparse.ArgumentTypeError(f"expected each sensor once, and at most {RANDOMISED} in a row, found {text}")
     return found
 
 
 def adapt(sensor: Sensor, model: Path, seed: int, folder: Path) -> None:
-    """Adapt a model by a minute of a sensor's own slips, and add a row of what that took, without the recording.
+    """Adapt a model with a minute of slips on a sensor, delete the recordings, and add a row with the cost.
 
-    Not where labels tell too few onsets: the row says so.
+    If the labels find too few onsets, no model is trained, and the row states it.
     """
     own, output = folder / sensor.file, folder / f"{sensor.file}.model.h5"
-    shutil.rmtree(own, ignore_errors=True)  # of one that was broken off
+    shutil.rmtree(own, ignore_errors=True)  # of an aborted adaptation
     own.mkdir(parents=True)
     minutes = record_minute(sensor, seed, own)
     row: Row = {"sensor": sensor.name, "seed": sensor.first(seed), "minutes": round(minutes, 3)}
@@ -128,21 +128,21 @@ def adapt(sensor: Sensor, model: Path, seed: int, folder: Path) -> None:
 
 
 def tells_onset(path: Path) -> bool:
-    """Whether labels tell an onset, and do not abstain."""
+    """Whether the labels found an onset and did not abstain."""
     with StageFile(path, "labels") as file:
         onset = labelled_onset(file)
     return onset.slice_ is not None and not onset.abstained
 
 
 def record_minute(sensor: Sensor, seed: int, folder: Path) -> float:
-    """Record slips on a sensor until they are OWN_MINUTES of contact; the minutes."""
+    """Record slips on a sensor until they are OWN_MINUTES of contact; return the minutes."""
     minutes = 0.0
     for place, (number, planned) in enumerate(sensor.trials(OWN_MOTION, motions.CHOSEN_BY, seed)):
         at = sensor.first(seed) + place
         output = folder / f"{OWN_MOTION}-obj{number:02d}-s{at}.recording.h5"
         try:
             simulated.run(trial_of(planned, at, output), force=False, progress=silent)
-        except SceneError:  # a heavy object on a soft gel, beyond what the layer can be pressed
+        except SceneError:  # a heavy object would compress a soft gel beyond the layer's limit
             continue
         with StageFile(output, "recording") as file:
             minutes += float((file.read("truth/normal_force_n") > 0).sum()) / 60_000
@@ -152,7 +152,7 @@ def record_minute(sensor: Sensor, seed: int, folder: Path) -> float:
 
 
 def judge(sensor: Sensor, paths: dict[str, Path], seed: int, trials: int, folder: Path) -> list[Row]:
-    """The rows of a sensor's trials: what the oracle, and each model by its name, said."""
+    """Return the rows of a sensor's trials, with the results of the oracle and of each model by name."""
     models = {name: Model.read(path) for name, path in paths.items()}
 
     def play(planned: Planned, at: int) -> tuple[Trial, Scores]:
@@ -163,46 +163,50 @@ def judge(sensor: Sensor, paths: dict[str, Path], seed: int, trials: int, folder
     rows = slip_trials.rows_of(path, MOTION, plans, sensor.first(seed), float("inf"), trials, play)
     for row in rows:
         if missing := models.keys() - row["scores"].keys():
-            raise SystemExit(f"{path}: expected what {', '.join(missing)} said; name another folder by --rows")
+            raise SystemExit(f"{path}: the rows lack results of {', '.join(missing)}; name another folder with --rows")
     return rows
 
 
 def thresholds_of(paths: dict[str, Path]) -> dict[str, float]:
-    """The thresholds that timing is judged at: of the oracle, and of each model by its name."""
+    """Return the thresholds for timing, of the oracle and of each model by name."""
     oracle = slip_tables.thresholds()[ORACLE]["timing"]
     return {ORACLE: oracle} | {name: slip_tables.thresholds_of(path)["timing"] for name, path in paths.items()}
 
 
 def adapted_from(models: dict[str, Path], adapted: Path) -> str:
-    """The name of the model, of several, that was adapted; SystemExit if none of them was."""
+    """Return the name of the model that was adapted; SystemExit if it is not among those given."""
     parents = Model.read(adapted).header["parents"]
     for name, path in models.items():
         if Model.read(path).header["id"] in parents:
             return name
-    raise SystemExit(f"{adapted}: expected to be adapted from one of {', '.join(models)}; name that by --model, too")
+    raise SystemExit(f"{adapted}: not adapted from any of {', '.join(models)}; add its original model to --model")
 
 
 def adapted_of(sensor: Sensor, folder: Path) -> dict[str, Path]:
-    """The model that was adapted to a sensor, by its name as a score, if there is one."""
+    """Return the model adapted to a sensor, by its name as a score, if there is one."""
     path = folder / f"{sensor.file}.model.h5"
     return {ADAPTED: path} if path.exists() else {}
 
 
 def main() -> None:
-    """Adapt, or judge and write the table."""
+    """Adapt, or evaluate and write the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", choices=("adapt", "judge"))
-    parser.add_argument("--model", nargs="+", required=True, help="NAME=FILE of each to judge, or one FILE to adapt")
-    parser.add_argument("--seed", type=int, required=True, help=f"of the first trial; {SEEDS_APART} for each sensor")
+    parser.add_argument(
+        "--model", nargs="+", required=True, help="NAME=FILE of each model to judge, or one FILE to adapt"
+    )
+    parser.add_argument(
+        "--seed", type=int, required=True, help=f"seed of the first trial; {SEEDS_APART} for each sensor"
+    )
     parser.add_argument(
         "--sensors",
         type=sensors_of,
         default=f"{','.join(NAMED)},54000-{54000 + RANDOMISED - 1}",
-        help="named ones, and numbers of randomised ones, as in second,54000-54005",
+        help="names of sensors, and numbers of randomised ones, for example second,54000-54005",
     )
-    parser.add_argument("--trials", type=int, help=f"of each sensor; default: {TRIALS}, randomised {TRIALS_RANDOMISED}")
-    parser.add_argument("--rows", type=Path, help="of judge: folder of the rows, one file per sensor")
-    parser.add_argument("--adapted", type=Path, help="of judge: folder of adapted models")
+    parser.add_argument("--trials", type=int, help=f"per sensor; default: {TRIALS}, randomised {TRIALS_RANDOMISED}")
+    parser.add_argument("--rows", type=Path, help="for judge: folder of the rows, one file per sensor")
+    parser.add_argument("--adapted", type=Path, help="for judge: folder of adapted models")
     parser.add_argument("--out", type=Path, default=RESULTS, help="folder of the adapted models, or of the table")
     parser.add_argument("--jobs", type=int, default=1, help="sensors at a time")
     chosen = parser.parse_args()
@@ -218,7 +222,7 @@ def main() -> None:
             list(each(adapt, missing, repeat(Path(chosen.model[0])), repeat(seed), repeat(chosen.out)))
             return
         if chosen.rows is None or not all(path.is_file() for path in files.values()):
-            parser.error("judge: expected --model NAME=FILE, of files that exist, and --rows FOLDER")
+            parser.error("judge: expected --model NAME=FILE, with existing files, and --rows FOLDER")
         own = {sensor: adapted_of(sensor, chosen.adapted) if chosen.adapted else {} for sensor in sensors}
         paths = [files | own[sensor] for sensor in sensors]
         trials = [chosen.trials or (TRIALS_RANDOMISED if sensor.randomised else TRIALS) for sensor in sensors]

@@ -1,12 +1,12 @@
-"""How far ahead slip is told, with how many false alarms, by oracles that know what no sensor does and by detectors.
+"""Evaluate how early slip is detected, and with how many false alarms, by oracles with true values and by detectors.
 
-`python scripts/judge_slip.py choose --seed 4000 --minutes 3 --rows FOLDER` plays each motion with objects that
-thresholds are chosen by, and writes the thresholds (slip-thresholds.json). `... judge --seed 51000 --trials 200
---minutes 3 --rows FOLDER` plays others, and writes tables. Rows, one per trial, are kept in the folder, and what is
-there is not simulated again; --motions does some of them, and writes nothing else.
+`python scripts/judge_slip.py choose --seed 4000 --minutes 3 --rows FOLDER` simulates each motion with the objects for
+choosing thresholds, and writes the thresholds (slip-thresholds.json). `... judge --seed 51000 --trials 200 --minutes 3
+--rows FOLDER` simulates others, and writes tables. The folder keeps one row per trial, and existing rows are not
+simulated again. --motions runs some motions, and writes only rows.
 
-Without --model no camera is simulated. With `--model NAME=FILE ...` detectors see the trials through one, too.
-Thresholds are chosen for oracles alone: a model's are in its file.
+Without --model no camera is simulated. With `--model NAME=FILE ...`, detectors also see the trials through a camera.
+Thresholds are chosen only for oracles; a model's thresholds are in its file.
 """
 
 import argparse
@@ -29,17 +29,17 @@ MOST_TRIALS = 100_000
 
 
 def main() -> None:
-    """Choose thresholds, or judge by them."""
+    """Choose thresholds, or evaluate with them."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", choices=("choose", "judge"))
-    parser.add_argument("--seed", type=int, required=True, help="of the first trial of a motion")
-    parser.add_argument("--minutes", type=float, required=True, help="of contact, for each motion")
-    parser.add_argument("--trials", type=int, default=0, help="of slip-speeds, in place of minutes")
-    parser.add_argument("--motions", default="", help="some of them, as in pushes,jerks; rows alone are written")
+    parser.add_argument("--seed", type=int, required=True, help="seed of the first trial of a motion")
+    parser.add_argument("--minutes", type=float, required=True, help="minutes of contact for each motion")
+    parser.add_argument("--trials", type=int, default=0, help="number of slip-speeds trials, instead of minutes")
+    parser.add_argument("--motions", default="", help="only these, for example pushes,jerks; writes only rows")
     parser.add_argument("--rows", type=Path, required=True, help="folder of the rows, one file per motion")
     parser.add_argument("--model", nargs="*", default=[], metavar="NAME=FILE", help="trained slip detectors")
-    parser.add_argument("--ideas", action="store_true", help="models are called IDEA/SEED; compare ideas in one table")
-    parser.add_argument("--name", default="slip-detectors", help="of the tables")
+    parser.add_argument("--ideas", action="store_true", help="models are named IDEA/SEED; compare ideas in one table")
+    parser.add_argument("--name", default="slip-detectors", help="name of the tables")
     parser.add_argument("--out", type=Path, default=RESULTS, help="folder of the tables")
     chosen = parser.parse_args()
     models = {name: Model.read(Path(path)) for name, _, path in (given.partition("=") for given in chosen.model)}
@@ -61,7 +61,7 @@ def main() -> None:
         rows[motion] = slip_trials.rows_of(path, motion, plans, chosen.seed, *limits, play)
         for row in rows[motion]:
             if missing := models.keys() - row["scores"].keys():
-                raise SystemExit(f"{path}: expected what {', '.join(missing)} said; name another folder by --rows")
+                raise SystemExit(f"{path}: rows lack results of {', '.join(missing)}; name another folder with --rows")
         sys.stdout.write(f"{motion}: {len(rows[motion])} trials\n")
     if asked:
         return

@@ -1,15 +1,16 @@
-"""How well the sticking share is told, motion by motion, on objects, and in part on motions, that were not trained on.
+"""Evaluate the estimate of the sticking share, motion by motion, on unseen objects and partly on unseen motions.
 
-`python scripts/judge_sticking.py --seeds 60000-60999 --minutes 20 --rows FOLDER` plays each motion until something has
-touched the gel for so many simulated minutes (docs/results/sticking-share.json). Rows, one per trial, are kept in the
-folder, and what is there is not simulated again; --motions does some of them, without writing the table. Dots come
-without a camera, with a drawn error of the tracker (sticking_trials.py); the last rows are with camera and tracker.
+`python scripts/judge_sticking.py --seeds 60000-60999 --minutes 20 --rows FOLDER` simulates each motion until the gel
+has been touched for that many simulated minutes (docs/results/sticking-share.json). The folder keeps one row per trial,
+and existing rows are not simulated again; --motions runs some motions, without writing the table. Dots come without a
+camera, with a random tracker error (sticking_trials.py); the last rows are with camera and tracker.
 
-- Error: of the share that slips where the truth lies between 0.05 and 0.95, mean over looks, every 5 ms.
-- In time: of all gross slips those before which an alarm was raised by 20 ms or more; possible are those by so much
-  before which 0.8 or less stuck in truth.
-- False alarms: alarms that begin, or are still on, where the truth has been below 0.05 for AFTER_MS. Just before and
-  just after a slip are those less than NEAR_MS before and after which it is above. Those within AFTER_MS count apart.
+- Error: of the slipping share where the truth is between 0.05 and 0.95, mean over looks, every 5 ms.
+- In time: the share of gross slips preceded by an alarm 20 ms or more. A slip is possible to detect if the true
+  sticking share was 0.8 or less at that time.
+- False alarms: alarms that begin, or continue, after the true slipping share has been below 0.05 for AFTER_MS. Alarms
+  within NEAR_MS before or after a time above 0.05 count as just before or just after a slip. Alarms within AFTER_MS are
+  counted separately.
 """
 
 import argparse
@@ -40,15 +41,15 @@ from evetac_cli.stages.touch.sticking_network import shipped
 NAME = "sticking-share"
 SLIPS = 0.2
 AHEAD_MS, APART_MS, NEAR_MS = 20, 100, 200
-BEFORE_MS = 1000  # an alarm that early belongs to a slip
-CONSTANT = 0.14  # median share between LOW and HIGH of the trials that weights are fitted to
+BEFORE_MS = 1000  # an alarm up to this long before a slip belongs to it
+CONSTANT = 0.14  # median slipping share between LOW and HIGH in the training trials
 METHODS = ("network", "rigid", "zero", "constant")
-CAMERA, WITH_CAMERA = "slip", "slip with camera"  # the motion that is played with a camera, too,
-CAMERA_MINUTES = 0.6  # for so long at most
+CAMERA, WITH_CAMERA = "slip", "slip with camera"  # the motion that is also simulated with a camera
+CAMERA_MINUTES = 0.6  # limit for the motion with camera
 
 
 def method_shares(trial: Trial, looks: Looks) -> dict[str, Singles]:
-    """What each method says slips, at each look."""
+    """Return each method's estimate of the slipping share at each look."""
     at_mm = trial.in_mm(trial.rest_px)
     rigid = [rigid_slip_share(held, now, at_mm) for held, now in looks.fields_mm]
     none = np.zeros(len(looks.slices), np.float32)
@@ -56,7 +57,7 @@ def method_shares(trial: Trial, looks: Looks) -> dict[str, Singles]:
 
 
 def alarms_of(share: Singles) -> Flags:
-    """At which looks a share that slips has been above that of an alarm for PATIENCE looks."""
+    """Return at which looks the slipping share has been above the alarm level for PATIENCE looks."""
     slipping = share > 1 - ALARM
     alarm = slipping.copy()
     for back in range(1, PATIENCE):
@@ -66,7 +67,7 @@ def alarms_of(share: Singles) -> Flags:
 
 
 def at_slices(looks: Looks, values: Flags, slices: int) -> Flags:
-    """What looks said, held until the next, for every slice; nothing where nothing touches."""
+    """Return the values of looks for every slice, each held until the next look; False without touch."""
     whole = np.zeros(slices, np.bool_)
     for at, value in zip(looks.slices.tolist(), values.tolist(), strict=True):
         whole[at : at + BLOCK_MS] = value
@@ -74,7 +75,7 @@ def at_slices(looks: Looks, values: Flags, slices: int) -> Flags:
 
 
 def judged(trial: Trial, looks: Looks) -> Row:
-    """Sums of errors and counts of slips and alarms of a trial, by method."""
+    """Return a trial's sums of errors and counts of slips and alarms, by method."""
     truth = trial.slip_share
     at_looks = truth[looks.slices]
     between = (at_looks > LOW) & (at_looks < HIGH)
@@ -111,14 +112,14 @@ def judged(trial: Trial, looks: Looks) -> Row:
 
 
 def tracked_trial(number: int, seed: int) -> tuple[Trial, Floats]:
-    """A trial that a camera sees, and its dots by the tracker `stable`."""
+    """Return a trial seen by a camera, with dots from the tracker `stable`."""
     eye = Seen(sticks=False)
     trial = motions.played(motions.planned(CAMERA, number, seed), seed, eye.see)
     return trial, eye.dot_px.astype(np.float64)
 
 
 def rows_of(motion: str, seeds: range, minutes: float, folder: Path) -> list[Row]:
-    """The rows of a motion until its trials last so long, from the folder as far as they are there."""
+    """Return the rows of a motion until its trials are long enough, read from the folder if they exist there."""
     path = folder / f"{motion.replace(' ', '-').replace(',', '')}.jsonl"
     by_trial = {(row["object"], row["seed"]): row for row in rows_in(path)}
     rows: list[Row] = []
@@ -134,7 +135,7 @@ def rows_of(motion: str, seeds: range, minutes: float, folder: Path) -> list[Row
 
 
 def row_of(motion: str, number: int, seed: int) -> Row:
-    """One trial, judged."""
+    """Simulate and evaluate one trial."""
     rng = np.random.default_rng([seed, number, 1])
     if motion == WITH_CAMERA:
         trial, dot_px = tracked_trial(number, seed)
@@ -144,7 +145,7 @@ def row_of(motion: str, number: int, seed: int) -> Row:
 
 
 def summary(motion: str, rows: list[Row]) -> Row:
-    """What is shown of the rows of a motion, or of several."""
+    """Summarise the rows of one or several motions for the table."""
 
     def total(name: str) -> float:
         return float(sum(row[name] for row in rows))
@@ -198,8 +199,8 @@ def main() -> None:
     """Measure and write the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=seeds_of, required=True, help="FIRST-LAST; trials of each object per seed")
-    parser.add_argument("--minutes", type=float, default=20.0, help="of touch, for each motion")
-    parser.add_argument("--motions", default="", help="some of them, as in pushes,jerks; no table is written")
+    parser.add_argument("--minutes", type=float, default=20.0, help="minutes of touch for each motion")
+    parser.add_argument("--motions", default="", help="only these, for example pushes,jerks; writes no table")
     parser.add_argument("--rows", type=Path, required=True, help="folder of the rows, one file per motion")
     parser.add_argument("--out", type=Path, default=RESULTS, help="folder of the table")
     chosen = parser.parse_args()

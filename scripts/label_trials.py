@@ -1,6 +1,6 @@
-"""Slips played in memory, as `evetac record` would write them, for scripts that label them without a file.
+"""Simulate slips in memory, as `evetac record` would write them, for scripts that label them without a file.
 
-Events, commands and truth are those that `record` would keep with the same object, seed, number and sensor.
+Events, commands and truth are those that `record` would write for the same object, seed, number and sensor.
 """
 
 from pathlib import Path
@@ -20,10 +20,10 @@ KEPT = ("truth/slid_px", "truth/slip", "truth/every_node_slid_px")
 
 
 class PlayedSlip:
-    """A slip in memory, with as much of a `Recording` as `label` reads."""
+    """A slip in memory, with the parts of a `Recording` that `label` reads."""
 
     def __init__(self, columns: Events, sensor: dict[str, Any], datasets: dict[str, Any], slices: int) -> None:
-        """columns: all events; sensor, datasets: by their paths in a recording."""
+        """columns: all events. sensor, datasets: by their paths in a recording."""
         self.columns, self.datasets = columns, {**sensor, **datasets}
         self.starts: NDArray[np.int64] = np.searchsorted(columns.t, np.arange(slices + 1) * SLICE_US)
         self.path = Path("in memory")
@@ -32,16 +32,16 @@ class PlayedSlip:
         return len(self.starts) - 1
 
     def has(self, name: str) -> bool:
-        """Whether there is a dataset, or a group, of this name."""
+        """Whether a dataset or a group of this name exists."""
         return any(path == name or path.startswith(f"{name}/") for path in self.datasets)
 
     def read(self, name: str, first: int | None = None, last: int | None = None) -> Any:
-        """A dataset, or its rows [first, last)."""
+        """Return a dataset, or its rows [first, last)."""
         values = self.datasets[name]
         return values if first is None else values[first:last]
 
     def between(self, start: int, stop: int) -> Events:
-        """All events of the slices [start, stop)."""
+        """Return all events of the slices [start, stop)."""
         return self.columns.part(int(self.starts[start]), int(self.starts[stop]))
 
     @property
@@ -62,12 +62,12 @@ class PlayedSlip:
         return self.datasets["sensor/dot_xy_px"]
 
     def as_recording(self) -> Recording:
-        """Itself, for functions that say that they want a file."""
+        """Return itself, for functions that require a file."""
         return cast(Recording, self)
 
 
 def play_slip(number: int, seed: int, sensor: str = "evetac", trial: int = 0, scene: str = "slip") -> PlayedSlip:
-    """Simulate the slip that `evetac record --scene SCENE --objects NUMBER --seed SEED --sensor SENSOR` would."""
+    """Simulate the slip of `evetac record --scene SCENE --objects NUMBER --seed SEED --sensor SENSOR`."""
     plan = plans(scene, str(number), sensor, ("ramp",))[0].of_trial((seed, seed_of(number), trial))
     blocks: list[Events] = []
     rows: list[dict[str, Any]] = []

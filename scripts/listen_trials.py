@@ -1,19 +1,21 @@
-"""Trials that a virtual arm's program records through `evetac record --listen`, while client and server are killed.
+"""Record trials of a virtual arm through `evetac record --listen`, while client and server are killed.
 
     python scripts/listen_trials.py -o rows.jsonl                      # 200 trials, 50 kills: four to five minutes
     python scripts/listen_trials.py -o rows.jsonl --trials 12 --connections 2 --clients 1 --servers 1
 
-The camera is the real driver before a virtual DVXplorer that shows the time: each event lies at a pixel that says when
-it was made, by the computer's clock. So a recording tells, of itself, when each of its slices was, and a mark is held
-against the time at which the client sent it: one mark of each trial says nothing of its time, another has `at_s`.
+The camera is the real driver with a virtual DVXplorer. The pixel of each event encodes the time, by the computer's
+clock, at which the event was made. A recording therefore contains the true time of each slice, and each mark can be
+compared with the time at which the client sent it. One mark of each trial has no time of its own, another has `at_s`.
 
-Kills: of the connection in the middle of a trial (the client connects again), of the client's process (SIGKILL; another
-client comes), of the server (SIGKILL; a new one starts in the same folder, and `evetac repair` joins what was left). A
-trial is kept if its file is valid, has a slice for each ms from the answer to `start` until `stop` was sent, and every
-event in them; after a kill of the server, all but the last LOST_MS. After the trials, what has no token tries the door:
-lines without it, HTTP, an endless line, many silent connections, and, where this script is root, another user the file.
+There are three kinds of kill. The connection is cut during a trial, and the client connects again. The client's process
+is killed (SIGKILL), and another client takes over. The server is killed (SIGKILL), a new one starts in the same folder,
+and `evetac repair` joins the segments.
 
-A row for each trial and try is written to -o, one line of JSON each. All of it simulated; by the computer's own clock.
+A trial counts as kept if its file is valid, has a slice for each ms from the answer to `start` until `stop` was sent,
+and has all events in these slices. After a kill of the server, the last LOST_MS may be missing. After the trials, the
+script tries to get in without the token: lines without it, HTTP, an endless line, and many silent connections. As root
+it also tries to read the token file as another user. -o gets one line of JSON for each trial and attempt. All trials
+are simulated, by the computer's own clock.
 """
 
 import argparse
@@ -42,7 +44,7 @@ from evetac_cli.store.recordings.read import open_recording
 
 ROOT = Path(__file__).resolve().parents[1]
 Recorder = runpy.run_path(str(ROOT / "examples" / "robot_trials.py"))["Recorder"]  # the client of the documentation
-LOST_MS = 400.0  # that a kill of the server may cost: the segment that was open, 250 ms, and a busy disk
+LOST_MS = 400.0  # allowed loss after a kill of the server: the open segment of 250 ms, and a busy disk
 OTHER_USER = 65534
 PATIENCE_S = 120.0
 TITLE = "Trials that a virtual arm's program records through `record --listen`, with kills"
@@ -66,7 +68,7 @@ Row = dict[str, Any]
 
 
 class Server:
-    """`evetac record --listen` with the clock, in a folder."""
+    """`evetac record --listen` with the clock camera, in a folder."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -83,19 +85,19 @@ class Server:
         until_s = time.monotonic() + PATIENCE_S
         while time.monotonic() < until_s:
             with contextlib.suppress(OSError, ValueError, RuntimeError):
-                Recorder(str(self.folder)).ask("status")  # a file that a killed one left leads nowhere
+                Recorder(str(self.folder)).ask("status")  # a killed server's file names a port that no longer exists
                 break
             time.sleep(0.05)
         self.began_s = float(self.began_file.read_text())
         self.starts += 1
 
     def kill(self) -> None:
-        """End it without a word."""
+        """Kill it without warning."""
         self.process.kill()
         self.process.wait()
 
     def end(self) -> None:
-        """End it by Ctrl-C."""
+        """Stop it with Ctrl-C."""
         self.process.send_signal(signal.SIGINT)
         self.process.wait(PATIENCE_S)
 
@@ -111,7 +113,7 @@ time.sleep(600)
 
 
 def trial(server: Server, name: str, kill: str, rng: np.random.Generator) -> Row:
-    """Record one trial, with a kill in its middle or none, and hold its file against what the arm did."""
+    """Record one trial, with or without a kill in the middle, and compare its file with the arm's actions."""
     row: Row = {"trial": name, "kill": kill, "simulated": True}
     folder = str(server.folder)
     asked_s = time.monotonic()
@@ -161,11 +163,11 @@ def trial(server: Server, name: str, kill: str, rng: np.random.Generator) -> Row
 
 
 def judged(path: Path, camera_s: float, began_s: float, stopped_s: float, sent: dict[str, float]) -> Row:
-    """What a file has of a trial; camera_s: host time at which the camera's time began."""
+    """Return what a file contains of a trial; camera_s: host time at which the camera's time began."""
     with open_recording(path) as recording:
         t_us = recording.read("events/t")
         shown = recording.read("events/x").astype(np.int64) + FRAME_PX[0] * recording.read("events/y").astype(np.int64)
-        seen = np.concatenate([[0], np.cumsum(np.diff(shown) % PIXELS)])  # events that were made since the first
+        seen = np.concatenate([[0], np.cumsum(np.diff(shown) % PIXELS)])  # number of events made since the first
         first_s = camera_s + EVENT_US * 1e-6 * shown[0]
         first_s += round((began_s - first_s) / (EVENT_US * 1e-6 * PIXELS)) * EVENT_US * 1e-6 * PIXELS
         host_s = first_s + EVENT_US * 1e-6 * seen  # when each event was made
@@ -187,14 +189,14 @@ def judged(path: Path, camera_s: float, began_s: float, stopped_s: float, sent: 
 
 
 def is_kept(row: Row) -> bool:
-    """Whether all of a trial is in its file."""
+    """Whether the file contains the whole trial."""
     ends_early_ms = LOST_MS if row["kill"] == "server" else 0.0
     whole = row["starts_late_ms"] <= 0.0 and row["ends_early_ms"] <= ends_early_ms
     return bool(row["faults"] is None and whole and row["events_missing"] == 0 and row["goes_on"] and row["marks"] == 2)
 
 
 def heard(address: tuple[str, int], said: bytes, wait_s: float = 10.0) -> tuple[bytes, float]:
-    """What comes back on a connection until it is closed, and after how many s that is."""
+    """Return what arrives on a connection until it closes, and after how many seconds."""
     began_s = time.monotonic()
     answer = b""
     with socket.create_connection(address) as line, contextlib.suppress(OSError):
@@ -206,7 +208,7 @@ def heard(address: tuple[str, int], said: bytes, wait_s: float = 10.0) -> tuple[
 
 
 def strangers(folder: Path) -> list[Row]:
-    """What whoever has no token gets at the door; the answers of one who has it meanwhile."""
+    """Return the answers to clients without the token, and meanwhile those to a client with it."""
     file = folder / "evetac.listen"
     host, port, token = file.read_text().split()
     address = (host, int(port))
@@ -249,7 +251,7 @@ def strangers(folder: Path) -> list[Row]:
 
 
 def summary(rows: list[Row]) -> list[Row]:
-    """What came of it, by kind of kill; a last row for strangers."""
+    """Summarise the results by kind of kill; a last row is for clients without the token."""
     shown = []
     for kill in ("", "connection", "client", "server"):
         some = [row for row in rows if row.get("kill") == kill]
@@ -277,15 +279,15 @@ def summary(rows: list[Row]) -> list[Row]:
 
 
 def main() -> None:
-    """Run the trials that the command line asks for."""
+    """Run the requested trials."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("-o", type=Path, required=True, metavar="FILE", help="rows, a line of JSON each")
+    parser.add_argument("-o", type=Path, required=True, metavar="FILE", help="rows, one line of JSON each")
     parser.add_argument("--trials", type=int, default=200)
     parser.add_argument("--connections", type=int, default=30, help="kills of a connection")
     parser.add_argument("--clients", type=int, default=10, help="kills of a client's process")
     parser.add_argument("--servers", type=int, default=10, help="kills of the server")
     parser.add_argument("--table", action="store_true", help="write docs/results/listen-trials.json too")
-    parser.add_argument("--seed", type=int, default=0, help="of when what happens")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the times of marks and kills")
     chosen = parser.parse_args()
     rng = np.random.default_rng(chosen.seed)
     kills = [*["connection"] * chosen.connections, *["client"] * chosen.clients, *["server"] * chosen.servers]
@@ -293,7 +295,7 @@ def main() -> None:
     rng.shuffle(kills)
     with tempfile.TemporaryDirectory(prefix="evetac-listen-trials-") as base, open(chosen.o, "w") as out:
         rows: list[Row] = []
-        Path(base).chmod(0o755)  # so that nothing but its mode keeps others from the file
+        Path(base).chmod(0o755)  # so that only the file's mode keeps other users out
         server = Server(Path(base) / "data")
         try:
             for number, kill in enumerate(kills):

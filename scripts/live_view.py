@@ -1,14 +1,14 @@
-"""What a live view costs a recording, and how many pictures a second it gives: pairs of recordings with and without.
+"""Measure the cost of a live view for a recording and its pictures per second, in recordings with and without a view.
 
     python scripts/live_view.py [--seconds 60] [--pairs 5] [--busy 0] [-o runs.json]
 
-A recording is `evetac record --camera virtual:prepared --gripper none` at 1000 slices a second: the real driver, event
-words that were prepared, and the recorder. With a view it is `--live --live-in browser`, and a client in this program
-asks for picture after picture as a browser does, and counts them. The order in a pair changes from one to the next.
+A recording is `evetac record --camera virtual:prepared --gripper none` at 1000 slices per second: the real driver,
+prepared event words, and the recorder. The view is `--live --live-in browser`. A client in this program requests
+picture after picture, as a browser does, and counts them. The order within a pair alternates.
 
-Slices lost are those without an event, of which this camera sends none, and, of events that were lost while they
-waited, as many as they would have filled. --busy starts so many programs that do nothing but compute: then pictures
-should be lost, and slices not more than without a view. Simulated.
+Lost slices are slices without an event, which this camera never sends, plus the number of slices that the events lost
+in the queue would have filled. --busy starts programs that only compute. With them, pictures may be lost, but no more
+slices than without a view. Simulated.
 """
 
 import argparse
@@ -36,7 +36,7 @@ from evetac_cli.trials.live_view.server import NEXT
 
 HERE = Path(__file__).resolve().parents[1]
 ADDRESS = re.compile(r"live view: http://(\S+)")
-SETTLE_S = 1.0  # of a view's first pictures are not counted: the camera is only being opened
+SETTLE_S = 1.0  # the first pictures of a view are not counted, because the camera is still opening
 MOST_LOST = 1e-4
 LEAST_PICTURES_S = 15.0
 BUSY = "while True: pass"
@@ -44,7 +44,7 @@ BUSY = "while True: pass"
 
 @dataclass
 class Client:
-    """Asks for pictures until the recording ends, and remembers when each came."""
+    """Requests pictures until the recording ends, and records when each arrived."""
 
     came_s: list[float] = field(default_factory=list)
     left_out: int = 0
@@ -81,7 +81,7 @@ class Client:
 
 
 def one(chosen: argparse.Namespace, folder: Path, *, live: bool) -> dict[str, Any]:
-    """One recording, from the figures of its table and its file."""
+    """Make one recording; return the figures of its table and its file."""
     out = folder / "run.recording.h5"
     words = [
         *("--camera", f"virtual:prepared={chosen.events_per_s}", "--gripper", "none"),
@@ -89,7 +89,7 @@ def one(chosen: argparse.Namespace, folder: Path, *, live: bool) -> dict[str, An
         *(["--live", "--live-in", "browser"] if live else []),
         *("-q", "--json", "--force", "-o", str(out)),
     ]
-    away = ("DISPLAY", "WAYLAND_DISPLAY")  # no browser opens: the client is the one who looks
+    away = ("DISPLAY", "WAYLAND_DISPLAY")  # no browser opens: the client takes its place
     environment = {name: value for name, value in os.environ.items() if name not in away} | {"PYTHONPATH": str(HERE)}
     command = [sys.executable, "-P", "-m", "evetac_cli", "record", *words]
     with subprocess.Popen(
@@ -128,10 +128,10 @@ def one(chosen: argparse.Namespace, folder: Path, *, live: bool) -> dict[str, An
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seconds", type=float, default=60.0, help="of a recording, 119 at most")
+    parser.add_argument("--seconds", type=float, default=60.0, help="length of a recording, at most 119")
     parser.add_argument("--pairs", type=int, default=5)
     parser.add_argument("--events-per-s", type=int, default=1_000_000)
-    parser.add_argument("--busy", type=int, default=0, help="programs that do nothing but compute")
+    parser.add_argument("--busy", type=int, default=0, help="number of programs that only compute")
     parser.add_argument("-o", "--out", type=Path, help="all runs as JSON")
     chosen = parser.parse_args()
     rows = []

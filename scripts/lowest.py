@@ -1,6 +1,6 @@
-"""Print the lowest versions that pyproject.toml allows, one `name==version` a line, as constraints for pip.
+"""Print the lowest versions that pyproject.toml allows, one `name==version` per line, as constraints for pip.
 
-`make test-lowest` installs exactly these and runs the tests with them, so that no bound promises what nobody tried.
+`make test-lowest` installs exactly these versions and runs the tests, so that every lower bound is tested.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ BOUND = re.compile(r"([A-Za-z0-9._-]+)>=([0-9][0-9a-z.]*)")
 
 
 def lowest_versions(requirements: list[str]) -> list[str]:
-    """`name==version` for each `name>=version`; any other form of requirement is a ValueError."""
+    """Return `name==version` for each `name>=version`; ValueError for any other form of requirement."""
     pins = []
     for requirement in requirements:
         match = BOUND.fullmatch(requirement)
@@ -26,7 +26,7 @@ def lowest_versions(requirements: list[str]) -> list[str]:
 
 
 def requirements_of(pyproject: Path) -> list[str]:
-    """What the package needs, with all of its extras but `docs`: a site is built by versions that are pinned."""
+    """Return the requirements of the package and all extras except `docs`, whose versions are pinned."""
     project = tomllib.loads(pyproject.read_text())["project"]
     extras = project["optional-dependencies"].items()
     needed = [requirement for name, extra in extras if name != "docs" for requirement in extra]

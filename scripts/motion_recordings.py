@@ -1,8 +1,8 @@
-"""Recordings of the motions that slip detectors are trained on and chosen by, written as `record` and `grasp` do.
+"""Record the motions for training slip detectors and for choosing among them, in the format of `record` and `grasp`.
 
-`python scripts/motion_recordings.py learn --out FOLDER` writes those of TRAINED objects into FOLDER/MOTION, `choose`
-those of CHOSEN_BY objects. Every second one is of a randomised sensor. What is there is not made again. Seeds:
-scripts/seeds.json, group `slip detectors trained on motions`. `make ship` runs this first.
+`python scripts/motion_recordings.py learn --out FOLDER` writes recordings of TRAINED objects into FOLDER/MOTION,
+`choose` those of CHOSEN_BY objects. Every second recording is of a randomised sensor. Existing recordings are not made
+again. Seeds: scripts/seeds.json, group `slip detectors trained on motions`. `make ship` runs this script first.
 """
 
 import argparse
@@ -25,7 +25,7 @@ from evetac_cli.trials.trial import SimulatedTrial
 
 FIRST_SEEDS = {"learn": 5000, "choose": 5600}
 OBJECTS = {"learn": motions.TRAINED, "choose": motions.CHOSEN_BY}
-# Trials per object; fast jerks, weights and the data-rate scene are kept for the judge.
+# Trials per object. Fast jerks, weights and the data-rate scene are reserved for evaluation.
 COUNTS = {
     "learn": {
         **{"slip": 8, "slip-varied": 8, "slip-speeds": 40, "handling": 4, "pushes": 6, "grip": 5, "jerks": 4},
@@ -41,7 +41,7 @@ SENSORS_APART = 30  # numbers of the first random sensors of two motions; within
 
 
 def trial_of(planned: Planned, seed: int, output: Path) -> SimulatedTrial:
-    """The trial of a plan as a job of `record`, or of `grasp` where something is lifted."""
+    """Return the trial of a plan as a job of `record`, or of `grasp` if something is lifted."""
     named = ((), output, 0, seed, planned.plan)
     if planned.plan.scene.kind != "lift":
         return SimulatedTrial(*named)
@@ -51,7 +51,7 @@ def trial_of(planned: Planned, seed: int, output: Path) -> SimulatedTrial:
 
 
 class Asked(NamedTuple):
-    """One recording: the place-th of several of a motion."""
+    """One recording; place is its number within the motion."""
 
     role: str
     motion: str
@@ -61,7 +61,7 @@ class Asked(NamedTuple):
 
 
 def every_one(role: str, names: list[str], per_object: int, out: Path) -> Iterator[Asked]:
-    """The recordings of a role: of these motions, or of all where none is named, at most so many per object."""
+    """Return the recordings of a role, for these motions or, if none is given, all; per_object limits their number."""
     for motion, count in COUNTS[role].items():
         several = min(count, per_object) * len(OBJECTS[role])
         if not names or motion in names:
@@ -69,7 +69,7 @@ def every_one(role: str, names: list[str], per_object: int, out: Path) -> Iterat
 
 
 def make(asked: Asked) -> str:
-    """Make a recording; why it is left out, "" where it is not."""
+    """Make a recording; return the reason if it is left out, otherwise ""."""
     objects, first = OBJECTS[asked.role], FIRST_SEEDS[asked.role]
     sensors = first + SENSORS_APART * motions.MOTIONS.index(asked.motion)
     number, planned = planned_at(asked.motion, objects, first, asked.place, sensors, several=asked.several)
@@ -82,7 +82,7 @@ def make(asked: Asked) -> str:
             grasp.simulated.run(trial, force=False, progress=silent)
         else:
             record.simulated.run(trial, force=False, progress=silent)
-    except SceneError as error:  # a heavy object on a soft gel, beyond what the layer can be pressed
+    except SceneError as error:  # a heavy object would compress a soft gel beyond the layer's limit
         return f"{output.name} is left out: {error}\n"
     return ""
 
@@ -92,8 +92,10 @@ def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("role", choices=tuple(FIRST_SEEDS))
     parser.add_argument("--out", type=Path, required=True, help="folder of the recordings, one folder per motion below")
-    parser.add_argument("--motions", default="", help="some of them, as in slip,pushes")
-    parser.add_argument("--per-object", type=int, default=MOST, help="of each motion, at most so many per object")
+    parser.add_argument("--motions", default="", help="only these, for example slip,pushes")
+    parser.add_argument(
+        "--per-object", type=int, default=MOST, help="at most this many recordings of each motion per object"
+    )
     parser.add_argument("--jobs", type=int, default=1, help="recordings made at the same time")
     chosen = parser.parse_args(arguments)
     names = [name for name in chosen.motions.split(",") if name]

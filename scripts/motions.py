@@ -1,7 +1,7 @@
-"""Trials of many motions, played in memory: what a hand, a gripper and a push do to an object of the paper's table.
+"""Simulate trials of many motions in memory: what a hand, a gripper and pushes do to an object of the paper's table.
 
-A motion of an object and a seed is always the same trial. Without a camera only the mechanics are simulated, some five
-simulated seconds per second. Objects and motions that are trained on, chosen by and judged on differ.
+Motion, object and seed determine a trial. Without a camera only the mechanics are simulated, at about five times real
+time. Training, choosing and evaluation use different objects and motions.
 """
 
 import math
@@ -31,9 +31,9 @@ from evetac_cli.trials.record import simulated
 from evetac_cli.trials.trial import SimulatedTrial
 
 TRAINED = (1, 3, 5, 6, 8, 9, 11, 13, 15, 16, 18)  # objects of the paper's table: weights are fitted to these,
-CHOSEN_BY = (4, 7, 17)  # alarm and deviations to these,
-JUDGED = (2, 10, 12, 14, 19, 20)  # and tables are of these
-# A trial's random numbers go by the place of its motion in this list: a new motion comes last.
+CHOSEN_BY = (4, 7, 17)  # alarm and standard deviations to these,
+JUDGED = (2, 10, 12, 14, 19, 20)  # and tables are made of these
+# The random numbers of a trial depend on the index of its motion in this list: append new motions.
 MOTIONS = (
     *("slip", "slip-varied", "pushes", "jerks", "lifting", "grip", "handling"),
     *("fast jerks", "data-rate", "weights", "vibration", "slip-speeds", "opening", "light touch"),
@@ -41,18 +41,19 @@ MOTIONS = (
 )
 JERKS_MM_S, FAST_JERKS_MM_S = (20.0, 40.0, 80.0), (60.0, 120.0)
 EVETAC = "evetac"
-# A grasp closes with so many times the force that just holds the object, at about so much for each tick.
+# A grasp closes to this multiple of the force that just holds the object, with about this force per tick.
 GRASP_FACTORS, N_PER_TICK = (0.9, 3.0), 0.2
-WEAK_FACTORS = (0.0, 0.9)  # ... and where it is too weak to lift the object
-LIGHT_TICKS = 2  # the most that a light touch closes beyond where the fingers met the object
-# Fingers that open without slip: forces over what just holds at which they close and to which they open, and how fast.
+WEAK_FACTORS = (0.0, 0.9)  # the same, for grasps too weak to lift the object
+LIGHT_TICKS = 2  # limit of closing after first contact, in a light touch
+# Fingers that open without slip: the forces to which they close and open, as multiples of the force that just holds,
+# and the duration.
 FIRM_FACTORS, LOOSE_FACTORS, OPENING_S = (5.0, 20.0), (2.2, 4.0), (0.04, 1.5)
-LOST_MS, SLID_MS = 100, 200  # a trial ends so long after the object is out of the gripper, and after it slides so long
+LOST_MS, SLID_MS = 100, 200  # a trial ends this long after the object is lost, or slides
 NOTHING = Events(np.zeros(0, np.int64), np.zeros(0, np.uint16), np.zeros(0, np.uint16), np.zeros(0, np.uint8))
 
 
 class Trial(NamedTuple):
-    """True dots (slices, dots, 2) and at rest (dots, 2) in px, and of each slice what is true of its contact."""
+    """True dots (slices, dots, 2) and dots at rest (dots, 2) in px, and the true state of the contact in each slice."""
 
     dot_px: Singles
     rest_px: Floats
@@ -61,11 +62,11 @@ class Trial(NamedTuple):
     slips: Flags  # gross slip
     normal_n: Singles
     shear_n: Singles  # (slices, 2)
-    closing_ticks: Singles  # how far the fingers have closed
+    closing_ticks: Singles  # by how much the fingers have closed
     frame_px: tuple[int, int]
 
     def in_mm(self, px: Floats) -> Floats:
-        """Places in px from the middle of the frame, in mm."""
+        """Convert positions in px from the middle of the frame to mm."""
         mm: Floats = (px - np.array(self.frame_px) / 2) * self.mm_per_px
         return mm
 
@@ -74,7 +75,7 @@ See = Callable[[Mapping[str, Any], Events, Mapping[str, Any]], None]
 
 
 class Planned(NamedTuple):
-    """A trial's plan; beyond_ticks: how far beyond light contact a grasp closes, in scenes in which one lifts."""
+    """The plan of a trial; beyond_ticks: how far beyond light contact a grasp closes, in scenes with a lift."""
 
     plan: Plan
     beyond_ticks: int = 0
@@ -90,7 +91,7 @@ def planned(
     reshaped: bool = False,
     touched: TouchedObject | None = None,
 ) -> Planned:
-    """What a motion is with an object of the paper's table, a reshaped one or another; the same for the same seed."""
+    """Return the plan of a motion with an object of the paper's table, a reshaped one or another, by seed."""
     rng = np.random.default_rng([seed, number, MOTIONS.index(motion)])
     lifts = motion in ("jerks", "fast jerks", "lifting", "weights", "light touch", "weak lifts")
     name = "lift" if lifts else motion
@@ -126,7 +127,7 @@ def planned(
 
 
 def another_object(touched: TouchedObject, rng: np.random.Generator) -> TouchedObject:
-    """An object of another shape, width, weight and friction: there are more than a table's."""
+    """Return an object of another shape, width, weight and friction, for more variety than the table has."""
     width_mm = float(np.exp(rng.uniform(np.log(10.0), np.log(100.0))))
     mass_g = float(np.clip(touched.mass_g * np.exp(rng.uniform(np.log(0.5), np.log(2.0))), 30.0, 500.0))
     shape = str(rng.choice(["flat", "cylinder", "cylinder", "sphere"]))
@@ -137,12 +138,12 @@ def another_object(touched: TouchedObject, rng: np.random.Generator) -> TouchedO
 
 
 def _either_way(scene: Scene, rng: np.random.Generator) -> Scene:
-    """The scene as it is, or grasped from the side."""
+    """Return the scene as it is, or with the object grasped from the side."""
     return replace(scene, gel=replace(scene.gel, sideways=bool(rng.random() < 0.5)))
 
 
 def _pushes(scene: Scene, rng: np.random.Generator, weight_n: float) -> Scene:
-    """Pushes up and down, of one length a trial, of up to somewhat more than what the grip can bear."""
+    """Return pushes up and down of one length per trial, up to somewhat more than the grip can bear."""
     lasts_s = float(np.exp(rng.uniform(np.log(0.03), np.log(0.4))))
     at_s, now_s = [], 1.8
     while now_s < 5.0:
@@ -157,7 +158,7 @@ def _pushes(scene: Scene, rng: np.random.Generator, weight_n: float) -> Scene:
 
 
 def _grip(scene: Scene, rng: np.random.Generator, weight_n: float) -> Scene:
-    """A current that rises and falls at random, and now and then stays."""
+    """Return a current that rises and falls at random, with occasional pauses."""
     at_s, ma = [0.0, 0.3, 0.8, 1.4], [0.0, 0.0, 60.0, 60.0]
     while at_s[-1] < 8.0:
         at_s.append(at_s[-1] + float(rng.uniform(0.2, 1.5)))
@@ -172,7 +173,7 @@ def _grip(scene: Scene, rng: np.random.Generator, weight_n: float) -> Scene:
 
 
 def _opening(scene: Scene, rng: np.random.Generator, holds_n: float, drive: gripper.Drive) -> Scene:
-    """Fingers that hold an object firmly, and open and close without letting it slip; holds_n: what just holds it."""
+    """Return fingers that grip firmly, and open and close without slip; holds_n: force that just holds the object."""
 
     def rising_ma(force_n: float) -> float:
         return gripper.closing_push_n(drive, force_n) / drive.force_per_current_n_ma
@@ -196,13 +197,13 @@ def _opening(scene: Scene, rng: np.random.Generator, holds_n: float, drive: grip
 
 
 def _light_touch(scene: Scene, rng: np.random.Generator, weight_n: float) -> Scene:
-    """Fingers that meet an object on its table, close a little more and stay; the hand does not rise."""
+    """Return fingers that touch an object on its table, close slightly and stay; the hand does not rise."""
     time = replace(scene.time, touch_s=1.5, before_rise_s=600.0)
     return _either_way(replace(scene, time=time), rng)
 
 
 def _vibration(scene: Scene, rng: np.random.Generator, weight_n: float) -> Scene:
-    """A robot that shakes the gripper."""
+    """Return a robot that shakes the gripper."""
     vibration = HandVibration(
         frequency_hz=tuple(rng.uniform(8.0, 45.0, 2).tolist()),
         acceleration_m_s2=tuple(rng.uniform(0.1, 0.8, 2).tolist()),
@@ -212,7 +213,7 @@ def _vibration(scene: Scene, rng: np.random.Generator, weight_n: float) -> Scene
 
 
 def _lifting(scene: Scene, rng: np.random.Generator, weight_n: float) -> Scene:
-    """A hand that rises slowly or fast, with one of the profiles."""
+    """Return a hand that rises slowly or fast, with one of the profiles."""
     scene = replace(scene, time=replace(scene.time, touch_s=1.0, before_rise_s=0.5))
     hand = replace(
         scene.hand,
@@ -227,7 +228,7 @@ def _lifting(scene: Scene, rng: np.random.Generator, weight_n: float) -> Scene:
 def _jerks(
     scene: Scene, rng: np.random.Generator, weight_n: float, speeds_mm_s: tuple[float, ...] = JERKS_MM_S
 ) -> Scene:
-    """A lift and a knock against the arm."""
+    """Return a lift and a knock against the arm."""
     scene = _lifting(scene, rng, weight_n)
     jerk = HandJerk(
         at_s=float(rng.uniform(3.0, 6.0)),
@@ -238,7 +239,7 @@ def _jerks(
 
 
 def _weights(scene: Scene, rng: np.random.Generator, weight_n: float) -> Scene:
-    """A lift and a weight that falls on the object and stays."""
+    """Return a lift and a weight that falls on the object and stays."""
     drop = FallingWeight(mass_g=float(rng.choice([20.0, 50.0, 100.0])), after_s=1.0, speed_m_s=0.5)
     return replace(_lifting(scene, rng, weight_n), drop=drop)
 
@@ -257,7 +258,7 @@ CHANGES: dict[str, Callable[[Scene, np.random.Generator, float], Scene]] = {
 
 
 def without_camera(part: str, call: Any) -> Any:
-    """In place of the camera, something that says where dots are and sees nothing; a `Timer`."""
+    """A replacement for the camera that has dots but no events; a `Timer`."""
     if part != "camera":
         return call
     camera: GelCamera = call.__self__
@@ -272,7 +273,7 @@ def without_camera(part: str, call: Any) -> Any:
 def slices_of(
     trial: Planned, number: int, seed: int, timer: Timer
 ) -> tuple[Rig, Iterator[tuple[Events, dict[str, Any]]]]:
-    """Devices and slices of a planned trial; whoever asks closes the devices."""
+    """Return devices and slices of a planned trial; the caller closes the devices."""
     one = SimulatedTrial((), Path(), number, seed, trial.plan)
     if trial.plan.scene.kind != "lift":
         return simulated.play(one, timer)
@@ -283,10 +284,10 @@ def slices_of(
 
 
 def played(trial: Planned, seed: int, see: See | None = None) -> Trial:
-    """A trial until the object is lost or the scene ends.
+    """Simulate a trial until the object is lost or the scene ends.
 
-    see: gets the datasets of the sensor, what its camera sees in a slice, and what else is known of the slice; without
-    it there is no camera.
+    see is called with the datasets of the sensor, the camera's events of a slice, and the other values of the slice.
+    Without it there is no camera.
     """
     timer = untimed if see else without_camera
     devices, slices = slices_of(trial, 0, seed, timer)

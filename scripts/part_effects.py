@@ -1,21 +1,27 @@
-"""What each part of a sensor or a scene does to each stage: the same slips and grasps with the part, and without.
+"""Measure the effect of each part of a sensor or a scene on each stage: the same slips and grasps with and without it.
 
-    make part-effects                                       # goes on where it was stopped
-    make part-effects SIZES="slips=0 grasps=0"              # the table of what is there
+    make part-effects                                       # continues where it was stopped
+    make part-effects SIZES="slips=0 grasps=0"              # the table of the existing trials
     python scripts/reproduce.py --only part-effects --size seed=0 --size slips=3 --size "parts=leak,slow pixels"
 
 Every part is added alone to the quiet sensor `evetac` in the scenes `slip` (objects 2, 8, 14 in turn) and `lift` (11,
-12, 17), at the worse end of what `--sensor randomized` samples, or as the docs have it; what needs another part is
-compared with that one. From every slip are made labels, tracks, features, and the detections of the package's detector,
-by the default methods; a grasp is by the default controller. A trial is a line of data/part-effects/effects.jsonl;
-trials whose line is there are not run again.
+12, 17). Its size is the worse end of the range of `--sensor randomized`, or that of the docs. A part that needs another
+part is compared with that one alone.
 
-Figures over the trials, all against the truth of the simulation itself: events_ms and tracking_px (root mean square
-over all dots) up to gross slip; the share of trials in which the labels' onset is -4 to +3 ms off it, and the F1 of
-their slices; the share in which the detector's first detection is -50 to +20 ms off it, and the F1 of its slices;
-microseconds of processor time that a slice of a slip takes to simulate, and to label, track, featurize and judge; how
-many grasps are held, and how far their object moved. Intervals of changes, 95 %, are a bootstrap over the pairs of
-trials; with fewer than some ten pairs such intervals are too narrow.
+Every slip is labelled, tracked, featurized and evaluated by the pretrained detector, with the default methods. A grasp
+uses the default controller. A trial is a line of data/part-effects/effects.jsonl; trials that already have a line are
+not run again.
+
+All figures are averages over the trials, against the truth of the same simulation:
+
+- events_ms and tracking_px (root mean square over all dots), up to gross slip;
+- the share of trials with the labels' onset -4 to +3 ms from the true one, and the F1 of the labelled slices;
+- the share with the first detection -50 to +20 ms from the true onset, and the F1 of the detected slices;
+- microseconds of processor time per slice of a slip, to simulate it, and to label, track, featurize and evaluate it;
+- how many grasps hold, and how far their object moves.
+
+The 95 % intervals of changes are a bootstrap over the pairs of trials; with fewer than about ten pairs they are too
+narrow.
 """
 
 import json
@@ -61,19 +67,19 @@ from evetac_cli.trials.trial import SimulatedTrial
 NONE = "none"
 SLIPPED, GRASPED = (2, 8, 14), (11, 12, 17)  # objects, in turn
 RESAMPLES = 2000
-LEAST_PAIRS = 3  # of trials, for the interval of a change
+LEAST_PAIRS = 3  # fewest pairs of trials for the interval of a change
 
 
 @dataclass(frozen=True)
 class Part:
-    """What a part adds to the tables of a scene and to a sensor's row, and which part it is compared with."""
+    """A part's additions to a scene's tables and a sensor's row, and the part that it is compared with."""
 
     name: str
     says: str  # its size, in words
     scene: Row = field(default_factory=dict)
     sensor: Row = field(default_factory=dict)
     against: str = NONE
-    slips: bool = True  # False: a slip trial knows nothing of it
+    slips: bool = True  # False: the part has no effect in a slip trial
 
 
 SLOW = {"bandwidth_hz": 600.0}
@@ -129,7 +135,7 @@ BY_NAME = {part.name: part for part in PARTS}
 
 
 def planned(part: Part, kind: str, object_: int, seed: int, folder: Path) -> tuple[SimulatedTrial, Any]:
-    """The trial with a part, from files of a scene and a sensor, and the parameters of its stage."""
+    """Return the trial with a part, from the files of a scene and a sensor, and the parameters of its stage."""
     files = {"scene": changed(kind, part.scene), "sensor": as_toml({"like": "evetac", **part.sensor})}
     for name, text in files.items():
         (folder / f"{name}.toml").write_text(text)
@@ -143,7 +149,7 @@ def planned(part: Part, kind: str, object_: int, seed: int, folder: Path) -> tup
 
 
 def slip(part: Part, object_: int, seed: int, folder: Path) -> Row:
-    """The figures of one slip; onsets in slices from the start of the recording, None where there is none."""
+    """Return the figures of one slip; onsets in slices from the start of the recording, None if there is none."""
     made, _ = planned(part, "slip", object_, seed, folder)
     chain = chain_of(made)
     truth_ms, stop = chain.gross_slip_ms, chain.gross_slip_ms
@@ -176,7 +182,7 @@ def slip(part: Part, object_: int, seed: int, folder: Path) -> Row:
 
 
 def lift(part: Part, object_: int, seed: int, folder: Path) -> Row:
-    """What became of one grasp."""
+    """Return the outcome of one grasp."""
     made, params = planned(part, "lift", object_, seed, folder)
     outcome, seconds = timed(lambda: simulated_grasp.run(made, params, force=False, progress=silent))
     (row,) = outcome.rows
@@ -188,12 +194,12 @@ def lift(part: Part, object_: int, seed: int, folder: Path) -> Row:
 
 
 def identity(row: Row) -> tuple[Any, ...]:
-    """What tells a trial from others; `says` too, so that another size of a part is another trial."""
+    """Return the fields that identify a trial; `says` is one of them, so another size of a part is another trial."""
     return tuple(row[name] for name in ("part", "says", "kind", "object", "seed"))
 
 
 def trials(sizes: Sizes) -> Iterator[Row]:
-    """The trials that are asked for, those of one part after the other's of the same seed."""
+    """Return the requested trials; for each seed, one part after the other."""
     for kind, count, objects in (("slip", sizes["slips"], SLIPPED), ("lift", sizes["grasps"], GRASPED)):
         for number in range(count):
             for part in named(sizes["parts"]):
@@ -203,7 +209,7 @@ def trials(sizes: Sizes) -> Iterator[Row]:
 
 
 def named(names: Sequence[str]) -> list[Part]:
-    """The parts of these names, and those that they are compared with; all without names."""
+    """Return the parts of these names and the parts that they are compared with; all parts if no name is given."""
     if wrong := set(names) - set(BY_NAME):
         raise InputError("no such part", where="--size parts", expected=", ".join(BY_NAME), found=", ".join(wrong))
     wanted = [BY_NAME[name] for name in names] if names else list(PARTS)
@@ -213,29 +219,29 @@ def named(names: Sequence[str]) -> list[Part]:
 
 
 def run(row: Row) -> Row:
-    """Run one trial, in a folder of its own; what a stage refuses has the reason instead of figures."""
+    """Run one trial in a folder of its own; if a stage refuses it, the reason replaces the figures."""
     made = slip if row["kind"] == "slip" else lift
     with tempfile.TemporaryDirectory() as folder:
         try:
             return {**row, **made(BY_NAME[row["part"]], row["object"], row["seed"], Path(folder))}
-        except EvetacError as error:  # a part that a stage cannot do with is an answer, too
+        except EvetacError as error:  # a part that a stage does not support is also a result
             return {**row, "refused": str(error)}
 
 
 def source(name: str) -> str:
-    """What of a trial's line a figure is made of."""
+    """Return the part of a trial's line from which a figure is computed."""
     return name.replace("_f1", "_counts")
 
 
 def knows(name: str, row: Row) -> bool:
-    """Whether a trial has what a figure is made of."""
+    """Whether a trial has the values from which a figure is computed."""
     return row.get(source(name)) is not None
 
 
 def figure(name: str, rows: list[Row]) -> float | None:
-    """A figure over some trials: F1 of all their slices, the median of run times, else a mean; None where none has it.
+    """Return a figure over trials: F1 of all slices, median of run times, otherwise the mean; None if no trial has it.
 
-    Why so: the first trial of a process loads compiled code, which is in its run time.
+    Run times use the median because the first trial of a process also loads compiled code.
     """
     if name.endswith("_f1"):
         counted = [row[source(name)] for row in rows if knows(name, row)]
@@ -247,7 +253,7 @@ def figure(name: str, rows: list[Row]) -> float | None:
 
 
 def change(name: str, pairs: list[tuple[Row, Row]]) -> Row:
-    """How much larger a figure is with the part, in pairs of a trial with it and one without, and its interval."""
+    """Return the increase of a figure by the part, over pairs of trials with and without it, and its interval."""
 
     def more(chosen: Iterable[tuple[Row, Row]]) -> float:
         own, theirs = (figure(name, list(rows)) for rows in zip(*chosen, strict=True))
@@ -261,7 +267,7 @@ def change(name: str, pairs: list[tuple[Row, Row]]) -> Row:
 
 
 def tables(rows: list[Row]) -> tuple[list[Row], list[Row]]:
-    """The figures of each part, and every change from what it is compared with."""
+    """Return the figures of each part, and every change against its reference."""
     figures, changes = [], []
     for part in PARTS:
         if not (own := of_part(rows, part)):
@@ -281,22 +287,22 @@ def tables(rows: list[Row]) -> tuple[list[Row], list[Row]]:
 
 
 def of_part(rows: list[Row], part: Part) -> list[Row]:
-    """The trials with a part of today's size."""
+    """Return the trials with a part at its present size."""
     return [row for row in rows if (row["part"], row["says"]) == (part.name, part.says)]
 
 
 def pair(row: Row) -> tuple[Any, ...]:
-    """What a trial with a part and the same trial without it have in common."""
+    """Return the fields that a trial with a part shares with the same trial without it."""
     return row["kind"], row["object"], row["seed"]
 
 
 def sure(changes: Iterable[Row]) -> list[Row]:
-    """Those whose interval does not hold 0."""
+    """Return the changes whose interval excludes 0."""
     return [row for row in changes if row["low"] > 0.0 or row["high"] < 0.0]
 
 
 def evaluation(rows: list[Row]) -> Evaluation:
-    """The figures of each part, with the interval of a change where it does not hold 0; the file has every change."""
+    """Return the figures of each part, with intervals of changes that exclude 0; the file has every change."""
     figures, changes = tables(rows)
     certain = {(row["part"], row["figure"]): row for row in sure(changes)}
     for row in figures:
@@ -318,7 +324,7 @@ def evaluation(rows: list[Row]) -> Evaluation:
 
 
 def measure(sizes: Sizes, folder: Path, jobs: int) -> Evaluations:
-    """Run what is missing, in so many processes; the figures of all trials that there are."""
+    """Run the missing trials in parallel; return the figures of all existing trials."""
     path = folder / "effects.jsonl"
     rows = finished_rows(path)
     done, made_by = {identity(row) for row in rows}, {"commit": commit()}

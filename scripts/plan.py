@@ -1,20 +1,20 @@
-"""What the whole reproduction costs: tasks, hours and gigabytes, on 1, 16 and 256 cores.
+"""Estimate the cost of the whole reproduction: tasks, hours and gigabytes, on 1, 16 and 256 cores.
 
     python scripts/plan.py                                # from the costs in scripts/plan_costs.json
     python scripts/plan.py --cores 1,64 --trajectories 10000,1000000
-    python scripts/plan.py --measure FOLDER               # measure these costs anew: some ten minutes of one core
+    python scripts/plan.py --measure FOLDER               # measure these costs again: some ten minutes of one core
 
-The counts are those of the experiments (experiments.py) at full size: every command of reproduce.py, and how many tasks
-it is. A task's cost is the processor time of a second of recording, of a step of training or of a file that is judged,
-times how many of these it has, measured on one core. One command begins when the one before it has ended, as in
-reproduce.py, so that a command of 5 trainings uses 5 cores; tasks of one command are taken to be equal. Beside it: how
-long it takes at least, however a schedule orders the tasks, which is the longest chain of tasks that wait for each
-other (record, label, track, featurize, train, judge), or the work over the cores. Training may stop earlier than
-planned, by its validation. To a training belong the files that it reads and those on which its checkpoints are judged.
-Pictures, `ship`, studies and reports of costs are left out. Storage, transfers and the cluster's own time are not in
-it.
+The counts are those of the experiments (experiments.py) at full size: every command of reproduce.py and its number of
+tasks. A task's cost is the processor time per second of recording, per training step or per evaluated file, measured on
+one core, times their number. As in reproduce.py, a command begins when the previous one has ended, so a command with 5
+trainings uses 5 cores. The tasks of one command are assumed to be equal.
 
---trajectories: record, label, track and featurize of so many trajectories of `slip`, all of them independent.
+The table also has a lower bound for any schedule: the longest chain of dependent tasks (record, label, track,
+featurize, train, judge), or the total work divided by the cores, if that is larger. Training may stop earlier than
+planned, by its validation. A training's data includes the files for evaluating its checkpoints. Pictures, `ship`,
+studies and reports of costs are left out, as are storage, transfers and the cluster's own time.
+
+--trajectories: record, label, track and featurize of that many independent trajectories of `slip`.
 """
 
 import argparse
@@ -42,19 +42,19 @@ from evetac_cli.kernels.slip.metrics import LAST_CHECKPOINTS
 Costs = dict[str, dict[str, float]]
 
 COSTS = Path(__file__).with_name("plan_costs.json")
-TONES = 5  # of the scenes `vibration` and `vibration-randomized` without --tone
-VIBRATION_S = 102.2  # of the scene `vibration`, which is the other one but for its length
+TONES = 5  # number of tones in the scenes `vibration` and `vibration-randomized` without --tone
+VIBRATION_S = 102.2  # seconds of the scene `vibration`; the other scene differs only in its length
 TOUCH_S = 1.5  # of a grasp, before it lifts
 LIFT_S, BALANCE_S = 10.0, 20.0
 PRESETS = ("unregularised", "paper", "official", "stable")
 RECORDED = ("slip", "edge", "shear", "data-rate", "vibration-randomized")
-EPOCH_STEPS = 100  # a guess, of the demo: all other trainings are planned in steps
-STEPS = (50, 250)  # of two short trainings: their difference is what a step costs
+EPOCH_STEPS = 100  # a guess, for the demo; all other trainings are planned in steps
+STEPS = (50, 250)  # steps of two short trainings; the cost of a step is their difference
 
 
 @dataclass(frozen=True)
 class Files:
-    """Files of one kind that a command makes: the name of one of them, how many, and seconds of each recording."""
+    """Files of one kind made by a command: the name of one of them, their number, and the seconds of each recording."""
 
     name: str
     count: int
@@ -72,23 +72,23 @@ class Step:
     size_bytes: float
 
     def took_s(self, cores: int) -> float:
-        """On so many cores, each with one task at a time."""
+        """Return the time on a number of cores, each with one task at a time."""
         return math.ceil(self.tasks / cores) * self.cpu_s
 
 
 def option(words: Command, name: str, usual: str = "") -> str:
-    """The value of an option."""
+    """Return the value of an option."""
     return words[words.index(name) + 1] if name in words else usual
 
 
 def numbers(text: str) -> int:
-    """How many whole numbers `1-9,12` names."""
+    """Return how many whole numbers `1-9,12` names."""
     ends = [part.split("-") for part in text.split(",")]
     return sum(int(end[-1]) - int(end[0]) + 1 for end in ends)
 
 
 def matching(patterns: Command, made: list[Files]) -> list[Files]:
-    """The files that patterns stand for; as in a shell, a star stays within a folder."""
+    """Return the files that match patterns; as in a shell, a star does not match across folders."""
     return [
         files
         for files in made
@@ -97,7 +97,7 @@ def matching(patterns: Command, made: list[Files]) -> list[Files]:
 
 
 def steps(costs: Costs) -> Iterator[Step]:
-    """Every command of every experiment at full size; SystemExit for one whose cost nobody measured."""
+    """Return every command of every experiment at full size; SystemExit for a command without a measured cost."""
     folders: dict[str, list[Files]] = {}
     for experiment in EXPERIMENTS:
         if not experiment.in_plan:
@@ -109,14 +109,14 @@ def steps(costs: Costs) -> Iterator[Step]:
 
 
 def trainings() -> list[tuple[str, str]]:
-    """The networks that the experiments train, each with its presets."""
+    """Return the networks that the experiments train, each with its presets."""
     commands = [words for experiment in EXPERIMENTS for words in experiment.steps(experiment.full)]
     training = [words for words in commands if words[:2] == ["evetac", "train"]]
     return sorted({(option(words, "--model", "hist10"), option(words, "--preset", "adamw")) for words in training})
 
 
 def judging(model: str, costs: Costs) -> float:
-    """Seconds that a model takes for a file: one that sees images takes longer."""
+    """Return the seconds that a model needs per file; models on images are slower."""
     return costs["evaluate slip, images" if "-img" in model else "evaluate slip"]["cpu_s"]
 
 
@@ -130,7 +130,7 @@ def _step(experiment: str, words: Command, made: list[Files], costs: Costs) -> I
         what, patterns = words[1], [word for word in words[2:end] if "*" in word]
         models = matching(words[end:], made)
         judged = sum(files.count for files in matching(patterns, made))
-        if what == "slip":  # each model is judged by itself
+        if what == "slip":  # each model is evaluated separately
             each_s = [judging(files.name, costs) * judged for files in models for _ in range(files.count)]
             for cpu_s in sorted(set(each_s)):
                 yield Step(experiment, "evaluate slip", each_s.count(cpu_s), cpu_s, 0.0)
@@ -140,7 +140,7 @@ def _step(experiment: str, words: Command, made: list[Files], costs: Costs) -> I
         return
     inputs = matching(words[1:end], made)
     if not inputs:
-        raise SystemExit(f"{experiment}: nothing made before fits {' '.join(words)}")
+        raise SystemExit(f"{experiment}: no file of an earlier command matches {' '.join(words)}")
     if command.startswith("train"):
         yield _trained(experiment, words, inputs, made, costs)
         return
@@ -205,7 +205,7 @@ def _trained(experiment: str, words: Command, inputs: list[Files], made: list[Fi
 
 
 def chain_s(planned: list[Step]) -> float:
-    """The longest chain of tasks that wait for each other: a task of every kind, of the longest experiment."""
+    """Return the longest chain of dependent tasks: one task of every kind, from the longest experiment."""
     longest = 0.0
     for name in dict.fromkeys(step.experiment for step in planned):
         kinds: dict[str, float] = {}
@@ -218,7 +218,7 @@ def chain_s(planned: list[Step]) -> float:
 
 
 def table(planned: list[Step], cores: list[int]) -> list[Row]:
-    """A row for every experiment, and for all of them."""
+    """Return a row for every experiment, and one for all."""
     rows: list[Row] = []
     for name in (*dict.fromkeys(step.experiment for step in planned), "all"):
         chosen = [step for step in planned if name in ("all", step.experiment)]
@@ -230,13 +230,13 @@ def table(planned: list[Step], cores: list[int]) -> list[Row]:
 
 
 def least(planned: list[Step], cores: list[int]) -> Row:
-    """Hours that no order of the tasks can go below."""
+    """Return the hours that no order of the tasks can undercut."""
     work_s = sum(step.tasks * step.cpu_s for step in planned)
     return {f"at_least_hours_on_{count}": max(work_s / count, chain_s(planned)) / 3600 for count in cores}
 
 
 def many(costs: Costs, counts: list[int], cores: list[int]) -> list[Row]:
-    """A row for every number of trajectories: what the four stages cost, each trajectory one after the other."""
+    """Return a row for every number of trajectories: the cost of the four stages, one trajectory after the other."""
     seconds = costs["slip"]["seconds"]
     stages = ("label", "track stable", "featurize")
     each_s = costs["slip"]["cpu_s"] + seconds * sum(costs[stage]["cpu_s"] for stage in stages)
@@ -253,7 +253,7 @@ def many(costs: Costs, counts: list[int], cores: list[int]) -> list[Row]:
 
 
 def cpu_of(*words: object) -> float:
-    """Processor time of a command in this process; SystemExit if it fails."""
+    """Return the processor time of a command in this process; SystemExit if it fails."""
     from typer.testing import CliRunner
 
     from evetac_cli.cli.main import app
@@ -267,7 +267,7 @@ def cpu_of(*words: object) -> float:
 
 
 def measure(folder: Path) -> Costs:
-    """The cost of every kind of task, of one core."""
+    """Measure the cost of every kind of task on one core."""
     from evetac_cli.store.recordings.read import open_recording
 
     costs: Costs = {}
@@ -286,7 +286,7 @@ def measure(folder: Path) -> Costs:
                         "size_bytes": size(f"{scene}/*.recording.h5") / count}  # fmt: skip
         print(scene, costs[scene], flush=True)
 
-    cpu_of("record", "--object", "3,8", "--seed", 1, "--out", folder / "warm")  # loads what is needed; judged later on
+    cpu_of("record", "--object", "3,8", "--seed", 1, "--out", folder / "warm")  # loads the modules; evaluated later
     cpu_of("grasp", "--lift-s", 1, "--balance-s", 0, "--out", folder / "warm")
     for scene in RECORDED:
         tone = ("--tone", 200) if scene.startswith("vibration") else ()
@@ -324,7 +324,7 @@ def measure(folder: Path) -> Costs:
         trained(model, preset)
 
     def per_file(name: str, kind: str, words: tuple[object, ...], options: tuple[object, ...]) -> None:
-        """What a file costs, without the start of the command: all files less one, medians of three."""
+        """Return the cost per file without the start of the command: all files minus one file, medians of three."""
 
         def took(paths: list[Path]) -> float:
             outputs = [folder / f"{turn}-of-{len(paths)}.{kind}.h5" for turn in range(3)]
@@ -376,7 +376,7 @@ def main() -> None:
         os.environ |= dict.fromkeys(ONE_THREAD, "1")  # before these libraries are loaded
         COSTS.write_text(json.dumps(measure(chosen.measure), indent=1) + "\n")
     elif not COSTS.exists():
-        parser.error(f"{COSTS} is missing: make it with --measure FOLDER")
+        parser.error(f"{COSTS} is missing; make it with --measure FOLDER")
     costs: Costs = json.loads(COSTS.read_text())
     cores = [int(count) for count in chosen.cores.split(",")]
     planned = list(steps(costs))

@@ -1,27 +1,32 @@
-"""How well a grasp in real time keeps its time, with virtual devices: prepared event words and a virtual gripper.
+"""Measure how well a grasp keeps real time on virtual devices: prepared event words and a virtual gripper.
 
     python scripts/real_time.py -o runs.jsonl                                       # five runs of 60 s at each rate
     python scripts/real_time.py -o runs.jsonl --condition quiet busy half           # and under each condition
     python scripts/real_time.py -o runs.jsonl --against CHECKOUT --runs 2 --seconds 15 --events-per-s 300000
 
 A run is `evetac grasp --camera virtual:prepared --gripper virtual`: the real drivers, the shipped detector, the paper's
-controller and the recorder, in their processes. Its row is written to -o as it ends, a line of JSON; rows that are
-there are not run again. It says whether the grasp lasted to its end, or in which words it ended; how late slices are
-evaluated (from their end, in us) and steps begin; latency from the first event of the slice with slip to the last byte
-of the command; commands missed, by us and because the virtual gripper's answers were late (its pseudo terminal, its
-process); which share of a core each process took. Before each run it measures how late the machine itself wakes from
-sleeps of 1 ms, while this program does nothing else, at the loops' priority. Before the first run under a condition
-`evetac doctor --speed` is asked under the same one, and what it promised stands in every row.
+controller and the recorder, in their processes. The row of a run is appended to -o when it ends, as a line of JSON;
+existing runs are not repeated. A row contains:
 
-Conditions: quiet is this machine as it is; busy, beside two loops that do nothing but compute; half, each process held
-to half its speed (real_time_conditions.py).
+- whether the grasp lasted to its end, or the message with which it ended;
+- how late slices are evaluated (from their end, in us) and steps begin;
+- the latency from the first event of the slice with slip to the last byte of the command;
+- missed commands, by evetac and because of late answers of the virtual gripper (its pseudo terminal, its process);
+- the share of a core that each process used.
 
-Latency needs slip, and the events are at random. The detector's probability falls from 0.5 to 0.05 in some 5 s;
---slip-threshold 0.2 calls slip what lies above it, after that some slices in a hundred, as at the edge of slip. Where
-every slice slips, a step answers two, and its latency is that of the older.
+Before each run the script measures how late the machine itself wakes from sleeps of 1 ms, while this program is idle,
+at the priority of the control loops. Before the first run under a condition, `evetac doctor --speed` runs under the
+same condition, and its estimate is stored in every row.
 
---against runs another checkout in turns with this one, of which only the commands are used. An older one says less:
-what it does not know is missing in its rows. Its prepared words may end after 30 s. Simulated.
+Conditions: quiet is this machine as it is; busy, with two loops that only compute; half, with each process held to half
+its speed (real_time_conditions.py).
+
+Latency needs slip, but the events are random. The detector's probability falls from 0.5 to 0.05 within some 5 s.
+--slip-threshold 0.2 therefore classifies a few slices in a hundred as slip, as at the edge of slip. If every slice
+slips, a step answers two slices, and its latency is that of the older.
+
+--against runs another checkout in turns with this one, using only its commands. An older checkout may report less; its
+rows lack these figures. Its prepared words may end after 30 s. Simulated.
 """
 
 import argparse
@@ -41,7 +46,7 @@ from evetac_cli.inspect.doctor.speed import Computer
 from evetac_cli.store.files import StageFile
 
 HERE = Path(__file__).resolve().parents[1]
-TOUCH_S = 1.5  # of the scene `lift`, before the law reacts to slip
+TOUCH_S = 1.5  # contact phase of the scene `lift`, before the law reacts to slip
 JITTER_S = 2.0
 OVER = "the grasp is over"
 SPREADS = {"latency": "latency_us", "slice_late": "slice_late_us", "step_late": "step_late_us"}
@@ -51,7 +56,7 @@ Row = dict[str, Any]
 
 
 def grid(folder: Path) -> Path:
-    """A dot grid, as `calibrate` writes it."""
+    """Write a dot grid, as `calibrate` does."""
     x, y = np.meshgrid(60.0 * np.arange(8) + 60.0, 60.0 * np.arange(7) + 50.0)
     dots = np.stack([x, y], axis=-1).tolist()
     path = folder / "grid.json"
@@ -60,7 +65,7 @@ def grid(folder: Path) -> Path:
 
 
 def jitter() -> dict[str, float]:
-    """How late the machine wakes from sleeps of 1 ms, in us, over all cores."""
+    """Measure how late the machine wakes from sleeps of 1 ms, in us, over all cores."""
     computer = Computer()
     cores = computer.cores()
     late_us = np.concatenate([computer.wake_ups_us(core, JITTER_S / len(cores)).late_us for core in cores])
@@ -70,7 +75,7 @@ def jitter() -> dict[str, float]:
 def watched(
     checkout: Path, words: list[str], folder: Path, half: HalfSpeed | None
 ) -> tuple[int, str, str, dict[str, float]]:
-    """Run a command of a checkout in a folder: exit code, what it said on stdout and stderr, its processes' shares."""
+    """Run a command of a checkout in a folder; return exit code, stdout, stderr and its processes' shares of a core."""
     command = [sys.executable, "-P", "-m", "evetac_cli", *words]
     environment = {**os.environ, "PYTHONPATH": str(checkout)}
     with subprocess.Popen(
@@ -82,7 +87,7 @@ def watched(
 
 
 def promise(checkout: Path, folder: Path, half: HalfSpeed | None) -> Row:
-    """What doctor --speed of a checkout says: what is wrong, and, if it knows, how many events a second are judged."""
+    """Return the problems found by a checkout's doctor --speed, and its estimated events per second, if it has one."""
     code, out, said, _ = watched(checkout, ["doctor", "--speed", "--json"], folder, half)
     try:
         result = json.loads(out)
@@ -96,7 +101,7 @@ def promise(checkout: Path, folder: Path, half: HalfSpeed | None) -> Row:
 
 
 def one(checkout: Path, plan: Row, folder: Path, half: HalfSpeed | None) -> Row:
-    """One grasp by the commands of a checkout: its figures, as far as there is a recording."""
+    """Run one grasp with a checkout's commands; return its figures, if there is a recording."""
     phases_s = plan["seconds"] - TOUCH_S
     lift_s = phases_s / 2
     out = folder / "run.recording.h5"
@@ -119,7 +124,7 @@ def one(checkout: Path, plan: Row, folder: Path, half: HalfSpeed | None) -> Row:
 
 
 def figures(file: StageFile, slip_threshold: float) -> Row:
-    """How time was kept, by a recording."""
+    """Return the timing figures of a recording."""
     row: Row = {"ended": str(file.read("capture/ended")), "scheduling": str(file.read("capture/scheduling"))}
     for name in ("slices_per_s", "commands_per_s"):
         if file.has(f"capture/{name}"):
@@ -142,7 +147,7 @@ def figures(file: StageFile, slip_threshold: float) -> Row:
 
 
 def plans(chosen: argparse.Namespace, checkouts: list[Path]) -> list[Row]:
-    """What is run, in order: under each condition first what doctor says, then run by run all rates, in turns."""
+    """Return the runs in order: under each condition first doctor, then all rates in turn, run by run."""
     made: list[Row] = []
     for name in chosen.condition:
         where = [{"checkout": checkout.name, "condition": name} for checkout in checkouts]
@@ -158,12 +163,12 @@ def plans(chosen: argparse.Namespace, checkouts: list[Path]) -> list[Row]:
 
 
 def known_row(plan: Row, rows: list[Row]) -> Row | None:
-    """The row of what was run already, if it was."""
+    """Return the existing row of a run, if there is one."""
     return next((row for row in rows if plan.items() <= row.items()), None)
 
 
 def summary(rows: list[Row]) -> list[Row]:
-    """A row for each checkout, condition and rate: how many runs lasted, medians, and what doctor promised."""
+    """Return a row per checkout, condition and rate: how many runs lasted, medians, and doctor's estimate."""
     table = []
     cases = dict.fromkeys((row["condition"], row["events_per_s"], row["checkout"]) for row in rows)
     for case in cases:
@@ -178,7 +183,7 @@ def summary(rows: list[Row]) -> list[Row]:
 
 
 def main() -> None:
-    """Run, write rows, print medians."""
+    """Run, write rows, and print medians."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--runs", type=int, default=5)
@@ -186,13 +191,13 @@ def main() -> None:
     parser.add_argument("--events-per-s", type=int, nargs="+", default=[100_000, 300_000, 1_000_000])
     parser.add_argument("--condition", choices=CONDITIONS, nargs="+", default=["quiet"])
     parser.add_argument("--slip-threshold", type=float, default=0.2)
-    parser.add_argument("--no-doctor", action="store_true", help="do not ask doctor --speed")
-    parser.add_argument("-o", "--out", type=Path, help="JSON lines, one a run; runs that are in it are not run again")
+    parser.add_argument("--no-doctor", action="store_true", help="do not run doctor --speed")
+    parser.add_argument("-o", "--out", type=Path, help="JSON lines, one per run; existing runs are not repeated")
     chosen = parser.parse_args()
     checkouts = [HERE, *([chosen.against.resolve()] if chosen.against else [])]
     by_name = {checkout.name: checkout for checkout in checkouts}
     if len(by_name) < len(checkouts):
-        raise SystemExit("--against: expected a checkout in a folder of another name")
+        raise SystemExit("--against: expected a checkout in a folder with another name")
     lines = chosen.out.read_text().splitlines() if chosen.out is not None and chosen.out.exists() else []
     known = [json.loads(line) for line in lines]
     promised: dict[tuple[str, str], Row] = {}

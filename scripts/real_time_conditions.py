@@ -1,10 +1,12 @@
-"""Under what a grasp in real time runs, and what its processes take: quiet, beside busy loops, or at half speed.
+"""Conditions for a grasp in real time (quiet, with busy loops, at half speed), and the CPU use of its processes.
 
-Half speed: each process of the command has a group of its own, in which it gets a millisecond of CPU time in every two;
-with real-time priority a part of that (what the kernel gives to all groups of a folder together is 0.95 of a core). A
-process is put into its group within POLL_S of its start. Among groups it does not count how nice a process is, so each
-group is as nice as the nicest thread of its process. That needs cgroups that this user may write: of version 1 with the
-controller cpu, or of version 2, whose groups hold no real-time process back.
+Half speed: each process of the command is in a group of its own, which gets one millisecond of CPU time in every two.
+With real-time priority it gets a part of that, because the kernel gives 0.95 of a core to all groups of a folder
+together. A process enters its group within POLL_S of its start. Between groups, a process's nice value has no effect,
+so each group gets the nice value of the process's nicest thread.
+
+This needs cgroups that the user may write: version 1 with the controller cpu, or version 2. Groups of version 2 do not
+limit real-time processes.
 """
 
 import contextlib
@@ -24,11 +26,11 @@ POLL_S, PATIENCE_S = 0.02, 5.0
 PERIOD_US, QUOTA_US = 2000, 1000
 PROCESSES = ("recorder", "servo", "detector", "controller")
 REALTIME_US = {"controller": 800, "servo": 700, "recorder": 300}
-USUAL_SHARES, NICER = 1024, 1.25  # of a process that is not nice; one that is nicer by one has so many times less
+USUAL_SHARES, NICER = 1024, 1.25  # weight for nice 0; each nice step divides the weight by this factor
 
 
 def processes_of(recorder: int) -> dict[str, int]:
-    """The processes of a grasp that there are now, by what they are."""
+    """Return the running processes of a grasp, by role."""
     found, spawned = {"recorder": recorder}, []
     with contextlib.suppress(OSError):  # it may end meanwhile
         for task in Path(f"/proc/{recorder}/task").iterdir():
@@ -42,22 +44,22 @@ def processes_of(recorder: int) -> dict[str, int]:
 
 
 class ProcessState(NamedTuple):
-    """CPU time of a process so far, and how nice its nicest thread is."""
+    """CPU time of a process so far, and the nice value of its nicest thread."""
 
     cpu_s: float
     niceness: int
 
 
 def _fields(folder: Path) -> list[str]:
-    """What the kernel says of a process or a thread, after its name; OSError where it has ended."""
+    """Return the kernel's fields for a process or thread, after its name; OSError if it has ended."""
     return (folder / "stat").read_text().rpartition(")")[2].split()
 
 
-_USER, _SYSTEM, _NICENESS, _STARTED = 11, 12, 16, 19  # of these fields
+_USER, _SYSTEM, _NICENESS, _STARTED = 11, 12, 16, 19  # index in these fields
 
 
 def state_of(pid: int) -> ProcessState | None:
-    """A process, as it is now; None where it has ended."""
+    """Return the present state of a process; None if it has ended."""
     folder = Path(f"/proc/{pid}")
     try:
         fields = _fields(folder)
@@ -68,12 +70,12 @@ def state_of(pid: int) -> ProcessState | None:
 
 
 class HalfSpeed:
-    """Groups in which each process of a grasp gets half a core; SystemExit where none can be made."""
+    """Groups in which each process of a grasp gets half a core; SystemExit if none can be made."""
 
     def __init__(self) -> None:
         self._is_v1, self._above = _cpu_controller()
-        for left in self._above.glob("evetac-*"):  # by a run that was killed: it would keep its share of real time
-            with contextlib.suppress(OSError):  # as of one that is at work
+        for left in self._above.glob("evetac-*"):  # left by a killed run: it would keep its share of real time
+            with contextlib.suppress(OSError):  # the weight of a working process
                 left.rmdir()
         self._groups = {what: self._above / f"evetac-{os.getpid()}-{what}" for what in PROCESSES}
         self._nice = dict.fromkeys(PROCESSES, 0)
@@ -83,10 +85,10 @@ class HalfSpeed:
             if time.monotonic() > until_s:
                 self.close()
                 raise SystemExit(f"--condition half: no group can be made below {self._above}: {error}")
-            time.sleep(POLL_S)  # the kernel takes back later what groups had that were removed before
+            time.sleep(POLL_S)  # the kernel frees the share of removed groups later
 
     def _make_groups(self) -> OSError | None:
-        """Make the groups, as far as they are not there; what is wrong, None if nothing is."""
+        """Make the missing groups; return the error, or None."""
         try:
             for what, group in self._groups.items():
                 group.mkdir(exist_ok=True)
@@ -103,7 +105,7 @@ class HalfSpeed:
         return None
 
     def hold(self, what: str, pid: int, niceness: int) -> None:
-        """Hold a process and its threads to half its speed, as nice as it is now; may be called again and again."""
+        """Limit a process and its threads to half speed, with its present nice value; may be called repeatedly."""
         group = self._groups[what]
         if pid not in self._held:
             self._held.add(pid)
@@ -117,7 +119,7 @@ class HalfSpeed:
                 (group / "cpu.weight.nice").write_text(str(niceness))
 
     def close(self) -> None:
-        """Remove the groups, once the processes in them have ended."""
+        """Remove the groups, once their processes have ended."""
         until_s = time.monotonic() + PATIENCE_S
         while any(group.exists() for group in self._groups.values()) and time.monotonic() < until_s:
             for group in self._groups.values():
@@ -127,18 +129,18 @@ class HalfSpeed:
 
 
 def _cpu_controller() -> tuple[bool, Path]:
-    """Whether the controller cpu is one of version 1, and the folder below which groups are made; SystemExit: none."""
+    """Return whether the cpu controller is version 1, and the folder for groups; SystemExit if there is none."""
     for line in Path("/proc/mounts").read_text().splitlines():
         _, where, kind, options, *_ = line.split()
         if kind == "cgroup" and "cpu" in options.split(","):
             return True, Path(where) / _own_group()
         if kind == "cgroup2" and "cpu" in (Path(where) / "cgroup.subtree_control").read_text().split():
             return False, Path(where)
-    raise SystemExit("--condition half: no cgroup controller `cpu` is mounted; --condition busy needs none")
+    raise SystemExit("--condition half: no cgroup controller `cpu` is mounted; use --condition busy, which needs none")
 
 
 def _own_group() -> str:
-    """The group that this process is in, by its path below the mount of version 1's controller cpu."""
+    """Return the path of this process's group below the mount of version 1's cpu controller."""
     for line in Path("/proc/self/cgroup").read_text().splitlines():
         _, controllers, path = line.split(":", 2)
         if "cpu" in controllers.split(","):
@@ -147,13 +149,13 @@ def _own_group() -> str:
 
 
 class Watched:
-    """A command whose processes are watched: how much of a core each took while it recorded; and held to half speed."""
+    """A command whose processes are watched for their CPU use while it records, and optionally held to half speed."""
 
     def __init__(self, run: "subprocess.Popen[str]", recording: Path, half: HalfSpeed | None = None) -> None:
-        """recording: what exists while it records; half: holds the processes."""
+        """recording: the path that exists while it records. half: limits the processes."""
         self._run, self._recording, self._half = run, recording, half
         self._seen: dict[str, list[tuple[float, float]]] = {}  # time of day and CPU time, first and last
-        self.names: dict[int, str] = {}  # of processes, as when they were first seen: later some have ended
+        self.names: dict[int, str] = {}  # of processes, when first seen; later some have ended
         self._ended = threading.Event()
         self._look()
         self._thread = threading.Thread(target=self._watch, daemon=True)
@@ -176,7 +178,7 @@ class Watched:
                 self._seen[what] = [*self._seen.get(what, [])[:1], (time.monotonic(), state.cpu_s)]
 
     def shares(self) -> dict[str, float]:
-        """Share of a core that each process took, by what it is; ends watching."""
+        """Stop watching; return the share of a core that each process used, by role."""
         self._ended.set()
         self._thread.join()
         return {
@@ -188,7 +190,7 @@ class Watched:
 
 @contextlib.contextmanager
 def condition(name: str) -> Iterator[HalfSpeed | None]:
-    """A condition for as long as the block lasts; what holds processes to half speed, if it is that one."""
+    """Apply a condition during the block; yield the half-speed groups, or None."""
     loops = [subprocess.Popen([sys.executable, "-P", "-c", BUSY]) for _ in range(BUSY_LOOPS * (name == "busy"))]
     half = HalfSpeed() if name == "half" else None
     try:

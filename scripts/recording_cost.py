@@ -1,12 +1,12 @@
-"""What writing costs a simulated recording, alone and beside other programs, and in how many blocks it is written.
+"""Measure the cost of writing a simulated recording, alone and alongside other programs, and its number of blocks.
 
-    python scripts/recording_cost.py                     # 12 trials of the scene slip, quiet and beside four busy loops
+    python scripts/recording_cost.py                     # 12 trials of the scene slip, quiet and with four busy loops
     python scripts/recording_cost.py --trials 4 --busy 8
 
-Each column is a run of `evetac record --scene slip --jobs 2`: in how many blocks its trials were written, and which
-share of a trial's processor time that took, in the median and at most: from the first block to the closed file. When a
-block is full depends on no clock, so neither figure may depend on what else the computer does. The exit status is 1
-where the numbers of blocks do, or where writing takes a tenth of a trial or more.
+Each column is a run of `evetac record --scene slip --jobs 2`. It states the number of blocks per trial and the share of
+a trial's processor time spent on writing, from the first block to the closed file (median and maximum). No clock
+decides when a block is full, so neither figure may depend on the load of the computer. The exit status is 1 if the
+numbers of blocks differ, or if writing takes a tenth of a trial or more.
 """
 
 import argparse
@@ -33,7 +33,7 @@ MOST_SHARE = 0.1
 
 
 class TimedWriter(TrialWriter):
-    """A writer that knows how much processor time it took."""
+    """A writer that measures its own processor time."""
 
     last: "TimedWriter"
 
@@ -46,7 +46,7 @@ class TimedWriter(TrialWriter):
         return self._timed(super()._write_block, **named)
 
     def finish(self, *arguments: Any) -> Any:
-        """As that of a TrialWriter."""
+        """Finish like a TrialWriter, and add the time."""
         return self._timed(super().finish, *arguments)
 
     def _timed(self, call: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
@@ -60,9 +60,9 @@ class TimedWriter(TrialWriter):
 
 
 def measure(results: Path) -> None:
-    """From now on, every simulated trial of this process adds a line to the file of results."""
+    """Make every simulated trial of this process add a line to the file of results."""
     run = simulated.run
-    # A full collection takes 60 ms, of all that the process holds, and falls into whatever part allocates next.
+    # A full collection of all objects takes 60 ms, and would add to the time of the next part that allocates.
     gc.disable()
 
     def measured(*arguments: Any, **named: Any) -> Any:
@@ -79,7 +79,7 @@ def measure(results: Path) -> None:
 
 @contextmanager
 def busy_loops(count: int) -> Iterator[None]:
-    """So many programs beside us that always want a core."""
+    """Run a number of programs that each occupy a core."""
     loops = [subprocess.Popen([sys.executable, "-P", "-c", "while True: pass"]) for _ in range(count)]
     try:
         yield
@@ -90,7 +90,7 @@ def busy_loops(count: int) -> Iterator[None]:
 
 
 def recorded(trials: int, busy: int) -> dict[str, Any]:
-    """What one run of the command took."""
+    """Run the command once; return its figures."""
     with tempfile.TemporaryDirectory(prefix="evetac-cost-") as folder, busy_loops(busy):
         results = Path(folder) / "trials.jsonl"
         command = ["record", "--scene", "slip", "--count", str(trials), "--jobs", "2", "-q", "-o", folder]
@@ -111,10 +111,10 @@ def recorded(trials: int, busy: int) -> dict[str, Any]:
 
 
 def main() -> int:
-    """Both runs, and whether they are as they should be."""
+    """Run both cases, and check the results."""
     about = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     about.add_argument("--trials", type=int, default=12)
-    about.add_argument("--busy", type=int, default=4, help="busy loops of the second run")
+    about.add_argument("--busy", type=int, default=4, help="number of busy loops in the second run")
     chosen = about.parse_args()
     rows = [recorded(chosen.trials, busy) for busy in (0, chosen.busy)]
     print_table("recording cost", rows, {}, simulated=True)
@@ -122,7 +122,7 @@ def main() -> int:
     return 0 if same and all(row["writing_share_most"] < MOST_SHARE for row in rows) else 1
 
 
-# Workers of `--jobs 2` load this script too, under another name than __main__.
+# Workers of `--jobs 2` also load this script, under another name than __main__.
 if MEASURED in os.environ:
     measure(Path(os.environ[MEASURED]))
 if __name__ == "__main__":

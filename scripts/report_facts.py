@@ -1,4 +1,4 @@
-"""What the headers of reports say of a table: what was judged and trained on, and by which methods."""
+"""Collect facts of a table from report headers: what was evaluated and trained on, and the method versions."""
 
 import json
 from collections.abc import Iterable, Iterator
@@ -11,7 +11,7 @@ from evetac_cli.jobs import Row
 
 
 def report_header(path: Path) -> Row:
-    """The header of a report, with its history."""
+    """Return the header of a report, with its history."""
     from evetac_cli.store.files import StageFile
 
     with StageFile(path, "report") as file:
@@ -20,21 +20,21 @@ def report_header(path: Path) -> Row:
 
 
 def ancestors(header: Row, history: Row) -> Iterator[Row]:
-    """A header's parents of the kinds recording and model, looking through the files in between.
+    """Return a header's ancestors of kinds recording and model, through the files in between.
 
-    What the model of a grasp learned from is not among them: the grasp does not carry it.
+    The training data of a grasp's model is not included, because the grasp does not contain it.
     """
     for parent in (history[parent_id] for parent_id in header["parents"] if parent_id in history):
         if parent["kind"] in ("recording", "model", "force-model"):
             yield parent
-            if parent["kind"] == "recording":  # of a grasp: the detector's model
+            if parent["kind"] == "recording":  # for a grasp: the detector's model
                 yield from (model for model in ancestors(parent, history) if model["kind"] != "recording")
         else:
             yield from ancestors(parent, history)
 
 
 def facts(headers: Iterable[Row]) -> Row:
-    """What was judged and what was trained on, from the headers of the reports of a table."""
+    """Return what was evaluated and what was trained on, from the headers of a table's reports."""
     judged: dict[str, Row] = {}
     models: dict[str, Row] = {}
     training: dict[str, Row] = {}
@@ -72,7 +72,7 @@ COMMANDS = {
 
 
 def methods(headers: Iterable[Row]) -> dict[str, int]:
-    """The number of the method of each command behind the reports of a table; the oldest where there are several."""
+    """Return the method version of each command behind a table's reports; the oldest if there are several."""
     numbers: dict[str, int] = {}
     for header in headers:
         for node in (header, *header["history"].values()):
@@ -89,7 +89,7 @@ def methods(headers: Iterable[Row]) -> dict[str, int]:
 
 
 def words_for(known: Row) -> Row:
-    """The facts as they stand in a title."""
+    """Return the facts in words for a title."""
     shown = {name: value for name, value in known.items() if not isinstance(value, list)}
     for name, value in known.items():
         if isinstance(value, list):

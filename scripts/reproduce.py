@@ -1,14 +1,17 @@
-"""Run the experiments and studies (scripts/experiments.py) and keep their tables, one small JSON each.
+"""Run the experiments and studies (scripts/experiments.py) and store their tables, one small JSON each.
 
     python scripts/reproduce.py --list
     python scripts/reproduce.py --only tracking [--small] [--size edges=5] [--jobs 4] [--dry-run]
 
-Each command skips what is up to date, so that an experiment goes on where it was stopped. Its files lie in a folder of
-their own (demo/, data/slip/, ...), those of `--small` in small/. Tables go to docs/results/NAME.json, of small runs to
-small/results/: rows, how they are shown, commands, recipe ids of the reports, seeds, sizes, and the commit. All of it
-comes from the headers of the reports that were read, so a table says what was run. A table of more trajectories,
-objects or models is not replaced by one of fewer unless --replace is given; other experiments' tables are not touched.
-Ctrl-C ends the command at work, which takes its unfinished files away, and then this program, with exit code 130.
+Each command skips files that are up to date, so an experiment continues where it was stopped. Its files are in a folder
+of their own (demo/, data/slip/, ...), those of `--small` in small/.
+
+Tables go to docs/results/NAME.json, those of small runs to small/results/. They contain rows, layout, commands, recipe
+ids of the reports, seeds, sizes, and the commit, all from the headers of the reports, so a table always documents its
+own run. A table of more trajectories, objects or models is not replaced by a smaller one unless --replace is given.
+Other experiments' tables are not changed.
+
+Ctrl-C ends the running command, which removes its unfinished files, and then this program, with exit code 130.
 """
 
 import argparse
@@ -51,15 +54,15 @@ IN_PARALLEL = (
     "scripts/train_detectors.py",
 )  # commands given --jobs; fmt: skip
 KINDS = ("recording", "labels", "tracks", "features", "model", "report")
-INTERRUPTS_TO_KILL = 3  # after so many a command that does not end is killed
-COUNTS = ("recordings", "objects", "models", "training_steps", "trials")  # what makes one run larger than another
+INTERRUPTS_TO_KILL = 3  # after this many Ctrl-C, a command that does not end is killed
+COUNTS = ("recordings", "objects", "models", "training_steps", "trials")  # counts that define the size of a run
 
-# Run a command in a folder; what it printed, and its exit code.
+# A function that runs a command in a folder and returns its output and exit code.
 Run = Callable[[Command, Path], tuple[int, str]]
 
 
 class Refusal(Exception):
-    """What cannot be done, as a sentence for the user."""
+    """A request that cannot be carried out, with a sentence for the user."""
 
 
 def run_command(words: Command, folder: Path) -> tuple[int, str]:
@@ -68,8 +71,9 @@ def run_command(words: Command, folder: Path) -> tuple[int, str]:
     ours = first == "evetac"
     program = ["-P", "-m", "evetac_cli", *rest] if ours else [str(ROOT / rest[0]), *rest[1:]]
     with interrupts.signals_blocked(interrupts.CTRL_C):
-        # Ctrl-C waits until evetac looks after it, for while Python starts it would end in a traceback. A script does
-        # not look after it: it inherits nothing blocked, and here the handler waits all the same.
+        # Ctrl-C is blocked until evetac handles it, because during Python's start it would end in a traceback. A script
+        # does not unblock it, so it inherits an unblocked signal. In both cases the handler of this process waits for
+        # the command.
         if not ours:
             signal.pthread_sigmask(signal.SIG_UNBLOCK, interrupts.CTRL_C)
         process = subprocess.Popen([sys.executable, *program], cwd=folder, stdout=subprocess.PIPE, text=True)
@@ -78,10 +82,10 @@ def run_command(words: Command, folder: Path) -> tuple[int, str]:
 
 
 def wait_for(process: "subprocess.Popen[str]") -> str:
-    """What a command prints on stdout, once it has ended. KeyboardInterrupt, also after that, if Ctrl-C was pressed.
+    """Return a command's stdout once it has ended. KeyboardInterrupt, also after that, if Ctrl-C was pressed.
 
-    Why so: a terminal sends Ctrl-C to the command too, which needs a moment to take away what is unfinished.
-    subprocess.run would kill it after a quarter of a second.
+    A terminal sends Ctrl-C to the command too, which needs a moment to remove its unfinished files. subprocess.run
+    would kill it after a quarter of a second.
     """
     times = 0
     while True:
@@ -99,7 +103,7 @@ def wait_for(process: "subprocess.Popen[str]") -> str:
 
 
 def expand(words: Command, folder: Path) -> Command:
-    """The command with its globs replaced by the files that they match, in order, but for those of --flag=GLOB."""
+    """Replace the globs of a command by the matching files, sorted; those in --flag=GLOB stay."""
     expanded: Command = []
     for word in words:
         is_glob = "*" in word and not word.startswith("--")
@@ -108,12 +112,12 @@ def expand(words: Command, folder: Path) -> Command:
 
 
 def as_text(size: Any) -> str:
-    """A size as --size takes it."""
+    """Return a size in the format of --size."""
     return ",".join(size) if isinstance(size, tuple) else str(size)
 
 
 def sizes_for(experiment: Experiment, *, small: bool, given: dict[str, str]) -> Sizes:
-    """An experiment's sizes; those given as text replace the table's."""
+    """Return an experiment's sizes; values given as text replace the defaults."""
     sizes = {**experiment.full, **(experiment.small if small else {})}
     for name, value in given.items():
         if name not in sizes:
@@ -122,12 +126,12 @@ def sizes_for(experiment: Experiment, *, small: bool, given: dict[str, str]) -> 
         try:
             sizes[name] = tuple(filter(None, value.split(","))) if isinstance(usual, tuple) else type(usual)(value)
         except ValueError as error:
-            raise Refusal(f"--size {name}={value}: expected {type(usual).__name__}, as in {usual}") from error
+            raise Refusal(f"--size {name}={value}: expected {type(usual).__name__}, for example {usual}") from error
     return sizes
 
 
 def with_engine(words: Command, jobs: int, engine: str) -> Command:
-    """A command that works on files, told where, and on how many at a time; a cluster that runs knows that itself."""
+    """Add engine and number of jobs to a command that works on files; a running cluster has its own number."""
     if words[1] not in IN_PARALLEL and words[1:3] != ["evaluate", "slip"]:
         return words
     ours = words[0] == "evetac"
@@ -136,7 +140,7 @@ def with_engine(words: Command, jobs: int, engine: str) -> Command:
 
 
 def in_order(names: Iterable[str]) -> list[Experiment]:
-    """The experiments named, each after those that it builds on."""
+    """Return the named experiments, each after those that it builds on."""
     by_name = {experiment.name: experiment for experiment in EXPERIMENTS}
     ordered: dict[str, Experiment] = {}
 
@@ -156,7 +160,7 @@ def in_order(names: Iterable[str]) -> list[Experiment]:
 
 
 def commit() -> tuple[str, bool]:
-    """The commit, and whether the tree differs from it but for the tables themselves."""
+    """Return the commit, and whether the tree differs from it in anything except the tables."""
     git = ["git", "-C", str(ROOT)]
     head = subprocess.run([*git, "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False)
     changes = subprocess.run(
@@ -166,7 +170,7 @@ def commit() -> tuple[str, bool]:
 
 
 def shown_rows(table: Table, rows: list[Row]) -> list[Row]:
-    """The figures that the table shows, all of a measured one, and what names the paper's beside them."""
+    """Return the figures that the table shows (all for a measured one) and the keys of the paper's figures."""
     columns = [*table.columns, *([table.across] if table.across else [])]
     wanted = {key for column in columns for part in (column.heading, column.cell, column.paper) for key in keys(part)}
     for key in wanted & paper.SHOWN.keys():
@@ -175,12 +179,12 @@ def shown_rows(table: Table, rows: list[Row]) -> list[Row]:
 
 
 def layout(column: Column) -> Row:
-    """How a column is shown, as JSON."""
+    """Return the layout of a column, as JSON."""
     return {"heading": column.heading, "cell": column.cell, **({"paper": column.paper} if column.paper else {})}
 
 
 def result(table: Table, evaluations: dict[str, Evaluation], commands: Iterable[str]) -> Row:
-    """A table as it is kept: what it says of itself comes from the reports, or from a measurement that has none."""
+    """Return a table for storage; its facts come from the reports, or from a measurement without reports."""
     headers = [evaluation.header for evaluation in evaluations.values() if evaluation.header]
     about = {key: value for evaluation in evaluations.values() for key, value in (evaluation.about or {}).items()}
     known = facts(headers) | about.pop("sizes", {})
@@ -211,7 +215,7 @@ def result(table: Table, evaluations: dict[str, Evaluation], commands: Iterable[
 
 
 def covariates(evaluations: dict[str, Evaluation]) -> Row:
-    """The covariates of the slips that a table judges on; of several evaluations each says whose slips they are of."""
+    """Return the covariates of the slips that a table evaluates; with several evaluations, by evaluation."""
     slips = {name: [row for row in evaluation.rows if "covariate" in row] for name, evaluation in evaluations.items()}
     if not slips or not all(slips.values()):
         return {}
@@ -234,16 +238,16 @@ def extent(value: Any) -> int:
 
 
 def smaller(new: Row, old: Row) -> list[str]:
-    """In what a new table is smaller than the one there is, in words."""
+    """Return in which counts a new table is smaller than the existing one, in words."""
     counts = ((name, extent(new["sizes"].get(name, 0)), extent(old["sizes"].get(name, 0))) for name in COUNTS)
     return [f"{name.replace('_', ' ')} {ours} (there {theirs})" for name, ours, theirs in counts if ours < theirs]
 
 
 def keep(table: Row, folder: Path, *, replace: bool) -> None:
-    """Write a table as JSON; Refusal if that would replace a larger run's."""
+    """Write a table as JSON; Refusal if it would replace a larger run's."""
     path = folder / f"{table['name']}.json"
     if path.exists() and not replace and (less := smaller(table, json.loads(path.read_text()))):
-        raise Refusal(f"{path} is kept, for this run is smaller: {', '.join(less)}. --replace replaces it.")
+        raise Refusal(f"{path} was not replaced, because this run is smaller: {', '.join(less)}; try --replace")
     folder.mkdir(parents=True, exist_ok=True)
     unfinished = path.with_suffix(".json.part")
     unfinished.write_text(json.dumps(table, indent=1) + "\n")
@@ -254,10 +258,10 @@ def keep(table: Row, folder: Path, *, replace: bool) -> None:
 
 
 def evaluate(name: str, words: Command, folder: Path, run: Run, header: Callable[[Path], Row]) -> Evaluation:
-    """Run an evaluation, or read its report if that is up to date; a report of other files is made anew."""
+    """Run an evaluation, or read its report if that is up to date; a report of other files is made again."""
     command = [*expand(words, folder), "--out", f"{name}.report.h5", "--json"]
     code, printed = run(command, folder)
-    if code == 2:  # the usual reason is a report of fewer or other files; any other error is printed twice
+    if code == 2:  # usually there is a report of fewer or other files; any other error is printed twice
         code, printed = run([*command, "--force"], folder)
     if code:
         raise Refusal(f"{' '.join(words)} ended with exit code {code}")
@@ -266,12 +270,12 @@ def evaluate(name: str, words: Command, folder: Path, run: Run, header: Callable
 
 
 def is_there(words: Command, folder: Path) -> bool:
-    """Whether a program's file of figures is there: it has no recipe to compare, and is made once."""
+    """Whether a program's file of figures exists; it has no recipe to compare, so it is made only once."""
     return words[0] == "python" and "--json" in words and (folder / words[words.index("--json") + 1]).exists()
 
 
 def measured(experiment: Experiment, sizes: Sizes, folder: Path, jobs: int) -> dict[str, Evaluation]:
-    """What the experiment's own function measures; nothing for one that has none."""
+    """Return the result of the experiment's own measurement; empty if it has none."""
     module, _, function = experiment.measure.partition(".")
     if not module:
         return {}
@@ -280,7 +284,7 @@ def measured(experiment: Experiment, sizes: Sizes, folder: Path, jobs: int) -> d
 
 
 def own_command(experiment: Experiment, sizes: Sizes) -> str:
-    """The command that makes an experiment with these sizes."""
+    """Return the command that runs an experiment with these sizes."""
     others = (f"--size={name}={as_text(value)}" for name, value in sizes.items() if value != experiment.full[name])
     return shlex.join(["python", "scripts/reproduce.py", "--only", experiment.name, *others])
 
@@ -297,7 +301,7 @@ def perform(
     run: Run = run_command,
     header: Callable[[Path], Row] = report_header,
 ) -> None:
-    """Run an experiment's commands, evaluations and measurement, print its tables and keep them."""
+    """Run an experiment's commands, evaluations and measurement; print and store its tables."""
     folder, started = out / experiment.folder, time.time()
     folder.mkdir(parents=True, exist_ok=True)
     print(f"{experiment.name}: {experiment.shows}; files in {folder}", flush=True)
@@ -317,13 +321,13 @@ def perform(
     refusals = []
     for table in experiment.tables:
         chosen = {name: evaluations[name] for name in table.evaluations if name in evaluations}
-        if not chosen:  # --size left out all that it is made of
+        if not chosen:  # --size left out everything that the table is made of
             continue
         made = result(table, chosen, dict.fromkeys(commands[name] for name in chosen))
         print(f"\n{text(made)}")
         try:
             keep(made, results, replace=replace)
-        except Refusal as refusal:  # the experiment's other tables are kept all the same
+        except Refusal as refusal:  # the experiment's other tables are still stored
             refusals.append(str(refusal))
     files = {kind: len(list(folder.rglob(f"*.{kind}.h5"))) for kind in KINDS}
     new = sum(path.stat().st_mtime >= started for path in folder.rglob("*.h5"))
@@ -354,24 +358,24 @@ def print_commands(experiment: Experiment, sizes: Sizes, out: Path, jobs: int, e
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Read the flags, run the experiments."""
+    """Read the flags and run the experiments."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument(
-        "--only", action="append", default=[], metavar="NAME", help="this experiment and those before it"
+        "--only", action="append", default=[], metavar="NAME", help="this experiment and those that it builds on"
     )
-    parser.add_argument("--small", action="store_true", help="sizes that take minutes, in folders of their own")
+    parser.add_argument("--small", action="store_true", help="sizes that take minutes, in separate folders")
     parser.add_argument(
-        "--size", action="append", default=[], metavar="NAME=VALUE", help="another size; lists by commas"
+        "--size", action="append", default=[], metavar="NAME=VALUE", help="change a size; lists are comma-separated"
     )
     parser.add_argument("--jobs", type=int, default=1, help="files worked on at the same time")
     parser.add_argument(
-        "--engine", default="local", help="local, dask, or dask:tls://ADDRESS: as of evetac (docs/cluster.md)"
+        "--engine", default="local", help="local, dask, or dask:tls://ADDRESS, as for evetac (docs/cluster.md)"
     )
-    parser.add_argument("--out", type=Path, default=ROOT, help="where the experiments' folders are")
-    parser.add_argument("--results", type=Path, default=None, help="where tables are kept")
+    parser.add_argument("--out", type=Path, default=ROOT, help="folder of the experiments' folders")
+    parser.add_argument("--results", type=Path, default=None, help="folder of the tables")
     parser.add_argument("--replace", action="store_true", help="replace tables of larger runs too")
     parser.add_argument("--list", action="store_true", help="print the experiments with their sizes")
-    parser.add_argument("--dry-run", action="store_true", help="print the commands, run nothing")
+    parser.add_argument("--dry-run", action="store_true", help="print the commands without running them")
     chosen = parser.parse_args(arguments)
     if chosen.list:
         print_list()
@@ -379,12 +383,12 @@ def main(arguments: list[str] | None = None) -> None:
     try:
         given = dict(entry.split("=", 1) for entry in chosen.size)
     except ValueError:
-        parser.error("--size takes NAME=VALUE, as in --size each=2")
+        parser.error("--size takes NAME=VALUE, for example --size each=2")
     try:
         experiments = in_order(chosen.only or [experiment.name for experiment in EXPERIMENTS])
         unknown = [name for name in given if not any(name in experiment.full for experiment in experiments)]
         if unknown:
-            raise Refusal(f"no experiment chosen has the size {', '.join(unknown)}; --list prints them")
+            raise Refusal(f"no chosen experiment has the size {', '.join(unknown)}; --list prints all sizes")
         out = chosen.out / "small" if chosen.small else chosen.out
         results = out / "results" if chosen.small else RESULTS
         for experiment in experiments:
@@ -399,7 +403,7 @@ def main(arguments: list[str] | None = None) -> None:
     except (Refusal, EvetacError) as refusal:
         raise SystemExit(f"error: {refusal}") from None
     except KeyboardInterrupt:
-        print("interrupted: complete files are kept, and the same command goes on with them", file=sys.stderr)
+        print("interrupted: complete files are kept; run the same command to continue", file=sys.stderr)
         raise SystemExit(130) from None
 
 

@@ -1,4 +1,4 @@
-"""Write the public schemas of what is simulated from the types that say it: scene, sensor and object.
+"""Write the public schemas of simulation files (scene, sensor and object) from the types that define them.
 
 python scripts/schemas.py            # into schemas/
 """
@@ -21,12 +21,12 @@ TYPES: dict[str, tuple[type[Any], str]] = {
 
 
 def text_of(kind: str) -> str:
-    """The schema of a kind of TOML file, as it is kept."""
+    """Return the schema of a kind of TOML file, as text."""
     return json.dumps(schema_of(*TYPES[kind]), indent=2, ensure_ascii=False) + "\n"
 
 
 def main() -> None:
-    """Write them all."""
+    """Write all schemas."""
     for kind in TYPES:
         (SCHEMAS / f"{kind}.v1.json").write_text(text_of(kind))
 

@@ -1,4 +1,4 @@
-"""Seeds that a script is asked for, and the rows that it keeps, in JSON lines, as they come."""
+"""Parse the seeds given to a script, and append its results to a file as JSON lines."""
 
 import argparse
 import json
@@ -10,7 +10,7 @@ from evetac_cli.jobs import Row, Rows
 
 
 def seeds_of(text: str) -> range:
-    """The seeds that FIRST-LAST, or one number, names; ArgumentTypeError for other text, as of `type` in argparse."""
+    """Parse FIRST-LAST, or one number, into seeds; ArgumentTypeError, for argparse, if it is invalid."""
     match = re.fullmatch(r"(\d+)(?:-(\d+))?", text)
     first, last = (int(match[1]), int(match[2] or match[1])) if match else (1, 0)
     if first > last:
@@ -19,7 +19,7 @@ def seeds_of(text: str) -> range:
 
 
 def rows_in(path: Path) -> Rows:
-    """The rows of a file, none where there is no such file; SystemExit for a line that is no row."""
+    """Return the rows of a file, or none if it does not exist; SystemExit for an invalid line."""
     rows: Rows = []
     for number, line in enumerate(path.read_text().splitlines() if path.exists() else [], 1):
         try:
@@ -33,7 +33,7 @@ def rows_in(path: Path) -> Rows:
 
 
 def add_rows(path: Path, rows: Iterable[Row]) -> None:
-    """Add rows to the end of a file."""
+    """Append rows to a file."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("a") as file:
         file.writelines(json.dumps(row) + "\n" for row in rows)

@@ -1,6 +1,6 @@
-"""What slip detectors say of a trial that they see through the camera and the tracker `stable`, all of them at once.
+"""Run several slip detectors at once on a trial seen through the camera and the tracker `stable`.
 
-The tracker runs once, in place of once for each detector; probabilities are those of `track`, `featurize` and a report.
+The tracker runs once instead of once per detector. The probabilities equal those of `track`, `featurize` and a report.
 """
 
 from collections.abc import Mapping
@@ -29,10 +29,10 @@ UNKNOWN = float("nan")
 
 
 class Seen:
-    """Tracks, events, gripper and sticking share of a trial, slice by slice; `see` is for `motions.played`."""
+    """Tracks, events, gripper and sticking share of a trial, slice by slice; pass `see` to `motions.played`."""
 
     def __init__(self, *, sticks: bool) -> None:
-        """Begin before the first slice; sticks: whether the share that sticks is told."""
+        """Start before the first slice; sticks: whether the sticking share is estimated."""
         self.sensor: Mapping[str, Any] = {}
         self.rest_px: Floats = np.empty((0, 2))
         self._dot_px: list[Singles] = []
@@ -44,7 +44,7 @@ class Seen:
         self._sticking: StickingShare | None = None
 
     def see(self, sensor: Mapping[str, Any], events: Events, row: Mapping[str, Any]) -> None:
-        """Take in one more slice."""
+        """Add one more slice."""
         if self._tracking is None:
             self.sensor = sensor
             self.rest_px = np.asarray(sensor["sensor/dot_xy_px"], np.float64).reshape(-1, 2)
@@ -53,7 +53,7 @@ class Seen:
             self._sticking = StickingShare(self.rest_px) if self._sticks else None
         state = self._tracking
         tracker.step(state, events.x, events.y, events.p)
-        # as what a slice is told: the share of the slice before
+        # a slice uses the sticking share of the slice before
         self._share.append(UNKNOWN if self._sticking is None else self._sticking.share)
         if self._sticking is not None:
             self._sticking.step(state.dot_xy_px, state.lost)
@@ -67,11 +67,11 @@ class Seen:
 
     @property
     def dot_px(self) -> Singles:
-        """Where the tracker saw the dots at the end of each slice, (slices, dots, 2), as tracks store them."""
+        """Tracked positions of the dots at the end of each slice, (slices, dots, 2), as tracks store them."""
         return np.array(self._dot_px)
 
     def extras(self) -> Singles:
-        """What is known beside the dots, (slices, extras)."""
+        """The inputs that are not from dots, (slices, extras)."""
         slices = len(self._dot_px)
         share = np.array(self._share, np.float32)
         if not self._gripper:
@@ -81,11 +81,11 @@ class Seen:
         return extras.columns(slices, *known, share)
 
     def probabilities(self, models: Mapping[str, Model]) -> dict[str, tuple[Singles, int]]:
-        """Of each model by name, with its horizon in ms."""
+        """Return the probabilities of each model by name, with its horizon in ms."""
         dot_px, events = self.dot_px, np.array(self._events)
         moved, moved_xy = features.displacement(dot_px, self.rest_px), features.displacement_xy(dot_px, self.rest_px)
         told, sensitivity = self.extras(), sensitivity_of(self.sensor)
-        alike: dict[Architecture, list[str]] = {}  # whose inputs are the same
+        alike: dict[Architecture, list[str]] = {}  # models with the same inputs
         for name, model in models.items():
             alike.setdefault(model.architecture, []).append(name)
         said = {}
@@ -100,7 +100,7 @@ class Seen:
 
 
 def seen(planned: Planned, seed: int, models: Mapping[str, Model]) -> tuple[Trial, Scores]:
-    """A trial with a camera, and what each model says of it."""
+    """Simulate a trial with a camera; return it and each model's probabilities."""
     sticks = any(
         view.extra == "sticking"
         for model in models.values()

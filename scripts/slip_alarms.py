@@ -1,13 +1,13 @@
-"""Alarms of a slip detector, or of an oracle, in one trial: which are false, and how far ahead of slip they come.
+"""Classify the alarms of a slip detector, or of an oracle, in one trial: which are false, and how early they are.
 
-Alarms are those of kernels/slip/alarms.py. Two rules say what makes an alarm true, as some users want to know of
-partial slip and others of gross slip:
+Alarms are those of kernels/slip/alarms.py. Two rules define a true alarm, for users who want to know of partial slip
+and users who want to know of gross slip:
 
-- `partial`: SLIPS or more of the visible contact slips from BEFORE_MS before to AFTER_MS after it;
-- `gross`: the object slides within FOLLOWS_MS after it.
+- `partial`: SLIPS or more of the visible contact slips between BEFORE_MS before and AFTER_MS after the alarm;
+- `gross`: the object slides within FOLLOWS_MS after the alarm.
 
-A gross slip is warned of by the alarm that lasts until it, unless that alarm began as a false one. An alarm while the
-object slides, LATE_MS and more after it began to, warns of nothing and is not counted.
+The warning of a gross slip is the alarm that is on when it begins, unless that alarm began as a false one. An alarm
+that begins while the object has been sliding for LATE_MS or more is not a warning and is not counted.
 """
 
 from typing import NamedTuple
@@ -24,7 +24,7 @@ RULES = ("partial", "gross")
 
 
 def begins(flags: Flags, apart_ms: int) -> list[int]:
-    """Slices at which flags begin to be set after they were not for so long."""
+    """Return the slices at which flags become set after a pause of a given length."""
     found: list[int] = []
     last = -apart_ms - 1
     for at in np.flatnonzero(flags).tolist():
@@ -35,21 +35,21 @@ def begins(flags: Flags, apart_ms: int) -> list[int]:
 
 
 def slip_begins(slips: Flags) -> list[int]:
-    """Slices at which gross slip begins after APART_MS without any."""
+    """Return the slices at which gross slip begins after APART_MS without any."""
     return begins(slips, APART_MS)
 
 
 class Judged(NamedTuple):
-    """Of one trial and threshold: false alarms by rule, and how far ahead each slip was warned of; None: it was not."""
+    """Results of a trial at one threshold: false alarms by rule, and how early each slip was warned of (None: not)."""
 
     false: dict[str, int]
     leads_ms: dict[str, list[int | None]]
 
 
 def judge(alarming: Flags, share: Singles, slips: Flags) -> Judged:
-    """Judge the slices that alarm by the true share of the contact that slips, and by gross slip."""
+    """Classify alarms by the true slipping share of the contact and by gross slip."""
     slips_at = slip_begins(slips)
-    slides = slips.copy()  # long enough for an alarm to be late
+    slides = slips.copy()  # slices at which an alarm would be late
     for begin in slips_at:
         slides[begin : begin + LATE_MS + 1] = False
 

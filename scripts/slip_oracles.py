@@ -1,12 +1,12 @@
-"""Three oracles of slip, which know what no sensor does: the ceiling under which every detector stands.
+"""Three slip oracles, which use true values that no sensor measures: an upper bound for every detector.
 
-- `share` knows which share of the visible contact slips;
-- `force` knows also the force of the grip, the load and how fast the finger opens;
-- `ahead` knows the same, and where all that will be in AHEAD_MS if it goes on as in the last SLOPE_MS.
+- `share` uses the slipping share of the visible contact;
+- `force` also uses the grip force, the load, and the opening speed of the fingers;
+- `ahead` also extrapolates these values by AHEAD_MS, with their trend over the last SLOPE_MS.
 
-The first is its own score. The others weigh what they know by a logistic regression on gross slip HORIZON ms later,
-fitted on trials of TRAINED objects (seeds FIT_SEEDS), as is said in slip-oracles.json. `python scripts/slip_oracles.py`
-fits them again.
+The share is its own score. The scores of the other two are logistic regressions on gross slip HORIZON ms later, fitted
+on trials of TRAINED objects (seeds FIT_SEEDS) and stored in slip-oracles.json. `python scripts/slip_oracles.py` fits
+them again.
 """
 
 import itertools
@@ -30,12 +30,12 @@ AHEAD_MS, SLOPE_MS = 20, 20
 FIT_SEEDS = range(3000, 3004)
 FIT_MOTIONS = ("slip", "slip-speeds", "slip-speeds", "pushes", "jerks", "handling", "grip")
 PENALTY = 1e-3
-SLIP_MS = 60  # after its onset a slip is no longer learned from
-LEAST_N = 0.02  # of a force, in a logarithm
+SLIP_MS = 60  # slices later than this after the onset of slip are not used for training
+LEAST_N = 0.02  # offset of a force in a logarithm
 
 
 def known(trial: Trial) -> Floats:
-    """What `force` knows of each slice: (slices, 4) share, log grip over load, their product, opening in ticks/ms."""
+    """Return the inputs of `force` (slices, 4): share, log grip over load, their product, opening in ticks/ms."""
     share = trial.slip_share.astype(np.float64)
     load_n = np.hypot(*trial.shear_n.T.astype(np.float64))
     grip = np.log((trial.normal_n + LEAST_N) / (load_n + LEAST_N))
@@ -44,14 +44,14 @@ def known(trial: Trial) -> Floats:
 
 
 def _slope(values: Floats) -> Floats:
-    """By how much values have risen in each slice, over the last SLOPE_MS."""
+    """Return how much values have risen in each slice, over the last SLOPE_MS."""
     before = np.concatenate([np.repeat(values[:1], SLOPE_MS, axis=0), values[:-SLOPE_MS]])[: len(values)]
     slope: Floats = (values - before) / SLOPE_MS
     return slope
 
 
 def columns(trial: Trial, oracle: str) -> Floats:
-    """What is weighed, (slices, k); the first column is 1."""
+    """Return the weighted inputs, (slices, k); the first column is 1."""
     now = known(trial)
     parts = [np.ones((len(now), 1)), now, now[:, :1] ** 2]
     if oracle == "ahead":
@@ -62,7 +62,7 @@ def columns(trial: Trial, oracle: str) -> Floats:
 
 
 def fit(trials: list[Trial], oracle: str, horizon_ms: int) -> Floats:
-    """Weights of an oracle's columns, on slices in which the object is held, up to SLIP_MS after it slips."""
+    """Fit an oracle's weights on slices in which the object is held, up to SLIP_MS after it slips."""
     rows, wanted = [], []
     for trial in trials:
         slips = trial.slips.copy()
@@ -79,13 +79,13 @@ def fit(trials: list[Trial], oracle: str, horizon_ms: int) -> Floats:
 
 @cache
 def weights() -> dict[str, dict[str, list[float]]]:
-    """The weights as they were fitted, by oracle and horizon."""
+    """Return the fitted weights, by oracle and horizon."""
     loaded: dict[str, dict[str, list[float]]] = json.loads(FILE.read_text())["weights"]
     return loaded
 
 
 def score(trial: Trial, oracle: str, horizon_ms: int = 0) -> Singles:
-    """The score of an oracle in each slice, 0 to 1."""
+    """Return the score of an oracle in each slice, 0 to 1."""
     if oracle == "share":
         return trial.slip_share
     logit = columns(trial, oracle) @ np.array(weights()[oracle][str(horizon_ms)])
@@ -93,7 +93,7 @@ def score(trial: Trial, oracle: str, horizon_ms: int = 0) -> Singles:
 
 
 def main() -> None:
-    """Fit the weights, and write them with what they were fitted to."""
+    """Fit the weights, and write them with a record of the training data."""
     trials = [
         motions.played(motions.planned(motion, number, seed + 100 * turn, reshaped=True), seed)
         for seed, number in itertools.product(FIT_SEEDS, motions.TRAINED)

@@ -1,4 +1,4 @@
-"""One trial judged: alarms, leads, timing and F1 of every score at every threshold, as one row.
+"""Evaluate one trial: alarms, lead times, timing and F1 of every score at every threshold, as one row.
 
 A score is an oracle's, or the probability of a slip detector that sees the trial through camera and tracker.
 """
@@ -25,20 +25,20 @@ from evetac_cli.kernels.slip.labels import is_slip, shift_labels
 from evetac_cli.kernels.slip.metrics import F1_CUT_MS
 from evetac_cli.kernels.slip.reliability import ABOVE
 
-# Where the rare scores near 0 and 1 differ, thresholds are closer.
+# Thresholds are denser near 0 and 1, where the rare scores differ.
 THRESHOLDS = (
     *(0.005, 0.01, 0.02, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6, 0.7, 0.75, 0.8, 0.85, 0.9),
     *(0.925, 0.95, 0.96, 0.97, 0.98, 0.985, 0.99, 0.995, 0.998, 0.999),
 )
-SLIPS = ("slip", "slip-varied", "slip-speeds")  # motions with an onset that timing is judged by
-RAMP_MS = 900  # in these, what comes before is not examined, as the weight is handed over
+SLIPS = ("slip", "slip-varied", "slip-speeds")  # motions with an onset for the evaluation of timing
+RAMP_MS = 900  # in these motions, the time before the onset is ignored, because the weight is being transferred
 SENSORS = 20
-SPEED_MS = 300  # before slip, over which the speed of unloading is taken
+SPEED_MS = 300  # ms before slip, over which the unloading speed is measured
 Scores = Mapping[str, tuple[Singles, int]]  # probability of each slice by name, and its horizon in ms
 
 
 def oracle_scores(trial: Trial) -> dict[str, tuple[Singles, int]]:
-    """The scores of the oracles, each for each horizon."""
+    """Return the scores of the oracles, each for each horizon."""
     pairs = itertools.product(slip_oracles.ORACLES, slip_oracles.HORIZONS_MS)
     return {f"{name} {ms} ms": (slip_oracles.score(trial, name, ms), ms) for name, ms in pairs}
 
@@ -46,9 +46,9 @@ def oracle_scores(trial: Trial) -> dict[str, tuple[Singles, int]]:
 def planned_at(
     motion: str, objects: tuple[int, ...], seed: int, place: int, sensors: int, several: int = SENSORS
 ) -> tuple[int, Planned]:
-    """The object and the plan of the place-th trial of a motion; every second one has one of several random sensors.
+    """Return object and plan of a motion's trial number `place`; every second trial has a random sensor.
 
-    Objects are of other shape, width, weight and friction than the table's, another in each trial.
+    Objects differ from the table's in shape, width, weight and friction, with another object in each trial.
     """
     number = objects[place // 2 % len(objects)]
     sensor = EVETAC if place % 2 == 0 else f"randomized:{sensors + place // 2 % several}"
@@ -56,14 +56,14 @@ def planned_at(
 
 
 def planned_on(sensor: str, motion: str, number: int, seed: int) -> Planned:
-    """The plan of a trial on a sensor, whose gel is cut."""
+    """Return the plan of a trial on a sensor with a cut gel."""
     trial = motions.planned(motion, number, seed, sensor, reshaped=motion != "data-rate")
     scene = replace(trial.plan.scene, gel=replace(trial.plan.scene.gel, cut=True))
     return trial._replace(plan=replace(trial.plan, scene=scene))
 
 
 def judged(motion: str, trial: Trial, scores: Scores) -> Row:
-    """What every score did in a trial: counts by threshold."""
+    """Return the results of every score in a trial: counts by threshold."""
     held = trial.normal_n > 0.0
     slips = trial.slips & held
     row: Row = {"minutes": round(float(held.sum()) / 60_000, 5), "slips": len(slip_alarms.slip_begins(slips))}
@@ -103,9 +103,9 @@ def _counted(motion: str, trial: Trial, score: Singles, horizon_ms: int, slips: 
 
 
 def _calibration(trial: Trial, score: Singles, horizon_ms: int, slips: Any) -> list[list[float]]:
-    """By tenths of what was said from ABOVE on: slices, sum of what was said, and how many slipped that much later.
+    """Return the calibration by tenths of the score from ABOVE: slices, sum of scores, and slips after the horizon.
 
-    Of slices in which the object is held, up to F1_CUT_MS after its first slip, as in a report on slip.
+    Slices count while the object is held, up to F1_CUT_MS after its first slip, as in a report on slip.
     """
     begins = slip_alarms.slip_begins(slips)
     stop = min((begins[0] + F1_CUT_MS) if begins else len(score), len(score) - horizon_ms)
@@ -121,10 +121,10 @@ def rows_of(
     path: Path, motion: str, trials: Iterator[tuple[int, Planned]], seed: int, minutes: float, most: int,
     play: Callable[[Planned, int], tuple[Trial, Scores]],
 ) -> list[Row]:  # fmt: skip
-    """The rows of a motion until its trials last so long or are so many; from the file as far as they are there.
+    """Return the rows of a motion until its trials reach the minutes or the number, from the file if they exist.
 
-    A trial that the simulator refuses leaves a row that says so, and is not among those returned. SystemExit where the
-    file has rows of other trials.
+    A trial that the simulator refuses leaves a row with the reason, which is not returned. SystemExit if the file has
+    rows of other trials.
     """
     known = rows_in(path)
     rows: list[Row] = []
@@ -137,13 +137,13 @@ def rows_of(
             there = {key: known[place].get(key) for key in row}
             if there != row:
                 raise SystemExit(
-                    f"{path}, line {place + 1}: expected {row}, found {there}; name another folder by --rows"
+                    f"{path}, line {place + 1}: expected {row}, found {there}; name another folder with --rows"
                 )
             rows.append(known[place])
             continue
         try:
             row |= judged(motion, *play(planned, seed + place))
-        except SceneError as error:  # a heavy object on a soft gel, beyond what the layer can be pressed
+        except SceneError as error:  # a heavy object would compress a soft gel beyond the layer's limit
             row["refused"] = error.message
         rows.append(row)
         add_rows(path, [row])

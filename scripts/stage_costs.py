@@ -1,15 +1,17 @@
-"""What each stage costs: processor time, memory and bytes per trial, start-up apart from work.
+"""Measure the cost of each stage: processor time, memory and bytes per trial, with start-up separated from work.
 
     python scripts/stage_costs.py                          # `make profile`: six trials of the scene slip
     python scripts/stage_costs.py --trials 8 -o costs.json # more trials, and the figures as JSON too
-    python scripts/stage_costs.py --only track,label       # these, and without figures the stages that they need
-    python scripts/stage_costs.py --inside track           # ... and in which functions the time of a stage is
+    python scripts/stage_costs.py --only track,label       # these, and (without figures) the stages that they need
+    python scripts/stage_costs.py --inside track           # ... and the functions in which a stage spends its time
 
-Every command is run on two trials, on all, and on all again, when there is nothing left to do. What all take more than
-two is work, per trial; what two take beside their work is start-up: loading modules and kernels, reading flags, looking
-at files. Processor time is that of all processes that a command starts; the least of some rounds, because other
-programs make it longer. Memory is the largest resident set on all trials. Bytes are those of what the stage writes.
-Compile first (`evetac doctor --compile`), or the first round compiles. Simulated, one process (`--jobs 1`).
+Every command runs on two trials, on all trials, and on all again, when there is nothing left to do. The difference
+between all and two trials is the work, per trial. The rest of the time for two trials is start-up: loading modules and
+kernels, reading flags, looking at files.
+
+Processor time includes all processes that a command starts. The least of several rounds counts, because other programs
+only add time. Memory is the largest resident set on all trials. Bytes are those of the stage's outputs. Run `evetac
+doctor --compile` first, otherwise the first round compiles. Simulated, one process (`--jobs 1`).
 """
 
 import argparse
@@ -31,26 +33,26 @@ from evetac_cli.console import print_table, say
 from evetac_cli.jobs import Row
 from evetac_cli.resources import MODEL
 
-FEW = 2  # trials of the first run: the least that train learns and chooses a threshold on
-SEED = 10_000  # of the first trial: the package's detector was not trained on it
-MOST_FUNCTIONS = 20  # that --inside shows
+FEW = 2  # trials of the first run: the least that train needs to train and to choose a threshold
+SEED = 10_000  # object of the first trial, which the pretrained detector was not trained on
+MOST_FUNCTIONS = 20  # functions that --inside shows
 AS_SHOWN = ("stage", "cpu_s_per_trial", "share", "start_cpu_s", "again_cpu_s", "memory_mb", "kilobytes_per_trial")
 
 
 @dataclass(frozen=True)
 class Step:
-    """A command that is measured."""
+    """A command to measure."""
 
-    words: tuple[str, ...]  # before the files that it reads
-    reads: str = ""  # the kind of these files; empty: it makes trials, so many as it is told
-    writes: str = ""  # how the names of what it makes end; empty: nothing
-    after: tuple[str, ...] = ("record",)  # the steps whose files it needs
+    words: tuple[str, ...]  # arguments before the input files
+    reads: str = ""  # kind of the input files; empty: it makes a given number of trials
+    writes: str = ""  # file name suffix of its outputs; empty: none
+    after: tuple[str, ...] = ("record",)  # steps whose files it needs
 
 
 def steps(scene: str, grasp_s: float) -> dict[str, Step]:
-    """All that is measured, in an order in which each finds what it reads.
+    """Return all commands to measure, in an order in which each finds its inputs.
 
-    grasp_s: how long a grasp lifts; it balances a third of that.
+    grasp_s: how long a grasp lifts; it balances for a third of that.
     """
     lasts = ("--lift-s", str(grasp_s), "--balance-s", str(grasp_s / 3.0))
     learn = ("train", "--model", "disp-xy", "--preset", "adam", "--epochs", "1", "-o", "a.model.h5")
@@ -76,22 +78,22 @@ def steps(scene: str, grasp_s: float) -> dict[str, Step]:
 
 
 def command(step: Step, folder: Path, trials: int) -> list[str]:
-    """The words of a step on the trials of a folder, or to make so many of them."""
+    """Return the arguments of a step for the trials of a folder, or for making a number of them."""
     if not step.reads:
         return [*step.words, "--quiet", "--count", str(trials), "--seed", str(SEED)]
     return [*step.words, "--quiet", *(path.name for path in sorted(folder.glob(f"*.{step.reads}.h5")))]
 
 
 def needed(chosen: Sequence[str], known: dict[str, Step]) -> list[str]:
-    """The steps that are chosen and all that make files for them, in their order."""
+    """Return the chosen steps and all steps that make files for them, in order."""
     before = {earlier for name in chosen for earlier in known[name].after}
     return [name for name in known if name in chosen or name in before]
 
 
 def measured_round(known: dict[str, Step], chosen: Sequence[str], trials: int, scene: Path | None) -> dict[str, Row]:
-    """What each of the chosen steps takes: on two trials, on all, on all again, and what it writes.
+    """Measure each chosen step on two trials, on all and on all again, and the bytes it writes.
 
-    Of a step that is not chosen, nothing; scene: a file that is put beside the trials.
+    Steps that are not chosen run without figures. scene: a file that is put next to the trials.
     """
     rows: dict[str, Row] = {}
     with tempfile.TemporaryDirectory(prefix="evetac-profile-") as place:
@@ -114,7 +116,7 @@ def measured_round(known: dict[str, Step], chosen: Sequence[str], trials: int, s
 
 
 def table(rounds: Sequence[dict[str, Row]], trials: int) -> list[Row]:
-    """A row for each step from the least of some rounds, and one for all: work per trial, its share, and start-up."""
+    """Return a row for each step (least of several rounds) and one for all: work per trial, its share, and start-up."""
     rows: list[Row] = []
     for stage in rounds[0]:
         least = {key: min(taken[stage][key] for taken in rounds) for key in rounds[0][stage] if key.endswith("_s")}
@@ -131,7 +133,7 @@ def table(rounds: Sequence[dict[str, Row]], trials: int) -> list[Row]:
 
 
 def summary(rows: Sequence[Row]) -> Row:
-    """All stages together: work per trial, start-up, and how much of it start-up is where a trial is alone."""
+    """Summarise all stages: work per trial, start-up, and the share of start-up if there is a single trial."""
     work_s, start_s = (sum(row[key] for row in rows) for key in ("cpu_s_per_trial", "start_cpu_s"))
     return {
         "cpu_s_per_trial": work_s,
@@ -143,7 +145,7 @@ def summary(rows: Sequence[Row]) -> Row:
 
 
 def inside(known: dict[str, Step], stage: str, trials: int, scene: Path | None) -> list[Row]:
-    """The functions in which a stage is longest, by themselves, with all that they call, and how often they run."""
+    """Return the functions in which a stage spends most time: own time, time with callees, and number of calls."""
     with tempfile.TemporaryDirectory(prefix="evetac-profile-") as place:
         folder = Path(place)
         if scene is not None:
@@ -164,18 +166,18 @@ def inside(known: dict[str, Step], stage: str, trials: int, scene: Path | None) 
 
 
 def place_of(file: str, line: int, name: str) -> str:
-    """Where a function is: its file by the last three folders, its line and its name."""
+    """Return the location of a function: file with its last three folders, line and name."""
     return f"{'/'.join(Path(file).parts[-3:])}:{line} {name}" if line else name
 
 
 def main() -> None:
-    """Measure, and show a table."""
+    """Measure and print a table."""
     about = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    about.add_argument("--trials", type=int, default=6, help="how many, from 3 on")
-    about.add_argument("--rounds", type=int, default=2, help="of which the least counts")
-    about.add_argument("--scene", default="slip", help="a name, or a TOML file")
+    about.add_argument("--trials", type=int, default=6, help="number of trials, at least 3")
+    about.add_argument("--rounds", type=int, default=2, help="rounds; the least time counts")
+    about.add_argument("--scene", default="slip", help="name of a scene, or a TOML file")
     about.add_argument("--grasp-s", type=float, default=3.0, help="how long a grasp lifts")
-    about.add_argument("--only", default="", help="stages, with commas between them")
+    about.add_argument("--only", default="", help="stages, separated by commas")
     about.add_argument("--inside", default="", help="a stage: show its longest functions instead")
     about.add_argument("-o", "--out", type=Path, help="write the figures as JSON too")
     given = about.parse_args()

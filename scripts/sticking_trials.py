@@ -1,6 +1,6 @@
-"""What the network of a sticking share is trained and judged on: trials without a camera, as a tracker would see them.
+"""Trials for training and evaluating the sticking-share network: without a camera, with a simulated tracker error.
 
-What a tracker makes of true dots is drawn (motions.py has the trials).
+The tracker's error of the true dots is drawn at random (motions.py has the trials).
 """
 
 import math
@@ -17,17 +17,17 @@ from evetac_cli.kernels.touch.dot_modes import DotNoise
 from evetac_cli.kernels.touch.sticking import StickingNetwork
 from evetac_cli.kernels.touch.touch_map import BEGINS, ENDS
 
-UNSEEN = ("fast jerks", "data-rate", "weights", "vibration", "slip-speeds", "opening", "light touch")  # not trained on
-# A tracker's error: standard deviations in px, of two errors that drift and come back within DRIFT_S, as in
-# kernels/touch/dot_modes.py, and of one from slice to slice.
+UNSEEN = ("fast jerks", "data-rate", "weights", "vibration", "slip-speeds", "opening", "light touch")  # not in training
+# The tracker's error, as standard deviations in px: two errors that drift and return within DRIFT_S, as in
+# kernels/touch/dot_modes.py, and one from slice to slice.
 OWN_PX, COMMON_PX, SLICE_PX, DRIFT_S = 0.05, 0.2, 0.03, 1.0
 KNOT_MS = 50
-LOW, HIGH = 0.05, 0.95  # shares that slip: below nothing does to speak of, above all does
-AFTER_MS = 50  # for so long after a slip an alarm may last
+LOW, HIGH = 0.05, 0.95  # slipping shares: practically none below LOW, practically all above HIGH
+AFTER_MS = 50  # an alarm may last this long after a slip
 
 
 def tracked_px(trial: Trial, rng: np.random.Generator) -> Floats:
-    """The dots as a tracker has them: with an error of each dot and one that all share, both of which drift."""
+    """Return the dots as tracked: with an error of each dot and a common one, both drifting."""
     slices, dots = trial.dot_px.shape[:2]
     knots = slices // KNOT_MS + 2
     keeps = math.exp(-KNOT_MS * 1e-3 / DRIFT_S)
@@ -46,7 +46,7 @@ def tracked_px(trial: Trial, rng: np.random.Generator) -> Floats:
 
 
 def kept(folder: Path, motion: str, number: int, seed: int, sensor: str = EVETAC, reshaped: bool = False) -> Trial:
-    """A trial from its file in a folder, where it is made first if it is not there."""
+    """Return a trial from its file in a folder; the trial is made first if the file is missing."""
     name = (motion.replace(" ", "-"), number, seed, sensor.replace(":", "_"), *["reshaped"] * reshaped)
     path = folder / f"{'-'.join(map(str, name))}.npz"
     if not path.exists():
@@ -63,14 +63,14 @@ def kept(folder: Path, motion: str, number: int, seed: int, sensor: str = EVETAC
 
 
 def recent_largest(values: Singles, slices: int) -> Singles:
-    """The largest of each slice and so many before it."""
+    """Return the largest value over each slice and a number of slices before it."""
     padded = np.concatenate([np.zeros(slices, values.dtype), values])
     largest: Singles = np.lib.stride_tricks.sliding_window_view(padded, slices + 1).max(axis=1)
     return largest
 
 
 def touched(dot_mm: Floats, rest_mm: Floats) -> Flags:
-    """In which slices something touches, by the rule of a touch map."""
+    """Return in which slices the gel is touched, by the rule of touch maps."""
     moved = dot_mm - rest_mm
     apart = moved - moved.mean(axis=1, keepdims=True)
     over_own = np.sqrt(np.mean(apart**2, axis=(1, 2))) / DotNoise().own_mm
@@ -83,10 +83,10 @@ def touched(dot_mm: Floats, rest_mm: Floats) -> Flags:
 
 
 class Looks(NamedTuple):
-    """What a network is given and tells at each look of a trial while something touches.
+    """Inputs and outputs of a network at each look of a trial during touch.
 
-    slices: of the looks; inputs: (looks, INPUTS); told: the share that slips, with its sd; begun: how probably slip has
-    begun; fields_mm: displacements of dots at the reference and now (looks, 2, dots, 2).
+    slices: of the looks; inputs: (looks, INPUTS); `told`: the slipping share and its standard deviation; begun:
+    probability that slip has begun; fields_mm: displacements of dots at the reference and now (looks, 2, dots, 2).
     """
 
     slices: NDArray[np.int64]
@@ -100,12 +100,12 @@ class Looks(NamedTuple):
 
 
 def looks_of(trial: Trial, rng: np.random.Generator, network: StickingNetwork, missing: float = 0.0) -> Looks:
-    """What a network tells of a trial as a tracker sees it, of whose dots a share is missing throughout."""
+    """Return a network's estimates for a trial seen by a tracker, with a share of the dots missing throughout."""
     return looks_at(trial, tracked_px(trial, rng), rng.random(len(trial.rest_px)) < missing, network)
 
 
 def looks_at(trial: Trial, dot_px: Floats, lost: Flags, network: StickingNetwork) -> Looks:
-    """What a network tells of tracked dots (slices, dots, 2), of which some (dots,) are lost throughout."""
+    """Return a network's estimates for tracked dots (slices, dots, 2), of which some (dots,) are lost throughout."""
     dot_mm, rest_mm = trial.in_mm(dot_px), trial.in_mm(trial.rest_px)
     state = sticking.start(rest_mm, network)
     touches = touched(dot_mm[:, ~lost], rest_mm[~lost])

@@ -1,7 +1,7 @@
-"""Studies beside the paper's experiments: the commands that they need, and the tables of what they measure.
+"""Define the studies that go beyond the paper's experiments: their commands, and the tables of their measurements.
 
-Two are evaluated here, in modules of their own (part_effects.py, blind_identification.py), and two by programs: the
-touch sensor and the examples in robot_tables.py, forces by `evetac evaluate force`.
+Two are evaluated in modules of their own (part_effects.py, blind_identification.py). Two are evaluated by programs: the
+touch sensor and the examples by robot_tables.py, forces by `evetac evaluate force`.
 """
 
 from collections.abc import Iterator
@@ -13,19 +13,19 @@ from evetac_cli.jobs import Rows
 
 
 def all_rows(evaluations: Evaluations) -> Rows:
-    """The rows as they were measured."""
+    """Return the measured rows unchanged."""
     return [row for evaluation in evaluations.values() for row in evaluation.rows]
 
 
 def measured(name: str, title: str, *columns: tuple[str, str], notes: tuple[str, ...] = ()) -> Table:
-    """The table of a measurement, which has its name; columns are heading and cell."""
+    """Return the table of a measurement of the same name; columns are heading and cell."""
     return Table(name, title, (name,), all_rows, tuple(Column(*one) for one in columns), notes=notes, measured=True)
 
 
 # --- forces on sensors that no model saw ------------------------------------------------------------------------------
 
 TRACKERS = {"stable": "", "paper": "paper/"}  # folder of its tracks
-STATES = {  # as `evaluate force` calls them
+STATES = {  # as `evaluate force` names them
     "unknown": "nothing",
     "known": "scale, modulus within {stiffness_error:.0%}",
     "identified": "what `identify` tells, and the scale",
@@ -38,7 +38,7 @@ FIGURES = ("mae_n", "worst_sensor_mae_n", "normal_mae_n", "normal_mae_of_range",
 
 
 def force_sensor_steps(sizes: Sizes) -> Iterator[Command]:
-    """Presses on every sensor, tracked in two ways; and the paper's models, which learn from the sensor `evetac`."""
+    """Press on every sensor and track in two ways; train the paper's models on the sensor `evetac`."""
     trials = ("shear-0", "slip", *(f"adapt-{number}" for number in range(sizes["adapt"])))
     yield script("force_randomized.py", ".", "--first", sizes["first"], "--sensors", sizes["sensors"],
                  "--trials", *trials)  # fmt: skip
@@ -51,9 +51,9 @@ def force_sensor_steps(sizes: Sizes) -> Iterator[Command]:
 
 
 def force_sensor_evaluations(sizes: Sizes) -> dict[str, Command]:
-    """Touch maps with what is known of the gel, on faces by both trackers and on objects; the paper's models.
+    """Evaluate the paper's models, and touch maps with different knowledge of the gel, on faces and objects.
 
-    The seed is that of readings and of the errors of moduli.
+    The seed is that of the force readings and of the errors of moduli.
     """
     seed = ("--seed", sizes["first"])
 
@@ -70,7 +70,7 @@ def force_sensor_evaluations(sizes: Sizes) -> dict[str, Command]:
 
 
 def state_rows(evaluation: Evaluation, tracker: str) -> Rows:
-    """A row for everything that is known of the gel."""
+    """Return a row for each kind of knowledge of the gel."""
     rows, summary = [], evaluation.summary
     for state, words in STATES.items():
         name = state.replace(", ", "_and_")
@@ -82,7 +82,7 @@ def state_rows(evaluation: Evaluation, tracker: str) -> Rows:
 
 
 def paper_rows(evaluation: Evaluation, tracker: str) -> Rows:
-    """A row for each of the paper's models, trained on one sensor."""
+    """Return a row for each of the paper's models, trained on one sensor."""
     rows = []
     for model, words in PAPER_MODELS.items():
         by_sensor: dict[str, list[float]] = {}
@@ -97,7 +97,7 @@ def paper_rows(evaluation: Evaluation, tracker: str) -> Rows:
 
 
 def sensor_rows(evaluations: Evaluations) -> Rows:
-    """Rows of both trackers, then the paper's method."""
+    """Return the rows of both trackers, then of the paper's method."""
     any_sensor = [(tracker, evaluations[tracker]) for tracker in TRACKERS if tracker in evaluations]
     one_sensor = [(name, evaluations[f"evetac-{name}"]) for name in TRACKERS if f"evetac-{name}" in evaluations]
     return [
@@ -141,7 +141,7 @@ FORCE_OBJECTS = Table(
 
 # --- what each part does to each stage --------------------------------------------------------------------------------
 
-# Figure of part_effects.py: heading and format of its cells.
+# A figure of part_effects.py: heading and format of its cells.
 PART_FIGURES = {
     "events_ms": ("events per ms", ".1f"),
     "tracking_px": ("tracking error [px]", ".3f"),
@@ -224,5 +224,5 @@ def lift_steps(sizes: Sizes) -> Iterator[Command]:
 
 
 def trials_file(sizes: Sizes) -> str:
-    """What an example writes, named by its sizes: it has no recipe by which a run of other sizes could be told."""
+    """Return an example's output file, named by its sizes, because it has no recipe that distinguishes runs."""
     return "-".join(str(value) for value in sizes.values()) + ".json"

@@ -1,15 +1,17 @@
-"""Touch maps after known forces: two minutes of adaptation of sensors that are not as told; beside published forces.
+"""Evaluate touch maps after two minutes of adaptation with known forces, on sensors that differ from their description.
 
     python scripts/touch_adapted.py [--seeds 60000-60024] [--out docs/results]
 
 `touch-adapted`: for each setting of touch_contacts.py, errors on its contacts before and after the map's forces are
-adapted (kernels/force/gel_forces.py) on 24 others, two minutes at 5 s each, under a force sensor with 0.05 N of noise.
+adapted (kernels/force/gel_forces.py) on 24 other contacts. These take two minutes at 5 s each, with a force sensor with
+0.05 N of noise.
 
-`touch-published`: one sensor, 219 contacts to adapt on and 219 to judge, normal force 1 to 20 N and shear 0 to 4 N, as
-much of it as friction bears. Beside it the errors that a force field from events reached on one real sensor after 219
-recordings (arXiv 2606.09451, a network of 7.9 million parameters, 100 Hz): another scene, so no comparison of methods.
+`touch-published`: one sensor, with 219 contacts to adapt on and 219 to evaluate. Normal force is 1 to 20 N and shear is
+0 to 4 N, as far as friction allows. The table also has the published errors of a force field from events on one real
+sensor after 219 recordings (arXiv 2606.09451, a network of 7.9 million parameters, 100 Hz). The scene differs, so this
+is not a comparison of methods.
 
-Seeds beside those of --seeds follow them by the hundred. Minutes; simulated.
+Additional seeds follow those of --seeds by the hundred. It takes minutes; simulated.
 """
 
 import argparse
@@ -47,13 +49,13 @@ from evetac_cli.sim.setup.sensor import Sensor  # noqa: E402
 READING_SD_N = 0.05
 ADAPTED_ON = 3  # seeds of eight contacts each
 CONTACT_S = 5.0
-STIFFNESS_LOG_SD = 0.2  # before: what is told of the modulus may be so far off
+STIFFNESS_LOG_SD = 0.2  # assumed error of the given modulus before adaptation
 CALIBRATION, NORMAL_N, SHEAR_N = 219, (1.0, 20.0), (0.0, 4.0)
 PUBLISHED = {"x_mae_n": 0.14, "y_mae_n": 0.10, "normal_mae_n": 0.93}  # arXiv 2606.09451, over 4, 4 and 20 N
 
 
 class Told(NamedTuple):
-    """What touch maps told of some contacts: forces over the modulus and deviations in mm2; true forces in N."""
+    """Estimates of touch maps for some contacts: forces over the modulus and deviations in mm2; true forces in N."""
 
     shear_mm2: Floats  # (n, 2)
     shear_sd_mm2: Floats
@@ -64,7 +66,7 @@ class Told(NamedTuple):
 
 
 def told_of(readings: list[TouchReading], contacts: list[KnownContact], modulus_mpa: float) -> Told:
-    """Readings of contacts as the adaptation takes them."""
+    """Return readings of contacts as inputs of the adaptation."""
     return Told(
         np.array([one.shear_n for one in readings]) / modulus_mpa,
         np.array([one.shear_sd_n for one in readings]) / modulus_mpa,
@@ -76,21 +78,21 @@ def told_of(readings: list[TouchReading], contacts: list[KnownContact], modulus_
 
 
 def terms(told: Told) -> tuple[Floats, Floats]:
-    """Terms of shear and normal force of contacts that have nothing to do with each other: none creeps."""
+    """Return terms of shear and normal force of independent contacts: no creep."""
     shear = np.zeros((len(told.normal_n), 2, gel_forces.CREEP_ARMS + 2))
     shear[:, :, 0], shear[:, :, -1] = told.shear_mm2, 1.0
     return shear, gel_forces.normal_terms(told.normal_mm2, told.normal_sd_mm2)
 
 
 def before_adapting(modulus_mpa: float) -> Scale:
-    """The weights of a gel whose modulus is told, and perhaps wrongly."""
+    """Return the weights of a gel whose modulus is given, possibly with an error."""
     arms = gel_forces.CREEP_ARMS
     stiffness = Stiffness(modulus_mpa, STIFFNESS_LOG_SD, np.zeros(arms), np.zeros(arms), np.ones(arms))
     return gel_forces.scale_of(stiffness)
 
 
 def adapted(scale: Scale, told: Told, rng: np.random.Generator) -> Scale:
-    """The weights after a reading of a force sensor in each of the contacts."""
+    """Return the weights after one force sensor reading in each of the contacts."""
     shear, normal = terms(told)
     count = len(told.normal_n)
     known = KnownForces(
@@ -107,7 +109,7 @@ def adapted(scale: Scale, told: Told, rng: np.random.Generator) -> Scale:
 
 
 def forces(scale: Scale, told: Told) -> tuple[Floats, Floats]:
-    """Shear (n, 2) and normal force (n,) in N."""
+    """Return shear (n, 2) and normal force (n,) in N."""
     shear, normal = terms(told)
     return np.einsum("nak,ak->na", shear, scale.shear), normal @ scale.normal
 
@@ -115,7 +117,7 @@ def forces(scale: Scale, told: Told) -> tuple[Floats, Floats]:
 def readings_of(
     setting: Setting, contacts: list[KnownContact], rest_mm: Floats, mm_per_px: float
 ) -> tuple[list[TouchReading], list[Row]]:
-    """What is told of each contact, and how far it is off."""
+    """Return the estimates for each contact and their errors."""
     state = touch_map.start(rest_mm, setting.layer, renews=False)
     readings = [read(state, contact, setting, mm_per_px) for contact in contacts]
     rows = [judged(contact, one, state) for contact, one in zip(contacts, readings, strict=True)]
@@ -125,7 +127,7 @@ def readings_of(
 def adapted_row(
     setting: Setting, on: list[KnownContact], contacts: list[KnownContact], rest_mm: Floats, mm_per_px: float
 ) -> Row:
-    """Errors of a setting before and after adaptation."""
+    """Return the errors of a setting before and after adaptation."""
     modulus_mpa = setting.layer.shear_modulus_pa * 1e-6
     told_on = told_of(readings_of(setting, on, rest_mm, mm_per_px)[0], on, modulus_mpa)
     readings, rows = readings_of(setting, contacts, rest_mm, mm_per_px)
@@ -156,7 +158,7 @@ def adapted_row(
 
 
 def loaded_contacts(maker: ContactMaker, first_seed: int, count: int) -> list[KnownContact]:
-    """So many contacts of all shapes over the published ranges of force."""
+    """Return contacts of all shapes over the published ranges of force."""
     contacts: list[KnownContact] = []
     seed = first_seed
     while len(contacts) < count:
@@ -169,7 +171,7 @@ def loaded_contacts(maker: ContactMaker, first_seed: int, count: int) -> list[Kn
 
 
 def published_rows(maker: ContactMaker, first_seed: int, rest_mm: Floats, mm_per_px: float) -> list[Row]:
-    """Mean absolute errors on contacts that nothing was adapted on, and the published ones."""
+    """Return mean absolute errors on contacts that were not used for adaptation, and the published ones."""
     modulus_mpa = KNOWN.layer.shear_modulus_pa * 1e-6
     on, contacts = (loaded_contacts(maker, first_seed + 100 * number, CALIBRATION) for number in range(2))
     told_on, told = (told_of(readings_of(KNOWN, of, rest_mm, mm_per_px)[0], of, modulus_mpa) for of in (on, contacts))
@@ -250,7 +252,7 @@ def main() -> None:
 
 
 def loaded_seeds(first_seed: int) -> list[int]:
-    """Seeds of the contacts of `published_rows`."""
+    """Return the seeds of the contacts of `published_rows`."""
     each = -(-CALIBRATION // len(SHAPES))
     return [first_seed + 100 * number + one for number in range(2) for one in range(each)]
 

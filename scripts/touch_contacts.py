@@ -1,12 +1,14 @@
-"""What touch maps tell of contacts whose tractions are known: errors, coverage of the deviations, and what they cost.
+"""Evaluate touch maps on contacts with known tractions: errors, coverage of the standard deviations, and run time.
 
     python scripts/touch_contacts.py [--seeds 60000-60024] [--out docs/results]
     python scripts/touch_contacts.py --calibrate --seeds 6000-6049
 
-Contacts of eight shapes on a layer of another implementation (evetac_cli/evaluate/touch_contacts.py), seen by the dots
-of the sensor `evetac` with errors as the tracker makes them: 0.05 px of each dot and 0.2 px of all. Each is pressed,
-held, moved, and then read. Minutes; simulated. `--calibrate` prints the factors of kernels/touch/patch_fit.py, and of
-normal force by shape, that such seeds give, and writes nothing. `make results` puts the tables into docs/touch-maps.md.
+An independent implementation of the layer (evetac_cli/evaluate/touch_contacts.py) computes contacts of eight shapes.
+The dots of the sensor `evetac` are seen with the tracker's errors: 0.05 px of each dot and 0.2 px of all. Each contact
+is pressed, held, moved, and then read. It takes minutes; simulated.
+
+`--calibrate` prints the factors of kernels/touch/patch_fit.py, and of normal force by shape, that follow from the
+seeds, and writes nothing. `make results` puts the tables into docs/touch-maps.md.
 """
 
 import argparse
@@ -40,11 +42,11 @@ from evetac_cli.sim.setup.plan import named_sensor  # noqa: E402
 from evetac_cli.sim.setup.sensor import Sensor  # noqa: E402
 
 OWN_PX, COMMON_PX = 0.05, 0.2  # the tracker's error, see kernels/touch/dot_modes.py
-TOUCHED = 0.05  # of the largest pressure: cells that truth counts to the patch
-WIDE = ("flat", "ball", "cylinder", "off centre", "twisted", "partial slip")  # at least 5 mm both ways
+TOUCHED = 0.05  # share of the largest pressure above which a cell is in the true patch
+WIDE = ("flat", "ball", "cylinder", "off centre", "twisted", "partial slip")  # at least 5 mm in both directions
 SIGMAS = {"68": 1.0, "95": 1.96}
 ERRORS = ("force", "torsion", "normal", "centre", "area", "shear", "pressure", "since", "shear_since")
-# Normal force that is told over the true one, by shape: medians of seeds 6000-6049 (--calibrate).
+# Estimated over true normal force, by shape: medians of seeds 6000-6049 (--calibrate).
 NORMAL_BY_SHAPE = {
     **{"flat": 0.897, "ball": 0.958, "cylinder": 0.932, "edge": 0.966, "two points": 0.957},
     **{"off centre": 0.903, "twisted": 0.953, "partial slip": 0.953},
@@ -54,12 +56,12 @@ FACTORS_TRIED = [round(0.3 * 1.02**step, 3) for step in range(150)]
 
 
 class Setting(NamedTuple):
-    """What is told of the sensor, and what dots are there."""
+    """The given sensor properties, and the dots present."""
 
     name: str
     layer: GelLayer
     missing: float = 0.0  # share of dots
-    print_depth_mm: float = 0.0  # where the dots are, whatever is told
+    print_depth_mm: float = 0.0  # true depth of the dots, independent of the given layer
 
 
 KNOWN = Setting("known sensor", GelLayer())
@@ -77,7 +79,7 @@ SETTINGS = (
 
 
 def dots_of(sensor: Sensor, finer: int = 1) -> Floats:
-    """Places at rest (dots, 2) in mm from the axis; with `finer`, of a grid of about as many times as many dots."""
+    """Return positions at rest (dots, 2) in mm from the axis; `finer` multiplies the number of dots approximately."""
     if finer == 1:
         at_px = dot_grid(sensor, cut=False).reshape(-1, 2)
     else:
@@ -91,7 +93,7 @@ def dots_of(sensor: Sensor, finer: int = 1) -> Floats:
 
 
 def seen(contact: KnownContact, rest_mm: Floats, mm_per_px: float) -> tuple[Floats, Floats, np.random.Generator]:
-    """Where dots are seen when pressed and when moved, (dots, 2) in mm, and what draws further errors."""
+    """Return the seen dots when pressed and when moved, (dots, 2) in mm, and the generator of further errors."""
     rng = np.random.default_rng([contact.seed, SHAPES.index(contact.shape), 1])
     places = []
     for motion in (contact.pressed_motion_mm, contact.dot_motion_mm):
@@ -102,11 +104,11 @@ def seen(contact: KnownContact, rest_mm: Floats, mm_per_px: float) -> tuple[Floa
 
 
 def read(state: TouchState, contact: KnownContact, setting: Setting, mm_per_px: float) -> TouchReading:
-    """What a touch map tells of a contact that was pressed, held and moved; it is renewed twice after."""
+    """Return a touch map's estimate for a contact that was pressed, held and moved, after two renewals."""
     pressed, moved, rng = seen(contact, state.rest_mm, mm_per_px)
     lost: Flags = np.zeros(len(pressed), np.bool_)
     lost[rng.permutation(len(lost))[: round(setting.missing * len(lost))]] = True
-    touch_map.step(state, state.rest_mm, lost)  # nothing touches: what was before is forgotten
+    touch_map.step(state, state.rest_mm, lost)  # nothing touches: the earlier state is forgotten
     touch_map.step(state, pressed, lost)
     touch_map.renew(state)
     touch_map.hold(state)
@@ -117,7 +119,7 @@ def read(state: TouchState, contact: KnownContact, setting: Setting, mm_per_px: 
 
 
 def judged(contact: KnownContact, told: TouchReading, state: TouchState) -> Row:
-    """Errors of a reading, and errors over deviations as lists: of x and y, and of the cells that are told."""
+    """Return a reading's errors, and lists of errors over deviations: of x and y, and of the estimated cells."""
     truth = on_coarse_cells(contact, state.cells.x_mm, state.cells.y_mm)
     shear, pressure, since = truth[:2], truth[2], truth[:2] - truth[3:]
     touched = pressure > TOUCHED * pressure.max()
@@ -165,18 +167,18 @@ def _share(error: Floats, of: Floats) -> float:
 
 
 def contacts_of(maker: ContactMaker, seeds: Iterable[int]) -> list[KnownContact]:
-    """A contact of each shape and seed; the shapes of a seed follow each other."""
+    """Return a contact of each shape and seed; the shapes of a seed follow each other."""
     return [maker.make(shape, seed) for seed in seeds for shape in SHAPES]
 
 
 def rows_of(setting: Setting, contacts: list[KnownContact], rest_mm: Floats, mm_per_px: float) -> list[Row]:
-    """A row for each contact, read with what a setting tells."""
+    """Return a row for each contact, read with the given properties of a setting."""
     state = touch_map.start(rest_mm, setting.layer, renews=False)
     return [judged(contact, read(state, contact, setting, mm_per_px), state) for contact in contacts]
 
 
 def coverage(rows: list[Row], what: str) -> dict[str, float]:
-    """Share of errors within one and 1.96 deviations, each contact counted alike."""
+    """Return the share of errors within one and 1.96 standard deviations; each contact has the same weight."""
     return {
         name: float(np.mean([np.mean(np.array(row["z"][what]) < sigma) for row in rows]))
         for name, sigma in SIGMAS.items()
@@ -184,7 +186,7 @@ def coverage(rows: list[Row], what: str) -> dict[str, float]:
 
 
 def summary(name: str, rows: list[Row]) -> Row:
-    """Medians, the mean IoU, and coverage over contacts."""
+    """Return medians, the mean IoU, and coverage over contacts."""
 
     def median(key: str) -> float:
         return float(np.median([row[key] for row in rows]))
@@ -209,7 +211,7 @@ def summary(name: str, rows: list[Row]) -> Row:
 
 
 def factors(rows: list[Row]) -> dict[str, float]:
-    """By what each deviation is to be multiplied for a coverage that is least off 68 and 95 %."""
+    """Return the factor for each deviation that brings its coverage closest to 68 and 95 %."""
     found = {}
     for what in ERRORS:
         each = [np.array(row["z"][what]) for row in rows]
@@ -226,7 +228,7 @@ def factors(rows: list[Row]) -> dict[str, float]:
 
 
 def cost_rows(sensor: Sensor) -> list[Row]:
-    """Processor time of one core per slice, and of a renewal, for 63 and 252 dots and two contacts."""
+    """Return processor time of one core per slice, and per renewal, for 63 and 252 dots and two contacts."""
     rows = []
     for finer, shape, held in itertools.product((1, 4), ("ball", "flat"), (False, True)):
         rest_mm = dots_of(sensor, finer)
@@ -314,7 +316,7 @@ def main() -> None:
     parser.add_argument(
         "--seeds", type=seeds_of, default="60000-60024", help="FIRST-LAST; a contact of each shape per seed"
     )
-    parser.add_argument("--calibrate", action="store_true", help="print factors instead")
+    parser.add_argument("--calibrate", action="store_true", help="print the factors instead")
     parser.add_argument("--out", type=Path, default=RESULTS, help="folder of the tables")
     chosen = parser.parse_args()
     seeds = list(chosen.seeds)

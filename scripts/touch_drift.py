@@ -1,12 +1,14 @@
-"""How far a tracker of events drifts in minutes of pushes, what holds it, and which of its dots are wrong.
+"""Measure the drift of an event tracker over minutes of pushes, remedies against it, and the detection of wrong dots.
 
     python scripts/touch_drift.py [--seed 60100] [--minutes 10] [--out docs/results]
 
-An object is held in a gripper and pushed every 0.65 s, in two courses: let go and gripped anew every minute, with one
-tracker for all grips, and held throughout. The same events go to one tracker per remedy; a flash makes other events, so
-those trials are simulated again with it. Errors are those of looks every half second in the last five seconds of a time
-in which the object is held: rms of the dots' errors, of their mean, and the largest of any; and of the net shear of a
-touch map of these dots against one of the true dots. All simulated, in about half of the simulated time.
+A gripper holds an object that is pushed every 0.65 s. There are two courses: the object is released and gripped again
+every minute, with one tracker for all grips; or it is held throughout. One tracker per remedy gets the same events. A
+flash changes the events, so its trials are simulated separately.
+
+Errors are measured at looks every half second, in the last five seconds of a period in which the object is held. The
+table has the rms of the dots' errors and of their mean, and the largest error of any dot. It also has the net shear
+error of a touch map of these dots, relative to a map of the true dots. All simulated, in about half the simulated time.
 """
 
 import argparse
@@ -37,22 +39,22 @@ from evetac_cli.sim.setup.sensor import Sensor
 
 OBJECT = 8
 MINUTE_S = 60
-BLOCK = 500  # slices that are tracked together; a look at the end of each
+BLOCK = 500  # slices that are tracked together, with a look at the end of each block
 LOOKS = 10
-LAST_LOOK_S = 4  # before a grip ends
+LAST_LOOK_S = 4  # before the end of a grip
 AFTER_MINUTES = (1, 2, 5, 10)
 FIRST_LOOK_S = 10
 FRAME_PX = 0.1  # error of a frame, per dot and axis
-FRAME_SHARES = {1: 0.4, 10: 0.7}  # of the way to a frame, every so many s; chosen on seeds 7010-7012
+FRAME_SHARES = {1: 0.4, 10: 0.7}  # correction gain, keyed by frame interval in s; chosen on seeds 7010-7012
 FLASH_EVERY_S = 1
 FLASH = (0.2, 0.1)
-FLASH_SLICES = 2 * len(FLASH)  # of which the tracker gets no events
-# Motion per event, over that of `stable`: after a flash all pixels of a rim wait for a whole threshold, where usually
+FLASH_SLICES = 2 * len(FLASH)  # slices whose events are kept from the tracker
+# Motion per event, relative to `stable`: after a flash all pixels of a rim wait for a whole threshold, whereas usually
 # some are half way. Chosen on seed 7010.
 FLASH_EVENT = 1.4
-WEAK = 5.0  # regulariser weight in place of 50: rims count ten times as much against neighbours
+WEAK = 5.0  # regulariser weight instead of 50: rims count ten times as much against neighbours
 WRONG_PX = (1.0, 2.0)
-# Pushes as in `handling`, both ways, one every 0.65 s.
+# Pushes as in `handling`, in both directions, one every 0.65 s.
 FORCES_N, FIRST_PUSH_S, PUSH_EVERY_S = (1.4, 1.2, -0.8, 1.6, 1.0, -1.2), 2.2, 0.65
 SCENE = """
 name = "pushed"
@@ -94,7 +96,7 @@ FLASHES = "[light]\nflash = {{every_s = {every_s}, brightness = {brightness}}}\n
 
 
 class Remedy:
-    """One tracker, and what is done against its drift: nothing, unless a class says more."""
+    """A tracker and its remedy against drift: none, unless a subclass adds one."""
 
     name = "stable"
 
@@ -103,24 +105,24 @@ class Remedy:
         self.state: TrackerState = tracker.start(rest_px, self.constants())
 
     def constants(self) -> tracker.TrackerConstants:
-        """Of the tracker."""
+        """The constants of the tracker."""
         return PRESETS["stable"].for_dots(self.radius_px)
 
     def follow(self, events: Events, starts: NDArray[np.int64], true_px: Floats, number: int) -> None:
-        """Take the events of some slices, slice k those in [starts[k], starts[k + 1]).
+        """Take the events of some slices; those of slice k are in [starts[k], starts[k + 1]).
 
-        true_px: (slices, dots, 2) at the end of each. number: of the first of them, in the grip.
+        true_px: (slices, dots, 2) at the end of each slice. number: of the first slice in the grip.
         """
         tracker.fold(self.state, events.x, events.y, events.p, starts)
 
 
 class WeakNeighbours(Remedy):
-    """Rims that count more against neighbours: `stable` fits rims in any case."""
+    """Rims that count more against neighbours; `stable` always fits rims."""
 
     name = "stable, rims count ten times as much"
 
     def constants(self) -> tracker.TrackerConstants:
-        """Of the tracker."""
+        """The constants of the tracker."""
         return replace(super().constants(), regulariser_weight=WEAK)
 
 
@@ -130,12 +132,12 @@ class Paper(Remedy):
     name = "paper"
 
     def constants(self) -> tracker.TrackerConstants:
-        """Of the tracker."""
+        """The constants of the tracker."""
         return PRESETS["paper"]
 
 
 class RestDetection(Remedy):
-    """Dots are put back to rest where nothing touches any more."""
+    """Dots are reset to rest when the gel is no longer touched."""
 
     name = "put back when nothing touches"
 
@@ -144,7 +146,7 @@ class RestDetection(Remedy):
         self.untouched: UntouchedState = untouched.start(rest_px)
 
     def follow(self, events: Events, starts: NDArray[np.int64], true_px: Floats, number: int) -> None:
-        """As of `Remedy`, slice by slice."""
+        """Follow like `Remedy`, slice by slice."""
         for first, end in zip(starts[:-1], starts[1:], strict=True):
             tracker.step(self.state, events.x[first:end], events.y[first:end], events.p[first:end])
             if untouched.step(self.untouched, self.state.dot_xy_px, self.state.lost):
@@ -152,7 +154,7 @@ class RestDetection(Remedy):
 
 
 class Frames(Remedy):
-    """A frame now and then, which is the truth with an error: that only a simulation has."""
+    """An occasional frame: the true dots with an error, which only a simulation can provide."""
 
     def __init__(self, rest_px: Floats, radius_px: float, every_s: int, rng: np.random.Generator) -> None:
         super().__init__(rest_px, radius_px)
@@ -160,7 +162,7 @@ class Frames(Remedy):
         self.name = f"a frame every {every_s} s"
 
     def follow(self, events: Events, starts: NDArray[np.int64], true_px: Floats, number: int) -> None:
-        """As of `Remedy`, then a frame where one is due."""
+        """Follow like `Remedy`, then use a frame if one is due."""
         super().follow(events, starts, true_px, number)
         if (number + len(starts) - 1) % (1000 * self.every_s) == 0:
             seen = true_px[-1] + self.rng.normal(size=self.rest_px.shape) * FRAME_PX
@@ -168,22 +170,22 @@ class Frames(Remedy):
 
 
 class Flashes(Remedy):
-    """A flash under which the print gets brighter and bare gel does not; its slices are kept from the tracker."""
+    """A flash, under which the print brightens and bare gel does not; its slices are kept from the tracker."""
 
     name = f"a flash every {FLASH_EVERY_S} s"
 
     def __init__(self, rest_px: Floats, radius_px: float) -> None:
         super().__init__(rest_px, radius_px)
-        self.shown_px: Floats | None = None  # by the last flash
-        self.true_px = rest_px  # then
+        self.shown_px: Floats | None = None  # the dots as shown by the last flash
+        self.true_px = rest_px  # the true dots at that time
 
     def constants(self) -> tracker.TrackerConstants:
-        """Of the tracker."""
+        """The constants of the tracker."""
         usual = super().constants()
         return replace(usual, event_px=FLASH_EVENT * usual.event_px)
 
     def follow(self, events: Events, starts: NDArray[np.int64], true_px: Floats, number: int) -> None:
-        """As of `Remedy`; the slice in which the last pulse goes off tells where dots are."""
+        """Follow like `Remedy`; the slice in which the last pulse ends shows the dots' positions."""
         if number and number % (1000 * FLASH_EVERY_S) == 0:
             last = slice(starts[FLASH_SLICES - 1], starts[FLASH_SLICES])
             darker = events.p[last] == 0
@@ -196,14 +198,14 @@ class Flashes(Remedy):
 
 @dataclass
 class Looks:
-    """What looks at one tracker found at one time: errors of dots (looks, dots, 2) in px, and of net shear in N."""
+    """Looks at one tracker at one time: errors of dots (looks, dots, 2) in px, and of net shear in N."""
 
     off_px: list[Floats] = field(default_factory=list)
     off_n: list[float] = field(default_factory=list)
     lost: int = 0
 
     def row(self) -> Row:
-        """As a table shows it."""
+        """Return the row of the table."""
         off = np.array(self.off_px)  # NaN: a dot that is left out
         return {
             "rms_px": float(np.sqrt(np.nanmean((off**2).sum(axis=2)))),
@@ -217,14 +219,14 @@ class Looks:
 
 @dataclass
 class WrongDots:
-    """How dots that are wrong were told from the others, by a touch map's own patch; px are from the median error."""
+    """How well a touch map's own patch identified wrong dots; px are from the median error."""
 
-    by_px: dict[float, list[int]] = field(default_factory=lambda: {px: [0, 0] for px in WRONG_PX})  # found, of
-    called: int = 0  # wrong that are off by less than the least
+    by_px: dict[float, list[int]] = field(default_factory=lambda: {px: [0, 0] for px in WRONG_PX})  # found, total
+    called: int = 0  # called wrong although off by less than the smallest of WRONG_PX
     right: int = 0
 
     def add(self, off_px: Floats, flags: Flags) -> None:
-        """One look: errors (dots, 2) and what was called wrong."""
+        """Add one look: errors (dots, 2) and the dots called wrong."""
         apart = np.hypot(*(off_px - np.median(off_px, axis=0)).T)
         for px, (found, there) in self.by_px.items():
             self.by_px[px] = [found + int((flags & (apart >= px)).sum()), there + int((apart >= px).sum())]
@@ -245,7 +247,7 @@ class Judge:
         self.wrong: dict[str, WrongDots] = defaultdict(WrongDots)
 
     def net_n(self, dot_px: Floats, lost: Flags | None = None) -> Floats:
-        """Net shear (2,) that a touch map tells of dots, found from nothing."""
+        """Return the net shear (2,) of a touch map of the dots, starting without a patch."""
         dots_mm = (dot_px - self.middle_px) * self.mm_per_px
         touch_map.step(self.map, self.rest_mm)
         touch_map.step(self.map, dots_mm, lost)
@@ -254,7 +256,7 @@ class Judge:
         return touch_map.step(self.map, dots_mm, lost).shear_n
 
     def look(self, at: str, true_px: Floats, remedies: list[Remedy]) -> None:
-        """Compare all trackers, at a time in words."""
+        """Compare all trackers at a named time."""
         true_n = self.net_n(true_px)
         for remedy in remedies:
             dots = remedy.state.dot_xy_px.copy()
@@ -277,7 +279,7 @@ class Judge:
         return found
 
     def _look_for_wrong(self, at: str, dots: Floats, true_px: Floats, true_n: Floats) -> None:
-        """Which dots are wrong by the patch that was last found, and what the others tell without them."""
+        """Identify wrong dots with the patch found last, and estimate again without them."""
         moved_mm = (dots - self.middle_px) * self.mm_per_px - self.rest_mm
         flags = np.zeros(len(dots), np.bool_)
         if self.map.now is not None:
@@ -287,7 +289,7 @@ class Judge:
 
 
 def scene_text(length_s: int, flash: bool) -> str:
-    """The scene of one grip."""
+    """Return the scene of one grip."""
     at_s = np.arange(FIRST_PUSH_S, length_s - LAST_LOOK_S, PUSH_EVERY_S)
     text = SCENE.format(
         length_s=length_s,
@@ -299,7 +301,7 @@ def scene_text(length_s: int, flash: bool) -> str:
 
 
 def blocks(scene: Path, seed: int) -> Iterator[tuple[evetac.Simulation, Events, NDArray[np.int64], Floats]]:
-    """The events of BLOCK slices after each other, where slices begin in them, and the true dots at the end of each."""
+    """Yield the events of successive BLOCK slices, the starts of their slices, and the true dots at the end of each."""
     trial = evetac.simulate(str(scene), OBJECT, seed=seed)
     slices: list[Events] = []
     true_px: list[Floats] = []
@@ -314,7 +316,7 @@ def blocks(scene: Path, seed: int) -> Iterator[tuple[evetac.Simulation, Events, 
 
 
 def times(length_s: int, minutes: int) -> list[tuple[int, str, int]]:
-    """When looks end: number of the grip, in words, and second in it."""
+    """Return the last times of looks: number of the grip, name, and second within the grip."""
     grips = {minute: divmod(minute * MINUTE_S - 1, length_s)[0] for minute in AFTER_MINUTES if minute <= minutes}
     ends = {minute: minute * MINUTE_S - grip * length_s for minute, grip in grips.items()}
     return [(0, f"{FIRST_LOOK_S} s", FIRST_LOOK_S)] + [
@@ -323,7 +325,7 @@ def times(length_s: int, minutes: int) -> list[tuple[int, str, int]]:
 
 
 def run(length_s: int, minutes: int, seed: int, flash: bool, judges: list[Judge]) -> Judge:
-    """Grips of a length until so many minutes have passed, with or without flashes, and their looks."""
+    """Run grips of a length for a number of minutes, with or without flashes; return their looks."""
     sensor = named_sensor("evetac")[1]
     assert isinstance(sensor, Sensor)
     due = times(length_s, minutes)
@@ -350,7 +352,7 @@ def run(length_s: int, minutes: int, seed: int, flash: bool, judges: list[Judge]
 
 
 def made(rest_px: Floats, radius_px: float, seed: int, flash: bool) -> list[Remedy]:
-    """The trackers for events with a flash, or without."""
+    """Return the trackers for events with a flash, or without."""
     if flash:
         return [Flashes(rest_px, radius_px)]
     plain: list[Callable[[Floats, float], Remedy]] = [Remedy, WeakNeighbours, RestDetection, Paper]
@@ -359,12 +361,12 @@ def made(rest_px: Floats, radius_px: float, seed: int, flash: bool) -> list[Reme
 
 
 def rows_of(course: str, judge: Judge) -> list[Row]:
-    """A row for each remedy and time."""
+    """Return a row for each remedy and time."""
     return [{"course": course, "remedy": name, "after": at, **looks.row()} for (at, name), looks in judge.looks.items()]
 
 
 def wrong_rows(course: str, judge: Judge) -> list[Row]:
-    """A row for each time."""
+    """Return a row for each time."""
     rows = []
     for at, wrong in judge.wrong.items():
         row: Row = {"course": course, "after": at, "called": wrong.called, "right": wrong.right}
@@ -392,8 +394,8 @@ WRONG_COLUMNS = {
 def main() -> None:
     """Simulate, track and write the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seed", type=int, default=60100, help="of the first grip; the others count on")
-    parser.add_argument("--minutes", type=int, default=10, help="of each course")
+    parser.add_argument("--seed", type=int, default=60100, help="seed of the first grip; each further grip adds one")
+    parser.add_argument("--minutes", type=int, default=10, help="length of each course")
     parser.add_argument("--out", type=Path, default=RESULTS, help="folder of the tables")
     chosen = parser.parse_args()
     rows, wrong = [], []

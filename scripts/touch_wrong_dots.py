@@ -1,11 +1,11 @@
-"""Which of the dots that were put wrong on purpose are found, which others are called wrong, and what a map gains.
+"""Displace dots on purpose: how many are found, how many others are called wrong, and the benefit for a touch map.
 
     python scripts/touch_wrong_dots.py [--seeds 8000-8003] [--out docs/results]
 
-Contacts of eight shapes whose tractions are known (evetac_cli/evaluate/touch_contacts.py), seen with errors as a
-tracker has them after some time: 0.1 px of each dot and 0.2 px of all. One, three or six dots at random are off by as
-much more, in random directions. The patch is found with the wrong dots among the others, then twice without those that
-are called wrong. Simulated; the constants of kernels/touch/wrong_dots.py were chosen on seeds 7000-7011.
+Contacts of eight shapes with known tractions (evetac_cli/evaluate/touch_contacts.py) are seen with a tracker's errors
+after some time: 0.1 px of each dot and 0.2 px of all. One, three or six random dots are displaced further, in random
+directions. The patch is found with the wrong dots among the others, then twice without those that are called wrong.
+Simulated; the constants of kernels/touch/wrong_dots.py were chosen on seeds 7000-7011.
 """
 
 import argparse
@@ -29,11 +29,11 @@ from evetac_cli.sim.setup.sensor import Sensor
 
 OWN_PX, COMMON_PX = 0.1, 0.2
 WRONG, OFF_PX = (1, 3, 6), (0.5, 1.0, 2.0, 5.0)
-TIMES = 2  # that wrong dots are looked for
+TIMES = 2  # how often wrong dots are searched for
 
 
 def told(state: TouchState, moved_mm: Floats, known: LayerMotion | None) -> tuple[TouchReading, Flags]:
-    """What a touch map tells of dots (n, 2), and which of them are called wrong; all are trusted without `known`."""
+    """Return a touch map's estimate for dots (n, 2), and which dots it calls wrong; all are trusted without `known`."""
     flags: Flags = np.zeros(len(moved_mm), np.bool_)
     everyone = ~flags
     dots_mm = state.rest_mm + moved_mm
@@ -49,14 +49,14 @@ def told(state: TouchState, moved_mm: Floats, known: LayerMotion | None) -> tupl
 
 
 def judged(contact: KnownContact, reading: TouchReading, state: TouchState) -> tuple[float, float]:
-    """Error of net shear in N, and of the field of shear relative to the true one."""
+    """Return the error of net shear in N, and of the shear field relative to the true one."""
     shear = on_coarse_cells(contact, state.cells.x_mm, state.cells.y_mm)[:2]
     off_n = float(np.hypot(*(reading.shear_n - contact.net_shear_n)))
     return off_n, float(np.linalg.norm(reading.shear_pa - shear) / np.linalg.norm(shear))
 
 
 def rows_of(contacts: list[KnownContact], rest_mm: Floats, mm_per_px: float) -> list[Row]:
-    """A row for each number of wrong dots and each error of theirs, and one without any."""
+    """Return a row for each number of wrong dots and each size of their error, and one without wrong dots."""
     state = touch_map.start(rest_mm, renews=False)
     known = wrong_dots.start(state.motion, state.cells.shape)
     rows = []

@@ -1,13 +1,13 @@
-"""Train slip detectors on motions, one thing changed at a time, to see what each is worth.
+"""Train slip detectors on motions, changing one thing at a time, to measure the benefit of each.
 
     python scripts/motion_recordings.py learn --out DATA/learn      (and choose, into DATA/choose)
     python scripts/train_detectors.py features DATA
     python scripts/train_detectors.py train DATA --out MODELS --seeds 5
 
-`shipped`, the detector that comes with evetac (`make ship`), and variants named by how far ahead they warn are trained
-only if --variant names them. So is `outside`, a network of another package: `pip install --no-deps ./tests/plugin`
-before, also where it is judged. Checkpoint, calibration and threshold are chosen on the objects of `choose`. What is
-there is not made again. Then scripts/judge_slip.py judges the models. All of it simulated.
+`shipped`, the detector that comes with evetac (`make ship`), and the variants named by their horizon are trained only
+if --variant names them. So is `outside`, a network from another package; it needs `pip install --no-deps
+./tests/plugin`, for training and for evaluation. Checkpoint, calibration and threshold are chosen on the objects of
+`choose`. Existing files are not made again. Then scripts/judge_slip.py evaluates the models. All results are simulated.
 """
 
 import argparse
@@ -17,27 +17,27 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 SLIPS = ("slip", "slip-varied")  # unloaded at the speed of the paper's ramp
-FROM_EVENTS, STICKING = "from-events", "sticking"  # folders of labels that know no truth, and of more features
+FROM_EVENTS, STICKING = "from-events", "sticking"  # folders of labels from events, and of additional features
 TRACKER = "stable"
 
 
 @dataclass(frozen=True)
 class Variant:
-    """What a detector is trained on, and how. labels: truth, or event-flow, which knows the ramps alone."""
+    """Training data and options of a detector. labels: truth, or event-flow, which is available only for ramps."""
 
     model: str = "disp-xy"
     speeds: bool = True
     negatives: bool = True
     labels: str = "truth"
     true_share: bool = True
-    sticking: bool = False  # whether the share that sticks is told, to a network that sees it
+    sticking: bool = False  # whether the sticking share is an input, for a network that has one
     horizon_ms: int = 10
     steps: int = 10_000
     preset: str = "adamw"
     networks: int = 1
 
     def words(self) -> list[str]:
-        """The options of `evetac train`."""
+        """Return the options of `evetac train`."""
         words = ["--model", self.model, "--preset", self.preset, "--horizon-ms", str(self.horizon_ms)]
         words += ["--max-steps", str(self.steps), "--networks", str(self.networks)]
         return words + ["--learn-true-slip-share"] * self.true_share
@@ -64,7 +64,7 @@ MOST_STEPS = max(variant.steps for variant in VARIANTS.values())
 
 
 def run(*words: object) -> None:
-    """Run evetac; an error of it ends this script."""
+    """Run evetac; an error ends this script."""
     command = [sys.executable, "-P", "-m", "evetac_cli", *map(str, words)]
     done = subprocess.run(command, check=False, capture_output=True, text=True)
     if done.returncode:
@@ -72,7 +72,7 @@ def run(*words: object) -> None:
 
 
 def motions_in(role: Path) -> list[Path]:
-    """The folders of a role, one per motion."""
+    """Return the folders of a role, one per motion."""
     return sorted(path for path in role.iterdir() if path.is_dir() and path.name not in (FROM_EVENTS, STICKING))
 
 
@@ -95,7 +95,7 @@ def make_features(data: Path, jobs: int) -> None:
 
 
 def folders_of(variant: Variant, learn: Path) -> list[Path]:
-    """The folders of features that a variant is trained on."""
+    """Return the folders of features for training a variant."""
     chosen = []
     for folder in motions_in(learn):
         is_slip = folder.name in SLIPS
@@ -112,12 +112,14 @@ def main(arguments: list[str] | None = None) -> None:
     """Make features, or train."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", choices=("features", "train"))
-    parser.add_argument("data", type=Path, help="folder with learn and choose below")
-    parser.add_argument("--out", type=Path, help="folder of the models, one folder per variant below")
+    parser.add_argument("data", type=Path, help="folder that contains learn and choose")
+    parser.add_argument("--out", type=Path, help="folder of the models, with one folder per variant")
     parser.add_argument("--variant", nargs="*", default=list(IDEAS), choices=list(VARIANTS))
-    parser.add_argument("--jobs", type=int, default=1, help="processes that make features, or networks at once")
+    parser.add_argument(
+        "--jobs", type=int, default=1, help="number of processes for features, or of parallel trainings"
+    )
     parser.add_argument("--seeds", type=int, default=5, help="models of each variant")
-    parser.add_argument("--steps", type=int, default=MOST_STEPS, help="of a training, at most, for a first look")
+    parser.add_argument("--steps", type=int, default=MOST_STEPS, help="limit of training steps, for a first look")
     chosen = parser.parse_args(arguments)
     if chosen.what == "features":
         make_features(chosen.data, chosen.jobs)

@@ -1,9 +1,9 @@
-"""Train the network of the sticking share on simulated mechanics alone, and write it with what it was trained on.
+"""Train the sticking-share network on simulated mechanics alone, and write it with a record of its training data.
 
-`python scripts/train_sticking.py --seed 0 --trials FOLDER` makes the trials in a folder where they are not there yet
-(some 8 minutes of one core), and trains for some 3. Weights are fitted to TRAINED objects and to motions that are not
-UNSEEN (sticking_trials.py); deviations to CHOSEN_BY objects; what is JUDGED is seen by neither. A third of the trials
-are of other sensors.
+`python scripts/train_sticking.py --seed 0 --trials FOLDER` makes the missing trials in the folder (some 8 minutes of
+one core), and trains for some 3 minutes. Weights are fitted to TRAINED objects and to all motions except UNSEEN
+(sticking_trials.py), standard deviations to CHOSEN_BY objects. JUDGED objects are used for neither. A third of the
+trials are of other sensors.
 """
 
 import argparse
@@ -25,29 +25,29 @@ from evetac_cli.kernels.touch.sticking import FIELDS, INPUTS, StickingNetwork
 from evetac_cli.resources import STICKING_MODEL
 
 FIRST_SEED, RESHAPED_SEED, CHOOSING_SEED = 1000, 1100, 2000
-# Trials of each object, of the paper's table and reshaped.
+# Trials per object, for objects of the paper's table and reshaped ones.
 COUNTS = {"slip": 4, "slip-varied": 8, "pushes": 10, "jerks": 5, "lifting": 4, "grip": 5, "handling": 6}
 RESHAPED = {"slip": 12, "slip-varied": 14, "pushes": 16, "jerks": 6, "lifting": 6, "grip": 12, "handling": 14}
 CHOOSING_COUNT = 4
 OTHER_SENSOR = 3  # every third trial of an object and motion
 WIDTHS = (64, 32)
-NETWORKS = 2  # of these widths, trained by themselves: the mean of their log odds is told
+NETWORKS = 2  # of these widths, trained independently; the estimate is the mean of their log odds
 EPOCHS, BATCH, RATE, DECAY = 30, 256, 2e-3, 0.05
-SLIPS, KEPT = 0.03, 0.5  # looks with less slip are thinned out to so many of them
-MISSING = (0.0, 0.0, 0.0, 0.1)  # shares of dots that a trial may lack
+SLIPS, KEPT = 0.03, 0.5  # of the looks with less slip, only this share is kept
+MISSING = (0.0, 0.0, 0.0, 0.1)  # shares of dots that may be missing in a trial
 SD_POINTS = 11
-BEGUN = 0.12  # from this share on slip has begun; between it and trials.LOW a look counts as neither
-BEGUN_WEIGHT = 0.5  # of its cross entropy beside the error of the share
+BEGUN = 0.12  # slip has begun at this share; looks between it and trials.LOW count as neither
+BEGUN_WEIGHT = 0.5  # weight of its cross entropy relative to the error of the share
 DROPPED = 0.02  # share of the inputs that are left out at random
 
 
 def sensor_of(count: int, number: int, seed: int) -> str:
-    """The sensor of the count-th trial of an object and a motion."""
+    """Return the sensor of the count-th trial of an object and a motion."""
     return motions.EVETAC if count % OTHER_SENSOR != OTHER_SENSOR - 1 else f"randomized:{20 * seed + number}"
 
 
 def training_trials(folder: Path) -> list[Trial]:
-    """What weights are fitted to."""
+    """Return the trials that weights are fitted to."""
     return [
         trials.kept(folder, motion, number, seed + count, sensor_of(count, number, seed + count), reshaped)
         for seed, counts, reshaped in ((FIRST_SEED, COUNTS, False), (RESHAPED_SEED, RESHAPED, True))
@@ -59,7 +59,7 @@ def training_trials(folder: Path) -> list[Trial]:
 
 
 def choosing_trials(folder: Path) -> dict[str, list[Trial]]:
-    """What deviations and the alarm are chosen by, all motions that are trained on."""
+    """Return the trials for deviations and alarm, over all trained motions."""
     return {
         motion: [
             trials.kept(folder, motion, number, CHOOSING_SEED + count)
@@ -72,24 +72,24 @@ def choosing_trials(folder: Path) -> dict[str, list[Trial]]:
 
 
 class Samples(NamedTuple):
-    """Inputs (n, INPUTS) at looks, with the true share that slips, and whether slip has begun: 1, 0, or NaN between."""
+    """Inputs (n, INPUTS) at looks, the true slipping share, and whether slip has begun: 1, 0, or NaN in between."""
 
     inputs: Singles
     share: Singles
     begun: Singles
 
     def of(self, chosen: Flags) -> "Samples":
-        """Some of them."""
+        """Return a subset."""
         return Samples(*(column[chosen] for column in self))
 
 
 def joined(parts: list[Samples]) -> Samples:
-    """All of them."""
+    """Return all samples as one."""
     return Samples(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
 def samples(made: list[Trial], rng: np.random.Generator) -> Samples:
-    """What a network learns from trials, seen once by a tracker."""
+    """Return the training samples of trials, each seen once by a tracker."""
     network = blank()
     parts = []
     for trial in made:
@@ -102,14 +102,14 @@ def samples(made: list[Trial], rng: np.random.Generator) -> Samples:
 
 
 def blank() -> StickingNetwork:
-    """A network that knows nothing."""
+    """Return an untrained network."""
     wide, narrow = WIDTHS
     shapes = ((INPUTS, wide), (wide,), (wide, narrow), (narrow,), (narrow, 2), (2,))
     return StickingNetwork(*(np.zeros(shape, np.float32) for shape in shapes), np.ones(SD_POINTS, np.float32))
 
 
 def mirrored(inputs: Singles, axis: int) -> Singles:
-    """Inputs of the same contacts on the other side of the y axis (0) or the x axis (1) of the image."""
+    """Return the inputs of the same contacts mirrored at the y axis (0) or the x axis (1) of the image."""
     fields = inputs[:, :-1].reshape(-1, len(Y_MM), len(X_MM), FIELDS, 2)
     other = fields[:, :, ::-1] if axis == 0 else fields[:, ::-1]
     sign = np.ones(2, np.float32)
@@ -119,7 +119,7 @@ def mirrored(inputs: Singles, axis: int) -> Singles:
 
 
 def trained(learnt: Samples, seed: int) -> tuple[Singles, ...]:
-    """Weights and biases, layer by layer, fitted to samples and their mirror images."""
+    """Return weights and biases, layer by layer, fitted to samples and their mirror images."""
     inputs = learnt.inputs
     torch.manual_seed(seed)
     torch.set_num_threads(1)
@@ -161,7 +161,7 @@ def trained(learnt: Samples, seed: int) -> tuple[Singles, ...]:
 
 
 def as_one(networks: list[tuple[Singles, ...]]) -> tuple[Singles, ...]:
-    """One network that tells the mean of the log odds of several."""
+    """Return one network whose output is the mean of the log odds of several."""
     first, first_bias, second, second_bias, third, third_bias = zip(*networks, strict=True)
     beside = np.asarray(block_diag(*second), np.float32)
     mean = np.concatenate(third) / len(networks), sum(third_bias) / len(networks)
@@ -170,7 +170,7 @@ def as_one(networks: list[tuple[Singles, ...]]) -> tuple[Singles, ...]:
 
 
 def told(weights: tuple[Singles, ...], inputs: Singles) -> Singles:
-    """The share that slips and the probability that slip has begun (n, 2), of many samples at once."""
+    """Return the slipping share and the probability that slip has begun (n, 2), for many samples at once."""
     first, first_bias, second, second_bias, third, third_bias = weights
     wide = np.maximum(inputs @ first + first_bias, 0)
     odds = np.maximum(wide @ second + second_bias, 0) @ third + third_bias
@@ -179,19 +179,19 @@ def told(weights: tuple[Singles, ...], inputs: Singles) -> Singles:
 
 
 def deviations(told_share: Singles, share: Singles) -> Floats:
-    """Rms error of the estimate about each of SD_POINTS estimates of what sticks, 0 to 1."""
+    """Return the rms error at each of SD_POINTS estimates of the sticking share, 0 to 1."""
     sticks = 1 - told_share
     points = np.linspace(0, 1, SD_POINTS)
     weight = np.maximum(1 - np.abs(sticks[:, None] - points) * (SD_POINTS - 1), 0.0)
     squares = weight.T @ (told_share - share) ** 2
-    rms: Floats = np.sqrt((squares + 0.05**2) / (weight.sum(axis=0) + 1))  # of a point without samples 0.05
+    rms: Floats = np.sqrt((squares + 0.05**2) / (weight.sum(axis=0) + 1))  # 0.05 for a point without samples
     return rms
 
 
 def main() -> None:
     """Train and write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seed", type=int, default=0, help="of the training")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the training")
     parser.add_argument("--trials", type=Path, required=True, help="folder of the trials")
     parser.add_argument("--out", type=Path, default=STICKING_MODEL)
     chosen = parser.parse_args()

@@ -1,13 +1,13 @@
-"""Follow the Dockerfile where there is no Docker: its lines, one by one, in a Debian of debootstrap with chroot.
+"""Follow the Dockerfile on a machine without Docker: line by line, in a Debian made by debootstrap, with chroot.
 
     sudo python scripts/try_dockerfile.py /tmp/image --try "doctor" --try "record --object 8"
 
-FROM stands for a Debian with the Python that the image has, in a virtual environment at /usr/local, where the image
-has its own. COPY takes what .dockerignore leaves, ENV, USER and WORKDIR hold from there on, and RUN is run as Docker
-does, by /bin/sh -c. In the end ENTRYPOINT is run with each --try. The first line that fails ends the script, exit 1.
+FROM is replaced by a Debian with the same Python, in a virtual environment at /usr/local, the location of Python in the
+image. COPY respects .dockerignore. ENV, USER and WORKDIR apply to the lines after them. RUN uses /bin/sh -c, as Docker
+does. Finally, ENTRYPOINT runs with each --try. The first line that fails ends the script with exit code 1.
 
-What pip and proxies are told by the environment holds in there too; --share makes a folder of this machine seen, such
-as one of wheels. What is not tried: Docker's layers, limits and network.
+pip and proxies use the settings of the environment. --share makes a folder of this machine visible, such as one of
+wheels. Docker's layers, limits and network are not tested.
 """
 
 import argparse
@@ -26,13 +26,13 @@ from collections.abc import Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-SUITES = {"python:3.11-slim": "bookworm", "python:3.13-slim": "trixie"}  # Debians by the Python that they have
+SUITES = {"python:3.11-slim": "bookworm", "python:3.13-slim": "trixie"}  # Debian releases by the Python that they have
 PACKAGES = "python3,python3-venv,ca-certificates"
-PASSED_ON = re.compile("(?i)pip_.*|.*_proxy")  # of the environment
+PASSED_ON = re.compile("(?i)pip_.*|.*_proxy")  # variables of the environment
 
 
 def instructions(text: str) -> list[tuple[str, str]]:
-    """Word and argument of every instruction, lines that go on joined, comments left out."""
+    """Return word and argument of every instruction, with continued lines joined and comments left out."""
     lines = [line for line in text.splitlines() if not line.lstrip().startswith("#")]
     joined = re.sub(r"\\\n\s*", "", "\n".join(lines))
     return [
@@ -41,7 +41,7 @@ def instructions(text: str) -> list[tuple[str, str]]:
 
 
 def context(ignored: str) -> list[Path]:
-    """Files of the clone that a build sees: the last pattern of .dockerignore that fits a file or a folder above it."""
+    """Return the clone's files that a build sees; of several .dockerignore patterns that match, the last counts."""
     patterns = [line for line in ignored.splitlines() if line and not line.startswith("#")]
     seen = []
     for folder, folders, names in os.walk(ROOT):
@@ -61,7 +61,7 @@ def _fits(path: str, pattern: str) -> bool:
 
 
 def require_own(folder: Path) -> None:
-    """Exit where other users may have put something into the folder: root runs what is in it."""
+    """Exit if other users may have put files into the folder, because root runs its contents."""
     for part in (folder, *folder.parents):
         if not part.exists():
             continue
@@ -72,7 +72,7 @@ def require_own(folder: Path) -> None:
 
 
 class Image:
-    """The folder that stands for an image, and what its instructions have set so far."""
+    """The folder used as an image, and the settings of its instructions so far."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -85,7 +85,7 @@ class Image:
         }
 
     def call(self, *words: str) -> None:
-        """Run a command in it; CalledProcessError where it fails."""
+        """Run a command in it; CalledProcessError if it fails."""
         home = "/root" if self.user == "root" else f"/home/{self.user}"
         inside = ["/bin/sh", "-c", f"cd {shlex.quote(self.workdir)} && exec {shlex.join(words)}"]
         known = [f"{key}={value}" for key, value in {"HOME": home, **self.environment}.items()]
@@ -93,7 +93,7 @@ class Image:
         subprocess.run(["chroot", *user, self.folder, "/usr/bin/env", "-i", *known, *inside], check=True)
 
     def start(self, base: str) -> None:
-        """FROM: debootstrap, unless the folder holds that already."""
+        """FROM: run debootstrap, unless the folder already has a Debian."""
         if base not in SUITES:
             sys.exit(f"FROM {base}: expected one of {', '.join(SUITES)}")
         if not (self.folder / "usr/bin/python3").exists():
@@ -104,7 +104,7 @@ class Image:
         self.call("python3", "--version")
 
     def copy(self, source: str, target: str, files: list[Path]) -> None:
-        """COPY of the whole context, or of one of its files, into a folder."""
+        """COPY the whole context, or one of its files, into a folder."""
         chosen = files if source == "." else [path for path in files if str(path) == source]
         if not chosen or not target.endswith("/"):
             expected = "a file that .dockerignore leaves, or `.`, and a folder that ends in /"
@@ -115,7 +115,7 @@ class Image:
             shutil.copyfile(ROOT / path, place)
 
     def follow(self, word: str, rest: str, files: list[Path]) -> None:
-        """One instruction."""
+        """Follow one instruction."""
         if word == "FROM":
             self.start(rest)
         elif word == "COPY":
@@ -137,7 +137,7 @@ class Image:
 
 @contextlib.contextmanager
 def mounted(folder: Path, shared: list[Path]) -> Iterator[None]:
-    """With /proc, memory for /dev/shm, and the shared folders, read-only, below a folder; gone again at the end."""
+    """Mount /proc, memory for /dev/shm, and the shared folders, read-only, below a folder; unmount at the end."""
     mounts = [(folder / "proc", ["-t", "proc", "proc"]), (folder / "dev/shm", ["-t", "tmpfs", "tmpfs"])]
     mounts += [(folder / str(one).strip("/"), ["--bind", "-o", "ro", str(one)]) for one in shared]
     with contextlib.ExitStack() as taken_away:
@@ -149,11 +149,15 @@ def mounted(folder: Path, shared: list[Path]) -> Iterator[None]:
 
 
 def main() -> int:
-    """Read the flags, follow the Dockerfile, run what it is for."""
+    """Read the flags, follow the Dockerfile, and run the image's commands."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", type=Path, help="where the image goes; kept, so that a second run starts quickly")
-    parser.add_argument("--share", type=Path, action="append", default=[], help="a folder that is seen in there too")
-    parser.add_argument("--try", action="append", default=[], dest="tries", help="words after ENTRYPOINT, in the end")
+    parser.add_argument("folder", type=Path, help="folder of the image; kept, so that a second run starts quickly")
+    parser.add_argument(
+        "--share", type=Path, action="append", default=[], help="a folder that is also visible in the image"
+    )
+    parser.add_argument(
+        "--try", action="append", default=[], dest="tries", help="arguments for ENTRYPOINT, run at the end"
+    )
     chosen = parser.parse_args()
     image = Image(chosen.folder.resolve())
     require_own(image.folder)

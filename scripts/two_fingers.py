@@ -1,19 +1,23 @@
-"""Grasps in which a camera looks at each finger: what became of them, how late they were, and slip at one finger alone.
+"""Run grasps with a camera at each finger: outcomes, lateness, and slip at one finger alone.
 
-    python scripts/two_fingers.py --part simulated --seeds 57000-57019 -o rows.jsonl   # beside one camera
+    python scripts/two_fingers.py --part simulated --seeds 57000-57019 -o rows.jsonl   # also with one camera
     python scripts/two_fingers.py --part unlike --seeds 57000-57019 -o rows.jsonl
     python scripts/two_fingers.py --part virtual --seeds 57020-57024 -o rows.jsonl
     python scripts/two_fingers.py --part prepared --seeds 57025-57027 -o rows.jsonl
     python scripts/two_fingers.py --table -o rows.jsonl                                # docs/results/grip-two-fingers*
 
-`simulated`: objects and sensors as a seed draws them in grip_trials.py, without a disturbance; `virtual`: the same on
-virtual devices in real time, whose world waits where the computer is too slow. The sensor of the second finger is
-another one than that of the first: `evetac`, or the randomized one of the seed's number where the first is `evetac`.
-`prepared`: two virtual cameras that play random events by the computer's clock, which does not wait: how fast and how
-late both detectors are. `unlike`: an object between a soft gel that holds it well and a stiffer one of low friction
-(UNLIKE), by a law that only closes on slip (ClosesOnSlip), in memory; once with both fingers told to the law and once
-with the second one blind: whether slip of the second finger alone is answered. Rows are written as grasps end, with the
-load of the computer; those that are there are not made again. All of it simulated.
+- `simulated`: objects and sensors as a seed draws them in grip_trials.py, without a disturbance. The sensor of the
+  second finger differs from the first: `evetac`, or the randomized sensor of the seed's number if the first is
+  `evetac`.
+- `virtual`: the same on virtual devices in real time; if the computer is too slow, the virtual world waits.
+- `prepared`: two virtual cameras that play random events by the computer's clock, which does not wait. It measures how
+  fast and how late both detectors are.
+- `unlike`: an object between a soft gel that holds it well and a stiffer gel of low friction (UNLIKE), with a law that
+  only closes on slip (ClosesOnSlip), in memory. It runs once with both fingers' signals and once without the second
+  finger's, to test whether slip of the second finger alone has an effect.
+
+Rows are written as grasps end, with the load of the computer; existing rows are not made again. All results are
+simulated.
 """
 
 import argparse
@@ -49,19 +53,19 @@ from evetac_cli.trials.grasp.two_fingers import TwoFingers
 
 LAW = "load-proportional"
 SHOWN = ("balanced", "failure", "force_end_n", "over_holding_end", "moved_mm", "slip_events", "false_slip_events")
-# Chosen on seeds 1 to 7: the second finger slips some px as the object leaves the table, and the first sticks. What
-# the first finger holds slips at the second by as much as the first gel shears: so the first is soft.
+# Chosen on seeds 1 to 7: the second finger slips some px as the object leaves the table, and the first sticks. The
+# object slips at the second finger by as much as the first gel shears, so the first gel is soft.
 UNLIKE = SecondFingerSettings(friction_factor=0.2, stiffness_factor=2.5)
 SOFT, FRICTION, MASS_G, HOLDS_TICKS = 0.4, 3.0, 150.0, 4
 UNLIKE_THRESHOLD, UNLIKE_LIFT_S = 0.1, 1.5
-SOON_MS = 50  # from where the second finger has slid by half a pixel
-STICKS = 0.5  # most share of the first finger's contact that slips, where the second slips alone
+SOON_MS = 50  # counted from when the second finger has slid half a pixel
+STICKS = 0.5  # largest slipping share of the first finger's contact while the second slips alone
 EVENTS_S, PREPARED_S = 20_000, 20.0
 CAMERAS = {"one": "{0}", "two": "{0},{0}"}
 
 
 def command(folder: Path, *words: str) -> Row:
-    """Run a grasp: its row, or why there is none."""
+    """Run a grasp; return its row, or the reason why there is none."""
     before = os.getloadavg()[0]
     whole = ["grasp", *words, "--json", "-q", "-o", str(folder / "out")]
     done = subprocess.run(
@@ -74,7 +78,7 @@ def command(folder: Path, *words: str) -> Row:
 
 
 def figures(row: Row) -> Row:
-    """What is kept of the row of a grasp: what became of it, and of one in real time how time was kept."""
+    """Return the outcome in a grasp's row and, for one in real time, its timing."""
     if "failed" in row:
         return row
     kept = {name: row[name] for name in (*SHOWN, "load", "load_after") if name in row}
@@ -93,7 +97,7 @@ def figures(row: Row) -> Row:
 
 
 def drawn_grasp(seed: int, how: str, device: str) -> Row:
-    """A grasp of the object and sensors of a seed, with a camera at one finger or at both."""
+    """Run a grasp of a seed's object and sensors, with a camera at one finger or at both."""
     one = drawn(seed)
     first = one.plan.sensor_name
     other = f"randomized:{seed}" if first == "evetac" else "evetac"
@@ -105,7 +109,7 @@ def drawn_grasp(seed: int, how: str, device: str) -> Row:
 
 
 def prepared_grasp(seed: int, how: str) -> Row:
-    """How well time is kept with cameras that play random events."""
+    """Measure timing with cameras that play random events."""
     with tempfile.TemporaryDirectory() as folder:
         devices = ["--camera", CAMERAS[how].format(f"virtual:prepared={EVENTS_S}"), "--gripper", "virtual"]
         lift_s = PREPARED_S / 2
@@ -122,9 +126,9 @@ class ClosingState(LawState):
 
 @dataclass(frozen=True)
 class ClosesOnSlip(PluginLaw):
-    """Holds some ticks beyond where the fingers touched, and closes by one with each step that has slip; no more.
+    """Holds a number of ticks beyond first touch, and closes by one tick with each step that has slip.
 
-    Why so: the package's laws do so much more that one does not see what a slip signal alone does.
+    evetac's own laws do so much more that the effect of a slip signal alone would not be visible.
     """
 
     method: ClassVar[int] = 1
@@ -132,11 +136,11 @@ class ClosesOnSlip(PluginLaw):
     most_ticks: int = 20
 
     def start(self, control_hz: float) -> ClosingState:
-        """The state before the first step."""
+        """Return the state before the first step."""
         return ClosingState()
 
     def step(self, state: Any, phase: GraspPhase, slip: bool, signal: SlipSignal, position_ticks: int) -> int:
-        """The goal position."""
+        """Return the goal position."""
         if phase is GraspPhase.CONTACT:
             state.x_ref = float(position_ticks)
             return position_ticks + self.approach_ticks
@@ -146,7 +150,7 @@ class ClosesOnSlip(PluginLaw):
 
 
 class Blind:
-    """Two fingers of which the controller is told the first alone."""
+    """Two fingers of which only the first one's signal reaches the controller."""
 
     def __init__(self, both: TwoFingers, first: OnlineSlipDetector) -> None:
         self._first = first
@@ -154,12 +158,12 @@ class Blind:
 
     @property
     def signal(self) -> SlipSignal:
-        """What the controller gets to know."""
+        """Return the signal for the controller."""
         return self._first.signal
 
 
 def unlike_grasp(seed: int, how: str) -> Row:
-    """Whether slip of the second finger alone is answered; how `one`: the controller is not told of that finger."""
+    """Test whether slip of the second finger alone has an effect; `one` hides its signal from the controller."""
     plan = first_plan("lift", "11")
     assert plan.touched is not None
     scene = replace(
@@ -204,13 +208,13 @@ HOWS = {"simulated": ("one", "two"), "unlike": ("one", "two"), "virtual": ("two"
 
 
 def medians(values: Sequence[float | None]) -> float | None:
-    """The median of what is known."""
+    """Return the median of the available values."""
     known = [value for value in values if value is not None]
     return float(np.median(known)) if known else None
 
 
 def grasps_table(rows: Rows) -> Row:
-    """What became of the grasps, and how late they were."""
+    """Return the table of outcomes and lateness."""
     shown = []
     words = {
         "simulated": "simulated",
@@ -271,7 +275,7 @@ def grasps_table(rows: Rows) -> Row:
 
 
 def unlike_table(rows: Rows) -> Row:
-    """Whether slip at one of two unlike fingers is answered."""
+    """Return the table of reactions to slip at one of two unlike fingers."""
     shown = []
     for how, words in (("two", "yes"), ("one", "no")):
         some = [row for row in rows if (row["part"], row["how"]) == ("unlike", how)]
@@ -317,7 +321,7 @@ def unlike_table(rows: Rows) -> Row:
 
 
 def main() -> None:
-    """Make what is missing of a part, or the tables of what there is."""
+    """Run the missing grasps of a part, or write the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--part", choices=PARTS)
     parser.add_argument("--seeds", type=seeds_of, help="FIRST-LAST")

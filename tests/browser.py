@@ -1,4 +1,4 @@
-"""A headless Chromium for the tests of pages, where one is installed."""
+"""A headless Chromium for tests of pages, if one is installed."""
 
 import json
 import os
@@ -13,7 +13,7 @@ from tests.patience import PATIENCE_S
 
 
 class Browser:
-    """A headless Chromium, told what to do through a pipe (Chrome DevTools Protocol)."""
+    """A headless Chromium, controlled through a pipe (Chrome DevTools Protocol)."""
 
     def __init__(self, program: str, folder: Path) -> None:
         theirs_in, self._to = os.pipe()
@@ -25,7 +25,7 @@ class Browser:
             "--remote-debugging-pipe",
             f"--user-data-dir={folder}",
         )
-        hand_over = f'exec "$0" "$@" 3<&{theirs_in} 4>&{theirs_out}'  # the protocol wants these two numbers
+        hand_over = f'exec "$0" "$@" 3<&{theirs_in} 4>&{theirs_out}'  # the protocol requires these two numbers
         self._process = subprocess.Popen(
             ["bash", "-c", hand_over, program, *flags, "about:blank"],
             pass_fds=(theirs_in, theirs_out),
@@ -66,7 +66,7 @@ class Browser:
         return dict(json.loads(message))
 
     def run(self, code: str) -> Any:
-        """The value of a JavaScript expression."""
+        """Return the value of a JavaScript expression."""
         answer = self.call("Runtime.evaluate", expression=code, returnByValue=True, awaitPromise=True)
         assert "exceptionDetails" not in answer, answer
         return answer["result"].get("value")
@@ -80,7 +80,7 @@ class Browser:
         return value
 
     def visit(self, address: str) -> None:
-        """Begin to load a page."""
+        """Start to load a page."""
         self.events.clear()
         self.call("Page.navigate", url=address)
 
@@ -94,12 +94,12 @@ class Browser:
         )
 
     def resize(self, width: int) -> None:
-        """Make the window so wide."""
+        """Set the width of the window."""
         self.call("Emulation.setDeviceMetricsOverride", width=width, height=1200, deviceScaleFactor=1, mobile=False)
         self.until(f"innerWidth === {width}")
 
     def picture(self, path: Path) -> None:
-        """Keep what is seen as PNG."""
+        """Save the visible page as PNG."""
         path.write_bytes(b64decode(self.call("Page.captureScreenshot", format="png")["data"]))
 
     def key(self, key: str, **more: Any) -> None:
@@ -112,7 +112,7 @@ class Browser:
             self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, **button)
 
     def complaints(self, server: str = "file:") -> list[Any]:
-        """Errors and warnings on the console, exceptions, and requests to anywhere but the page's own server."""
+        """Return console errors and warnings, exceptions, and requests to other servers than the page's own."""
         events = []
         for event in self.events:
             params = event.get("params", {})

@@ -1,4 +1,4 @@
-"""Files of every kind, each made by the real stage from the smallest scene; shared by the tests of a session."""
+"""Files of every kind, made by the real stages from the smallest scene and shared by the tests of a session."""
 
 import shutil
 import signal
@@ -33,12 +33,12 @@ from evetac_cli.trials import grasp, record
 from tests.browser import Browser
 from tests.small_files import recording_of
 
-# No test depends on how fast the machine is.
+# No test depends on the speed of the machine.
 settings.register_profile("patient", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("patient")
 
-# A program in the background of a script is started with Ctrl-C ignored, one under nohup with SIGHUP ignored, and what
-# they start inherits that.
+# A background program of a script starts with Ctrl-C ignored, and one under nohup with SIGHUP ignored. The processes
+# that they start inherit this.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
@@ -46,7 +46,7 @@ if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
-# As the slip scene, but slipping within a second, seen by a coarse gel.
+# The slip scene, but with slip within a second and a coarse gel.
 SHORT = {
     "rest_s": 0.05,
     "load_s": 0.05,
@@ -58,7 +58,7 @@ SHORT = {
 
 @pytest.fixture
 def words_wait(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The prepared words of cameras that are opened by name wait for the machine, so that their counts are exact."""
+    """Make the prepared words of cameras opened by name wait for the machine, so that their counts are exact."""
 
     def waiting(events_s: float, seeds: np.random.SeedSequence) -> PreparedWords:
         return prepared_words(events_s, seeds, SharedTime())
@@ -67,14 +67,14 @@ def words_wait(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Real devices that the contract of devices is to be tried on, named as on evetac's command line."""
+    """Add options for real devices to test the device contract on, named as on evetac's command line."""
     parser.addoption("--camera", default=None, help="a camera on this machine, such as dvxplorer")
     parser.addoption("--gripper", default=None, help="a gripper on this machine, such as /dev/ttyUSB0; it will move")
 
 
 @dataclass
 class Made:
-    """One trial and what was computed from it, and a model and a grasp."""
+    """One trial and the files computed from it, a model, and a grasp."""
 
     folder: Path
     scene: Path
@@ -118,7 +118,7 @@ def made(tmp_path_factory: pytest.TempPathFactory, short_scene: Path) -> Made:
     for job in record.jobs([], recipe, folder):
         record.run(job, recipe)
         made.recordings.append(job.output)
-    # A trial that no model is trained on; its name keeps it apart from the others.
+    # A trial that is not used for training; its name distinguishes it from the others.
     alone = Record(scene=str(short_scene), objects="8", seed=77)
     (job,) = record.jobs([], alone, folder / "apart.recording.h5")
     record.run(job, alone)
@@ -145,36 +145,36 @@ def made(tmp_path_factory: pytest.TempPathFactory, short_scene: Path) -> Made:
 
 @pytest.fixture(scope="session")
 def long_recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Ten minutes of a few events, which are still being played whenever a test does something about it."""
+    """Write ten minutes of a few events, long enough to be still playing when a test interrupts it."""
     return recording_of(tmp_path_factory.mktemp("long") / "long.recording.h5", [2] * 600_000)
 
 
 @pytest.fixture(scope="module")
 def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
-    """A headless Chromium, for the tests of pages."""
+    """Start a headless Chromium for tests of pages."""
     program = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)
     if program is None:
-        pytest.skip("no Chromium is installed here: the page is not tried in a browser")
+        pytest.skip("no Chromium is installed: the page is not tested in a browser")
     chromium = Browser(program, tmp_path_factory.mktemp("chromium"))
     yield chromium
     chromium.close()
 
 
-# A gripper to try the driver on.
+# A gripper for testing the driver.
 
-SLOW = RhP12RnSettings(answer_ms=2000, watchdog_ms=2540)  # nothing is lost, however busy the machine
+SLOW = RhP12RnSettings(answer_ms=2000, watchdog_ms=2540)  # nothing is lost on a busy machine
 
 
 @pytest.fixture(scope="module")
 def gripper() -> Iterator[VirtualGripper]:
-    """The virtual gripper of a file of tests."""
+    """Start the virtual gripper of a test module."""
     with VirtualGripper() as made:
         yield made
 
 
 @pytest.fixture
 def fresh(gripper: VirtualGripper) -> VirtualGripper:
-    """The module's gripper, as after switching it off and on."""
+    """Return the module's gripper in the state after a power cycle."""
     with Bus(gripper.port, 2_000_000, answer_ms=SLOW.answer_ms) as bus:
         bus.tolerant = True
         bus.reboot()

@@ -1,4 +1,4 @@
-"""What tests make again and again: outputs of stages and commands, recordings of given events, trials of scenes."""
+"""Helpers that many tests use: outputs of stages and commands, recordings of given events, simulated trials."""
 
 import itertools
 import json
@@ -21,31 +21,31 @@ FRAME_PX = (640, 480)
 def run_stage(
     stage: Any, files: list[Path], chosen: Any, out: Path | None = None, **options: Any
 ) -> tuple[Path, Outcome]:
-    """Run the one job of a stage; the path of its output, and what it reports."""
+    """Run the one job of a stage; return the path of its output and its report."""
     (job,) = stage.jobs(files, chosen, out)
     outcome: Outcome = stage.run(job, chosen, **options)
     return job.output, outcome
 
 
 def run_valid(stage: Any, files: list[Path], chosen: Any, out: Path | None = None) -> tuple[Path, Outcome]:
-    """Run the one job of a stage, whose output must be valid."""
+    """Run the one job of a stage, and assert that its output is valid."""
     output, outcome = run_stage(stage, files, chosen, out)
     assert [row["faults"] for row in validate.run([output]).rows] == [None]
     return output, outcome
 
 
 def output_of(stage: Any, chosen: Any, *files: Path, out: Path | None = None) -> Path:
-    """The path of the output of a stage's one job."""
+    """Return the output path of a stage's one job."""
     return run_stage(stage, list(files), chosen, out)[0]
 
 
 def evetac(*words: object) -> Any:
-    """A command in this process, on a wide terminal: exit_code, stdout, stderr."""
+    """Run a command in this process, on a wide terminal; return exit_code, stdout and stderr."""
     return CliRunner().invoke(app, [str(word) for word in words], env={"COLUMNS": "200"})
 
 
 def answer_of(*words: object) -> Any:
-    """What a command answers as JSON; it must succeed."""
+    """Return a command's output as JSON, and assert that it succeeds."""
     result = evetac(*words, "--json")
     assert result.exit_code == 0, (words, result.output[-2000:], result.stderr[-2000:])
     assert result.exception is None
@@ -55,7 +55,7 @@ def answer_of(*words: object) -> Any:
 def event_arrays(
     events: Events, slices: int, frame_px: tuple[int, int] = FRAME_PX, t_offset: int = 0
 ) -> dict[str, Any]:
-    """The datasets of a recording of these events, by a sensor that nobody named."""
+    """Return the datasets of a recording of these events, by an unnamed sensor."""
     return {
         **{f"events/{column}": getattr(events, column) for column in Events._fields},
         "ms_to_idx": slice_starts(events.t, slices),
@@ -66,13 +66,13 @@ def event_arrays(
 
 
 def events_at(t_us: Any) -> Events:
-    """OFF events of the pixel (0, 0) at these times."""
+    """Return OFF events of the pixel (0, 0) at these times."""
     t = np.asarray(t_us, np.int64)
     return Events(t, np.zeros(t.size, np.uint16), np.zeros(t.size, np.uint16), np.zeros(t.size, np.uint8))
 
 
 def truth_arrays(dots_px: Any, slip: Any = 0, normal_n: Any = 0.0, shear_n: Any = 0.0) -> dict[str, Any]:
-    """The truth of dots at these places (slices, dots, 2); slip and forces of all slices, or of each; the rest is 0."""
+    """Return the truth for dots (slices, dots, 2), with slip and forces of all slices or of each; the rest is 0."""
     slices = len(dots_px)
     names = ("slid_px", "every_node_slid_px", "slip_share", "visible_slip_share")
     return {
@@ -87,14 +87,14 @@ def truth_arrays(dots_px: Any, slip: Any = 0, normal_n: Any = 0.0, shear_n: Any 
 
 
 def write_recording(path: Path, arrays: dict[str, Any], *, simulated: bool = False, **parameters: Any) -> Path:
-    """A recording of these datasets, as an import leaves it."""
+    """Write a recording of these datasets, like an import does, and return its path."""
     recipe = Recipe("recording", 1, parameters, content=content_digest(arrays), simulated_source=simulated)
     write_stage(path, recipe, arrays)
     return path
 
 
 def play_trial(trial: Any, slices: int | None = None) -> tuple[list[dict[str, Any]], list[Events]]:
-    """Truth and events of so many slices of a trial that is simulated, or of all until it is finished."""
+    """Return truth and events of a number of slices of a simulated trial, or of all until it is finished."""
     rows, events = [], []
     for _ in range(slices) if slices is not None else itertools.count():
         if trial.finished:

@@ -1,6 +1,6 @@
-"""How long tests wait: for a condition, with a limit that a process reaches only if it hangs, however busy the machine.
+"""How long tests wait for a condition; only a process that hangs reaches the limit, however busy the machine is.
 
-Beside four busy loops on two cores a process gets a quarter of a core, and next to other tests a tenth of one.
+With four busy loops on two cores a process gets a quarter of a core, and with other tests in parallel a tenth.
 """
 
 import time
@@ -14,7 +14,7 @@ PATIENCE_S = 600.0
 
 
 def until(condition: Callable[[], object], every_s: float = 0.01) -> bool:
-    """Wait for something to become true; False if it does not in PATIENCE_S."""
+    """Wait for a condition; return False if it is not true within PATIENCE_S."""
     end_s = time.monotonic() + PATIENCE_S
     while not condition():
         if time.monotonic() > end_s:
@@ -24,5 +24,5 @@ def until(condition: Callable[[], object], every_s: float = 0.01) -> bool:
 
 
 def patient_words(words: Any, **more: Any) -> PreparedWords:
-    """Prepared words that wait for a driver that is late."""
+    """Return prepared words that wait for a slow driver."""
     return PreparedWords(words, time=SharedTime(), **more)

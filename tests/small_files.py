@@ -1,4 +1,4 @@
-"""The smallest valid file of each kind, written in milliseconds: what tests change in one place and then offer."""
+"""The smallest valid file of each kind, written in milliseconds, for tests that change one thing and read the file."""
 
 import shutil
 from collections.abc import Iterator
@@ -43,7 +43,7 @@ def _sensor() -> dict[str, Any]:
 
 
 def events() -> Events:
-    """As many events in each slice, all over the frame."""
+    """Return a given number of events in each slice, all over the frame."""
     rng = np.random.default_rng(0)
     count = SLICES * EVENTS_A_SLICE
     t = np.arange(count, dtype=np.int64) * (1000 // EVENTS_A_SLICE)
@@ -52,7 +52,7 @@ def events() -> Events:
 
 
 def recording_of(path: Path, counts: list[int]) -> Path:
-    """A recording with so many events in each slice, and nothing else."""
+    """Write a recording with a given number of events in each slice, and nothing else."""
     of_slice = np.repeat(np.arange(len(counts), dtype=np.int64), counts)
     x, y = ((of_slice % size).astype(np.uint16) for size in FRAME_PX)
     events = Events(of_slice * SLICE_US, x, y, (of_slice % 2).astype(np.uint8))
@@ -60,7 +60,7 @@ def recording_of(path: Path, counts: list[int]) -> Path:
 
 
 def recording(path: Path, *, lost_slices: bool = True) -> Header:
-    """A simulated recording with every group."""
+    """Write a simulated recording with every group."""
     made = events()
     slices = np.arange(SLICES)
     steps = SLICES // 2
@@ -113,7 +113,7 @@ def recording(path: Path, *, lost_slices: bool = True) -> Header:
 
 
 def tracks(path: Path, of: Header) -> Header:
-    """Tracks of dots that do not move."""
+    """Write tracks of dots that do not move."""
     arrays = {
         "dot_xy_px": np.broadcast_to(GRID_PX.reshape(1, DOTS, 2), (SLICES, DOTS, 2)).astype(np.float32),
         "events_per_dot": np.ones((SLICES, DOTS), np.int32),
@@ -128,7 +128,7 @@ def _label() -> Any:
 
 
 def labels(path: Path, of: Header) -> Header:
-    """Labels with slip from ONSET on."""
+    """Write labels with slip that starts at ONSET."""
     arrays = {
         "label": _label(),
         "relative_flow_px": np.full(SLICES, np.nan, np.float32),
@@ -140,7 +140,7 @@ def labels(path: Path, of: Header) -> Header:
 
 
 def unsure_labels(path: Path, of: Header) -> Header:
-    """Labels that cannot tell their onset, which lies within a slice of ONSET."""
+    """Write labels with an uncertain onset, within a slice of ONSET."""
     label = _label()
     label[ONSET - 1 : ONSET + 2] = -1
     slices = {"onset_slice": ONSET, "earliest_slice": ONSET - 1, "latest_slice": ONSET + 1}
@@ -157,7 +157,7 @@ def unsure_labels(path: Path, of: Header) -> Header:
 
 
 def features(path: Path, of: tuple[Header, ...]) -> Header:
-    """Labelled features with images of two pixels a slice."""
+    """Write labelled features with images of two pixels per slice."""
     arrays = {
         "displacement_px": np.zeros((SLICES, DOTS), np.float32),
         "displacement_xy_px": np.zeros((SLICES, DOTS, 2), np.float32),
@@ -171,7 +171,7 @@ def features(path: Path, of: tuple[Header, ...]) -> Header:
         "gripper_goal_ma": np.full(SLICES, 60.0, np.float32),
         "sticking_share": np.ones(SLICES, np.float32),
         "truth/visible_slip_share": np.zeros(SLICES, np.float32),
-        "visible_slip_share": np.zeros(SLICES, np.float32),  # as older features have it
+        "visible_slip_share": np.zeros(SLICES, np.float32),  # in older features
         "label": _label(),
         "onset_slice": np.int64(ONSET),
         "dot_shape": np.array([ROWS, COLUMNS], np.int32),
@@ -183,7 +183,7 @@ def features(path: Path, of: tuple[Header, ...]) -> Header:
 
 
 def force_model(path: Path, of: Header) -> Header:
-    """A force model of hidden layers of 5 and 4."""
+    """Write a force model with hidden layers of 5 and 4."""
     inputs = 2 * DOTS
     arrays = {
         "sensor": "events",
@@ -207,7 +207,7 @@ def force_model(path: Path, of: Header) -> Header:
 
 
 def touch_arrays(slices: int = SLICES) -> dict[str, Any]:
-    """Touch of 1 N of shear and 2 N of pressure in all slices, and two maps of 4 x 5 cells."""
+    """Return a touch of 1 N of shear and 2 N of pressure in all slices, with two maps of 4 x 5 cells."""
 
     def everywhere(value: float, *shape: int) -> Any:
         return np.full(shape, value, np.float32)
@@ -229,18 +229,18 @@ def touch_arrays(slices: int = SLICES) -> dict[str, Any]:
 
 
 def touch(path: Path, of: Header) -> Header:
-    """Touch as of `touch_arrays`."""
+    """Write the touch of `touch_arrays`."""
     return write_stage(path, Recipe("touch", 1, {}, parents=(of,)), touch_arrays())
 
 
 def report(path: Path) -> Header:
-    """A report of one row."""
+    """Write a report of one row."""
     arrays = {"command": "evaluate slip", "rows": '[{"f1": 0.5, "object": "8"}]', "summary": '{"f1": 0.5}'}
     return write_stage(path, Recipe("report", 1, {}), arrays)
 
 
 def every_kind(folder: Path, *, lost_slices: bool = True) -> dict[str, Path]:
-    """Kind -> a small valid file of it, all of one trial; the model is the one that evetac comes with."""
+    """Write a small valid file of every kind, all of one trial, with the pretrained model; return paths by kind."""
     paths = {}
     for kind, content in _every_kind(lost_slices).items():
         paths[kind] = folder / f"a.{kind}.h5"
@@ -250,7 +250,7 @@ def every_kind(folder: Path, *, lost_slices: bool = True) -> dict[str, Path]:
 
 @cache
 def _every_kind(lost_slices: bool) -> dict[str, bytes]:
-    """The files' contents, made once for all tests of a process."""
+    """Return the contents of the files, made once for all tests of a process."""
     with TemporaryDirectory() as folder:
         return {kind: path.read_bytes() for kind, path in _make_every_kind(Path(folder), lost_slices).items()}
 
@@ -272,7 +272,7 @@ def _make_every_kind(folder: Path, lost_slices: bool) -> dict[str, Path]:
 
 
 def remove_dimensions(h5: h5py.File) -> None:
-    """Take the named dimensions out of a file, which then may hold datasets of other shapes."""
+    """Remove the named dimensions from a file, so that its datasets may have other shapes."""
     names: list[str] = []
     h5.visititems(lambda name, item: names.append(name) if item.attrs.get("CLASS") == b"DIMENSION_SCALE" else None)
     for name in names:
@@ -281,7 +281,7 @@ def remove_dimensions(h5: h5py.File) -> None:
 
 @contextmanager
 def nonsense_is_written() -> Iterator[None]:
-    """Within the block files are written whatever their values are, as a program of somebody else might."""
+    """Within the block, write files without checking their values, like a foreign program might."""
     with pytest.MonkeyPatch.context() as patch:
         for check in ("check_block", "check_rest"):
             patch.setattr(NewContents, check, lambda *_: None)

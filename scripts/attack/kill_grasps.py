@@ -1,20 +1,24 @@
-"""Kill and stop processes of `grasp` or `record` at random moments; how long does the motor keep its current?
+"""Kill and stop processes of `grasp` or `record` at random times. How long does the motor keep its current?
 
     python scripts/attack/kill_grasps.py --kills 40 --stops 20 -o kills.jsonl          # of grasps, on a quiet machine
     python scripts/attack/kill_grasps.py --kills 40 --stops 20 -o kills.jsonl --json   # the same as one JSON object
     python scripts/attack/kill_grasps.py --kills 10 --stops 0 --commands grasp record --watchdog-ms 100 --busy 4
 
-The commands are real ones, with a camera that plays prepared words and a gripper at a port. At its other end is a
-virtual servo, in a process of its own that outlives the commands. It keeps its own log, by the clock by which
-the kill is timed: when the motor got current, when it was without, and when the last goal came. The moment is anywhere
-from before the first word to after the last; every other trial is timed from when the motor first got current, until
-after it is without. The process is the recorder (the parent of all), the detector or the controller, where there
-is one yet. A kill is SIGKILL, a stop SIGSTOP: a stopped process goes on after 1 s and is watched for 1 s more.
+The commands are real ones, with a camera that plays prepared words and a gripper at a port. At the other end of the
+port is a virtual servo, in a process of its own that outlives the commands. The servo keeps a log by the same clock
+that times the kill: when the motor got current, when it lost it, and when the last goal arrived.
 
-Every trial is a line of JSON, and trials whose line is in the file of -o are not run again. The machine's own lateness,
-that of a thread that wakes every millisecond, is measured beside it. At the end stands a row for the kills, one for the
-stops and one for all: how many, and without current after how many ms at most. Exit code 1 where a motor had current
-for more than 100 ms, or gripped again; beside busy loops (--busy) that is reported without a bound.
+The time of the kill is random, from before the first message to after the last. In every other trial it is drawn
+between the motor's first current and a time after its end. The process is the recorder (the parent of all), the
+detector or the controller, if it exists. A kill is SIGKILL. A stop is SIGSTOP: the stopped process continues after 1 s
+and is watched for 1 s more.
+
+Every trial is a line of JSON; trials that are already in the file of -o are not run again. During each trial, a thread
+that wakes every millisecond measures the lateness of the machine itself. The output ends with a row for the kills, one
+for the stops and one for all: their number, and the longest time with current, in ms.
+
+Exit code 1 if a motor had current for more than 100 ms, or gripped again. With busy loops (--busy) the time is reported
+without a bound.
 """
 
 import argparse
@@ -35,13 +39,13 @@ from typing import Any
 import numpy as np
 
 BOUND_MS = 100.0
-STOPPED_S = 1.0  # and as long again it is watched after SIGCONT
+STOPPED_S = 1.0  # and the process is watched for as long again after SIGCONT
 TRIES = 6
-WORDS_S = 5.0  # for a command to end by itself, after that
-SETTLED_S = 0.3  # without current for so long, it stays so
-LONGEST_S = 60.0  # that a command may take
+WORDS_S = 5.0  # limit after that, for a command to end by itself
+SETTLED_S = 0.3  # without current for this long, the motor counts as off
+LONGEST_S = 60.0  # limit for a command
 PARTS = ("recorder", "detector", "controller")
-TICK_S = 1e-3  # of the servo; a real one is not slower
+TICK_S = 1e-3  # of the servo; a real servo is not slower
 SERVO_PRIORITY, CLOSE_MA = 40, 0.5
 BUSY = "while True: pass"
 
@@ -50,7 +54,7 @@ BUSY = "while True: pass"
 
 
 def be_servo(log: Path) -> None:
-    """Be the servo until stdin ends; a line in the log for every change."""
+    """Run the servo until stdin ends; log a line for every change."""
     from evetac_cli.devices.rh_p12_rn.control_table import REGISTERS, baud_code
     from evetac_cli.devices.virtual import servo_process
     from evetac_cli.devices.virtual.dynamixel_frames import DynamixelFrame, Instruction
@@ -62,7 +66,7 @@ def be_servo(log: Path) -> None:
     goal_registers = {REGISTERS[name].address for name in ("Goal Current", "Goal Position")}
 
     class LoggedPlant(OwnDynamics):
-        """A finger before an obstacle, that notes when its motor gets current and when it is without."""
+        """A finger in front of an obstacle; logs when its motor gets current and when it loses it."""
 
         has_current = False
         goal_s = 0.0
@@ -77,7 +81,7 @@ def be_servo(log: Path) -> None:
             return motion
 
     class LoggedServo(VirtualServo):
-        """A servo that notes when the last goal came."""
+        """A servo that logs when the last goal arrived."""
 
         def handle(self, frame: DynamixelFrame, now_s: float) -> list[Answer]:
             written = frame.instruction in (Instruction.WRITE, Instruction.SYNC_WRITE)
@@ -98,7 +102,7 @@ def be_servo(log: Path) -> None:
 
 
 class Servo:
-    """The servo's process, and its log."""
+    """The servo's process and its log."""
 
     def __init__(self, folder: Path) -> None:
         self._log = folder / "servo.jsonl"
@@ -111,7 +115,7 @@ class Servo:
         self._begun_s = time.monotonic()
 
     def spans(self, from_s: float) -> list[tuple[float, float]]:
-        """When the motor had current, from this moment on: beginning and end (inf: it still has)."""
+        """Return the spans with motor current that end after a time, as start and end (inf: still on)."""
         spans: list[tuple[float, float]] = []
         for text in self._log.read_text().splitlines():
             line = json.loads(text)
@@ -122,18 +126,18 @@ class Servo:
         return [(begin, end) for begin, end in spans if end > from_s]
 
     def last_goal_s(self) -> float:
-        """When the last goal came before the motor's last change."""
+        """Return when the last goal before the motor's last change arrived."""
         lines = self._log.read_text().splitlines() if self._log.exists() else []
         return float(json.loads(lines[-1])["goal_s"]) if lines else 0.0
 
     def wait_without_current(self) -> None:
-        """Wait until the motor is without current and stays so for a while."""
+        """Wait until the motor is without current and stays without it for a while."""
         until_s = time.monotonic() + LONGEST_S
         while time.monotonic() < until_s and any(end > time.monotonic() - SETTLED_S for _, end in self.spans(0.0)):
             time.sleep(0.005)
 
     def close(self) -> None:
-        """End it."""
+        """End the servo."""
         assert self._process.stdin is not None
         self._process.stdin.close()
         self._process.wait(10.0)
@@ -143,7 +147,7 @@ class Servo:
 
 
 class Lateness:
-    """How late a thread wakes that sleeps for a millisecond, again and again."""
+    """Measures how late a thread wakes that sleeps for a millisecond, again and again."""
 
     def __init__(self) -> None:
         self._late_ms: list[float] = []
@@ -156,14 +160,14 @@ class Lateness:
             self._late_ms.append((time.monotonic() - due_s) * 1e3)
 
     def take(self) -> tuple[float, float]:
-        """99th percentile and most since the last call, in ms."""
+        """Return the 99th percentile and the maximum since the last call, in ms."""
         late_ms, self._late_ms = self._late_ms, []
         return float(np.percentile(late_ms, 99)), max(late_ms)
 
 
 @contextlib.contextmanager
 def busy_loops(count: int) -> Iterator[None]:
-    """So many processes that do nothing but compute."""
+    """Run a number of processes that only compute."""
     loops = [subprocess.Popen([sys.executable, "-P", "-c", BUSY]) for _ in range(count)]
     try:
         yield
@@ -177,7 +181,7 @@ def busy_loops(count: int) -> Iterator[None]:
 
 
 def command_line(name: str, port: str, watchdog_ms: int, folder: Path) -> list[str]:
-    """A short `grasp` or `record` with the gripper at the port."""
+    """Return the arguments of a short `grasp` or `record` with the gripper at the port."""
     grid = folder / "grid.json"
     if not grid.exists():
         x, y = np.meshgrid(60.0 * np.arange(8) + 60.0, 60.0 * np.arange(7) + 50.0)
@@ -193,7 +197,7 @@ def command_line(name: str, port: str, watchdog_ms: int, folder: Path) -> list[s
 
 
 def clear(folder: Path) -> None:
-    """Remove what an earlier trial left."""
+    """Remove the files of an earlier trial."""
     for path in sorted(folder.glob("*.recording*"), reverse=True):
         if path.is_dir():
             for file in path.iterdir():
@@ -204,7 +208,7 @@ def clear(folder: Path) -> None:
 
 
 def processes_of(recorder: int) -> dict[str, int]:
-    """The processes of a command that there are now, by their part."""
+    """Return the running processes of a command, by their role."""
     children: list[str] = []
     with contextlib.suppress(OSError):  # it has ended
         for task in Path(f"/proc/{recorder}/task").iterdir():
@@ -218,9 +222,9 @@ def processes_of(recorder: int) -> dict[str, int]:
 
 
 def lives_s(name: str, servo: Servo, watchdog_ms: int, folder: Path) -> tuple[float, float]:
-    """How long a command takes that nobody kills, and for how long the motor has current in it.
+    """Return how long a command takes that is not killed, and how long the motor has current in it.
 
-    A first time compiles everything; on a machine that is too busy it may end before its time, and is tried again.
+    The first run compiles everything. On a machine that is too busy the command may end early; then it runs again.
     """
     whole_s = moving_s = 0.0
     for attempt in range(TRIES):
@@ -235,14 +239,17 @@ def lives_s(name: str, servo: Servo, watchdog_ms: int, folder: Path) -> tuple[fl
         if done.returncode == 0 and attempt:
             break
     if not moving_s:
-        raise SystemExit(f"{name} moves nothing: {done.stderr}")
+        raise SystemExit(f"{name} did not move the gripper: {done.stderr}")
     return whole_s, moving_s
 
 
 def one(
     name: str, part: str, since: str, after_s: float, how: str, watchdog_ms: int, servo: Servo, folder: Path
 ) -> dict[str, Any]:
-    """Run a command, strike a part of it so long after its start, or the motor's; what servo and command say."""
+    """Run a command; kill or stop one process a given time after the command's start, or after first current.
+
+    Return the servo's log and the command's outcome.
+    """
     clear(folder)
     number = signal.SIGKILL if how == "kill" else signal.SIGSTOP
     with subprocess.Popen(
@@ -268,7 +275,7 @@ def one(
                 if not ended_before:
                     os.kill(processes[struck], signal.SIGCONT)
             time.sleep(STOPPED_S)
-            with contextlib.suppress(subprocess.TimeoutExpired):  # for its words
+            with contextlib.suppress(subprocess.TimeoutExpired):  # for its messages
                 run.wait(WORDS_S)
         elif struck == PARTS[0]:
             servo.wait_without_current()
@@ -302,7 +309,7 @@ def one(
 
 
 def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """Some trials in one row."""
+    """Summarise trials in one row."""
     ms = np.array([row["without_current_ms"] for row in rows])
     moving = ms[[row["had_current"] for row in rows]]
     return {
@@ -320,7 +327,7 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def planned(chosen: argparse.Namespace) -> list[dict[str, Any]]:
-    """What each trial is: kills, then stops; of each the commands in turn, half timed from the first current."""
+    """Return all planned trials: kills, then stops, commands in turn, half of them timed from the first current."""
     trials = []
     for how, count in (("kill", chosen.kills), ("stop", chosen.stops)):
         for trial in range(count):
@@ -332,7 +339,7 @@ def planned(chosen: argparse.Namespace) -> list[dict[str, Any]]:
 
 
 def strike(plan: dict[str, Any], servo: Servo, lives: tuple[float, float], folder: Path) -> dict[str, Any]:
-    """Run one trial; its moment and its process are drawn from its seed, its number and how it is struck."""
+    """Run one trial; its time and its process are drawn from the seed, the trial's number and its kind."""
     name, how, since = plan["command"], plan["how"], plan["since"]
     rng = np.random.default_rng([plan["seed"], plan["trial"], how == "stop"])
     part = PARTS[rng.integers(3)] if name == "grasp" else PARTS[0]
@@ -341,19 +348,19 @@ def strike(plan: dict[str, Any], servo: Servo, lives: tuple[float, float], folde
 
 
 def main() -> None:
-    """Strike, watch, print."""
+    """Run the trials and print the results."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter, prog="kill_grasps.py"
     )
     parser.add_argument(
-        "-o", "--out", type=Path, help="JSON lines, one a trial; trials that are in it are not run again"
+        "-o", "--out", type=Path, help="JSON lines, one per trial; trials in this file are not run again"
     )
-    parser.add_argument("--kills", type=int, default=20, help="how many processes are killed")
-    parser.add_argument("--stops", type=int, default=0, help="how many are stopped, and go on after a second")
+    parser.add_argument("--kills", type=int, default=20, help="number of processes to kill")
+    parser.add_argument("--stops", type=int, default=0, help="number of processes to stop for a second")
     parser.add_argument("--commands", nargs="+", choices=("grasp", "record"), default=["grasp"])
     parser.add_argument("--watchdog-ms", type=int, default=60)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--busy", type=int, default=0, help="so many busy loops beside it")
+    parser.add_argument("--busy", type=int, default=0, help="number of busy loops that run at the same time")
     parser.add_argument("--json", action="store_true", help="print one JSON object with all trials")
     parser.add_argument("--servo", type=Path, help=argparse.SUPPRESS)
     chosen = parser.parse_args()

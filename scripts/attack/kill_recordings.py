@@ -2,10 +2,11 @@
 
     python scripts/attack/kill_recordings.py [--count 100] [--busy 4] [--camera NAME] [--gripper none|virtual]
 
-The camera plays prepared words, unless --camera names another, such as replay:RECORDING. The loss is counted from the
-moment of the kill back to the last slice that was saved; what passed between the start of the recorder and the first
-slice counts as lost, so the figure is an upper bound. Exit code 1 where a recording could not be repaired, or more was
-lost than 0.5 s, or 1 s beside busy loops (--busy).
+The camera plays prepared words unless --camera names another, such as replay:RECORDING. The loss is the time from the
+last saved slice to the kill. The time between the start of the recorder and the first slice counts as lost too, so the
+figure is an upper bound.
+
+Exit code 1 if a recording could not be repaired, or if more than 0.5 s was lost (1 s with busy loops, --busy).
 """
 
 import argparse
@@ -31,7 +32,7 @@ BUSY = "while True: pass"
 
 
 def killed_after(seconds: float, camera: str, gripper: str, output: Path) -> float:
-    """Start a recording, kill it so long after its first file appeared; returns how long it really ran, in s."""
+    """Start a recording and kill it a given time after its first file appeared; return its actual length in s."""
     arguments = ["record", "--camera", camera, "--gripper", gripper, "--seconds", "60"]
     arguments += ["--expected-event-rate", "1e5", "-q"]
     run = subprocess.Popen([sys.executable, "-P", "-m", "evetac_cli", *arguments, "-o", str(output)])
@@ -51,7 +52,7 @@ def killed_after(seconds: float, camera: str, gripper: str, output: Path) -> flo
 
 
 def one(seconds: float, camera: str, gripper: str) -> dict[str, Any]:
-    """Kill one recording and repair it; what was kept and lost."""
+    """Kill one recording and repair it; return the kept and the lost time."""
     with tempfile.TemporaryDirectory() as name:
         output = Path(name) / "killed.recording.h5"
         ran_s = killed_after(seconds, camera, gripper, output)
@@ -74,13 +75,13 @@ def one(seconds: float, camera: str, gripper: str) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Kill, repair, validate, print."""
+    """Kill, repair, validate and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--count", type=int, default=40)
     parser.add_argument("--camera", default=CAMERA)
     parser.add_argument("--gripper", default="none")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--busy", type=int, default=0, help="so many busy loops beside it")
+    parser.add_argument("--busy", type=int, default=0, help="number of busy loops that run at the same time")
     chosen = parser.parse_args()
     rng = random.Random(chosen.seed)
     rows = []

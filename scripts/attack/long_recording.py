@@ -3,13 +3,14 @@
     python scripts/attack/long_recording.py OUT.recording.h5 --minutes 60
     python scripts/attack/long_recording.py FOLDER --minutes 60 --check [--limit-mb 1000]
 
-The end of a simulated trial, some 300,000 events a second, is repeated with the times that follow each other, and the
-file says so: a load for memory and disk, and no touch that anybody would see. With --check, the stages, evaluations, a
-grasp that is replayed, validate, repair, trim, export and import run on it; a table says how long each took and how
-much memory (largest resident set, no less than this program's own). Exit code 1 if one failed or took more than the
-limit.
+The end of a simulated trial, with some 300,000 events per second, is repeated with continuing times, and the file's
+header states this. The recording is a load for memory and disk, not a realistic touch.
 
-Why not `train`: it learns from trials, not from hours.
+With --check, these commands run on it: the stages, the evaluations, a replayed grasp, validate, repair, trim, export
+and import. A table lists the time and the memory of each (largest resident set, at least that of this program). Exit
+code 1 if a command failed or exceeded the limit.
+
+`train` is left out because its cost depends on the number of trials, not on their length.
 """
 
 import argparse
@@ -41,14 +42,14 @@ TEXT_MINUTES = 6
 
 
 class Repeated:
-    """The end of a trial that is busy enough, as arrays that begin at slice 0, and how to repeat them."""
+    """The end of a trial, with enough events, as arrays that begin at slice 0, and the rules for repeating it."""
 
     def __init__(self, trial: Recording, events_a_slice: float = EVENTS_A_SLICE) -> None:
         starts = trial.starts
         left = np.arange(len(trial), 0, -1)
         busy = np.flatnonzero((starts[-1] - starts[:-1]) / left >= events_a_slice)
         if not len(busy):
-            raise SystemExit(f"{trial.path}: no part has {events_a_slice:g} events a slice")
+            raise SystemExit(f"{trial.path}: no part has {events_a_slice:g} events per slice")
         first = int(busy[0])
         self.header = trial.header
         self.slices = len(trial) - first
@@ -74,30 +75,30 @@ class Repeated:
             self.dims[name] = dim
 
     def recipe(self, slices: int) -> Recipe:
-        """What the long recording is: simulated, by its parent, and repeated."""
+        """Return the recipe of the long recording: simulated, made from its parent, and repeated."""
         parameters = {"repeated": {"from_ms": self.from_ms, "slices": self.slices, "to_slices": slices}}
         return Recipe("recording", 1, parameters, parents=(self.header,))
 
     def ms_to_idx(self, slices: int) -> NDArray[np.int64]:
-        """The first event of every slice, and their number."""
+        """Return the first event of every slice, and the number of events."""
         slice_ = np.arange(slices + 1, dtype=np.int64)
         times, rest = np.divmod(slice_, self.slices)
         return times * self.starts[-1] + self.starts[rest]
 
     def count(self, name: str, slices: int) -> int:
-        """How many rows of a dataset belong to so many slices."""
+        """Return how many rows of a dataset belong to a number of slices."""
         times, rest = divmod(slices, self.slices)
         return times * len(self.rows[name]) + self._end(name, rest)
 
     def _end(self, name: str, rest: int) -> int:
-        """How many rows of the part belong to its first slices."""
+        """Return how many rows of the part belong to its first slices."""
         if self.dims[name] == "slices":
             return rest
         clock = "events/t" if self.dims[name] == "events" else f"{name.partition('/')[0]}/t_us"
         return int(np.searchsorted(self.rows[clock], rest * SLICE_US))
 
     def blocks(self, slices: int) -> Iterator[dict[str, NDArray[Any]]]:
-        """The rows of all datasets, one repetition after the other, the last one cut."""
+        """Yield the rows of all datasets, repetition by repetition, the last one cut."""
         for first in range(0, slices, self.slices):
             block = {
                 name: rows[: self._end(name, min(self.slices, slices - first))] for name, rows in self.rows.items()
@@ -114,7 +115,7 @@ class Repeated:
         write_stage(path, self.recipe(slices), arrays, self.blocks(slices), lengths)
 
     def leave_segments(self, path: Path, slices: int) -> None:
-        """Leave the folder NAME.part of a recording that broke off, without what only a simulation knows."""
+        """Write the folder NAME.part of an aborted recording, without the datasets that only a simulation has."""
         static = {name: value for name, value in self.whole.items() if name.startswith("sensor/") or name == "t_offset"}
         writer = RecordingWriter(path, static, recipe=self.recipe(slices))
         starts = self.starts
@@ -128,7 +129,7 @@ class Repeated:
 
 
 def commands(folder: Path, slices: int) -> Iterator[tuple[str, ...]]:
-    """What is checked, in an order in which each finds what it needs."""
+    """Return the commands to check, in an order in which each finds its inputs."""
     long, broken = folder / "long.recording.h5", folder / "broken.recording.part"
     text_ms = min(TEXT_MINUTES * 60_000, slices)
     yield "validate", f"{long}"
@@ -158,10 +159,10 @@ def commands(folder: Path, slices: int) -> Iterator[tuple[str, ...]]:
 
 
 def _force_model(trials: Path, model: Path) -> Iterator[tuple[str, ...]]:
-    """Commands that fit a force model to two trials: of the sensor of the long recording, but short."""
+    """Return the commands that fit a force model to two short trials of the long recording's sensor."""
     yield "record", "--scene", "slip", "--object", "2", "--count", "2", "--seed", "1", "-q", "-o", f"{trials}"
     recordings = [str(path) for path in sorted(trials.glob("*.recording.h5"))]
-    if not recordings:  # `record` was not asked for
+    if not recordings:  # options that `record` was not given
         return
     yield "track", *recordings
     tracks = [str(path) for path in sorted(trials.glob("*.tracks.h5"))]
@@ -169,7 +170,7 @@ def _force_model(trials: Path, model: Path) -> Iterator[tuple[str, ...]]:
 
 
 def run(command: tuple[str, ...]) -> tuple[int, float, float]:
-    """Run a command; its exit code, seconds, and the largest resident set of it in MB."""
+    """Run a command; return its exit code, seconds, and largest resident set in MB."""
     began_s = time.monotonic()
     process = subprocess.Popen([sys.executable, "-P", "-m", "evetac_cli", *command], stdout=subprocess.DEVNULL)
     _, status, used = os.wait4(process.pid, 0)
@@ -185,7 +186,7 @@ def simulated_trial(folder: Path) -> Path:
 
 
 def check(folder: Path, repeated: Repeated, slices: int, limit_mb: float, only: frozenset[str] = frozenset()) -> bool:
-    """Run every command, or some, on a long recording in a folder and print what it took; whether all were well."""
+    """Run every command, or some, on a long recording in a folder and print its cost; return whether all succeeded."""
     began_s = time.monotonic()
     if not (folder / "long.recording.h5").exists():
         repeated.write(folder / "long.recording.h5", slices)
@@ -208,7 +209,7 @@ def check(folder: Path, repeated: Repeated, slices: int, limit_mb: float, only: 
 
 
 def main() -> int:
-    """Record, repeat, and check if asked to."""
+    """Record, repeat, and check if requested."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False
     )

@@ -1,13 +1,13 @@
-"""Attack one user of this computer as another one, who has no rights: is anything read, run, moved or held up?
+"""Attack one user of this computer as another user without rights. Can anything be read, run, moved or blocked?
 
     sudo python scripts/attack/other_user.py [--code CHECKOUT] [--only DOOR ...] [--json]
 
-It starts evetac as the user 64001, who owns it, and tries as the user 64002 what tries_as_other_user.py lists: that one
-has no capability, is in no group, and can get neither (NoNewPrivs). Neither user needs to exist. Folders that everybody
-may write to stand for /tmp and for a shared folder, so that nothing else on this computer is disturbed.
+The script starts evetac as the user 64001, the owner. As the user 64002 it runs the attempts in tries_as_other_user.py.
+The attacker has no capability, belongs to no group, and cannot gain either (NoNewPrivs). Neither user needs to exist.
+World-writable folders replace /tmp and a shared folder, so that nothing else on this computer is disturbed.
 
-A row says what was tried at which door, and what came of it. Exit code 1 where anything was reached, 2 where this
-script may not become other users (it needs root); then nothing was tried. --code attacks another checkout.
+Each row states the attempt, its target (door), and the result. Exit code 1 if anything was reached. Exit code 2 if this
+script cannot become other users (it needs root); then nothing was tried. --code attacks another checkout.
 """
 
 import argparse
@@ -29,10 +29,11 @@ from typing import Any
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
 OWNER, OTHER = 64001, 64002
-PATIENCE_S = 900.0  # of a busy computer that has to compile
-SILENT = 1200  # connections that say nothing
+PATIENCE_S = 900.0  # on a busy computer that has to compile
+SILENT = 1200  # silent connections
 PRECIOUS = "what must stay\n"
-# As `evetac` starts: Python looks for modules beside it, not in the working folder. So many open files have most users.
+# Started like `evetac`: Python looks for modules next to the script, not in the working folder. The limit of open files
+# is that of most users.
 PROGRAM = """
 import resource
 from evetac_cli.__main__ import main
@@ -51,8 +52,8 @@ class Stage:
 
     def __init__(self, code: Path, base: Path, python: Path) -> None:
         self.code, self.base, self.python = code, base, python
-        self.temporary = self._folder("temporary", 0, 0o1777)  # stands for /tmp
-        self.shared = self._folder("shared", 0, 0o777)  # a data folder of a group without the sticky bit
+        self.temporary = self._folder("temporary", 0, 0o1777)  # in place of /tmp
+        self.shared = self._folder("shared", 0, 0o777)  # a group's data folder without the sticky bit
         self.marks = self._folder("marks", 0, 0o1777)
         self.home = self._folder("home", OWNER, 0o700)
         self.work = self._folder("work", OWNER, 0o755)
@@ -65,7 +66,7 @@ class Stage:
         self.browser = self._file("browser", BROWSER)
 
     def put_precious(self) -> None:
-        """Lay a file that nobody shall change into the owner's home folder."""
+        """Put a file that must not change into the owner's home folder."""
         self.precious.write_text(PRECIOUS)
         os.chown(self.precious, OWNER, OWNER)
 
@@ -83,7 +84,7 @@ class Stage:
         return path
 
     def _compiled(self) -> None:
-        """Give the owner the kernels that lie beside the source, so that only the doors about them wait for them."""
+        """Give the owner the kernels compiled next to the source, so that only the doors that test kernels compile."""
         import hashlib
 
         for beside in (self.code / "evetac_cli").rglob("__pycache__"):
@@ -96,7 +97,7 @@ class Stage:
             os.chown(path, OWNER, OWNER)
 
     def environment(self, **more: str) -> dict[str, str]:
-        """Of a user's program: nothing of this process's own; what is empty is not set."""
+        """Return the environment of a user's program, without this process's variables; empty values are not set."""
         known = {
             "PATH": os.environ["PATH"],
             "PYTHONPATH": os.pathsep.join([str(self.code), *libraries(self.python)]),
@@ -109,7 +110,7 @@ class Stage:
 
     @contextlib.contextmanager
     def owners(self, command: str, folder: Path | None = None, **environment: str) -> Iterator["Program"]:
-        """A command of evetac at work for the owner; killed at the end."""
+        """Start an evetac command for the owner; it is killed at the end."""
         run = subprocess.Popen(
             [self.python, self.program, *command.split()], cwd=folder or self.work,
             env=self.environment(**environment), user=OWNER, group=OWNER, extra_groups=[], umask=0o022,
@@ -125,7 +126,7 @@ class Stage:
             program.said += run.communicate()[1]
 
     def _tidy(self) -> None:
-        """End what the owner's program started apart from itself, and remove what it leaves when it is killed."""
+        """End the processes that the owner's program started, and remove the files that it leaves when killed."""
         for path in Path("/dev/shm").iterdir():
             with contextlib.suppress(OSError):
                 if path.lstat().st_uid == OWNER:
@@ -136,7 +137,7 @@ class Stage:
                     os.kill(int(place.name), signal.SIGKILL)
 
     def others(self, what: str, environment: dict[str, str] | None = None, /, **arguments: Any) -> list[Row]:
-        """What the other user tries, and what came of it."""
+        """Run an attempt of the other user and return the result."""
         with self._as_other(what, environment or {}, arguments) as run:
             said, errors = run.communicate(timeout=PATIENCE_S)
         if run.returncode:
@@ -145,7 +146,7 @@ class Stage:
 
     @contextlib.contextmanager
     def meanwhile(self, what: str, /, **arguments: Any) -> Iterator[str]:
-        """What the other user does for as long as the block lasts; yields what it says once it is ready."""
+        """Run an attempt of the other user during the block; yield its output once it is ready."""
         with self._as_other(what, {}, arguments) as run:
             assert run.stdout is not None and run.stdin is not None
             ready = run.stdout.readline().strip()
@@ -173,37 +174,37 @@ class Stage:
 
 
 class Program:
-    """A command at work."""
+    """A running command."""
 
     def __init__(self, run: "subprocess.Popen[str]") -> None:
         self.run = run
         self.said = ""
 
     def until(self, true: Callable[[], Any]) -> Any:
-        """Wait until something holds; RuntimeError where the program ends before."""
+        """Wait until a condition is true; RuntimeError if the program ends first."""
         end_s = time.monotonic() + PATIENCE_S
         while not (value := true()):
             if self.run.poll() is not None:
                 raise RuntimeError(f"the owner's program ended: {self.run.communicate()[1][-600:]}")
             if time.monotonic() > end_s:
-                raise RuntimeError("the owner's program does not come to it")
+                raise RuntimeError("the owner's program did not get that far in time")
             time.sleep(0.05)
         return value
 
     def ended(self) -> str:
-        """What it said, once it has ended."""
+        """Return its output once it has ended."""
         self.said = self.run.communicate(timeout=PATIENCE_S)[1]
         return self.said
 
     def ended_or(self, mark: Path) -> None:
-        """Wait until it has ended, or a trap was sprung."""
+        """Wait until it has ended, or until a trap was triggered."""
         end_s = time.monotonic() + PATIENCE_S
         while self.run.poll() is None and time.monotonic() < end_s and not list(mark.parent.glob(f"{mark.name}*")):
             time.sleep(0.05)
 
 
 def listening() -> int:
-    """At how many ports the owner's programs listen."""
+    """Return the number of ports on which the owner's programs listen."""
     lines = Path("/proc/net/tcp").read_text().splitlines()[1:]
     return sum(fields[3] == "0A" and int(fields[7]) == OWNER for fields in map(str.split, lines))
 
@@ -233,7 +234,7 @@ def dask(stage: Stage) -> Iterator[Row]:
 
 
 def cache(stage: Stage) -> Iterator[Row]:
-    """Folders for compiled kernels that the other user makes before."""
+    """Folders for compiled kernels that the other user creates first."""
     traps = stage.attacker / "kernels"
     mark = stage.marks / "kernels"
     stage.others("lay_kernels", {"NUMBA_CACHE_DIR": str(traps)}, folder=str(traps), mark=str(mark))
@@ -269,7 +270,7 @@ def cache(stage: Stage) -> Iterator[Row]:
 
 
 def folder(stage: Stage) -> Iterator[Row]:
-    """A working folder in which the other user laid modules and settings."""
+    """A working folder into which the other user put modules and settings."""
     place = stage._folder("modules", 0, 0o777)
     mark = stage.marks / "modules"
     stage.others("lay_modules", folder=str(place), mark=str(mark))
@@ -286,7 +287,7 @@ def folder(stage: Stage) -> Iterator[Row]:
         yield sprung(stage, mark, f"working folder: modules, {tried}", program)
         for path in stage.marks.glob("modules*"):
             path.unlink()
-    # A clone of the owner's own keeps kernels beside their source, unless numba's settings say otherwise.
+    # An owner's own clone keeps kernels next to their source, unless numba's settings differ.
     clone = stage.base / "clone"
     shutil.copytree(stage.code / "evetac_cli", clone / "evetac_cli")
     shutil.copytree(stage.code / "schemas", clone / "schemas")
@@ -306,13 +307,13 @@ def folder(stage: Stage) -> Iterator[Row]:
 
 @contextlib.contextmanager
 def shown(stage: Stage, out: str) -> Iterator[tuple[Program, str]]:
-    """A recording with a live view in a browser, and the address that the owner is told."""
+    """A recording with a live view in a browser, and the address shown to the owner."""
     command = f"record --camera virtual:prepared=20000 --gripper virtual --hold-s 100 --live --live-in browser -o {out}"
     with stage.owners(command, DISPLAY=":64", BROWSER=f"{stage.browser} %s &") as program:
         assert program.run.stderr is not None
         for line in program.run.stderr:
             if address := re.search(r"http://127\.0\.0\.1:\d+/\S+/", line):
-                time.sleep(1.0)  # for the browser to be there
+                time.sleep(1.0)  # so that the browser starts
                 yield program, address.group()
                 return
         raise RuntimeError("the owner's program ended")
@@ -334,7 +335,7 @@ def page(stage: Stage) -> Iterator[Row]:
 
 
 def looked_at(stage: Stage, address: str, held: str) -> Row:
-    """Whether the owner sees the page beside connections that say nothing."""
+    """Whether the owner sees the page despite silent connections."""
     program_text = f"import urllib.request as u; print(u.urlopen({address!r}, timeout=30).status)"
     command = [stage.python, "-P", "-c", program_text]
     seen = subprocess.run(
@@ -347,7 +348,7 @@ def looked_at(stage: Stage, address: str, held: str) -> Row:
 
 
 def robot(stage: Stage) -> Iterator[Row]:
-    """The door of a robot's program, and the file with its token."""
+    """The port for a robot's program, and the file with its token."""
     listens = "record --camera virtual:prepared=20000 --gripper none --listen -o"
     file = stage.work / "robot" / "evetac.listen"
     with stage.owners(f"{listens} {file.parent}") as program:
@@ -366,7 +367,7 @@ def robot(stage: Stage) -> Iterator[Row]:
 
 
 def grasp(stage: Stage) -> Iterator[Row]:
-    """Processes of a grasp, their memory and the virtual gripper's terminal."""
+    """Processes of a grasp, their memory, and the terminal of the virtual gripper."""
     command = "grasp --camera virtual --gripper virtual --lift-s 25 --balance-s 25 -o grasp.recording.h5 -q"
     with stage.owners(command) as program:
         program.until(lambda: list(stage.work.glob("grasp.recording.part/0*.h5")))
@@ -425,7 +426,7 @@ def output(stage: Stage) -> Iterator[Row]:
 
 
 def devices(stage: Stage) -> Iterator[Row]:
-    """Who may open camera and gripper by the rules that `doctor --print-udev` prints."""
+    """Who may open camera and gripper under the rules printed by `doctor --print-udev`."""
     with stage.owners("doctor --print-udev") as program:
         rules = program.run.communicate()[0]
     for line in (line for line in rules.splitlines() if line.startswith("SUBSYSTEM")):
@@ -440,12 +441,12 @@ DOORS = {each.__name__: each for each in (devices, cache, folder, output, dask, 
 
 
 def libraries(python: Path) -> list[str]:
-    """Where another Python than this one finds the libraries of this one."""
+    """Return the folders in which another Python finds the libraries of this one."""
     return [] if python == Path(sys.executable) else [path for path in sys.path if path.endswith("site-packages")]
 
 
 def running() -> int:
-    """How many programs of either user run."""
+    """Return how many programs of either user run."""
     count = 0
     for place in Path("/proc").iterdir():
         with contextlib.suppress(OSError):
@@ -455,9 +456,9 @@ def running() -> int:
 
 
 def why_not(python: Path) -> str:
-    """Why this script cannot become other users; empty if it can."""
+    """Return why this script cannot become other users; empty if it can."""
     if os.geteuid() != 0:
-        return "it needs root, to become two other users"
+        return "this script needs root to become two other users"
     for user in (OWNER, OTHER):
         with contextlib.suppress(KeyError):
             return f"the user {user} exists: {pwd.getpwuid(user).pw_name}"
@@ -465,32 +466,34 @@ def why_not(python: Path) -> str:
     while running() and time.monotonic() < end_s:
         time.sleep(0.1)
     if running():
-        return f"programs of the users {OWNER} or {OTHER} run: of another attack?"
+        return f"programs of the users {OWNER} or {OTHER} are running, perhaps from another attack"
     tried = subprocess.run(
         ["/bin/sh", "-c", "id -u; id -G"], user=OTHER, group=OTHER, extra_groups=[], capture_output=True, text=True,
         check=False,
     ).stdout.split()  # fmt: skip
     if tried != [str(OTHER), str(OTHER)]:
-        return f"it may not become another user here (setuid, setgroups): {' '.join(tried)}"
+        return f"this script may not become another user (setuid, setgroups): {' '.join(tried)}"
     try:
         subprocess.run([python, "-c", ""], user=OTHER, group=OTHER, extra_groups=[], check=True)
     except OSError:
-        return f"other users may not run {python.resolve()}: name another of its version with --python"
+        return f"other users may not run {python.resolve()}; choose another Python of its version with --python"
     return ""
 
 
 def main() -> int:
-    """Try all doors, print a row for each try."""
+    """Try all doors and print a row for each attempt."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--code", type=Path, default=ROOT, help="checkout to attack [this one]")
     parser.add_argument("--only", nargs="+", choices=DOORS, default=list(DOORS), metavar="DOOR", help=", ".join(DOORS))
-    parser.add_argument("--python", type=Path, default=Path(sys.executable), help="that all may run [this one]")
-    parser.add_argument("--json", action="store_true", help="print one JSON object a row")
+    parser.add_argument(
+        "--python", type=Path, default=Path(sys.executable), help="Python that all users may run [this one]"
+    )
+    parser.add_argument("--json", action="store_true", help="print one JSON object per row")
     chosen = parser.parse_args()
     try:
         reason = why_not(chosen.python)
     except OSError as error:
-        reason = f"it may not become another user here: {error}"
+        reason = f"this script may not become another user: {error}"
     if reason:
         print(f"nothing was tried: {reason}", file=sys.stderr)
         return 2

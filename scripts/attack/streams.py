@@ -1,10 +1,10 @@
-"""Attack the stream of a virtual camera while `evetac record` records it: one row for each fault, exit 1 if one fails.
+"""Attack the stream of a virtual camera while `evetac record` records it; print one row per fault, exit 1 on failure.
 
     python scripts/attack/streams.py --seconds 5 --events-per-s 300000
 
-A fault fails if the recording does not end in time, needs more memory than --memory-mb, makes more slices than the
-host's time allows, or says another number of lost events than the camera itself counts (devices/virtual/
-stream_attacks.py says by how much it may differ, and where it may say `at least`).
+A fault fails if the recording does not end in time, needs more memory than --memory-mb, or makes more slices than the
+host's time allows. It also fails if the recording reports another number of lost events than the camera counts.
+devices/virtual/stream_attacks.py gives the allowed difference for each fault, and whether the report may be `at least`.
 """
 
 import argparse
@@ -21,11 +21,11 @@ from evetac_cli.devices.virtual import dvxplorer
 from evetac_cli.devices.virtual.stream_attacks import ATTACKS, Attack, Ending
 
 COLUMNS = ("fault", "wall_s", "peak_mb", "slices", "host_ms", "lost_said", "lost_true", "ok", "wrong")
-START_S = 60.0  # that a recording may take beside its seconds: to load, to compile, to join the file
+START_S = 60.0  # time for a recording beyond its seconds: to load, to compile and to join the file, in s
 
 
 class CountingDvxplorer(dvxplorer.VirtualDvxplorer):
-    """A virtual camera that remembers when it was first and last read."""
+    """A virtual camera that records when it was first and last read."""
 
     made: "list[CountingDvxplorer]" = []
 
@@ -35,18 +35,18 @@ class CountingDvxplorer(dvxplorer.VirtualDvxplorer):
         self.made.append(self)
 
     def ctrl_transfer(self, *given: Any) -> int:
-        """Note when it was last asked for anything before its stream runs."""
+        """Note the time of the last request before the stream runs."""
         self.first_s = time.monotonic() if self.last_s == 0.0 else self.first_s
         return super().ctrl_transfer(*given)
 
     def bulk_read(self, *given: Any) -> int:
-        """Note when its stream was last read."""
+        """Note the time of the last read of the stream."""
         self.last_s = time.monotonic() if self._model._runs else 0.0
         return super().bulk_read(*given)
 
 
 def record_and_count(words: list[str], counts: Path) -> None:
-    """Run `evetac` in this process, and write down what its virtual camera counted and the memory it took."""
+    """Run `evetac` in this process, and write the camera's counts and the memory used to a file."""
     from evetac_cli.cli.main import main as run_evetac
 
     dvxplorer.VirtualDvxplorer = CountingDvxplorer  # type: ignore[misc]
@@ -61,7 +61,7 @@ def record_and_count(words: list[str], counts: Path) -> None:
 
 
 def attacked(attack: Attack, seconds: float, events_s: float, memory_mb: float) -> dict[str, Any]:
-    """Record with a fault in a process of its own; returns the row of the table."""
+    """Record with a fault in a process of its own; return the row of the table."""
     with tempfile.TemporaryDirectory() as folder:
         counts = Path(folder) / "counts.json"
         camera = f"virtual:prepared={events_s:g}+{attack.fault}"
@@ -100,14 +100,14 @@ def attacked(attack: Attack, seconds: float, events_s: float, memory_mb: float) 
 
 
 def main() -> int:
-    """Run all attacks, or those that are named, and print a row for each."""
+    """Run all attacks, or the named ones, and print a row for each."""
     if sys.argv[1:2] == ["--counts"]:
         record_and_count(sys.argv[3:], Path(sys.argv[2]))
         return 0
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--seconds", type=float, default=5.0, help="of each recording")
+    parser.add_argument("--seconds", type=float, default=5.0, help="length of each recording")
     parser.add_argument("--events-per-s", type=float, default=300_000.0)
-    parser.add_argument("--memory-mb", type=float, default=500.0, help="that a recording may need at most")
+    parser.add_argument("--memory-mb", type=float, default=500.0, help="memory limit of a recording")
     parser.add_argument("--only", nargs="*", default=[], metavar="FAULT", help="these faults only")
     asked = parser.parse_args()
     attacks = [attack for attack in ATTACKS if not asked.only or attack.fault in asked.only]

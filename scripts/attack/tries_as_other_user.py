@@ -1,9 +1,9 @@
-"""What another user of the computer tries: other_user.py runs this as a user without rights.
+"""Attempts of another user of the computer; other_user.py runs this script as a user without rights.
 
     python -P tries_as_other_user.py NAME JSON
 
-NAME is a function below and JSON its arguments. It prints what came of it as JSON, or `ready` and then waits for its
-standard input to end, where it holds or lays something. It stops where it has any rights of its own.
+NAME is a function below and JSON contains its arguments. The script prints the result as JSON. A function that holds a
+resource or sets a trap prints `ready` and waits until its standard input ends. The script stops if it has any rights.
 """
 
 import asyncio
@@ -36,12 +36,12 @@ PTRACE_ATTACH, PIDFD_GETFD, PR_SET_NO_NEW_PRIVS = 16, 438, 38
 
 
 def row(tried: str, came_of_it: str, *, reached: bool) -> Try:
-    """What was tried, and what came of it."""
+    """Return an attempt and its result as a row."""
     return {"tried": tried, "came_of_it": came_of_it, "reached": reached}
 
 
 def refused(tried: str, act: Callable[[], Any]) -> Try:
-    """A try that reaches something unless it is refused."""
+    """Make an attempt that reaches its target unless it is refused."""
     try:
         known = act()
     except (OSError, ValueError, EOFError) as error:
@@ -50,7 +50,7 @@ def refused(tried: str, act: Callable[[], Any]) -> Try:
 
 
 def summed(tried: str, tries: list[Try]) -> Try:
-    """Many tries of a kind as one row: those that reached something by name."""
+    """Summarise many attempts of a kind in one row, with the names of those that reached their target."""
     reached = [one["tried"] for one in tries if one["reached"]]
     words = sorted({one["came_of_it"] for one in tries if not one["reached"]})
     known = f"{len(tries)} tried; " + (f"reached: {', '.join(reached)[:300]}" if reached else f"none: {words}"[:200])
@@ -58,7 +58,7 @@ def summed(tried: str, tries: list[Try]) -> Try:
 
 
 def processes(owner: int) -> list[int]:
-    """Numbers of the owner's processes; everybody may see them."""
+    """Return the ids of the owner's processes, which all users may see."""
     known = []
     for path in Path("/proc").iterdir():
         with contextlib.suppress(OSError):
@@ -68,7 +68,7 @@ def processes(owner: int) -> list[int]:
 
 
 def command_lines(owner: int) -> list[str]:
-    """Arguments of the owner's processes, as `ps` shows them to everybody."""
+    """Return the arguments of the owner's processes, as `ps` shows them to all users."""
     lines = []
     for number in processes(owner):
         with contextlib.suppress(OSError):
@@ -77,7 +77,7 @@ def command_lines(owner: int) -> list[str]:
 
 
 def listening(owner: int) -> list[int]:
-    """Ports at which the owner's programs listen; everybody may see them."""
+    """Return the ports on which the owner's programs listen, which all users may see."""
     ports = set()
     for table in ("/proc/net/tcp", "/proc/net/tcp6"):
         for line in Path(table).read_text().splitlines()[1:]:
@@ -91,7 +91,7 @@ def listening(owner: int) -> list[int]:
 
 
 def dask(owner: int) -> list[Try]:
-    """Give work to scheduler, workers and nannies, by every way to talk to them, and read their pages."""
+    """Submit work to scheduler, workers and nannies over every protocol, and read their pages."""
     ports = listening(owner)
     return [asyncio.run(_work(ports, how)) for how in ("no TLS", "no certificate", "a certificate of its own")] + [
         summed("Dask: pages by HTTP", [_page(port, path) for port in ports for path in PAGES])
@@ -122,7 +122,7 @@ async def _run_there(address: str, arguments: dict[str, Any]) -> Try:
                 answer = await asyncio.wait_for(_by_workers(remote, dumps(os.getuid)), 2 * ANSWER_S)
             else:
                 answer = await asyncio.wait_for(remote.run(function=dumps(os.getuid)), ANSWER_S)
-    except Exception as error:  # whatever the library makes of a refusal
+    except Exception as error:  # any exception that the library raises for a refusal
         return row(address, type(error).__name__, reached=False)
     return row(f"{address} ran as {answer!r:.60}", "ran", reached=True)
 
@@ -148,7 +148,7 @@ def _page(port: int, path: str) -> Try:
 
 
 def page(owner: int, folders: list[str]) -> list[Try]:
-    """Find the address with its token, and press the button with what was found."""
+    """Find the address with its token, and press the page's button with it."""
     lines = command_lines(owner)
     known = {match for line in lines for match in re.findall(r"http://127\.0\.0\.1:\d+/[\w-]{20,}/", line)}
     rows = [
@@ -195,19 +195,19 @@ def _press(address: str) -> Try:
     async def press() -> None:
         connection = await websocket_connect(f"ws{address.removeprefix('http')}pictures", connect_timeout=ANSWER_S)
         await connection.write_message("let go")
-        with contextlib.suppress(TimeoutError):  # until it is read at the other end
+        with contextlib.suppress(TimeoutError):  # until the other end has read it
             await asyncio.wait_for(connection.read_message(), ANSWER_S)
         connection.close()
 
     try:
         asyncio.run(press())
-    except Exception as error:  # HTTP 403 and whatever else refuses
+    except Exception as error:  # HTTP 403 and any other refusal
         return row(address, f"{type(error).__name__}: {error}", reached=False)
     return row(address, "pressed", reached=True)
 
 
 def robot(owner: int, file: str) -> list[Try]:
-    """Read the file with the token of `--listen`, replace it, and ask to start a trial without."""
+    """Read the token file of `--listen`, replace it, and try to start a trial without a token."""
     ask = json.dumps({"token": "A" * 32, "command": "start", "name": "taken"}).encode() + b"\n"
     lines = (ask, b'{"command": "start", "name": "taken"}\n', b"POST / HTTP/1.1\r\n\r\n" + ask, b"x" * (1 << 20))
     asked = [_ask(port, line) for port in listening(owner) for line in lines]
@@ -228,7 +228,7 @@ def _ask(port: int, line: bytes) -> Try:
 
 
 def lay_address(folder: str, target: str) -> list[Try]:
-    """Lay a file with an address of one's own, or a link, where the owner's `--listen` will write."""
+    """Put a file with the attacker's address, or a link, where the owner's `--listen` will write."""
     path = Path(folder) / "evetac.listen"
     path.unlink(missing_ok=True)
     if target:
@@ -239,7 +239,7 @@ def lay_address(folder: str, target: str) -> list[Try]:
 
 
 def hold(port: int, count: int) -> None:
-    """Hold so many connections that say nothing, new ones for those that are closed, until stdin ends."""
+    """Hold a number of silent connections, and replace those that are closed, until stdin ends."""
     held: list[socket.socket] = []
     most = resource.getrlimit(resource.RLIMIT_NOFILE)[1]
     resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
@@ -273,7 +273,7 @@ def hold(port: int, count: int) -> None:
 
 
 def memory(owner: int) -> list[Try]:
-    """Look into the owner's processes and into what they share, stop them, write to their terminals."""
+    """Look into the owner's processes and their shared memory, stop them, and write to their terminals."""
     libc = ctypes.CDLL(None, use_errno=True)
 
     def call(name: str, *arguments: Any) -> int:
@@ -367,7 +367,7 @@ def _owned(folder: Path, owner: int) -> list[Path]:
 
 
 def _takes(path: Path) -> list[Try]:
-    """Read, write, rename and list what is the owner's."""
+    """Read, write, rename and list the owner's files."""
     moved = path.with_name(f"{path.name}.taken")
     if path.is_dir() and not path.is_symlink():
         tries = [
@@ -388,7 +388,7 @@ def _open(path: Path, flags: int) -> str:
 
 
 def files(owner: int, folder: str, seconds: float) -> list[Try]:
-    """Take whatever of the owner's appears in the folder for temporary files, for so long."""
+    """For a given time, take all of the owner's files that appear in the folder for temporary files."""
     tried: dict[str, list[Try]] = {}
     end_s = time.monotonic() + seconds
     while time.monotonic() < end_s:
@@ -406,7 +406,7 @@ def files(owner: int, folder: str, seconds: float) -> list[Try]:
 
 
 class Mark:
-    """Unpickled, it says whose program did it."""
+    """When unpickled, records whose program did it."""
 
     def __init__(self, mark: str) -> None:
         self.mark = mark
@@ -416,7 +416,7 @@ class Mark:
 
 
 def lay_kernels(folder: str, mark: str) -> list[Try]:
-    """Lay a trap for each compiled kernel into the folder that NUMBA_CACHE_DIR names, which is this."""
+    """Put a trap for each compiled kernel into this folder, which NUMBA_CACHE_DIR names."""
     import evetac_cli
 
     os.umask(0)
@@ -435,7 +435,7 @@ def lay_kernels(folder: str, mark: str) -> list[Try]:
 
 
 def lay_modules(folder: str, mark: str) -> list[Try]:
-    """Lay modules and settings into a folder in which the owner is going to work."""
+    """Put modules and settings into a folder in which the owner will work."""
     for name in MODULES:
         text = f"import os; open({mark!r} + '-{name}', 'w').write(str(os.geteuid()))\nraise SystemExit(9)\n"
         (Path(folder) / f"{name}.py").write_text(text)
@@ -443,20 +443,20 @@ def lay_modules(folder: str, mark: str) -> list[Try]:
 
 
 def lay_scratch(folder: str) -> list[Try]:
-    """Make the folder below which Dask's workers have theirs, before the owner does."""
+    """Create the folder for the Dask workers' folders before the owner does."""
     os.umask(0)
     (Path(folder) / "dask-scratch-space").mkdir(mode=0o777)
     return [row("folder laid", "laid", reached=False)]
 
 
 def lay_settings(folder: str, cache: str) -> list[Try]:
-    """Lay settings of numba that name a folder with traps."""
+    """Write numba settings that name a folder with traps."""
     (Path(folder) / ".numba_config.yaml").write_text(f"cache_dir: {cache}\n")
     return [row("settings laid", "laid", reached=False)]
 
 
 def lay_part_folder(folder: str, name: str, precious: str) -> None:
-    """Make NAME.part before the owner does, with links for its segments, again and again until stdin ends."""
+    """Create NAME.part before the owner does, with links for its segments, repeatedly until stdin ends."""
     part = Path(folder) / f"{name}.part"
     os.umask(0)
     part.mkdir(mode=0o777)
@@ -470,13 +470,13 @@ def lay_part_folder(folder: str, name: str, precious: str) -> None:
 
 
 def lay_part_link(folder: str, name: str, target: str) -> list[Try]:
-    """Lay a link to a folder of the owner's in place of NAME.part."""
+    """Put a link to one of the owner's folders in place of NAME.part."""
     (Path(folder) / f"{name}.part").symlink_to(target)
     return [row("link laid", "laid", reached=False)]
 
 
 def lay_unfinished(folder: str, name: str, owner: int, precious: str) -> None:
-    """Lay links under the names by which the owner's programs write before they rename, until stdin ends."""
+    """Put links under the temporary names that the owner's programs write before renaming, until stdin ends."""
 
     def lay() -> None:
         for number in processes(owner):
@@ -507,7 +507,7 @@ def _again(lay: Callable[[], None]) -> None:
 
 
 def without_rights() -> bool:
-    """Whether this process has no capability, is in no other group, and can get none."""
+    """Whether this process has no capability, is in no other group, and can gain neither."""
     status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
     none = all(int(status[name], 16) == 0 for name in ("CapEff", "CapPrm", "CapInh", "CapAmb"))
     return none and os.getuid() != 0 and not os.getgroups() and status["NoNewPrivs"].strip() == "1"

@@ -1,9 +1,9 @@
-"""Check a built site: no broken link or anchor, nothing loaded from another address, no Markdown left as text.
+"""Check a built site for broken links and anchors, for files loaded from other hosts, and for Markdown left as text.
 
     python scripts/docs/check_site.py [site]
 
-zensical checks the links of Markdown; this looks at what it made, with the pages that mkdocstrings and templates fill.
-Links to follow may lead anywhere; they are not tried.
+zensical checks the links in the Markdown sources. This script checks the built HTML, including the parts that
+mkdocstrings and templates add. Links to other hosts are allowed and are not requested.
 """
 
 import re
@@ -13,7 +13,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
-# What a browser fetches by itself when it opens a page: the attribute, by tag.
+# Resources that a browser fetches when it opens a page: attributes, by tag.
 LOADED = {
     "script": ("src",),
     "img": ("src", "srcset"),
@@ -33,12 +33,12 @@ LOADED_RELATIONS = {
     *("preconnect", "dns-prefetch"),
 }
 IN_STYLES = re.compile(r"url\(\s*['\"]?([^'\")]+)|@import\s+['\"]([^'\"]+)")
-# A list or a table without a blank line before it, a fence that was not seen.
+# A list or a table without a blank line before it, or a code fence that was not recognised.
 LEFT_AS_TEXT = re.compile(r"\n(?:[-*] |\d+\. |\| )|^\| |```|^:::")
 
 
 class Page(HTMLParser):
-    """What a page offers and asks for: ids, links, addresses that it loads, paragraphs."""
+    """The contents of a page: its ids, links, loaded addresses and paragraphs."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -46,10 +46,10 @@ class Page(HTMLParser):
         self.links: list[str] = []
         self.loads: list[str] = []
         self.paragraphs: list[str] = []
-        self._open: list[str] = []  # tags whose text is wanted
+        self._open: list[str] = []  # open tags whose text is collected
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        """Note what the tag offers and asks for."""
+        """Collect the ids, links and loaded addresses of a tag."""
         given = {name: value or "" for name, value in attrs}
         self.ids |= {given[name] for name in ("id", "name") if name in given}
         if tag == "a" and "href" in given:
@@ -66,13 +66,13 @@ class Page(HTMLParser):
             self._open.append(tag)
 
     def handle_endtag(self, tag: str) -> None:
-        """Note where a text ends."""
+        """End the text of a paragraph."""
         if tag in self._open:
             while self._open.pop() != tag:
                 pass
 
     def handle_data(self, data: str) -> None:
-        """Collect the text of paragraphs, and what styles load."""
+        """Collect the text of paragraphs and the addresses loaded by styles."""
         if not self._open:
             return
         if self._open[-1] == "style":
@@ -86,20 +86,20 @@ def _in_style(text: str) -> list[str]:
 
 
 def is_external(address: str) -> bool:
-    """Whether an address names a host; data within the page does not."""
+    """Whether an address names a host; a data URI does not."""
     parts = urlsplit(address)
     return bool(parts.netloc) or parts.scheme not in ("", "data", "blob", "javascript")
 
 
 def read(path: Path) -> Page:
-    """The page of a file."""
+    """Return the parsed page of a file."""
     page = Page()
     page.feed(path.read_text(encoding="utf-8"))
     return page
 
 
 def problems(site: Path) -> list[str]:
-    """Everything that is wrong with a site, a line each; empty if nothing is."""
+    """Return all problems of a site, one line each; empty if there are none."""
     pages = {path: read(path) for path in sorted(site.rglob("*.html"))}
     if not pages:
         return [f"{site}: no page"]
@@ -122,13 +122,13 @@ def problems(site: Path) -> list[str]:
 
 
 def _broken(link: str, path: Path, site: Path, pages: dict[Path, Page]) -> Iterator[str]:
-    """What is wrong with a link within the site."""
+    """Yield the problem of a link within the site, if it has one."""
     if is_external(link) or link.startswith(("data:", "javascript:", "blob:")):
         return
     parts = urlsplit(link)
     aim = path
     if parts.path:
-        # 404.html is shown for any address, so its links begin at the root of the site.
+        # 404.html is shown for any address, so its links start at the root of the site.
         base = site if parts.path.startswith("/") else path.parent
         aim = (base / unquote(parts.path).lstrip("/")).resolve()
         aim = aim / "index.html" if aim.is_dir() else aim
@@ -139,7 +139,7 @@ def _broken(link: str, path: Path, site: Path, pages: dict[Path, Page]) -> Itera
 
 
 def main() -> int:
-    """Print all problems, and how many there are."""
+    """Print all problems and their number; return True if there are any."""
     site = Path(sys.argv[1] if len(sys.argv) > 1 else "site").resolve()
     every = problems(site)
     sys.stdout.write("".join(f"{line}\n" for line in every))

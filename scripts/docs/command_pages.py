@@ -1,4 +1,4 @@
-"""A page for every command, from what Typer knows of it: purpose, examples, options by panel, values and defaults."""
+"""Build the reference page of each command from Typer: purpose, examples, options by panel, values and defaults."""
 
 import re
 from collections.abc import Iterator, Mapping
@@ -19,16 +19,16 @@ FOLDER = "commands"
 UNNAMED_PANEL = "Options"
 PICTURES = Path(__file__).resolve().parents[2] / "docs" / "pictures"
 ENDS = (
-    (0, "all went well, or there was nothing to do"),
-    (EvetacError.exit_code, "something failed"),
-    (InputError.exit_code, "a flag, a file or a value is not what was expected"),
-    (DeviceError.exit_code, "a camera or a gripper failed, or `doctor` found something wrong"),
-    (130, "Ctrl-C: files that were finished are complete, the one in progress was left out"),
+    (0, "the command succeeded, or had nothing to do"),
+    (EvetacError.exit_code, "the command failed"),
+    (InputError.exit_code, "a flag, a file or a value is invalid"),
+    (DeviceError.exit_code, "a camera or a gripper failed, or `doctor` found a problem"),
+    (130, "stopped by Ctrl-C: finished files are complete, the file in progress was discarded"),
 )
 
 
 def every_command() -> dict[str, Any]:
-    """All commands by their full names, as in `evaluate slip`, in the order of `evetac --help`."""
+    """Return all commands by their full names, such as `evaluate slip`, in the order of `evetac --help`."""
     return dict(_walk(typer.main.get_command(app), ()))
 
 
@@ -41,21 +41,22 @@ def _walk(command: Any, names: tuple[str, ...]) -> Iterator[tuple[str, Any]]:
 
 
 def page_name(command: str) -> str:
-    """The file of a command's page; `index.md` is the list of all, so the command `index` has another."""
+    """Return the file name of a command's page; `index.md` is the list of all, so the command `index` has another."""
     return "index-command.md" if command == "index" else f"{command.replace(' ', '-')}.md"
 
 
 def pages() -> dict[str, str]:
-    """The text of every page by its path: one a command, and the list of all."""
+    """Return the text of every page by its path: one page per command, and the list of all commands."""
     every = every_command()
-    made = {f"{FOLDER}/{page_name(name)}": _page(name, command) for name, command in every.items()}
-    return {f"{FOLDER}/index.md": _list(every), **made}
+    page_of = {f"{FOLDER}/{page_name(name)}": _page(name, command) for name, command in every.items()}
+    return {f"{FOLDER}/index.md": _list(every), **page_of}
 
 
 def _list(every: Mapping[str, Any]) -> str:
     parts = [
         "# Commands\n",
-        "Each command reads files and writes files beside them. `evetac COMMAND --help` says the same as its page.\n",
+        "Each command reads files and writes its results next to them. `evetac COMMAND --help` prints the same"
+        " information as the command's page.\n",
     ]
     panels: dict[str, list[tuple[str, str]]] = {}
     for name, command in every.items():
@@ -64,10 +65,10 @@ def _list(every: Mapping[str, Any]) -> str:
         panels.setdefault(str(panel), []).append((link, prose(_help(command)[0][0])))
     for panel in sorted(panels, key=lambda name: name == "Inspect"):
         parts += [f"## {panel}\n", table(("command", "what it does"), panels[panel])]
-    parts += ["## Exit codes\n", table(("code", "meaning"), [(str(number), said) for number, said in ENDS])]
+    parts += ["## Exit codes\n", table(("code", "meaning"), [(str(number), meaning) for number, meaning in ENDS])]
     parts.append(
-        "With `--json` a command prints one JSON object on stdout, whatever happens: `command`, `simulated`, `rows`,"
-        " `summary`, and `error` where something failed. Progress and messages go to stderr.\n"
+        "With `--json` a command always prints exactly one JSON object on stdout, with the keys `command`, `simulated`,"
+        " `rows` and `summary`, and `error` if the command failed. Progress and messages go to stderr.\n"
     )
     return "\n".join(parts)
 
@@ -87,7 +88,7 @@ def _page(name: str, command: Any) -> str:
         parts.append(f"![What `evetac {name}` shows (simulated)](../../pictures/{picture})\n")
     if arguments:
         rows = [(code(_argument(param)), prose(param.help or "")) for param in arguments]
-        parts += ["## Arguments\n", table(("argument", "what it is"), rows)]
+        parts += ["## Arguments\n", table(("argument", "meaning"), rows)]
     known = _parameters(name)
     panels: dict[str, list[tuple[str, str, str, str]]] = {}
     for param in options:
@@ -101,12 +102,12 @@ def _page(name: str, command: Any) -> str:
 
 
 def _in_a_file(name: str, known: Mapping[str, Field[Any]]) -> str:
-    """How options are written in a file for --config, where a key is the name of the parameter."""
+    """Explain how to write the options in a file for --config, where a key is the name of the parameter."""
     flags = {flag_of(item): item.name for item in known.values() if flag_of(item).startswith("--")}
     others = [f"{code(key)} for {code(flag)}" for flag, key in flags.items() if flag[2:].replace("-", "_") != key]
     table_of = code(f"[{name.replace(' ', '.')}]")
-    said = f"In a file for `--config` these options stand in the table {table_of}, with `_` in place of `-`"
-    return said + (f", but {', '.join(others)}" if others else "") + ".\n"
+    text = f"In a `--config` file, write these options in the table {table_of}, with `_` instead of `-`"
+    return text + (f", except {', '.join(others)}" if others else "") + ".\n"
 
 
 def _argument(param: Any) -> str:
@@ -116,7 +117,7 @@ def _argument(param: Any) -> str:
 
 
 def _help(command: Any) -> tuple[list[str], list[str]]:
-    """What a command's help says: its paragraphs, then its examples, which are lines that begin with `evetac `."""
+    """Split a command's help into paragraphs and examples; examples are lines that begin with `evetac `."""
     paragraphs, examples = [], []
     for part in (command.help or "").replace("\b", "").split("\n\n"):
         lines = [line.strip() for line in part.strip().splitlines()]
@@ -128,7 +129,7 @@ def _help(command: Any) -> tuple[list[str], list[str]]:
 
 
 def _parameters(name: str) -> dict[str, Field[Any]]:
-    """The parameters of a command by name, where the command is made from a dataclass."""
+    """Return the parameters of a command by name, if the command is made from a dataclass."""
     group, _, last = name.rpartition(" ")
     listed = commands.EVALUATE if group == "evaluate" else _of_no_group()
     return {item.name: item for command in listed if command.name == last for item in fields(command.params)}
@@ -140,7 +141,7 @@ def _of_no_group() -> list[commands.Command]:
 
 
 def _option(param: Any, known: Field[Any] | None) -> tuple[str, str, str, str]:
-    """The row of an option; its values, unit and default are those of the parameter, where there is one."""
+    """Return the table row of an option; values, unit and default come from its parameter, if it has one."""
     flags = ", ".join(code(flag) for flag in param.opts)
     if known is None:
         shown = "" if param.default is None or param.default is False else code(param.default)

@@ -1,6 +1,6 @@
-"""A page for every kind of file, from schemas/: datasets with dtype, shape, unit and limits, and how to read them.
+"""Build the page of each file kind from schemas/: datasets with dtype, shape, unit and limits, and how to read them.
 
-The snippets in Python are run by a test on a file of each kind; those in MATLAB and Julia say that nobody ran them.
+A test runs the Python snippets on a file of each kind. The MATLAB and Julia snippets are marked as not run.
 """
 
 from collections.abc import Sequence
@@ -24,7 +24,7 @@ MADE_BY = {
 
 
 class Snippets(NamedTuple):
-    """How to read a kind: the dataset that all languages read, and the lines of a table for pandas."""
+    """How to read a file kind: the dataset that all languages read, and the lines that build a pandas table."""
 
     path: str
     pandas: str
@@ -67,7 +67,7 @@ frame.index.name = "ms" """,
 
 
 def pages() -> dict[str, str]:
-    """The text of every page by its path: one a kind, and the list of all."""
+    """Return the text of every page by its path: one page per kind, and the list of all kinds."""
     return {f"{FOLDER}/index.md": _list(), **{f"{FOLDER}/{kind}.md": _page(load(kind)) for kind in KINDS}}
 
 
@@ -76,19 +76,20 @@ def _list() -> str:
     return "\n".join(
         (
             "# Files\n",
-            "Every file is plain HDF5, compressed with gzip, and needs no plugin. A file is called `NAME.KIND.h5`.\n",
-            table(("kind", "holds", "made by"), rows),
-            "Each dataset has the attributes `units` and `long_name`, and its dimensions have names (HDF5 dimension"
-            " scales), so that xarray, h5netcdf, MATLAB and HDFView show what a number is. Units are `us`, `ms`, `s`,"
-            " `px`, `N`, `mA`, `ticks` (of the gripper's encoder, 0.088 degrees each) and `1` for what has none.\n",
-            "x runs to the right from 0 to 639, y down from 0 to 479, always in the order (x, y). The time of a slice"
-            " is its index: slice k holds the events with t from k ms on and before k + 1 ms, and an empty slice is"
-            " still a slice.\n",
+            "Every file is plain HDF5, compressed with gzip. No HDF5 plugin is needed. File names have the form"
+            " `NAME.KIND.h5`.\n",
+            table(("kind", "contents", "made by"), rows),
+            "Each dataset has the attributes `units` and `long_name`. Its dimensions are named (HDF5 dimension scales),"
+            " so xarray, h5netcdf, MATLAB and HDFView can label the axes. The units are `us`, `ms`, `s`, `px`, `N`,"
+            " `mA`, `ticks` (of the gripper's encoder, 0.088 degrees each), and `1` for dimensionless values.\n",
+            "x runs right from 0 to 639 and y runs down from 0 to 479. Coordinates are always in the order (x, y). The"
+            " index of a slice is its time in ms: slice k contains the events with k ms <= t < k + 1 ms. A slice"
+            " without events is kept as an empty slice.\n",
             "## Header\n",
-            "The root attribute `header` is a JSON object; `schemas/header.v1.json` describes it. Its `id` is a SHA-256"
-            " over kind, version, method, parameters, seed and the ids of what the file was made from. The same recipe"
-            " on the same type of machine makes the same arrays, bit for bit. `simulated` is true if anything in its"
-            " history was simulated.\n",
+            "The root attribute `header` is a JSON object, described by `schemas/header.v1.json`. Its `id` is a SHA-256"
+            " hash of the kind, version, method, parameters, seed and the ids of the input files. The same recipe on"
+            " the same type of machine produces bit-identical arrays. `simulated` is true if any file in the history"
+            " was simulated.\n",
             "```python",
             "import json",
             "",
@@ -98,13 +99,13 @@ def _list() -> str:
             '    header = json.loads(file.attrs["header"])',
             'print(header["kind"], header["method"], header["parameters"], header["simulated"])',
             "```\n",
-            "[`evetac info`](../commands/info.md) prints it, with the history.\n",
+            "[`evetac info`](../commands/info.md) prints the header and the history of a file.\n",
         )
     )
 
 
 def _page(schema: Schema) -> str:
-    groups: dict[str, list[Dataset]] = {"": []}  # what lies at the root comes first
+    groups: dict[str, list[Dataset]] = {"": []}  # datasets at the root come first
     for row in schema.datasets:
         groups.setdefault(row.path.partition("/")[0] if "/" in row.path else "", []).append(row)
     parts = [
@@ -114,8 +115,8 @@ def _page(schema: Schema) -> str:
     ]
     if schema.optional_groups or any(row.optional for row in schema.datasets):
         parts.append(
-            "Optional datasets may be missing. A group that is marked optional is there with all its other datasets, or"
-            " not at all.\n"
+            "Datasets marked optional may be missing. A group marked optional is either missing or contains all of its"
+            " other datasets.\n"
         )
     for name, rows in groups.items():
         if not rows:
@@ -131,8 +132,8 @@ def _page(schema: Schema) -> str:
 
 def _row(row: Dataset) -> tuple[str, ...]:
     meaning, limits = sentence(prose(row.meaning)), _limits(row.limits, row.meaning)
-    said = " ".join(part for part in (meaning, limits, "*Optional.*" if row.optional else "") if part)
-    return code(row.path), "text" if row.dtype == "utf8" else code(row.dtype), _shape(row.dims), row.unit, said
+    text = " ".join(part for part in (meaning, limits, "*Optional.*" if row.optional else "") if part)
+    return code(row.path), "text" if row.dtype == "utf8" else code(row.dtype), _shape(row.dims), row.unit, text
 
 
 def _shape(dims: Sequence[str | int] | None) -> str:
@@ -142,7 +143,7 @@ def _shape(dims: Sequence[str | int] | None) -> str:
 
 
 def _limits(limits: Limits, meaning: str) -> str:
-    """What values may be, in words, as far as the meaning does not say it."""
+    """Describe the allowed values in words, unless the meaning already does."""
     listed = [bounds(limits.minimum, limits.maximum, limits.above)]
     listed += [f"one of {', '.join(map(str, limits.one_of))}"] if limits.one_of else []
     listed += ["may be NaN"] if limits.finite == "or NaN" else []
@@ -192,7 +193,7 @@ def _snippets(schema: Schema) -> str:
             '=== "MATLAB (not run)"\n',
             _indented(
                 fenced(
-                    f'{name} = h5read("a.{kind}.h5", "/{path}");   % MATLAB turns the order of dimensions round\n'
+                    f'{name} = h5read("a.{kind}.h5", "/{path}");   % MATLAB reverses the order of dimensions\n'
                     f'header = jsondecode(h5readatt("a.{kind}.h5", "/", "header"));',
                     "matlab",
                 )

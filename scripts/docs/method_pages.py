@@ -1,6 +1,6 @@
-"""Pages of what a user chooses by name: presets of tracker and training, label methods, controllers, models.
+"""Build the pages of named choices: tracker and training presets, label methods, controllers and models.
 
-Names, constants and their meaning come from the tables of the code; what each is for stands here.
+Names, constants and their meanings come from the tables in the code. The descriptions are written here.
 """
 
 import json
@@ -20,81 +20,87 @@ from evetac_cli.kernels.tracking import presets
 from evetac_cli.kernels.tracking.presets import TrackerConstants
 from evetac_cli.resources import MODEL
 
-ROWS, COLUMNS = 7, 8  # of the cut gel, for which numbers of weights are counted
-OWN = "ours"
-PAPERS = "the paper's"
+ROWS, COLUMNS = 7, 8  # of the cut gel, for which the numbers of weights are given
+OWN = "evetac"
+PAPERS = "the paper"
 
 TRACKERS = {
-    "paper": "The paper's tracker: a gradient step a slice, with its printed constants; neighbours hold each other.",
-    "official": "The authors' published code, for dots whose true radius is 8 to 10 px. It loses dots of 15 px.",
-    "official-5ms": "The same code as its two readouts run it by default: a step for the events of 5 ms.",
-    "unregularised": "The paper's tracker without the grid that holds dots together: the paper's comparison.",
-    "stable": "Ours, and the default: it solves for the motion that the events of a slice stand for, with polarity.",
+    "paper": "The paper's tracker: one gradient step per slice, with the published constants. A regulariser keeps"
+    " neighbouring dots together.",
+    "official": "The authors' published code, for dots with a true radius of 8 to 10 px. It loses dots of 15 px.",
+    "official-5ms": "The same code as its two readouts run it by default: one step for the events of 5 ms.",
+    "unregularised": "The paper's tracker without the grid regulariser: the comparison in the paper.",
+    "stable": "evetac's tracker, and the default: it solves for the dot motion that explains the events of a slice,"
+    " including their polarity.",
 }
 TRAININGS = {
-    "paper": "As the paper trains: plain gradient descent on features as they are. `train` ends it at 40,000 steps if"
-    " `--max-steps` does not say otherwise, and tries 49 thresholds, the paper 41.",
-    "adam": "Adam on normalised features: for trainings of few steps, as in the first hour.",
-    "adamw": "Ours: normalised features, samples made stronger and weaker, a falling learning rate, averaged weights.",
-    "adapt": "Small steps from a trained network's weights to those for your sensor: what `train --adapt` takes.",
+    "paper": "The paper's training: plain gradient descent on unnormalised features. `train` stops after 40,000 steps"
+    " unless `--max-steps` is given. It tries 49 thresholds; the paper tried 41.",
+    "adam": "Adam on normalised features, for short trainings such as the one in the first hour.",
+    "adamw": "evetac's training: AdamW on normalised features, with samples scaled at random, a falling learning rate"
+    " and averaged weights.",
+    "adapt": "Small steps that adapt a trained network to your sensor. `train --adapt` uses this preset.",
 }
 LABELS = {
-    "event-flow": "Ours, and the default: dots by the tracker, the object by events of its window. It says in which"
-    " interval the onset lies, and abstains where it cannot tell.",
-    "farneback": "The paper's: dense optical flow between event images of the window.",
-    "dis": "Another optical flow (DIS) between the same images.",
-    "event-count": "Many events in the window, no matter where: the simplest.",
-    "truth": "Gross slip as the simulation knows it: for comparison, and to train on.",
+    "event-flow": "evetac's method, and the default. It compares the motion of the dots, from the tracker, with that of"
+    " the object, from the events in the window. It reports an interval for the onset, and abstains if the events do"
+    " not show one.",
+    "farneback": "The paper's method: dense optical flow between event images of the window.",
+    "dis": "A different dense optical flow (DIS) between the same images.",
+    "event-count": "The simplest method: slip is a high number of events in the window, wherever they are.",
+    "truth": "The simulation's ground truth of gross slip, for comparison and for training.",
 }
 CONTROLLERS = {
-    "paper": "The paper's law. In balance it sets its reference at the first slip and closes at every slip.",
-    "paper-reset": "The paper's law, read so that the reference is set anew at every slip.",
-    "load-proportional": "Ours: grips in proportion to the load, which displacement and turn of the dots show; what"
-    " stops a slide and what a slow release shows tell how much of it is needed.",
-    "none": "Stays where light contact ended: the paper's control experiment, without a detector.",
-    "fixed:N": f"Closes N ticks, 1 to {MOST_FIXED_TICKS}, beyond light contact and stays, without a detector.",
+    "paper": "The paper's control law. In the balance phase it sets its reference at the first slip and closes at every"
+    " slip.",
+    "paper-reset": "The paper's control law, interpreted so that every slip sets the reference again.",
+    "load-proportional": "evetac's control law: grip force in proportion to the load, which it estimates from the"
+    " displacement and rotation of the dots. It learns the required proportion from the grip that stops a slide and"
+    " from a slow release.",
+    "none": "Stays at the position of light contact, without a detector: the control experiment in the paper.",
+    "fixed:N": f"Closes N ticks (1 to {MOST_FIXED_TICKS}) beyond light contact and stays there, without a detector.",
 }
 MODELS = {
     "no-hist": "One slice, no history.",
     "hist10": "The last 10 slices. The default of `train`.",
-    "events-only": "The last 10 slices, numbers of events alone.",
-    "disp-only": "The last 10 slices, displacements alone.",
+    "events-only": "The last 10 slices, with event counts only.",
+    "disp-only": "The last 10 slices, with displacements only.",
     "hist20": "The last 20 slices.",
-    "down5": "50 slices as 10 means of 5, one prediction every 5 ms.",
-    "fast-slow": "The last 10 slices and 5 means of 10: two time scales.",
+    "down5": "The last 50 slices as 10 means of 5 slices, with one prediction every 5 ms.",
+    "fast-slow": "Two time scales: the last 10 slices, and 5 means of 10 slices.",
     "no-hist-img": "Baseline on event images, one slice.",
     "hist10-img": "Baseline on event images, 10 slices.",
-    "no-hist-img-6x6": "As `no-hist-img` on images summed over 6 x 6 px, so that a CPU can train it.",
-    "hist10-img-6x6": "As `hist10-img` on images summed over 6 x 6 px, so that a CPU can train it.",
-    "disp-xy": "Directions and changes of displacement, and events, over 50 ms. The package's detector is one.",
-    "disp-xy-grip": "As `disp-xy`; and, where they are known, changes of the gripper's position and command, and which"
-    " share of the contact sticks.",
+    "no-hist-img-6x6": "`no-hist-img` on images summed over 6 x 6 px, small enough to train on a CPU.",
+    "hist10-img-6x6": "`hist10-img` on images summed over 6 x 6 px, small enough to train on a CPU.",
+    "disp-xy": "Displacement vectors, their changes, and event counts over 50 ms.",
+    "disp-xy-grip": "The inputs of `disp-xy` and, if available, changes of the gripper's position and command and the"
+    " share of the contact that sticks. The pretrained detector has this architecture.",
 }
 OWN_MODELS = ("no-hist-img-6x6", "hist10-img-6x6", "disp-xy", "disp-xy-grip")
 FORCE_MODELS = {
     "paper": "Shear force by a linear regression and by the paper's network, for the dot grid of one sensor.",
-    "touch": "Shear modulus, creep, offset and the factor of the normal force, with which touch maps of one sensor tell"
-    " its forces. Ours.",
+    "touch": "evetac's model: shear modulus, creep, offset and normal-force factor of one sensor. Touch maps use these"
+    " values to estimate forces.",
 }
 
 
 def pages() -> dict[str, str]:
-    """The text of every page by its path."""
+    """Return the text of every page by its path."""
     return {"presets.md": _presets(), "controllers.md": _controllers(), "models.md": _models()}
 
 
 def label_methods() -> tuple[str, ...]:
-    """The methods of `label`."""
+    """Return the methods of `label`."""
     return tuple(Label.__dataclass_fields__["method"].metadata["choices"])
 
 
 def force_methods() -> tuple[str, ...]:
-    """The methods of `train-force`."""
+    """Return the methods of `train-force`."""
     return tuple(TrainForce.__dataclass_fields__["method"].metadata["choices"])
 
 
 def _constants(named: Mapping[str, Any], meanings: Mapping[str, str]) -> str:
-    """A table of constants, a row each, with a column for every set of them."""
+    """Return a table of constants, one row each, with a column for every named set."""
     keys = list(dict.fromkeys(key for constants in named.values() for key in constants))
     rows = [
         (code(key), prose(meanings.get(key, "")), *(value(constants.get(key, "")) for constants in named.values()))
@@ -104,58 +110,58 @@ def _constants(named: Mapping[str, Any], meanings: Mapping[str, str]) -> str:
 
 
 def _presets() -> str:
-    said = [
+    lines = [
         "# Presets and label methods\n",
-        "A preset is a named, complete set of an algorithm's constants. A constant that is changed by hand is recorded"
-        " in the file as `custom from NAME`.\n",
+        "A preset is a named, complete set of an algorithm's constants. If you change a constant by hand, the file"
+        " records the preset as `custom from NAME`.\n",
         "## Tracker\n",
         "`evetac track --preset NAME`, `evetac grasp --tracker NAME`, `evetac.DotTracker(gel, preset=NAME)`.\n",
     ]
     for name in presets.PRESETS:
-        said += [f"### Tracker preset {name}\n", TRACKERS[name] + "\n"]
+        lines += [f"### Tracker preset {name}\n", TRACKERS[name] + "\n"]
     constants = {name: asdict(each) for name, each in presets.PRESETS.items()}
-    said += ["### Constants of the tracker\n", "Lengths in px.\n", _constants(constants, comments(TrackerConstants))]
-    said += ["## Training\n", "`evetac train --preset NAME`.\n"]
+    lines += ["### Constants of the tracker\n", "Lengths in px.\n", _constants(constants, comments(TrackerConstants))]
+    lines += ["## Training\n", "`evetac train --preset NAME`.\n"]
     trainings = {**PRESETS, ADAPT.name: ADAPT}
     for name in trainings:
-        said += [f"### Training preset {name}\n", TRAININGS[name] + "\n"]
+        lines += [f"### Training preset {name}\n", TRAININGS[name] + "\n"]
     constants = {
         name: {key: item for key, item in asdict(each).items() if key != "name"} for name, each in trainings.items()
     }
-    said += ["### Constants of training\n", _constants(constants, comments(type(ADAPT)))]
-    said += ["## Label methods\n", "`evetac label --method NAME`: when the object slips.\n"]
+    lines += ["### Constants of training\n", _constants(constants, comments(type(ADAPT)))]
+    lines += ["## Label methods\n", "`evetac label --method NAME` marks the slices in which the object slips.\n"]
     for name in label_methods():
-        said += [f"### Label method {name}\n", LABELS[name] + "\n"]
-    return "\n".join(said)
+        lines += [f"### Label method {name}\n", LABELS[name] + "\n"]
+    return "\n".join(lines)
 
 
 def controller_names() -> list[str]:
-    """All controllers; N stands for a number of ticks."""
+    """Return all controllers; N is a number of ticks."""
     return [*LAWS, "none", "fixed:N"]
 
 
 def _controllers() -> str:
-    said = [
+    lines = [
         "# Controllers\n",
-        "`evetac grasp --controller NAME`: what the gripper does when the object is touched, lifted and held. A step"
-        " takes the slip signal and the fingers' position, and gives a goal position in ticks of the gripper's encoder"
-        " (0.088 degrees each), 500 times a second unless `--control-hz` says otherwise.\n",
+        "`evetac grasp --controller NAME` chooses how the gripper touches, lifts and holds the object. Each control"
+        " step reads the slip signal and the position of the fingers, and returns a goal position in ticks of the"
+        " gripper's encoder (0.088 degrees each). There are 500 steps per second unless `--control-hz` is given.\n",
     ]
     for name in controller_names():
-        said += [f"## {name}\n", CONTROLLERS[name] + "\n"]
+        lines += [f"## {name}\n", CONTROLLERS[name] + "\n"]
         law = LAWS.get(name)
         if is_dataclass(law):
-            said.append(_constants({name: asdict(law)}, comments(type(law))))
-    said.append("What they hold, and how firmly, is measured in the [results](../results.md).\n")
-    return "\n".join(said)
+            lines.append(_constants({name: asdict(law)}, comments(type(law))))
+    lines.append("The [results](../results.md) show how many objects each controller held, and how firmly.\n")
+    return "\n".join(lines)
 
 
 def _models() -> str:
-    said = [
+    lines = [
         "# Models\n",
         "## Slip detectors\n",
-        "`evetac train --model NAME`. A detector sees the dots, or event images, of the last slices and gives the"
-        f" probability of slip. Numbers of weights are those for {ROWS} x {COLUMNS} dots.\n",
+        "`evetac train --model NAME`. A detector estimates the probability of slip from the dots or event images of the"
+        f" last slices. Numbers of weights are for {ROWS} x {COLUMNS} dots.\n",
     ]
     for name, architecture in ARCHITECTURES.items():
         of = OWN if name in OWN_MODELS else PAPERS
@@ -165,34 +171,34 @@ def _models() -> str:
             if not key.startswith("input_")
         )
         facts = [
-            ("whose", of),
+            ("from", of),
             ("history", f"{architecture.history} ms"),
-            ("a prediction every", f"{architecture.every} ms"),
+            ("one prediction every", f"{architecture.every} ms"),
         ]
         if isinstance(architecture, DotArchitecture):
-            facts.append(("inputs of a dot", f"{architecture.inputs_per_dot}, of {_channels(architecture)}"))
+            facts.append(("inputs per dot", f"{architecture.inputs_per_dot}, of {_channels(architecture)}"))
             if architecture.extras:
-                told = ", ".join(view.extra for view in architecture.extras)
-                facts.append(("of which told beside it", f"{sum(view.width for view in architecture.extras)}: {told}"))
+                extra = ", ".join(view.extra for view in architecture.extras)
+                facts.append(("of these, not from dots", f"{sum(view.width for view in architecture.extras)}: {extra}"))
         else:
             facts.append(("input", f"{' x '.join(map(str, architecture.input_shape))} (slices, height, width)"))
         facts.append(("weights", f"{weights:,}"))
-        said += [f"### {name}\n", MODELS[name] + "\n", table(("what", "value"), facts)]
-    said += [f"## The detector that comes with evetac: {MODEL.name.removesuffix('.model.h5')}\n", _shipped()]
-    said += ["## Force models\n", "`evetac train-force --method NAME`.\n"]
+        lines += [f"### {name}\n", MODELS[name] + "\n", table(("what", "value"), facts)]
+    lines += [f"## The detector that comes with evetac: {MODEL.name.removesuffix('.model.h5')}\n", _shipped()]
+    lines += ["## Force models\n", "`evetac train-force --method NAME`.\n"]
     for name in force_methods():
-        said += [f"### Force model {name}\n", FORCE_MODELS[name] + "\n"]
-    said.append("Without a model `predict-touch` tells forces, too: [touch maps](../touch-maps.md).\n")
-    return "\n".join(said)
+        lines += [f"### Force model {name}\n", FORCE_MODELS[name] + "\n"]
+    lines.append("`predict-touch` also estimates forces without a model: see [touch maps](../touch-maps.md).\n")
+    return "\n".join(lines)
 
 
 def _channels(architecture: DotArchitecture) -> str:
-    said = []
+    lines = []
     for view in architecture.views:
         parts = [f"{view.recent} slice{'s' if view.recent > 1 else ''}"] if view.recent else []
         parts += [f"{view.means} means of {view.block}"] if view.means else []
-        said.append(f"{view.channel} ({' and '.join(parts)}{', as changes' if view.change else ''})")
-    return ", ".join(said)
+        lines.append(f"{view.channel} ({' and '.join(parts)}{', as changes' if view.change else ''})")
+    return ", ".join(lines)
 
 
 def _shipped() -> str:
@@ -209,5 +215,5 @@ def _shipped() -> str:
             + (", and the true share of the contact that slips" if facts["learned_true_slip_share"] else ""),
         ),
     ]
-    more = "How it was trained and how well it performs: [Pretrained slip detector](../slip-detector.md).\n"
-    return sentence("All of it is simulated") + "\n\n" + table(("what", "value"), rows) + "\n" + more
+    more = "Its training data and its accuracy: [the pretrained slip detector](../slip-detector.md).\n"
+    return sentence("All training data is simulated") + "\n\n" + table(("what", "value"), rows) + "\n" + more

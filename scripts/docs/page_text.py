@@ -1,4 +1,4 @@
-"""Text of the command line, of schemas and of comments as Markdown: tables, code, and prose that stays as it was."""
+"""Turn texts of the command line, the schemas and comments into Markdown: tables, code and prose."""
 
 import inspect
 import re
@@ -7,16 +7,16 @@ from typing import Any
 
 MADE = "<!-- made by scripts/docs/pages.py from the code: edit that -->\n\n"
 FLAG = re.compile(r"(?<![\w`/-])(--?[a-z][\w-]*(?:/--?[a-z][\w-]*)*)")
-MARKS = re.compile(r"([\\*_\[\]<>#|])")  # what Markdown takes for more than a sign
+MARKS = re.compile(r"([\\*_\[\]<>#|])")  # characters that Markdown would interpret
 
 
 def code(text: object) -> str:
-    """A name or value as code."""
+    """Return a name or value as inline code."""
     return f"`{text}`"
 
 
 def prose(text: str) -> str:
-    """Plain text as Markdown: flags become code, what stands in backticks stays, all other signs are themselves."""
+    """Return plain text as Markdown: flags become code, text in backticks stays code, other characters are escaped."""
     parts = text.replace("\\[", "[").split("`")
     for place in range(0, len(parts), 2):
         pieces = FLAG.split(parts[place])
@@ -27,13 +27,13 @@ def prose(text: str) -> str:
 
 
 def sentence(text: str) -> str:
-    """A text with a capital at its beginning and a full stop at its end."""
+    """Return a text with an initial capital and a final full stop."""
     text = " ".join(text.split())
     return text[:1].upper() + text[1:] + ("" if text.endswith((".", ":", "!", "?")) else ".")
 
 
 def table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A table; cells are Markdown."""
+    """Return a table; cells are Markdown."""
     lines = [heads, ["---"] * len(heads), *rows]
     return "\n".join("| " + " | ".join(_cell(cell) for cell in line) + " |" for line in lines) + "\n"
 
@@ -43,18 +43,18 @@ def _cell(text: str) -> str:
 
 
 def fenced(text: str, language: str) -> str:
-    """A block of code."""
+    """Return a block of code."""
     return f"```{language}\n{text.strip()}\n```\n"
 
 
 def folded(title: str, text: str) -> str:
-    """A block that opens with a click."""
+    """Return a block that opens with a click."""
     indented = "\n".join(f"    {line}" if line else "" for line in text.strip().splitlines())
     return f'??? note "{title}"\n\n{indented}\n'
 
 
 def bounds(low: float | None, high: float | None, above: float | None = None) -> str:
-    """The range of a number in words, ends included but for `above`; nothing where there is none."""
+    """Describe the range of a number, ends included except for `above`; empty if there is no limit."""
     if above is not None:
         return f"above {number(above)}" + ("" if high is None else f", up to {number(high)}")
     if low is None:
@@ -63,12 +63,12 @@ def bounds(low: float | None, high: float | None, above: float | None = None) ->
 
 
 def number(figure: float) -> str:
-    """A number as a reader writes it: whole ones in full."""
+    """Return a number as text: whole numbers with thousands separators, others in short form."""
     return f"{int(figure):,}" if float(figure).is_integer() and abs(figure) < 1e15 else f"{figure:g}"
 
 
 def value(item: Any) -> str:
-    """A value of a table in TOML or of a dataclass, as a reader writes it."""
+    """Return a TOML or dataclass value as text for readers."""
     if isinstance(item, bool):
         return "yes" if item else "no"
     if isinstance(item, (int, float)):
@@ -79,6 +79,6 @@ def value(item: Any) -> str:
 
 
 def comments(of: type) -> dict[str, str]:
-    """What a dataclass says of its fields, by their names: the comments behind them."""
+    """Return the comments after a dataclass's fields, by field name."""
     pattern = re.compile(r"^    (\w+): [^#\n]+#\s*(.+)$", re.MULTILINE)
     return {name: said.removeprefix("...").lstrip() for name, said in pattern.findall(inspect.getsource(of))}

@@ -2,10 +2,10 @@
 
     python scripts/docs/pages.py [--out docs/reference]
 
-CONTRIBUTING and the two lists of changes, which stand elsewhere in the repository, become pages as well.
+CONTRIBUTING and the two lists of changes, whose sources are elsewhere in the repository, become pages too.
 
-Why so: the folder is not committed. `make docs` writes it anew before it builds the site, so no page can be older than
-the code, and no change of an option or a scene needs a second commit.
+The folder is not committed. `make docs` writes it again before each build of the site, so the pages always match the
+code, and a changed option or scene needs no second commit.
 """
 
 import argparse
@@ -31,30 +31,30 @@ OF_THE_REPOSITORY = {
     "file-changes.md": "schemas/CHANGES.md",
 }
 LINK = re.compile(r"(?<!!)\[([^\]]+)\]\((?!\w+:|#)([^)#]+)(#[^)]*)?\)")
-# Parts of the page of Python names, in their order.
+# Sections of the page of Python names, in this order.
 OPENING, EVENTS, SIMULATING, ERRORS = "Open files", "Events, dots, slip", "Simulate", "Errors"
 
 
 def every_page() -> dict[str, str]:
-    """The text of all reference pages by their paths below the folder."""
-    made = {path: text for module in MODULES for path, text in module.pages().items()}
+    """Return the text of all reference pages by their paths below the folder."""
+    generated = {path: text for module in MODULES for path, text in module.pages().items()}
     copied = {path: for_the_site((ROOT / name).read_text("utf-8")) for path, name in OF_THE_REPOSITORY.items()}
-    return {path: MADE + text for path, text in {**made, "python.md": _python(), **copied}.items()}
+    return {path: MADE + text for path, text in {**generated, "python.md": _python(), **copied}.items()}
 
 
 def _python() -> str:
-    """The public names of Python; mkdocstrings fills in what their docstrings say."""
-    said = [
+    """Return the page of public Python names; mkdocstrings inserts their docstrings."""
+    lines = [
         "# All names in Python\n",
         "    import evetac_cli as evetac\n",
-        "Each name is imported when it is first used. The package is typed. A test runs all examples.\n",
+        "Each name is imported on first use. The package is fully typed. A test runs all examples on this page.\n",
     ]
     for part in (OPENING, EVENTS, SIMULATING, ERRORS):
-        said.append(f"## {part}\n")
-        said += [f"::: evetac_cli.{name}\n" for name in evetac.__all__ if _part_of(name) == part]
+        lines.append(f"## {part}\n")
+        lines += [f"::: evetac_cli.{name}\n" for name in evetac.__all__ if _part_of(name) == part]
         if part == OPENING:
-            said.append("::: evetac_cli.store.files.StageFile\n")
-    return "\n".join(said)
+            lines.append("::: evetac_cli.store.files.StageFile\n")
+    return "\n".join(lines)
 
 
 def _part_of(name: str) -> str:
@@ -68,19 +68,19 @@ def _part_of(name: str) -> str:
 
 
 def for_the_site(text: str) -> str:
-    """Links to pages of docs/ lead there; other files of the repository are no part of the site and are only named."""
+    """Adapt links for the site: links to docs/ are kept; other repository files, not on the site, are only named."""
 
     def replace(match: re.Match[str]) -> str:
-        said, path, place = match[1], match[2], match[3] or ""
+        label, path, place = match[1], match[2], match[3] or ""
         if path.startswith("docs/"):
-            return f"[{said}](../{path.removeprefix('docs/')}{place})"
-        return f"`{path}`" if said.strip("`") == path else f"{said} (`{path}`)"
+            return f"[{label}](../{path.removeprefix('docs/')}{place})"
+        return f"`{path}`" if label.strip("`") == path else f"{label} (`{path}`)"
 
     return LINK.sub(replace, text)
 
 
 def write(folder: Path) -> list[Path]:
-    """Write all pages into a folder that holds nothing else, and return where they lie; SystemExit if it does."""
+    """Write all pages into a folder and return their paths; SystemExit if the folder has any other file."""
     for path in sorted(folder.rglob("*")):
         if path.is_symlink() or (path.is_file() and not path.read_bytes().startswith(MADE.encode())):
             raise SystemExit(f"{path} was not made by this script: nothing was removed or written")
@@ -95,7 +95,7 @@ def write(folder: Path) -> list[Path]:
 
 
 def main() -> None:
-    """Write the pages and say how many they are."""
+    """Write the pages and print their number."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=ROOT / "docs" / "reference")
     chosen = parser.parse_args()

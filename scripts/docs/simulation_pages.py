@@ -1,4 +1,4 @@
-"""Pages of what can be simulated: scenes, sensors, their parts, objects, and every key of a scene or a sensor."""
+"""Build the pages of the simulation: scenes, sensors, their parts, objects, and every key of a scene or a sensor."""
 
 import json
 from collections.abc import Iterator, Mapping
@@ -15,17 +15,17 @@ from evetac_cli.sim.setup.sensor_rows import rows as sensor_rows
 from evetac_cli.text_files import read_toml
 
 Rules = Mapping[str, Any]
-EXAMPLE = "evetac"  # the sensor beside which others are shown
+EXAMPLE = "evetac"  # the sensor with which others are compared
 
 
 class Keys(NamedTuple):
-    """The keys that name a part, of a sensor's row or a scene's file; none where every scene of its kind has it."""
+    """The keys that name a part in a sensor's row or a scene's file; empty if every scene of its kind has the part."""
 
     sensor: tuple[str, ...] = ()
     scene: tuple[str, ...] = ()
 
 
-# Where each part of sim/parts.py is named. A test compares the names and looks the keys up in schemas/.
+# The keys of each part in sim/parts.py. A test compares the names and looks the keys up in schemas/.
 PARTS = {
     "gel and friction": Keys(
         ("shear_modulus_pa", "normal_modulus_pa"), ("randomise.static_friction", "randomise.memory_um", "solver")
@@ -79,7 +79,7 @@ PARTS = {
 
 
 def pages() -> dict[str, str]:
-    """The text of every page by its path."""
+    """Return the text of every page by its path."""
     return {
         "scenes.md": _scenes(),
         "sensors.md": _sensors(),
@@ -90,21 +90,21 @@ def pages() -> dict[str, str]:
 
 
 def scene_names() -> list[str]:
-    """The packaged scenes."""
+    """Return the names of the packaged scenes."""
     return sorted(path.stem for path in SCENES.glob("*.toml"))
 
 
 def plan_of(name: str, sensor: str = EXAMPLE) -> Plan:
-    """What a packaged scene builds with a sensor."""
+    """Return the plan that a packaged scene builds with a sensor."""
     return first_plan(name, sensor=sensor)
 
 
 def _scenes() -> str:
-    said = [
+    lines = [
         "# Scenes\n",
-        "What can be simulated. Everything that comes of a scene is simulated, and its files say so. `--dry-run` shows"
-        " which [parts](parts.md) a scene builds; a scene pays only for those that it names. A scene of your own is a"
-        " TOML file with [these keys](scene-keys.md): begin with a copy of one below.\n",
+        "A scene describes a simulated trial. All files made from a scene are marked as simulated. `--dry-run` shows"
+        " which [parts](parts.md) a scene builds; parts that it does not name cost no run time. To write your own"
+        " scene, copy one of the TOML files below and change [its keys](scene-keys.md).\n",
     ]
     for name in scene_names():
         text = (SCENES / f"{name}.toml").read_text()
@@ -112,7 +112,7 @@ def _scenes() -> str:
         named = read_toml(SCENES / f"{name}.toml")
         command = "grasp" if named["kind"] == "lift" else "record"
         built = [row["part"] for row in rows_of(plan_of(name)) if row["built"]]
-        said += [
+        lines += [
             f"## {name}\n",
             sentence(prose(named["summary"])) + "\n",
             prose(comment) + "\n" if comment else "",
@@ -120,11 +120,11 @@ def _scenes() -> str:
             f"Kind `{named['kind']}`. Parts: {', '.join(built)}.\n",
             folded(f"{name}.toml", fenced(text, "toml")),
         ]
-    return "\n".join(said)
+    return "\n".join(lines)
 
 
 def _head(text: str) -> Iterator[str]:
-    """The comment at the head of a file."""
+    """Yield the lines of the comment at the head of a file."""
     for line in text.splitlines():
         if not line.startswith("#"):
             return
@@ -134,26 +134,26 @@ def _head(text: str) -> Iterator[str]:
 def _sensors() -> str:
     rows = sensor_rows()
     rules = _rules("sensor")
-    said = [
+    lines = [
         "# Sensors\n",
         "Simulated sensors for `--sensor NAME`: gel, dots, camera and noise. None of them was measured on a real"
-        " Evetac; `evetac` is adjusted to figures of the paper, and [`identify`](commands/identify.md) estimates one"
-        " like yours from recordings ([how](../identify.md)).\n",
+        " Evetac. `evetac` is fitted to figures in the paper. [`identify`](commands/identify.md) estimates a sensor"
+        " like yours from recordings ([how it works](../identify.md)).\n",
     ]
     for name, row in rows.items():
-        said += [f"## {name}\n", sentence(prose(row["summary"])) + "\n"]
+        lines += [f"## {name}\n", sentence(prose(row["summary"])) + "\n"]
         if name in FOR_EACH_TRIAL:
-            said.append("What is sampled, each from its own random stream; all other values are those of `evetac`.\n")
-            said.append(table(("key", "value or range"), [(code(key), _range(item)) for key, item in _flat(row)]))
+            lines.append("Each value below is sampled from its own random stream. All others are those of `evetac`.\n")
+            lines.append(table(("key", "value or range"), [(code(key), _range(item)) for key, item in _flat(row)]))
         elif name != EXAMPLE:
             base = dict(_flat(rows[EXAMPLE]))
             differing = [(key, item) for key, item in _flat(row) if key != "summary" and item != base.get(key)]
             shown = [(code(key), value(base[key]) if key in base else "", value(item)) for key, item in differing]
-            said.append(table(("key", f"`{EXAMPLE}`", code(name)), shown))
-    said += [
+            lines.append(table(("key", f"`{EXAMPLE}`", code(name)), shown))
+    lines += [
         "## Keys of a sensor's file\n",
-        'A sensor of your own is a TOML file, for `--sensor mine.sensor.toml`. With `like = "evetac"` it needs only the'
-        " keys in which it differs.\n",
+        "Write your own sensor as a TOML file and pass it with `--sensor mine.sensor.toml`. With"
+        ' `like = "evetac"` it needs only the keys that differ from `evetac`.\n',
         table(
             ("key", "meaning", "values", f"`{EXAMPLE}`"),
             [
@@ -162,7 +162,7 @@ def _sensors() -> str:
             ],
         ),
     ]
-    return "\n".join(said)
+    return "\n".join(lines)
 
 
 def _parts() -> str:
@@ -180,32 +180,32 @@ def _parts() -> str:
             else:
                 why_not.setdefault(row["part"], row["left_out"])
     realistic = {row["part"]: row["built"] for row in rows_of(plan_of("slip", "realistic")) if row["built"]}
-    said = [
+    lines = [
         "# Parts of a scene and a sensor\n",
-        "What a simulation is built of. A part that nothing names is left out and costs nothing. What each does to"
-        " events, labels, tracks and grasps is measured in [Disturbances](../disturbances.md).\n",
+        "A simulation is built from parts. A part that neither scene nor sensor names is left out and costs no run"
+        " time. [Disturbances](../disturbances.md) shows how each part changes events, labels, tracks and grasps.\n",
     ]
     for name in order:
         keys = PARTS[name]
-        said.append(f"## {name}\n")
+        lines.append(f"## {name}\n")
         rows = [
             (code(path), owner, prose(rule.get("description", "")), _values(rule))
             for owner, paths in (("sensor", keys.sensor), ("scene", keys.scene))
             for path in paths
             for rule in (_rule(rules[owner], path),)
         ]
-        said.append(table(("key", "of", "meaning", "values"), rows))
+        lines.append(table(("key", "of", "meaning", "values"), rows))
         scenes, reason = built[name], prose(why_not.get(name, ""))
         if len(scenes) == len(scene_names()):
-            said.append("In every packaged scene.\n")
+            lines.append("In every packaged scene.\n")
         elif scenes:
             listed = ", ".join(f"[{each}](scenes.md#{each})" for each in scenes)
-            said.append(f"In {listed}. Left out elsewhere: {reason}.\n")
+            lines.append(f"In {listed}. Left out elsewhere: {reason}.\n")
         else:
-            said.append(f"Left out of all packaged scenes with the sensor `{EXAMPLE}`: {reason}.\n")
+            lines.append(f"Left out of all packaged scenes with the sensor `{EXAMPLE}`: {reason}.\n")
         if name in realistic and not scenes:
-            said.append(f"The sensor [`realistic`](sensors.md#realistic) has it: {prose(realistic[name])}.\n")
-    return "\n".join(said)
+            lines.append(f"The sensor [`realistic`](sensors.md#realistic) has it: {prose(realistic[name])}.\n")
+    return "\n".join(lines)
 
 
 def _keys_page(owner: str, title: str, flag: str) -> str:
@@ -214,9 +214,9 @@ def _keys_page(owner: str, title: str, flag: str) -> str:
     return "\n".join(
         (
             f"# {title}\n",
-            f"Every key that a file for `{flag}` may have. A dot stands between a table and its key: `gel.cut` is `cut`"
-            " in the table `[gel]`. Begin with a copy of a [packaged scene](scenes.md); what a kind of scene needs, and"
-            " what it cannot have, is said when the file is read.\n",
+            f"All keys that a file for `{flag}` may have. A dot separates a table from its key: `gel.cut` is `cut` in"
+            " the table `[gel]`. Start with a copy of a [packaged scene](scenes.md). evetac reports missing keys, and"
+            " keys that this kind of scene does not support, when it reads the file.\n",
             table(("key", "meaning", "values"), rows),
         )
     )
@@ -231,7 +231,7 @@ def _objects() -> str:
         (
             "# Objects\n",
             prose(comment) + "\n",
-            "Choose them by number: `--object 3,8` or `--object 1-9`.\n",
+            "Choose objects by number: `--object 3,8` or `--object 1-9`.\n",
             table(("number", *(key.replace("_", " ") for key in keys)), rows),
         )
     )
@@ -243,7 +243,7 @@ def _rules(owner: str) -> Rules:
 
 
 def _flat_rules(rule: Rules, path: str = "") -> Iterator[tuple[str, Rules]]:
-    """Every key with its rule, those of tables after them with a dot between."""
+    """Yield every key with its rule; the keys of a table follow the table, with a dot between."""
     for name, inner in rule.get("properties", {}).items():
         here = f"{path}.{name}" if path else name
         yield here, inner
@@ -251,12 +251,12 @@ def _flat_rules(rule: Rules, path: str = "") -> Iterator[tuple[str, Rules]]:
 
 
 def _rule(rules: Rules, path: str) -> Rules:
-    """The rule of a key; KeyError if there is none."""
+    """Return the rule of a key; KeyError if there is none."""
     return dict(_flat_rules(rules))[path]
 
 
 def _values(rule: Rules) -> str:
-    """What a key's values may be, in words."""
+    """Describe the values that a key accepts."""
     if "enum" in rule:
         return ", ".join(map(code, rule["enum"]))
     if "const" in rule:
@@ -282,7 +282,7 @@ def _values(rule: Rules) -> str:
 
 
 def _flat(row: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, Any]]:
-    """Every value of a row with its key; what is sampled is a value."""
+    """Yield every value of a row with its key; a range to sample from counts as one value."""
     for name, item in row.items():
         here = f"{path}.{name}" if path else name
         if isinstance(item, Mapping) and "stream" not in item:
@@ -292,7 +292,7 @@ def _flat(row: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def _range(item: Any) -> str:
-    """A value, or the range that it is sampled from."""
+    """Return a value, or the range that it is sampled from, as text."""
     if isinstance(item, list):
         return ", ".join(map(_range, item))
     if not isinstance(item, Mapping):
@@ -302,7 +302,7 @@ def _range(item: Any) -> str:
 
 
 def _at(row: Mapping[str, Any], path: str) -> Any:
-    """The value of a key in a row, with a dot between table and key; nothing where it is not named or a table."""
+    """Return the value of a dotted key in a row; empty if the key is missing or names a table."""
     item: Any = row
     for name in path.split("."):
         item = item.get(name, "") if isinstance(item, Mapping) else ""

@@ -1,10 +1,10 @@
-"""Make a short film of one catch from a simulated grasp: docs/catch.gif, for the README.
+"""Make a short film of a catch from a simulated grasp: docs/catch.gif, for the README.
 
     python scripts/pictures/film.py catch.recording.h5 [--out docs/catch.gif]
 
-`make film` grasps, tracks and draws. The tracks lie beside the recording. What is shown: the hand lifts the object, the
-grip is loosened until the object slips, the detector notices, the gripper closes, the object is held. Time runs slowly
-around the catch, and the picture says so.
+`make film` grasps, tracks and draws. The tracks are next to the recording. In the film, the hand lifts the object and
+the grip loosens until the object slips. The detector notices, the gripper closes, and the object is held. Around the
+catch the film is in slow motion, and states its speed.
 """
 
 import argparse
@@ -20,18 +20,18 @@ from evetac_cli.pages.view.trial_files import OpenTrial, open_trial
 
 LAST_MS = 1500  # how long the last picture stays
 SHOWN_MS = 5  # the paper's images show 5 ms
-SEE_THROUGH = 127  # the colour of the palette that means: as in the picture before
+SEE_THROUGH = 127  # the palette colour that means: unchanged from the previous picture
 
 
 def pictures(trial: OpenTrial, story: Story) -> Iterator[Image.Image]:
-    """All pictures of the film, one after the other, in RGB."""
+    """Return all pictures of the film, in order, in RGB."""
     recording, tracks = trial.recording, trial.tracks
     assert recording is not None and tracks is not None
     picture = Picture(story)
     shown = -1
     for time_ms in frame_times(story.acts):
         at = int(time_ms)
-        # All events since the picture before, so that no burst is missed, and at least as many ms as the paper shows.
+        # All events since the previous picture, so that no burst is missed, and at least 5 ms as in the paper's images.
         first = max(min(shown if shown >= 0 else at, at - SHOWN_MS) + 1, 0)
         yield picture.draw(
             at, at + 1 - first, recording.between(first, at + 1), tracks.read("dot_xy_px", at, at + 1)[0]
@@ -40,12 +40,12 @@ def pictures(trial: OpenTrial, story: Story) -> Iterator[Image.Image]:
 
 
 def save(drawn: Iterable[Image.Image], out: Path) -> tuple[int, float]:
-    """Write the GIF, of each picture only what differs from the one before; how many pictures, and how many s."""
+    """Write the GIF, with only the changes of each picture; return the number of pictures and the duration in s."""
     chosen = palette()
     small = [one.quantize(palette=chosen, dither=Image.Dither.NONE) for one in drawn]
     durations = [PICTURE_MS] * (len(small) - 1) + [LAST_MS]
     out.parent.mkdir(parents=True, exist_ok=True)
-    # Only with `optimize` does Pillow leave out what has not changed, in the colour that is to be seen through.
+    # Only with `optimize` does Pillow leave out unchanged pixels, using the transparent colour.
     small[0].save(
         out,
         "GIF",

@@ -1,7 +1,7 @@
-"""How one picture of the film looks (film.py): the scene from the side, the gel, the camera's view, and charts.
+"""Draw one picture of the film (film.py): the scene from the side, the gel, the camera's view, and charts.
 
-The camera's view is turned by a quarter, so that down is down; beside it, at the same height, the gel from the side.
-Drawn twice as large and averaged, but for the events, which keep their pixels.
+The camera's view is turned by 90 degrees, so that down in the world is down in the picture. Next to it, at the same
+height, is the gel from the side. Pictures are drawn at twice the size and averaged; only events keep their pixels.
 """
 
 from typing import Any
@@ -15,14 +15,14 @@ from evetac_cli.events import Events
 from evetac_cli.kernels.event_image import event_image
 from evetac_cli.pages.view.film import ARROWS
 
-FINE = 2  # drawn so many times larger
+FINE = 2  # enlargement while drawing
 NEAR = 8  # levels between two colours of the palette
 WIDE, TALL = 720, 616
 PAPER, PANEL, SLOW, RULE, TEXT, QUIET = "#12171e", "#1b222c", "#27313f", "#39434f", "#e8edf3", "#98a3b0"
 ON, OFF, GEL, HAIR, OBJECT, FINGER = "#f5d547", "#4ea3ff", "#2e6f6a", "#8fd3c8", "#77808c", "#566273"
 FORCE, TICKS, HEIGHT, SLIP = "#ff9d45", "#7cc4ff", "#4fd1a1", "#ef8fc4"
 CURVES = (QUIET, TICKS, HEIGHT, SLIP)
-# What is drawn over what: the colours between them are in the film's palette too.
+# Pairs of colours drawn over each other; their mixtures are in the film's palette too.
 OVER = {
     PAPER: (PANEL, SLOW, TEXT, QUIET, ON, OFF, *CURVES),
     PANEL: (TEXT, QUIET, FORCE, OBJECT, FINGER, RULE, GEL, SLOW, *CURVES),
@@ -31,7 +31,7 @@ OVER = {
     OBJECT: (TEXT, RULE),
 }
 TOP = 70  # of the upper row
-VIEW = 0.5  # camera pixels to ours
+VIEW = 0.5  # from camera pixels to film pixels
 SCENE = (14, 178)  # left and right of the three panels
 LOUPE = (190, 452)
 CAMERA_LEFT = 466
@@ -52,27 +52,27 @@ class Pen:
         self.draw = ImageDraw.Draw(sheet)
 
     def line(self, points: list[tuple[float, float]], colour: str, width: float = 1) -> None:
-        """A line through points."""
+        """Draw a line through points."""
         self.draw.line([(x * FINE, y * FINE) for x, y in points], colour, round(width * FINE), joint="curve")
 
     def box(self, corners: tuple[float, float, float, float], fill: str, radius: float = 0) -> None:
-        """A filled rectangle x0, y0, x1, y1; its corners may be round."""
+        """Draw a filled rectangle x0, y0, x1, y1, with optional rounded corners."""
         self.draw.rounded_rectangle([value * FINE for value in corners], radius * FINE, fill)
 
     def dot(self, x: float, y: float, radius: float, colour: str) -> None:
-        """A filled circle."""
+        """Draw a filled circle."""
         self.draw.ellipse([value * FINE for value in (x - radius, y - radius, x + radius, y + radius)], colour)
 
     def shape(self, points: list[tuple[float, float]], colour: str) -> None:
-        """A filled polygon."""
+        """Draw a filled polygon."""
         self.draw.polygon([(x * FINE, y * FINE) for x, y in points], colour)
 
     def text(self, x: float, y: float, text: str, colour: str = TEXT, size: float = 12, anchor: str = "la") -> None:
-        """Text at a point, anchored as Pillow says."""
+        """Draw text at a point, with Pillow's anchors."""
         self.draw.text((x * FINE, y * FINE), text, colour, ImageFont.load_default(size * FINE), anchor=anchor)
 
     def arrow(self, tail: tuple[float, float], length: float, colour: str) -> None:
-        """A horizontal arrow, to the left if its length is negative."""
+        """Draw a horizontal arrow, to the left if its length is negative."""
         x, y = tail
         tip = x + length
         head = float(np.sign(length)) * min(7.0, abs(length))
@@ -81,7 +81,7 @@ class Pen:
 
 
 class Picture:
-    """Draws the pictures of one story; what never changes is drawn once."""
+    """Draws the pictures of one story; the static parts are drawn once."""
 
     def __init__(self, story: Story) -> None:
         self.story = story
@@ -93,7 +93,7 @@ class Picture:
         self._before, self._after = (self._background(faint) for faint in (False, True))
 
     def draw(self, at_ms: int, shown_ms: int, events: Events, dot_xy_px: NDArray[np.floating]) -> Image.Image:
-        """The picture at the end of a slice, with the events of the last shown_ms and the dots as tracked."""
+        """Return the picture at the end of a slice, with the events of the last shown_ms and the tracked dots."""
         story = self.story
         sheet = self._after.copy()
         cursor = round(self._across(at_ms) * FINE)
@@ -115,7 +115,7 @@ class Picture:
         return sheet.resize((WIDE, TALL), Image.Resampling.BOX)
 
     def _said(self, act: Act, at_ms: int) -> str:
-        """What happens at this moment, in a sentence."""
+        """Return a sentence that describes this moment."""
         story = self.story
         if act.name == "held":
             sunk_mm = self._sunk_px(at_ms, story.catch.onset_ms) * story.mm_per_px
@@ -128,7 +128,7 @@ class Picture:
     # The upper row ----------------------------------------------------------------------------------------------------
 
     def _scene(self, pen: Pen, at_ms: int) -> None:
-        """Hand, fingers and object over the table."""
+        """Draw hand, fingers and object over the table."""
         story = self.story
         wide_mm, tall_mm = story.object_mm
         left, right = SCENE
@@ -156,7 +156,7 @@ class Picture:
             pen.text(middle, table - 4, f"{height:.1f} mm", HEIGHT, 13, "md")
 
     def _loupe(self, pen: Pen, at_ms: int, dot_xy_px: NDArray[np.floating]) -> None:
-        """One finger's gel against the object, as high as in the camera's view; motion is enlarged."""
+        """Draw one finger's gel against the object, at the height of the camera's view, with enlarged motion."""
         story = self.story
         left, right = LOUPE
         face, back = left + 104, left + 172
@@ -170,7 +170,8 @@ class Picture:
                 pen.line([(face - 34, y), (face, y)], RULE, 2)
         end = TOP + (story.window_px[0] * VIEW if story.window_px else bottom - TOP)
         pen.box((face, TOP, back, end), GEL)
-        # The gel's rows of dots lie across the motion: of each, the dot that moved most, where the object touches.
+        # The gel's rows of dots are across the motion. Of each row, show the dot that moved most, where the object
+        # touches.
         away = (dot_xy_px - story.rest_xy_px)[:, 0].reshape(-1, story.columns)
         most = np.take_along_axis(away, np.nanargmax(np.abs(away), axis=0)[None], axis=0)[0]
         for x_px, step in zip(np.nanmean(story.rest_xy_px[:, 0].reshape(away.shape), axis=0), most, strict=True):
@@ -189,11 +190,11 @@ class Picture:
             pen.text(left + 8, bottom - 23, f"{max(sunk_mm, 0.0):.1f} mm", TEXT, 15)
 
     def _sunk_px(self, at_ms: int, since_ms: int) -> float:
-        """How far the object moved down against the hand, in camera px."""
+        """Return how far the object has moved down relative to the hand, in camera px."""
         return float(self.story.down_px[at_ms] - self.story.down_px[since_ms])
 
     def _events(self, events: Events) -> Image.Image:
-        """The camera's events, turned by a quarter to the right."""
+        """Draw the camera's events, turned 90 degrees to the right."""
         wide, tall = self.story.frame_px
         coarse = round(1 / VIEW)
         drawn = event_image(
@@ -204,7 +205,7 @@ class Picture:
         return image.convert("RGB")
 
     def _dots(self, pen: Pen, dot_xy_px: NDArray[np.floating]) -> None:
-        """Lines from where dots rest to where they are, enlarged; and where the window begins."""
+        """Draw lines from the dots at rest to the dots, enlarged, and the edge of the window."""
         story = self.story
 
         def turned(xy_px: NDArray[np.floating]) -> tuple[float, float]:
@@ -226,7 +227,7 @@ class Picture:
         return float(np.interp(at_ms, self._ms, self._x))
 
     def _background(self, faint: bool) -> Image.Image:
-        """Everything that stays: panels, names, charts; `faint` draws the curves as what is still to come."""
+        """Draw the static parts: panels, names and charts; `faint` draws the curves pale, as still to come."""
         story = self.story
         sheet = Image.new("RGB", (WIDE * FINE, TALL * FINE), PAPER)
         pen = Pen(sheet)
@@ -272,7 +273,7 @@ class Picture:
         ends = float(min(row.min() for row in ticks)), float(max(row.max() for row in ticks))
         self._curve(pen, 0, (start, stop), story.goal_ticks, ends, QUIET, faint)
         self._curve(pen, 0, (start, stop), story.position_ticks, ends, TICKS, faint)
-        # The lift is drawn from the table up, all that comes after it within the few mm that it spans.
+        # The lift is drawn from the table upwards; everything after it on a scale of the few mm that it spans.
         close = story.height_mm[near:stop]
         ends = float(close.min()), float(close.max())
         self._curve(pen, 1, (start, near), story.height_mm, (0.0, ends[1]), HEIGHT, faint)
@@ -287,7 +288,7 @@ class Picture:
         pen.text((left + right) / 2, top + CHART_TALL - 5, "truly slips", SLIP, 10, "md")
 
     def _readings(self, pen: Pen, at_ms: int) -> None:
-        """What the charts say at the cursor."""
+        """Write the values of the charts at the cursor."""
         story = self.story
         probability = float(story.probability[at_ms])
         read = (
@@ -308,7 +309,7 @@ class Picture:
         colour: str,
         faint: bool,
     ) -> None:
-        """A series over part of the time axis, with `ends` at the foot and the head of its chart."""
+        """Draw a series over part of the time axis; `ends` are the values at the bottom and the top of its chart."""
         foot = CHART_TOP + row * CHART_STEP + CHART_TALL - 4
         up = (CHART_TALL - 8) / max(ends[1] - ends[0], 1e-9)
         points = [
@@ -321,9 +322,9 @@ class Picture:
 
 
 def palette() -> Image.Image:
-    """All colours of the film and those between what is drawn over what; the last of 128 is never used.
+    """Return all colours of the film and the mixtures of overlapping ones; the last of 128 is never used.
 
-    None is nearer to another than NEAR, for Pillow looks for the nearest in cells of four levels.
+    No two colours are closer than NEAR, because Pillow searches for the nearest colour in cells of four levels.
     """
     wanted = [PAPER, PANEL, SLOW, RULE, TEXT, QUIET, ON, OFF, GEL, HAIR, OBJECT, FINGER, FORCE, *CURVES[1:]]
     wanted += [_mixed(over, under, share) for under in OVER for over in OVER[under] for share in (1 / 3, 2 / 3)]
@@ -337,7 +338,7 @@ def palette() -> Image.Image:
 
 
 def _speed(act: Act, *, short: bool = False) -> str:
-    """How fast an act is shown, in words."""
+    """Return the playback speed of an act as text."""
     if act.speed < 1:
         return f"1/{round(1 / act.speed)}" + ("" if short else " of real speed")
     return f"{act.speed:g} x" if short else ("real speed" if act.speed == 1 else f"{act.speed:g} x real speed")
@@ -348,7 +349,7 @@ def _span(x0: float, x1: float, y0: float, y1: float) -> tuple[float, float, flo
 
 
 def _mixed(colour: str, other: str, share: float) -> str:
-    """A colour with so much of another."""
+    """Return a mixture of two colours."""
     mixed = [
         round(a * (1 - share) + b * share)
         for a, b in zip(bytes.fromhex(colour[1:]), bytes.fromhex(other[1:]), strict=True)

@@ -1,4 +1,4 @@
-"""What the film shows (film.py): which catch, which stretches of time, and how fast each is shown."""
+"""Choose the content of the film (film.py): which catch, which stretches of time, and their playback speeds."""
 
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -11,13 +11,13 @@ from evetac_cli.events import SLICE_US
 from evetac_cli.pages.view.trial_files import OpenTrial
 from evetac_cli.sim.setup.plan import read_plan
 
-PICTURE_MS = 50  # of the film: 20 pictures a second
-BALANCE = 2  # control/phase
-HELD_MS = 300  # an object that hangs so long after a slide was caught
+PICTURE_MS = 50  # time per picture: 20 pictures per second
+BALANCE = 2  # value of control/phase
+HELD_MS = 300  # a slide counts as caught if the object still hangs this long after it
 
 
 class Act(NamedTuple):
-    """A stretch of the recording, [start, stop) in ms, and how many times faster than it was it is shown."""
+    """A stretch of the recording, [start, stop) in ms, and its playback speed as a multiple of real time."""
 
     name: str
     start_ms: int
@@ -26,7 +26,7 @@ class Act(NamedTuple):
 
 
 class Catch(NamedTuple):
-    """A slide that ended: its first slice, the first after it, and how far the object slid."""
+    """A slide that ended: its first slice, the first slice after it, and the distance of the slide."""
 
     onset_ms: int
     stuck_ms: int
@@ -35,7 +35,7 @@ class Catch(NamedTuple):
 
 @dataclass(frozen=True)
 class Story:
-    """What the film needs of a recording and its tracks, slice by slice; heights in mm are those of the object."""
+    """The data that the film needs of a recording and its tracks, slice by slice; heights in mm are of the object."""
 
     title: str
     catch: Catch
@@ -45,20 +45,20 @@ class Story:
     window_px: tuple[int, int, int, int] | None
     frame_px: tuple[int, int]
     rest_xy_px: NDArray[np.float64]  # (dots, 2)
-    columns: int  # of the dot grid: dots are row-major
+    columns: int  # columns of the dot grid; dots are row-major
     height_mm: NDArray[np.float32]  # object above the table
-    down_px: NDArray[np.float32]  # object against the hand, downwards, in the camera's px
-    force_n: NDArray[np.float32]  # normal, of one finger
+    down_px: NDArray[np.float32]  # object relative to the hand, downwards, in camera px
+    force_n: NDArray[np.float32]  # normal force of one finger
     probability: NDArray[np.float32]
-    noticed_ms: int  # when the controller first heard of the slip
+    noticed_ms: int  # when the controller first received the slip signal
     position_ticks: NDArray[np.int32]  # of the gripper
-    goal_ticks: NDArray[np.int32]  # written to it
+    goal_ticks: NDArray[np.int32]  # commanded to the gripper
 
 
 def farthest_catch(
     slip: NDArray[np.integer], down_mm: NDArray[np.floating], height_mm: NDArray[np.floating]
 ) -> Catch | None:
-    """The farthest slide of an object that still hangs HELD_MS later; None if nothing slid, or all was dropped."""
+    """Return the farthest slide whose object still hangs HELD_MS later; None if none slid, or all were dropped."""
     edges = np.flatnonzero(np.diff(np.r_[0, np.asarray(slip) > 0, 0]))
     catches = [
         Catch(onset, stuck, float(down_mm[stuck] - down_mm[onset]))
@@ -69,7 +69,7 @@ def farthest_catch(
 
 
 def acts(catch: Catch, rise_ms: int, slices: int) -> list[Act]:
-    """What is shown how fast: one picture a millisecond around the catch."""
+    """Return the acts and their speeds: one picture per millisecond around the catch."""
     loosening, slow, held = catch.onset_ms - 340, catch.onset_ms - 20, catch.stuck_ms + 40
     plan = [
         Act("lift", max(rise_ms - 150, 0), loosening, 4.0),
@@ -79,28 +79,28 @@ def acts(catch: Catch, rise_ms: int, slices: int) -> list[Act]:
     ]
     if any(act.start_ms >= act.stop_ms for act in plan):
         raise InputError(
-            "this catch leaves no time to show what comes before it",
-            expected="a slide half a second after the object was lifted, and time after it",
+            "there is too little time before or after this catch for the film",
+            expected="a slide at least half a second after the object was lifted, and time after it",
             found=f"lifted at {rise_ms} ms, slid from {catch.onset_ms} to {catch.stuck_ms} ms of {slices}",
         )
     return plan
 
 
 def frame_times(plan: list[Act]) -> list[float]:
-    """Recorded time of every picture, in ms, at its end."""
+    """Return the recorded time at the end of every picture, in ms."""
     return [float(at) for act in plan for at in np.arange(act.start_ms, act.stop_ms, act.speed * PICTURE_MS)]
 
 
 def read_story(trial: OpenTrial) -> Story:
-    """Read all but the events; InputError if the recording is no simulated grasp, has no tracks, or shows no catch."""
+    """Read all data except events; InputError if the recording is no simulated grasp, lacks tracks, or has no catch."""
     recording, tracks = trial.recording, trial.tracks
     if recording is None or not (recording.has("control") and recording.has("truth/table_gap_mm")):
         raise InputError("the film needs a simulated grasp", expected="a recording made by evetac grasp")
     if tracks is None:
-        raise InputError("there are no tracks beside the recording", where=str(recording.path), hint="evetac track")
+        raise InputError("there are no tracks next to the recording", where=str(recording.path), hint="evetac track")
 
     def held(clock: str, path: str) -> NDArray[Any]:
-        """The latest value at every slice of what has a clock of its own."""
+        """Return the latest value at every slice of a dataset with its own clock."""
         rows = np.searchsorted(recording.read(clock), np.arange(len(recording)) * SLICE_US, side="right") - 1
         values: NDArray[Any] = recording.read(path)[np.maximum(rows, 0)]
         return values
@@ -109,15 +109,17 @@ def read_story(trial: OpenTrial) -> Story:
     touched, mm_per_px = made.touched, made.sensor.mm_per_px
     assert touched is not None
     if made.scene.gel.sideways or made.scene.drop is not None:
-        raise InputError("the film shows lifts from the top, without a falling weight", where=str(recording.path))
+        raise InputError(
+            "the film supports only grasps from the top, without a falling weight", where=str(recording.path)
+        )
     height = recording.read("truth/table_gap_mm")
     down_px = recording.read("truth/object_xy_px")[:, 0]
     slip = recording.read("truth/slip")
-    slip[held("control/t_us", "control/phase") != BALANCE] = 0  # only there is the grip loosened
+    slip[held("control/t_us", "control/phase") != BALANCE] = 0  # the grip loosens only in this phase
     catch = farthest_catch(slip, down_px * mm_per_px, height)
     if catch is None:
         raise InputError(
-            "nothing slid and was caught in the balancing phase",
+            "the recording has no slide that was caught in the balance phase",
             where=str(recording.path),
             hint="another object or seed",
         )

@@ -1,10 +1,10 @@
-"""Make the screenshots of the documentation from the present code: pages of `view`, and what commands print.
+"""Make the screenshots of the documentation from the present code: pages of `view` and the output of commands.
 
     python scripts/pictures/screenshots.py [--out docs/pictures] [--work FOLDER] [--only view]
 
-Records two simulated slips into a folder (a temporary one unless --work names it), runs the commands of
-SHOTS on them, and lets a headless Chromium draw what they made. A command's picture is called as its page in the
-reference, `docs/reference/commands/NAME.md`, which shows it.
+The script records two simulated slips into a folder (a temporary one unless --work is given) and runs the commands of
+SHOTS on them. A headless Chromium renders the results. The picture of a command has the same name as the page that
+shows it, `docs/reference/commands/NAME.md`.
 """
 
 import argparse
@@ -29,15 +29,15 @@ from rich.text import Text
 ROOT = Path(__file__).resolve().parents[2]
 COLUMNS, LINES = 100, 50  # of the terminal
 MOST_BYTES = 200_000  # of a picture
-SPARE_PX = 200  # Chromium's window is larger than what it shows of a page
+SPARE_PX = 200  # Chromium's window is larger than the visible part of the page
 
 
 class Shot(NamedTuple):
-    """A picture: its name, the command, the page that the command makes, and how much of it is shown, in px."""
+    """A picture: its name, the command, the page that the command makes, and the visible size of the page, in px."""
 
     name: str
     command: str
-    page: str = ""  # nothing: what the command prints
+    page: str = ""  # empty: the command's terminal output
     size_px: tuple[int, int] = (1280, 1400)
 
 
@@ -56,7 +56,7 @@ SHOTS = (
 
 
 def printed(command: str, folder: Path) -> str:
-    """What a command prints on a terminal, with its colours; progress, which is on stderr, is left out."""
+    """Return a command's terminal output, with its colours; progress, which is on stderr, is left out."""
     ours, theirs = pty.openpty()
     fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", LINES, COLUMNS, 0, 0))
     run = subprocess.Popen(_words(command), stdout=theirs, stderr=subprocess.DEVNULL, cwd=folder, env=_environment())
@@ -65,7 +65,7 @@ def printed(command: str, folder: Path) -> str:
     while True:
         try:
             piece = os.read(ours, 1 << 16)
-        except OSError:  # the terminal is closed at the other end
+        except OSError:  # the other end of the terminal is closed
             piece = b""
         if not piece:
             break
@@ -86,7 +86,7 @@ def _environment() -> dict[str, str]:
 
 
 def terminal_page(command: str, text: str, folder: Path) -> tuple[Path, tuple[int, int]]:
-    """A page with a picture of a terminal, and its size in px; fonts are those of this computer."""
+    """Return a page that shows a terminal, and its size in px; the fonts are those of this computer."""
     console = Console(record=True, width=COLUMNS, file=io.StringIO())
     console.print(Text.from_ansi(f"$ {command}\n{text}".rstrip()))
     drawn = re.sub(r"@font-face\s*\{[^}]*\}", "", console.export_svg(title="evetac"))
@@ -99,7 +99,7 @@ def terminal_page(command: str, text: str, folder: Path) -> tuple[Path, tuple[in
 
 
 def photograph(page: Path, size_px: tuple[int, int], out: Path, chromium: str) -> None:
-    """Let Chromium draw a page and keep its upper left part as WebP, small enough for a repository."""
+    """Render a page with Chromium and save its upper left part as WebP, small enough for a repository."""
     width, height = size_px
     with tempfile.TemporaryDirectory() as folder:
         drawn = Path(folder) / "page.png"
@@ -117,7 +117,7 @@ def photograph(page: Path, size_px: tuple[int, int], out: Path, chromium: str) -
 
 
 def make(shot: Shot, work: Path, out: Path, chromium: str) -> Path:
-    """Run a command and draw what it made."""
+    """Run a command and render its result."""
     text = printed(shot.command, work)
     page, size_px = (work / shot.page, shot.size_px) if shot.page else terminal_page(shot.command, text, work)
     picture = out / f"{shot.name}.webp"
@@ -129,8 +129,8 @@ def main() -> None:
     """Prepare the files, then make every picture."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=ROOT / "docs" / "pictures")
-    parser.add_argument("--work", type=Path, help="folder of recordings; kept, and gone on with")
-    parser.add_argument("--only", nargs="*", choices=[shot.name for shot in SHOTS], help="these pictures alone")
+    parser.add_argument("--work", type=Path, help="folder of recordings, kept and reused")
+    parser.add_argument("--only", nargs="*", choices=[shot.name for shot in SHOTS], help="only these pictures")
     chosen = parser.parse_args()
     chromium = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
     if chromium is None:

@@ -1,8 +1,8 @@
-"""Draw a simulated recording as a strip: event images of 5 ms, then events, forces and slip over time, as a PNG.
+"""Draw a simulated recording as a PNG strip: event images of 5 ms, then events, forces and slip over time.
 
     python scripts/pictures/strips.py data/slip-obj08-s0-000.recording.h5 ... [--out docs]
 
-`make strips` draws every scene. The scene `vibration` is made short for it by --short-vibration.
+`make strips` draws every scene. For this, --short-vibration writes a shortened scene `vibration`.
 """
 
 import argparse
@@ -24,7 +24,7 @@ COOL, WARM = picture.COLOURS[0], picture.COLOURS[3]
 
 
 def frame_times(recording: Recording) -> list[int]:
-    """Slices to show: about the onset where slip is forced, else the busiest of each quarter."""
+    """Return the slices to show: around the onset if slip is forced, otherwise the busiest of each quarter."""
     onset = true_onset(recording) if recording.has("truth") else None
     if onset is not None and recording.header["parameters"]["scene"]["kind"] == "ramp":
         return [max(onset + away, 0) for away in (-200, -20, 8, 40)]
@@ -33,7 +33,7 @@ def frame_times(recording: Recording) -> list[int]:
 
 
 def image(recording: Recording, start: int) -> np.ndarray:
-    """Events of 5 ms as the paper draws them: white brighter, black darker, grey nothing."""
+    """Return the events of 5 ms in the paper's colours: white brighter, black darker, grey without events."""
     events = recording.between(start, min(start + SHOWN_MS, len(recording)))
     return event_image(events.x, events.y, events.p, recording.frame_px)
 

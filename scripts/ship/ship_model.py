@@ -1,8 +1,8 @@
-"""Put the slip detector into the package that `grasp` uses by default, and beside it how it was made.
+"""Put the pretrained slip detector, the default of `grasp`, into the package, with a record of its training.
 
     python scripts/ship/ship_model.py models/shipped/disp-xy-grip-10ms.model.h5
 
-How well it does on objects never seen say the tables `slip-detectors-...` in docs/results, which judge_slip.py makes.
+Its results on unseen objects are in the tables `slip-detectors-...` of docs/results, which judge_slip.py makes.
 """
 
 import json
@@ -23,7 +23,7 @@ def validation_score(path: Path) -> float:
 
 
 def at_its_threshold(path: Path) -> dict[str, Any]:
-    """What the model's warnings cost on what validated, and what its probabilities are calibrated on, if it says so."""
+    """Return the validation results of the model's warnings and the basis of its calibration, if the model has them."""
     with StageFile(path, "model") as file:
         curve = read_curve(file)
         if curve is None:

@@ -79,9 +79,9 @@ def test_acts_follow_each_other_and_the_catch_is_shown_slice_by_slice() -> None:
 
 def test_a_slide_right_after_the_lift_is_refused() -> None:
     """Assert that there must be time to show what came before the slide, and after."""
-    with pytest.raises(InputError, match="no time"):
+    with pytest.raises(InputError, match="too little time"):
         film_story.acts(Catch(380, 420, 1.0), 200, SLICES)
-    with pytest.raises(InputError, match="no time"):
+    with pytest.raises(InputError, match="too little time"):
         film_story.acts(Catch(2900, 2980, 1.0), 200, SLICES)
 
 

@@ -110,7 +110,7 @@ def test_rows_are_kept_and_have_every_model(tmp_path: Path, monkeypatch: pytest.
         rows = judge_sensors.judge(sensor, {"ours": MODEL}, 9000, 2, tmp_path)
     assert played == [9040, 9041] and (tmp_path / "second.jsonl").exists()
     assert all(set(one["scores"]) == {judge_sensors.ORACLE, "ours"} for one in rows)
-    with pytest.raises(SystemExit, match="second.jsonl: expected what adapted said"):
+    with pytest.raises(SystemExit, match="second.jsonl: .*adapted"):
         judge_sensors.judge(sensor, {"ours": MODEL, "adapted": MODEL}, 9000, 2, tmp_path)
 
 
@@ -152,5 +152,5 @@ def test_a_model_is_adapted_by_commands_alone(tmp_path: Path, monkeypatch: pytes
 
 def test_the_model_before_adapting_is_known_by_its_id(tmp_path: Path) -> None:
     """Assert that models of which none was adapted are refused: nothing could be compared."""
-    with pytest.raises(SystemExit, match="expected to be adapted from one of ours; name that"):
+    with pytest.raises(SystemExit, match="not adapted from any of ours"):
         judge_sensors.adapted_from({"ours": MODEL}, MODEL)

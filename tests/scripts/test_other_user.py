@@ -28,7 +28,7 @@ def test_who_may_not_become_others_is_told(monkeypatch: pytest.MonkeyPatch, caps
     monkeypatch.setattr(sys, "argv", ["other_user.py", "--only", "devices"])
     monkeypatch.setattr(os, "geteuid", lambda: 1000)
     assert other_user.main() == 2
-    assert "nothing was tried: it needs root" in capsys.readouterr().err
+    assert "needs root" in capsys.readouterr().err
 
     def refuse(*words: Any, **more: Any) -> Any:
         raise PermissionError(1, "Operation not permitted")
@@ -37,7 +37,7 @@ def test_who_may_not_become_others_is_told(monkeypatch: pytest.MonkeyPatch, caps
     monkeypatch.setattr(other_user, "running", lambda: 0)
     monkeypatch.setattr(subprocess, "run", refuse)
     assert other_user.main() == 2
-    assert "nothing was tried: it may not become another user here" in capsys.readouterr().err
+    assert "may not become another user" in capsys.readouterr().err
 
 
 def test_one_that_is_reached_is_a_row_and_exit_code_1(

@@ -339,7 +339,7 @@ def test_a_finger_may_change_its_drive():
     state = closed_with(DRIVE, CURVE, 300.0, 60.0)
     step(state, DRIVE, CURVE, "current", 40.0, 1e-3)
     for drive, curve in ((dataclasses.replace(DRIVE, friction_n=1.0), CURVE), (DRIVE, make_curve(modulus_pa=5e5))):
-        fresh = dataclasses.replace(state, _known=None)
+        fresh = dataclasses.replace(state, _cached_law=None)
         assert step(state, drive, curve, "current", 20.0, 1e-3) == step(fresh, drive, curve, "current", 20.0, 1e-3)
         assert state == fresh
 

@@ -1,4 +1,4 @@
-"""Event frames of an Evetac as a camera of LeRobot; importing it makes the camera type `evetac` known."""
+"""Event frames of an Evetac as a LeRobot camera; importing this package registers the camera type `evetac`."""
 
 from .camera_evetac import EvetacCamera
 from .configuration_evetac import EvetacCameraConfig

@@ -1,4 +1,4 @@
-"""What can be set of the camera, on LeRobot's command line or in Python."""
+"""The settings of the camera, for LeRobot's command line or Python."""
 
 import math
 from dataclasses import dataclass
@@ -6,15 +6,16 @@ from dataclasses import dataclass
 from lerobot.cameras import CameraConfig
 
 RATE_HZ = 200
-EVENT_FRAME_PX = (160, 120)  # width and height, unless those of the picture are set
+EVENT_FRAME_PX = (160, 120)  # width and height of one event frame, unless those of the picture are given
 
 
 @CameraConfig.register_subclass("evetac")
 @dataclass(kw_only=True)
 class EvetacCameraConfig(CameraConfig):
-    """camera: as for `evetac record --camera`. event_frames: how many of the last a picture shows, a square number.
+    """The camera's settings; ValueError if they contradict each other.
 
-    fps: event frames per second. width, height: of the picture in px. ValueError for numbers that do not go together.
+    camera: as for `evetac record --camera`. event_frames: how many of the last event frames a picture shows, a square
+    number. fps: event frames per second. width, height: size of the picture in px.
     """
 
     camera: str = "dvxplorer"

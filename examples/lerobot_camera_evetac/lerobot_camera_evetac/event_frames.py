@@ -1,4 +1,4 @@
-"""Event frames of a camera of evetac, drawn in a thread as its slices come. Knows nothing of LeRobot."""
+"""Event frames of an evetac camera, drawn in a thread as slices arrive. Independent of LeRobot."""
 
 import time
 from collections import deque
@@ -12,11 +12,11 @@ from evetac_cli import EventImager
 from evetac_cli.devices import EventCamera
 from evetac_cli.formats.write.lerobot.event_stacks import EventStacks, full_scale
 
-WAITING_S = 10.0  # frames of so long wait for whoever takes them in turn
+WAITING_S = 10.0  # the longest queue of frames that were not read yet, in s
 
 
 class EventFrame(NamedTuple):
-    """A frame as levels of grey (height, width), which of all it is, from 0, and the host's time when it was drawn."""
+    """A frame as grey levels (height, width), its number from 0, and the host time when it was drawn."""
 
     grey: NDArray[np.uint8]
     number: int
@@ -24,10 +24,10 @@ class EventFrame(NamedTuple):
 
 
 class EventFrames:
-    """The frames of an open camera, which it closes at the end.
+    """The frames of an open camera, which `close` closes.
 
-    rate_hz: frames per second; size_px: width and height of one; shown: how many a picture shows. frames_lost: how
-    many went because WAITING_S of them waited already.
+    rate_hz: frames per second. size_px: width and height of a frame. shown: number of frames in a picture. frames_lost:
+    number of frames dropped because WAITING_S of frames were already waiting.
     """
 
     def __init__(
@@ -49,29 +49,29 @@ class EventFrames:
 
     @property
     def camera(self) -> EventCamera:
-        """The camera, which counts what it lost itself."""
+        """The camera, which counts its own losses."""
         return self._camera
 
     def next(self, timeout_s: float) -> EventFrame:
-        """The oldest frame that was not taken yet; TimeoutError if none comes in time, or what the camera raised."""
+        """Return the oldest frame not yet taken; raise TimeoutError, or an exception of the camera."""
         with self._changed:
             self._wait(timeout_s)
             return self._waiting.popleft()
 
     def newest(self, timeout_s: float) -> NDArray[np.uint8]:
-        """A picture up to the newest frame, once that was not taken yet; older ones are not given any more."""
+        """Return a picture up to the newest frame, waiting for a new one; older frames are dropped."""
         with self._changed:
             self._wait(timeout_s)
             self._waiting.clear()
             return self._picture()
 
     def latest(self) -> tuple[NDArray[np.uint8], float]:
-        """A picture up to the newest frame, taken or not, and how old it is in s; RuntimeError before the first."""
+        """Return a picture up to the newest frame and that frame's age in s; RuntimeError before the first frame."""
         with self._changed:
             if self._ended is not None:
                 raise self._ended
             if self._shown[-1].number < 0:
-                raise RuntimeError("the camera has shown no event frame yet")
+                raise RuntimeError("the camera has not delivered an event frame yet")
             return self._picture(), time.monotonic() - self._shown[-1].drawn_s
 
     def close(self) -> None:
@@ -91,7 +91,7 @@ class EventFrames:
         raise TimeoutError(f"no event frame within {1e3 * timeout_s:.0f} ms")
 
     def _picture(self) -> NDArray[np.uint8]:
-        """The frames that are shown, the oldest at the top left."""
+        """Return the shown frames as one picture, the oldest at the top left."""
         side = round(len(self._shown) ** 0.5)
         greys = [frame.grey for frame in self._shown]
         return np.vstack([np.hstack(greys[row * side : (row + 1) * side]) for row in range(side)])
@@ -113,7 +113,7 @@ class EventFrames:
                     self._shown.append(frame)
                     self._changed.notify_all()
             ended: BaseException = EOFError("the camera's stream has ended")
-        except Exception as error:  # it belongs to whoever asks for the next frame
+        except Exception as error:  # raised again when the next frame is requested
             ended = error
         with self._changed:
             self._ended = ended

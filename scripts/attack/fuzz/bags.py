@@ -1,4 +1,4 @@
-"""Bags of events, for damaging: of ROS 1, packed and not, and of ROS 2 as SQLite and MCAP, by rosbags' own writers."""
+"""Write bags of events to be damaged: ROS 1, packed and unpacked, and ROS 2 as SQLite and MCAP, by rosbags' writers."""
 
 from pathlib import Path
 from typing import Any
@@ -10,7 +10,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from evetac_cli.events import Events
 
 EVENTS = 3000
-PACKET = 100  # events of a message
+PACKET = 100  # events per message
 FRAME = (640, 480)
 DEFINITIONS = {
     "dvs_msgs/msg/Event": "uint16 x\nuint16 y\n{time} ts\nbool polarity\n",
@@ -20,7 +20,7 @@ DEFINITIONS = {
         "bool is_bigendian\nuint8[] events\n"
     ),
 }
-# Name of a kind: its file, and the family of damage.
+# Name of each kind: its file, and the family of damage.
 FILES = {
     "ROS 1 bag": ("arrays.bag", "bytes"),
     "ROS 1 bag, packed": ("packets.bag", "bytes"),
@@ -72,7 +72,7 @@ def _fill(writer: Any, parts: list[Events], *, packets: bool, ros2: bool) -> Non
 
 
 def _mono(events: Events, first_us: int) -> np.ndarray:
-    """Encoding `mono` of event_camera_msgs: words of 64 bits with polarity, y, x, and ns since the packet's base."""
+    """Encode events as `mono` of event_camera_msgs: 64-bit words of polarity, y, x, and ns since the packet's base."""
     t, x, y, p = (column.astype(np.uint64) for column in events)
     words = p << np.uint64(63) | y << np.uint64(48) | x << np.uint64(32) | (t - np.uint64(first_us)) * np.uint64(1000)
     return words.astype("<u8").view(np.uint8)

@@ -1,6 +1,6 @@
-"""The files that are mutated: one small valid file of every kind that evetac reads, made by its own commands.
+"""Make the files that are mutated: one small valid file of every kind that evetac reads, made by evetac's commands.
 
-`make(folder)` takes about a minute and is done once; the same commands and seeds give the same files.
+`make(folder)` takes about a minute and is done once. The same commands and seeds make the same files.
 """
 
 import shutil
@@ -47,14 +47,14 @@ export piece.recording.h5 --format calibration --out grid.pkl
 
 
 class Kind(NamedTuple):
-    """Files of one kind: which file is mutated, what must lie beside it, and the commands that read it.
+    """Files of one kind: the file that is mutated, its companions, and the commands that read it.
 
-    In a command, {f} is the mutated file, {o} the folder for outputs; companions keep their names beside {f}.
+    In a command, {f} is the mutated file and {o} is the folder for outputs. Companions keep their names next to {f}.
     """
 
     name: str
     file: str
-    mutation: str  # of mutations.FAMILIES
+    mutation: str  # a key of mutations.FAMILIES
     commands: tuple[str, ...]
     companions: tuple[str, ...] = ()
 
@@ -228,7 +228,7 @@ KINDS = (
 
 
 def make(folder: Path) -> None:
-    """Make the corpus in a folder, unless it is there."""
+    """Make the corpus in a folder, unless it exists."""
     if (folder / "complete").exists() and all((folder / kind.file).exists() for kind in KINDS):
         return
     folder.mkdir(parents=True, exist_ok=True)
@@ -258,7 +258,7 @@ def make(folder: Path) -> None:
 
 
 def copy(kind: Kind, corpus: Path, folder: Path) -> Path:
-    """Lay the file of a kind, and its companions, into an empty folder; the path of the copy to mutate."""
+    """Copy the file of a kind and its companions into an empty folder; return the path of the copy to mutate."""
     target = folder / kind.file
     if (corpus / kind.file).is_dir():
         shutil.copytree(corpus / kind.file, target)
@@ -270,7 +270,7 @@ def copy(kind: Kind, corpus: Path, folder: Path) -> Path:
 
 
 def _short_scene() -> str:
-    """The slip scene, slipping within a second, seen by a coarse gel."""
+    """Return the slip scene, shortened so that it slips within a second, with a coarse gel."""
     changes = {
         "name": '"short"',
         "rest_s": "0.05",
@@ -291,7 +291,7 @@ def _short_scene() -> str:
 
 
 def _write_streams(folder: Path) -> None:
-    """An arm's pose and a camera's images over 60 ms: CSV, Parquet, and a bag of ROS 1."""
+    """Write an arm's pose and a camera's images over 60 ms: CSV, Parquet, and a ROS 1 bag."""
     import cv2
     import pandas
     from rosbags import rosbag1
@@ -322,7 +322,7 @@ def _write_streams(folder: Path) -> None:
 
 
 def _break_off(source: Path, target: Path) -> None:
-    """Segments of a recording whose program was killed: three of 20 slices."""
+    """Write the segments of a recording whose process was killed: three segments of 20 slices."""
     recipe = Recipe("recording", 1, {"setup": {"camera": "replay"}}, parents=())
     with open_recording(source) as recording:
         static = {**recording.sensor_datasets(), "t_offset": np.int64(0)}
@@ -335,7 +335,7 @@ def _break_off(source: Path, target: Path) -> None:
 
 
 def _write_raw(path: Path, t_us: np.ndarray) -> None:
-    """Prophesee RAW, EVT 2.0: time high words, and an ON event of column 5 in row 7 for each time."""
+    """Write Prophesee RAW, EVT 2.0: time-high words, and for each time an ON event at column 5, row 7."""
     words = []
     high = -1
     for t in t_us.tolist():
@@ -347,7 +347,7 @@ def _write_raw(path: Path, t_us: np.ndarray) -> None:
 
 
 def _write_dat(path: Path, t: np.ndarray, x: np.ndarray, y: np.ndarray, p: np.ndarray) -> None:
-    """Prophesee DAT, version 2, CD events."""
+    """Write Prophesee DAT, version 2, CD events."""
     rows = np.zeros(len(t), [("t", "<u4"), ("word", "<u4")])
     rows["t"] = t
     rows["word"] = x.astype(np.uint32) | y.astype(np.uint32) << 14 | p.astype(np.uint32) << 28

@@ -1,4 +1,4 @@
-"""Small files of events in the formats of other programs, for damaging; dv-processing writes the one with an IMU."""
+"""Write small event files in other programs' formats, to be damaged; dv-processing writes the one with IMU samples."""
 
 import struct
 from pathlib import Path
@@ -9,7 +9,7 @@ import numpy as np
 from evetac_cli.events import Events
 
 EVENTS = 5000
-# Name of a kind: its file, and the family of damage.
+# Name of each kind: its file, and the family of damage.
 FILES = {
     "npz": ("events.npz", "bytes"),
     "npz, packed": ("packed.npz", "bytes"),
@@ -28,7 +28,7 @@ FILES = {
 
 
 def write(folder: Path, events: Events) -> None:
-    """Write the same events, of a frame of 640x480, into a file of every kind."""
+    """Write the same events, with a frame of 640x480, into a file of every kind."""
     t, x, y, p = (column.astype(np.int64) for column in events)
     table = np.stack([t, x, y, p], axis=1)
     rows = np.zeros(len(t), [("x", "<u2"), ("y", "<u2"), ("p", "<i2"), ("t", "<i8")])
@@ -64,7 +64,7 @@ def _hdf5(folder: Path, table: np.ndarray, rows: np.ndarray) -> None:
 
 
 def _aedat(folder: Path, table: np.ndarray) -> None:
-    """AEDAT 2 of a DAVIS640, and AEDAT 3.1 of the same in packets of 1,000 events."""
+    """Write AEDAT 2 of a DAVIS640, and AEDAT 3.1 of the same events in packets of 1,000."""
     words = np.zeros((len(table), 2), ">u4")
     words[:, 0] = (639 - table[:, 1]) << 12 | (479 - table[:, 2]) << 22 | table[:, 3] << 11
     words[:, 1] = table[:, 0]
@@ -81,7 +81,7 @@ def _aedat(folder: Path, table: np.ndarray) -> None:
 
 
 def _evt21(path: Path, table: np.ndarray) -> None:
-    """EVT2.1: one event a word, and the high bits of time before it whenever they change."""
+    """Write EVT2.1: one event per word, preceded by a time-high word whenever the high bits of time change."""
     words, high = [], -1
     for t, x, y, p in table.tolist():
         if t >> 6 != high:
@@ -93,7 +93,7 @@ def _evt21(path: Path, table: np.ndarray) -> None:
 
 
 def _with_imu(path: Path, table: np.ndarray) -> None:
-    """AEDAT4 with events, IMU samples, triggers and frames."""
+    """Write AEDAT4 with events, IMU samples, triggers and frames."""
     import dv_processing as dv
 
     config = dv.io.MonoCameraWriter.Config("DAVIS")

@@ -1,6 +1,6 @@
-"""Damage done to a file: to its bytes, to its text, or to what an HDF5 file holds while it stays a valid HDF5 file.
+"""Damage a file: its bytes, its text, or the contents of an HDF5 file that stays a valid HDF5 file.
 
-`mutate(path, family, rng)` changes the file in place, by one to three operations, and names them.
+`mutate(path, family, rng)` changes the file in place, by one to three operations, and returns their names.
 """
 
 import json
@@ -54,7 +54,7 @@ HEADER_VALUES: tuple[Any, ...] = (
 
 
 def mutate(path: Path, family: str, rng: Rng) -> list[str]:
-    """Damage a file, or one of the files of a folder, in one to three ways; what was done."""
+    """Damage a file, or one of the files of a folder, in one to three ways; return the names of the operations."""
     return [FAMILIES[family](path, rng) for _ in range(int(rng.integers(1, 4)))]
 
 
@@ -65,7 +65,7 @@ def damage_bytes(path: Path, rng: Rng) -> str:
     """Flip, replace, insert, remove, repeat or cut bytes."""
     data = bytearray(path.read_bytes())
     operation = str(rng.choice(["flip", "replace", "insert", "remove", "repeat", "cut", "swap", "zero"]))
-    # Headers are short and decide most: half of all damage is done in the first kilobyte.
+    # Headers are short and determine most of the parsing, so half of all damage is done in the first kilobyte.
     at = int(rng.integers(0, max(1, min(len(data), 1024) if rng.random() < 0.5 else len(data))))
     size = int(rng.integers(1, 1 + min(4096, max(1, len(data) - at))))
     if operation == "flip" and data:
@@ -95,7 +95,7 @@ def damage_bytes(path: Path, rng: Rng) -> str:
 
 
 def damage_text(path: Path, rng: Rng) -> str:
-    """Replace a value, repeat, remove or swap lines, or damage bytes."""
+    """Replace a value; repeat, remove or swap lines; or damage bytes."""
     text = path.read_bytes().decode("latin1")
     lines = text.split("\n")
     operation = str(rng.choice(["value"] * 3 + ["repeat line", "remove line", "swap lines", "bytes", "wrap"]))
@@ -140,19 +140,19 @@ def damage_hdf5(path: Path, rng: Rng) -> str:
             name = str(rng.choice(names)) if names else "none"
             return f"{operation.__name__.strip('_')} {name}: {operation(file, name, rng)}"
     except (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError) as error:
-        # An earlier operation left a file, or a dataset, to which this one cannot be done.
+        # An earlier operation has left the file, or a dataset, in a state that this operation cannot change.
         return f"{operation.__name__.strip('_')}: not possible ({type(error).__name__})"
 
 
 def _read(file: h5py.File, name: str) -> Any:
-    """A dataset, unless rows that an earlier mutation announced would fill the memory of the fuzzer itself."""
+    """Read a dataset; OSError if an earlier mutation announced more rows than fit into the fuzzer's memory."""
     if file[name].size * file[name].dtype.itemsize > LARGEST_READ:
-        raise OSError(f"{name} is too large to be changed")
+        raise OSError(f"{name} is too large to change")
     return file[name][()]
 
 
 def _value(file: h5py.File, name: str, rng: Rng) -> str:
-    """One number, some, or all become senseless."""
+    """Replace one number, some, or all by senseless values."""
     data = _read(file, name)
     number = NUMBERS[rng.integers(len(NUMBERS))]
     if isinstance(data, bytes):
@@ -190,7 +190,7 @@ def _order(file: h5py.File, name: str, rng: Rng) -> str:
 
 
 def _shape(file: h5py.File, name: str, rng: Rng) -> str:
-    """Fewer rows, more rows, another number of axes."""
+    """Change the number of rows or axes."""
     data = np.asarray(_read(file, name))
     choices = [data[:0], data[: len(data) // 2], data[:-1], np.concatenate([data, data])] if data.ndim else []
     choices += [data.reshape(-1), data[None], data.reshape(-1)[:1].reshape(())] if data.size else [np.zeros(3)]
@@ -198,7 +198,7 @@ def _shape(file: h5py.File, name: str, rng: Rng) -> str:
 
 
 def _type(file: h5py.File, name: str, rng: Rng) -> str:
-    """Another dtype, compound and text included."""
+    """Change the dtype, also to compound types and text."""
     data = np.asarray(_read(file, name))
     if data.dtype.kind == "O":
         return _replace(file, name, np.zeros(2))
@@ -223,7 +223,7 @@ def _announce(file: h5py.File, name: str, rng: Rng) -> str:
     old = file[name]
     tail, dtype = old.shape[1:], old.dtype
     del file[name]
-    # HDF5 keeps every chunk that it was told of in memory while it writes: 24 GB for 8 million of them
+    # while it writes, HDF5 keeps an entry of every announced chunk in memory: 24 GB for 8 million chunks
     rows_of_chunk = max(int(rng.choice([1, 1024, 65536, 2**22])), rows >> 16)
     chunks = (rows_of_chunk, *tail) if rng.random() < 0.7 else None
     file.create_dataset(name, (rows, *tail), dtype, chunks=chunks, compression="gzip" if chunks else None)
@@ -238,14 +238,14 @@ def _remove(file: h5py.File, name: str, rng: Rng) -> str:
 
 
 def _add(file: h5py.File, name: str, rng: Rng) -> str:
-    """Add a stranger: a dataset, a group, a name of control characters."""
+    """Add an unknown item: a dataset, a group, or a name of control characters."""
     stranger = str(rng.choice(["stranger", "events/stranger", "sensor/extra", "\x1b[31mred", "a" * 300, "ünïcode/x"]))
     file[stranger] = np.arange(3)
     return repr(stranger[:20])
 
 
 def _link(file: h5py.File, name: str, rng: Rng) -> str:
-    """Put a link, or storage elsewhere, in a dataset's place."""
+    """Replace a dataset by a link or by external storage."""
     kind = str(rng.choice(["external", "soft", "cycle", "dangling", "virtual", "storage", "hard"]))
     shape, dtype = file[name].shape, file[name].dtype
     if kind == "hard":
@@ -284,7 +284,7 @@ def _attribute(file: h5py.File, name: str, rng: Rng) -> str:
 
 
 def _header(file: h5py.File, name: str, rng: Rng) -> str:
-    """Change one value of the header's JSON, somewhere in it, or the whole text."""
+    """Change one value anywhere in the header's JSON, or its whole text."""
     if "header" not in file.attrs:
         return "no header"
     if rng.random() < 0.2:
@@ -307,7 +307,7 @@ def _header(file: h5py.File, name: str, rng: Rng) -> str:
             break
         place = place[key]
     text = json.dumps(header)
-    if rng.random() < 0.7:  # a forger would make the recipe id fit
+    if rng.random() < 0.7:  # an attacker would make the recipe id match
         with suppress(Exception):
             from evetac_cli.store.layout.provenance import recompute_id
 
@@ -331,7 +331,7 @@ HDF5_OPERATIONS: tuple[Callable[[h5py.File, str, Rng], str], ...] = (
 
 
 def damage_segments(path: Path, rng: Rng) -> str:
-    """Damage the folder of a recording that broke off: one of its files, or which files there are."""
+    """Damage the folder of an aborted recording: one of its files, or the set of files."""
     files = sorted(file for file in path.iterdir() if file.suffix == ".h5" and file.is_file())
     operation = str(rng.choice(["hdf5", "hdf5", "hdf5", "bytes", "remove", "empty", "rename", "number", "copy"]))
     if not files:
@@ -355,7 +355,7 @@ def damage_segments(path: Path, rng: Rng) -> str:
 
 
 def damage_files(path: Path, rng: Rng) -> str:
-    """Damage a folder of files: one of them, or which there are."""
+    """Damage a folder: one of its files, or the set of files."""
     files = sorted(file for file in path.iterdir() if file.is_file())
     operation = str(rng.choice(["damage", "damage", "damage", "damage", "remove", "empty", "exchange", "copy"]))
     if not files:

@@ -1,19 +1,19 @@
-"""Mutated files in front of every command that reads them: no traceback, no crash, no hang, nothing half-written.
+"""Run every command that reads files on mutated files: no traceback, no crash, no hang, no half-written output.
 
-    python scripts/attack/fuzz/run.py OUT.jsonl --count 20000 --seed 17   # started again, it goes on
+    python scripts/attack/fuzz/run.py OUT.jsonl --count 20000 --seed 17   # started again, it continues
     python scripts/attack/fuzz/run.py OUT.jsonl --count 2000 --kinds npz "AEDAT 2"   # damaged files of these kinds only
     python scripts/attack/fuzz/run.py OUT.jsonl --only 4711 --seed 17 --keep DIR   # one case, its files in DIR
 
 A case is one damaged file and up to three of the commands that read its kind. Each command runs in a process of its
-own, forked from one that has loaded all modules, so that a case takes a fraction of a second. What must never happen:
+own, forked from a process that has loaded all modules, so a case takes a fraction of a second. These are problems:
 
-    traceback   an exception that is not report in words, or `internal error`
-    crash       a signal, or an exit code that is not in the table (0, 1, 2, 3, 130)
+    traceback   an exception without an error message of evetac, or `internal error`
+    crash       a signal, or an exit code other than 0, 1, 2, 3 and 130
     hang        more than 20 s of processor time, or ten minutes of waiting
     memory      more than 1 GB resident
     output      an output that `validate` refuses
-    left        a file left after exit code 2
-    json        --json printed what is no JSON object
+    left        a file left behind after exit code 2
+    json        output of --json that is not a JSON object
     escape      a control character on stdout or stderr
 """
 
@@ -43,18 +43,18 @@ import wire  # noqa: E402
 from evetac_cli.cli import main as command_line  # noqa: E402
 from evetac_cli.store import index  # noqa: E402
 
-HANG_S = 20  # of processor time, so that a busy computer makes no difference
-WAITS_S = 600.0  # and of waiting, for what never comes
+HANG_S = 20  # of processor time, in s, so that a busy computer makes no difference
+WAITS_S = 600.0  # of waiting, in s
 MEMORY_MB = 1024
-ADDRESS_SPACE = 16 << 30  # so that a runaway ends before the machine does
+ADDRESS_SPACE = 16 << 30  # so that a runaway process ends before memory runs out
 CODES = (0, 1, 2, 3, 130)
 COMMANDS_OF_A_CASE = 3
-WARM = ("recording", "features", "tracks", "DSEC", "grasp recording", "scene")  # their commands load all that is slow
-SHOWN = 400  # characters of what a command said, kept with a problem
+WARM = ("recording", "features", "tracks", "DSEC", "grasp recording", "scene")  # their commands load all slow modules
+SHOWN = 400  # characters of a command's output that are kept with a problem
 
 
 def call(arguments: list[str], folder: Path, said: Path) -> dict[str, Any]:
-    """Run one command in a child process; exit code, seconds, MB; what it said lies beside `said`."""
+    """Run one command in a child process; return exit code, seconds and MB. Its output is written to `said`."""
     started, limit_s = time.monotonic(), WAITS_S
     child = os.fork()
     if child == 0:
@@ -103,7 +103,7 @@ def _child(arguments: list[str], folder: Path, said: Path) -> None:
 
 
 def problems(result: dict[str, Any], said: Path, folder: Path, before: set[str], as_json: bool) -> list[str]:
-    """What must not have happened in a command, each as `name: details`."""
+    """Return the problems of a command, each as `name: details`."""
     out, err = (said.with_suffix(f".{name}").read_bytes() for name in ("stdout", "stderr"))
     words = (out + err).decode(errors="replace")
     lines = []
@@ -130,7 +130,7 @@ def problems(result: dict[str, Any], said: Path, folder: Path, before: set[str],
 
 
 def _mutate(path: Path, family: str, rng: np.random.Generator, report: Path) -> list[str]:
-    """Damage a file in a child process: HDF5 may break on a file that it damages twice, and must not in this one."""
+    """Damage a file in a child process, because HDF5 may crash on a file that is damaged twice."""
     child = os.fork()
     if child == 0:
         try:
@@ -143,13 +143,13 @@ def _mutate(path: Path, family: str, rng: np.random.Generator, report: Path) -> 
 
 
 def _files(folder: Path) -> set[str]:
-    """Names of all files; an index is none: whatever looks at a folder may make one."""
+    """Return the names of all files except indexes: any command that reads a folder may create an index."""
     every = (path for path in folder.rglob("*") if not path.is_dir() and path.name != index.NAME)
     return {str(path.relative_to(folder)) for path in every}
 
 
 def case(number: int, seed: int, files: Path, folder: Path, kinds: Sequence[corpus.Kind]) -> dict[str, Any]:
-    """Make one damaged file and run its commands; what was done, and what must not have happened."""
+    """Make one damaged file and run its commands; return the damage and the problems."""
     damage_rng, rng = np.random.default_rng([seed, number]), np.random.default_rng([seed, number, 1])
     kind = kinds[number % len(kinds)]
     damaged = corpus.copy(kind, files, folder)
@@ -184,7 +184,7 @@ def case(number: int, seed: int, files: Path, folder: Path, kinds: Sequence[corp
 
 
 def warm_up(files: Path, kinds: Sequence[corpus.Kind]) -> None:
-    """Load all modules and compiled kernels in this process, so that its children need not."""
+    """Load all modules and compiled kernels in this process, so that its children do not have to."""
     with tempfile.TemporaryDirectory() as folder:
         output, saved = os.open(os.devnull, os.O_WRONLY), [os.dup(1), os.dup(2)]
         os.dup2(output, 1)
@@ -214,7 +214,7 @@ def _in_this_process(arguments: list[str], folder: Path) -> None:
 
 
 def known(path: Path, seed: int) -> set[int]:
-    """Cases that an earlier part has done."""
+    """Return the cases that an earlier run has finished."""
     if not path.exists():
         return set()
     rows = [json.loads(line) for line in path.read_text().splitlines()]
@@ -222,7 +222,7 @@ def known(path: Path, seed: int) -> set[int]:
 
 
 def summary(path: Path) -> int:
-    """Print how all cases ended; the number of cases with a problem."""
+    """Print the outcome of all cases; return the number of cases with a problem."""
     rows = [json.loads(line) for line in path.read_text().splitlines()]
     exits = Counter(run["exit"] for row in rows for run in row["runs"])
     kinds = Counter(problem.split(": ", 2)[1] for row in rows for problem in row["problems"])
@@ -241,20 +241,18 @@ def summary(path: Path) -> int:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("out", type=Path, help="JSON lines, one a case; cases that are in it are not run again")
-    parser.add_argument("--count", type=int, default=1000, help="cases in all [1000]")
+    parser.add_argument("out", type=Path, help="JSON lines, one per case; cases in this file are not run again")
+    parser.add_argument("--count", type=int, default=1000, help="total number of cases [1000]")
     parser.add_argument("--first", type=int, default=0, help="number of the first case [0]")
     parser.add_argument("--seed", type=int, default=17)
-    parser.add_argument("--only", type=int, help="run this case alone, and print it")
-    parser.add_argument("--keep", type=Path, help="with --only: an empty folder in which its files stay")
-    parser.add_argument(
-        "--corpus", type=Path, help="folder in which the corpus is, or is made [fuzz-corpus beside OUT]"
-    )
+    parser.add_argument("--only", type=int, help="run only this case, and print it")
+    parser.add_argument("--keep", type=Path, help="with --only: an empty folder in which to keep its files")
+    parser.add_argument("--corpus", type=Path, help="folder of the corpus, made if missing [fuzz-corpus next to OUT]")
     names = [kind.name for kind in corpus.KINDS]
     parser.add_argument("--kinds", nargs="+", choices=names, default=names, metavar="KIND", help=", ".join(names))
     chosen = parser.parse_args()
     kinds = [kind for kind in corpus.KINDS if kind.name in chosen.kinds]
-    # Not in /tmp, where others may have made one of this name.
+    # Not in /tmp, where another user may have created a folder of this name.
     chosen.corpus = (chosen.corpus or chosen.out.with_name("fuzz-corpus")).absolute()
     corpus.make(chosen.corpus)
     warm_up(chosen.corpus, kinds)

@@ -1,7 +1,7 @@
-"""A data set with its index, a Parquet table and a sensor's file, for damaging as their readers see them.
+"""Write and damage a data set with its index, a Parquet table and a sensor's file.
 
-An index is damaged by SQLite's own means, as somebody would who sends a folder; a Parquet table is written anew with
-other types, rows, pages and names; of both also single bytes.
+An index is damaged with SQLite's own means, like an index in a folder from an attacker. A Parquet table is rewritten
+with other types, rows, pages and names. Of both, single bytes are damaged too.
 """
 
 import os
@@ -29,7 +29,7 @@ TYPES = ("int8", "uint64", "float16", "float32", "float64", "bool", "string", "b
 
 
 def write(folder: Path) -> None:
-    """The folder `data` with its index, and a whole sensor as TOML."""
+    """Write the folder `data` with its index, and a complete sensor as TOML."""
     (folder / "data").mkdir()
     for name in DATA:
         shutil.copy(folder / name, folder / "data")
@@ -39,10 +39,10 @@ def write(folder: Path) -> None:
 
 
 def damage_index(path: Path, rng: Rng) -> str:
-    """Damage the index of a folder that is up to date: its values, what is in its place, or its bytes."""
+    """Damage the index of a folder that is up to date: its values, the file in its place, or its bytes."""
     place = path / index.NAME
     if rng.random() < 0.9 and place.is_file() and not place.is_symlink():
-        with index.open_index(path):  # a copy of the folder has other times of change
+        with index.open_index(path):  # a copy of the folder has other modification times
             pass
     change = INDEX[rng.integers(len(INDEX))]
     try:
@@ -120,7 +120,7 @@ def _instead(place: Path, rng: Rng) -> str:
 def _bytes(place: Path, rng: Rng) -> str:
     from mutations import damage_bytes
 
-    if not place.is_file():  # a pipe of an earlier change would be waited for
+    if not place.is_file():  # reading a pipe left by an earlier change would block
         return "nothing"
     return damage_bytes(place, rng)
 
@@ -131,7 +131,7 @@ INDEX: tuple[Callable[[Path, Rng], str], ...] = (
 
 
 def damage_parquet(path: Path, rng: Rng) -> str:
-    """Write a table anew with one thing changed, or damage its bytes."""
+    """Rewrite a table with one change, or damage its bytes."""
     from mutations import damage_bytes
 
     if rng.random() < 0.3:
@@ -201,7 +201,7 @@ def _many(table: pa.Table, rng: Rng) -> tuple[pa.Table, str]:
 
 
 def _text(table: pa.Table, rng: Rng) -> tuple[pa.Table, str]:
-    size = min(int(10 ** rng.uniform(2, 7)), 10**8 // max(1, table.num_rows))  # of all rows, where each has it
+    size = min(int(10 ** rng.uniform(2, 7)), 10**8 // max(1, table.num_rows))  # for all rows, if each row has it
     column = pa.DictionaryArray.from_arrays(pa.array(np.zeros(table.num_rows, np.int32)), pa.array(["x" * size]))
     return _put(table, _column(table, rng), column), f"a text of {size} in each row"
 

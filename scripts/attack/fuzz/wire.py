@@ -1,6 +1,7 @@
-"""What comes over a wire, damaged: words of the camera into its decoder, answers of the servo into its bus.
+"""Damage data that arrives over a wire: camera words for the decoder, and servo answers for the bus.
 
-Neither is a command of its own, so both are called here; as in a command, an EvetacError is an answer, all else is not.
+Neither has a command of its own, so both are called directly. As in a command, an EvetacError is a valid outcome; any
+other exception is not.
 """
 
 import os
@@ -16,25 +17,25 @@ from evetac_cli.devices.virtual.dynamixel_frames import HEADER, status
 from evetac_cli.errors import EvetacError
 from evetac_cli.events import FRAME_PX, Events
 
-LONGEST_PIECE = 4096  # bytes a USB transfer brings at most here
+LONGEST_PIECE = 4096  # the most bytes that a USB transfer contains here
 BAUD = 2_000_000
 REGISTERS = ("Torque Enable", "Goal Current", "Present Position", "Hardware Error Status", "Bus Watchdog")
 
 
 def write_words(path: Path, events: Events) -> None:
-    """Write the words in which the camera would send events."""
+    """Write events as the camera's words."""
     path.write_bytes(event_words.encode(events, frame_us=200).astype("<u4").tobytes())
 
 
 def write_answers(path: Path) -> None:
-    """Write answers of a servo to a ping, to reads of one to ten bytes, and to writes."""
+    """Write servo answers to a ping, to reads of one to ten bytes, and to writes."""
     answers = [status(1, parameters=bytes([160, 134, 11]))]
     answers += [status(1, parameters=bytes(size), alert=alert) for size in (1, 2, 4, 10, 0) for alert in (False, True)]
     path.write_bytes(b"".join(answers))
 
 
 def decode(path: Path) -> None:
-    """Decode damaged words, cut at random places; AssertionError if what comes out cannot be."""
+    """Decode damaged words, cut at random places; AssertionError if the events are impossible."""
     data = path.read_bytes()
     rng = np.random.default_rng(len(data))
     decoder, at, last_us, host_ms = event_words.start(), 0, -1, 0
@@ -52,7 +53,7 @@ def decode(path: Path) -> None:
 
 
 def converse(path: Path) -> None:
-    """Let a bus ask a servo that gives damaged answers, one to each question."""
+    """Let a bus query a servo that returns damaged answers, one for each request."""
     answers = [HEADER + rest for rest in path.read_bytes().split(HEADER)]
     ours, theirs = os.openpty()
     tty.setraw(ours)

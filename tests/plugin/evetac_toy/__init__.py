@@ -1,1 +1,1 @@
-"""What a package from outside can add to evetac, one small module each."""
+"""Examples of everything that an outside package can add to evetac, one small module each."""

@@ -1,4 +1,4 @@
-"""A camera: a bright stripe that moves to the right by a column a millisecond."""
+"""A camera that shows a bright stripe, which moves right by one column per millisecond."""
 
 import math
 import time
@@ -18,7 +18,7 @@ WIDTH, HEIGHT = 640, 480
 
 
 class StripeCamera:
-    """The open camera: each slice has an event in every row of the stripe's column."""
+    """An open camera: each slice has one event in every row of the stripe's column."""
 
     sensor: Mapping[str, Any] = {
         "sensor/frame_px": np.array([WIDTH, HEIGHT], np.int32),
@@ -35,7 +35,7 @@ class StripeCamera:
         self.began_s = time.monotonic()
 
     def read(self) -> Events | None:
-        """The next slice, not before its time; None once the camera is closed."""
+        """Return the next slice once its time is over; None after the camera is closed."""
         if not self.open:
             return None
         start_us = self.now_us()
@@ -49,28 +49,28 @@ class StripeCamera:
         )
 
     def now_us(self) -> int:
-        """The end of the slice read last."""
+        """Return the end time of the slice that was read last, in us of the recording."""
         return self.slices * SLICE_US
 
     def host_us(self, device_us: float) -> float:
-        """The host's time at a time of the recording; lateness is measured by it."""
+        """Convert a time of the recording to host time, in us; lateness is measured with it."""
         return self.began_s * 1e6 + device_us if self.open else math.nan
 
     def close(self) -> None:
-        """Stop."""
+        """Stop the camera."""
         self.open = False
 
 
 @dataclass(frozen=True)
 class Stripe(NamedCamera):
-    """`stripe[:ROWS]`: as it is named on the command line."""
+    """The camera as named on the command line: `stripe[:ROWS]`."""
 
     name = "stripe"
     rows: int = 100
 
     @classmethod
     def parse(cls, text: str) -> Self:
-        """Understand what stands behind the colon."""
+        """Parse the text after the colon."""
         if not text:
             return cls()
         if not (text.isascii() and text.isdigit() and 1 <= int(text) <= HEIGHT):
@@ -82,9 +82,9 @@ class Stripe(NamedCamera):
 
     @property
     def capabilities(self) -> frozenset[Capability]:
-        """It plays in real time, and what it shows is no touch."""
+        """It runs in real time (DEVICE), and its events are not from a real sensor (SIMULATED)."""
         return frozenset({Capability.DEVICE, Capability.SIMULATED})
 
     def open(self, settings: CameraSettings, world: Any, seeds: np.random.SeedSequence) -> OpenedCamera:
-        """Start the camera, and say what a header is to know of it."""
+        """Start the camera, and return it with the entries for the recording's header."""
         return OpenedCamera(StripeCamera(self.rows), {"name": self.name, "rows": self.rows})

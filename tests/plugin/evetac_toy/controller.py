@@ -1,4 +1,4 @@
-"""A controller: closes by so many ticks at every slip, and never opens."""
+"""A controller that closes by a fixed number of ticks at every slip, and never opens."""
 
 from dataclasses import dataclass
 
@@ -8,25 +8,25 @@ from evetac_cli.kernels.grip.paper import GraspPhase
 
 @dataclass
 class FirmState(LawState):
-    """Where the fingers were when light contact ended."""
+    """The state of the law: how far it has closed since light contact ended."""
 
     closed_ticks: float = 0.0
 
 
 @dataclass(frozen=True)
 class FirmLaw(PluginLaw):
-    """The constants, which are part of the recipe of every grasp."""
+    """The law and its constants, which are part of the recipe of every grasp."""
 
-    method = 1  # one more whenever it commands other goals with the same constants
+    method = 1  # add one when a change of the code makes it command other goals with the same constants
     approach_ticks: int = 2
     step_ticks: float = 1.0
 
     def start(self, control_hz: float) -> FirmState:
-        """Before the first step."""
+        """Return the state before the first step."""
         return FirmState(u_ff=-float(self.approach_ticks))
 
     def step(self, state: LawState, phase: GraspPhase, slip: bool, signal: SlipSignal, position_ticks: int) -> int:
-        """The goal position: ahead of the fingers in contact, then ahead of where contact ended."""
+        """Return the goal position: ahead of the fingers during contact, later ahead of where contact ended."""
         assert isinstance(state, FirmState)
         if phase is GraspPhase.CONTACT:
             state.x_ref = float(position_ticks)
@@ -38,7 +38,7 @@ class FirmLaw(PluginLaw):
 
 @dataclass(frozen=True)
 class BlindLaw(FirmLaw):
-    """The same without a slip detector: it stays where contact ended."""
+    """The same law without a slip detector: the fingers stay where contact ended."""
 
     needs_detector = False
 

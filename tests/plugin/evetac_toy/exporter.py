@@ -1,4 +1,4 @@
-"""Writes toy files, which importer.py reads."""
+"""Write toy files, which importer.py reads."""
 
 from pathlib import Path
 
@@ -9,7 +9,7 @@ from evetac_cli.store.recordings.read import Recording
 
 
 def write(recording: Recording, path: Path, progress: Progress) -> None:
-    """A line for every event. What of the recording is left out need not be said here."""
+    """Write a line for every event. The command reports which parts of the recording were left out."""
     with path.open("w", encoding="ascii") as file:
         file.write("toy events {}x{}\n".format(*recording.frame_px))
         for events in pieces(recording, progress):

@@ -1,4 +1,4 @@
-"""A gripper that takes every command and stands still."""
+"""A gripper that accepts every command and does not move."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ MOST_MA = 300
 
 
 class StillGripper:
-    """The open gripper: the fingers stay where they are, and the current is what was commanded last."""
+    """An open gripper: the fingers never move, and the current is the one commanded last."""
 
     counted: Mapping[str, int] = {}
     release_words = ""
@@ -22,7 +22,7 @@ class StillGripper:
         self.current_ma = 0
 
     def read(self) -> GripperReading:
-        """Measured current and position."""
+        """Return the measured current and position."""
         return GripperReading(float(self.current_ma), 400)
 
     def write_current(self, current_ma: int) -> None:
@@ -37,19 +37,19 @@ class StillGripper:
         self.close()
 
     def close(self) -> None:
-        """Torque off."""
+        """Switch the torque off."""
         self.current_ma = 0
         self.release_words = "torque is off (it never was on)"
 
 
 @dataclass(frozen=True)
 class Still(NamedGripper):
-    """`still` on the command line. Nothing real moves here, so it has no HARDWARE and needs no --arm."""
+    """The gripper as named on the command line: `still`. No hardware moves, so it needs neither HARDWARE nor --arm."""
 
     name = "still"
     capabilities = frozenset({Capability.MOVED})
 
     def open(self, mode: Mode, port: str, settings: Any = None) -> tuple[StillGripper, dict[str, Any]]:
-        """The gripper, and what a header is to know of it."""
+        """Return the open gripper and the entries for the recording's header."""
         most_ma = settings.max_current_ma if settings is not None else None
         return StillGripper(most_ma or MOST_MA), {"name": self.name, "mode": mode}

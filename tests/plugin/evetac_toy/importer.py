@@ -1,4 +1,4 @@
-"""Reads toy files: a first line `toy events 640x480`, then a line `t_us,x,y,p` for every event."""
+"""Read toy files: a first line `toy events 640x480`, then a line `t_us,x,y,p` for every event."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,7 +13,7 @@ MARK = b"toy events "
 
 
 def read(path: Path, frame_px: tuple[int, int] | None) -> Foreign:
-    """The file's frame at once, and its events batch by batch; times, order and frame are checked by evetac."""
+    """Return the frame at once and the events batch by batch; their times, order and frame are checked afterwards."""
     with path.open(encoding="ascii", errors="replace") as file:
         width, _, height = file.readline().removeprefix(MARK.decode()).strip().partition("x")
     if not (width.isdigit() and height.isdigit()):
@@ -23,7 +23,7 @@ def read(path: Path, frame_px: tuple[int, int] | None) -> Foreign:
 
 
 def batches(path: Path) -> Iterator[EventColumns]:
-    """All events; a large file comes in several batches."""
+    """Yield all events; a reader of large files should yield several batches."""
     try:
         table = np.loadtxt(path, np.int64, delimiter=",", skiprows=1, ndmin=2)
     except ValueError as error:

@@ -1,4 +1,4 @@
-"""A slip detector: a layer for each dot, the mean over all dots, and a layer for the logit."""
+"""A slip detector on dots: a layer for each dot, the mean over all dots, and a layer that returns the logit."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -10,16 +10,16 @@ WIDTH = 8
 
 @dataclass(frozen=True)
 class MeanOfDots(PluginArchitecture):
-    """Written down twice: as torch modules, to be trained, and as nodes of an ONNX graph, to be run."""
+    """The network, defined twice: as torch modules for training, and as ONNX nodes for inference."""
 
-    method = 1  # one more whenever it computes other numbers under its name
+    method = 1  # add one when a change of the code makes the network compute other numbers
 
     def layers(self, rows: int, columns: int) -> dict[str, tuple[int, ...]]:
-        """The weight of each layer."""
+        """Return the shape of each layer's weights."""
         return {"code": (WIDTH, self.inputs_per_dot), "last": (1, WIDTH)}
 
     def add_layers(self, graph: Any, value: str, rows: int, columns: int) -> str:
-        """From inputs (batch, dots, inputs_per_dot) to logits (batch, 1)."""
+        """Add the ONNX nodes from inputs (batch, dots, inputs_per_dot) to logits (batch, 1)."""
         value = graph.add("Reshape", value, graph.constant("flat", [-1, self.inputs_per_dot]))
         value = graph.add("Relu", graph.layer("Gemm", value, "code", transB=1))
         value = graph.add("Reshape", value, graph.constant("dots", [-1, rows * columns, WIDTH]))
@@ -27,13 +27,13 @@ class MeanOfDots(PluginArchitecture):
         return graph.layer("Gemm", value, "last", transB=1)
 
     def modules(self, rows: int, columns: int) -> dict[str, Any]:
-        """The layers in torch, which only `train` imports."""
+        """Return the layers as torch modules; only `train` imports torch."""
         from torch import nn
 
         return {"code": nn.Linear(self.inputs_per_dot, WIDTH), "last": nn.Linear(WIDTH, 1)}
 
     def hidden(self, modules: Any, inputs: Any) -> Any:
-        """What the last layer gets, (batch, WIDTH)."""
+        """Return the inputs of the last layer, (batch, WIDTH)."""
         return modules["code"](inputs).relu().mean(1)
 
 

@@ -1,4 +1,4 @@
-"""The contracts of evetac, kept by this package."""
+"""Check that this package keeps evetac's contracts."""
 
 from pathlib import Path
 
@@ -11,18 +11,18 @@ from evetac_cli.formats.imports import read_events
 
 
 def test_camera() -> None:
-    """Assert that the camera hands out slices as evetac wants them."""
+    """Assert that the camera returns slices as evetac expects them."""
     testing.check_camera("stripe")
     testing.check_camera("stripe:3")
 
 
 def test_gripper() -> None:
-    """Assert that the gripper takes commands as evetac gives them."""
+    """Assert that the gripper accepts evetac's commands."""
     testing.check_gripper("still")
 
 
 def test_formats(tmp_path: Path) -> None:
-    """Assert that events come back from a file as they were written into it."""
+    """Assert that events read from a file equal the events written to it."""
     path = testing.check_exporter("toy", tmp_path)
     read = testing.check_importer("toy", path)
     written = testing.small_events()
@@ -31,7 +31,7 @@ def test_formats(tmp_path: Path) -> None:
 
 
 def test_a_wrong_file_is_refused(tmp_path: Path) -> None:
-    """Assert that what is no line of an event is said to be none."""
+    """Assert that a malformed event line is reported."""
     path = tmp_path / "wrong.toy"
     path.write_text("toy events 640x480\n1,2,3\n1,2\n")
     with pytest.raises(InputError, match="not a line of an event"):
@@ -44,13 +44,13 @@ def test_controller() -> None:
 
 
 def test_network() -> None:
-    """Assert that the networks compute the same in torch and as a graph."""
+    """Assert that each network computes the same in torch and in ONNX."""
     testing.check_network("mean-of-dots")
     testing.check_network("mean-of-picture")
 
 
 def test_files() -> None:
-    """Assert that scenes, sensor and object are read as evetac's own."""
+    """Assert that evetac reads this package's scenes, sensor and object like its own."""
     assert testing.check_scene("short-slip").kind == "ramp"
     assert testing.check_scene("short-lift").kind == "lift"
     assert testing.check_sensor("noisy").noise_hz == 0.3
