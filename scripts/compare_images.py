@@ -49,7 +49,7 @@ COLUMNS = {
     "images compared": "{images}",
     "values that differ": "{differ}",
     "largest difference": "{largest_difference:.1g}",
-    "their time over ours, least and most of the files": "{least_times_as_fast:.2f} to {most_times_as_fast:.2f}",
+    "their time over evetac's, least and most of the files": "{least_times_as_fast:.2f} to {most_times_as_fast:.2f}",
 }
 
 

@@ -56,7 +56,7 @@ def demo_rows(evaluations: Evaluations) -> Rows:
         "onset of gross slip: labels against truth, median": f"{labels['onset_error_ms_median']:.3g} ms",
         "... worst": f"{labels['onset_error_ms_worst']:.3g} ms",
         "... onsets that have a label": f"{labels['onsets_found']} of {labels['trajectories']}",
-        "dots tracked, error, rms (standing still)": f"{still} px",
+        "dots tracked, rms error (without tracking)": f"{still} px",
         "slip timing correct, unseen trajectories": f"{slip['slip_correct']:.3g}",
         "... too early, too late": f"{slip['slip_early']:.3g}, {slip['slip_late']:.3g}",
         "slip F1, unseen trajectories": f"{slip['f1']:.3g}",
@@ -310,8 +310,8 @@ TRACKING_DISTANCE = Table(
     (
         Column("scene, gel", "{scene}, {gel}"),
         Column("trajectories", "{trajectories}"),
-        Column("standing still", "{still_px_rms:.2f}"),
-        Column("events a dot and slice", "{events_per_dot_stable:.1f}"),
+        Column("without tracking", "{still_px_rms:.2f}"),
+        Column("events per dot and slice", "{events_per_dot_stable:.1f}"),
     ),
     across=Column("{preset}", "{error_px_rms:.2f}, {error_px_worst:.1f}"),
 )

@@ -60,9 +60,10 @@ COLUMNS = {
     "most [ms]": "{arrived_off_ms_most:.1f}",
 }
 NOTES = (
-    "Kept: a valid file with every slice and event from the answer to `start` until `stop`, and both marks; where the"
-    " server was killed, all but the end, repaired. Each trial has one mark of either kind. How far it is off, the"
-    " events of the recording tell, which show the time, against the clock of the client. All rows: rows/listen.jsonl.",
+    "Kept: a valid file with every slice and event from the answer to `start` until `stop`, and both marks; if the"
+    " server was killed, everything except the end, repaired. Each trial has one mark of each kind. The events of the"
+    " recording show the time, from which the error of a mark is measured against the clock of the client. All rows:"
+    " rows/listen.jsonl.",
 )
 Row = dict[str, Any]
 

@@ -108,7 +108,7 @@ PARTS = (
     Part("OFF threshold of its own", "1.25 of that of ON", sensor={"threshold_off": 0.25}),
     Part("high thresholds", "0.35, not 0.2", sensor={"threshold": 0.35}),
     Part("uneven thresholds", "by 8 %, not 3 %", sensor={"mismatch": 0.08}),
-    Part("limit of the readout", "0.1 million events a second", sensor={"readout": {"events_per_s": 1e5}}),
+    Part("limit of the readout", "0.1 million events per second", sensor={"readout": {"events_per_s": 1e5}}),
     Part("slow pixels", "600 Hz", sensor=SLOW),
     Part("bandwidth by light", "on top of slow pixels", sensor=BY_LIGHT, against="slow pixels"),
     Part(

@@ -190,8 +190,8 @@ TOUCH_COST = measured(
     "touch-cost",
     "Run time of a simulated millisecond of the touch sensor",
     ("contact", "{contact}"),
-    ("CPU us a ms", "{CPU_us_a_ms:,.1f}"),
-    ("with slip detector CPU us a ms", "{with_slip_detector_CPU_us_a_ms:,.1f}"),
+    ("CPU us per ms", "{CPU_us_a_ms:,.1f}"),
+    ("with slip detector CPU us per ms", "{with_slip_detector_CPU_us_a_ms:,.1f}"),
 )
 MUJOCO_GRASPS = measured(
     "mujoco-grasps",

@@ -179,7 +179,7 @@ def published_rows(maker: ContactMaker, first_seed: int, rest_mm: Floats, mm_per
     after = adapted(first, told_on, np.random.default_rng(first_seed))
     light = np.linalg.norm(told.shear_n, axis=1) < 0.15 * told.normal_n
     rows: list[Row] = []
-    for what, scale in (("as told", first), (f"adapted on {CALIBRATION} contacts", after)):
+    for what, scale in (("not adapted", first), (f"adapted on {CALIBRATION} contacts", after)):
         shear_n, normal_n = forces(scale, told)
         off = np.abs(np.column_stack([shear_n - told.shear_n, normal_n - told.normal_n]))
         for which, chosen in (

@@ -67,14 +67,14 @@ class Setting(NamedTuple):
 KNOWN = Setting("known sensor", GelLayer())
 SETTINGS = (
     KNOWN,
-    Setting("stiffness told 20 % too low", GelLayer(shear_modulus_pa=0.8 * 145e3)),
-    Setting("stiffness told 20 % too high", GelLayer(shear_modulus_pa=1.2 * 145e3)),
-    Setting("thickness told 20 % too low", GelLayer(height_mm=3.2)),
-    Setting("thickness told 20 % too high", GelLayer(height_mm=4.8)),
+    Setting("stiffness assumed 20 % too low", GelLayer(shear_modulus_pa=0.8 * 145e3)),
+    Setting("stiffness assumed 20 % too high", GelLayer(shear_modulus_pa=1.2 * 145e3)),
+    Setting("thickness assumed 20 % too low", GelLayer(height_mm=3.2)),
+    Setting("thickness assumed 20 % too high", GelLayer(height_mm=4.8)),
     Setting("a tenth of the dots missing", GelLayer(), 0.1),
-    Setting("print 0.5 mm deep, not told", GelLayer(), print_depth_mm=0.5),
-    Setting("print 0.5 mm deep, told", GelLayer(print_depth_mm=0.5), print_depth_mm=0.5),
-    Setting("parallax there and not told", GelLayer(lens_mm=math.inf)),
+    Setting("print 0.5 mm deep, unknown", GelLayer(), print_depth_mm=0.5),
+    Setting("print 0.5 mm deep, known", GelLayer(print_depth_mm=0.5), print_depth_mm=0.5),
+    Setting("parallax, unknown", GelLayer(lens_mm=math.inf)),
 )
 
 

@@ -435,7 +435,7 @@ def test_trackers_stand_side_by_side() -> None:
     evaluations = {f"tracking-{name}": evaluation(*rows) for name in ("edge-cut", "slip-closed")}
     made = reproduce.result(experiment_tables.TRACKING_DISTANCE, evaluations, ["evetac evaluate tracking"])
     assert results.lines(made) == [
-        ["scene, gel", "trajectories", "standing still", "events a dot and slice", "paper", "stable"],
+        ["scene, gel", "trajectories", "without tracking", "events per dot and slice", "paper", "stable"],
         ["edge, cut", "5", "0.70", "1.3", "6.00, 9.0", "0.30, 9.0"],
         ["slip, closed", "5", "0.70", "1.3", "6.00, 9.0", "0.30, 9.0"],
     ]
