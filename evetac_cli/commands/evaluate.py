@@ -92,7 +92,7 @@ class EvaluateVibration:
 
 @dataclass(frozen=True)
 class EvaluateRealism:
-    """Compare a simulated recording with a real one: rates, intervals, dot edges, and if a classifier separates them."""
+    """Compare a simulated recording with a real one: rates, intervals, dot edges, separability by a classifier."""
 
     same: Path | None = parameter(
         None, "Another recording of the real sensor with the same motion, as a reference: how well two real recordings"
