@@ -75,7 +75,7 @@ class Plugin(NamedTuple):
 
     @property
     def part(self) -> Part:
-        """This plug-in in a form for other processes."""
+        """The plug-in in a form for other processes."""
         return Part(self.group, self.name, self.package, self.version, self.entry.module)
 
     def fault(self) -> str:

@@ -173,7 +173,7 @@ def _failure_of_plugin(error: BaseException) -> EvetacError | None:
         return None
     package, several = parts[0].package, len(parts) > 1
     message = f"the plug-in{'s' if several else ''} {', '.join(part.what for part in parts)} of {package} failed"
-    hint = f"report this to the authors of {package}, with the command and the traceback; it is no defect of evetac"
+    hint = f"report it to the authors of {package}, with the command and the traceback; evetac is not at fault"
     found = f"{type(error).__name__}: {error}"
     return EvetacError(message, where=f"{package} {parts[0].version}", found=found, hint=hint)
 
