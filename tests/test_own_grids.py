@@ -116,7 +116,7 @@ def test_slip_detectors(name: str, short_scene: Path, tmp_path: Path) -> None:
     features = [slipped(name, short_scene, tmp_path, seed) for seed in (0, 1)]
     in_a_grid = GELS[name][2][0] > 1
     if not in_a_grid:
-        with pytest.raises(InputError, match="looks at a grid of dots") as refused:
+        with pytest.raises(InputError, match="needs a grid of dots") as refused:
             output_of(train, Train(max_steps=2, preset="adam"), *features)
         assert "40 dots in no grid" in str(refused.value) and "no-hist-img" in str(refused.value)
     architecture = "hist10" if in_a_grid else "no-hist-img-6x6"

@@ -101,7 +101,7 @@ def test_nothing_is_told_where_nothing_rests(resting: Path, tmp_path: Path) -> N
     asked = Trim(to_ms=300)
     run_stage(trim, [resting], asked, short)
     rows, path = identified([short], tmp_path / "none.sensor.toml")
-    assert all(row["estimate"] is None and "cannot be told" in row["from"] for row in rows.values())
+    assert all(row["estimate"] is None and "cannot be estimated" in row["from"] for row in rows.values())
     assert "make one of 3 s" in rows["noise_hz"]["from"]
     assert sensor_file.read(path, one_sensor)[1].noise_hz == 0.03
     assert "tell nothing" in path.read_text()
@@ -291,4 +291,4 @@ def test_a_press_is_asked_for(resting: Path, tmp_path: Path) -> None:
     """Assert that without a press the rows of dots say how to make one."""
     rows, _ = identified([resting], tmp_path)
     assert "strokes the whole gel" in rows["dot_radius_px"]["from"] and rows["dot_radius_px"]["estimate"] is None
-    assert "cannot be told from rest.recording.h5: " in rows["dot_radius_px"]["from"]
+    assert "cannot be estimated from rest.recording.h5: " in rows["dot_radius_px"]["from"]

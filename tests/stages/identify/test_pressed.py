@@ -96,7 +96,7 @@ def test_what_a_press_cannot_tell() -> None:
     """Assert that bandwidth and leak, and a lens before another grid, say which recording would tell them."""
     rows = {row.parameter: row for row in pressed.rows(press(lens_k1=None), LIKE)[0]}
     for name in ("bandwidth_hz", "leak_hz", "distortion", "log_contrast"):
-        assert rows[name].estimate is None and rows[name].source.startswith("cannot be told"), name
+        assert rows[name].estimate is None and rows[name].source.startswith("cannot be estimated"), name
 
 
 def test_a_lens_that_uneven_dots_hide() -> None:
