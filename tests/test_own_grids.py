@@ -136,7 +136,7 @@ def test_two_dots_at_one_place(short_scene: Path, tmp_path: Path) -> None:
     recording = slipped("3 x 4", short_scene, tmp_path).with_name("0.recording.h5")
     twice = {"frame_px": [640, 480], "radius_px": 15.0, "dot_xy_px": [[[50, 50], [90, 200], [300, 70], [50, 50]]]}
     (tmp_path / "twice.json").write_text(json.dumps(twice))
-    with pytest.raises(InputError, match=r"dots that no gel can have(.|\n)*two at \(50, 50\)"):
+    with pytest.raises(InputError, match=r"these dots are impossible(.|\n)*two at \(50, 50\)"):
         output_of(track, Track(calibration=tmp_path / "twice.json"), recording, out=tmp_path / "twice.tracks.h5")
 
 

@@ -265,8 +265,8 @@ FAULTS: dict[str, tuple[Any, str]] = {
     "a dot twice": ({**GOOD, "dot_xy_px": [FLAT[0], *FLAT]}, "do not form a grid"),
     "a dot less in every row": ({**GOOD, "dot_xy_px": [*FLAT[1:5], *FLAT[6:10], *FLAT[11:]]}, "do not form a grid"),
     "x and y exchanged": ({**GOOD, "frame_px": [640, 200], "dot_xy_px": GRID[..., ::-1].tolist()}, ""),
-    "outside to the right": ({**GOOD, "frame_px": [230, 480]}, "a dot lies outside the frame"),
-    "outside to the left": ({**GOOD, "dot_xy_px": (GRID - 51).reshape(-1, 2).tolist()}, "a dot lies outside the frame"),
+    "outside to the right": ({**GOOD, "frame_px": [230, 480]}, "a dot is outside the frame"),
+    "outside to the left": ({**GOOD, "dot_xy_px": (GRID - 51).reshape(-1, 2).tolist()}, "a dot is outside the frame"),
 }  # fmt: skip
 
 

@@ -202,10 +202,10 @@ def first_difference(wanted: Recipe, existing: Header) -> str:
     if difference:
         return difference
     if len(existing["parents"]) != len(wanted.parents):
-        return f"it was made from {len(existing['parents'])} files, now there are {len(wanted.parents)}"
+        return f"it was made from {len(existing['parents'])} files, now from {len(wanted.parents)}"
     for parent, theirs in zip(wanted.parents, existing["parents"], strict=True):
         if parent["id"] != theirs:
-            return f"its {parent['kind']} was {_short(theirs)}, now it is {parent['id'][:12]}"
+            return f"its {parent['kind']} was {_short(theirs)}, now {parent['id'][:12]}"
     return "the schema version differs"
 
 
