@@ -98,7 +98,7 @@ def test_dots_in_no_grid(tmp_path: Path) -> None:
     )
     with pytest.raises(InputError, match="more than 256 dots"):
         read(tmp_path, {**GOOD, "radius_px": 0.5, "dot_xy_px": [[*places.tolist(), [1.0, 1.0]]]})
-    with pytest.raises(InputError, match="dots in no grid are one row"):
+    with pytest.raises(InputError, match="dots without a grid as one row"):
         read(tmp_path, {**GOOD, "radius_px": 0.5, "dot_xy_px": places.tolist()})
 
 
@@ -177,7 +177,7 @@ def test_up_to_date(tmp_path: Path) -> None:
     for content in ("", "{}", "[]", '{"provenance": {}}', '{"provenance": {"id": 3}}', json.dumps(GOOD)):
         path.write_text(content)
         assert not up_to_date(path, recipe, force=True)
-        with pytest.raises(InputError, match="no calibration made by evetac"):
+        with pytest.raises(InputError, match="not a calibration made by evetac"):
             up_to_date(path, recipe)
     with pytest.raises(InputError, match="is a folder"):
         up_to_date(tmp_path, recipe, force=True)
