@@ -102,7 +102,7 @@ def test_names(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("getpass.getuser", lambda: "ada")
     assert (person.name_of(" Ada L. "), person.name_of("")) == ("Ada L.", "ada")
     for wrong in ("a\nb", "x" * 101):
-        with pytest.raises(InputError, match="no name"):
+        with pytest.raises(InputError, match="not a valid name"):
             person.name_of(wrong)
     with pytest.raises(InputError, match="only a person's labels"):
         label.jobs([Path("a.recording.h5")], Label(by="Ada"), None)
