@@ -138,11 +138,11 @@ def open_report(path: str | Path) -> StageFile:
 class Gel(NamedTuple):
     """The properties of a gel at rest; a recording and a simulation have the same attributes.
 
-    dot_xy_px: centres of the dots at rest, (rows, columns, 2) in px, NaN for a missing dot; or (dots, 2) in any order.
-    A detector sorts such a list into rows, a tracker keeps its order.
-    dot_radius_px: radius of the printed dots.
-    window_px: x0, y0, x1, y1 of a cut gel's window; None for a closed gel.
-    sensitivity: contrast, threshold and stiffness from `evetac identify`, which slip detectors use.
+    - dot_xy_px: centres of the dots at rest, (rows, columns, 2) in px, NaN for a missing dot; or (dots, 2) in any
+      order. A detector sorts such a list into rows, a tracker keeps its order.
+    - dot_radius_px: radius of the printed dots.
+    - window_px: x0, y0, x1, y1 of a cut gel's window; None for a closed gel.
+    - sensitivity: contrast, threshold and stiffness from `evetac identify`, which slip detectors use.
 
     >>> with evetac.open_recording("a.recording.h5") as recording:
     ...     gel = evetac.Gel(recording.dot_xy_px, recording.dot_radius_px, recording.window_px)
@@ -172,9 +172,9 @@ class _HasGel(Protocol):
 class DotTracker:
     """Tracks the dots of a gel slice by slice, from events to dot centres, as the command `track` does.
 
-    gel: a recording, a simulation or a `Gel`.
-    preset: one of `evetac.tracker_presets()`.
-    InputError: the positions of the gel's dots or the preset are unknown. ValueError: the dots cannot be tracked.
+    - gel: a recording, a simulation or a `Gel`.
+    - preset: one of `evetac.tracker_presets()`.
+    - InputError: the positions of the gel's dots or the preset are unknown. ValueError: the dots cannot be tracked.
 
     >>> with evetac.open_recording("a.recording.h5") as recording:
     ...     tracker = evetac.DotTracker(recording)
@@ -207,10 +207,10 @@ class DotTracker:
 class SlipDetector:
     """Estimates slip probability and raises slip alarms, slice by slice, with the tracker and network used by `grasp`.
 
-    gel: a recording, a simulation or a `Gel`.
-    model: a model file, or the pretrained `shipped`, which is the default. A model that calls every slice slip, or
-    none, causes a warning.
-    InputError: the positions of the gel's dots are unknown, or the model is for another dot grid.
+    - gel: a recording, a simulation or a `Gel`.
+    - model: a model file, or the pretrained `shipped`, which is the default. A model that calls every slice slip, or
+      none, causes a warning.
+    - InputError: the positions of the gel's dots are unknown, or the model is for another dot grid.
 
     >>> with evetac.open_recording("a.recording.h5") as recording:
     ...     detector = evetac.SlipDetector(recording)
@@ -259,17 +259,17 @@ class SlipDetector:
 class TouchMap:
     """Estimates where a gel is touched, how hard and in which direction, in mm, Pa and N, from the dots of each slice.
 
-    gel: a recording, a simulation or a `Gel`.
-    mm_per_px: scale of the image; x_mm and y_mm are measured from its middle.
-    height_mm: thickness of the gel.
-    shear_modulus_pa: forces are proportional to it. Default: the gel's; if that is unknown, 121e3 as in
-    `predict-touch`, which makes forces less certain.
-    stiffness_error: relative standard deviation of the modulus.
-    print_depth_mm: depth of the dots below the surface.
-    lens_mm: distance from the lens to the dots.
-    edges_mm: edges of the gel, x0, y0, x1, y1; a cut gel also ends at its window.
-    leave_out_wrong: leave out dots whose motion is inconsistent with the others.
-    InputError: the positions of the gel's dots are unknown. ValueError: a number is out of range.
+    - gel: a recording, a simulation or a `Gel`.
+    - mm_per_px: scale of the image; x_mm and y_mm are measured from its middle.
+    - height_mm: thickness of the gel.
+    - shear_modulus_pa: forces are proportional to it. Default: the gel's; if that is unknown, 121e3 as in
+      `predict-touch`, which makes forces less certain.
+    - stiffness_error: relative standard deviation of the modulus.
+    - print_depth_mm: depth of the dots below the surface.
+    - lens_mm: distance from the lens to the dots.
+    - edges_mm: edges of the gel, x0, y0, x1, y1; a cut gel also ends at its window.
+    - leave_out_wrong: leave out dots whose motion is inconsistent with the others.
+    - InputError: the positions of the gel's dots are unknown. ValueError: a number is out of range.
 
     On a busy computer set OPENBLAS_NUM_THREADS=1 before Python starts. The matrices are small, and threads that wait
     for a core make a new contact patch take ten times as long.
@@ -335,13 +335,13 @@ class TouchMap:
 class EventImager:
     """Draws images of events at a fixed rate in your own loop, bit for bit as `Recording.frames` and similar methods.
 
-    kind: frames, histogram, voxels or surface.
-    frame_px: width and height of the sensor's frame.
-    size_px: width and height of the images; default: those of the frame.
-    window_ms: length of the time window that an image covers; default: the time between images. In a surface the last
-    event of each pixel counts, however long ago it was.
-    bins, polarity, decay_ms: as in `Recording.histogram`, `Recording.frames` and `Recording.time_surface`.
-    ValueError: a number is out of range.
+    - kind: frames, histogram, voxels or surface.
+    - frame_px: width and height of the sensor's frame.
+    - size_px: width and height of the images; default: those of the frame.
+    - window_ms: length of the time window that an image covers; default: the time between images. In a surface the last
+      event of each pixel counts, however long ago it was.
+    - bins, polarity, decay_ms: as in `Recording.histogram`, `Recording.frames` and `Recording.time_surface`.
+    - ValueError: a number is out of range.
 
     >>> with evetac.open_recording("a.recording.h5") as recording:
     ...     images = evetac.EventImager("frames", recording.frame_px, rate_hz=200, size_px=(160, 120))
@@ -414,12 +414,12 @@ def simulate(
 ) -> Simulation:
     """Return a simulated trial of a scene, to iterate over; its events are those of `record` with the same flags.
 
-    scene_name: one of `evetac.scenes()`, except those of kind lift, or a TOML file.
-    object_number: number in the paper's table, or a TOML file as for `--object`.
-    gel: cut or closed; default: the scene's.
-    readout: dvxplorer (scanned) or ideal.
-    solver: settings of the simulation, e.g. {"tolerance_um": 0.05}; see the table `[solver]` of scenes.
-    InputError: a name is unknown.
+    - scene_name: one of `evetac.scenes()`, except those of kind lift, or a TOML file.
+    - object_number: number in the paper's table, or a TOML file as for `--object`.
+    - gel: cut or closed; default: the scene's.
+    - readout: dvxplorer (scanned) or ideal.
+    - solver: settings of the simulation, e.g. {"tolerance_um": 0.05}; see the table `[solver]` of scenes.
+    - InputError: a name is unknown.
 
     >>> trial = evetac.simulate("slip", object_number=8, seed=3)
     >>> for milliseconds, events in enumerate(trial):

@@ -65,23 +65,24 @@ class LiftEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     contact. It is terminated if the object was not lifted by the end of the lifting phase, or if it fell. It is
     truncated at the end of the balancing phase.
 
-    objects: numbers and files as for `--object`. One of them is drawn at random for each episode, or chosen by its
-    number or name with options={"object": NUMBER}.
-    mass_factor: range of a random factor on its mass.
-    sensor, gel, model: as for `evetac grasp`.
-    scene: a scene of kind lift; its hand rises with hand_mm_s instead of the paper's 20 mm/s.
-    lift_s, balance_s: durations of the two phases; the paper's are 10 s and 20 s.
-    control_hz: steps per second; the paper's rate is 500.
-    InputError: an argument is invalid.
+    - objects: numbers and files as for `--object`. One of them is drawn at random for each episode, or chosen by its
+      number or name with options={"object": NUMBER}.
+    - mass_factor: range of a random factor on its mass.
+    - sensor, gel, model: as for `evetac grasp`.
+    - scene: a scene of kind lift; its hand rises with hand_mm_s instead of the paper's 20 mm/s.
+    - lift_s, balance_s: durations of the two phases; the paper's are 10 s and 20 s.
+    - control_hz: steps per second; the paper's rate is 500.
+    - InputError: an argument is invalid.
 
     Action, (1,) in [0, 1]: the gripper's goal as a fraction of 60 ticks beyond light contact, rounded to whole ticks.
 
     Observation, from the detector and the gripper, all float32:
-    displacement_px (dots, 2): displacement of the tracked dots from rest.
-    events_per_dot (dots,): mean over the slices of the step.
-    slip (2,): largest slip probability, and share of slices with slip, since the last step.
-    gripper (2,): closing since light contact in ticks, and motor current in mA.
-    time_s (1,): time since the lift began.
+
+    - displacement_px (dots, 2): displacement of the tracked dots from rest.
+    - events_per_dot (dots,): mean over the slices of the step.
+    - slip (2,): largest slip probability, and share of slices with slip, since the last step.
+    - gripper (2,): closing since light contact in ticks, and motor current in mA.
+    - time_s (1,): time since the lift began.
 
     Reward: 1 for an object that hangs more than 50 mm above the table at the end of the lift, and 1 if it still does
     at the end of the episode. The cost is 0.04 for each N s of one finger's normal force, and 0.05 for each of the

@@ -30,7 +30,7 @@ ALL = (signal.SIGINT, *ENDING)
 
 Handler = Callable[[int, FrameType | None], None]
 _came: list[int] = []  # interrupts that were raised
-_waiting: list[int] = []  # interrupts that are raised once a file is written
+_waiting: list[int] = []  # interrupts to be raised when a file is written
 _held: list[int] = []  # signals that arrived within `signals_blocked`, through another thread
 _handlers: dict[int, Any] = {}  # their handlers for when they are raised
 

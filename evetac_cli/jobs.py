@@ -80,16 +80,16 @@ def all_rows(rows: Rows, params: Any) -> tuple[Rows, list[str]]:
 class Stage(Generic[P]):
     """The functions that a command which writes files needs from its stage; the stage defines them as STAGE.
 
-    jobs: return the jobs for some files and parameters, with their outputs.
-    run: run one job, (job, params, *, force, progress) -> Outcome.
-    cautions: return notes to print before long work begins.
-    parts: return parts of a job that can be made at the same time, before the job itself.
-    for_people: return the rows for a terminal, and a verdict in sentences.
-    warnings: return warnings on all rows together, which are printed once on stderr.
-    dry_run: return what would be made and its cost, (jobs, params, *, force, progress) -> Outcome.
-    dry_run_for_people: return the part of this that fits a screen.
-    recipe: return the recipe of a job's output, as far as the indexes contain its inputs,
-    (job, params, store.index.known.Known) -> Recipe or None.
+    - jobs: return the jobs for some files and parameters, with their outputs.
+    - run: run one job, (job, params, *, force, progress) -> Outcome.
+    - cautions: return notes to print before long work begins.
+    - parts: return parts of a job that can be made at the same time, before the job itself.
+    - for_people: return the rows for a terminal, and a verdict in sentences.
+    - warnings: return warnings on all rows together, which are printed once on stderr.
+    - dry_run: return what would be made and its cost, (jobs, params, *, force, progress) -> Outcome.
+    - dry_run_for_people: return the part of this that fits a screen.
+    - recipe: return the recipe of a job's output, as far as the indexes contain its inputs, (job, params,
+      store.index.known.Known) -> Recipe or None.
     """
 
     jobs: Callable[[list[Path], P, Path | None], Sequence[Job]]

@@ -49,7 +49,7 @@ def announced(url: str, name: str, *, opens: bool) -> Iterator[Path]:
 
 
 def _seen_by_browsers() -> Path | None:
-    """Return the parent of the file's folder; None stands for the folder for temporary files.
+    """Return the parent of the file's folder; None means the folder for temporary files.
 
     A browser installed as a snap has a separate /tmp, and sees only the parts of the home folder that are not hidden.
     """

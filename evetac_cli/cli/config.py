@@ -1,7 +1,7 @@
 """Parameters of a command from its flags, from `--config FILE.toml` and from defaults, in this order, all checked.
 
 A config file may be old or somebody else's. So a flag that permits an action which a person must want now (`consent`
-of a parameter, for example --arm) can only be given on the command line. A file that sets it is refused, whatever the
+of a parameter, for example --arm) can only be given on the command line. A file that sets it is refused, with any
 value.
 """
 

@@ -31,12 +31,12 @@ def parameter(
 ) -> Any:
     """Return a dataclass field that stores its help text, unit and range (both ends included) as metadata.
 
-    consent: the flag permits an action that a person must want now, such as moving a gripper. It must be typed each
-    time; a config file cannot set it.
-    panel: heading under which `--help` shows the flag. The flags that most people need have none and come first.
-    plugins: the plug-in group (plugins.py) that may add choices.
-    needs: capabilities (names.py). In a run that has none of them the option is refused, because it would have no
-    effect. If empty, the option is always accepted, or its stage checks it.
+    - consent: the flag permits an action that a person must want now, such as moving a gripper. It must be typed each
+      time; a config file cannot set it.
+    - panel: heading under which `--help` shows the flag. The flags that most people need have none and come first.
+    - plugins: the plug-in group (plugins.py) that may add choices.
+    - needs: capabilities (names.py). In a run that has none of them the option is refused, because it would have no
+      effect. If empty, the option is always accepted, or its stage checks it.
     """
     about = {"help": help_, "unit": unit, "choices": choices, "low": low, "high": high}
     how = {"recipe": recipe, "consent": consent, "flag": flag, "panel": panel, "plugins": plugins}
@@ -56,9 +56,9 @@ def flag_of(item: "dataclasses.Field[Any]") -> str:
 def refuse_unused(params: Any, has: Collection[str], flags: str, *, never: Collection[str] = ()) -> None:
     """Raise InputError for an option that differs from its default but needs a capability that this run lacks.
 
-    has: capabilities of the run, such as members of names.Capability.
-    flags: the flags that determine them, for the error.
-    never: capabilities that no run of this command has; the error does not name them.
+    - has: capabilities of the run, such as members of names.Capability.
+    - flags: the flags that determine them, for the error.
+    - never: capabilities that no run of this command has; the error does not name them.
     """
     for item in fields(params):
         needs = item.metadata["needs"]

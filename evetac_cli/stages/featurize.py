@@ -1,10 +1,11 @@
 """featurize: the inputs of slip detectors for each slice (paper, "Evetac Touch Features").
 
 It reads the recording, its tracks and, if present, its labels. These are next to the recording unless a flag names
-files or a folder. If the recording has a gripper, its position and goals are added for each slice. Only on request are
-added: event images, which only the image baselines need and which take half of the file; the events themselves, from
-which plug-in networks make images; the sticking share of the contact; and the true slipping share of a simulation, for
-`train --learn-true-slip-share`.
+files or a folder. If the recording has a gripper, its position and goals are added for each slice.
+
+Further data are added only on request. Event images are needed only by the image baselines and take half of the file.
+The events themselves are for plug-in networks, which make images from them. The sticking share of the contact is for
+disp-xy-grip, and the true slipping share of a simulation for `train --learn-true-slip-share`.
 """
 
 from collections.abc import Iterator, Sequence

@@ -41,7 +41,7 @@ def named_files(given: Path | str | None, kind: str, flag: str) -> list[Path]:
 
 
 def check_made_from(file: StageFile, recording: StageFile) -> None:
-    """Raise InputError unless a file was made from exactly this recording; a matching name is not enough."""
+    """Raise InputError unless a file was made from exactly this recording; an equal name is not enough."""
     if recording.header["id"] in file.header["parents"]:
         rows, slices = file.length(BY_SLICE[file.kind]), recording.length("ms_to_idx") - 1
         if rows == slices:

@@ -215,8 +215,9 @@ def write_calibration(
 ) -> None:
     """Write a calibration as JSON, atomically; InputError, with `source`, if the result would not be readable.
 
-    neighbours: indices of dots, counted row by row, a list for each dot. quality: figures on the detection of the dots,
-    with units in their names. provenance: the recipe's identity, its id, and when and where it was made.
+    - neighbours: indices of dots, counted row by row, a list for each dot.
+    - quality: figures on the detection of the dots, with units in their names.
+    - provenance: the recipe's identity, its id, and when and where it was made.
     """
     dots = calibration.dot_xy_px
     present = np.isfinite(dots).all(axis=2)

@@ -4,8 +4,8 @@ Next to a folder NAME is `.NAME.evetac-files.json`, which lists the files that e
 and a mark that detects changes. A folder is replaced only if all of its files are listed and unchanged. Files that
 others added or edited are never removed: a repository, notes, a card with a paragraph added by the user.
 
-The list is next to the folder and not in it, because polars treats every file of a folder as a part of the data set,
-and because it should not be uploaded with the folder.
+The list is next to the folder and not in it. The reasons: polars treats every file of a folder as a part of the data
+set, and the list should not be uploaded with the folder.
 """
 
 import hashlib

@@ -1,7 +1,7 @@
 """Force-sensor readings of a recording, from a table next to its tracks, or from a simulation's truth with noise.
 
 The table is `NAME.force.csv` next to `NAME.tracks.h5`, with a first line `t_s,shear_x_n,shear_y_n,normal_n`, then a
-line for each reading. t_s is the time since the start of the recording; a force that was not measured is left empty.
+line for each reading. The time t_s begins at the start of the recording. A force that was not measured is left empty.
 Shear is the force of the object on the gel, x to the right and y down in the image, as `truth/shear_force_n` of
 simulated recordings.
 """

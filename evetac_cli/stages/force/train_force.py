@@ -1,9 +1,9 @@
 """train-force: force from the displacements of dots (paper, "Dot-based Shear Force Reconstruction").
 
 This module has the paper's method; adapt_touch.py adapts touch maps to a user's sensor. The paper's method writes two
-models to one file: a linear regression on the mean displacement, fitted to all trajectories, and the paper's network,
-trained on all but the last, which is used to choose the best epoch. The target is the reading of a force sensor: the
-true force of a simulated recording, with noise.
+models to one file: a linear regression and the paper's network. The regression on the mean displacement is fitted to
+all trajectories. The network is trained on all but the last, which is used to choose the best epoch. The target is the
+reading of a force sensor: the true force of a simulated recording, with noise.
 """
 
 from pathlib import Path

@@ -35,7 +35,7 @@ LEAST_SHARE = {"friction_ma": 0.006, "damping_ma_s_m": 0.012, "mass_ma_s2_m": 0.
 BACKLASH_TICKS, BACKLASH_LOW_TICKS = 0.3, 0.05  # half width, and the bias of the fit, which is too low
 ENCODER_LOW_TICKS, ENCODER_HIGH_TICKS = 0.06, 0.02  # a wrongly detected rest adds noise
 MODULUS_SHARE, MODULUS_HIGH_SHARE = 0.10, 0.03  # half width, and the bias of the fit, which is too high
-SCALE_SHARE, SCALE_POWER = 0.12, 1.5  # error of a pixel size that was not measured, and its power in the modulus
+SCALE_SHARE, SCALE_POWER = 0.12, 1.5  # error of a pixel size that was not measured, and its power in the modulus.
 # Half widths of both arms' share, common to all grips and for each grip, and the bias of the fit, which is too low.
 CREEP_SHARE, CREEP_GRIP_SHARE, CREEP_LOW_SHARE = 0.015, 0.019, 0.009
 # Friction varies over a gel, so each grip at another spot has an error (sd of the logarithm), and all grips share one.

@@ -4,8 +4,8 @@ Every candidate checkpoint is calibrated, unless the preset is the paper's. The 
 rule. Its threshold is the lowest with few enough false alarms per minute, if there is enough time without slip to count
 them; otherwise it is the paper's.
 
-The paper's rule alone is not enough: for evetac's first detector it rates the thresholds 0.7 and 0.95 as equally good,
-but they warn 18 and 8 ms ahead, and the rule ignores false alarms when nothing slips.
+The paper's rule alone is not enough. For evetac's first detector it rates the thresholds 0.7 and 0.95 as equally good,
+but they warn 18 and 8 ms ahead. The rule also ignores false alarms when nothing slips.
 """
 
 from collections.abc import Sequence
@@ -25,8 +25,8 @@ if TYPE_CHECKING:  # torch takes more than a second to import
 
 LEAST_MINUTES = 5.0  # without slip, to choose a threshold: with fewer, 1 alarm per minute is less than five alarms
 # Default rate. A false alarm costs a controller little, since it checks the load first; a late warning costs more.
-# The detector on which this was chosen warned 10 ms ahead of a share of its validation slips: 0.22 with 1 per minute,
-# 0.62 with 2, 0.74 with 4, 0.78 with 6 (simulated, seeds 5600 to 5623).
+# It was chosen on one detector by the share of its validation slips with a warning 10 ms ahead (simulated, seeds 5600
+# to 5623): 0.22 with 1 per minute, 0.62 with 2, 0.74 with 4, 0.78 with 6.
 FALSE_ALARMS_PER_MIN = 4.0
 
 

@@ -1,7 +1,7 @@
 """Checks that the bytes of a dataset are all in its file, and do not unpack to more than they should.
 
-HDF5 invents rows that were never written, loads any filter that a file names, and unpacks a chunk completely, whatever
-its size.
+HDF5 invents rows that were never written, loads any filter that a file names, and unpacks a chunk completely, without a
+limit.
 """
 
 import importlib

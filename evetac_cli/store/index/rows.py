@@ -16,8 +16,8 @@ class Seen(NamedTuple):
     """File status that identifies an unchanged file; zeros for a missing file.
 
     Two files of a folder have different inodes, and the time of change (ctime) cannot be set. So a file with the same
-    three values is the same, unless it was changed in place, to the same size, within the tick of the storage's clock
-    (4 ms on Linux) in which its status was read.
+    three values is unchanged. The only exception is a change in place, to the same size, within the tick of the
+    storage's clock (4 ms on Linux) in which the status was read.
     """
 
     size_bytes: int

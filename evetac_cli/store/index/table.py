@@ -5,9 +5,9 @@ rows of existing files are used, and each value is checked. Any other file of th
 files are then read each time.
 
 Rows are added to a copy, which then replaces the old table, and not to the table itself. Storage shared by several
-computers often has no locks, a process may be killed at any time, and SQLite would leave a journal, which the next
-program to open the table would execute, whoever wrote it. With a copy, readers of the old table can continue. Of two
-concurrent commands, the later one copies the rows of the earlier one, or replaces them, and the files are then read
+computers often has no locks, and a process may be killed at any time. SQLite would then leave a journal, which the next
+program to open the table would execute, even if it was forged. With a copy, readers of the old table can continue. Of
+two concurrent commands, the later one copies the rows of the earlier one, or replaces them, and the files are then read
 once more. Copying the table of a million trials, 1.3 GB, takes seconds; reading the status of their files takes
 minutes.
 """

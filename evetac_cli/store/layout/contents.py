@@ -2,9 +2,9 @@
 
 All checks are here. `StageFile.read` returns nothing that `check_values` refuses, so a stage never gets a value that
 its schema forbids. Faults of names and shapes alone are refused when a file is opened (`check_shapes`). A small dataset
-is read as a whole before any of it is returned, together with those that have to fit it by a rule (`check_first`); it
-is not done for all datasets, because most callers read only a few. `validate` reads all, block by block, in bounded
-memory (`faults`). The same checks apply to a file that is being written (new_contents.py).
+is read as a whole before any of it is returned, together with those that have to fit it by a rule (`check_first`). Not
+all datasets are read, because most callers need only a few. `validate` reads all, block by block, in bounded memory
+(`faults`). The same checks apply to a file that is being written (new_contents.py).
 """
 
 import math

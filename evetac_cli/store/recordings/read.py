@@ -132,9 +132,9 @@ class Recording(StageFile):
     ) -> Iterator["ImageBlock"]:
         """Iterate over blocks of event-count images (channels, height, width) at a fixed rate; see `Representation`.
 
-        size_px: width and height; default: the sensor's.
-        window_ms: length of the time window that an image covers; default: the time between images.
-        InputError: a number is out of range.
+        - size_px: width and height; default: the sensor's.
+        - window_ms: length of the time window that an image covers; default: the time between images.
+        - InputError: a number is out of range.
 
         >>> with evetac.open_recording("a.recording.h5") as recording:
         ...     for block in recording.frames(rate_hz=200, size_px=(160, 120)):

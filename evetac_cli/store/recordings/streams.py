@@ -29,14 +29,14 @@ BLOCK_VALUES = 1 << 20  # numbers written at a time
 class Stream:
     """One stream: times in us, never decreasing, in the recording's clock; columns of numbers, or images, or both.
 
-    columns: name -> float64, one value per sample.
-    frames: uint8 (samples, rows, columns, 1 or 3: red, green, blue), which may be mapped from disk.
-    units: units of the columns, by name.
-    what: short description.
-    source: file, or file and topic.
-    clock: description of the origin of the times.
-    offset_s: offset that was added to the times.
-    left_out: number of samples outside the recording.
+    - columns: name -> float64, one value per sample.
+    - frames: uint8 (samples, rows, columns, 1 or 3: red, green, blue), which may be mapped from disk.
+    - units: units of the columns, by name.
+    - what: short description.
+    - source: file, or file and topic.
+    - clock: description of the origin of the times.
+    - offset_s: offset that was added to the times.
+    - left_out: number of samples outside the recording.
     """
 
     name: str
