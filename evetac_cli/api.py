@@ -495,7 +495,7 @@ def _known_dots(gel: _HasGel, preset: str) -> tuple[NDArray[np.float64], presets
     except (TypeError, ValueError):
         dots = np.empty(0)
     if dots.ndim not in (2, 3) or dots.shape[-1] != 2 or dots.size == 0:
-        shape = f"shape {np.shape(dots)}" if dots.size else "no array of numbers"
+        shape = f"shape {np.shape(dots)}" if dots.size else "not an array of numbers"
         expected = "(rows, columns, 2), or (dots, 2): x and y of each dot"
         raise InputError("not dot positions", where=f"{where}: dot_xy_px", expected=expected, found=shape)
     return dots, presets.PRESETS[preset].for_dots(gel.dot_radius_px)

@@ -78,7 +78,7 @@ def _coerce(value: Any, hint: Any, where: str) -> Any:
     for option in wanted:
         if option is Path and isinstance(value, str):
             if "\0" in value:
-                raise InputError("not the name of a file", where=where, found=repr(value))
+                raise InputError("not a valid file name", where=where, found=repr(value))
             return Path(value)
         if option is float and type(value) is int and abs(value) < sys.float_info.max:
             return float(value)

@@ -187,7 +187,7 @@ def run_jobs(
     engine = engines.Engine.parse(running.engine)
     exclusive = shown or any(job.exclusive for job in jobs)
     if exclusive and engine.name != engines.LOCAL:
-        raise InputError("devices need a local run", where="--engine", expected="local", found=running.engine)
+        raise InputError("devices work only on this computer", where="--engine", expected="local", found=running.engine)
     if engine.address and running.number_of_jobs > 1:
         hint = "leave out --jobs: the number of workers is that of the running cluster"
         raise InputError("has no effect", where="--jobs", found=f"--engine {running.engine}", hint=hint)

@@ -155,7 +155,7 @@ def _window(dots: Grid, gel: str | None, seen: FoundDots) -> Window | None:
         side, window = gel_layout.window(dots, seen.radius_px, seen.frame_px)
     except ValueError as error:
         if gel is None:
-            hint = f"--gel closed if there is no window, {BY_HAND}"
+            hint = f"--gel closed states that there is no window; {BY_HAND}"
         else:
             hint = f"--gel closed if there is no window, {BY_HAND}"
         raise InputError(f"the position of the window is unclear: {error}", where=seen.where, hint=hint) from None

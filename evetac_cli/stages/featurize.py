@@ -166,7 +166,7 @@ def _true_slip_share(recording: Recording) -> NDArray[np.float32]:
     """Return the slipping share of the visible contact, (slices,); InputError for a recording without it."""
     if not recording.has(TRUE_SLIP_SHARE):
         raise InputError(
-            "the recording has no truth: only simulated recordings have",
+            "the recording has no truth: only simulated recordings have it",
             where=str(recording.path),
             hint="leave out --true-slip-share, or use a recording simulated by `evetac record`",
         )

@@ -203,7 +203,7 @@ def from_truth(recording: Recording, after_ms: int, *, from_start: bool = False)
     """
     if not recording.has("truth/slip"):
         raise InputError(
-            "the recording has no truth: only simulated recordings have",
+            "the recording has no truth: only simulated recordings have it",
             where=str(recording.path),
             hint="label with another --method",
         )

@@ -11,7 +11,7 @@ from evetac_cli.kernels.slip.warning_curve import WarningCurve
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.layout.provenance import Header
 
-USELESS_HINT = "train for more steps, on more trajectories, and name at least 4 others with --validate"
+USELESS_HINT = "train for more steps, on more trajectories, and use at least 4 others with --validate"
 # Threshold at which slip is reported to a controller by a model without counted false alarms. With such a model's own
 # threshold, 0.95 in evetac's first model, a lift with the paper's controller fails (docs/slip-detector.md, seeds 10,017
 # and 10,018).

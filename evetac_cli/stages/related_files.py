@@ -31,7 +31,7 @@ def named_files(given: Path | str | None, kind: str, flag: str) -> list[Path]:
     files = [Path(pattern)] if is_file else [Path(name) for name in sorted(glob.glob(pattern))]
     if not files:
         raise InputError(
-            "no such file" if pattern else f"no {kind} file is named",
+            "no such file" if pattern else f"no {kind} file is given",
             where=flag,
             expected=f"a {kind} file, a folder of them, or a glob" + (f"; or {SHIPPED}" if kind == "model" else ""),
             found=str(given or ""),
@@ -75,7 +75,7 @@ def recording_with_truth(file: StageFile) -> Iterator[Recording]:
         check_made_from(file, recording)
         if not recording.has("truth"):
             raise InputError(
-                "the recording has no truth: only simulated recordings have",
+                "the recording has no truth: only simulated recordings have it",
                 where=str(path),
                 hint="evetac record --scene NAME simulates one",
             )

@@ -57,7 +57,8 @@ def require_replaceable(folder: Path, *, force: bool) -> None:
     listed = _listed(folder)
     strange = list(islice(_strange(folder, listed), MOST_NAMED + 1))
     if not force:
-        hint = "-o NAME writes to another" if strange else "--force replaces it, -o NAME writes to another"
+        elsewhere = "-o NAME writes to another folder"
+        hint = elsewhere if strange else f"--force replaces it, {elsewhere}"
         raise InputError("the output exists", where=str(folder), hint=hint)
     _refuse(folder, listed, strange)
 

@@ -84,7 +84,7 @@ def _check_sensor(tracks: StageFile, adapted_to: str, model: Path) -> None:
     name = str(tracks.read("sensor/name"))
     if len({name, adapted_to} - {UNKNOWN_SENSOR}) > 1:
         raise InputError(
-            "the tracks are of another sensor than the model was adapted to",
+            "the tracks are not from the sensor to which the model was adapted",
             where=str(tracks.path),
             expected=f"{adapted_to}, as in {model}",
             found=name,

@@ -245,7 +245,7 @@ def make_own_folder(folder: Path) -> None:
             raise InputError(f"the output folder is {what}", where=str(folder)) from None
         if status.st_uid not in (0, os.geteuid()):
             raise InputError(
-                "this folder was made by another user", where=str(folder), hint="-o NAME writes to another"
+                "this folder was made by another user", where=str(folder), hint="-o NAME writes to another folder"
             ) from None
 
 
