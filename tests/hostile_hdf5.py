@@ -291,14 +291,20 @@ ANYWHERE: dict[str, tuple[Change, str]] = {
         "HDF5 filter 6",
     ),
     # is of another kind
-    "references": (lambda path: references(path, h5py.ref_dtype), "not read|not a column"),
-    "references to parts": (lambda path: references(path, h5py.regionref_dtype), "not read|not a column"),
-    "compound": (lambda path: put(path, np.zeros(rows_of(path), [("a", "u1"), ("b", "u1")])), "not read|not a column"),
-    "lists": (lists, "not read|not a column"),
-    "texts": (texts, "not read|not a column"),
-    "opaque": (lambda path: put(path, np.zeros(rows_of(path), "V2")), "not read|not a column"),
-    "arrays": (lambda path: put(path, shape=(3,), dtype=np.dtype(("u2", (4,)))), "not read|not a column|never written"),
-    "complex": (lambda path: put(path, np.zeros(rows_of(path), complex)), "not read|not a column"),
+    "references": (lambda path: references(path, h5py.ref_dtype), "unsupported|not read|not a column"),
+    "references to parts": (lambda path: references(path, h5py.regionref_dtype), "unsupported|not read|not a column"),
+    "compound": (
+        lambda path: put(path, np.zeros(rows_of(path), [("a", "u1"), ("b", "u1")])),
+        "unsupported|not read|not a column",
+    ),
+    "lists": (lists, "unsupported|not read|not a column"),
+    "texts": (texts, "unsupported|not read|not a column"),
+    "opaque": (lambda path: put(path, np.zeros(rows_of(path), "V2")), "unsupported|not read|not a column"),
+    "arrays": (
+        lambda path: put(path, shape=(3,), dtype=np.dtype(("u2", (4,)))),
+        "unsupported|not read|not a column|never written",
+    ),
+    "complex": (lambda path: put(path, np.zeros(rows_of(path), complex)), "unsupported|not read|not a column"),
     "nothing": (lambda path: put(path, h5py.Empty("u2")), "events/x"),
     "named type": (named_type, "named type"),
     # is too much
@@ -307,7 +313,7 @@ ANYWHERE: dict[str, tuple[Change, str]] = {
 }
 
 IN_OUR_OWN: dict[str, tuple[Change, str]] = {
-    "truth values": (lambda path: put(path, np.zeros(rows_of(path), bool)), "not read"),
+    "truth values": (lambda path: put(path, np.zeros(rows_of(path), bool)), "unsupported|not read"),
     "LZF": (
         lambda path: put(path, np.arange(rows_of(path), dtype="u2"), chunks=(9,), compression="lzf"),
         "HDF5 filter 32000",

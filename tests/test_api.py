@@ -103,7 +103,7 @@ def test_simulate_gives_the_events_of_record(short_scene: Path, tmp_path: Path) 
 
 def test_a_gel_without_dots_is_refused() -> None:
     """Assert that unknown dots and presets are refused in words, and that dots as large as they are count."""
-    with pytest.raises(evetac.InputError, match=r"dots of this gel(.|\n)*calibrate"):
+    with pytest.raises(evetac.InputError, match=r"dots are unknown(.|\n)*calibrate"):
         evetac.DotTracker(evetac.Gel(None, None))
     with pytest.raises(evetac.InputError, match="unknown preset"):
         evetac.DotTracker(evetac.Gel(np.zeros((7, 8, 2)), 15.0), "best")

@@ -405,7 +405,7 @@ def test_a_recording_of_devices_in_the_way(tmp_path: Path) -> None:
     path = tmp_path / "a.recording.h5"
     wanted = Recipe("recording", 2, {}, content="1")
     write_stage(path, Recipe("recording", 1, {}, content="0"), arrays)
-    with pytest.raises(InputError, match="by another recipe"):
+    with pytest.raises(InputError, match="another recipe"):
         up_to_date(path, wanted)
     write_stage(path, Recipe("recording", 1, {}, content="0"), {**arrays, "capture/ended": "interrupted"})
     with pytest.raises(InputError, match="a recording of devices, which cannot be made again") as refused:

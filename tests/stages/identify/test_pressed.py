@@ -89,7 +89,7 @@ def test_dots_that_are_not_seen() -> None:
     assert "3 that were not seen" in values["dot_xy_px"].source
     rows, values = pressed.rows(press(dot_xy_px=many), LIKE)
     place = next(row for row in rows if row.parameter == pressed.PLACE)
-    assert "dot_xy_px" not in values and place.estimate is None and "press over the whole gel" in place.source
+    assert "dot_xy_px" not in values and place.estimate is None and "press on the whole gel" in place.source
 
 
 def test_what_a_press_cannot_tell() -> None:

@@ -104,5 +104,5 @@ def test_names(monkeypatch: pytest.MonkeyPatch) -> None:
     for wrong in ("a\nb", "x" * 101):
         with pytest.raises(InputError, match="not a valid name"):
             person.name_of(wrong)
-    with pytest.raises(InputError, match="only a person's labels"):
+    with pytest.raises(InputError, match="--by"):
         label.jobs([Path("a.recording.h5")], Label(by="Ada"), None)

@@ -138,7 +138,7 @@ def test_a_model_without_a_curve_is_refused_in_words(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(model_files, "read_curve", lambda model: None)
     with StageFile(MODEL, "model") as file:
         assert model_files.chosen_threshold(file) == float(file.read("threshold"))
-        with pytest.raises(InputError, match="does not say how often") as refused:
+        with pytest.raises(InputError, match="no rate of false alarms") as refused:
             model_files.chosen_threshold(file, false_alarms_per_min=1.0)
     assert refused.value.hint
 
