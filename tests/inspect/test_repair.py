@@ -341,7 +341,7 @@ def test_odd_locks_do_not_hold_a_recording_up(tmp_path: Path, odd: Callable[[Pat
     folder.mkdir()
     (folder / "lock").touch()
     odd(folder / "lock")
-    with pytest.raises(InputError, match="cannot be made"):
+    with pytest.raises(InputError, match="cannot be created"):
         RecordingWriter(tmp_path / "a.recording.h5", STATIC)
 
 

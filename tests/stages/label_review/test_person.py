@@ -73,7 +73,7 @@ def test_an_onset_that_cannot_be_told_is_not_examined(recording: Path, verdict: 
     with StageFile(path) as file:
         assert np.flatnonzero(file.read("label")[:50] == -1).tolist() == list(unknown)
         assert abstains(file)
-        assert "cannot tell" in labelled_onset(file).in_words()
+        assert "could not decide" in labelled_onset(file).in_words()
     assert row["abstained"]
 
 

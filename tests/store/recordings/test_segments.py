@@ -332,7 +332,7 @@ def test_folder_that_cannot_be_made(tmp_path: Path) -> None:
     for path in (tmp_path / "file" / "a.recording.h5", tmp_path / "a.recording.h5"):
         with pytest.raises(InputError, match="the output folder is a file"):
             RecordingWriter(path, STATIC)
-    with pytest.raises(InputError, match="cannot be made"):
+    with pytest.raises(InputError, match="cannot be created"):
         RecordingWriter(Path("/proc/nowhere/a.recording.h5"), STATIC)
     assert everything(tmp_path) == ["a.recording.part", "file"]
 
