@@ -318,7 +318,7 @@ IN_OUR_OWN: dict[str, tuple[Change, str]] = {
         lambda path: put(path, np.arange(rows_of(path), dtype="u2"), chunks=(9,), compression="lzf"),
         "HDF5 filter 32000",
     ),
-    "text without end": (text_without_end, "longer than"),
+    "text without end": (text_without_end, "impossibly long text"),
     "many attributes": (many_attributes, "too many attributes"),
     "large attribute": (large_attribute, "too large"),
 }
@@ -337,7 +337,7 @@ IN_HEADERS: dict[str, tuple[Change, str]] = {
     "seed of 100,000 digits": (lambda path: header_with(path, seed="9" * 100_000), "its header is not valid"),
     "seed of 4,000 digits": (lambda path: header_with(path, seed="9" * 4_000), "its header is not valid"),
     "seed without end": (lambda path: header_with(path, seed="Infinity"), "its header is not valid"),
-    "length without end": (header_without_end, "longer than"),
+    "length without end": (header_without_end, "impossibly long text"),
     "bytes that are no text": (header_of_bytes, "its header"),
     "three headers": (header_of_many, "was not made by evetac"),
 }

@@ -34,5 +34,5 @@ def test_other_files_are_refused(tmp_path: Path) -> None:
         with pytest.raises(InputError, match=f"(?s)not a sticking-share network.*{why}"):
             sticking_network.read(tmp_path / name)
     for name in ("empty.npz", "none.npz"):
-        with pytest.raises(InputError, match="no network"):
+        with pytest.raises(InputError, match="not a sticking-share network"):
             sticking_network.read(tmp_path / name)

@@ -403,7 +403,7 @@ def test_folds_leave_objects_out(tmp_path: Path) -> None:
     left_out = [fold.evaluated_on for fold in splits.make_folds(headers, 3, 2)]
     assert left_out == [[0, 2, 3], [1, 4], []]  # 9 and 11; 10; none
     for wrong in (1, 4):
-        with pytest.raises(InputError, match=r"(?s)leave out.*2 to 3, or 0.*9, 10, 11"):
+        with pytest.raises(InputError, match=r"(?s)--folds.*2 to 3, or 0.*9, 10, 11"):
             splits.make_folds(headers, 3, wrong)
 
 
