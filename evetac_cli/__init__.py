@@ -1,13 +1,13 @@
-"""evetac: event-based touch, from an event camera behind a dotted gel to a grasp.
+"""evetac: event-based tactile sensing, from an event camera behind a dotted gel to a grasp.
 
     import evetac_cli as evetac
 
     with evetac.open_recording("a.recording.h5") as recording:
         detector = evetac.SlipDetector(recording)
-        for events in recording:            # one millisecond at a time: t, x, y, p as numpy arrays
+        for events in recording:            # one slice of 1 ms at a time: t, x, y, p as numpy arrays
             probability = detector.step(events)
 
-Each name of `__all__` is imported when it is first used, so that `import evetac_cli` costs next to nothing.
+Each name of `__all__` is imported when it is first used, so `import evetac_cli` takes almost no time.
 """
 
 from typing import TYPE_CHECKING, Any

@@ -1,6 +1,6 @@
 """The command `evetac`, and `python -m evetac_cli`.
 
-Loading the commands takes half a second, in which Ctrl-C would end in a traceback. So signals are looked after first.
+Loading the commands takes half a second, during which Ctrl-C would print a traceback. So signals are handled first.
 """
 
 import gc
@@ -11,17 +11,17 @@ from typing import NoReturn
 
 from evetac_cli import interrupts
 
-# New objects after which Python looks for garbage; its own 700 make it look a hundred times while modules are loaded,
-# which hold on to all that they make: a seventh of a command's time.
+# Number of new objects after which Python collects garbage. With the default of 700 it would collect a hundred times
+# while modules are loaded, without freeing anything: a seventh of a command's time.
 GARBAGE_AFTER = 10_000
 
 
 def main() -> None:
-    """Load the commands and run the one that was asked for."""
+    """Load the commands and run the requested one."""
     gc.set_threshold(GARBAGE_AFTER)
     try:
         interrupts.catch_interrupts()
-        # Whoever started this may have held it back till now.
+        # The program that started this one may have blocked the signal.
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
         from evetac_cli.cli.main import main as run
 
@@ -33,10 +33,10 @@ def main() -> None:
 
 
 def _end() -> NoReturn:
-    """Nothing was begun: say so, and leave at once."""
+    """Report that the command was interrupted before it started, and exit."""
     from evetac_cli import console
 
-    error = KeyboardInterrupt("interrupted: nothing was begun")
+    error = KeyboardInterrupt("interrupted before the command started")
     console.say(str(error))
     if "--json" in sys.argv:
         console.show_failure("", [error], [])

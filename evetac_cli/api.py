@@ -1,6 +1,6 @@
-"""The Python interface: what `import evetac_cli as evetac` offers; a test runs the example of every name.
+"""The Python interface: the names that `import evetac_cli as evetac` provides. A test runs the example of every name.
 
-The examples read files that the commands made: `a.recording.h5`, `a.labels.h5` and so on.
+The examples read files made by the commands: `a.recording.h5`, `a.labels.h5` and so on.
 """
 
 import warnings
@@ -46,9 +46,9 @@ from evetac_cli.trials.trial import SimulatedTrial
 
 
 def open_labels(path: str | Path) -> StageFile:
-    """Open a labels file: `label` (1 slip, 0 none, -1 not examined, a slice each) and `onset_slice` (-1 if none).
+    """Open a labels file, with `label` per slice (1 slip, 0 no slip, -1 not examined) and `onset_slice` (-1 if none).
 
-    InputError if it is anything else.
+    InputError if the file is of another kind.
 
     >>> with evetac.open_labels("a.labels.h5") as labels:
     ...     slip, onset_ms = labels.read("label"), int(labels.read("onset_slice"))
@@ -59,9 +59,9 @@ def open_labels(path: str | Path) -> StageFile:
 
 
 def open_tracks(path: str | Path) -> StageFile:
-    """Open a tracks file: `dot_xy_px` (slices, dots, 2), `events_per_dot` and `lost` (slices, dots).
+    """Open a tracks file, with `dot_xy_px` (slices, dots, 2), `events_per_dot` and `lost` (slices, dots).
 
-    InputError if it is anything else.
+    InputError if the file is of another kind.
 
     >>> with evetac.open_tracks("a.tracks.h5") as tracks:
     ...     moved_px = tracks.read("dot_xy_px") - tracks.read("sensor/dot_xy_px").reshape(-1, 2)
@@ -72,9 +72,10 @@ def open_tracks(path: str | Path) -> StageFile:
 
 
 def open_features(path: str | Path) -> StageFile:
-    """Open a features file: `displacement_px`, `events_per_dot` (slices, dots), `displacement_xy_px`, labels if any.
+    """Open a features file.
 
-    InputError if it is anything else.
+    It contains `displacement_px` and `events_per_dot` (slices, dots), `displacement_xy_px` (slices, dots, 2) and, if
+    the recording was labelled, the labels. InputError if the file is of another kind.
 
     >>> with evetac.open_features("a.features.h5") as features:
     ...     features.read("displacement_px", 0, 10).shape      # the first 10 slices only
@@ -84,9 +85,9 @@ def open_features(path: str | Path) -> StageFile:
 
 
 def open_touch(path: str | Path) -> StageFile:
-    """Open a touch file: `shear_n` (slices, 2), `normal_n`, `centre_mm` and more, their `_sd_`, by slice; and `map/`.
+    """Open a touch file, with `shear_n` (slices, 2), `normal_n`, `centre_mm` and more per slice, and maps in `map/`.
 
-    InputError if it is anything else.
+    Datasets with `_sd_` in their name are standard deviations. InputError if the file is of another kind.
 
     >>> with evetac.open_touch("a.touch.h5") as touch:
     ...     touch.read("shear_n").shape[1], touch.read("map/pressure_pa").ndim
@@ -96,9 +97,10 @@ def open_touch(path: str | Path) -> StageFile:
 
 
 def open_model(path: str | Path) -> StageFile:
-    """Open a slip detector's model file: weights as arrays, `onnx` graph, `threshold`, training curve.
+    """Open a slip detector's model file, with weights as arrays, the `onnx` graph, `threshold` and the training curve.
 
-    `shipped` is the package's. InputError if it is anything else. To run it on events see `SlipDetector`.
+    `shipped` opens the pretrained model. To run a model on events, see `SlipDetector`. InputError if the file is of
+    another kind.
 
     >>> with evetac.open_model("slip.model.h5") as model:
     ...     model.read("architecture")
@@ -108,9 +110,9 @@ def open_model(path: str | Path) -> StageFile:
 
 
 def open_force_model(path: str | Path) -> StageFile:
-    """Open a force model: `regression/`, the network's weights and scales; or `adapted/`, the scale of touch maps.
+    """Open a force model, with `regression/` and the network's weights and scales, or `adapted/`, the touch-map scale.
 
-    InputError if it is anything else.
+    InputError if the file is of another kind.
 
     >>> with evetac.open_force_model("dots.force-model.h5") as model:
     ...     model.read("regression/offset_n").shape
@@ -120,9 +122,9 @@ def open_force_model(path: str | Path) -> StageFile:
 
 
 def open_report(path: str | Path) -> StageFile:
-    """Open a report of `evaluate`: `rows` and `summary` are JSON texts, as `--json` prints them.
+    """Open a report of `evaluate`, in which `rows` and `summary` are JSON texts as printed by `--json`.
 
-    InputError if it is anything else.
+    InputError if the file is of another kind.
 
     >>> import json
     >>> with evetac.open_report("a.report.h5") as report:
@@ -134,12 +136,13 @@ def open_report(path: str | Path) -> StageFile:
 
 
 class Gel(NamedTuple):
-    """What is known of a gel before it is touched; a recording and a simulation have these attributes too.
+    """The properties of a gel at rest; a recording and a simulation have the same attributes.
 
-    dot_xy_px: centres of the dots at rest, (rows, columns, 2) in px, NaN for a missing dot; or (dots, 2) in any order,
-    which a detector puts into rows, and a tracker follows in the order given. dot_radius_px: of the printed dots.
-    window_px: x0, y0, x1, y1 of a cut gel's window, None for a closed gel. sensitivity: what `evetac identify` told of
-    its contrast, threshold and stiffness, which slip detectors ask for.
+    - dot_xy_px: centres of the dots at rest, (rows, columns, 2) in px, NaN for a missing dot; or (dots, 2) in any
+      order. A detector sorts such a list into rows, a tracker keeps its order.
+    - dot_radius_px: radius of the printed dots.
+    - window_px: x0, y0, x1, y1 of a cut gel's window; None for a closed gel.
+    - sensitivity: contrast, threshold and stiffness from `evetac identify`, which slip detectors use.
 
     >>> with evetac.open_recording("a.recording.h5") as recording:
     ...     gel = evetac.Gel(recording.dot_xy_px, recording.dot_radius_px, recording.window_px)
@@ -167,10 +170,11 @@ class _HasGel(Protocol):
 
 
 class DotTracker:
-    """Follows the dots of a gel: a slice of events in, dot centres out, as the command `track` does.
+    """Tracks the dots of a gel slice by slice, from events to dot centres, as the command `track` does.
 
-    gel: a recording, a simulation or a `Gel`. preset: of `evetac.tracker_presets()`. InputError where the gel's dots or
-    the preset are unknown; ValueError for dots that cannot be tracked.
+    - gel: a recording, a simulation or a `Gel`.
+    - preset: one of `evetac.tracker_presets()`.
+    - InputError: the positions of the gel's dots or the preset are unknown. ValueError: the dots cannot be tracked.
 
     >>> with evetac.open_recording("a.recording.h5") as recording:
     ...     tracker = evetac.DotTracker(recording)
@@ -185,27 +189,28 @@ class DotTracker:
         self._state = tracker.start(dot_xy_px.reshape(-1, 2), constants)
 
     def step(self, events: Events) -> NDArray[np.float64]:
-        """Dot centres after one more slice, (n, 2) in px: a view that the next step changes."""
+        """Process one slice and return the dot centres, (n, 2) in px, as a view that the next step overwrites."""
         tracker.step(self._state, events.x, events.y, events.p)
         return self._state.dot_xy_px
 
     @property
     def lost(self) -> NDArray[np.bool_]:
-        """Which dots are not to be trusted, (n,): a view that the next step changes."""
+        """Which dots are lost, so that their positions are unreliable, (n,): a view that the next step overwrites."""
         return self._state.lost
 
     @property
     def events_per_dot(self) -> NDArray[np.int32]:
-        """Events of the last slice near each dot, (n,): a view that the next step changes."""
+        """Number of events near each dot in the last slice, (n,): a view that the next step overwrites."""
         return self._state.events_per_dot
 
 
 class SlipDetector:
-    """Slip probability from events, slice by slice, and alarms: the tracker and the network that `grasp` runs.
+    """Estimates slip probability and raises slip alarms, slice by slice, with the tracker and network used by `grasp`.
 
-    gel: a recording, a simulation or a `Gel`. model: a model file, or `shipped`, the package's, which is the default.
-    InputError where the gel's dots are unknown, or the model is for another dot grid. A model that calls every slice
-    slip, or none, is warned of.
+    - gel: a recording, a simulation or a `Gel`.
+    - model: a model file, or the pretrained `shipped`, which is the default. A model that calls every slice slip, or
+      none, causes a warning.
+    - InputError: the positions of the gel's dots are unknown, or the model is for another dot grid.
 
     >>> with evetac.open_recording("a.recording.h5") as recording:
     ...     detector = evetac.SlipDetector(recording)
@@ -231,37 +236,43 @@ class SlipDetector:
 
     @property
     def threshold(self) -> float:
-        """Probability that three slices in a row have to reach, as chosen in training."""
+        """Slip probability, chosen in training, that three consecutive slices must reach for an alarm."""
         return self._detector.threshold
 
     @property
     def slip(self) -> bool:
-        """Whether the last slice alarms: the third in a row, at least, that reaches the threshold."""
+        """Whether there is an alarm: at least three consecutive slices, up to the last one, reached the threshold."""
         return self._detector.slip
 
     def step(self, events: Events) -> float:
-        """Slip probability after one more slice, NaN until the history of the network is full."""
+        """Process one slice and return the slip probability, NaN until the history of the network is full."""
         return self._detector.step(events)
 
     def tell_gripper(self, position_ticks: float, goal_ticks: float) -> None:
-        """Where the fingers are and are to go, in ticks, for a network that is told of them; others do not mind.
+        """Set the position of the fingers and their goal, in ticks; networks that do not use them ignore the call.
 
-        NaN for what is not known; it holds until it is told anew.
+        Use NaN for an unknown value. The values apply until the next call.
         """
         self._detector.tell_gripper(position_ticks, goal_ticks)
 
 
 class TouchMap:
-    """Where a gel is touched, how hard and in which direction, in mm, Pa and N, from dots slice by slice.
+    """Estimates where a gel is touched, how hard and in which direction, in mm, Pa and N, from the dots of each slice.
 
-    gel: a recording, a simulation or a `Gel`. mm_per_px: scale of the image, x_mm and y_mm are from its middle.
-    shear_modulus_pa, which forces are proportional to, is the gel's unless given; where it is unknown, 121e3 as in
-    `predict-touch`, and then forces are as unsure. stiffness_error: its relative sd. print_depth_mm: of the dots below
-    the surface. lens_mm: from the lens to the dots. edges_mm: where the gel ends, x0, y0, x1, y1; a cut one ends at its
-    window anyway. leave_out_wrong: dots that moved otherwise than the others allow. InputError where the gel's dots
-    are unknown; ValueError for numbers that cannot be.
-    On a busy computer set OPENBLAS_NUM_THREADS=1 before Python starts: the matrices are small, and threads that wait
-    for a core make a new patch take ten times as long.
+    - gel: a recording, a simulation or a `Gel`.
+    - mm_per_px: scale of the image; x_mm and y_mm are measured from its middle.
+    - height_mm: thickness of the gel.
+    - shear_modulus_pa: forces are proportional to it. Default: the gel's; if that is unknown, 121e3 as in
+      `predict-touch`, which makes forces less certain.
+    - stiffness_error: relative standard deviation of the modulus.
+    - print_depth_mm: depth of the dots below the surface.
+    - lens_mm: distance from the lens to the dots.
+    - edges_mm: edges of the gel, x0, y0, x1, y1; a cut gel also ends at its window.
+    - leave_out_wrong: leave out dots whose motion is inconsistent with the others.
+    - InputError: the positions of the gel's dots are unknown. ValueError: a number is out of range.
+
+    On a busy computer set OPENBLAS_NUM_THREADS=1 before Python starts. The matrices are small, and threads that wait
+    for a core make a new contact patch take ten times as long.
 
     >>> with evetac.open_recording("a.recording.h5") as recording:
     ...     tracker, touch = evetac.DotTracker(recording), evetac.TouchMap(recording, mm_per_px=0.0329)
@@ -269,7 +280,7 @@ class TouchMap:
     ...         reading = touch.step(tracker.step(events), tracker.lost)
     >>> reading.pressure_pa.shape == (len(touch.y_mm), len(touch.x_mm)) == reading.patch.shape
     True
-    >>> touch.sticking.alarm in (True, False)      # beside sticking_share, its sd and slip_direction_rad
+    >>> touch.sticking.alarm in (True, False)      # and sticking_share, its sd and slip_direction_rad
     True
     """
 
@@ -302,10 +313,13 @@ class TouchMap:
         self._state = touch_map.start(rest_mm, layer, noise, stiffness_error, compares=leave_out_wrong)
         self.x_mm, self.y_mm = self._state.cells  # middles of the columns and rows of cells
         self._sticking = sticking_of(self._state)
-        self.sticking = NO_TOUCH  # of the last slice: share that sticks, its sd, direction of slip, and an alarm
+        self.sticking = NO_TOUCH  # for the last slice: sticking share, its sd, direction of slip, and an alarm
 
     def step(self, dot_xy_px: NDArray[np.float64], lost: NDArray[np.bool_] | None = None) -> touch_map.TouchReading:
-        """What one more slice tells: dots (n, 2) in px as of `DotTracker`, and which of them are lost."""
+        """Process one slice and return its reading.
+
+        dot_xy_px: dot centres, (n, 2) in px, from `DotTracker.step`. lost: which dots are lost, (n,).
+        """
         dot_mm = (dot_xy_px - self._middle_px) * self._scale
         reading = touch_map.step(self._state, dot_mm, lost)
         if self._sticking is not None:
@@ -314,17 +328,20 @@ class TouchMap:
         return reading
 
     def hold(self) -> None:
-        """Count what is `since` in readings from now on: when a grip has closed and shear is to come."""
+        """Restart the quantities named `since` in readings; call it when the grip has closed, before shear begins."""
         touch_map.hold(self._state)
 
 
 class EventImager:
-    """Images of events at a fixed rate, in a loop of your own: the same bits as `frames` and the like of a recording.
+    """Draws images of events at a fixed rate in your own loop, bit for bit as `Recording.frames` and similar methods.
 
-    kind: frames, histogram, voxels or surface. frame_px: width and height of the sensor's frame; size_px: of the
-    images, the frame's unless given. window_ms: what an image looks back on, from one image to the next unless given;
-    of a surface the last event of each pixel counts, however long ago. bins, polarity, decay_ms: as in
-    `Recording.histogram`, `Recording.frames` and `Recording.time_surface`. ValueError for numbers that cannot be.
+    - kind: frames, histogram, voxels or surface.
+    - frame_px: width and height of the sensor's frame.
+    - size_px: width and height of the images; default: those of the frame.
+    - window_ms: length of the time window that an image covers; default: the time between images. In a surface the last
+      event of each pixel counts, however long ago it was.
+    - bins, polarity, decay_ms: as in `Recording.histogram`, `Recording.frames` and `Recording.time_surface`.
+    - ValueError: a number is out of range.
 
     >>> with evetac.open_recording("a.recording.h5") as recording:
     ...     images = evetac.EventImager("frames", recording.frame_px, rate_hz=200, size_px=(160, 120))
@@ -351,14 +368,14 @@ class EventImager:
         self.shape = of.shape  # of an image
 
     def step(self, events: Events) -> NDArray[Any] | None:
-        """Take one more slice; the image that ends with it, a new array, or None."""
+        """Process one slice and return the image that ends with it, as a new array, or None."""
         return event_drawing.step(self._state, events)
 
 
 class Simulation:
-    """A simulated trial: iterate over its slices. Everything it gives is simulated.
+    """A simulated trial: iterate over it to get its slices. All of its data are simulated.
 
-    `truth` holds what only the simulation knows of the last slice, and every 2 ms a row of `gripper/...`.
+    `truth` holds the ground truth of the last slice and, every 2 ms, a row of `gripper/...`.
 
     >>> trial = evetac.simulate("press", seed=1)
     >>> isinstance(trial, evetac.Simulation), trial.frame_px
@@ -373,7 +390,7 @@ class Simulation:
         self.frame_px = int(width), int(height)
         self.dot_radius_px = float(sensor["sensor/dot_radius_px"])
         self.sensitivity = sensitivity_of(sensor)
-        self.window_px: tuple[int, int, int, int] | None = None  # of a cut gel: x0, y0, x1, y1, ends excluded
+        self.window_px: tuple[int, int, int, int] | None = None  # for a cut gel: x0, y0, x1, y1, ends excluded
         if "sensor/window_px" in sensor:
             x0, y0, x1, y1 = (int(edge) for edge in sensor["sensor/window_px"])
             self.window_px = x0, y0, x1, y1
@@ -395,12 +412,14 @@ def simulate(
     solver: Mapping[str, Any] = MappingProxyType({}),
     seed: int = 0,
 ) -> Simulation:
-    """Simulate one trial of a scene and iterate over its slices; the same events as `record` with these flags.
+    """Return a simulated trial of a scene, to iterate over; its events are those of `record` with the same flags.
 
-    scene_name: of `evetac.scenes()` but those of kind lift, or a TOML file. object_number: of the paper's table, or a
-    TOML file as of `--object`. gel: cut or closed, default: the scene's.
-    readout: dvxplorer (scanned) or ideal. solver: settings of the simulation, as in {"tolerance_um": 0.05}; see the
-    table `[solver]` of scenes. InputError for an unknown name.
+    - scene_name: one of `evetac.scenes()`, except those of kind lift, or a TOML file.
+    - object_number: number in the paper's table, or a TOML file as for `--object`.
+    - gel: cut or closed; default: the scene's.
+    - readout: dvxplorer (scanned) or ideal.
+    - solver: settings of the simulation, e.g. {"tolerance_um": 0.05}; see the table `[solver]` of scenes.
+    - InputError: a name is unknown.
 
     >>> trial = evetac.simulate("slip", object_number=8, seed=3)
     >>> for milliseconds, events in enumerate(trial):
@@ -415,7 +434,7 @@ def simulate(
 
 
 def objects() -> dict[int, dict[str, Any]]:
-    """The paper's objects by number: material, width, height, mass and what the simulation needs of them.
+    """Return the paper's objects by number: material, width, height, mass and parameters for the simulation.
 
     >>> evetac.objects()[11]["mass_g"] > 0
     True
@@ -424,7 +443,7 @@ def objects() -> dict[int, dict[str, Any]]:
 
 
 def sensors() -> list[str]:
-    """Names of the built sensors that can be simulated; `randomized` is another one for every trial.
+    """Return the names of the built-in sensors for simulation; `randomized` is a different sensor in every trial.
 
     >>> "evetac" in evetac.sensors()
     True
@@ -433,7 +452,7 @@ def sensors() -> list[str]:
 
 
 def scenes() -> list[str]:
-    """Names of the scenes that come with the package; those of kind lift are for the command `grasp`.
+    """Return the names of the built-in scenes; those of kind lift are for the command `grasp`.
 
     >>> "slip" in evetac.scenes()
     True
@@ -442,7 +461,7 @@ def scenes() -> list[str]:
 
 
 def tracker_presets() -> list[str]:
-    """Names of the presets of the dot tracker.
+    """Return the names of the dot tracker's presets.
 
     >>> "stable" in evetac.tracker_presets()
     True
@@ -451,7 +470,7 @@ def tracker_presets() -> list[str]:
 
 
 def architectures() -> list[str]:
-    """Names of the architectures of slip detectors, as in the paper's table and ours.
+    """Return the names of the slip detectors' architectures: those of the paper's table, and evetac's own.
 
     >>> "fast-slow" in evetac.architectures()
     True
@@ -460,13 +479,13 @@ def architectures() -> list[str]:
 
 
 def _known_dots(gel: _HasGel, preset: str) -> tuple[NDArray[np.float64], presets.TrackerConstants]:
-    """The dots of a gel at rest and the tracker's constants for them; InputError where they are unknown or no dots."""
+    """Return a gel's dots at rest and the tracker's constants for them; InputError if dots are unknown or invalid."""
     if preset not in presets.PRESETS:
         raise InputError("unknown preset of the tracker", expected=", ".join(presets.PRESETS), found=preset)
     where = str(getattr(gel, "path", "gel"))
     if gel.dot_xy_px is None or gel.dot_radius_px is None:
         raise InputError(
-            "where the dots of this gel are is unknown",
+            "the positions of this gel's dots are unknown",
             where=where,
             expected="dot_xy_px and dot_radius_px",
             hint="evetac calibrate finds them; evetac record --calibration stores them with a recording",
@@ -476,20 +495,22 @@ def _known_dots(gel: _HasGel, preset: str) -> tuple[NDArray[np.float64], presets
     except (TypeError, ValueError):
         dots = np.empty(0)
     if dots.ndim not in (2, 3) or dots.shape[-1] != 2 or dots.size == 0:
-        shape = f"shape {np.shape(dots)}" if dots.size else "no array of numbers"
+        shape = f"shape {np.shape(dots)}" if dots.size else "not an array of numbers"
         expected = "(rows, columns, 2), or (dots, 2): x and y of each dot"
         raise InputError("not dot positions", where=f"{where}: dot_xy_px", expected=expected, found=shape)
     return dots, presets.PRESETS[preset].for_dots(gel.dot_radius_px)
 
 
 def _in_rows(dot_xy_px: NDArray[np.float64]) -> tuple[NDArray[np.float64], str]:
-    """Dots in rows, those of a list as sensor files put them: in the rows of their grid, or in one row if it has none.
+    """Return the dots in rows, as in sensor files, and a hint if they form no rows.
 
-    And what to try where they have no rows.
+    A list of dots is sorted into the rows of its grid, or kept as one row if there is no grid.
     """
     if dot_xy_px.ndim == 3:
         return dot_xy_px, ""
     try:
         return grid.arrange(dot_xy_px), ""
     except ValueError as error:
-        return dot_xy_px[None], f"give dot_xy_px as (rows, columns, 2): a list of dots finds no rows, {error}"
+        return dot_xy_px[
+            None
+        ], f"pass dot_xy_px as (rows, columns, 2): no rows were found in this list of dots, {error}"

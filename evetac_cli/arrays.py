@@ -1,4 +1,4 @@
-"""Short names for the types of arrays that most modules handle."""
+"""Short names for the array types that most modules use."""
 
 import numpy as np
 from numpy.typing import NDArray

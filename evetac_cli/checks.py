@@ -1,4 +1,4 @@
-"""Checks of the numbers that constants and functions are given: ValueError in one phrasing.
+"""Range checks for numbers, which raise ValueError with a uniform message.
 
 NAME: expected LOW to HIGH UNIT, found VALUE
 """
@@ -20,9 +20,10 @@ def check_range(
     above: bool = False,
     below: bool = False,
 ) -> None:
-    """Refuse NaN and a number out of a range; its ends belong to it, low not with `above`, high not with `below`.
+    """Raise ValueError for NaN and for a number outside a range.
 
-    Without `high` every finite number from low on is in the range.
+    The range includes both ends; `above` excludes low, `below` excludes high. Without `high`, every finite number
+    starting at low is accepted.
     """
     if low < value < high or (value == low and not above) or (value == high and not below):
         return
@@ -39,7 +40,7 @@ def check_range(
 
 
 def check_whole(name: str, value: int, low: int, high: int, *, step: int = 1) -> None:
-    """Refuse what is not a whole number, out of a range whose ends belong to it, or no multiple of `step`."""
+    """Raise ValueError unless `value` is a whole number from low to high (both included) and a multiple of `step`."""
     if not isinstance(value, Integral):
         raise ValueError(f"{name}: expected a whole number, found {value!r}")
     check_range(name, value, low, high)

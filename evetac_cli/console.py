@@ -1,4 +1,4 @@
-"""What people see: progress on stderr while it lasts, one table or one JSON object on stdout at the end."""
+"""Output for people: progress on stderr during a command, one table or one JSON object on stdout at its end."""
 
 import itertools
 import json
@@ -14,20 +14,21 @@ from typing import Any
 from evetac_cli.errors import error_dict
 from evetac_cli.jobs import Outcome, Progress, silent
 
-FEW_ROWS = 3
-LEAST_CELL = 12  # signs of a cell that is folded: below that a table is split instead
-BAR_WIDTH = 14  # leaves room for a name on a line of 80 signs
-MOST_PASTED = 3  # files that are named one by one at the end
-MOST_NAMING = 3  # columns that are repeated where a table is split
-# Behind these a long word may be folded, but not within a number.
+FEW_ROWS = 3  # up to this many rows, a table that is too wide is transposed
+LEAST_CELL = 12  # smallest width of a folded cell, in characters; below it, the table is split instead
+BAR_WIDTH = 14  # leaves space for a name on a line of 80 characters
+MOST_PASTED = 3  # files that are listed individually at the end
+MOST_NAMING = 3  # columns that are repeated when a table is split
+# A long word may be broken after these characters, but not within a number.
 SEPARATORS = re.compile(r"(?<=[/_])|(?<=\w-)|(?<=[.,:;=])(?!\d)")
-MOST_SHORT, EXPONENT_FROM = 9999.5, 1e9  # between them a number has more than four digits, and is still easily read
+MOST_SHORT, EXPONENT_FROM = 9999.5, 1e9  # between these, a number is printed whole, with more than four digits
 
 
 def safe(text: str) -> str:
-    """Text that cannot change a terminal: what is neither printable nor a line's end nor a tab is spelt out.
+    """Return the text with all characters escaped that are not printable, except line breaks and tabs.
 
-    File names and texts in files may hold escape sequences, or marks that turn the direction of writing.
+    File names and texts in files may contain escape sequences that change a terminal, or marks that reverse the
+    direction of writing.
     """
     if text.isprintable():
         return text
@@ -41,17 +42,17 @@ def _in_a_line(text: str) -> str:
 
 
 def say(text: str) -> None:
-    """A message to the user, on stderr."""
+    """Print a message to the user, on stderr."""
     print(safe(text), file=sys.stderr)
 
 
 def print_text(text: str) -> None:
-    """Lines of a result, on stdout."""
+    """Print lines of a result, on stdout."""
     print(safe(text))
 
 
 def wait_for_enter(text: str) -> None:
-    """Say something and wait for the user, if there is one at the keyboard."""
+    """Print a message and wait for Enter, if stdin is a terminal."""
     if sys.stdin.isatty():
         say(text)
         sys.stdin.readline()
@@ -59,7 +60,7 @@ def wait_for_enter(text: str) -> None:
 
 @contextmanager
 def progress_bar(what: str, unit: str, *, quiet: bool) -> Iterator[Progress]:
-    """A bar with rate and time left, if stderr is a terminal; otherwise nothing."""
+    """Show a progress bar with rate and remaining time, if stderr is a terminal; otherwise show nothing."""
     if quiet or not sys.stderr.isatty():
         yield silent
         return
@@ -70,7 +71,7 @@ def progress_bar(what: str, unit: str, *, quiet: bool) -> Iterator[Progress]:
     from rich.text import Text
 
     class Count(ProgressColumn):
-        """Done, of how many once that is known, and what is counted."""
+        """Number done, the total once it is known, and the unit."""
 
         def render(self, task: Any) -> Text:
             of_all = "" if task.total is None else f"/{task.total:,.0f}"
@@ -78,7 +79,7 @@ def progress_bar(what: str, unit: str, *, quiet: bool) -> Iterator[Progress]:
             return Text(f"{count}{task.fields['doing']}")
 
     class Rate(ProgressColumn):
-        """Units a second, where they are many."""
+        """Units per second, if at least one."""
 
         def render(self, task: Any) -> Text:
             return Text(f"{task.speed:,.0f}/s" if task.speed and task.speed >= 1 else "")
@@ -98,7 +99,7 @@ def progress_bar(what: str, unit: str, *, quiet: bool) -> Iterator[Progress]:
         def advance(done: float, total: float, doing: str = "") -> None:
             doing = _in_a_line(doing or unit)
             task.total = total or None
-            if task.fields["doing"] != doing:  # another work has another speed
+            if task.fields["doing"] != doing:  # a new kind of work has another speed
                 bar.reset(task.id, doing=doing)
             bar.update(task.id, completed=done)
 
@@ -107,7 +108,7 @@ def progress_bar(what: str, unit: str, *, quiet: bool) -> Iterator[Progress]:
 
 @contextmanager
 def live() -> Iterator[Callable[[str], None]]:
-    """A text that is shown anew in its place while the block lasts, on stderr; nothing if that is no terminal."""
+    """Yield a function that shows a text on stderr in place of the previous one; it does nothing without a terminal."""
     if not sys.stderr.isatty():
         yield lambda text: None
         return
@@ -136,9 +137,9 @@ def show(
 
 
 def show_failure(command: str, errors: Sequence[BaseException], outcomes: Sequence[Outcome]) -> None:
-    """Print, as one JSON object, what ended a command (the first error gives the exit status) and what was made.
+    """Print the errors that ended a command and the rows of what was made, as one JSON object.
 
-    Whether that is simulated is unknown (null) where nothing was made.
+    The first error determines the exit status. `simulated` is null if nothing was made.
     """
     result: dict[str, Any] = {
         "command": command,
@@ -153,13 +154,13 @@ def show_failure(command: str, errors: Sequence[BaseException], outcomes: Sequen
 
 
 def count(outcomes: Sequence[Outcome]) -> dict[str, Any]:
-    """How many files were made, and how many needed not be."""
+    """Return how many files were made and how many were already up to date."""
     made = sum(outcome.made for outcome in outcomes)
     return {"made": made, "up_to_date": len(outcomes) - made}
 
 
 def counted(outcomes: Sequence[Outcome]) -> str:
-    """The same in words."""
+    """Return these numbers as a text, for example `2 files made, 1 file up to date`."""
     numbers = {name.replace("_", " "): number for name, number in count(outcomes).items()}
     parts = [f"{number} file{'s' * (number != 1)} {what}" for what, number in numbers.items() if number]
     return ", ".join(parts)
@@ -172,7 +173,7 @@ def _print_json(result: dict[str, Any]) -> None:
 def print_table(
     title: str, rows: list[dict[str, Any]], summary: dict[str, Any], *, simulated: bool, verbose: bool = False
 ) -> None:
-    """Print rows as a table; figures from simulation say so.
+    """Print rows as a table; results from simulation are marked.
 
     Columns and figures without any value are left out unless `verbose`.
     """
@@ -181,7 +182,7 @@ def print_table(
     # What is printed is text, not markup: a path may hold [brackets] or :colons:.
     console = Console(soft_wrap=not sys.stdout.isatty(), markup=False, emoji=False)
     heading = _in_a_line(title) + (" (simulated)" if simulated else "")
-    for _, group in itertools.groupby(rows, key=tuple):  # rows of other columns are a table of their own
+    for _, group in itertools.groupby(rows, key=tuple):  # rows with other columns form a separate table
         of_group = list(group)
         for table in _tables(heading, of_group if verbose else _with_values(of_group), console.width):
             console.print(table)
@@ -191,7 +192,7 @@ def print_table(
 
 
 def _with_values(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Rows without the columns in which none of them has a value; the first column names the rows and stays."""
+    """Return the rows without columns that are empty in all of them; the first column, which names rows, stays."""
     first, *others = rows[0]
     kept = [first, *(name for name in others if not all(_is_nothing(row[name]) for row in rows))]
     return [{name: row[name] for name in kept} for row in rows]
@@ -202,10 +203,11 @@ def _is_nothing(value: Any) -> bool:
 
 
 def _tables(title: str, rows: list[dict[str, Any]], width: int) -> Iterator[Any]:
-    """Rows of the same columns as a table.
+    """Yield tables for rows with the same columns.
 
-    Where that is too wide, a few rows get a line for every figure, and many get several tables, each with the columns
-    that name a row. A text that is too long for its column is folded, behind a separator where it has one.
+    If one table is too wide, up to FEW_ROWS rows are transposed, with a line per figure. More rows are split into
+    several tables, each with the columns that name a row. Text that is too long for its column is folded, after a
+    separator if it has one.
     """
     names = list(map(_in_a_line, rows[0]))
     cells = [[format_value(value) for value in row.values()] for row in rows]
@@ -225,7 +227,7 @@ def _tables(title: str, rows: list[dict[str, Any]], width: int) -> Iterator[Any]
 
 
 def _table(title: str, columns: list[list[str]], widths: list[int], sides: list[Any], *, header: bool) -> Any:
-    """A table of texts, folded into these widths; with a header, the first text of each column is its heading."""
+    """Return a table of texts, folded to these widths; with a header, the first text of each column is its heading."""
     from rich.table import Table
 
     table = Table(title=title, title_justify="left", show_header=header)
@@ -238,12 +240,12 @@ def _table(title: str, columns: list[list[str]], widths: list[int], sides: list[
 
 
 def _table_width(widths: Sequence[int]) -> int:
-    """Of a table with columns of these widths: beside each a line and two spaces, and a line at the end."""
+    """Return the width of a table: each column adds its width, a line and two spaces, and a line follows the last."""
     return 1 + sum(3 + width for width in widths)
 
 
 def _fitting(widths: list[int], room: int) -> list[int]:
-    """Widths of columns so that the table has room: the widest are narrowed, none below LEAST_CELL."""
+    """Return widths of columns with which the table fits: the widest are narrowed, none below LEAST_CELL."""
     fitting = list(widths)
     while _table_width(fitting) > room and max(fitting) > LEAST_CELL:
         fitting[fitting.index(max(fitting))] -= 1
@@ -251,7 +253,7 @@ def _fitting(widths: list[int], room: int) -> list[int]:
 
 
 def folded(text: str, width: int) -> str:
-    """A text in lines of at most `width` signs: between words, or in a long one behind / . - or _, or anywhere."""
+    """Fold a text to at most `width` characters: between words, or in a long word after / . - or _, or anywhere."""
     lines = [""]
     for word in re.split(r"(?<=\s)", text):
         pieces = [word] if len(word.rstrip()) <= width else SEPARATORS.split(word)
@@ -267,7 +269,7 @@ def _cut(piece: str, width: int) -> list[str]:
 
 
 def _naming(rows: list[dict[str, Any]]) -> list[int]:
-    """The leading columns that tell one row from another: the first, and the next ones for as long as that takes."""
+    """Return the leading columns that identify a row: the first, and further ones as long as rows are not distinct."""
     values = [tuple(map(str, row.values())) for row in rows]
     for count in range(1, MOST_NAMING):
         if len({value[:count] for value in values}) == len(values):
@@ -276,7 +278,7 @@ def _naming(rows: list[dict[str, Any]]) -> list[int]:
 
 
 def _side_by_side(widths: list[int], naming: list[int], width: int) -> Iterator[list[int]]:
-    """Columns of each table, so that every one fits; one that is too wide for that is alone with those that name."""
+    """Yield the columns of each table so that it fits; a column that is too wide is alone with those of `naming`."""
     columns = list(naming)
     for column in range(len(naming), len(widths)):
         if len(columns) > len(naming) and _table_width([widths[other] for other in [*columns, column]]) > width:
@@ -287,7 +289,7 @@ def _side_by_side(widths: list[int], naming: list[int], width: int) -> Iterator[
 
 
 def print_result(verdict: Sequence[str], made: Sequence[Path]) -> None:
-    """Below a table: what its figures amount to, then the files that were made, as they can be pasted."""
+    """Print, below a table, the verdict on its figures, then the files that were made, ready to paste."""
     for line in verdict:
         print_text(line)
     written = [path for path in made if path.exists()]
@@ -295,13 +297,13 @@ def print_result(verdict: Sequence[str], made: Sequence[Path]) -> None:
     if len(written) <= MOST_PASTED:
         words = [shlex.quote(str(path)) for path in written]
     else:
-        words = [shlex.quote(str(folder)) for folder in folders]  # a folder stands for its files
+        words = [shlex.quote(str(folder)) for folder in folders]  # each represents its files
     if words:
         print_text(" ".join(words))
 
 
 def format_value(value: Any) -> str:
-    """A cell, of one line: numbers to four digits, large ones whole, nothing for None, yes and no for truth values."""
+    """Return a one-line cell: numbers with four digits, large ones whole, `-` for None, yes or no for booleans."""
     if value is None:
         return "-"
     if isinstance(value, bool):
@@ -316,7 +318,7 @@ def format_value(value: Any) -> str:
 
 
 def plain(value: Any) -> Any:
-    """JSON has no NaN: a figure that does not exist is null."""
+    """Return a value as JSON allows it: a number that is not finite becomes null."""
     if isinstance(value, dict):
         return {key: plain(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):

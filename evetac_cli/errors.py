@@ -1,21 +1,21 @@
-"""What can go wrong, and the exit code it ends with.
+"""The errors of evetac, with their exit codes.
 
     EvetacError (1)
-      UnavailableError    a file cannot be read now, whatever it holds: another program has it, or the system refuses
+      UnavailableError    a file cannot be read now: another program uses it, or the system refuses
       MissingLibrary      a library that only some commands need is not installed
       InputError (2)      a file, flag or value given by the user is not what was expected
         ForeignFile       an HDF5 file that another program made
-        SchemaError       a file does not hold what its schema says
-        SceneError        a scene names what does not exist, or a value out of range
+        SchemaError       the contents of a file violate its schema
+        SceneError        a scene has an unknown name, or a value out of range
       DeviceError (3)     a camera or gripper failed
         DeviceTimeout     ... or did not answer in time
 
-Why UnavailableError is no InputError: whoever takes an InputError for "this file is wrong" may replace the file, leave
-it out or call it invalid. Of a file that could not be looked at nothing is known.
+UnavailableError is not an InputError: code that catches InputError may replace the file, leave it out or report it as
+invalid, but the contents of a file that could not be read are unknown.
 
-Kernels raise ValueError; the stage that calls them knows where the value came from and says so.
+Kernels raise ValueError. The stage that calls them knows the origin of the value and adds it to the message.
 
-Where files were made all the same, an error or Ctrl-C takes along what came of them: `attach_outcome`.
+If files were made before an error or Ctrl-C, the exception carries their results: see `attach_outcome`.
 """
 
 import errno
@@ -31,9 +31,9 @@ from typing import Any, TypeVar
 
 AnyError = TypeVar("AnyError", bound=BaseException)
 INTERRUPTED = "interrupted: finished files are complete, the one in progress was left out"
-INTERNAL_ERROR = "internal error"  # how what nobody foresaw begins: programs that try evetac out look for it
+INTERNAL_ERROR = "internal error"  # prefix of unexpected errors; test programs search for it
 MEMORY_HINT = "a shorter recording (evetac trim), or fewer --jobs"
-# Libraries that only some commands need: the extra that installs each, and what it is imported as.
+# Libraries that only some commands need: the extra that installs them, and their import names.
 EXTRAS = {
     "camera": ("dv_processing",),
     "convert": ("rosbags", "mcap", "faery", "lz4", "zstandard", "hdf5plugin", "pyarrow", "zarr", "PIL", "av"),
@@ -44,9 +44,9 @@ EXTRAS = {
     "robot": ("mujoco", "gymnasium", "cma"),
 }
 PACKAGE = Path(__file__).resolve().parent
-# What pipx and uv leave in the environment of a program that they installed, and how each installs it anew.
+# Files that pipx and uv leave in the environment of a program that they installed, and how each reinstalls it.
 INSTALLERS = {"pipx_metadata.json": "pipx install --force", "uv-receipt.toml": "uv tool install --force"}
-# The commands that make each kind of file; a recording is made by grasp, trim and repair, too.
+# The command that makes each kind of file; recordings are also made by grasp, trim and repair.
 MADE_BY = {
     "recording": "record",
     "labels": "label",
@@ -58,11 +58,11 @@ MADE_BY = {
     "report": "evaluate",
 }
 MAKE_MODEL = "evetac train makes a model for this grid, from features of such recordings"
-MOST_CHARACTERS = 600  # of a part of an error: what a file or flag holds is quoted, not repeated
+MOST_CHARACTERS = 600  # limit for a part of an error, so that long values of files or flags are not repeated in full
 
 
 def shortened(text: str) -> str:
-    """A text of any length with its middle left out where it is longer than MOST_CHARACTERS."""
+    """Return a text with its middle left out if it is longer than MOST_CHARACTERS."""
     if len(text) <= MOST_CHARACTERS:
         return text
     end = MOST_CHARACTERS // 4
@@ -70,7 +70,10 @@ def shortened(text: str) -> str:
 
 
 def exit_code_words(code: int | None, said: str = "") -> str:
-    """How a process ended, in words; "" if it still runs. code: as of multiprocessing; said: its own last words."""
+    """Return a description of how a process ended; "" if it still runs.
+
+    code: exit code as in multiprocessing. said: the process's last message.
+    """
     if code is None:
         return ""
     if code >= 0:
@@ -82,9 +85,9 @@ def exit_code_words(code: int | None, said: str = "") -> str:
 
 
 class EvetacError(Exception):
-    """An error to show to the user in one paragraph: where, what was expected, what was found, what to do.
+    """An error for the user: where it occurred, what was expected, what was found, and what to do.
 
-    `kept` says what there is all the same; whoever knows it may set it later.
+    `kept` describes data that were saved in spite of the error; it may be set later.
     """
 
     exit_code = 1
@@ -99,7 +102,7 @@ class EvetacError(Exception):
         self.kept = kept
 
     def __str__(self) -> str:
-        where = self.where.replace("\n", "\\n")  # a file's name may hold lines that look like ours
+        where = self.where.replace("\n", "\\n")  # a file name may contain lines that look like these
         lines = [f"{where}: {self.message}" if where else self.message]
         lines += [f"  expected: {self.expected}"] if self.expected else []
         lines += [f"  found:    {self.found}"] if self.found else []
@@ -115,7 +118,7 @@ class InputError(EvetacError):
 
 
 class UnavailableError(EvetacError):
-    """A file cannot be read now, whatever it holds: another program has it, or the system refuses (exit code 1)."""
+    """A file cannot be read now, because another program uses it or the system refuses (exit code 1)."""
 
 
 class MissingLibrary(EvetacError):
@@ -127,11 +130,11 @@ class ForeignFile(InputError):
 
 
 class SchemaError(InputError):
-    """A file does not hold what its schema says (exit code 2)."""
+    """The contents of a file violate its schema (exit code 2)."""
 
 
 class SceneError(InputError):
-    """A scene names what does not exist, or a value out of range (exit code 2)."""
+    """A scene has an unknown name, or a value out of range (exit code 2)."""
 
 
 class DeviceError(EvetacError):
@@ -144,28 +147,28 @@ class DeviceTimeout(DeviceError, TimeoutError):
     """A device did not answer in time (exit code 3)."""
 
 
-# What the system refuses ----------------------------------------------------------------------------------------------
+# Errors from the operating system -------------------------------------------------------------------------------------
 
-# Reasons that may pass, and say nothing of the file; others come from its name, or from damaged bytes in it.
+# Reasons that may be temporary and do not depend on the file's contents; others come from its name or damaged bytes.
 BUSY = (errno.EAGAIN, errno.EBUSY, errno.ETXTBSY)
 NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)
 NO_RIGHT = (errno.EACCES, errno.EPERM)
 TOO_MANY = (errno.EMFILE, errno.ENFILE)
 DISK = (errno.EIO, errno.ENODEV, errno.ENXIO, errno.EREMOTEIO, errno.ENOTCONN, errno.ETIMEDOUT, errno.EHOSTDOWN)
 PASSING = (*BUSY, *NO_LOCKS, *NO_RIGHT, *TOO_MANY, *DISK, errno.ESTALE, errno.ENOMEM, errno.ENOSPC, errno.EINTR)
-MOST_PROGRAMS = 3  # that are named
+MOST_PROGRAMS = 3  # listed in a message
 NETWORK = ("nfs", "cifs", "smb", "lustre", "gpfs", "beegfs", "ceph", "glusterfs", "afs", "9p", "fuse.sshfs")
 READ_WITHOUT_LOCKS = "HDF5_USE_FILE_LOCKING=FALSE in front of the command reads it without a lock"
 
 
 def cannot_read(error: OSError, path: Path) -> EvetacError:
-    """What it means that the system does not let a file be opened or read.
+    """Return the error for a file that the system does not open or read.
 
-    UnavailableError where the reason may pass, InputError where it lies in the name or in the file.
+    UnavailableError if the reason may be temporary; InputError if it is the name or the file itself.
     """
     where, said = str(path), error.strerror or str(error)
     if error.errno is not None and error.strerror is not None:
-        said = os.strerror(error.errno)  # h5py puts its own words there
+        said = os.strerror(error.errno)  # h5py replaces it with its own text
     number = error.errno
     if number not in PASSING:
         return InputError(f"cannot be read: {said}", where=where)
@@ -179,9 +182,9 @@ def cannot_read(error: OSError, path: Path) -> EvetacError:
     elif number == errno.ESTALE:
         hint = "the network folder changed on its server: try again, or mount it again"
     elif number in TOO_MANY:
-        hint = "`ulimit -n` says how many files may be open, `ulimit -n NUMBER` allows more"
+        hint = "`ulimit -n` shows how many files may be open, `ulimit -n NUMBER` allows more"
     elif number in DISK:
-        hint = "the disk, or the network behind it, fails: `dmesg` may say more"
+        hint = "the disk or its network connection fails: `dmesg` may show more"
     return UnavailableError(f"cannot be read: {said}", where=where, found=found, hint=hint)
 
 
@@ -194,7 +197,7 @@ def _busy(path: Path) -> UnavailableError:
 
 
 def changed_meanwhile(path: Path) -> UnavailableError:
-    """That a file changed while it was read, so that what was read of it is of no one moment."""
+    """Return the error for a file that changed while it was read, so that its data do not belong together."""
     hint = "wait until the program that writes it is done"
     return UnavailableError("changed while it was read", where=str(path), found=_used_by(path), hint=hint)
 
@@ -206,9 +209,9 @@ def _used_by(path: Path) -> str:
 
 
 def programs_using(path: Path, proc: Path = Path("/proc"), *, writing: bool = False) -> list[str]:
-    """Programs of this user, other than this one, that have a file open, as `name (pid)`; nobody can see the others.
+    """Return this user's other programs that have a file open, as `name (pid)`; other users' programs are not visible.
 
-    writing: only those that may write to it.
+    writing: return only those that may write to the file.
     """
     wanted = path.resolve()
     users = []
@@ -223,25 +226,23 @@ def programs_using(path: Path, proc: Path = Path("/proc"), *, writing: bool = Fa
 
 
 def _may_write(info: Path) -> bool:
-    """Whether an open file is open for writing, as /proc/PID/fdinfo says it: flags in octal digits."""
+    """Whether an open file is open for writing, by the octal flags in /proc/PID/fdinfo."""
     flags = next(line.split()[1] for line in info.read_text().splitlines() if line.startswith("flags:"))
     return int(flags, 8) & os.O_ACCMODE != os.O_RDONLY
 
 
 def _rights(path: Path) -> tuple[str, str]:
-    """Who may do what with a file, and what to do where one may not read it; nothing where that is hidden."""
+    """Return the mode and owner of a file, and how to get permission to read it; less if these are not visible."""
     with suppress(OSError, KeyError):
         status, owner = path.stat(), path.owner()
         own = status.st_uid == os.geteuid()
-        hint = (
-            f"chmod u+r {shlex.quote(str(path))}" if own else f"ask {owner}, whose file it is, for the right to read it"
-        )
+        hint = f"chmod u+r {shlex.quote(str(path))}" if own else f"ask {owner}, the file's owner, for read permission"
         return f"mode {status.st_mode & 0o777:04o}, owner {owner}", hint
     return "", "you have no permission to enter its folder"
 
 
 def _is_on_network(path: Path, mounts: Path = Path("/proc/mounts")) -> bool:
-    """Whether a file lies in a folder of another computer, as far as this one knows."""
+    """Whether a file is on a network file system, according to the list of mounts."""
     kind, longest = "", -1
     with suppress(OSError):
         inside = os.fsencode(path.resolve())
@@ -253,11 +254,11 @@ def _is_on_network(path: Path, mounts: Path = Path("/proc/mounts")) -> bool:
     return kind.startswith(NETWORK)
 
 
-# What is not installed ------------------------------------------------------------------------------------------------
+# Missing libraries ----------------------------------------------------------------------------------------------------
 
 
 def missing_library(error: BaseException | None) -> EvetacError | None:
-    """A library of somebody else's that is not installed, in words; None for every other error."""
+    """Return the error for a third-party library that is not installed; None for every other exception."""
     if not isinstance(error, ModuleNotFoundError) or not error.name:
         return None
     name = error.name.partition(".")[0]
@@ -270,19 +271,19 @@ def missing_library(error: BaseException | None) -> EvetacError | None:
 def missing_extra(
     message: str, extra: str, *, where: str = "", error: Exception | None = None, found: str = "", otherwise: str = ""
 ) -> MissingLibrary:
-    """That a library of one of EXTRAS is not there, or does not load (`error`), and how to install it.
+    """Return the error that a library of one of EXTRAS is missing or does not load (`error`), and how to install it.
 
-    otherwise: what can be done without it.
+    otherwise: an alternative that works without the library.
     """
     hint = install_hint(extra) + (f", or {otherwise}" if otherwise else "")
     return MissingLibrary(message, where=where, found=found or (str(error) if error else ""), hint=hint)
 
 
 def install_hint(extra: str = "") -> str:
-    """How to install evetac, and one of EXTRAS with it, into the environment that it runs in.
+    """Return the command that installs evetac, with one of EXTRAS, into the environment in which it runs.
 
-    From where it came: a clone that is at hand, the address that pip wrote down, else the package index by name. pipx
-    and uv make the environment anew, so that extras which are there are named too.
+    The source is the same as before: a local clone, the address that pip recorded, or else the package index. pipx and
+    uv rebuild the environment, so the extras that are already installed are included.
     """
     way = next((way for mark, way in INSTALLERS.items() if Path(sys.prefix, mark).is_file()), "")
     there = [name for name, modules in EXTRAS.items() if all(map(find_spec, modules))] if way else []
@@ -309,7 +310,7 @@ def _is_here(folder: Path) -> bool:
 
 
 def pip(action: str) -> str:
-    """How to call pip so that it works on the environment in which this program runs."""
+    """Return a pip command that acts on the environment in which this program runs."""
     found, python = shutil.which("pip"), shlex.quote(sys.executable)
     if found is not None and Path(found).parent == Path(sys.executable).parent:
         return f"pip {action}"
@@ -319,18 +320,18 @@ def pip(action: str) -> str:
 
 
 def _origin() -> dict[str, Any]:
-    """Where this very package was installed from, as pip writes it down (direct_url.json); nothing if it was not.
+    """Return the origin of this installed package, as pip recorded it (direct_url.json); empty if it is not installed.
 
-    Of a package index it is {"index": True}, for which pip writes nothing.
+    For a package index it is {"index": True}, since pip records nothing then.
     """
-    import json  # with what follows, for an error that is about to be said: `evetac --help` does without
+    import json  # imported here: only needed for an error message, not by `evetac --help`
     from importlib import metadata
 
     with suppress(metadata.PackageNotFoundError, ValueError, OSError):
         distribution = metadata.distribution("evetac")
         text = distribution.read_text("direct_url.json")
         origin: dict[str, Any] = json.loads(text) if text else {"index": True}
-        # Where another copy comes first on the path, what is said of the installed one does not hold.
+        # If another copy comes first on the path, the record of the installed one does not apply.
         if _local(str(origin.get("url", ""))) == PACKAGE.parent or (
             Path(str(distribution.locate_file(PACKAGE.name))).resolve() == PACKAGE
         ):
@@ -339,14 +340,14 @@ def _origin() -> dict[str, Any]:
 
 
 def _local(url: str) -> Path | None:
-    """The file or folder that an address names; None for one elsewhere."""
+    """Return the path of a file:// address; None for any other address."""
     from urllib.parse import unquote
 
     return Path(unquote(url.removeprefix("file://"))).resolve() if url.startswith("file:///") else None
 
 
 def _address(origin: dict[str, Any]) -> str:
-    """An address as pip takes it behind a name (PEP 508), ` @ URL`; empty for a package index."""
+    """Return an address in the form that follows a name for pip (PEP 508), ` @ URL`; empty for a package index."""
     if "url" not in origin:
         return ""
     version = origin.get("vcs_info", {})
@@ -357,23 +358,23 @@ def _address(origin: dict[str, Any]) -> str:
 
 
 def made_by(kind: str) -> str:
-    """Which command makes files of a kind, as a hint says it."""
+    """Return a hint with the command that makes files of a kind."""
     return f"evetac {MADE_BY[kind]} makes {kind} files"
 
 
 def attach_outcome(error: AnyError, outcome: Any) -> AnyError:
-    """Let an error take along the Outcome of what was made all the same."""
+    """Attach to an error the Outcome of files that were made before it, and return the error."""
     vars(error)["outcome"] = outcome
     return error
 
 
 def attached_outcome(error: BaseException) -> Any:
-    """The Outcome that an error took along, or None."""
+    """Return the Outcome attached to an error, or None."""
     return vars(error).get("outcome")
 
 
 def error_dict(error: BaseException) -> dict[str, Any]:
-    """An error as data, for --json: its kind, its parts as far as there are any, the exit status."""
+    """Return an error as data for --json: its kind, its non-empty parts, and the exit status."""
     if isinstance(error, EvetacError):
         names = ("message", "where", "expected", "found", "hint", "kept")
         parts = {name: str(getattr(error, name)) for name in names if getattr(error, name)}

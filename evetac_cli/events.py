@@ -1,8 +1,8 @@
-"""The words for events: what one is, and how a stream of them is cut into slices of one millisecond.
+"""Events, and how a stream of events is cut into slices of one millisecond.
 
-An event is (t_us, x, y, p): device time in microseconds, column, row, and 1 where it got brighter, 0 where darker.
-Events travel as columns of equal length, sorted by time. Slice k holds all events with k <= t / 1 ms < k + 1;
-an empty slice is still a slice, because the slice index is the clock.
+An event is (t_us, x, y, p): device time in microseconds, column, row, and polarity, 1 for brighter and 0 for darker.
+Events are stored as columns of equal length, sorted by time. Slice k contains all events with k <= t / 1 ms < k + 1.
+Empty slices exist too, because the slice index is the clock.
 """
 
 from collections.abc import Iterator
@@ -42,19 +42,20 @@ class Events(NamedTuple):
         return len(self.t)
 
     def part(self, start: int, stop: int) -> "Events":
-        """Views of the events [start, stop)."""
+        """Return views of the events [start, stop)."""
         return Events(self.t[start:stop], self.x[start:stop], self.y[start:stop], self.p[start:stop])
 
     def at(self, rows: NDArray[np.bool_ | np.intp]) -> "Events":
-        """Copies of the events at some rows, by index or mask."""
+        """Return copies of the events at these rows, given as indices or a mask."""
         return Events(self.t[rows], self.x[rows], self.y[rows], self.p[rows])
 
 
 class SliceBlock(NamedTuple):
-    """Consecutive slices in one piece.
+    """A block of consecutive slices.
 
-    first: the first slice; starts: where each slice begins among `events`, and their number at the end, (slices + 1,);
-    times stay absolute.
+    first: index of the first slice.
+    starts: index in `events` of each slice's first event, followed by the number of events, (slices + 1,).
+    events: the events of all slices; their times are absolute.
 
     >>> with evetac.open_recording("a.recording.h5") as recording:
     ...     block = next(recording.blocks(ms=100))
@@ -68,40 +69,40 @@ class SliceBlock(NamedTuple):
 
     @property
     def stop(self) -> int:
-        """The slice after the last one."""
+        """Index of the slice after the last one."""
         return self.first + len(self.starts) - 1
 
     def slices(self) -> Iterator[Events]:
-        """Views of each slice in turn."""
+        """Iterate over the slices, each as views."""
         return (self.events.part(start, stop) for start, stop in pairwise(self.starts.tolist()))
 
 
 def empty() -> Events:
-    """No events, with the right dtypes."""
+    """Return zero events, with the right dtypes."""
     return Events(np.empty(0, np.int64), np.empty(0, np.uint16), np.empty(0, np.uint16), np.empty(0, np.uint8))
 
 
 def concatenate(parts: list[Events]) -> Events:
-    """Join consecutive pieces of one stream."""
+    """Join consecutive parts of one stream."""
     if not parts:
         return empty()
     return Events(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
 def slice_starts(t_us: NDArray[np.int64], slices: int) -> NDArray[np.int64]:
-    """Index of the first event of every slice, and the total at the end: shape (slices + 1,), `ms_to_idx` on disk."""
+    """Return the index of each slice's first event, then the total: shape (slices + 1,), `ms_to_idx` in files."""
     return np.searchsorted(t_us, np.arange(slices + 1, dtype=np.int64) * SLICE_US).astype(np.int64)
 
 
 class SliceStarts:
-    """What `slice_starts` gives, of events in the order of their time that arrive in blocks."""
+    """Computes `slice_starts` for events that arrive in blocks, in order of time."""
 
     def __init__(self) -> None:
         self._known: list[NDArray[np.int64]] = []
-        self._slices = self._events = 0  # whose starts are known; that came
+        self._slices = self._events = 0  # slices with known starts; events received
 
     def add(self, t_us: NDArray[np.int64]) -> None:
-        """Take the times of the next events."""
+        """Add the times of the next events."""
         if t_us.size:
             last = int(t_us[-1]) // SLICE_US
             edges = np.arange(self._slices, last + 1, dtype=np.int64) * SLICE_US
@@ -109,13 +110,13 @@ class SliceStarts:
             self._slices, self._events = last + 1, self._events + t_us.size
 
     def finish(self, slices: int) -> NDArray[np.int64]:
-        """Index of the first event of every slice, and the total: shape (slices + 1,)."""
+        """Return the index of each slice's first event, then the total: shape (slices + 1,)."""
         rest = np.full(slices + 1 - self._slices, self._events, np.int64)
         return np.concatenate([*self._known, rest])
 
 
 class Slicer:
-    """Cuts a stream that arrives in packets, however they are cut, into slices of 1 ms; empty slices included.
+    """Cuts a stream that arrives in packets of any size into slices of 1 ms, including empty ones.
 
     >>> with evetac.open_recording("a.recording.h5") as recording:
     ...     packets = [recording.events(first, first + 700) for first in (0, 700, 1400)]
@@ -131,17 +132,17 @@ class Slicer:
         self._latest_us = 0
 
     def push(self, packet: Events) -> list[Events]:
-        """Take the next packet; return the slices that its last event ends. ValueError if time goes back."""
+        """Add the next packet and return the slices that it completes. ValueError if time goes back."""
         if packet.size == 0:
             return []
         if packet.t[0] < self._latest_us or (np.diff(packet.t) < 0).any():
-            raise ValueError(f"expected events from {self._latest_us} us on in order of time, found earlier ones")
+            raise ValueError(f"expected events in order of time, from {self._latest_us} us, found earlier ones")
         self._latest_us = int(packet.t[-1])
         self._waiting.append(packet)
         return self.close_until(self._latest_us // SLICE_US)
 
     def close_until(self, slices: int) -> list[Events]:
-        """Close all slices below this index: device time has passed them, whether or not events came."""
+        """Close and return all slices below this index, because device time has passed them, with or without events."""
         if slices <= self._next:
             return []
         waiting = concatenate(self._waiting)

@@ -1,4 +1,4 @@
-"""The paper's task as a Gymnasium environment: lift an object by feel, then hold it as lightly as possible.
+"""The paper's task as a Gymnasium environment: lift an object by touch, then hold it with as little force as possible.
 
     import gymnasium
     import evetac_cli.gym
@@ -7,8 +7,8 @@
     observation, info = env.reset(seed=1)
     observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
 
-Importing this module registers the environment. Everything in it is simulated: it is the loop of `grasp` in a scene of
-kind lift, with the agent in the controller's place.
+Importing this module registers the environment. Everything in it is simulated: it runs the loop of `grasp` in a scene
+of kind lift, with the agent in place of the controller.
 """
 
 import json
@@ -40,47 +40,54 @@ except ModuleNotFoundError as error:
 
 Observation = dict[str, NDArray[np.float32]]
 
-MOST_TICKS = 60.0  # of the goal beyond light contact: about 14 N
-FARTHEST_PX, MOST_EVENTS, MOST_READ = 200.0, 1000.0, 2000.0  # ends of observations, in px, events a ms, ticks and mA
-COST_N_S, COST_MM = 0.04, 0.05
-LOST_MM = 20.0  # an object that moved so far in the hand is lost, and more of it costs no more
+MOST_TICKS = 60.0  # largest goal beyond light contact, in ticks: about 14 N
+FARTHEST_PX, MOST_EVENTS, MOST_READ = 200.0, 1000.0, 2000.0  # limits of observations: px, events per ms, ticks or mA
+COST_N_S, COST_MM = 0.04, 0.05  # cost of each N s of force and of each mm that the object moves in the hand
+LOST_MM = 20.0  # an object that moved this far in the hand is lost; further motion costs no more
 TRUTH = ("truth/table_gap_mm", "truth/normal_force_n", "truth/object_xy_px")
 
 
 class _Chosen(Control):
-    """A controller that makes contact as all do, and then passes on what somebody else chose."""
+    """A controller that makes contact like all others and then returns the goal chosen by the agent."""
 
     goal = 0
 
     def step(self, phase: GraspPhase, signal: SlipSignal, position_ticks: int) -> int:
-        """The goal in ticks."""
+        """Return the goal in ticks."""
         own = super().step(phase, signal, position_ticks)
         return own if phase is GraspPhase.CONTACT else self.goal
 
 
 class LiftEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
-    """Lift an object that was touched lightly, and hold it with little force and little slip.
+    """Environment: lift an object after light contact, and hold it with little force and little slip.
 
-    A hand rises by 100 mm while the fingers hold an object of unknown mass and friction; the episode begins when light
-    contact is made. It ends when the object was not lifted by the end of the lift (terminated), when it fell
-    (terminated), or at the end of the balance (truncated).
+    A hand rises by 100 mm while the fingers hold an object of unknown mass and friction. The episode begins at light
+    contact. It is terminated if the object was not lifted by the end of the lifting phase, or if it fell. It is
+    truncated at the end of the balancing phase.
 
-    objects: as of `--object`, numbers and files, one of which is drawn for each episode, or chosen by its number or
-    name with options={"object": NUMBER}.
-    mass_factor: range of a factor on its mass. sensor, gel, model: as of `evetac grasp`. scene: of kind lift, of which
-    the hand rises with hand_mm_s in place of the paper's 20 mm/s. lift_s, balance_s: of the two phases; the paper's are
-    10 s and 20 s. control_hz: steps a second; the paper's are 500. InputError for what cannot be.
+    - objects: numbers and files as for `--object`. One of them is drawn at random for each episode, or chosen by its
+      number or name with options={"object": NUMBER}.
+    - mass_factor: range of a random factor on its mass.
+    - sensor, gel, model: as for `evetac grasp`.
+    - scene: a scene of kind lift; its hand rises with hand_mm_s instead of the paper's 20 mm/s.
+    - lift_s, balance_s: durations of the two phases; the paper's are 10 s and 20 s.
+    - control_hz: steps per second; the paper's rate is 500.
+    - InputError: an argument is invalid.
 
-    Action, (1,) in [0, 1]: the gripper's goal, as a part of 60 ticks beyond light contact; whole ticks.
+    Action, (1,) in [0, 1]: the gripper's goal as a fraction of 60 ticks beyond light contact, rounded to whole ticks.
 
-    Observation, what the detector and the gripper say, all float32:
-    displacement_px (dots, 2), of tracked dots from rest; events_per_dot (dots,), mean of the step's milliseconds;
-    slip (2,), largest probability and share of milliseconds with slip since the last step; gripper (2,), closing since
-    light contact in ticks and motor current in mA; time_s (1,), since the lift began.
+    Observation, from the detector and the gripper, all float32:
+
+    - displacement_px (dots, 2): displacement of the tracked dots from rest.
+    - events_per_dot (dots,): mean over the slices of the step.
+    - slip (2,): largest slip probability, and share of slices with slip, since the last step.
+    - gripper (2,): closing since light contact in ticks, and motor current in mA.
+    - time_s (1,): time since the lift began.
 
     Reward: 1 for an object that hangs more than 50 mm above the table at the end of the lift, and 1 if it still does
-    at the end; less 0.04 for each N s of one finger's normal force, and 0.05 for each of the first 20 mm that the
-    object moved in the hand. Force and motion are the simulation's truth. `info` has them too, and what was drawn.
+    at the end of the episode. The cost is 0.04 for each N s of one finger's normal force, and 0.05 for each of the
+    first 20 mm that the object moves in the hand. Force and motion are the simulation's ground truth. `info` contains
+    them too, and the random choices.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 50}
@@ -101,7 +108,7 @@ class LiftEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         render_mode: str | None = None,
     ) -> None:
         kernel_cache.settle_for_this_process()
-        from evetac_cli.sim.camera.gel_camera import dot_grid  # builds on numba, which has to know its cache first
+        from evetac_cli.sim.camera.gel_camera import dot_grid  # imports numba, whose cache must be set before
 
         self._plans = {
             each.called: replace(each, scene=_varied(each.scene, mass_factor, hand_mm_s, lift_s))
@@ -138,7 +145,7 @@ class LiftEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Put an object down and touch it lightly; a seed decides all that is drawn."""
+        """Place an object and touch it lightly; the seed determines all random choices."""
         from evetac_cli.devices.simulated import SimulatedGripper, rig
         from evetac_cli.kernels.tracking import presets
         from evetac_cli.stages.model_files import require_useful
@@ -152,7 +159,7 @@ class LiftEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             called = options["object"]
             if called not in self._plans:
                 listed = ", ".join(map(str, self._plans))
-                raise InputError("not among the objects", where="options", expected=listed, found=f"{called}")
+                raise InputError("not one of the objects", where="options", expected=listed, found=f"{called}")
         plan = self._plans[called].of_trial(seeds)
         self._mm_per_px = plan.sensor.mm_per_px
         devices = rig(plan, np.random.SeedSequence(seeds), **self._durations)
@@ -173,9 +180,9 @@ class LiftEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         return self._observation(), dict(self._drawn)
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Set the gripper's goal and go on until the next step of control."""
+        """Set the gripper's goal and simulate until the next step of control."""
         if self._playing is None:
-            raise gymnasium.error.ResetNeeded("this episode is over, or none was begun: call reset()")
+            raise gymnasium.error.ResetNeeded("the episode is over or has not started: call reset()")
         share = float(np.clip(np.asarray(action, np.float64).reshape(-1)[0], 0.0, 1.0))
         if np.isnan(share):
             raise InputError("not a number", where="action", expected="0 to 1", found=f"{action}")
@@ -211,7 +218,10 @@ class LiftEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         return self._observation(), reward, terminated, truncated, info
 
     def _play(self, slices: int) -> dict[str, list[Any]]:
-        """So many slices, fewer where the scene ends; their rows of the truth. Keeps what the observation needs."""
+        """Simulate some slices, fewer if the scene ends, and return their rows of ground truth.
+
+        Values for the observation are stored.
+        """
         assert self._playing is not None
         rows: dict[str, list[Any]] = {name: [] for name in TRUTH}
         parts, near_dots, probability, slips = [], np.zeros(self._dots), 0.0, self._detector.count
@@ -228,7 +238,7 @@ class LiftEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         return rows
 
     def _object_now_mm(self, rows: dict[str, list[Any]]) -> NDArray[np.float64]:
-        """Where the object is in the hand."""
+        """Return the position of the object in the hand, in mm."""
         return np.asarray(rows["truth/object_xy_px"][-1], np.float64) * self._mm_per_px
 
     def _observation(self) -> Observation:
@@ -245,7 +255,7 @@ class LiftEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         }
 
     def render(self) -> NDArray[np.uint8] | None:
-        """Events of the last step, (480, 640, 3): white where it got brighter, black where darker, else grey."""
+        """Return an image of the last step's events, (480, 640, 3): white for brighter, black for darker, else grey."""
         if self.render_mode is None:
             return None
         width, height = FRAME_PX
@@ -254,12 +264,12 @@ class LiftEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         return picture
 
     def close(self) -> None:
-        """End the episode; a second call does nothing."""
+        """End the episode; further calls do nothing."""
         self._playing = None
 
 
 def _varied(scene: Scene, mass_factor: tuple[float, float], hand_mm_s: float, lift_s: float) -> Scene:
-    """The scene with other masses and another hand; InputError where it would not be up by the end of the lift."""
+    """Return the scene with other masses and hand speed; InputError if the hand would not be up by the lift's end."""
     low, high = mass_factor
     if not 0.01 <= low <= high <= 100.0:
         expected = "0.01 <= low <= high <= 100"
@@ -268,7 +278,7 @@ def _varied(scene: Scene, mass_factor: tuple[float, float], hand_mm_s: float, li
         what = "too fast" if hand_mm_s > 1000.0 else "too slow"
         raise InputError(what, where="hand_mm_s", expected="1 to 1000 mm/s", found=f"{hand_mm_s} mm/s")
     hand = scene.hand
-    starts_mm_s2 = hand.acceleration_mm_s2 * (hand_mm_s / hand.speed_mm_s)  # it starts in as short a time
+    starts_mm_s2 = hand.acceleration_mm_s2 * (hand_mm_s / hand.speed_mm_s)  # same duration of the acceleration
     up_s = hand.height_mm / hand_mm_s + hand_mm_s / starts_mm_s2 + scene.time.before_rise_s
     if not up_s <= lift_s <= 600.0:
         expected = f"{up_s:.4g} s, the time that the hand takes to rise, to 600 s"

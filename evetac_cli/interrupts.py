@@ -1,12 +1,13 @@
-"""Signals that end a program: which raise, which are remembered, which wait, and the memory of those that came.
+"""Signals that end a program: which of them raise an exception, are remembered, or are delayed.
 
-Why remembered: KeyboardInterrupt may come up inside an import or a callback of the compiler that numba uses, where it
-is swallowed or turned into another error. So whoever begins something new looks at `interrupt_came` first.
+Interrupts are remembered because KeyboardInterrupt may be raised inside an import or a callback of numba's compiler,
+where it is swallowed or turned into another error. So code that starts something new checks `interrupt_came` first.
 
-Ctrl-C goes to all processes of a terminal. The one that the user started ends the others in order, which ignore it
-(`ignore_interrupts`). SIGTERM and the like may be meant for one of them alone: its loop ends at its next step, because
-an exception in the middle of a command would leave that half sent (`remember_signals`). Python handles signals in the
-main thread only: in another one what is to last for a block does nothing.
+Ctrl-C goes to all processes of a terminal. The process that the user started ends the others in order; those ignore
+Ctrl-C (`ignore_interrupts`). SIGTERM and similar signals may be sent to one process alone. Its loop then ends at the
+next step, because an exception in the middle of a device command would leave it half sent (`remember_signals`).
+
+Python handles signals only in the main thread. In other threads, the context managers of this module do nothing.
 """
 
 import os
@@ -19,25 +20,25 @@ from types import FrameType
 from typing import Any
 
 CTRL_C = frozenset({signal.SIGINT})
-INTERRUPTS = frozenset({signal.SIGINT, signal.SIGTERM})  # which the command line treats alike
+INTERRUPTS = frozenset({signal.SIGINT, signal.SIGTERM})  # the command line treats them alike
 ENDING = tuple(
     getattr(signal, name)
     for name in ("SIGTERM", "SIGHUP", "SIGQUIT", "SIGABRT", "SIGUSR1", "SIGUSR2")
     if hasattr(signal, name)
-)  # signals that end a program, and that a program may handle; Ctrl-C is another matter
+)  # signals that end a program and that a program may handle, except Ctrl-C
 ALL = (signal.SIGINT, *ENDING)
 
 Handler = Callable[[int, FrameType | None], None]
 _came: list[int] = []  # interrupts that were raised
-_waiting: list[int] = []  # those that come up once a file is written
-_held: list[int] = []  # those that came within `signals_blocked`, through another thread
-_handlers: dict[int, Any] = {}  # who handles those once they come up
+_waiting: list[int] = []  # interrupts to be raised when a file is written
+_held: list[int] = []  # signals that arrived within `signals_blocked`, through another thread
+_handlers: dict[int, Any] = {}  # their handlers for when they are raised
 
 
 def catch_interrupts(*, every: bool = True) -> None:
-    """From now on SIGINT and SIGTERM raise KeyboardInterrupt, and are remembered.
+    """Make SIGINT and SIGTERM raise KeyboardInterrupt, and remember them.
 
-    Unless `every` one, only the first raises, and what is then cleaned up is not disturbed.
+    every: if false, only the first one raises, so that the clean-up after it is not disturbed.
     """
 
     def remember(number: int, frame: FrameType | None) -> None:
@@ -52,34 +53,34 @@ def catch_interrupts(*, every: bool = True) -> None:
 
 
 def interrupt_came() -> bool:
-    """Whether an interrupt came since they are caught, even if what it raised was swallowed."""
+    """Whether an interrupt arrived since `catch_interrupts`, even if its exception was swallowed."""
     return bool(_came)
 
 
 def _show_unless_interrupt(swallowed: "sys.UnraisableHookArgs") -> None:
-    """Print what was raised where nobody could catch it, but for an interrupt, which is remembered, and what follows.
+    """Print an exception that no code could catch, unless it is an interrupt or follows one.
 
-    An object that an interrupt left half made may raise at its own end.
+    Interrupts are remembered. An object that was left incomplete by an interrupt may raise when it is deleted.
     """
     if not _came and not isinstance(swallowed.exc_value, KeyboardInterrupt):
         sys.__unraisablehook__(swallowed)
 
 
 def stop_catching() -> None:
-    """From now on SIGINT and SIGTERM end this process on the spot."""
+    """Make SIGINT and SIGTERM end this process immediately."""
     for number in INTERRUPTS:
         signal.signal(number, signal.SIG_DFL)
 
 
 def ignore_interrupts() -> None:
-    """From now on Ctrl-C is for whoever started this process."""
+    """Make this process ignore Ctrl-C, which its parent process handles."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def remember_signals() -> list[int]:
-    """From now on signals that would end this process are only added to this list; its loop looks at it.
+    """Return a list to which signals that would end this process are added from now on; its loop must check the list.
 
-    A signal that is ignored already, as SIGHUP under nohup, stays so.
+    A signal that is already ignored, such as SIGHUP under nohup, stays ignored.
     """
     ending: list[int] = []
     for number in ENDING:
@@ -89,7 +90,7 @@ def remember_signals() -> list[int]:
 
 
 def end_in_order() -> None:
-    """From now on SIGTERM and SIGHUP end the program as sys.exit does, where they would end it on the spot."""
+    """Make SIGTERM and SIGHUP end the program like sys.exit, if they would otherwise end it immediately."""
     if not _in_main_thread():
         return
     for number in (signal.SIGTERM, signal.SIGHUP):
@@ -103,10 +104,10 @@ def _exit(number: int, frame: FrameType | None) -> None:
 
 @contextmanager
 def signals_blocked(numbers: Set[signal.Signals] = INTERRUPTS) -> Iterator[None]:
-    """These signals wait until the block is over; processes that are started in it inherit that from the system.
+    """Delay these signals until the end of the block; processes started within it inherit the block.
 
-    Blocking alone is not enough: the system then gives the signal to another thread, and numpy's linear algebra has
-    threads, whereupon Python calls the handler here all the same. So the handler waits as well.
+    Blocking in the system is not enough: the system would deliver the signal to another thread, such as those of
+    numpy's linear algebra, and Python would then call the handler here anyway. So the handler delays them as well.
     """
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, ())
     handlers = {number: signal.getsignal(number) for number in numbers} if _in_main_thread() else {}
@@ -129,9 +130,9 @@ def signals_blocked(numbers: Set[signal.Signals] = INTERRUPTS) -> Iterator[None]
 
 
 class SignalsLetThrough:
-    """Within `signals_blocked`, here they come up, also those from before; afterwards they are held back again.
+    """Context within `signals_blocked` in which the signals are raised, including earlier ones.
 
-    Why a class: of a generator that is interrupted at its end, the rest may run much later.
+    It is a class because a generator that is interrupted at its end may run its remaining code much later.
     """
 
     def __init__(self, numbers: Set[signal.Signals] = INTERRUPTS) -> None:
@@ -161,7 +162,7 @@ def _hold(number: int, frame: FrameType | None) -> None:
 
 
 def _let_through(numbers: Collection[int]) -> None:
-    """Handle the signals that were held, one of each kind, as the system does."""
+    """Raise the delayed signals, one of each kind, as the system does."""
     came = [number for number in dict.fromkeys(_held) if number in numbers]
     _held[:] = [number for number in _held if number not in numbers]
     for number in came:
@@ -170,7 +171,7 @@ def _let_through(numbers: Collection[int]) -> None:
 
 @contextmanager
 def interrupts_wait() -> Iterator[None]:
-    """SIGINT and SIGTERM come up once the block is over, in which a file is written; see `leave_if_interrupted`."""
+    """Delay SIGINT and SIGTERM until the end of a block that writes a file; see `leave_if_interrupted`."""
     if not _in_main_thread():
         yield
         return
@@ -187,17 +188,18 @@ def interrupts_wait() -> Iterator[None]:
 
 
 def leave_if_interrupted() -> None:
-    """KeyboardInterrupt if Ctrl-C or SIGTERM waits for the file that is being written: for whoever writes for long."""
+    """Raise KeyboardInterrupt if Ctrl-C or SIGTERM is delayed by `interrupts_wait`; for code that writes for long."""
     if _waiting:
         raise KeyboardInterrupt
 
 
 @contextmanager
 def signals_counted(came: Sequence[int] = ()) -> Iterator[list[int]]:
-    """Ctrl-C and other signals that end a program are counted at first, so that a recording ends between slices.
+    """Yield a list to which Ctrl-C and other ending signals are added, so that a recording ends between slices.
 
-    A second one breaks off. One that is ignored already, as SIGHUP under nohup, stays so. came: those that came before,
-    and should have broken off: then nothing is begun.
+    A second signal raises KeyboardInterrupt. A signal that is already ignored, such as SIGHUP under nohup, stays
+    ignored.
+    came: signals that arrived earlier and should have aborted; if there are any, KeyboardInterrupt is raised at once.
     """
     signals: list[int] = []
     if not _in_main_thread():
@@ -217,10 +219,10 @@ def signals_counted(came: Sequence[int] = ()) -> Iterator[list[int]]:
 
 @contextmanager
 def signals_interrupt() -> Iterator[list[int]]:
-    """Signals that would end the program without a word break off as Ctrl-C does; before anything is recorded.
+    """Make signals that would silently end the program raise KeyboardInterrupt; for use before a recording starts.
 
-    They are counted, too, for `signals_counted`: what is raised while modules and compiled code are loaded may come up
-    inside a callback, which swallows it.
+    The yielded list of signals is for `signals_counted`: an exception raised while modules or compiled code are loaded
+    may be swallowed by a callback.
     """
     came: list[int] = []
     if not _in_main_thread():
@@ -241,7 +243,7 @@ def signals_interrupt() -> Iterator[list[int]]:
 
 @contextmanager
 def signals_held() -> Iterator[None]:
-    """Signals wait until the block is over, in which a gripper is let go of: nothing may break that off."""
+    """Delay signals until the end of a block that releases a gripper, which must not be interrupted."""
     if not _in_main_thread():
         yield
         return
@@ -265,7 +267,7 @@ def signals_held() -> Iterator[None]:
 
 @contextmanager
 def _handled(handler: Handler) -> Iterator[None]:
-    """Let a function handle the signals of ALL, but for those that are ignored."""
+    """Let a function handle the signals of ALL, except those that are ignored."""
     heeded = [number for number in ALL if signal.getsignal(number) is not signal.SIG_IGN]
     before = {number: signal.signal(number, handler) for number in heeded}
     try:

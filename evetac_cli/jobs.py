@@ -1,4 +1,4 @@
-"""Jobs and what comes of them: a job makes one output file, an outcome holds its rows, progress says how far it is."""
+"""Jobs and their results: a job makes one output file, an outcome holds its rows, progress reports how far it is."""
 
 import os
 import platform
@@ -9,19 +9,19 @@ from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
 from evetac_cli.errors import InputError
 
-MOST_NAME_BYTES = 255  # of a file, on nearly every file system
-APPENDED_BYTES = 48  # to a name while the file is written (store/hdf5/disk.py), beside the name of this machine
+MOST_NAME_BYTES = 255  # longest file name on nearly every file system
+APPENDED_BYTES = 48  # added to a name while the file is written (store/hdf5/disk.py), plus the name of this machine
 P = TypeVar("P")  # parameters of a command
 
 
 class Progress(Protocol):
-    """How far a job is: `done` of `total`, where a total of 0 is not known yet.
+    """A callback for the progress of a job: `done` of `total`; a total of 0 means that it is not known yet.
 
-    doing: what is done or counted, where it is not what the command counts, as in `files read`.
+    doing: the current activity or unit, if it differs from the command's unit, for example `files read`.
     """
 
     def __call__(self, done: float, total: float, doing: str = "") -> None:
-        """Report it; whoever listens may leave some reports out."""
+        """Report progress; the receiver may ignore some reports."""
 
 
 def silent(done: float, total: float, doing: str = "") -> None:
@@ -30,21 +30,21 @@ def silent(done: float, total: float, doing: str = "") -> None:
 
 @dataclass(frozen=True)
 class Job:
-    """One output to make from its inputs; a stage that has to know more of it adds fields in a class of its own."""
+    """One output to make from its inputs; a stage that needs more information defines a subclass."""
 
-    exclusive: ClassVar[bool] = False  # uses devices, of which there is one each: never beside another job
+    exclusive: ClassVar[bool] = False  # whether it uses devices, so that no other job may run at the same time
     inputs: tuple[Path, ...]
     output: Path
 
     @property
     def outputs(self) -> tuple[Path, ...]:
-        """All files that it makes: of most jobs `output` alone, which stands for them."""
+        """All files that the job makes; for most jobs only `output`, which identifies the job."""
         return (self.output,)
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a job reports: flat rows for the table and --json (units end the names), figures over all rows."""
+    """The result of a job: flat rows for the table and --json (names end in units), and figures over all rows."""
 
     rows: list[dict[str, Any]]
     simulated: bool
@@ -57,35 +57,39 @@ Rows = list[Row]
 
 
 def no_cautions(jobs: Sequence[Any], params: Any) -> list[str]:
-    """Nothing has to be known before the work begins."""
+    """Return no cautions."""
     return []
 
 
 def no_parts(job: Any, params: Any) -> Sequence[Job]:
-    """A job is made in one piece."""
+    """Return no parts: the job is made in one piece."""
     return ()
 
 
 def no_warnings(rows: Rows) -> list[str]:
-    """Nothing is wrong with what came out."""
+    """Return no warnings."""
     return []
 
 
 def all_rows(rows: Rows, params: Any) -> tuple[Rows, list[str]]:
-    """A terminal shows every row, and no sentence."""
+    """Return all rows for a terminal, and no verdict."""
     return rows, []
 
 
 @dataclass(frozen=True)
 class Stage(Generic[P]):
-    """What a command that makes files asks of its stage, which defines it as STAGE.
+    """The functions that a command which writes files needs from its stage; the stage defines them as STAGE.
 
-    jobs: what has to be made from files and parameters, and where; run: make one job, (job, params, *, force, progress)
-    -> Outcome. cautions: what to know before long work begins. parts: of a job, what can be made at the same time
-    before it. for_people: the rows that a terminal shows, and what they amount to. warnings: what to know of all rows
-    together, said once on stderr. dry_run: what would be made and what that costs, (jobs, params, *, force, progress)
-    -> Outcome; dry_run_for_people: what of it fits a screen. recipe: that of a job's output, as far as indexes know its
-    inputs, (job, params, store.index.known.Known) -> Recipe or None.
+    - jobs: return the jobs for some files and parameters, with their outputs.
+    - run: run one job, (job, params, *, force, progress) -> Outcome.
+    - cautions: return notes to print before long work begins.
+    - parts: return parts of a job that can be made at the same time, before the job itself.
+    - for_people: return the rows for a terminal, and a verdict in sentences.
+    - warnings: return warnings on all rows together, which are printed once on stderr.
+    - dry_run: return what would be made and its cost, (jobs, params, *, force, progress) -> Outcome.
+    - dry_run_for_people: return the part of this that fits a screen.
+    - recipe: return the recipe of a job's output, as far as the indexes contain its inputs, (job, params,
+      store.index.known.Known) -> Recipe or None.
     """
 
     jobs: Callable[[list[Path], P, Path | None], Sequence[Job]]
@@ -100,7 +104,7 @@ class Stage(Generic[P]):
 
 
 def require_possible_name(output: Path) -> None:
-    """InputError, before any work, if no file of this name could be written."""
+    """Raise InputError, before any work, if the name is too long for a file."""
     most = MOST_NAME_BYTES - APPENDED_BYTES - len(platform.node().encode())
     length = len(os.fsencode(output.name))
     if length > most:
@@ -110,6 +114,6 @@ def require_possible_name(output: Path) -> None:
 
 
 def outcome(job: Job, *, made: bool, simulated: bool, **figures: Any) -> Outcome:
-    """The row of a job that makes one file."""
+    """Return the outcome, with one row, of a job that makes one file."""
     row = {"output": str(job.output), "status": "made" if made else "up to date", **figures}
     return Outcome([row], simulated, made=made)

@@ -1,12 +1,12 @@
-"""Where compiled kernels are kept: in folders that no other user can write to, because numba runs what it finds there.
+"""The cache of compiled kernels: folders that no other user can write to, because numba runs the code in them.
 
-They are kept beside their source where that can be written to: in a clone, or an environment of one's own. Where one
-installation serves several users, each has a folder of their own below XDG_CACHE_HOME or ~/.cache, or, where there is
-no home folder, below the one for temporary files. It has to belong to the user, with mode 0700, and every folder above
-it to the user or root, and nobody else may be able to exchange it. Otherwise kernels are kept in a new folder for this
-program alone. What NUMBA_CACHE_DIR names is the user's own choice and is taken as it is.
+Kernels are kept next to their source if that is writable, as in a clone or the user's own environment. If several users
+share an installation, each has a folder below XDG_CACHE_HOME or ~/.cache, or, without a home folder, below the folder
+for temporary files. The folder must belong to the user, with mode 0700. Every folder above it must belong to the user
+or root, and no other user may be able to replace it. Otherwise kernels go to a new folder for this program only. A
+folder given by NUMBA_CACHE_DIR is the user's own choice and is used as it is.
 
-Why so: the name of a folder in /tmp can be guessed, and whoever makes it first can put into it what others then run.
+The reason: the name of a folder in /tmp can be guessed, and another user who creates it first could put code into it.
 """
 
 import atexit
@@ -23,14 +23,14 @@ from pathlib import Path
 
 from evetac_cli.errors import InputError
 
-PACKAGE = Path(os.path.abspath(__file__)).parent  # with its links, as numba writes paths
-SETTINGS = ".numba_config.yaml"  # numba obeys the one in the working folder, whoever put it there
+PACKAGE = Path(os.path.abspath(__file__)).parent  # links are kept, as in numba's paths
+SETTINGS = ".numba_config.yaml"  # numba reads this file from the working folder, no matter who created it
 OTHERS_MAY_WRITE = stat.S_IWGRP | stat.S_IWOTH
-NOT_KEPT = "compiled kernels are not kept: no folder for them is yours alone; set NUMBA_CACHE_DIR to one that is"
+NOT_KEPT = "compiled kernels are not kept: found no folder that only you can access; set NUMBA_CACHE_DIR to one"
 
 
 def own_folder(candidates: Iterable[Path] | None = None) -> Path | None:
-    """The first of some folders that can be made this user's alone, made if need be; None if there is none."""
+    """Return the first candidate that can be private to this user, creating it if needed; None if there is none."""
     for folder in _candidates() if candidates is None else candidates:
         with suppress(OSError):
             if (made := _made_private(folder)) is not None:
@@ -47,9 +47,9 @@ def _candidates() -> Iterator[Path]:
 
 
 def _made_private(folder: Path) -> Path | None:
-    """The folder by its path without links, made with mode 0700 if need be; None unless it is this user's alone.
+    """Return the folder's path without links, created with mode 0700 if needed; None if it is not private.
 
-    From the root down: where nobody else can exchange what is above, what was looked at stays what it is.
+    Parents are checked from the root down: if no other user can replace a parent, the result of a check stays valid.
     """
     above = Path(os.path.realpath(folder.parent))
     for part in (*reversed(above.parents), above):
@@ -67,7 +67,7 @@ def _made_private(folder: Path) -> Path | None:
 
 
 def is_out_of_reach(folder: Path) -> bool:
-    """Whether this is a folder of this user or root in which nobody else can replace what is theirs; no link is."""
+    """Whether this is a folder, not a link, of this user or root, in which no other user can replace their files."""
     status = folder.lstat()
     if not stat.S_ISDIR(status.st_mode) or status.st_uid not in (0, os.geteuid()):
         return False
@@ -75,7 +75,7 @@ def is_out_of_reach(folder: Path) -> bool:
 
 
 def folder_for_kernels() -> Path | None:
-    """The folder for this user's kernels, with those that came with the package; None if there is none of their own."""
+    """Return the private folder for this user's kernels, with the kernels of the package; None if there is none."""
     folder = own_folder()
     if folder is not None:
         _take_over(folder)
@@ -83,10 +83,10 @@ def folder_for_kernels() -> Path | None:
 
 
 def _take_over(folder: Path) -> None:
-    """Copy kernels that whoever installed the package compiled beside the source, so that nobody waits for them again.
+    """Copy the kernels that were compiled next to the source at installation, so that they are not compiled again.
 
-    Whoever can write there can write the source too. Each user still needs a copy, because numba loads nothing from a
-    folder that it cannot write to. What cannot be copied is compiled.
+    Anyone who can write them can also write the source. Each user still needs a copy, because numba does not load from
+    a folder that it cannot write to. Kernels that cannot be copied are compiled.
     """
     with suppress(OSError):
         _copy_kernels(folder)
@@ -102,25 +102,24 @@ def _copy_kernels(folder: Path) -> None:
             place.mkdir(exist_ok=True)
             unfinished = place / f"{source.name}.{os.getpid()}"
             shutil.copy2(source, unfinished)
-            unfinished.replace(target)  # another process of this user may be reading it
+            unfinished.replace(target)  # atomic: another process of this user may be reading it
 
 
 def _is_the_installers(path: Path) -> bool:
-    """Whether only those can have written this who can write the package's source, or this user."""
+    """Whether this file can only have been written by this user or a user who can write the package's source."""
     status = path.lstat()
     return status.st_uid in (0, os.geteuid(), PACKAGE.stat().st_uid) and not status.st_mode & OTHERS_MAY_WRITE
 
 
 def numba_name(folder: Path) -> str:
-    """The name that numba gives, in a folder for all kernels, to those whose source lies in this folder."""
+    """Return the name of numba's subfolder for kernels whose source is in this folder."""
     return f"{folder.name}_{hashlib.sha1(str(folder).encode()).hexdigest()}"
 
 
 def drop_unreadable() -> None:
-    """Remove compiled kernels that numba could not read, because a class that they name has gone; once per source.
+    """Remove compiled kernels that numba cannot read because they refer to a class that is gone; once per source.
 
-    Why so: numba reads what it kept of a kernel before it looks whether the source is still the same, and an error ends
-    the program.
+    Numba reads a cached kernel before it checks whether the source is unchanged, and an error there ends the program.
     """
     folder = Path(os.environ.get("NUMBA_CACHE_DIR") or PACKAGE)
     stamp, sources = folder / "__pycache__" / "evetac-sources", _digest_of_sources()
@@ -139,7 +138,7 @@ def drop_unreadable() -> None:
 def _digest_of_sources() -> str:
     digest = hashlib.sha1()
     for folder, below, names in os.walk(PACKAGE):
-        below[:] = sorted(set(below) - {"__pycache__"})  # which holds thousands of kernels
+        below[:] = sorted(set(below) - {"__pycache__"})  # it contains thousands of kernels
         for name in sorted(names):
             if name.endswith(".py"):
                 digest.update(f"{folder}/{name} {os.stat(os.path.join(folder, name)).st_mtime_ns}\n".encode())
@@ -147,45 +146,45 @@ def _digest_of_sources() -> str:
 
 
 def _is_readable(index: Path) -> bool:
-    """Whether numba could read an index of its cache, as it will."""
+    """Whether numba can read an index file of its cache; this reads it in the same manner."""
     import pickle  # `evetac --help` needs none of it
 
     try:
         with index.open("rb") as file:
             pickle.load(file)  # the version of numba
             pickle.loads(file.read())
-    except Exception:  # whatever a class that is gone leads to
+    except Exception:  # any error that a missing class causes
         return False
     return True
 
 
 def is_beside_source() -> bool:
-    """Whether kernels are kept beside their source."""
+    """Whether kernels are kept next to their source."""
     return os.access(PACKAGE, os.W_OK)
 
 
 def refuse_settings_in_the_working_folder() -> None:
-    """InputError where numba would find settings in the folder in which the program was started.
+    """Raise InputError if numba would find settings in the folder in which the program was started.
 
-    They are no part of the command, and may come with somebody else's data; they change numbers and load code.
+    They are not part of the command and may come with somebody else's data; they change numbers and load code.
     """
     if os.path.lexists(SETTINGS):
         raise InputError(
-            "this file in the working folder would change how numba compiles, so evetac does not start beside it",
+            "this file in the working folder would change how numba compiles, so evetac does not start here",
             where=os.path.abspath(SETTINGS),
-            hint="move it away, or start evetac in another folder; settings of your own: variables NUMBA_...",
+            hint="move the file or start evetac in another folder; use variables NUMBA_... for your own settings",
         )
 
 
 @contextmanager
 def settled_by_environment() -> Iterator[str]:
-    """Settle for this program, and for all processes that it starts, what they load code from; what to tell the user.
+    """Set where this program and its child processes load compiled code from, and yield a note for the user.
 
-    Also their modules: Python looks for those of a program that it is told to run by name in the working folder first,
-    where anybody may have put a `json.py`.
+    This includes modules: for a program run by name, Python first searches the working folder, where another person
+    may have put a `json.py`.
     """
     os.environ.setdefault("PYTHONSAFEPATH", "1")
-    os.environ.setdefault("NUMBA_CACHE_LOCATOR_CLASSES", "")  # that it is set bars what SETTINGS might say
+    os.environ.setdefault("NUMBA_CACHE_LOCATOR_CLASSES", "")  # set, so that SETTINGS cannot define it
     if "NUMBA_CACHE_DIR" in os.environ:
         yield ""
         return
@@ -205,12 +204,12 @@ def settled_by_environment() -> Iterator[str]:
 
 def _put_caches_into(folder: Path) -> None:
     os.environ["NUMBA_CACHE_DIR"] = str(folder)
-    if not os.access(os.path.expanduser("~"), os.W_OK):  # else matplotlib makes another one, with a warning each time
+    if not os.access(os.path.expanduser("~"), os.W_OK):  # otherwise matplotlib makes a folder, with a warning each time
         os.environ.setdefault("MPLCONFIGDIR", str(folder / "matplotlib"))
 
 
 def settle_for_this_process() -> None:
-    """As above where somebody else's program imports evetac: kernels alone, and no variable of the environment."""
+    """Set the kernel cache for a program that imports evetac, without changing environment variables."""
     if not is_beside_source():
         before_the_first_kernel(_settle_numba)
 
@@ -228,11 +227,11 @@ def _settle_numba() -> None:
         numba.config.CACHE_DIR = str(folder)
 
 
-_waiting: list[Callable[[], None]] = []  # for the first kernel
+_waiting: list[Callable[[], None]] = []  # functions to call before the first kernel
 
 
 def before_the_first_kernel(act: Callable[[], None]) -> None:
-    """Call this when numba is loaded and before a kernel is: at once where numba is there, or never without kernels."""
+    """Call `act` after numba is loaded and before the first kernel: now if numba is loaded, never without kernels."""
     if "numba" in sys.modules:
         act()
     elif act not in _waiting:
@@ -240,12 +239,12 @@ def before_the_first_kernel(act: Callable[[], None]) -> None:
 
 
 def forget(act: Callable[[], None]) -> None:
-    """Call this no longer before the first kernel."""
+    """Do not call `act` before the first kernel any more."""
     with suppress(ValueError):
         _waiting.remove(act)
 
 
 def first_kernel_comes() -> None:
-    """Call what waits for the first kernel, once; for kernels/compiled.py."""
+    """Call the functions that wait for the first kernel, once; used by kernels/compiled.py."""
     while _waiting:
         _waiting.pop(0)()

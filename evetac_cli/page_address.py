@@ -1,8 +1,8 @@
-"""Tells the address of a served page to its user alone, and opens it in a browser where there is a display.
+"""Give the address of a served page to its user only, and open it in a browser if there is a display.
 
-Why so: the address holds the token by which anybody can let go of the gripper, and all users of a computer see the
-arguments with which programs are started. So a browser is started with a file that only this user can read, in a folder
-likewise, and the file leads it on. Nor does a log that others can read get the address.
+The address contains the token with which anyone could release the gripper, and all users of a computer can see the
+arguments of programs. So a browser is started with a file that only this user can read, in a folder with the same
+protection, and the file redirects to the address. The address is not written to a log that others can read.
 """
 
 import os
@@ -31,16 +31,16 @@ BROWSERS = ("firefox", "chromium", "brave", "opera")
 
 @contextmanager
 def announced(url: str, name: str, *, opens: bool) -> Iterator[Path]:
-    """Say where the page of this name is; opens: show it in a browser too.
+    """Print the address of a page; opens: also show the page in a browser.
 
-    Yields the file that leads there, which is gone at the end.
+    Yields the file that redirects to the page, which is removed at the end.
     """
     with tempfile.TemporaryDirectory(prefix=f"evetac-{name.replace(' ', '-')}-", dir=_seen_by_browsers()) as folder:
         page = Path(folder) / f"{name.replace(' ', '-')}.html"
         with open(os.open(page, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as file:
             file.write(PAGE.format(url=url, name=name))
         if _is_read_by_others():
-            console.say(f"{name}: open {page}; the address is not in this log, which others can read")
+            console.say(f"{name}: open {page}; the address is left out here because others can read this log")
         else:
             console.say(f"{name}: {url}")
         if opens:
@@ -49,9 +49,9 @@ def announced(url: str, name: str, *, opens: bool) -> Iterator[Path]:
 
 
 def _seen_by_browsers() -> Path | None:
-    """The folder in which the file's own is made; None: the one for temporary files.
+    """Return the parent of the file's folder; None means the folder for temporary files.
 
-    A browser that is installed as a snap sees a /tmp of its own, and of the home folder what is not hidden.
+    A browser installed as a snap has a separate /tmp, and sees only the parts of the home folder that are not hidden.
     """
     is_snap = any((SNAPS / name).exists() for name in BROWSERS)
     with suppress(RuntimeError):  # there is no home folder
@@ -65,13 +65,13 @@ def _is_read_by_others() -> bool:
     """Whether messages go to a file that other users can read."""
     try:
         mode = os.fstat(sys.stderr.fileno()).st_mode
-    except (AttributeError, OSError, ValueError):  # there is no such file
+    except (AttributeError, OSError, ValueError):  # stderr is no file
         return False
     return stat.S_ISREG(mode) and bool(mode & (stat.S_IRGRP | stat.S_IROTH))
 
 
 def has_display() -> bool:
-    """Whether a browser that is opened here is seen by whoever sits at the terminal."""
+    """Whether the user at the terminal sees a browser that is opened here."""
     if "SSH_CONNECTION" in os.environ:
         return False
     return sys.platform == "darwin" or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))

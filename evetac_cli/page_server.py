@@ -1,14 +1,14 @@
-"""Serves pages on this computer to its user alone: what every page that a command serves has in common.
+"""A server for pages of commands, accessible only to the user on this computer.
 
-What keeps others out, since one message to a page can take a gripper's torque away, or write a file:
-- it listens on 127.0.0.1 alone, at a port that the system chooses;
-- every address begins with a random token; the terminal shows it, and a browser that is opened here gets it from a file
-  that nobody else can read, and not as an argument, which every user of the computer sees (page_address.py);
-- a request whose Host is not this computer is refused: another site's name that suddenly stands for 127.0.0.1 (DNS
-  rebinding) does not get through; nor does what another site's page sends (Origin);
-- no other site may show the page in a frame, where somebody could be made to click on it;
-- a connection that has not asked for something with the token after some seconds is closed, and the oldest of these
-  where there are many: other users of this computer may connect too, and shall not use up what there is of them.
+One message to a page can switch off a gripper's torque or write a file. Protection against others:
+- The server listens only on 127.0.0.1, at a port that the system chooses.
+- Every address begins with a random token. The terminal shows it. A browser that is opened here gets it from a file
+  that only this user can read, and not as an argument, which every user of the computer can see (page_address.py).
+- A request whose Host is not this computer is refused. This stops another site's name that resolves to 127.0.0.1 (DNS
+  rebinding). Requests from another site's page are refused by their Origin.
+- No other site may show the page in a frame, where users could be tricked into clicking on it.
+- A connection without a request with the token is closed after some seconds, or earlier if there are many, the oldest
+  first. Other users of this computer can connect too, and must not use up all connections.
 """
 
 import logging
@@ -22,11 +22,11 @@ from urllib.parse import urlsplit
 from tornado import httpserver, netutil, web
 
 ADDRESS = "127.0.0.1"
-OWN_NAMES = ("127.0.0.1", "localhost", "[::1]")  # by any port: ssh -L may listen at another one
-MOST_BYTES = 4096  # of a message, or a request, to here
-REQUEST_S = 5.0  # in which a connection has to ask for something
-MOST_WAITING = 256  # connections that have not; twice of what tornado takes on before it looks at any of them
-BACKLOG = 1024  # connections that the system holds until they are taken on
+OWN_NAMES = ("127.0.0.1", "localhost", "[::1]")  # with any port: ssh -L may listen at another one
+MOST_BYTES = 4096  # largest message or request to the server
+REQUEST_S = 5.0  # time within which a connection must send a request
+MOST_WAITING = 256  # connections without a request; twice the number that tornado accepts before it reads from any
+BACKLOG = 1024  # connections that the system holds until they are accepted
 Content = Mapping[str, tuple[Path, str]]  # name in the address -> file and its type
 HEADERS = {
     "Cache-Control": "no-store",
@@ -40,15 +40,15 @@ HEADERS = {
 
 
 class OwnServer:
-    """Files at `url`, and what else a page asks for; used within a running asyncio loop.
+    """Serves files at `url`, and further routes of a page; used within a running asyncio loop.
 
-    content: the files, "" the page itself. routes: (pattern, handler, what it is given) beside them; a pattern begins
-    with the token as its first group, and a handler is a `Guarded`.
+    content: the files by name, with "" for the page itself. routes: further (pattern, handler, handler arguments). A
+    pattern begins with the token as its first group, and a handler is a subclass of `Guarded`.
     """
 
     def __init__(self, content: Content, routes: Sequence[tuple[str, type["Guarded"], dict[str, Any]]] = ()) -> None:
-        """Begin to listen."""
-        for name in ("tornado.general", "tornado.access"):  # a refused request is no news for the terminal
+        """Start to listen."""
+        for name in ("tornado.general", "tornado.access"):  # refused requests are not shown on the terminal
             logging.getLogger(name).addHandler(logging.NullHandler())
             logging.getLogger(name).propagate = False
         self.token = secrets.token_urlsafe(24)
@@ -57,7 +57,7 @@ class OwnServer:
         every = [(pattern, handler, own | given) for pattern, handler, given in routes]
         application = web.Application(
             [*every, (r"/([^/]*)/([^/]*)", _Page, own)],
-            default_handler_class=Guarded,  # which refuses what has no token
+            default_handler_class=Guarded,  # refuses requests without the token
             default_handler_args=own,
             log_function=lambda _: None,
             websocket_max_message_size=MOST_BYTES,
@@ -76,19 +76,19 @@ class OwnServer:
 
     @property
     def url(self) -> str:
-        """Where the page is."""
+        """The address of the page."""
         return f"http://{ADDRESS}:{self.port}/{self.token}/"
 
 
 class _Door(httpserver.HTTPServer):
-    """A server that holds no more than MOST_WAITING connections of which it does not know that they have the token."""
+    """A server that keeps at most MOST_WAITING connections that have not yet sent the token."""
 
     def initialize(self, *args: Any, **kwargs: Any) -> None:
-        self.waiting: dict[Any, None] = {}  # their streams, the oldest first
+        self.waiting: dict[Any, None] = {}  # streams of these connections, the oldest first
         super().initialize(*args, **kwargs)
 
     def handle_stream(self, stream: Any, address: Any) -> None:
-        """Take on a connection; the oldest of those that wait makes room for it."""
+        """Accept a connection; if too many are waiting, close the oldest of them."""
         self.waiting[stream] = None
         if len(self.waiting) > MOST_WAITING:
             oldest = next(iter(self.waiting))
@@ -97,20 +97,20 @@ class _Door(httpserver.HTTPServer):
         super().handle_stream(stream, address)
 
     def on_close(self, server_conn: Any) -> None:
-        """A connection has ended, or became a websocket."""
+        """Forget a connection that has ended or became a websocket."""
         self.waiting.pop(server_conn.stream, None)
         super().on_close(server_conn)
 
 
 class Guarded(web.RequestHandler):
-    """Refuses whoever does not know the token, or comes by another name than this computer's."""
+    """Refuses requests without the token, or with a Host that is not this computer."""
 
     def initialize(self, server: OwnServer) -> None:
         """Keep the server."""
         self._page_server = server
 
     def prepare(self) -> None:
-        """Refuse, before anything else is done."""
+        """Refuse such requests before anything else is done."""
         token = str(self.path_args[0]) if self.path_args else ""
         if _host_name(self.request.host) not in OWN_NAMES:
             raise web.HTTPError(403)
@@ -120,18 +120,18 @@ class Guarded(web.RequestHandler):
         self._page_server.waiting.pop(connection.stream, None)
 
     def set_default_headers(self) -> None:
-        """Load nothing from elsewhere, be shown in no frame, be kept nowhere."""
+        """Set headers so that the page loads nothing from other sites, appears in no frame, and is not cached."""
         for name, value in HEADERS.items():
             own = self.request.host if _host_name(self.request.host) in OWN_NAMES else ADDRESS
             self.set_header(name, value.replace("{host}", own))
         self.clear_header("Server")
 
     def write_error(self, status_code: int, **about: Any) -> None:
-        """Say the number alone."""
+        """Send only the status code."""
         self.finish(f"{status_code}\n")
 
     def is_from_here(self) -> bool:
-        """Whether a page that came from here asks, by its Origin."""
+        """Whether the request comes from a page of this server, by its Origin."""
         origin = str(self.request.headers.get("Origin", ""))
         return urlsplit(origin).netloc == self.request.host
 
@@ -148,5 +148,5 @@ class _Page(Guarded):
 
 
 def _host_name(host: str) -> str:
-    """The name of `Host: NAME:PORT`."""
+    """Return NAME of `Host: NAME:PORT`."""
     return host if host.endswith("]") else host.rpartition(":")[0] or host

@@ -1,8 +1,8 @@
-"""Plug-ins: cameras, formats, controllers and the like that other packages add by entry points, under new names.
+"""Plug-ins: cameras, formats, controllers and so on that other packages add by entry points, under new names.
 
-Entry points are read only where a name is none of ours (names.py), and by `evetac doctor`, which lists all of them: it
-takes longer than the rest of `evetac --help`. So nothing can take the place of a name of ours. A plug-in that does not
-load is refused where it is asked for, and keeps nothing else from working.
+Entry points are read only for names that are not evetac's own (names.py), and by `evetac doctor`, which lists them
+all: reading them takes longer than the rest of `evetac --help`. So a plug-in cannot replace one of evetac's names. A
+plug-in that does not load is refused when it is requested, and affects nothing else.
 """
 
 import re
@@ -26,7 +26,7 @@ CAMERAS, GRIPPERS = "evetac.cameras", "evetac.grippers"
 IMPORTERS, EXPORTERS = "evetac.importers", "evetac.exporters"
 CONTROLLERS, NETWORKS = "evetac.controllers", "evetac.networks"
 SCENES, SENSORS, OBJECTS = "evetac.scenes", "evetac.sensors", "evetac.objects"
-# The names of each group that are ours.
+# Evetac's own names in each group.
 OURS: dict[str, tuple[str, ...]] = {
     CAMERAS: names.without_placeholders(names.CAMERAS),
     GRIPPERS: names.without_placeholders(names.GRIPPERS),
@@ -38,14 +38,14 @@ OURS: dict[str, tuple[str, ...]] = {
     SENSORS: names.SENSORS,
     OBJECTS: (),
 }
-CLASSES = (CAMERAS, GRIPPERS)  # where a plug-in adds a class; elsewhere it adds an instance
-NUMBERED = (CONTROLLERS, NETWORKS)  # where it says by `method` when its numbers change
+CLASSES = (CAMERAS, GRIPPERS)  # groups in which a plug-in adds a class; in others it adds an instance
+NUMBERED = (CONTROLLERS, NETWORKS)  # groups in which `method` is the version of the computed numbers
 NAME = re.compile("[a-z][a-z0-9-]{0,39}")
 _used: dict[tuple[str, str], "Part"] = {}  # by group and name
 
 
 class Part(NamedTuple):
-    """A plug-in that has a part in what is made, as other processes are told of it; module: of its entry point."""
+    """A plug-in that is used for the results, in a form for other processes; module: that of its entry point."""
 
     group: str
     name: str
@@ -60,7 +60,7 @@ class Part(NamedTuple):
 
 
 class Plugin(NamedTuple):
-    """An entry point of a package: what it adds to which group, under which name."""
+    """An entry point of a package, with its group and name."""
 
     group: str
     name: str
@@ -75,51 +75,54 @@ class Plugin(NamedTuple):
 
     @property
     def part(self) -> Part:
-        """The same for other processes."""
+        """The plug-in in a form for other processes."""
         return Part(self.group, self.name, self.package, self.version, self.entry.module)
 
     def fault(self) -> str:
-        """Why its name cannot be used, in words; empty if it can."""
+        """Return the reason why its name cannot be used; empty if it can."""
         if self.name in OURS[self.group]:
-            return f"{self.name} is a name of evetac's own"
+            return f"{self.name} is one of evetac's own names"
         if not NAME.fullmatch(self.name):
-            return "a name has small letters, digits and -, as in lab-3"
+            return "a name has lower-case letters, digits and -, e.g. lab-3"
         others = [each.package for each in installed(self.group) if each.name == self.name and each != self]
-        return f"{' and '.join(others)} has one of this name, too" if others else ""
+        return f"{' and '.join(others)} has one of this name too" if others else ""
 
     def load(self, wanted: type[T]) -> T:
-        """What it adds: in CLASSES a class below `wanted`, else an instance; InputError where it is not, or fails."""
+        """Return the plug-in's object: in CLASSES a subclass of `wanted`, otherwise an instance.
+
+        InputError if it is something else, or if loading fails.
+        """
         if fault := self.fault():
             raise self.error(fault)
         try:
-            with redirect_stdout(sys.stderr):  # what it prints is no part of a table or of JSON
+            with redirect_stdout(sys.stderr):  # its output must not mix with a table or JSON
                 loaded = self.entry.load()
-        except (Exception, SystemExit) as error:  # code of somebody else's
+        except (Exception, SystemExit) as error:  # third-party code may raise anything
             raise self.error(f"{type(error).__name__}: {error}") from error
         self._require(loaded, wanted)
         plugin: T = loaded  # or its class
         return plugin
 
     def _require(self, loaded: Any, wanted: type) -> None:
-        """InputError unless it is what its group adds."""
+        """Raise InputError unless the loaded object is of the right kind for its group."""
         value, kind = self.entry.value, f"{wanted.__module__}.{wanted.__qualname__}"
         is_class = isinstance(loaded, type)
         if not issubclass(loaded if is_class else type(loaded), wanted):
             raise self.error(f"{value} is no {kind}")
         if self.group in CLASSES and not is_class:
-            raise self.error(f"{value} is an instance, and a class below {kind} is wanted")
+            raise self.error(f"{value} is an instance, but a subclass of {kind} is required")
         if self.group not in CLASSES and is_class:
-            raise self.error(f"{value} is a class, and an instance of {kind} is wanted")
+            raise self.error(f"{value} is a class, but an instance of {kind} is required")
         method = getattr(loaded, "method", None)
         if self.group in NUMBERED and (type(method) is not int or method < 1):
-            raise self.error(f"{value} has no `method`: 1, and one more whenever its numbers change")
+            raise self.error(f"{value} has no `method`: set it to 1, and raise it by 1 whenever its numbers change")
 
     def use(self) -> None:
-        """From now on it has a part in what is made: headers name its package."""
+        """Record that the plug-in is used, so that headers name its package."""
         _used[self.group, self.name] = self.part
 
     def error(self, why: str) -> InputError:
-        """That this plug-in cannot be used, and why."""
+        """Return the error that this plug-in cannot be used, with the reason."""
         hint = f"evetac doctor lists all plug-ins; its package is {self.package}"
         return InputError(f"the plug-in {self.what} cannot be used", where=self.package, found=why, hint=hint)
 
@@ -130,7 +133,7 @@ def _what(group: str, name: str) -> str:
 
 @cache
 def installed(group: str) -> tuple[Plugin, ...]:
-    """All plug-ins of a group, by name; none of them is loaded."""
+    """Return all plug-ins of a group, sorted by name, without loading them."""
     from importlib import metadata
 
     plugins = []
@@ -141,21 +144,21 @@ def installed(group: str) -> tuple[Plugin, ...]:
 
 
 def usable(group: str) -> tuple[str, ...]:
-    """The names that plug-ins add to a group."""
+    """Return the names that plug-ins add to a group."""
     return tuple(each.name for each in installed(group) if each.name not in OURS[group])
 
 
 def named(group: str, name: str) -> Plugin | None:
-    """The plug-in of a name; None where the name is ours, or no plug-in has it."""
+    """Return the plug-in of a name; None if the name is evetac's own or no plug-in has it."""
     if name in OURS[group] or not NAME.fullmatch(name):
         return None
     return next((each for each in installed(group) if each.name == name), None)
 
 
 def find(group: str, name: str, wanted: type[T]) -> T | None:
-    """What a plug-in adds under a name, as `load`; None where the name is ours, or no plug-in has it.
+    """Load and return the plug-in's object under a name; None if the name is evetac's own or no plug-in has it.
 
-    It has a part in what is made from now on.
+    The plug-in is recorded as used. InputError as for `Plugin.load`.
     """
     plugin = named(group, name)
     if plugin is None:
@@ -166,7 +169,7 @@ def find(group: str, name: str, wanted: type[T]) -> T | None:
 
 
 def find_file(group: str, name: str) -> Path | None:
-    """The file NAME.toml in the folder of the module that a plug-in names; None and InputError as `find`."""
+    """Return the file NAME.toml in the folder of the module named by a plug-in; None and InputError as for `find`."""
     plugin = named(group, name)
     if plugin is None:
         return None
@@ -183,23 +186,23 @@ def find_file(group: str, name: str) -> Path | None:
 
 
 def parts() -> tuple[Part, ...]:
-    """The plug-ins that had a part so far in what this process makes, for `take_part` in another one."""
+    """Return the plug-ins that this process has used so far, for `take_part` in another process."""
     return tuple(_used.values())
 
 
 def take_part(others: Iterable[Part]) -> None:
-    """These have a part in what this process makes, since another one that uses them gives it its work."""
+    """Record these plug-ins as used, because the process that sends the jobs uses them."""
     _used.update({part[:2]: part for part in others})
 
 
 def used() -> dict[str, str]:
-    """The packages whose plug-ins had a part so far, and their versions."""
+    """Return the packages whose plug-ins have been used so far, with their versions."""
     return {part.package: part.version for part in _used.values()}
 
 
 @contextmanager
 def only_looked_at() -> Iterator[None]:
-    """Plug-ins that are found in this block have no part in what is made."""
+    """Do not record plug-ins as used that are only looked up within this block."""
     before = dict(_used)
     try:
         yield
@@ -209,13 +212,13 @@ def only_looked_at() -> Iterator[None]:
 
 
 def lacking(wanted: Iterable[Part]) -> str:
-    """Why this process cannot use plug-ins that another one uses, in words; empty if it can."""
+    """Return the reason why this process cannot use plug-ins that another one uses; empty if it can."""
     for part in wanted:
         here = named(part.group, part.name)
         if here is None or here.package != part.package:
-            return f"has no package {part.package}, of which is the plug-in {part.what}"
+            return f"lacks the package {part.package} with the plug-in {part.what}"
         if here.version != part.version:
-            return f"has {part.package} {here.version}, and this is {part.package} {part.version}"
+            return f"has {part.package} {here.version}, but the command has {part.package} {part.version}"
         try:
             here.load(object)
         except InputError as error:
@@ -224,9 +227,10 @@ def lacking(wanted: Iterable[Part]) -> str:
 
 
 def culprits(error: BaseException) -> tuple[Part, ...]:
-    """The plug-ins in whose code an error was raised, or passed through; those of one package, none where it was ours.
+    """Return the plug-ins in whose code an error was raised, or through which it passed; none if it was evetac's code.
 
-    Where the code is of no module that an entry point names, they are all of its package that have a part.
+    All of them belong to one package. If no entry point names the module of that code, they are all used plug-ins of
+    its package.
     """
     noted: tuple[Part, ...] = getattr(error, "evetac_plugins", ())
     if noted:
@@ -245,6 +249,6 @@ def culprits(error: BaseException) -> tuple[Part, ...]:
 
 
 def note_culprits(error: BaseException) -> None:
-    """Make the error say on its way to another process, which it reaches without a traceback, whose it is."""
+    """Store the responsible plug-ins in an error that is sent to another process, where it has no traceback."""
     if found := culprits(error):
         error.evetac_plugins = found  # type: ignore[attr-defined]

@@ -1,4 +1,4 @@
-"""Where the package's own data lies: schemas, scenes, tables, a slip detector."""
+"""Paths of the package's own data: schemas, scenes, tables, the pretrained slip detector."""
 
 import functools
 from collections.abc import Iterable
@@ -11,23 +11,23 @@ from evetac_cli.errors import EvetacError, InputError
 PACKAGE = Path(__file__).resolve().parent
 DATA = PACKAGE / "data"
 SCENES = DATA / "scenes"
-SHIPPED = "shipped"  # names the package's model where a flag asks for one
-MODEL = DATA / "models" / "slip-10ms.model.h5"  # the slip detector of `grasp`; its report lies beside it
-STICKING_MODEL = DATA / "models" / "sticking.npz"  # of touch maps; what it was trained on lies beside it
+SHIPPED = "shipped"  # name of the pretrained model in flags
+MODEL = DATA / "models" / "slip-10ms.model.h5"  # the slip detector of `grasp`; its report is next to it
+STICKING_MODEL = DATA / "models" / "sticking.npz"  # of touch maps; a description of its training is next to it
 
 
 def schemas() -> Path:
-    """The folder of schemas: inside an installed package, else one folder up (an editable install)."""
+    """Return the folder of schemas: inside an installed package, or one folder up (an editable install)."""
     for candidate in (PACKAGE / "schemas", PACKAGE.parent / "schemas"):
         if candidate.is_dir():
             return candidate
-    raise EvetacError("the folder schemas/ is missing from this installation", hint="install evetac again")
+    raise EvetacError("the folder schemas/ is missing from this installation", hint="reinstall evetac")
 
 
 def model_file(named: Path | str | None, flag: str = "--model") -> Path:
-    """The file of a slip detector: the package's for `shipped` and where none is named, otherwise what is named.
+    """Return the file of a slip detector: the pretrained one for `shipped` or no name, otherwise the named file.
 
-    InputError for a name that is neither a file nor `shipped`, but near to it.
+    InputError for a name that is not a file and looks like a misspelt `shipped`.
     """
     if named is None or str(named) in ("", SHIPPED):
         return MODEL
@@ -38,9 +38,9 @@ def model_file(named: Path | str | None, flag: str = "--model") -> Path:
 
 
 def with_shipped(files: Iterable[Path]) -> list[Path]:
-    """Files as they were named, in which `shipped` stands for the package's slip detector, at the end.
+    """Return the named files, with `shipped` replaced by the pretrained slip detector, at the end.
 
-    A file or folder that is called so is meant where there is one.
+    If a file or folder named `shipped` exists, it is used instead.
     """
     named = list(files)
     others = [path for path in named if str(path) != SHIPPED or path.exists()]
@@ -49,7 +49,7 @@ def with_shipped(files: Iterable[Path]) -> list[Path]:
 
 @functools.cache
 def table(name: str) -> dict[str, Any]:
-    """A TOML table of the package: objects, sensors."""
+    """Return a TOML table of the package: objects or sensors."""
     import tomllib
 
     return tomllib.loads((DATA / f"{name}.toml").read_text())

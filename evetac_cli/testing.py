@@ -1,4 +1,4 @@
-"""Contract tests for what other packages add: each function raises AssertionError where a contract is not kept.
+"""Contract tests for plug-ins of other packages: each function raises AssertionError if a contract is violated.
 
     from evetac_cli import testing
 
@@ -46,44 +46,44 @@ from evetac_cli.store.layout.provenance import Recipe
 
 
 def check_camera(text: str) -> None:
-    """A camera by its name, as `--camera` takes it; it is opened four times and read for half a second."""
+    """Check a camera, given by name as for `--camera`; it is opened four times and read for half a second."""
     named = cameras.parse(text)
-    assert text.partition(":")[0] == named.name, f"it is called {named.name}, and {text} asks for it"
-    assert cameras.parse(str(named)) == named, f"{named}, which stands for it in errors, does not name it"
-    assert pickle.loads(pickle.dumps(named)) == named, "it is not the same in another process"
-    assert named.capabilities <= set(Capability), f"not all of {named.capabilities} are Capability"
-    assert named.has(Capability.DEVICE), "a camera of a plug-in is a device: it has Capability.DEVICE"
-    assert named.file_stem and "/" not in named.file_stem, "names of recordings begin with file_stem"
+    assert text.partition(":")[0] == named.name, f"its name is {named.name}, but it was requested as {text}"
+    assert cameras.parse(str(named)) == named, f"{named}, its text in error messages, does not select it"
+    assert pickle.loads(pickle.dumps(named)) == named, "it is not equal to its copy in another process"
+    assert named.capabilities <= set(Capability), f"not all of {named.capabilities} are members of Capability"
+    assert named.has(Capability.DEVICE), "a plug-in camera is a device and must have Capability.DEVICE"
+    assert named.file_stem and "/" not in named.file_stem, "file_stem must be usable as the start of file names"
     checks: tuple[Callable[[EventCamera], None], ...] = (check_slices, check_losses, check_clock, check_end)
     for check in checks:
         camera, setup, _ = named.open(CameraSettings(), None, np.random.SeedSequence(0))
         with closing(camera):
             json.dumps(setup, allow_nan=False)
             width, height = named.frame_px()
-            assert tuple(camera.sensor["sensor/frame_px"]) == (width, height), "frame_px is that of the open camera"
+            assert tuple(camera.sensor["sensor/frame_px"]) == (width, height), "frame_px differs from the open camera's"
             assert all(isinstance(note, str) for note in camera.notes)
             check(camera)
 
 
 def check_slices(camera: EventCamera, slices: int = 200) -> None:
-    """Slice k holds events of [k, k + 1) ms only, in order, of the right dtypes, inside the frame."""
+    """Check that slice k holds only events of [k, k + 1) ms, in order of time, with the right dtypes, in the frame."""
     width, height = camera.sensor["sensor/frame_px"]
     for index in range(slices):
         events = camera.read()
-        assert isinstance(events, Events), f"slice {index} is no Events"
+        assert isinstance(events, Events), f"slice {index} is not an Events"
         assert [column.dtype for column in events] == [np.int64, np.uint16, np.uint16, np.uint8]
         assert len({len(column) for column in events}) == 1
-        assert ((events.t // SLICE_US) == index).all(), f"slice {index} has events of another"
-        assert (np.diff(events.t) >= 0).all(), f"slice {index} is not in order"
+        assert ((events.t // SLICE_US) == index).all(), f"slice {index} has events of another slice"
+        assert (np.diff(events.t) >= 0).all(), f"the events of slice {index} are not in order of time"
         assert (events.x < width).all()
         assert (events.y < height).all()
         assert (events.p <= 1).all()
 
 
 def check_end(camera: EventCamera, *, ends: bool = False, slices: int = 210) -> None:
-    """After its last slice, and once it is closed, a camera gives None as often as it is asked; it closes twice.
+    """Check that a camera returns None after its last slice and once it is closed, and that it can be closed twice.
 
-    ends: whether its stream ends by itself; slices: that are read at least, if it goes on.
+    ends: whether its stream ends by itself. slices: number of slices to read if it does not.
     """
     count = 0
     while count < slices or ends:
@@ -99,7 +99,7 @@ def check_end(camera: EventCamera, *, ends: bool = False, slices: int = 210) -> 
 
 
 def check_losses(camera: EventCamera) -> None:
-    """Losses are whole numbers by name, before, while and after it runs."""
+    """Check that losses are whole numbers by name, before, during and after reading."""
     for _ in range(3):
         assert all(isinstance(name, str) and isinstance(count, int) for name, count in camera.counted.items())
         camera.read()
@@ -108,7 +108,10 @@ def check_losses(camera: EventCamera) -> None:
 
 
 def check_clock(camera: EventCamera, *, ends: bool = False) -> None:
-    """Device time never goes back, and is about the end of the slice read last; to the us where the stream ends."""
+    """Check that device time never goes back and is close to the end of the last slice read.
+
+    ends: whether the stream ends by itself; the time must then be exact to the us.
+    """
     previous, slack_us = -1, 0 if ends else SLICE_US
     for index in range(50):
         camera.read()
@@ -122,20 +125,20 @@ def check_clock(camera: EventCamera, *, ends: bool = False) -> None:
 
 
 def check_gripper(text: str, *, armed: bool = False) -> None:
-    """A gripper by its name, as `--gripper` takes it; it is opened in both modes and commanded.
+    """Check a gripper, given by name as for `--gripper`; it is opened in both modes and commanded.
 
-    armed: whether real fingers may be moved, as by --arm; InputError where they would be without it.
+    armed: whether real fingers may move, as with --arm; InputError if they would move without it.
     """
     named = grippers.parse(text)
     require_arm(named, armed=armed, plan="is closed with 10 mA for five commands", hint="armed=True")
-    assert text.partition(":")[0] == named.name, f"it is called {named.name}, and {text} asks for it"
-    assert grippers.parse(str(named)) == named, f"{named}, which stands for it in errors, does not name it"
-    assert pickle.loads(pickle.dumps(named)) == named, "it is not the same in another process"
+    assert text.partition(":")[0] == named.name, f"its name is {named.name}, but it was requested as {text}"
+    assert grippers.parse(str(named)) == named, f"{named}, its text in error messages, does not select it"
+    assert pickle.loads(pickle.dumps(named)) == named, "it is not equal to its copy in another process"
     assert named.capabilities <= set(Capability)
-    assert named.has(Capability.MOVED), "a gripper is moved: it has Capability.MOVED"
+    assert named.has(Capability.MOVED), "a gripper must have Capability.MOVED"
     if named.has(Capability.HARDWARE):
         own = type(named).release is not grippers.NamedGripper.release
-        assert own, "`release` switches torque off where the process that commanded a real gripper died"
+        assert own, "a real gripper needs `release`, to switch torque off if the process that commanded it died"
     ways: tuple[tuple[Mode, RhP12RnSettings | None], ...] = (
         ("current", None),
         ("position", named.settings(max_current_ma=60, watchdog_ms=60)),
@@ -150,7 +153,7 @@ def check_gripper(text: str, *, armed: bool = False) -> None:
 
 
 def check_commands(gripper: Gripper, mode: Mode) -> None:
-    """An open gripper takes commands of its mode, reads whole ticks, says what torque is, and closes twice."""
+    """Check that an open gripper accepts commands of its mode, reads whole ticks, reports torque, and closes twice."""
     start = gripper.read()
     assert isinstance(start, GripperReading)
     for _ in range(5):
@@ -171,19 +174,19 @@ def check_commands(gripper: Gripper, mode: Mode) -> None:
 
 
 def check_importer(name: str, file: Path) -> Imported:
-    """The format of a plug-in, by a file of it; returns what was read, to be compared with what is in the file."""
+    """Check an import format of a plug-in with a file; returns the imported data, to compare with the file."""
     row = _plugin(plugins.IMPORTERS, name, imports.ImportFormat)
     head = file.read_bytes()[: max(map(len, row.begins))]
-    assert head.startswith(row.begins), "the file does not begin as its format says"
-    assert all(len(mark) >= imports.LEAST_MARK for mark in row.begins), "a mark is too short to be no chance"
+    assert head.startswith(row.begins), "the file does not begin with a mark of its format"
+    assert all(len(mark) >= imports.LEAST_MARK for mark in row.begins), "a mark is so short that it may occur by chance"
     read = read_events(file)
-    assert read.format == name, f"it was read as {read.format}"
-    assert set(row.said) <= set(imports.SAID), "options are some of --stream, --columns, --time-unit"
+    assert read.format == name, f"the file was read as {read.format}"
+    assert set(row.said) <= set(imports.SAID), "allowed options are --stream, --columns and --time-unit"
     with tempfile.TemporaryDirectory() as folder:
         for length in range(len(head), file.stat().st_size, max(1, file.stat().st_size // 50)):
             part = Path(folder) / file.name
             part.write_bytes(file.read_bytes()[:length])
-            try:  # a file that was cut anywhere is read or refused
+            try:  # a truncated file must be read or refused
                 read_events(part)
             except InputError:
                 continue
@@ -191,7 +194,7 @@ def check_importer(name: str, file: Path) -> Imported:
 
 
 def check_exporter(name: str, folder: Path) -> Path:
-    """The format of a plug-in, by a small recording; returns the file, to be compared with `small_recording`."""
+    """Check an export format of a plug-in; returns the file, to compare with `small_recording`."""
     row = _plugin(plugins.EXPORTERS, name, exports.ExportFormat)
     assert row.suffixes and all(suffix.startswith(".") for suffix in row.suffixes)
     source = small_recording(folder / "small.recording.h5")
@@ -202,7 +205,7 @@ def check_exporter(name: str, folder: Path) -> Path:
 
 
 def small_events() -> Events:
-    """A few hundred events of 20 ms in a frame of 640 x 480 px, the same each time."""
+    """Return 300 events within 20 ms in a frame of 640 x 480 px, always the same."""
     rng = np.random.default_rng(7)
     columns = (rng.integers(0, high, 300) for high in (640, 480, 2))
     x, y, p = (column.astype(dtype) for column, dtype in zip(columns, (np.uint16, np.uint16, np.uint8), strict=True))
@@ -210,7 +213,7 @@ def small_events() -> Events:
 
 
 def small_recording(path: Path) -> Path:
-    """A recording of `small_events`, written to a path that ends in .recording.h5."""
+    """Write a recording of `small_events` to a path that ends in .recording.h5, and return the path."""
     events, slices = small_events(), 20
     arrays = {f"events/{column}": getattr(events, column) for column in Events._fields}
     arrays |= {"ms_to_idx": slice_starts(events.t, slices), "t_offset": np.int64(0)}
@@ -223,19 +226,19 @@ def small_recording(path: Path) -> Path:
 
 
 def check_controller(name: str) -> None:
-    """A controller of a plug-in: a frozen dataclass, the same in another process, that answers every step."""
+    """Check a controller of a plug-in: a frozen dataclass, equal in another process, that answers every step."""
     law = _plugin(plugins.CONTROLLERS, name, PluginLaw)
     assert dataclasses.is_dataclass(law)
     json.dumps(dataclasses.asdict(law), allow_nan=False)
-    assert pickle.loads(pickle.dumps(law)) == law, "it is not the same in another process"
-    assert goals(law) == goals(law), "two grasps alike are not commanded alike"
+    assert pickle.loads(pickle.dumps(law)) == law, "it is not equal to its copy in another process"
+    assert goals(law) == goals(law), "two equal grasps get different commands"
 
 
 def goals(law: PluginLaw) -> list[int]:
-    """The goals of a grasp of half a second, whose fingers follow: whole, and within the gripper's range."""
+    """Return the goals of a simulated grasp of half a second; they must be whole and in the gripper's range."""
     try:
         return _goals(law)
-    except EvetacError as error:  # what a grasp would end with
+    except EvetacError as error:  # a grasp would end with this error
         raise AssertionError(str(error)) from error
 
 
@@ -245,13 +248,13 @@ def _goals(law: PluginLaw) -> list[int]:
         phase = GraspPhase(min(step // 80, 2))
         slips += step % 40 == 0
         signal = SlipSignal(slips, 0.5, 0.1 * step, 0.0)
-        ahead = control.copy().step(phase, signal, position)  # as where a slip is answered before its step
+        ahead = control.copy().step(phase, signal, position)  # as for a slip that is answered before its step
         goal = control.step(phase, signal, position)
         assert type(goal) is int
-        assert goal == ahead, "it remembers something outside of its state, or a copy of that changes it"
+        assert goal == ahead, "it keeps data outside of its state, or a step of a copied state changes the original"
         assert PAPER.first_tick <= goal <= PAPER.last_tick
-        assert math.isfinite(control.u_ff_ticks), "u_ff is finite: recordings are not valid otherwise"
-        assert not math.isinf(control.x_ref_ticks), "x_ref is finite, or NaN where there is none"
+        assert math.isfinite(control.u_ff_ticks), "u_ff must be finite for recordings to be valid"
+        assert not math.isinf(control.x_ref_ticks), "x_ref must be finite, or NaN if there is none"
         position += int(np.sign(goal - position))
         answers.append(goal)
     return answers
@@ -261,19 +264,19 @@ def _goals(law: PluginLaw) -> list[int]:
 
 
 def check_network(name: str, rows: int = 7, columns: int = 8) -> None:
-    """A network of a plug-in, for so many dots: its graph is that of its weights, and computes what torch does."""
+    """Check a network of a plug-in for a dot grid: its graph matches its weights and computes the same as torch."""
     import torch
 
     from evetac_cli.kernels.slip import networks, onnx_graphs
     from evetac_cli.kernels.slip.detector import Detector
 
     architecture = cast(PluginNetwork, _plugin(plugins.NETWORKS, name, PluginLayers))
-    assert architecture.name == name, f"it calls itself {architecture.name}"
+    assert architecture.name == name, f"its name is {architecture.name}"
     rng = np.random.default_rng(3)
     network = networks.build(architecture, rows, columns)
     weights = networks.weights(network)
     shapes = {layer: array.shape for layer, array in weights.items()}
-    assert shapes == weight_shapes(architecture, rows, columns), "layers and modules are not of the same shapes"
+    assert shapes == weight_shapes(architecture, rows, columns), "layers and modules have different shapes"
     weights = {layer: rng.normal(0.0, 0.3, shape).astype(np.float32) for layer, shape in shapes.items()}
     graph = onnx_graphs.build(architecture, weights, rows, columns)
     onnx_graphs.check(graph, architecture, rows, columns, weights)
@@ -292,23 +295,23 @@ def check_network(name: str, rows: int = 7, columns: int = 8) -> None:
 
 
 def check_scene(name: str) -> Scene:
-    """A scene of a plug-in: it is read, bears its name, and can be planned."""
+    """Check that a scene of a plug-in can be read, has its name, and can be planned; return the scene."""
     assert plugins.find_file(plugins.SCENES, name) is not None, f"no plug-in has a scene {name}"
     scene = scene_file.load(name)
-    assert scene.name == name, f"its file calls it {scene.name}"
+    assert scene.name == name, f"its name in the file is {scene.name}"
     json.dumps(first_plan(name).parameters(), allow_nan=False)
     return scene
 
 
 def check_sensor(name: str) -> Sensor:
-    """A sensor of a plug-in: it is read, whole, and can be simulated in the scene `rest`."""
+    """Check that a sensor of a plug-in can be read and simulated in the scene `rest`; return the sensor."""
     assert plugins.find_file(plugins.SENSORS, name) is not None, f"no plug-in has a sensor {name}"
     assert first_plan("rest", sensor=name).sensor_name == name
     return one_sensor(name)
 
 
 def check_object(name: str) -> TouchedObject:
-    """An object of a plug-in: it is read, and can be held."""
+    """Check that an object of a plug-in can be read; return the object."""
     assert plugins.find_file(plugins.OBJECTS, name) is not None, f"no plug-in has an object {name}"
     ((called, touched),) = named_objects(name).items()
     assert called == name
@@ -316,7 +319,7 @@ def check_object(name: str) -> TouchedObject:
 
 
 def _plugin(group: str, name: str, wanted: type[plugins.T]) -> plugins.T:
-    """What a plug-in adds under a name."""
+    """Return the object that a plug-in adds under a name."""
     adds = plugins.find(group, name, wanted)
     assert adds is not None, f"no plug-in adds {name} to {group}, or the name is evetac's own"
     return adds

@@ -1,9 +1,9 @@
-"""The one door for text files from elsewhere, TOML and JSON: regular files only, of a bounded size, depth and count.
+"""Reading of external text files, TOML and JSON: only regular files, with limits on size, depth and number of values.
 
-Numbers are plain behind it: finite, whole ones of 64 bits, and no 0 with a sign, which numpy takes for a negative one.
+All numbers read here are plain: finite, whole numbers of 64 bits, and no negative zero, which numpy treats as negative.
 
-Why the structure is looked at before the text is parsed: tomllib takes a minute for one key of 100,000 dotted parts,
-and both parsers run out of stack where lists are nested deep enough. Looking takes a time in proportion to the size.
+The structure is checked before the text is parsed: tomllib takes a minute for one key of 100,000 dotted parts, and
+both parsers run out of stack for deeply nested lists. The time for the check is proportional to the size.
 """
 
 import json
@@ -18,16 +18,16 @@ from typing import Any, BinaryIO
 
 from evetac_cli.errors import InputError, cannot_read, changed_meanwhile
 
-MOST_TOML_BYTES = 1 << 18  # a config file or scene has a few kB; tomllib reads this in half a second
-MOST_JSON_BYTES = 1 << 22  # a calibration has 10 kB; this is one of ten thousand dots
-MOST_DEPTH = 32  # tables in tables, lists in lists, and dots of a key: ours have 4
-MOST_VALUES = 50_000  # entries of lists and tables: so many take milliseconds
-WHOLE_BITS = 64  # what TOML promises for a whole number, with its sign
-SEED_BITS = 129  # seeds of numpy have up to 128 bits, and a sign: in headers
+MOST_TOML_BYTES = 1 << 18  # a config file or scene has a few kB; tomllib reads this size in half a second
+MOST_JSON_BYTES = 1 << 22  # a calibration has 10 kB; this size is enough for ten thousand dots
+MOST_DEPTH = 32  # nested tables, nested lists, and parts of a dotted key; evetac's files need 4
+MOST_VALUES = 50_000  # entries of lists and tables; this number takes milliseconds
+WHOLE_BITS = 64  # of a whole number in TOML, with its sign
+SEED_BITS = 129  # numpy's seeds in headers have up to 128 bits, and a sign
 
-# Texts and comments, whose content is no structure. One that does not end runs to the end of its line, or of the file:
-# so each match succeeds where its repetition stops, and none goes back. It is not possessive (*+), for what that
-# matches in Python 3.11.2 and older is wrong.
+# Strings and comments, whose content is not structure. One without an end extends to the end of its line or file, so
+# each match succeeds where its repetition stops, without backtracking. Possessive repetition (*+) is not used because
+# it matches wrongly in Python 3.11.2 and older.
 _TOML_TEXT = re.compile(
     r'"""(?:[^\\"]+|\\.|"(?!""))*(?:"{3,5}|\\?\Z)'
     r"|'''(?:[^']+|'(?!''))*(?:'{3,5}|\Z)"
@@ -40,11 +40,14 @@ _JSON_TEXT = re.compile(r'"(?:[^"\\]+|\\.)*(?:"|\\?\Z)', re.DOTALL)
 _DOTTED = re.compile(rf"(?<![\w\-])[\w\-]+(?:[ \t]*\.[ \t]*[\w\-]+){{{MOST_DEPTH}}}")
 _STRUCTURE = re.compile(r"[\[\]{},=:]")
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
-_HUGE = re.compile(r"[eE]\+?[0-9]{3}|[0-9]{300}")  # what a number of JSON has that may be too large for a float
+_HUGE = re.compile(r"[eE]\+?[0-9]{3}|[0-9]{300}")  # a JSON number with this may be too large for a float
 
 
 def open_regular(path: Path) -> BinaryIO:
-    """Open a file for reading; InputError for a pipe, socket or device, which might wait; errors.cannot_read else."""
+    """Open a regular file for reading.
+
+    InputError for a pipe, socket or device, which might block; the error of errors.cannot_read if opening fails.
+    """
     try:
         kind = os.stat(path).st_mode
         if not stat.S_ISDIR(kind) and not stat.S_ISREG(kind):
@@ -53,7 +56,7 @@ def open_regular(path: Path) -> BinaryIO:
     except OSError as error:
         raise cannot_read(error, path) from None
     kind = os.fstat(file.fileno()).st_mode
-    if not stat.S_ISREG(kind):  # another took its place
+    if not stat.S_ISREG(kind):  # replaced in the meantime
         file.close()
         raise _not_regular(path, kind)
     return file
@@ -66,7 +69,10 @@ def _not_regular(path: Path, kind: int) -> InputError:
 
 
 def read_bytes(path: Path, most_bytes: int) -> bytes:
-    """The whole of a regular file; InputError where it is larger, errors.cannot_read where it cannot be read."""
+    """Return the contents of a regular file.
+
+    InputError if it is larger than `most_bytes`; the error of errors.cannot_read if reading fails.
+    """
     with open_regular(path) as file:
         try:
             content = file.read(most_bytes + 1)
@@ -78,14 +84,14 @@ def read_bytes(path: Path, most_bytes: int) -> bytes:
 
 
 class Steady:
-    """Whether a file, or what lies in a folder, is still as it was: another program may write what is being read."""
+    """Detects changes of a file, or of files in a folder, which another program may be writing during reading."""
 
     def __init__(self, path: Path) -> None:
         self._path, self._before = path, self._stamps(path)
 
     @staticmethod
     def _stamps(path: Path) -> list[tuple[str, int, int]]:
-        """Name, size and time of change of each file; nothing of what cannot be looked at, which its reader says."""
+        """Return name, size and time of change of each file; nothing if these fail, which the reader then reports."""
         try:
             inside = [path] if not path.is_dir() else [Path(entry.path) for entry in os.scandir(path)]
             looked = [(one.name, one.stat()) for one in sorted(inside)]
@@ -94,14 +100,14 @@ class Steady:
         return [(name, stat.st_size, stat.st_mtime_ns) for name, stat in looked]
 
     def check(self) -> None:
-        """Raise UnavailableError if it changed since this was made; of a path that reading alone does not change."""
+        """Raise UnavailableError if a file changed since this object was created."""
         if self._stamps(self._path) != self._before:
             raise changed_meanwhile(self._path)
 
 
 @contextmanager
 def steady(path: Path) -> Iterator[None]:
-    """UnavailableError where a file changed while the block read it, also where the block found fault with it."""
+    """Raise UnavailableError if a file changed while the block read it, even if the block raised InputError."""
     before = Steady(path)
     try:
         yield
@@ -112,15 +118,15 @@ def steady(path: Path) -> Iterator[None]:
 
 
 def read_text(path: Path, most_bytes: int) -> str:
-    """The whole of a regular file of UTF-8; InputError for anything else."""
+    """Return the text of a regular file in UTF-8; InputError for anything else."""
     try:
         return read_bytes(path, most_bytes).decode()
     except UnicodeDecodeError as error:
-        raise InputError(f"not text in UTF-8 from byte {error.start} on", where=str(path)) from None
+        raise InputError(f"not text in UTF-8: first invalid byte at {error.start}", where=str(path)) from None
 
 
 def read_toml(path: Path, refusal: type[InputError] = InputError) -> dict[str, Any]:
-    """A TOML file within the limits above, of plain numbers; `refusal`, an InputError, for anything else."""
+    """Return the contents of a TOML file within the limits above; raise `refusal`, an InputError, for anything else."""
     try:
         table = parse_toml(read_text(path, MOST_TOML_BYTES))
     except ValueError as error:
@@ -132,14 +138,14 @@ def read_toml(path: Path, refusal: type[InputError] = InputError) -> dict[str, A
 
 
 def require_finite(table: Mapping[str, Any], where: str, refusal: type[InputError] = InputError) -> None:
-    """Refuse nan and inf, which TOML can write and JSON Schema does not see."""
+    """Refuse nan and inf, which TOML allows and JSON Schema does not detect."""
     for place, value in _values(table):
         if isinstance(value, float) and not math.isfinite(value):
             raise refusal(f"{place}: not a finite number", where=where, found=str(value))
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """Parse TOML within the limits above; ValueError says in words what is wrong with it. Floats may be nan or inf."""
+    """Parse TOML within the limits above; floats may be nan or inf. ValueError states what is wrong."""
     import tomllib  # here, as most commands read none
 
     outline = _TOML_TEXT.sub("a", text.replace("\r\n", "\n"))
@@ -149,7 +155,7 @@ def parse_toml(text: str) -> dict[str, Any]:
     try:
         table = tomllib.loads(text, parse_float=lambda number: plain_number(float(number)))
     except RecursionError:
-        raise ValueError("it is nested too deeply") from None
+        raise ValueError("nested too deeply") from None
     for _, value in _values(table):
         if type(value) is int and value.bit_length() >= WHOLE_BITS:
             raise ValueError(f"a whole number of more than {WHOLE_BITS} bits")
@@ -157,12 +163,12 @@ def parse_toml(text: str) -> dict[str, Any]:
 
 
 def plain_number(value: float) -> float:
-    """A number without the sign that a 0 may have."""
+    """Return a number, with -0.0 replaced by 0.0."""
     return value + 0.0
 
 
 def as_toml(table: Mapping[str, Any]) -> str:
-    """A table as TOML, which the standard library only reads: its own values first, then its tables."""
+    """Return a table as TOML text, with its own values first, then its tables; the standard library only reads TOML."""
     values = {key: value for key, value in table.items() if not isinstance(value, Mapping)}
     tables = {key: value for key, value in table.items() if isinstance(value, Mapping)}
     parts = [_lines(values), *(f"[{key}]\n{_lines(value)}" for key, value in tables.items())]
@@ -178,34 +184,34 @@ def _toml_value(value: Any) -> str:
         return "{" + ", ".join(f"{key} = {_toml_value(item)}" for key, item in value.items()) + "}"
     if isinstance(value, list | tuple):
         return "[" + ", ".join(map(_toml_value, value)) + "]"
-    if isinstance(value, str):  # as of JSON, but for pairs of escapes beyond U+FFFF, and DEL
+    if isinstance(value, str):  # as in JSON, except for pairs of escapes beyond U+FFFF, and DEL
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
-    return json.dumps(value) if isinstance(value, bool) else str(value)  # nan and inf are numbers of TOML
+    return json.dumps(value) if isinstance(value, bool) else str(value)  # TOML allows nan and inf
 
 
 def as_utf8(text: str) -> str:
-    """A text as files can hold it: what stands in a name for bytes that are no UTF-8 is spelt out, as `\\udcff`."""
+    """Return a text that can be stored in UTF-8: surrogates for invalid bytes in a name are escaped, e.g. `\\udcff`."""
     return text if text.isascii() else text.encode("utf-8", "backslashreplace").decode()
 
 
 def csv_text(text: str) -> str:
-    """A text as a cell of CSV that no spreadsheet runs: an apostrophe stands before what it would take for a formula.
+    """Return a text as a CSV cell that no spreadsheet executes: an apostrophe is put before a possible formula.
 
-    That is a text whose first sign, blanks aside, is one of = + - @, also in full width, or one that begins with a tab
-    or the end of a line. A number is a number, also with a sign.
+    A possible formula is a text whose first character, apart from blanks, is one of = + - @, also in full width, or
+    which begins with a tab or line break. Numbers, also with a sign, stay as they are.
     """
     formula = text[:1] in ("\t", "\r", "\n") or text.lstrip()[:1] in tuple("=+-@\uff1d\uff0b\uff0d\uff20")
     return f"'{text}" if formula and not _NUMBER.fullmatch(text) else text
 
 
 def parse_json(text: str, *, most_values: float = MOST_VALUES, whole_bits: int = WHOLE_BITS) -> Any:
-    """Parse JSON within the limits above, except for size; ValueError says in words what is wrong with it.
+    """Parse JSON within the limits above, except for size. ValueError states what is wrong.
 
-    NaN and infinities are no JSON. most_values: math.inf for the header and the rows of a file that is small enough.
+    NaN and infinities are not allowed. most_values: math.inf for the header and rows of a file of limited size.
     """
 
     def whole(digits: str) -> int:
-        if len(digits) <= whole_bits // 3:  # more are more bits, and int() takes its time for very many
+        if len(digits) <= whole_bits // 3:  # more digits have more bits, and int() is slow for very many
             number = int(digits)
             if number.bit_length() < whole_bits:
                 return number
@@ -217,7 +223,7 @@ def parse_json(text: str, *, most_values: float = MOST_VALUES, whole_bits: int =
         huge = _finite if _HUGE.search(outline) else None
         return json.loads(text, parse_int=whole, parse_float=huge, parse_constant=_no_number)
     except RecursionError:
-        raise ValueError("it is nested too deeply") from None
+        raise ValueError("nested too deeply") from None
 
 
 def _finite(digits: str) -> float:
@@ -228,7 +234,7 @@ def _finite(digits: str) -> float:
 
 
 def _no_number(name: str) -> Any:
-    raise ValueError(f"{name} is no number of JSON")
+    raise ValueError(f"{name} is not allowed in JSON")
 
 
 def _check_outline(outline: str, most_values: float = MOST_VALUES) -> None:
@@ -239,17 +245,17 @@ def _check_outline(outline: str, most_values: float = MOST_VALUES) -> None:
         if sign in "[{":
             depth += 1
             if depth > MOST_DEPTH:
-                raise ValueError(f"it is nested more than {MOST_DEPTH} deep")
+                raise ValueError(f"nested more than {MOST_DEPTH} levels deep")
         elif sign in "]}":
             depth = max(0, depth - 1)
         else:
             values += 1
             if values > most_values:
-                raise ValueError(f"it has more than {most_values:,} values")
+                raise ValueError(f"more than {most_values:,} values")
 
 
 def _values(value: Any, place: str = "") -> Iterator[tuple[str, Any]]:
-    """All that stands in tables and lists, which are not deep, with its place, as in `a.b.0`."""
+    """Iterate over all values in tables and lists of limited depth, with their paths, e.g. `a.b.0`."""
     if isinstance(value, dict):
         for key, item in value.items():
             yield from _values(item, f"{place}.{key}" if place else key)

@@ -103,7 +103,7 @@ def test_simulate_gives_the_events_of_record(short_scene: Path, tmp_path: Path) 
 
 def test_a_gel_without_dots_is_refused() -> None:
     """Assert that unknown dots and presets are refused in words, and that dots as large as they are count."""
-    with pytest.raises(evetac.InputError, match=r"dots of this gel(.|\n)*calibrate"):
+    with pytest.raises(evetac.InputError, match=r"dots are unknown(.|\n)*calibrate"):
         evetac.DotTracker(evetac.Gel(None, None))
     with pytest.raises(evetac.InputError, match="unknown preset"):
         evetac.DotTracker(evetac.Gel(np.zeros((7, 8, 2)), 15.0), "best")
@@ -249,8 +249,8 @@ def test_all_63_dots_of_a_closed_gel_are_a_list_too() -> None:
         (NINE_BY_SEVEN.reshape(-1, 2).T, "not dot positions(.|\n)*found:    shape \\(2, 63\\)"),
         (NINE_BY_SEVEN.reshape(-1), "found:    shape \\(126,\\)"),
         (np.zeros((0, 2)), "not dot positions"),
-        ([[1.0, 2.0], [3.0]], "no array of numbers"),
-        ([["a", "b"]], "no array of numbers"),
+        ([[1.0, 2.0], [3.0]], "not an array of numbers"),
+        ([["a", "b"]], "not an array of numbers"),
     ],
 )
 def test_dots_that_a_detector_cannot_take_are_refused_in_true_words(dots: Any, said: str) -> None:

@@ -75,11 +75,11 @@ def test_they_are_passed_over_and_counted(name: str, folder: Path) -> None:
     assert shown["rows"][0]["unreadable"] == 0
     assert f"Passed over: 1 HDF5 file of another program ({file})." in (folder / "report.html").read_text()
     shown = answer_of("share", "data", "-o", "hub")
-    assert f"passed over: 1 HDF5 file of another program ({file})" in shown["summary"]["notes"]
+    assert f"skipped: 1 HDF5 file of another program ({file})" in shown["summary"]["notes"]
     assert sorted(path.name for path in Path("hub/data").iterdir()) == ["a.recording.h5", "a.tracks.h5"]
     shown, said = answer_of("validate", "data"), evetac("validate", "data", "--json").stderr
     assert [row["valid"] for row in shown["rows"]] == [True, True]
-    assert (f"passed over: 1 HDF5 file of other programs ({file})" in said) == (file.count(".") > 1)
+    assert (f"skipped: 1 HDF5 file of other programs ({file})" in said) == (file.count(".") > 1)
     shown = answer_of("info", *(str(path) for path in folder.glob("a.*.h5") if path.name != file))
     assert len(shown["rows"]) == 2
 
@@ -91,7 +91,7 @@ def test_many_of_them_and_nothing_else(folder: Path) -> None:
     shown = answer_of("index", "data")
     assert shown["rows"][0]["foreign"] == 3
     said = evetac("validate", "data", "--json").stderr
-    assert "passed over: 3 HDF5 files of other programs (n0.other.h5)" in said
+    assert "skipped: 3 HDF5 files of other programs (n0.other.h5)" in said
     for path in folder.glob("a.*"):
         path.unlink()
     for words, expected in (

@@ -153,7 +153,7 @@ def test_a_hostile_start_is_refused(originals: Path, tmp_path: Path, name: str) 
         h5[X] = np.arange(9, dtype=np.uint16)
         h5["events/y"] = np.arange(9, dtype=np.uint16)
     (ANYWHERE | IN_OUR_OWN)[name][0](folder / "static.h5")
-    assert "known at the start cannot be read" in refused(folder, "repair", "--json")
+    assert "start of the recording cannot be read" in refused(folder, "repair", "--json")
     assert sorted(path.name for path in tmp_path.glob("b.*")) == [folder.name]
 
 

@@ -116,7 +116,7 @@ def test_slip_detectors(name: str, short_scene: Path, tmp_path: Path) -> None:
     features = [slipped(name, short_scene, tmp_path, seed) for seed in (0, 1)]
     in_a_grid = GELS[name][2][0] > 1
     if not in_a_grid:
-        with pytest.raises(InputError, match="looks at a grid of dots") as refused:
+        with pytest.raises(InputError, match="needs a grid of dots") as refused:
             output_of(train, Train(max_steps=2, preset="adam"), *features)
         assert "40 dots in no grid" in str(refused.value) and "no-hist-img" in str(refused.value)
     architecture = "hist10" if in_a_grid else "no-hist-img-6x6"
@@ -136,7 +136,7 @@ def test_two_dots_at_one_place(short_scene: Path, tmp_path: Path) -> None:
     recording = slipped("3 x 4", short_scene, tmp_path).with_name("0.recording.h5")
     twice = {"frame_px": [640, 480], "radius_px": 15.0, "dot_xy_px": [[[50, 50], [90, 200], [300, 70], [50, 50]]]}
     (tmp_path / "twice.json").write_text(json.dumps(twice))
-    with pytest.raises(InputError, match=r"dots that no gel can have(.|\n)*two at \(50, 50\)"):
+    with pytest.raises(InputError, match=r"these dots are impossible(.|\n)*two at \(50, 50\)"):
         output_of(track, Track(calibration=tmp_path / "twice.json"), recording, out=tmp_path / "twice.tracks.h5")
 
 

@@ -70,13 +70,13 @@ SAID: dict[tuple[str, str], Callable[[], str]] = {
     ("trials", "camera_substeps"): lambda: f"the scene's, or {Solver.camera_substeps}",
     ("trials", "scans_per_ms"): lambda: f"the scene's, or {Solver.scans_per_ms}",
     ("trials", "watchdog_ms"): lambda: f"{RhP12RnSettings.watchdog_ms} to record, {real_time.WATCHDOG_MS} to grasp",
-    ("record", "holding_ma"): lambda: f"what a virtual world asks for, {capture_plan.HOLDING_MA:g} otherwise",
+    ("record", "holding_ma"): lambda: f"that of the virtual scene, {capture_plan.HOLDING_MA:g} otherwise",
     ("record", "readout_rate"): lambda: DvxplorerSettings().readout_rate,
     ("record", "time_unit"): lambda: (
-        f"{_time_unit([1, 5, 9])} if all times are whole, {_time_unit([0.1, 0.2])} otherwise"
+        f"{_time_unit([1, 5, 9])} if all times are whole numbers, {_time_unit([0.1, 0.2])} otherwise"
     ),
     ("attach", "offset"): lambda: "0",
-    ("calibrate", "gel"): lambda: "as the recording or the default grid says, or closed",
+    ("calibrate", "gel"): lambda: "that of the recording or the default grid, or closed",
     ("identify", "pixel_mm"): lambda: f"that of --like, taken as known within {gripper_rows.SCALE_SHARE:.0%}",
     ("train", "model"): lambda: f"{train.USUAL.model}, or that of --adapt",
     ("train", "horizon_ms"): lambda: f"{train.USUAL.horizon_ms}, or that of --adapt",
@@ -88,20 +88,17 @@ SAID: dict[tuple[str, str], Callable[[], str]] = {
     ),
     ("train", "networks"): lambda: f"{train.USUAL.networks}, or as many as the model of --adapt",
     ("train", "validate"): lambda: f"every {train.VALIDATE_EVERY}th input",
-    ("grasp", "model"): lambda: f"`shipped`, the package's, {_shipped()}",
-    ("grasp", "slip_threshold"): lambda: (
-        "the model's own, or of a model that does not say how often it alarms falsely,"
-        f" {model_files.OLDER_CONTROLLER_THRESHOLD:g}"
-    ),
+    ("grasp", "model"): lambda: f"`shipped`, the pretrained {_shipped()}",
+    ("grasp", "slip_threshold"): lambda: f"the model's own, or {model_files.OLDER_CONTROLLER_THRESHOLD:g} for a model",
     ("trim", "support_ms"): lambda: f"{trim.DV_SUPPORT_MS:g}",
-    ("export", "fps"): lambda: f"{RATE_HZ:g} of images of events, {_of_lerobot('fps')} for LeRobot",
+    ("export", "fps"): lambda: f"{RATE_HZ:g} for images of events, {_of_lerobot('fps')} for LeRobot",
     ("export", "polarity"): lambda: Representation.polarity,
     ("export", "bins"): lambda: str(Representation.bins),
     ("export", "decay_ms"): lambda: f"{Representation.decay_ms:g}",
     ("export", "per_frame"): lambda: f"{_of_lerobot('per_frame')} (the default)",
     ("export", "tactile_key"): lambda: str(_of_lerobot("tactile_key")),
     ("export", "tactile_layout"): lambda: f"{_of_lerobot('tactile_layout')} (the default)",
-    ("export", "size"): lambda: "the sensor's, of LeRobot's event frames {}x{}".format(*event_stacks.SIZE_PX),
+    ("export", "size"): lambda: "the sensor's, for LeRobot's event frames {}x{}".format(*event_stacks.SIZE_PX),
 }
 EVERY = {(name, item.name): item for name, command in COMMANDS.items() for item in dataclasses.fields(command.params)}
 

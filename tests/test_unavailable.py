@@ -296,7 +296,7 @@ def test_repair_waits_for_segments_that_cannot_be_read_now(
     monkeypatch.setattr(h5py, "File", refuse)
     (row,) = repair.run([folder]).rows
     assert row["status"] == "not repaired" and "Permission denied" in row["fault"]
-    with pytest.raises(InputError, match="a recording broke off here"):
+    with pytest.raises(InputError, match="interrupted recording"):
         segments.RecordingWriter(folder.with_name("a.recording.h5"), STATIC)
     assert sorted(path.name for path in folder.iterdir()) == sorted({*before, "lock"})
     monkeypatch.undo()

@@ -1,7 +1,7 @@
-"""A line about what numba compiles, in a command that has to wait for it.
+"""Report that numba is compiling, in a command that has to wait for it.
 
-What is compiled is kept (kernel_cache.py): so it is the first command after an installation that waits, or after
-an update of what has changed. `evetac doctor --compile`, which `make setup` runs, does it for all commands.
+Compiled code is kept (kernel_cache.py), so only the first command after an installation or an update waits.
+`evetac doctor --compile`, which `make setup` runs, compiles the code of all commands.
 """
 
 import gc
@@ -13,12 +13,12 @@ from typing import Any
 
 from evetac_cli import console, kernel_cache
 
-PATIENCE_S = 2.0  # nothing is said of what takes less
-AGAIN_S = 5.0
+PATIENCE_S = 2.0  # shorter compilation is not reported
+AGAIN_S = 5.0  # time between two reports
 
 
 class Announcer:
-    """Counts the functions that numba compiles; those that one needs are compiled while it waits."""
+    """Counts the functions that numba compiles. Nested: a function waits while those that it calls are compiled."""
 
     def __init__(self, quiet: bool, interrupted: Callable[[], bool], say: Callable[[str], None]) -> None:
         self.quiet, self.interrupted, self.say = quiet, interrupted, say
@@ -28,7 +28,7 @@ class Announcer:
         self.collects = False
 
     def on_start(self, happens: Any) -> None:
-        """A function is begun."""
+        """Note that the compilation of a function starts."""
         if self.waiting == 0:
             self.started_s = time.monotonic()
             self.collects = gc.isenabled()
@@ -36,7 +36,7 @@ class Announcer:
         self.waiting += 1
 
     def on_end(self, happens: Any) -> None:
-        """A function is compiled, or failed to be."""
+        """Note that the compilation of a function ended, with or without success, and report progress."""
         self.waiting -= 1
         self.done += 1
         spent_s = self.spent_s + time.monotonic() - self.started_s
@@ -47,7 +47,7 @@ class Announcer:
         if spent_s >= self.next_s and not self.quiet:
             self.next_s = spent_s + AGAIN_S
             self.say(f"compiling, once after installing: {self.done} functions so far, {spent_s:.0f} s")
-        if self.interrupted() and sys.exc_info()[1] is None:  # else it was not swallowed, or something is cleaned up
+        if self.interrupted() and sys.exc_info()[1] is None:  # otherwise it is already on its way
             raise KeyboardInterrupt
 
 
@@ -55,13 +55,13 @@ class Announcer:
 def announced(
     *, quiet: bool, interrupted: Callable[[], bool] = lambda: False, say: Callable[[str], None] = console.say
 ) -> Iterator[None]:
-    """Say that functions are being compiled, and every few seconds how many are, while this lasts.
+    """Report every few seconds, within this context, how many functions have been compiled.
 
-    interrupted: whether Ctrl-C was pressed. A callback of the compiler may swallow what that raises: then it is raised
-    again after the function that was being compiled, and not after all of them.
+    interrupted: returns whether Ctrl-C was pressed. A callback of the compiler may swallow the exception that Ctrl-C
+    raises. It is then raised again after the current function, and not only after all functions.
 
-    Why so: Python's collector of garbage looks at all that the compiler holds again and again. It waits until a
-    function is compiled, which saves a seventh of the time. A command that calls no kernel loads no numba for this.
+    Python's garbage collector is paused while a function is compiled: it would scan the compiler's data again and
+    again, and the pause saves a seventh of the time. A command that calls no kernel does not load numba for this.
     """
     with ExitStack() as listening:
 
@@ -69,7 +69,7 @@ def announced(
             from numba.core import event
 
             class Listener(Announcer, event.Listener):  # type: ignore[misc]
-                """The same as numba takes it."""
+                """The Announcer as a listener of numba."""
 
             kernel_cache.drop_unreadable()
             listening.enter_context(event.install_listener("numba:compile", Listener(quiet, interrupted, say)))

@@ -1,7 +1,8 @@
 """Parameters of a command from its flags, from `--config FILE.toml` and from defaults, in this order, all checked.
 
-Why so: a config file may be somebody else's, or of yesterday. So what a person has to want now (`consent` of a
-parameter, as --arm) is a flag alone; a file that names it is refused, whatever it says.
+A config file may be old or somebody else's. So a flag that permits an action which a person must want now (`consent`
+of a parameter, for example --arm) can only be given on the command line. A file that sets it is refused, with any
+value.
 """
 
 import dataclasses
@@ -19,11 +20,11 @@ from evetac_cli.commands.parameter import flag_of
 from evetac_cli.errors import InputError
 from evetac_cli.text_files import plain_number, read_toml
 
-MOST = 10**12  # of a number whose parameter has no limit of its own: a year in us, and no sum of such overflows
+MOST = 10**12  # limit of a number whose parameter has none: 11 days in us; sums of such numbers do not overflow
 
 
 def resolve(cls: type, command: str, given: Mapping[str, Any], config: Path | None) -> Any:
-    """Build the parameters of a command from flags that were given, a config file, and defaults; all checked."""
+    """Return the parameters of a command from the given flags, a config file and defaults; all are checked."""
     table = _read_config(config, cls, command) if config else {}
     values = {**table, **{name: value for name, value in given.items() if value is not None}}
     plain = {name: plain_number(value) if isinstance(value, float) else value for name, value in values.items()}
@@ -53,7 +54,7 @@ def _read_config(path: Path, cls: type, command: str) -> dict[str, Any]:
     for key, value in table.items():
         if key in consents:
             raise InputError(
-                "this cannot be set in a file",
+                "cannot be set in a config file",
                 where=f"{path}: {command}.{key}",
                 expected=f"{flag_of(consents[key])} on the command line, each time",
                 found=f"{key} = {value!r}",
@@ -72,12 +73,12 @@ def _unknown(what: str, name: str, known: list[str], where: str) -> InputError:
 
 
 def _coerce(value: Any, hint: Any, where: str) -> Any:
-    """A TOML value as the type of its field; bool is no int, int is a float, a str may be a path."""
+    """Return a TOML value as the type of its field. A bool is not an int; an int may be a float, a str a path."""
     wanted = [option for option in (typing.get_args(hint) or (hint,)) if option is not type(None)]
     for option in wanted:
         if option is Path and isinstance(value, str):
             if "\0" in value:
-                raise InputError("not the name of a file", where=where, found=repr(value))
+                raise InputError("not a valid file name", where=where, found=repr(value))
             return Path(value)
         if option is float and type(value) is int and abs(value) < sys.float_info.max:
             return float(value)

@@ -1,16 +1,16 @@
-"""Jobs on a Dask cluster: one that is there, or one that is started on this computer for as long as the jobs run.
+"""Jobs on a Dask cluster: an existing one, or one that is started on this computer while the jobs run.
 
-A job reads and writes its files itself: the cluster needs storage that all its computers share, and only paths and rows
-travel. A worker goes to the folder in which the command was started, so that paths, rows and recipes read the same on
-every engine. A task is one job, or as many short ones as take TASK_S: handing out a task costs some 10 ms.
+A job reads and writes its files itself. The cluster therefore needs storage that all its computers share; only paths
+and rows are sent. A worker changes to the folder in which the command was started, so that paths, rows and recipes are
+the same with every engine. A task is one job, or as many short ones as take TASK_S: submitting a task costs some 10 ms.
 
-Why a file that lies beside the outputs while a command runs: a worker that sees it shares the storage, and one that no
-longer sees it has to stop. Dask itself cannot end a task that has begun.
+While a command runs, it keeps a sign file next to the outputs. A worker that sees the file shares the storage. A
+worker that no longer sees it has to stop, because Dask itself cannot end a running task.
 
-Why no more tasks than there are workers, and why a cluster of our own gives up a task with its worker: if a worker
-dies, Dask counts that against every task that was handed to it, also those that only waited there, or that it moved
-there from another that had died. So we hand out again ourselves. And jobs share the working folder of a worker, so that
-it takes one at a time.
+There are never more tasks than workers, and evetac's own cluster gives up a task when its worker dies. The reason: Dask
+counts the death of a worker against every task assigned to it, even tasks that only waited there or were moved there
+from another dead worker. So this module resubmits jobs itself. A worker runs one job at a time, since the working
+folder belongs to the whole process.
 """
 
 import itertools
@@ -35,9 +35,9 @@ from evetac_cli.errors import EvetacError, InputError, missing_extra, shortened
 from evetac_cli.interrupts import CTRL_C, SignalsLetThrough, signals_blocked
 from evetac_cli.jobs import Job, Outcome, Progress
 
-GRACE_S = 5.0  # in which the workers of somebody's cluster may stop
-DEATHS = 3  # of workers at the same job, then the job is at fault
-TASK_S = 1.0  # shorter jobs are handed out together
+GRACE_S = 5.0  # time for the workers of an existing cluster to stop
+DEATHS = 3  # deaths of workers during the same job after which the job is considered the cause
+TASK_S = 1.0  # shorter jobs are submitted together
 CONNECT_S = 20.0
 LOOPBACK = "127.0.0.1"
 
@@ -52,16 +52,16 @@ def run_on_dask(
     progress: Progress,
     results: dict[Path, Outcome | EvetacError],
 ) -> None:
-    """Run jobs as tasks of a Dask cluster; what came of each goes into `results`, by its output, also on Ctrl-C.
+    """Run jobs as tasks of a Dask cluster, and store each result in `results` under its output, also on Ctrl-C.
 
-    Without an address a cluster of `at_once` processes is started on this computer, and ended. A job whose worker dies
-    runs again elsewhere.
+    Without an address, a cluster of `at_once` processes is started on this computer and ended afterwards. A job whose
+    worker dies is run again by another worker.
     """
     from multiprocessing import resource_tracker
 
     workers.compute_on_one_thread()
-    resource_tracker.ensure_running()  # or starting a worker does so, and lets interrupts through again
-    # Ctrl-C of a terminal reaches all processes: workers that the cluster starts inherit this and stay deaf to it.
+    resource_tracker.ensure_running()  # otherwise starting a worker starts it, and unblocks interrupts
+    # Ctrl-C in a terminal reaches all processes. Workers started by the cluster inherit the block and ignore it.
     with signals_blocked(CTRL_C):
         try:
             progress(0, 0, "waiting for the cluster")
@@ -74,7 +74,7 @@ def run_on_dask(
 
 @contextmanager
 def _sign(folder: Path) -> Iterator[Path]:
-    """The file that says that a command runs, in a folder that is made for it; absolute, as workers need it."""
+    """Yield the file that marks a running command, as an absolute path for workers; its folder is created if needed."""
     from evetac_cli.store.hdf5 import disk
 
     folder = folder.absolute()
@@ -92,12 +92,12 @@ def _sign(folder: Path) -> Iterator[Path]:
 
 @contextmanager
 def _client(engine: Engine, at_once: int) -> Iterator[Any]:
-    """A client of the cluster that is named, or of one that is started here; InputError if none answers."""
+    """Yield a client of the given cluster, or of one that is started here; InputError if no cluster answers."""
     from distributed import Client
 
     for name in list(logging.root.manager.loggerDict):
         if name.startswith("distributed"):
-            logging.getLogger(name).setLevel(logging.CRITICAL)  # what matters is said in words, by us
+            logging.getLogger(name).setLevel(logging.CRITICAL)  # evetac reports what matters
     if engine.address:
         _require_scheduler(engine.address)
         with Client(engine.address, timeout=CONNECT_S, set_as_default=False) as client:
@@ -108,9 +108,9 @@ def _client(engine: Engine, at_once: int) -> Iterator[Any]:
 
 
 def _require_scheduler(address: str) -> None:
-    """InputError unless a Dask scheduler answers there, to which we show the certificate that Dask's settings name.
+    """Raise InputError unless a Dask scheduler answers, which is shown the certificate from Dask's settings.
 
-    Why so: Dask's client leaves tracebacks, or waits for ever, where it meets something else.
+    Without this check, Dask's client prints tracebacks or waits forever if something else answers.
     """
     import asyncio
 
@@ -121,7 +121,7 @@ def _require_scheduler(address: str) -> None:
         shown = Security().get_connection_args("client")
         if address.startswith("tls://") and shown["ssl_context"] is None:
             raise InputError(
-                "this cluster asks for a certificate, and Dask's settings name none",
+                "this cluster requires a certificate, but Dask's settings name none",
                 where="--engine",
                 found=address,
                 hint="name the cluster's certificate in Dask's settings: docs/cluster.md, By hand",
@@ -133,7 +133,7 @@ def _require_scheduler(address: str) -> None:
         answered = f"a {asyncio.run(role())} of Dask at {address}"
     except InputError:
         raise
-    except Exception as error:  # of whatever may be there instead
+    except Exception as error:  # from any other program at this address
         answered = f"{address}: {shortened(str(error) or type(error).__name__)}"
     else:
         if "Scheduler" in answered:
@@ -142,17 +142,18 @@ def _require_scheduler(address: str) -> None:
         "no Dask scheduler answers",
         where="--engine",
         found=answered,
-        hint="start one: docs/cluster.md, By hand; one with certificates is addressed by tls://",
+        hint="start one: docs/cluster.md, By hand; use tls:// for a cluster with certificates",
     )
 
 
 @contextmanager
 def _own_cluster(at_once: int) -> Iterator[Any]:
-    """A cluster of so many processes on this computer, which nobody else can give work to; EvetacError if it cannot be.
+    """Yield a cluster of `at_once` processes on this computer that accepts jobs only from this command.
 
-    Whoever can connect to a scheduler or a worker can run programs as its owner. So all of them, and the client, ask
-    each other for a certificate that is made here and lies in their memory alone; none of them serves anything by
-    HTTP; and their working folders lie in one that is this user's, and not below a name in /tmp that others can make.
+    Anyone who can connect to a scheduler or a worker can run programs as its owner. So scheduler, workers and client
+    require from each other a certificate that is created here and exists only in their memory. None of them serves
+    HTTP. Their working folders are in a folder of this user, not below a name in /tmp that others could create.
+    EvetacError: the library cryptography is missing.
     """
     import dask
     from distributed import LocalCluster, Security
@@ -167,8 +168,8 @@ def _own_cluster(at_once: int) -> Iterator[Any]:
     settings = {
         "distributed.scheduler.allowed-failures": 0,
         "distributed.worker.profile.enabled": False,
-        "distributed.admin.tick.interval": "1 s",  # each tick takes the interpreter from the job
-        # Its default gives freed memory back at once, and the next array takes it anew, page by page.
+        "distributed.admin.tick.interval": "1 s",  # each tick interrupts the job in the interpreter
+        # Dask's default returns freed memory at once, so the next array has to request it again, page by page.
         "distributed.nanny.pre-spawn-environ": dict.fromkeys(workers.ONE_THREAD, "1"),
         "distributed.comm.timeouts.connect": f"{CONNECT_S} s",
         **no_routes,
@@ -192,13 +193,13 @@ def _own_cluster(at_once: int) -> Iterator[Any]:
 
 
 def dask_setup(server: Any) -> None:
-    """Close the HTTP server of a scheduler or worker of a cluster of our own; Dask calls this where it starts one."""
+    """Close the HTTP server of a scheduler or worker of evetac's own cluster; Dask calls this when it starts one."""
     for service in server.services.values():
         service.stop()
 
 
 class _Run:
-    """The jobs of a command on their way through a cluster."""
+    """The jobs of a command while they run on a cluster."""
 
     def __init__(
         self,
@@ -214,19 +215,19 @@ class _Run:
         self.count, self.done = len(jobs), 0
         self.progress, self.results = progress, results
         self.running: dict[Any, list[Job]] = {}  # by their futures
-        self.alone = False  # every job a task of its own
-        self.deaths: dict[Path, int] = {}  # of workers at a job, by its output
-        self.took_s, self.took_jobs = 0.0, 0  # of workers, for all jobs that ended
-        self.handed_out_s: dict[Any, float] = {}  # when, by futures
+        self.alone = False  # whether every job is a separate task
+        self.deaths: dict[Path, int] = {}  # deaths of workers during a job, by its output
+        self.took_s, self.took_jobs = 0.0, 0  # working time and number of all jobs that ended
+        self.handed_out_s: dict[Any, float] = {}  # time of submission, by future
         self.ended: queue.SimpleQueue[Any] = queue.SimpleQueue()  # futures
         self.name, self.numbers = f"evetac-{uuid.uuid4().hex}", itertools.count()
-        self.workers: set[str] = set()  # all that there ever were
-        self.fit: list[str] | None = None  # those that may be used; None: all, also those that join
+        self.workers: set[str] = set()  # all workers seen so far
+        self.fit: list[str] | None = None  # workers that may be used; None: all, including those that join later
         self.said: set[str] = set()
         self.stopping = False
 
     def run(self) -> None:
-        """Hand out jobs and take results until all are there; KeyboardInterrupt if some were broken off."""
+        """Submit jobs and take results until all are done; KeyboardInterrupt if some were aborted."""
         self.progress(0, self.count, "files")
         self._look_at_workers()
         try:
@@ -240,22 +241,22 @@ class _Run:
             self._tidy()
 
     def _hand_out(self) -> None:
-        """As many jobs as there are workers, so that one that joins gets its share."""
+        """Submit as many tasks as there are workers, so that a worker that joins later gets its share."""
         joined = set(self.client.nthreads())
-        if self.fit is not None and joined - self.workers:  # who joined may be fit
+        if self.fit is not None and joined - self.workers:  # new workers may be usable
             self._look_at_workers()
         self.workers |= joined
         usable = len(joined if self.fit is None else joined & set(self.fit))
         while self.waiting and len(self.running) < usable:
             jobs = [self.waiting.popleft() for _ in range(self._task_size(usable))]
             seen = [tuple(path for path in job.inputs if path.exists()) for job in jobs]
-            # Others may take what was meant for a worker that is gone: they refuse it, and it is handed out again.
+            # Other workers may take a task meant for a worker that is gone. They refuse it, and it is submitted again.
             future = self.client.submit(
                 run_task,
                 self.command,
                 jobs,
                 seen,
-                key=f"{self.name}-{next(self.numbers)}",  # never the same: Dask would give the result of the other
+                key=f"{self.name}-{next(self.numbers)}",  # always new: Dask would reuse the result of an equal key
                 pure=False,
                 workers=self.fit,
                 allow_other_workers=self.fit is not None,
@@ -265,20 +266,20 @@ class _Run:
             future.add_done_callback(self.ended.put)
 
     def _task_size(self, usable: int) -> int:
-        """How many jobs make the next task: TASK_S of work, but so few that all workers end at about the same time."""
+        """Return the number of jobs of the next task: TASK_S of work, but few enough that all workers end together."""
         if self.alone or not self.took_jobs:
             return 1
         last = -(-len(self.waiting) // (2 * usable))
         return max(1, min(last, int(TASK_S * self.took_jobs / max(self.took_s, 1e-6))))
 
     def _wait(self) -> Any:
-        """The next future that ended, or None; here Ctrl-C comes up."""
+        """Return the next future that ended, or None; Ctrl-C is raised here."""
         with SignalsLetThrough(CTRL_C), suppress(queue.Empty):
             return self.ended.get(timeout=LOOK_S)
         return None
 
     def _take(self, future: Any) -> None:
-        """Note what came of jobs; those that were refused wait again."""
+        """Store the results of a task's jobs; refused jobs are queued again."""
         if future is None:
             return
         jobs = self.running.pop(future)
@@ -293,7 +294,7 @@ class _Run:
             self.done += len(results)
             self.progress(self.done, self.count, "files")
         rest = jobs[len(results) :]
-        if rest and not self.stopping:  # refused, or the file that says that the command runs was removed
+        if rest and not self.stopping:  # refused, or the sign file was removed
             self.waiting.extendleft(reversed(rest))
             self._look_at_workers()
 
@@ -305,7 +306,7 @@ class _Run:
         try:
             results: list[Outcome | EvetacError] | WorkerRefused = future.result()
         except KilledWorker as error:
-            if len(jobs) > 1:  # which of them it was shows when each is a task of its own
+            if len(jobs) > 1:  # run as separate tasks, the job at fault shows
                 self.alone = True
                 return []
             output = jobs[0].output
@@ -314,22 +315,22 @@ class _Run:
                 return []
             return [
                 EvetacError(
-                    f"{deaths} workers died while they worked on it",
+                    f"{deaths} workers died during this job",
                     where=str(output),
                     found=f"the last was {error.last_worker.address}",
-                    hint="out of memory? use workers with more of it, or fewer on a computer",
+                    hint="out of memory? use workers with more memory, or fewer workers per computer",
                 )
             ]
         except (CancelledError, OSError):
             if future.status == "error":  # raised by the job itself
                 raise
             raise EvetacError(
-                "the connection to the Dask scheduler broke off",
+                "lost the connection to the Dask scheduler",
                 where="--engine",
                 hint="run the command again: finished files are kept",
             ) from None
         except ModuleNotFoundError as error:
-            lacks = (error.name or "").partition(".")[0]  # it could not even read the task
+            lacks = (error.name or "").partition(".")[0]  # the worker could not read the task
             if lacks == "evetac_cli":
                 return WorkerRefused("has no evetac")
             for part in plugins.parts():
@@ -343,16 +344,16 @@ class _Run:
         return results
 
     def _look_at_workers(self) -> None:
-        """Leave out workers that do not fit, and say so; InputError if none ever did."""
+        """Exclude unsuitable workers, with a message; InputError if none has been suitable so far."""
         versions = self.client.run(pkgutil.resolve_name, "evetac_cli:__version__", on_error="return")
         reasons = {
-            address: "has no evetac that can be loaded"
+            address: "cannot import evetac"
             for address, version in versions.items()
             if isinstance(version, BaseException)
         }
         others = [address for address in versions if address not in reasons]
         if others:
-            command = replace(self.command, chosen=None)  # which may hold what a worker cannot read
+            command = replace(self.command, chosen=None)  # it may contain objects that a worker cannot read
             answers = self.client.run(check_worker, command, workers=others, on_error="return")
             reasons |= {
                 address: f"fails: {reason}" if isinstance(reason, BaseException) else reason
@@ -370,7 +371,7 @@ class _Run:
                 "no worker of the cluster can be used",
                 where="--engine",
                 found="; ".join(words),
-                hint="the same evetac and plug-ins on all computers, and files on storage that they share",
+                hint="install the same evetac and plug-ins on all computers, and keep the files on shared storage",
             )
         for line in words:
             if line not in self.said:
@@ -379,7 +380,7 @@ class _Run:
         self.fit = sorted(set(versions) - set(reasons))
 
     def _stop(self) -> None:
-        """Tell workers to stop, and take what they finish in time; those of our own cluster are killed then."""
+        """Signal workers to stop, and take results finished in time; those of evetac's own cluster are then killed."""
         self.stopping = True
         self.command.sign.unlink(missing_ok=True)
         end_s = time.monotonic() + (GRACE_S if self.engine.address else workers.GRACE_S)
@@ -389,7 +390,7 @@ class _Run:
         self.client.cancel(list(self.running), force=True)
 
     def _tidy(self) -> None:
-        """Remove what workers that are gone left half written, by workers that are still on their computers."""
+        """Let remaining workers remove the half-written files of workers that are gone from the same computers."""
         if not self.engine.address:
             return
         with suppress(Exception):  # a cluster that is gone cannot be asked
@@ -400,11 +401,11 @@ class _Run:
 
 
 def _unread_by_scheduler(error: RuntimeError) -> EvetacError:
-    """That the scheduler, which reads every task, cannot load the package of a plug-in."""
+    """Return the error that the scheduler, which reads every task, cannot load the package of a plug-in."""
     packages = ", ".join(plugins.used())
     return EvetacError(
         f"the Dask scheduler cannot read the jobs, which need {packages}",
         where="--engine",
         found=str(error.__cause__ or "an error of Dask's"),
-        hint=f"install {packages} where the scheduler runs, too",
+        hint=f"install {packages} also on the scheduler's computer",
     )

@@ -1,4 +1,4 @@
-"""What a worker of a Dask cluster does with some jobs of a command (dask_engine.py hands them out)."""
+"""How a worker of a Dask cluster runs jobs of a command, which dask_engine.py submits."""
 
 import os
 import platform
@@ -13,34 +13,34 @@ from evetac_cli.cli import workers
 from evetac_cli.errors import EvetacError
 from evetac_cli.jobs import Job, Outcome, Progress
 
-LOOK_S = 1.0  # so often a worker looks whether it has to stop, and the command for workers that joined
-_one_job_at_a_time = threading.Lock()  # in a worker, which may have several threads
+LOOK_S = 1.0  # interval at which a worker checks whether it must stop, and the command checks for new workers
+_one_job_at_a_time = threading.Lock()  # a worker may have several threads
 
 
 @dataclass(frozen=True)
 class ClusterCommand:
-    """What every worker has to know of a command: how its jobs are run, and what shows that it fits."""
+    """Information on a command for every worker: how to run its jobs, and how to check that the worker is suitable."""
 
     module: str
     chosen: Any
     force: bool
     version: str
-    folder: Path  # in which it was started
-    sign: Path  # the file that is there while it runs
-    parts: tuple[plugins.Part, ...] = ()  # plug-ins that it uses
+    folder: Path  # working folder of the command
+    sign: Path  # file that exists while the command runs
+    parts: tuple[plugins.Part, ...] = ()  # plug-ins that the command uses
 
 
 @dataclass(frozen=True)
 class WorkerRefused:
-    """Why a worker does not take jobs of a command."""
+    """The reason why a worker refuses the jobs of a command."""
 
     reason: str
 
 
 def check_worker(command: ClusterCommand) -> str:
-    """Why this process cannot work for a command, in words; empty if it can."""
+    """Return the reason why this process cannot work for a command, as a text; empty if it can."""
     if command.version != __version__:
-        return f"has evetac {__version__}, and this is evetac {command.version}"
+        return f"has evetac {__version__}, but the command has evetac {command.version}"
     if reason := plugins.lacking(command.parts):
         return reason
     for path in (command.folder, command.sign.parent):
@@ -52,9 +52,9 @@ def check_worker(command: ClusterCommand) -> str:
 def run_task(
     command: ClusterCommand, jobs: list[Job], seen: list[tuple[Path, ...]]
 ) -> list[Outcome | EvetacError] | WorkerRefused:
-    """What a worker does with some jobs, one after the other; fewer results if it was told to stop.
+    """Run some jobs one after the other and return their results; fewer results if the worker had to stop.
 
-    seen: inputs of every job that the command itself sees.
+    seen: for each job, the inputs that exist on the computer of the command.
     """
     with _one_job_at_a_time:
         if reason := check_worker(command):
@@ -84,12 +84,12 @@ def _run_job(command: ClusterCommand, job: Job, seen: tuple[Path, ...], stopping
             return EvetacError(
                 f"a worker on {platform.node()} does not see this file: no shared storage", where=str(path)
             )
-    stopping(0, 1)  # also between jobs that tell no progress
+    stopping(0, 1)  # checked between jobs too, for jobs that report no progress
     return workers.run_one(command.module, job, command.chosen, command.force, stopping)
 
 
 def _stopping(sign: Path) -> Progress:
-    """Progress at which a job ends once the sign of its command is gone."""
+    """Return a progress callback that raises KeyboardInterrupt once the sign file of its command is gone."""
     looked_s = time.monotonic()
 
     def report(done: float, total: float, doing: str = "") -> None:

@@ -12,7 +12,7 @@ SCHEMES = ("tls://", "tcp://")
 
 @dataclass(frozen=True)
 class Engine:
-    """What `--engine` names: its name, and the address of a Dask scheduler, if there is one already."""
+    """The value of `--engine`: its name, and the address of an existing Dask scheduler, if given."""
 
     name: str
     address: str = ""
@@ -28,7 +28,7 @@ class Engine:
 
 
 def largest_first(jobs: list[Job]) -> list[Job]:
-    """Jobs by the bytes of their inputs: the last to end are then short ones. Equal ones stay as they are."""
+    """Return the jobs sorted by the bytes of their inputs, largest first, so that short jobs end last; stable."""
 
     def size(job: Job) -> int:
         total = 0

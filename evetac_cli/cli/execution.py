@@ -1,6 +1,6 @@
-"""Run a command that makes files: from its files and flags to jobs, from jobs to a table, a verdict and the outputs.
+"""Run a command that writes files: from files and flags to jobs, and from jobs to a table, a verdict and the outputs.
 
-What a stage may have beside `jobs` and `run` is said by jobs.Stage.
+jobs.Stage documents what a stage may define in addition to `jobs` and `run`.
 """
 
 import importlib
@@ -21,11 +21,11 @@ from evetac_cli.errors import MADE_BY, EvetacError, InputError, made_by
 from evetac_cli.interrupts import interrupt_came
 from evetac_cli.jobs import Job, Outcome, Stage, require_possible_name
 
-MOST_ROWS = 100  # of one table on a terminal
+MOST_ROWS = 100  # printed of one table on a terminal
 
 
 def execute(command: Command, title: str, given: dict[str, Any]) -> None:
-    """Run all jobs of a command and print what came out of them."""
+    """Run all jobs of a command and print their results."""
     running = Running.take(given, flags.OF_STAGES)
     named = given.pop("files", [])
     with CommandExit(title, running) as run:
@@ -37,7 +37,7 @@ def execute(command: Command, title: str, given: dict[str, Any]) -> None:
         _check_outputs(jobs, files, chosen, force=running.force)
         require_jobs(running)
         if stage.dry_run is not None and chosen.dry_run:
-            # A scene is run to measure what it costs: some seconds, up to a minute where it has to be compiled first.
+            # A scene is run to measure its cost: some seconds, up to a minute if it has to be compiled first.
             quiet = running.quiet
             with (
                 console.progress_bar(f"{title} --dry-run", "runs", quiet=quiet) as progress,
@@ -66,7 +66,7 @@ def execute(command: Command, title: str, given: dict[str, Any]) -> None:
             if running.as_json:
                 console.show(title, rows, own or console.count(outcomes), simulated=simulated, as_json=True)
             elif not running.quiet:
-                # A stage may say which of its rows people want to see, and what they amount to.
+                # A stage may select the rows that people want to see, and add a verdict.
                 shown_rows, verdict = stage.for_people(rows, chosen)
                 verbose = running.verbose
                 shown_rows = shown_rows if verbose else first_rows(shown_rows)
@@ -83,13 +83,13 @@ def execute(command: Command, title: str, given: dict[str, Any]) -> None:
 
 
 def require_jobs(running: Running) -> None:
-    """InputError for a number of jobs with which nothing is done."""
+    """Raise InputError if the number of jobs is below 1."""
     if running.number_of_jobs < 1:
         raise InputError("out of range", where="--jobs", expected="at least 1", found=str(running.number_of_jobs))
 
 
 def _show_plan(title: str, stage: Stage[Any], shown: Outcome, running: Running) -> None:
-    """Print what a dry run found: what fits a screen, or with -v and --json all of it."""
+    """Print the result of a dry run: what fits a screen, or with -v or --json everything."""
     if running.as_json or running.verbose:
         how = {"as_json": running.as_json, "verbose": running.verbose}
         console.show(title, shown.rows, shown.summary, simulated=shown.simulated, **how)
@@ -100,7 +100,7 @@ def _show_plan(title: str, stage: Stage[Any], shown: Outcome, running: Running) 
 
 
 def with_folders(named: list[Path], kind: str = "*") -> list[Path]:
-    """The files that are named, with the files of a kind in place of each folder; InputError for one without any."""
+    """Return the named files, with each folder replaced by its files of a kind; InputError for a folder without any."""
     files: list[Path] = []
     for path in named:
         if not path.is_dir():
@@ -113,7 +113,7 @@ def with_folders(named: list[Path], kind: str = "*") -> list[Path]:
             below = next(iter(sorted(path.glob(f"*/*.{kind}.h5"))), None)
             hint = made_by(kind) if kind in MADE_BY else ""
             if below:
-                hint = f"name the folder in which they lie: {below.parent}"
+                hint = f"name the folder that contains them: {below.parent}"
             raise InputError(
                 "no such file in this folder",
                 where=str(path),
@@ -125,30 +125,30 @@ def with_folders(named: list[Path], kind: str = "*") -> list[Path]:
 
 
 def _without_foreign(folder: Path, inside: list[Path]) -> list[Path]:
-    """The files of a folder without those of other programs, such as exports of ours, which are counted."""
+    """Return the files of a folder without those in other formats, such as exports; their number is printed."""
     from evetac_cli.store.files import is_foreign
 
     foreign = set(filter(is_foreign, inside))
     if foreign:
         which = f"{len(foreign):,} HDF5 file{'s' if len(foreign) > 1 else ''} of other programs ({min(foreign).name})"
-        console.say(f"{folder}: passed over: {which}")
+        console.say(f"{folder}: skipped: {which}")
     return [path for path in inside if path not in foreign]
 
 
 def _check_out(out: Path | None, suffix: str) -> None:
-    """InputError for `-o NAME.txt`, which would become a folder of this name."""
+    """Raise InputError for `-o NAME.txt`, which would become a folder of this name."""
     if out is not None and re.fullmatch(r"\.[A-Za-z]\w{0,6}", out.suffix) and out.suffix != suffix and not out.is_dir():
         raise InputError(
             "looks like a file of another kind",
             where="--out",
             expected=f"a name that ends in {suffix}, or a folder",
             found=str(out),
-            hint=f"for a folder of this name: mkdir {shlex.quote(str(out))} first",
+            hint=f"for a folder of this name, run mkdir {shlex.quote(str(out))} first",
         )
 
 
 def _check_outputs(jobs: list[Job], files: list[Path], chosen: Any, *, force: bool) -> None:
-    """Refuse outputs that would replace each other, or (with --force) what they are made from."""
+    """Refuse outputs that would replace each other, or (with --force) their own inputs."""
     for job in jobs:
         require_possible_name(job.output)
     times = Counter(job.output for job in jobs)
@@ -163,7 +163,7 @@ def _check_outputs(jobs: list[Job], files: list[Path], chosen: Any, *, force: bo
 
 
 def first_rows(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """The first MOST_ROWS rows of each table, for a terminal; how many more there are is printed."""
+    """Return the first MOST_ROWS rows of each table, for a terminal, and print how many more there are."""
     shown = []
     for _, group in itertools.groupby(rows, key=tuple):
         table = list(group)
@@ -181,19 +181,19 @@ def run_jobs(
     running: Running,
     results: dict[Path, Outcome | EvetacError],
 ) -> None:
-    """Run the jobs, several at a time if asked, and fill in the results; an error in one does not stop the others."""
-    shown = getattr(chosen, "shown_in", None) is not None  # by a view, with its own lines
+    """Run the jobs, several at a time if requested, and fill in the results; one failure does not stop the others."""
+    shown = getattr(chosen, "shown_in", None) is not None  # a live view prints its own lines
     quiet, force = running.quiet or shown or getattr(chosen, "listen", False), running.force
     engine = engines.Engine.parse(running.engine)
     exclusive = shown or any(job.exclusive for job in jobs)
     if exclusive and engine.name != engines.LOCAL:
-        raise InputError("devices belong to this computer", where="--engine", expected="local", found=running.engine)
+        raise InputError("devices work only on this computer", where="--engine", expected="local", found=running.engine)
     if engine.address and running.number_of_jobs > 1:
-        hint = "leave it out: a cluster that runs has as many workers as it has"
+        hint = "leave out --jobs: the number of workers is that of the running cluster"
         raise InputError("has no effect", where="--jobs", found=f"--engine {running.engine}", hint=hint)
     by_index = indexing.up_to_date(stage, jobs, chosen)
     results |= by_index
-    # An output that exists is either up to date or refused: that is quick, and worth no worker process.
+    # An existing output is either up to date or refused. This is quick and needs no worker process.
     waiting = [job for job in jobs if force or not job.output.exists()]
 
     def run_several(some: list[Job], into: dict[Path, Outcome | EvetacError]) -> None:
@@ -203,7 +203,7 @@ def run_jobs(
         how = (command.module, engines.largest_first(some), chosen, force, at_once)
         with console.progress_bar(f"{command.name} {len(some)} files", "files", quiet=quiet) as progress:
             if engine.name == engines.DASK:
-                from evetac_cli.cli import dask_engine  # only for whom it is
+                from evetac_cli.cli import dask_engine  # loaded only for --engine dask
 
                 dask_engine.run_on_dask(engine, *how, progress, into)
             else:

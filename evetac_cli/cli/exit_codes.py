@@ -1,7 +1,8 @@
-"""Exit codes: an error is printed in words on stderr, and with --json as one object on stdout.
+"""Exit codes: an error is printed as a message on stderr, and with --json also as one object on stdout.
 
-A program that calls `evetac ... --json` can always parse what it gets: the rows of what was made, and the error.
-What nobody foresaw goes through all of this, so that tests see it as it was raised; only `run` calls it a defect.
+A program that calls `evetac ... --json` can always parse the output: the rows of what was made, and the error. An
+unexpected exception passes through all of this unchanged, so that tests see it as raised; only `run` reports it as a
+defect.
 """
 
 import gc
@@ -33,14 +34,14 @@ from evetac_cli.errors import (
 from evetac_cli.jobs import Outcome
 
 INTERRUPTED_CODE = 130
-UsageError: Any = typer.BadParameter.__base__  # which typer does not name; it lies in click, or in typer's own copy
+UsageError: Any = typer.BadParameter.__base__  # not exported by typer; defined in click, or in typer's own copy of it
 
 
 class Commands(Group):
-    """The group of all commands: with --json, a wrong flag too is reported as one JSON object on stdout."""
+    """The group of all commands. With --json, a wrong flag is also reported as one JSON object on stdout."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Note whether --json was given before any flag is read, then read the flags of `evetac` itself."""
+        """Note whether --json was given, before any flag is read, then read the flags of `evetac` itself."""
         ctx.meta["as_json"] = "--json" in args
         with _outside_a_command(ctx):
             return list(super().parse_args(ctx, args))
@@ -53,7 +54,7 @@ class Commands(Group):
 
 @contextmanager
 def _outside_a_command(ctx: Any) -> Iterator[None]:
-    """Wrong flags, and Ctrl-C while they are read: typer prints the first itself, without a look at what it prints."""
+    """Handle wrong flags, and Ctrl-C while flags are read; typer's own message is made safe to print."""
     try:
         yield
     except UsageError as error:
@@ -71,25 +72,25 @@ def _outside_a_command(ctx: Any) -> Iterator[None]:
 
 
 class CommandExit:
-    """End the program with an error in words and the exit code of its kind; Ctrl-C exits 130.
+    """Context that ends the program with an error message and the exit code of the error's kind; 130 for Ctrl-C.
 
-    With --json the error is on stdout too, in one object with the rows of all that was made.
+    With --json the error is also printed on stdout, in one object with the rows of everything that was made.
     """
 
     def __init__(self, title: str, running: Running) -> None:
         self.title = title
         self.as_json, self.verbose = running.as_json, running.verbose
-        self.results: dict[Path, Outcome | EvetacError] = {}  # of the jobs, by their outputs
+        self.results: dict[Path, Outcome | EvetacError] = {}  # of the jobs, by output
 
     def outcomes(self) -> list[Outcome]:
-        """What the jobs made, including what a job made before it failed (errors.attach_outcome)."""
+        """Return the outcomes of the jobs, including those of jobs that failed later (errors.attach_outcome)."""
         outcomes = (
             result if isinstance(result, Outcome) else attached_outcome(result) for result in self.results.values()
         )
         return [outcome for outcome in outcomes if outcome is not None]
 
     def errors(self) -> list[EvetacError]:
-        """The errors of the jobs that failed."""
+        """Return the errors of the jobs that failed."""
         return [result for result in self.results.values() if isinstance(result, EvetacError)]
 
     def __enter__(self) -> "CommandExit":
@@ -114,14 +115,14 @@ class CommandExit:
         if isinstance(error, (EvetacError, OSError, MemoryError, RecursionError)):
             if self.verbose:
                 console.say("".join(traceback.format_exception(error)).rstrip())
-            data = error_dict(error)  # an OSError that no stage turned into words still names its path
+            data = error_dict(error)  # an OSError that no stage handled still names its path
             words = f"{data['where']}: {data['message']}" if "where" in data else data["message"]
             console.say(f"error: {error if isinstance(error, EvetacError) else words}")
             raise typer.Exit(data["exit_status"]) from None
 
 
 def run(program: Callable[[], Any]) -> NoReturn:
-    """Run the program and end this process with its exit code, whatever comes: nothing leaves as a traceback."""
+    """Run the program and end this process with its exit code; no exception ends as a traceback."""
     open_streams()
     warnings.showwarning = _show_warning
     try:
@@ -132,17 +133,17 @@ def run(program: Callable[[], Any]) -> NoReturn:
     except OutputError as error:
         console.say(f"error: {error}")
         code = error.exit_code
-    interrupts.stop_catching()  # all is done and said: from now on they only end what still runs
+    interrupts.stop_catching()  # everything is done and printed: interrupts may now end the process
     if code == INTERRUPTED_CODE and not _children():
         sys.stderr.flush()
-        os._exit(code)  # Python takes a second to take torch apart, several on a busy computer
-    gc.freeze()  # or Python looks through all once more, to take apart what ends with the process anyway
-    exec("")  # Python ends by SIGINT if the last `exec` was left by Ctrl-C, as it may be while modules are loaded
+        os._exit(code)  # Python takes a second to unload torch, several on a busy computer
+    gc.freeze()  # otherwise Python scans all objects once more, although they end with the process
+    exec("")  # Python ends by SIGINT if Ctrl-C left the last `exec`, which happens while modules are loaded
     sys.exit(code)
 
 
 def _children() -> list[Any]:
-    """Processes that are still to be waited for; none where the library that starts them was not even loaded."""
+    """Return the child processes to wait for; none if multiprocessing was not loaded."""
     library = sys.modules.get("multiprocessing.process")
     return list(library.active_children()) if library is not None else []
 
@@ -164,7 +165,7 @@ def _exit_code(program: Callable[[], Any]) -> int:
 
 
 def _failure_of_plugin(error: BaseException) -> EvetacError | None:
-    """What nobody foresaw, in words, if it came out of a plug-in's own code; None for any other error."""
+    """Return an unexpected exception as an EvetacError if a plug-in's code raised it; None for any other error."""
     if isinstance(error, (EvetacError, OSError, MemoryError, RecursionError, KeyboardInterrupt)):
         return None
     parts = plugins.culprits(error)
@@ -172,20 +173,20 @@ def _failure_of_plugin(error: BaseException) -> EvetacError | None:
         return None
     package, several = parts[0].package, len(parts) > 1
     message = f"the plug-in{'s' if several else ''} {', '.join(part.what for part in parts)} of {package} failed"
-    hint = f"report it to the authors of {package}, with the command and the traceback: it is no defect of evetac"
+    hint = f"report it to the authors of {package}, with the command and the traceback; evetac is not at fault"
     found = f"{type(error).__name__}: {error}"
     return EvetacError(message, where=f"{package} {parts[0].version}", found=found, hint=hint)
 
 
 def _say_internal_error(error: Exception, *, verbose: bool) -> None:
-    """What nobody foresaw, in words, with its traceback in a file or, if asked for, on stderr."""
+    """Report an unexpected exception, with its traceback in a file or, with `verbose`, on stderr."""
     trace = "".join(traceback.format_exception(error))
     if failure := _failure_of_plugin(error):
         console.say(f"error: {failure}")
     else:
         console.say(INTERNAL_ERROR)
         console.say(f"  {type(error).__name__}: {shortened(str(error))}")
-        console.say(f"  this is a defect of evetac {__version__}: please report it, with the command and what follows")
+        console.say(f"  this is a defect of evetac {__version__}: please report it with the command and the traceback")
     if verbose:
         console.say(trace.rstrip())
         return

@@ -1,7 +1,7 @@
-"""Flags and help of a command, made from its parameters: each is written down once, in commands/.
+"""Flags and help of a command, made from its parameters, which are declared once, in commands/.
 
-Flags that most people need come first, then how to run, then the others in panels of their own: the first two fit on a
-screen.
+Flags that most people need come first, then those for how to run, then the others in separate panels. The first two
+groups fit on one screen.
 """
 
 import inspect
@@ -24,59 +24,69 @@ from evetac_cli.commands.parameter import RUNNING, flag_of
 UNREAD = object()
 WHOLE = re.compile("-?(0|[1-9][0-9]{0,17})")
 DECIMAL = re.compile("-?(0|[1-9][0-9]{0,17})([.][0-9]{1,17})?")
-# How to run, the same for every command that makes files; none of it changes the numbers. Of each flag: the type, the
-# default, the names, the help.
+# How to run; the same for every command that writes files. None of these flags changes the numbers. For each flag: its
+# type, default, names and help.
 OF_STAGES: dict[str, tuple[Any, Any, str, str]] = {
-    "out": (Path | None, None, "-o/--out", "Output file (NAME.h5) or folder; default: beside the input."),
-    "force": (bool, False, "-f/--force", "Replace an output of another recipe."),
-    "number_of_jobs": (int, 1, "-j/--jobs", "Files worked on at the same time."),
+    "out": (Path | None, None, "-o/--out", "Output file (NAME.h5) or folder; default: next to the input."),
+    "force": (bool, False, "-f/--force", "Replace an output made with another recipe."),
+    "number_of_jobs": (int, 1, "-j/--jobs", "Files processed at the same time."),
     "engine": (
         str,
         engines.LOCAL,
         "--engine",
         "local; dask: a Dask cluster of --jobs processes, or dask:tls://ADDRESS (docs/cluster.md).",
     ),
-    "config": (Path | None, None, "--config", "TOML file with parameters, one table a command; --no-FLAG unsets one."),
+    "config": (
+        Path | None,
+        None,
+        "--config",
+        "TOML file with parameters, one table per command; --no-FLAG unsets one.",
+    ),
     "as_json": (bool, False, "--json", "Print one JSON object instead of a table."),
-    "quiet": (bool, False, "-q/--quiet", "No progress and no messages."),
-    "verbose": (bool, False, "-v/--verbose", "Print every column and row of a table, and the traceback of an error."),
+    "quiet": (bool, False, "-q/--quiet", "Print no progress and no messages."),
+    "verbose": (bool, False, "-v/--verbose", "Print whole tables, and tracebacks of errors."),
 }
-# view makes one page, whose parameters are in no recipe: no use for several jobs, nor for a config file.
+# view writes one page, whose parameters are part of no recipe: several jobs or a config file would be of no use.
 OF_VIEW = {name: entry for name, entry in OF_STAGES.items() if name not in ("number_of_jobs", "engine", "config")} | {
     "out": (
         Path | None,
         None,
         "-o/--out",
-        "Output file or folder; default: beside the file.",
+        "Output file or folder; default: next to the input.",
     ),
-    "force": (bool, False, "-f/--force", "Replace a page or animation that exists."),
+    "force": (bool, False, "-f/--force", "Replace an existing page or animation."),
 }
 OF_REPORT = OF_VIEW | {
     "out": (
         Path | None,
         None,
         "-o/--out",
-        "Output file or folder; default: report.html in the folder, or A-B.report.html here.",
+        "Output file or folder; default: report.html in the folder, or A-B.report.html in the current one.",
     ),
-    "force": (bool, False, "-f/--force", "Replace a page that exists."),
+    "force": (bool, False, "-f/--force", "Replace an existing page."),
 }
 OF_EXPORT = OF_VIEW | {
-    "out": (Path | None, None, "-o/--out", "File or folder; default: beside the recording."),
-    "force": (bool, False, "-f/--force", "Replace a file that exists."),
+    "out": (Path | None, None, "-o/--out", "Output file or folder; default: next to the recording."),
+    "force": (bool, False, "-f/--force", "Replace an existing file."),
 }
 OF_SHARE = OF_VIEW | {
-    "out": (Path | None, None, "-o/--out", "Folder; default: NAME-hub beside it."),
-    "force": (bool, False, "-f/--force", "Replace a folder that share made."),
+    "out": (Path | None, None, "-o/--out", "Output folder; default: NAME-hub next to the input."),
+    "force": (bool, False, "-f/--force", "Replace an existing folder made by share."),
 }
-OF_LOOKING = {name: OF_STAGES[name] for name in ("as_json", "quiet", "verbose")}  # of commands that make nothing
+OF_LOOKING = {name: OF_STAGES[name] for name in ("as_json", "quiet", "verbose")}  # of commands that write no files
 OF_DOCTOR = OF_LOOKING | {
-    "out": (Path | None, None, "-o/--out", "--hardware: report file; default: evetac-hardware-DATE.json here."),
+    "out": (
+        Path | None,
+        None,
+        "-o/--out",
+        "With --hardware: report file; default: evetac-hardware-DATE.json in the current folder.",
+    ),
 }
 
 
 @dataclass(frozen=True)
 class Running:
-    """How a command is run, as its flags say; a command that lacks one of them has its default."""
+    """How a command is run, from its flags. If a command lacks one of these flags, the default applies."""
 
     out: Path | None = None
     force: bool = False
@@ -89,15 +99,15 @@ class Running:
 
     @classmethod
     def take(cls, given: dict[str, Any], names: Iterable[str]) -> "Running":
-        """Take these flags out of all that were given."""
+        """Remove these flags from `given` and return them as a Running."""
         return cls(**{name: given.pop(name) for name in names})
 
 
 class PlainFlags:
-    """Of a command or group: switches are shown without a type, for they take no value; plain values are read here."""
+    """Base of commands and groups: shows switches without a type, since they take no value, and reads plain values."""
 
     def get_params(self, ctx: Any) -> list[Any]:
-        """All flags, `--help` among them."""
+        """Return all flags, including `--help`."""
         params: list[Any] = super().get_params(ctx)  # type: ignore[misc]
         for flag in params:
             if getattr(flag, "is_flag", False):
@@ -108,9 +118,10 @@ class PlainFlags:
 
 
 def _processed(flag: Any, usual: Callable[[Any, Any], Any], ctx: Any, given: Any) -> Any:
-    """The value of a flag: here where it is plain, else as typer reads and refuses it.
+    """Return the value of a flag. Plain values are read here, all others by typer, which also raises the errors.
 
-    Why so: typer has pydantic read every value. To load it takes a fifth of a command that has nothing to do.
+    Typer reads every value with pydantic, and loading pydantic takes a fifth of the time of a command that has nothing
+    to do.
     """
     described = getattr(flag, "type_descriptor", None)
     kind = getattr(described, "annotation", None)
@@ -131,7 +142,7 @@ def _processed(flag: Any, usual: Callable[[Any, Any], Any], ctx: Any, given: Any
 
 
 def plain_value(kind: Any, given: Any) -> Any:
-    """What is given, a text or a default, as a value of its type; UNREAD where typer has to say what it is."""
+    """Return a text or a default as a value of type `kind`, or UNREAD if typer has to read it."""
     if type(given) is kind:
         return given
     if isinstance(given, str):
@@ -149,20 +160,20 @@ class Group(PlainFlags, TyperGroup):
 
 
 class CommandOfFlags(PlainFlags, TyperCommand):
-    """A command that refuses a flag that is given twice, whose help leaves out the `--no-` of switches."""
+    """A command that refuses a repeated flag, and whose help omits the `--no-` form of switches."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Read the flags; of one that stands there twice, all but the last would be lost without a word."""
+        """Read the flags. A repeated flag is an error; otherwise all but its last value would be lost silently."""
         _, _, order = self.make_parser(ctx).parse_args(list(args))
         times = Counter(flag.opts[-1] for flag in order if not getattr(flag, "is_flag", True) and not flag.multiple)
         twice = next((name for name, count in times.items() if count > 1), None)
         if twice is not None and not ctx.resilient_parsing:
             more = ": name the others among the files, or all by a glob" if twice == "--model" else ""
-            ctx.fail(f"{twice} is given {times[twice]} times, and takes one value{more}.")
+            ctx.fail(f"{twice} is given {times[twice]} times but takes one value{more}.")
         return list(super().parse_args(ctx, args))
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
-        """As always, but without `--no-`, which only a config file makes useful."""
+        """Write the usual help without the `--no-` forms, which are useful only together with a config file."""
         switches = [(flag, flag.secondary_opts) for flag in self.params if flag.secondary_opts]
         for flag, _ in switches:
             flag.secondary_opts = []
@@ -174,10 +185,10 @@ class CommandOfFlags(PlainFlags, TyperCommand):
 
 
 def signature(command: Command, running: dict[str, tuple[Any, Any, str, str]]) -> inspect.Signature:
-    """The parameters of a command as typer reads them: files, flags without a panel, how to run, flags in panels.
+    """Return the parameters of a command for typer: files, flags without a panel, how to run, flags in panels.
 
-    Every flag defaults to None, so that a config file can tell what was not given. What is named by its place comes
-    before the files, which take all the rest.
+    Every flag defaults to None, so that flags that were not given can be taken from a config file. Positional
+    parameters come before the files, which take all remaining arguments.
     """
     hints = get_type_hints(command.params)
     keyword = inspect.Parameter.KEYWORD_ONLY
@@ -190,7 +201,7 @@ def signature(command: Command, running: dict[str, tuple[Any, Any, str, str]]) -
         if not flag.startswith("--"):
             option = typer.Argument(metavar=flag, help=_help(item), show_default=False)
         elif kind is bool:
-            names = flag if item.metadata["consent"] else f"{flag}/--no-{flag[2:]}"  # no file sets it, so none is unset
+            names = flag if item.metadata["consent"] else f"{flag}/--no-{flag[2:]}"  # no config file can set consent
             option = typer.Option(names, help=_help(item), rich_help_panel=panel or None)
         else:
             option = typer.Option(flag, help=_help(item), rich_help_panel=panel or None)
@@ -206,7 +217,7 @@ def signature(command: Command, running: dict[str, tuple[Any, Any, str, str]]) -
         )
         how.append(inspect.Parameter(name, keyword, default=default, annotation=Annotated[kind, option]))
     if command.files:
-        help_ = command.files + (f" A folder stands for the {command.kind} files in it." if command.kind else "")
+        help_ = command.files + (f" For a folder, all {command.kind} files in it are used." if command.kind else "")
         files = Annotated[list[Path], typer.Argument(metavar="FILES", help=help_, show_default=False)]
         needed: Any = inspect.Parameter.empty if command.files_needed else []
         places.append(inspect.Parameter("files", keyword, default=needed, annotation=files))
@@ -214,13 +225,13 @@ def signature(command: Command, running: dict[str, tuple[Any, Any, str, str]]) -
 
 
 def looking(name: str) -> Any:
-    """The option of one of OF_STAGES, as typer reads it from the signature of a function."""
+    """Return one entry of OF_STAGES as an option for typer, to be used in the signature of a function."""
     _, _, names, help_ = OF_STAGES[name]
     return typer.Option(*names.split("/"), help=help_)
 
 
 def _help(item: Any) -> str:
-    """What is said of a flag: its help, the values that it takes, its unit, its default."""
+    """Return the help of a flag: its text, choices, unit and default."""
     about = item.metadata
     text = about["help"].replace("[", "\\[")  # text, not markup
     choices = f" ({', '.join(about['choices'])})" if len(about["choices"]) > 1 else ""
@@ -231,6 +242,6 @@ def _help(item: Any) -> str:
 
 
 def help_text(command: Command) -> str:
-    """What a command does, and examples of it."""
+    """Return the description of a command, followed by its examples."""
     said = [" ".join(paragraph.split()) for paragraph in (command.params.__doc__ or "").split("\n\n")]
     return "\n\n".join([*said, "\n".join(command.examples)])

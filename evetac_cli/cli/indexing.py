@@ -1,4 +1,4 @@
-"""Indexes of data sets, as commands use them: what is up to date by them, and what they have to learn from a run."""
+"""How commands use the indexes of data sets: to find outputs that are up to date, and to add new files after a run."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -14,22 +14,22 @@ from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
 if TYPE_CHECKING:  # `evetac --help` loads none of it
     from evetac_cli.store.index import Describe, IndexRow, Seen
 
-COMPILES = False  # files are described without a kernel
-MOST_OF_A_JOB = 64  # files: handing one over takes as long as reading some
-JOBS_A_WORKER = 4  # at least, so that none waits long for the others at the end
-FEW = 20  # files that are sooner read than a process is started
+COMPILES = False  # describing files needs no kernel
+MOST_OF_A_JOB = 64  # files per job: sending a job takes as long as reading some files
+JOBS_A_WORKER = 4  # at least, so that no worker waits long for the others at the end
+FEW = 20  # reading fewer files takes less time than starting a process
 Results = dict[Path, Outcome | EvetacError]
 
 
 @dataclass(frozen=True)
 class Described(Job):
-    """Files of a folder to be described, as what is seen of them; `output` stands for the job."""
+    """A job that describes files of a folder, given with their file status; `output` only identifies the job."""
 
     files: tuple[tuple[str, "Seen"], ...] = ()
 
 
 def run(job: Described, folder: Path, *, force: bool = False, progress: Progress = silent) -> Outcome:
-    """Describe some files of a folder, in a worker; the rows are those of the index."""
+    """Describe some files of a folder, in a worker, and return the rows for the index."""
     from evetac_cli.store.index import describe
 
     rows = []
@@ -40,7 +40,7 @@ def run(job: Described, folder: Path, *, force: bool = False, progress: Progress
 
 
 def describer(at_once: int) -> "Describe":
-    """How to describe files: in this process, or in several at a time."""
+    """Return a function that describes files in this process, or in `at_once` processes."""
     from evetac_cli.store.index import one_by_one
 
     return one_by_one if at_once < 2 else partial(_in_workers, at_once)
@@ -53,7 +53,7 @@ def _in_workers(
     progress: Callable[[int, int], None],
     take: "Callable[[Sequence[IndexRow]], None]",
 ) -> None:
-    """Describe files in several processes; one that a file takes down costs that file only."""
+    """Describe files in several processes. If a file crashes its process, only this file is lost."""
     from evetac_cli.store.index import IndexRow, one_by_one
 
     if len(files) < FEW:
@@ -77,7 +77,7 @@ def _in_workers(
         progress(described, len(files))
 
     def work_off(jobs: Sequence[Described]) -> list[Described]:
-        """The jobs at which a process died."""
+        """Run the jobs and return those during which a process died."""
         try:
             workers.run_parallel("cli.indexing", list(jobs), folder, False, at_once, report, results)
         finally:
@@ -96,13 +96,13 @@ def _in_workers(
 
 
 def _job(folder: Path, files: "Mapping[str, Seen]", names: Sequence[str]) -> Described:
-    """Of one file, another job than of several of which it is the first."""
+    """Return a job for files; that of a single file differs from that of several files which it leads."""
     alone = "" if len(names) > 1 else "/alone"
     return Described((), Path(f"{folder / names[0]}{alone}"), tuple((name, files[name]) for name in names))
 
 
 def up_to_date(stage: Stage[Any], jobs: Sequence[Job], chosen: Any) -> dict[Path, Outcome]:
-    """The outcomes of jobs whose outputs are known to be up to date, by indexes beside them; nothing is opened."""
+    """Return the outcomes of jobs whose outputs are up to date by the indexes next to them; no output is opened."""
     from evetac_cli.store.index.known import Known
 
     known_outcomes: dict[Path, Outcome] = {}
@@ -114,7 +114,7 @@ def up_to_date(stage: Stage[Any], jobs: Sequence[Job], chosen: Any) -> dict[Path
                 continue
             try:
                 recipe = stage.recipe(job, chosen, known)
-            except EvetacError:  # which the job will say
+            except EvetacError:  # the job will report it
                 continue
             if recipe is not None and known.is_up_to_date(job.output, recipe):
                 known_outcomes[job.output] = outcome(job, made=False, simulated=recipe.simulated)
@@ -122,7 +122,7 @@ def up_to_date(stage: Stage[Any], jobs: Sequence[Job], chosen: Any) -> dict[Path
 
 
 def learn(jobs: Sequence[Job], at_once: int, quiet: bool) -> None:
-    """Bring indexes that are there up to date with the files that jobs read and made; none is made."""
+    """Update existing indexes with the files that jobs read and wrote; no index is created."""
     from evetac_cli.store.index import table
     from evetac_cli.store.index.known import Known
 

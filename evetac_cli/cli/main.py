@@ -1,8 +1,8 @@
-"""The command line: pick a command, read its flags, run its jobs, print the result or the error.
+"""The command line: choose a command, read its flags, run its jobs, print the result or the error.
 
 A stage is imported only when it is chosen: `evetac --help` loads none of numpy, h5py, torch, cv2, scipy, numba. The
-flags of a command are made only when it is chosen, too: those of all of them are for `--help`, and for a name that is
-none.
+flags of a command are also built only when it is chosen. Those of all commands are built only for `--help` and for an
+unknown command name.
 """
 
 import importlib
@@ -22,7 +22,7 @@ from evetac_cli.commands.command import Command
 from evetac_cli.errors import DeviceError, EvetacError, InputError, UnavailableError
 from evetac_cli.jobs import Outcome
 
-OF_FOLDERS = ("repair",)  # inspectors that take folders, not the files in them
+OF_FOLDERS = ("repair",)  # inspectors that take folders themselves, not the files in them
 AsJson = Annotated[bool, flags.looking("as_json")]
 Quiet = Annotated[bool, flags.looking("quiet")]
 Verbose = Annotated[bool, flags.looking("verbose")]
@@ -39,7 +39,7 @@ def _root(
         bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
     ] = False,
 ) -> None:
-    """Event-based touch with an Evetac: record, label, track, featurize, train, evaluate, grasp."""
+    """Event-based tactile sensing with an Evetac: record, label, track, featurize, train, evaluate and grasp."""
 
 
 def _add(
@@ -50,7 +50,7 @@ def _add(
     act: Callable[[Command, str, dict[str, Any]], None] | None = None,
     running: dict[str, tuple[Any, Any, str, str]] = flags.OF_STAGES,
 ) -> None:
-    """Register a command whose signature is made from its parameters."""
+    """Register a command, with a signature made from its parameters."""
 
     def call(**given: Any) -> None:
         (act or execution.execute)(command, title, given)
@@ -63,7 +63,7 @@ def _add(
 
 
 def _write_for_others(command: Command, title: str, given: dict[str, Any]) -> None:
-    """Run a command whose output is no stage file (a page, an export), and print where it was written."""
+    """Run a command whose output is not a stage file (a page, an export), and print the path of the output."""
     running = Running.take(given, flags.OF_VIEW)
     named = given.pop("files")
     with CommandExit(title, running):
@@ -81,7 +81,7 @@ def _write_for_others(command: Command, title: str, given: dict[str, Any]) -> No
 
 
 def _doctor(command: Command, title: str, given: dict[str, Any]) -> None:
-    """Examine cameras and grippers; exit code 3 if something is wrong with one of them."""
+    """Examine cameras and grippers; the exit code is 3 if something is wrong with one of them."""
     running = Running.take(given, flags.OF_DOCTOR)
     with CommandExit(title, running):
         chosen = config.resolve(command.params, title, given, None)
@@ -91,7 +91,7 @@ def _doctor(command: Command, title: str, given: dict[str, Any]) -> None:
         apart = [flag for flag in ("print_udev", "compile", "speed", "hardware") if getattr(chosen, flag)]
         if len(apart) > 1:
             names = ", ".join(f"--{flag.replace('_', '-')}" for flag in apart)
-            raise InputError("each does something else", where=names, expected="one of them at a time")
+            raise InputError("cannot be combined", where=names, expected="only one of these flags")
         if chosen.hardware and running.quiet:
             raise InputError("has no effect with --hardware, which announces every step", where="--quiet")
         if chosen.gripper and apart and not chosen.hardware:
@@ -125,7 +125,7 @@ def _doctor(command: Command, title: str, given: dict[str, Any]) -> None:
 
 
 def _show(title: str, module: Any, result: Outcome, running: Running) -> None:
-    """Print a result as one JSON object, or as its module does; nothing with --quiet."""
+    """Print a result as one JSON object, or in the form of its module; print nothing with --quiet."""
     if running.as_json:
         console.show(title, result.rows, result.summary, simulated=result.simulated, as_json=True)
     elif not running.quiet:
@@ -133,7 +133,7 @@ def _show(title: str, module: Any, result: Outcome, running: Running) -> None:
 
 
 def _inspector(name: str, help_: str, files_help: str, unit: str = "files") -> Callable[..., None]:
-    """A command of inspect/: files in, a table or JSON out."""
+    """Return a command of inspect/, which reads files and prints a table or JSON."""
 
     def call(
         files: Annotated[list[Path], typer.Argument(help=files_help, show_default=False)],
@@ -161,20 +161,23 @@ def _info(
     where: Annotated[
         list[str] | None,
         typer.Option(
-            help="Of a folder: the files for which this holds, as in object=3, seed=10-19, kind=labels,features;"
-            " several conditions have to hold all."
+            help="For a folder: show only files that satisfy this condition, e.g. object=3, seed=10-19 or"
+            " kind=labels,features. Repeat the flag for more conditions; all must be satisfied."
         ),
     ] = None,
     as_json: AsJson = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    """What stage files hold: kind, duration, events, rates, history; of a folder, which files it has, by its index."""
+    """Show the contents of stage files: kind, duration, events, rates, history. For a folder, list its files.
+
+    The list of a folder's files is made from its index.
+    """
     with CommandExit("info", Running(as_json=as_json, verbose=verbose)) as looked:
         if len(files) != 1 or not files[0].is_dir():
             if where:
                 named = ", ".join(map(str, files))
-                raise InputError("finds files of a folder", where="--where", expected="one folder", found=named)
+                raise InputError("searches the files of a folder", where="--where", expected="one folder", found=named)
             _describe(execution.with_folders(files), looked, quiet=quiet)
             return
         index = importlib.import_module("evetac_cli.inspect.index")
@@ -188,7 +191,7 @@ def _info(
 
 
 def _describe(files: list[Path], looked: CommandExit, *, quiet: bool) -> None:
-    """Show what each file holds; those that cannot be read are errors at the end, and do not hide the others."""
+    """Show the contents of each file; errors of unreadable files are printed at the end and do not hide the others."""
     info = importlib.import_module("evetac_cli.inspect.info")
     for number, path in enumerate(files):
         try:
@@ -209,13 +212,13 @@ def _describe(files: list[Path], looked: CommandExit, *, quiet: bool) -> None:
 
 
 def _index(
-    folders: Annotated[list[Path], typer.Argument(help="Folders.", show_default=False)],
+    folders: Annotated[list[Path], typer.Argument(help="Folders of data sets.", show_default=False)],
     number_of_jobs: Annotated[int, flags.looking("number_of_jobs")] = 1,
     as_json: AsJson = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    """Make the index of a data set, or bring it up to date; `evetac info FOLDER` asks it."""
+    """Create or update the index of a data set, which `evetac info FOLDER` uses."""
     running = Running(number_of_jobs=number_of_jobs, as_json=as_json, quiet=quiet, verbose=verbose)
     with CommandExit("index", running):
         execution.require_jobs(running)
@@ -227,7 +230,7 @@ def _index(
 
 def _add_evaluate(app: typer.Typer) -> None:
     judging = typer.Typer(
-        cls=flags.Group, help="Measure results: figures, tables, a report file.", no_args_is_help=True
+        cls=flags.Group, help="Evaluate results: numbers, tables, plots and a report file.", no_args_is_help=True
     )
     for command in commands.EVALUATE:
         _add(judging, command, f"evaluate {command.name}", "Subjects")
@@ -250,7 +253,7 @@ def _inspecting(name: str, call: Callable[..., None]) -> Callable[[typer.Typer],
     return add
 
 
-# What adds each command, in the order of `--help`.
+# Functions that add each command, in the order of `--help`.
 ADDED: dict[str, Callable[[typer.Typer], None]] = {
     **{name: _named(name, "Pipeline") for name in commands.OF_PIPELINE},
     "evaluate": _add_evaluate,
@@ -264,17 +267,16 @@ ADDED: dict[str, Callable[[typer.Typer], None]] = {
         "validate",
         _inspector(
             "validate",
-            "Check stage files against their schema, their own numbers and their recipe id.",
-            "Stage files. A folder stands for all that are in it.",
+            "Check stage files: their schema, the consistency of their numbers, and their recipe id.",
+            "Stage files. For a folder, all stage files in it are checked.",
         ),
     ),
     "repair": _inspecting(
         "repair",
         _inspector(
             "repair",
-            "Make valid recordings of what broke off: folders NAME.recording.part, or folders that hold some. "
-            "Prints what was kept.",
-            "Folders.",
+            "Make valid recordings from interrupted ones, and report how much was recovered.",
+            "Folders NAME.recording.part, or folders that contain some.",
             "folders",
         ),
     ),
@@ -283,13 +285,13 @@ ADDED: dict[str, Callable[[typer.Typer], None]] = {
 
 
 def command_line(first: str = "") -> typer.Typer:
-    """What reads the command line: of a single command if its first word names one, else of all.
+    """Return the app that reads the command line: with a single command if `first` names one, otherwise with all.
 
-    first: of the words that it will read.
+    first: first word of the command line.
     """
     app = typer.Typer(
         cls=Commands,
-        help="Event-based touch with an Evetac: record, label, track, featurize, train, evaluate, grasp.",
+        help="Event-based tactile sensing with an Evetac: record, label, track, featurize, train, evaluate and grasp.",
         no_args_is_help=True,
         pretty_exceptions_enable=False,
         context_settings={"help_option_names": ["-h", "--help"]},
@@ -306,7 +308,7 @@ def _whole() -> typer.Typer:
 
 
 def __getattr__(name: str) -> typer.Typer:
-    """`app`, of all commands, for whoever calls them from Python."""
+    """Return `app`, with all commands, for programs that call them from Python."""
     if name == "app":
         return _whole()
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

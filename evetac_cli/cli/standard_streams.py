@@ -1,7 +1,7 @@
-"""Standard output and error of the program: a result that cannot be written ends it, a message that cannot does not.
+"""Standard output and error of the program. A result that cannot be written ends the program; a message does not.
 
-Why not SIGPIPE's usual effect: it would also end a process whose gripper, camera or worker has gone, before it could
-let go of the gripper. So only what is written to the standard output ends the program, as SIGPIPE would, at its end.
+SIGPIPE's usual effect is not used: it would also end a process that lost its gripper, camera or worker, before it could
+release the gripper. So only a failed write to standard output ends the program, in the end as SIGPIPE would.
 """
 
 import io
@@ -15,7 +15,7 @@ from evetac_cli.errors import EvetacError
 
 
 class OutputClosed(BaseException):
-    """Whoever read the standard output has gone; no error, and nobody's to catch but the program's end."""
+    """The reader of the standard output is gone. This is not an error, and only the program's end catches it."""
 
 
 class OutputError(EvetacError):
@@ -23,12 +23,12 @@ class OutputError(EvetacError):
 
 
 class _Output(io.FileIO):
-    """The standard output; after the first error, bytes are dropped."""
+    """The standard output; after the first error, all bytes are dropped."""
 
     def write(self, data: Any) -> int:
-        """Write some of the bytes; OutputClosed or OutputError where that fails."""
+        """Write some of the bytes; raise OutputClosed or OutputError on failure."""
         try:
-            while (written := super().write(data)) is None:  # somebody else made it non-blocking
+            while (written := super().write(data)) is None:  # another process made it non-blocking
                 select.select([], [self], [])
             return written
         except BrokenPipeError:
@@ -39,17 +39,17 @@ class _Output(io.FileIO):
             raise OutputError(f"cannot be written: {error.strerror or error}", where="the output") from None
 
     def _drop_all(self) -> None:
-        """What is still in buffers goes nowhere, or it would be tried again at the interpreter's end."""
+        """Discard what is still in buffers; otherwise the interpreter would try to write it again when it ends."""
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, self.fileno())
         os.close(nowhere)
 
 
 class _Messages(io.FileIO):
-    """The standard error, which never fails: messages that cannot be written are lost."""
+    """The standard error. It never fails: messages that cannot be written are dropped."""
 
     def write(self, data: Any) -> int:
-        """Write some of the bytes, or none and say nothing."""
+        """Write some of the bytes, or drop all of them silently."""
         try:
             written = super().write(data)
         except OSError:
@@ -58,11 +58,13 @@ class _Messages(io.FileIO):
 
 
 def open_streams() -> None:
-    """Put ours in place of sys.stdout and sys.stderr; what their encoding has not got is written as escapes."""
+    """Replace sys.stdout and sys.stderr; characters missing in their encoding are written as escapes."""
     for number, mode in ((0, os.O_RDONLY), (1, os.O_RDONLY), (2, os.O_WRONLY)):
         try:
             os.fstat(number)
-        except OSError:  # closed, as by `>&-`: held, so that no file of ours is opened as it, and writing still fails
+        except (
+            OSError
+        ):  # closed, e.g. by `>&-`: reserved, so that no other file gets this number and writing still fails
             os.set_inheritable(os.open(os.devnull, mode), True)
     output, messages = _Output(1, "w", closefd=False), _Messages(2, "w", closefd=False)
     sys.stdout = _text(output, sys.stdout, line_buffering=output.isatty())
@@ -76,7 +78,7 @@ def _text(raw: io.FileIO, before: Any, *, line_buffering: bool) -> io.TextIOWrap
 
 
 def end_as_by_sigpipe() -> NoReturn:
-    """End this process as one that wrote to a closed pipe: shells say 141."""
+    """End this process like one that wrote to a closed pipe: shells report 141."""
     signal.signal(signal.SIGPIPE, signal.SIG_DFL)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGPIPE})
     os.kill(os.getpid(), signal.SIGPIPE)

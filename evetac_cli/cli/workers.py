@@ -1,9 +1,9 @@
-"""Run jobs, one after the other or several at a time in processes of their own, so that Ctrl-C always ends them.
+"""Run jobs one after the other, or several at a time in separate processes, so that Ctrl-C always ends them.
 
-Interrupts are remembered too (interrupts.py), and looked at after every job. SIGTERM is treated as Ctrl-C.
+Interrupts are also remembered (interrupts.py) and checked after every job. SIGTERM is treated as Ctrl-C.
 
-Why no pool of the standard library: there a worker that is killed takes the jobs of all others along, and one that was
-only told to end finishes its job first. Here each worker has a pipe of its own, which closes when either end dies.
+The standard library's pools are not used: there, a killed worker takes the jobs of all others with it, and a worker
+that is asked to end finishes its job first. Here each worker has its own pipe, which closes when either end dies.
 """
 
 import importlib
@@ -28,28 +28,28 @@ if TYPE_CHECKING:  # `evetac --help` loads none of it
     from multiprocessing.connection import Connection
     from multiprocessing.context import SpawnContext
 
-ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")  # of numerical libraries
-SAY_S = 0.2  # so often a worker tells how far it is
-GRACE_S = 0.5  # in which workers that were told to stop may clean up; then they are killed
+ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")  # thread limits of numerical libraries
+SAY_S = 0.2  # interval at which a worker reports its progress
+GRACE_S = 0.5  # time for workers to clean up after they were asked to stop; then they are killed
 
 
 def compute_on_one_thread() -> None:
-    """Have numerical libraries start no threads in this process and those that it starts, unless the user says so.
+    """Limit numerical libraries to one thread, in this process and its children, unless the user set another limit.
 
-    Why so: they start them when they are loaded, needed or not, which takes as long as loading numpy itself; threads of
-    several workers would fight over the cores; and one thread gives one result.
+    The libraries start threads when they are loaded, needed or not, which takes as long as loading numpy itself.
+    Threads of several workers would compete for the cores, and results depend on the number of threads.
     """
     for name in ONE_THREAD:
         os.environ.setdefault(name, "1")
 
 
 def run_one(module: str, job: Job, chosen: Any, force: bool, progress: Progress = silent) -> Outcome | EvetacError:
-    """Run one job of a stage; an error in words is its result."""
+    """Run one job of a stage and return its outcome, or the EvetacError that it raised."""
     try:
         stage = importlib.import_module(f"evetac_cli.{module}")
         if interrupt_came():  # swallowed while modules were loaded
             raise KeyboardInterrupt
-        noticed = progress if job.exclusive else _noticing_interrupts(progress)  # devices end in order of their own
+        noticed = progress if job.exclusive else _noticing_interrupts(progress)  # devices shut down in their own order
         result: Outcome = stage.run(job, chosen, force=force, progress=noticed)
     except EvetacError as error:
         return error
@@ -63,7 +63,7 @@ def run_one(module: str, job: Job, chosen: Any, force: bool, progress: Progress 
 
 
 def _noticing_interrupts(progress: Progress) -> Progress:
-    """The same progress, at which an interrupt that was swallowed comes up."""
+    """Return the same progress callback, but raising KeyboardInterrupt for an interrupt that was swallowed."""
 
     def report(done: float, total: float, doing: str = "") -> None:
         if interrupt_came():
@@ -76,12 +76,12 @@ def _noticing_interrupts(progress: Progress) -> Progress:
 def _in_worker(
     module: str, job: Job, chosen: Any, force: bool, progress: Progress = silent
 ) -> Outcome | EvetacError | None:
-    """As run_one, but Ctrl-C ends the job quietly: the parent process reports it. Nothing is begun after it."""
+    """Run a job as run_one does, but end it quietly on Ctrl-C, which the parent reports; no job starts after that."""
     if interrupt_came():
         return None
     catch_interrupts(every=False)  # Ctrl-C comes from the terminal, and from the parent too
     try:
-        with SignalsLetThrough():  # one that came while the process started, comes up now
+        with SignalsLetThrough():  # an interrupt that arrived while the process started is raised here
             return run_one(module, job, chosen, force, progress)
     except KeyboardInterrupt as error:
         finished: Outcome | None = attached_outcome(error)
@@ -107,13 +107,13 @@ def _work(
 
 
 def _send_whole(pipe: "Connection", what: str | float) -> None:
-    """Send something in the middle of a job: a message that an interrupt cuts in two would spoil all that follow."""
+    """Send a message during a job, with interrupts blocked: a truncated message would spoil all that follow."""
     with signals_blocked():
         pipe.send(what)
 
 
 def _sending(pipe: "Connection") -> Progress:
-    """Progress of a job that goes to the parent, every SAY_S: the part of it that is done."""
+    """Return a progress callback that sends the completed share of a job to the parent, every SAY_S."""
     said_s = time.monotonic()
 
     def report(done: float, total: float, doing: str = "") -> None:
@@ -141,9 +141,9 @@ def _work_off(pipe: "Connection", module: str, chosen: Any, force: bool) -> None
 
 
 def _end_with_parent() -> None:
-    """Wait until the parent process is gone, whatever ended it, and end this one hard: nobody wants its result.
+    """Wait until the parent process has ended for any reason, then kill this one, whose result is no longer needed.
 
-    The sentinel is a pipe that the parent holds open. What is left on disk is removed by the next run.
+    The sentinel is a pipe that the parent keeps open. Files left on disk are removed by the next run.
     """
     import multiprocessing
     from multiprocessing.connection import wait
@@ -155,7 +155,7 @@ def _end_with_parent() -> None:
 
 
 class _Worker:
-    """A worker process, its pipe, and the job that it is at."""
+    """A worker process, its pipe, and its current job."""
 
     def __init__(self, context: "SpawnContext", module: str, chosen: Any, force: bool, quiet: bool) -> None:
         self.pipe, theirs = context.Pipe()
@@ -163,37 +163,37 @@ class _Worker:
         self.process.start()
         theirs.close()
         self.job: Job | None = None
-        self.share = 0.0  # of the job that is done
+        self.share = 0.0  # completed share of the job
 
     def begin(self, job: Job) -> None:
-        """Hand over a job; a worker that died meanwhile is noticed when its result is asked for."""
+        """Send a job to the worker; a dead worker is noticed when its result is read."""
         self.job, self.share = job, 0.0
         with suppress(OSError):
             self.pipe.send(job)
 
     def result(self) -> Any:
-        """What it sends next, at the end what came of the job, None if it was broken off; EvetacError if it died."""
+        """Return the next message, at the end the job's result, None if it was aborted, EvetacError if it died."""
         assert self.job is not None
         try:
             return self.pipe.recv()
         except (EOFError, OSError):
             self.process.join()
-            killed = self.process.exitcode == -signal.SIGKILL  # which is how a system takes memory back
+            killed = self.process.exitcode == -signal.SIGKILL  # as the system does when memory runs out
             return EvetacError(
-                "the process that worked on it died",
+                "the worker process died",
                 where=str(self.job.output),
                 found=exit_code_words(self.process.exitcode),
-                hint="out of memory? use fewer --jobs" if killed else "run it again; with --jobs 1 it says more",
+                hint="out of memory? use fewer --jobs" if killed else "run again with --jobs 1 to see more details",
             )
 
     def interrupt(self) -> None:
-        """Tell it to stop."""
+        """Ask the worker to stop."""
         assert self.process.pid is not None
         with suppress(ProcessLookupError):
             os.kill(self.process.pid, signal.SIGINT)
 
     def end(self) -> None:
-        """End it: at once if it waits, hard if it does not."""
+        """End the worker; it is killed if it has a job."""
         self.pipe.close()
         if self.job is not None:
             self.process.kill()
@@ -211,28 +211,28 @@ def run_parallel(
     *,
     quiet: bool = True,
 ) -> None:
-    """Run jobs in `at_once` processes; what came of each goes into `results`, by its output, also on Ctrl-C.
+    """Run jobs in `at_once` processes, and store each result in `results` under its output, also on Ctrl-C.
 
-    After Ctrl-C workers have GRACE_S to stop, and are killed then. A worker that dies costs its own job only. Unless
-    `quiet`, the first of them says when it has to compile.
+    After Ctrl-C, workers have GRACE_S to stop and are then killed. If a worker dies, only its own job is lost. Unless
+    `quiet`, the first worker reports when it has to compile.
     """
     import multiprocessing
     from multiprocessing import resource_tracker
 
     compute_on_one_thread()
-    # Spawned, not forked: HDF5 and a fork do not mix.
+    # Spawned, not forked: HDF5 does not support forking.
     context = multiprocessing.get_context("spawn")
     waiting = deque(jobs)
     workers: list[_Worker] = []
     interrupted = False
     progress(0, 0, f"starting {at_once} processes")
-    resource_tracker.ensure_running()  # or starting the first worker does so, and lets interrupts through again
-    # Workers inherit this, and lift it while they work; here interrupts come up only where nothing is half done.
+    resource_tracker.ensure_running()  # otherwise starting the first worker starts it, and unblocks interrupts
+    # Workers inherit the block, and lift it while they work. Here interrupts are raised only between complete steps.
     with signals_blocked():
         try:
             while waiting or any(worker.job for worker in workers):
                 missing = min(at_once - len(workers), len(waiting))
-                for _ in range(missing):  # one of them speaks for all
+                for _ in range(missing):  # only the first one reports
                     workers.append(_Worker(context, module, chosen, force, quiet or bool(workers)))
                 for worker in workers:
                     if worker.job is None and waiting:
@@ -255,7 +255,7 @@ def run_parallel(
 
 
 def _ready(workers: Sequence[_Worker], timeout_s: float | None = None) -> list[_Worker]:
-    """Wait for workers that have a result, or died; without a timeout, SIGINT and SIGTERM come up here."""
+    """Wait for workers that sent a message or died; without a timeout, SIGINT and SIGTERM are raised here."""
     from multiprocessing.connection import wait
 
     busy = {worker.pipe: worker for worker in workers if worker.job is not None}
@@ -264,7 +264,7 @@ def _ready(workers: Sequence[_Worker], timeout_s: float | None = None) -> list[_
 
 
 def _take(worker: _Worker, workers: list[_Worker], results: dict[Path, Outcome | EvetacError]) -> bool:
-    """Note what a worker sends, and let go of one that died; whether its job was interrupted."""
+    """Process a worker's message, and remove the worker if it died; return whether its job was interrupted."""
     result = worker.result()
     assert worker.job is not None
     if isinstance(result, float):
@@ -286,7 +286,7 @@ def _take(worker: _Worker, workers: list[_Worker], results: dict[Path, Outcome |
 
 
 def _stop(workers: list[_Worker], results: dict[Path, Outcome | EvetacError]) -> None:
-    """Tell all workers to stop and wait a little for them; what they finished goes into `results`."""
+    """Ask all workers to stop and wait briefly; what they finish goes into `results`."""
     for worker in workers:
         worker.interrupt()
     end_s = time.monotonic() + GRACE_S
@@ -296,7 +296,7 @@ def _stop(workers: list[_Worker], results: dict[Path, Outcome | EvetacError]) ->
 
 
 def remove_unfinished(outputs: Sequence[Path]) -> None:
-    """Remove the temporary files that dead processes of this computer left beside these outputs."""
+    """Remove temporary files that dead processes of this computer left next to these outputs."""
     from evetac_cli.store.hdf5 import disk
 
     for output in outputs:

@@ -1,8 +1,8 @@
-"""The commands: a module each, with its flags, its examples and the name of the stage that it runs.
+"""The commands: one module each, with its flags, its examples and the name of the stage that it runs.
 
-Why so: nothing of ours but names and errors is imported here, so that `--help` is light, and stages take their
-parameters from here; a stage is imported when its command is chosen. So is the module of a command, since the flags of
-all take as long to make as those of one take to read: `find` imports it, and so do the tuples of all of them.
+Of evetac, this package imports only names and errors, which keeps `--help` fast. Stages take their parameters from
+here, and a stage is imported only when its command is chosen. The module of a command is also imported on demand, by
+`find` and by the tuples of all commands: building the flags of all commands takes noticeable time.
 """
 
 import importlib
@@ -27,21 +27,21 @@ OF_PIPELINE = (
     "predict-touch",
     "grasp",
 )
-# Made when they are asked for.
+# Built on first access.
 PIPELINE: tuple[Command, ...]
 EVALUATE: tuple[Command, ...]
-# For people, made again whenever asked for.
+# Commands whose output is for people; built at each access.
 VIEW: Command
 EXPORT: Command
 DOCTOR: Command
 SHARE: Command
 REPORT: Command
-# A table of a config file for each: [track], [evaluate.slip].
+# Commands with a table in a config file, such as [track] or [evaluate.slip].
 WITH_CONFIG: dict[str, Command]
 
 
 def find(name: str) -> Command:
-    """The command of a name, `evaluate` not among them, as `evetac NAME` runs it."""
+    """Return the command that `evetac NAME` runs; `evaluate` is a group and not among them."""
     found: Command = _module(name).COMMAND
     return found
 

@@ -8,17 +8,17 @@ from evetac_cli.commands.parameter import parameter
 
 @dataclass(frozen=True)
 class Attach:
-    """Add other streams of the trial to a recording: an arm's pose, forces, a camera's images; as a new recording."""
+    """Add other streams of the trial, such as arm pose, forces or camera images, and write a new recording."""
 
     stream: list[str] | None = parameter(
         None,
-        "NAME=FILE: a stream of this name from CSV, Parquet or a bag of ROS 1 or ROS 2; of a bag FILE:/TOPIC. Several"
-        " times for several streams.",
+        "NAME=FILE: name of the stream, and a CSV file, Parquet file or ROS 1 or ROS 2 bag with its data; for a bag,"
+        " NAME=FILE:/TOPIC. Repeat the flag for more streams.",
         recipe=False,
     )
     offset: list[str] | None = parameter(
         None,
-        "NAME=SECONDS: added to the times of a stream, where its clock is not that of the events; default: 0.",
+        "NAME=SECONDS: added to the times of a stream whose clock differs from that of the events; default: 0.",
         unit="s",
         recipe=False,
     )

@@ -9,36 +9,42 @@ from evetac_cli.commands.parameter import parameter
 
 @dataclass(frozen=True)
 class Calibrate:
-    """Find the dot grid of a gel in a press recording, or import it, and write it as JSON for --calibration."""
+    """Find the dot grid of a gel in a press recording, or import one, and write it as JSON for --calibration."""
 
     refine: Path | None = parameter(
-        None, "Start from this default grid (JSON); dots that were not pressed keep its places.", recipe=False
+        None, "Start from this default grid (JSON); dots that were not pressed keep their positions.", recipe=False
     )
     source: Path | None = parameter(
         None,
-        "Import this instead: the official software's pickle, which is not executed, JSON, or a sensor's TOML file as"
-        " identify writes it, with the contrast, threshold and stiffness that slip detectors ask for.",
+        "Import the grid from this file: JSON, a pickle of the official software (read without executing it), or a"
+        " sensor's TOML file written by identify. The latter adds the contrast, threshold and stiffness for slip"
+        " detectors.",
         flag="--import",
         recipe=False,
     )
     gel: str | None = parameter(
         None,
-        "Kind of gel; a cut one has a window beside its dots. Default: as the recording or the default grid says,"
-        " or closed where the dots leave no room for a window.",
+        "Type of gel; a cut gel has a window beside its dots. Default: that of the recording or the default grid, or"
+        " closed if the dots leave no space for a window.",
         choices=("cut", "closed"),
     )
     rows: int | None = parameter(
-        None, "Rows of dots, with --columns, of a gel other than an Evetac's 7 x 9 (cut: 7 x 8).", low=2, high=128
+        None,
+        "Rows of dots, together with --columns, if they differ from an Evetac's 7 x 9 (cut gel: 7 x 8).",
+        low=2,
+        high=128,
     )
-    columns: int | None = parameter(None, "Columns of dots, with --rows.", low=2, high=128)
-    irregular: bool = parameter(False, "The dots are in no grid (staggered rows, at random): take all that are found.")
+    columns: int | None = parameter(None, "Columns of dots, together with --rows.", low=2, high=128)
+    irregular: bool = parameter(
+        False, "Accept all dots that are found, for dots that form no grid (staggered rows, random positions)."
+    )
 
 
 COMMAND = Command(
     "calibrate",
     Calibrate,
     "stages.calibrate",
-    "Press recordings; none with --import.",
+    "Recordings of presses; not used with --import.",
     suffix=".json",
     files_needed=False,
     examples=(

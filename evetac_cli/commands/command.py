@@ -1,18 +1,18 @@
-"""A command: its flags, which files it takes, and the stage that it runs."""
+"""A command: its flags, its input files, and the stage that it runs."""
 
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
 class Command:
-    """A command that makes files: its parameters, its module, its input files, and what its progress counts."""
+    """A command that writes files: its parameters, its module, its input files, and the unit of its progress bar."""
 
     name: str
     params: type
     module: str
-    files: str  # what the file arguments are; empty if the command takes none
-    kind: str = "recording"  # of the files that are taken from a folder; empty: the command sees to folders itself
-    suffix: str = ".h5"  # of a file that -o names
+    files: str  # help text of the file arguments; empty if the command takes none
+    kind: str = "recording"  # kind of the files taken from a folder; empty: the command handles folders itself
+    suffix: str = ".h5"  # of an output file named by -o
     unit: str = "slices"
     files_needed: bool = True
-    examples: tuple[str, ...] = ()  # of command lines, as --help shows them
+    examples: tuple[str, ...] = ()  # command lines shown by --help

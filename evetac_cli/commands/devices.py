@@ -1,4 +1,4 @@
-"""Devices by name, and how a gripper is kept safe: flags of `record` and `grasp` alike."""
+"""Flags that `record` and `grasp` share: the names of devices, and the safety of the gripper."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +12,7 @@ DEVICES = "Devices"  # panel of --help
 
 @dataclass(frozen=True)
 class Devices:
-    """Camera and gripper, and what both commands ask of them."""
+    """Flags for camera and gripper that both commands share."""
 
     camera: str = parameter(
         "sim",
@@ -27,23 +27,23 @@ class Devices:
     )
     arm: bool = parameter(
         False,
-        "Move a real gripper. Torque goes off at the end and at any failure: what is held falls.",
+        "Move a real gripper. Torque goes off at the end and on any failure; a held object falls.",
         recipe=False,
         consent=True,
         needs=(Capability.MOVED, Capability.GRASPED),
     )
     calibration: Path | None = parameter(
         None,
-        "Dot grid (JSON) of the sensor, or A,B of two; a grasp with a real camera needs it, and a recording that is"
-        " imported or from a device stores it.",
+        "Dot grid (JSON) of the sensor, or A,B for two sensors. Required for a grasp with a real camera; stored in"
+        " recordings that are imported or made with a device.",
         recipe=False,
         panel=DEVICES,
         needs=(Capability.IMPORT, Capability.RECORDED, Capability.PREVIEW, Capability.GRASPED),
     )
     watchdog_ms: int | None = parameter(
         None,
-        "The gripper lets go if it gets no command for so long, or the program hangs; a multiple of 20; default: 100"
-        " to record, 60 to grasp, more for a virtual gripper.",
+        "The gripper releases the object if it receives no command for this long, e.g. because the program hangs. A"
+        " multiple of 20; default: 100 to record, 60 to grasp, more for a virtual gripper.",
         unit="ms",
         low=20,
         high=500,
@@ -54,15 +54,15 @@ class Devices:
 
     listen: bool = parameter(
         False,
-        "A robot's program starts, marks and stops each trial, by the address in evetac.listen of the folder -o"
-        " (docs/hardware.md).",
+        "Let a robot's program start, mark and stop each trial, through the address in the file evetac.listen in the"
+        " folder -o (docs/hardware.md).",
         recipe=False,
         panel=DEVICES,
         needs=(Capability.RECORDED, Capability.GRASPED),
     )
     listen_port: int = parameter(
         0,
-        "Port of 127.0.0.1 at which it listens; 0: one that the system chooses.",
+        "Port on 127.0.0.1 for --listen; 0: the operating system chooses one.",
         low=0,
         high=65535,
         recipe=False,
@@ -71,5 +71,5 @@ class Devices:
     )
 
     def gripper_flag(self) -> str:
-        """`, --gripper NAME` where one is named, for errors."""
+        """Return `, --gripper NAME` for error messages, or an empty text if no gripper was named."""
         return f", --gripper {self.gripper}" if self.gripper is not None else ""

@@ -1,4 +1,4 @@
-"""evaluate: the flags and examples of each subject, and the module that measures it."""
+"""evaluate: the flags and examples of each subject, and the module that evaluates it."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,18 +9,18 @@ from evetac_cli.commands.parameter import parameter
 
 @dataclass(frozen=True)
 class EvaluateSlip:
-    """Measure slip timing and F1 of models on trajectories they never saw."""
+    """Measure the slip timing and F1 of models on trajectories not used in their training."""
 
     model: Path | None = parameter(
         None,
-        "Model file, a folder of them, a glob, or `shipped` for the package's; models may also be among the files.",
+        "Model file, folder of models, glob, or `shipped` for the pretrained one. Models may also be among the files.",
         recipe=False,
     )
     threshold: float | None = parameter(None, "Use this threshold instead of each model's own.", low=0.0, high=1.0)
     false_alarms_per_min: float | None = parameter(
         None,
-        "Use the lowest threshold of each model with at most so many false alarms per minute, as they were counted in"
-        " its training.",
+        "Use each model's lowest threshold with at most this many false alarms per minute, as counted during its"
+        " training.",
         unit="1/min",
         low=0.0,
         high=300.0,
@@ -28,13 +28,13 @@ class EvaluateSlip:
     )
     recordings: Path | None = parameter(
         None,
-        "Folder of the recordings, if they do not lie beside the features: the truth of simulated ones tells the"
-        " covariates of the slips.",
+        "Folder of the recordings, if they are not next to the features. Covariates of the slips are taken from the"
+        " ground truth of simulated recordings.",
         recipe=False,
     )
     all_tables: bool = parameter(
         False,
-        "Print all tables: timing of settings, by object, by model, by trajectory; --json always has them.",
+        "Print all tables: timing by setting, object, model and trajectory. --json always includes them.",
         recipe=False,
         flag="--all",
     )
@@ -42,167 +42,185 @@ class EvaluateSlip:
 
 @dataclass(frozen=True)
 class EvaluateDataRate:
-    """Compare bytes per second with an RGB sensor's: whole, in contact, about slip; 540 columns, the window apart."""
+    """Compare the data rate of events with that of an RGB sensor: overall, in contact, and around slip onset.
+
+    As in the paper, only events in the first 540 columns are counted; those of the window are reported separately.
+    """
 
     event_bytes: int = parameter(5, "Size of an event: x, y and polarity.", unit="bytes", low=1, high=64)
-    rgb_frame: str = parameter("540x480x3", "Frame of the RGB sensor: width, height, bytes a pixel.")
-    rgb_hz: float = parameter(25.0, "Frames a second of the RGB sensor.", unit="Hz", low=0.001, high=1e6)
-    around_s: float = parameter(0.5, "How long about the onset is about slip, half of it before.", unit="s", low=0.002)
+    rgb_frame: str = parameter("540x480x3", "Frame of the RGB sensor: width, height and bytes per pixel.")
+    rgb_hz: float = parameter(25.0, "Frame rate of the RGB sensor.", unit="Hz", low=0.001, high=1e6)
+    around_s: float = parameter(
+        0.5, "Length of the interval that counts as around slip, centred on the onset.", unit="s", low=0.002
+    )
 
 
 @dataclass(frozen=True)
 class EvaluateVibration:
-    """Estimate the frequency at which the gel vibrates, and how often windows of several lengths get it right."""
+    """Estimate the frequency at which the gel vibrates, and how often windows of each length estimate it correctly."""
 
     preset: str = parameter(
         "default",
-        "default: how far the gel moves at each frequency, and the paper's method beside it; paper: only the strongest"
-        " line in the number of events a slice.",
+        "default: the amplitude of the gel's motion at each frequency, together with the paper's method. paper: only"
+        " the strongest line in the spectrum of events per slice.",
         choices=("default", "paper"),
     )
-    windows: str = parameter("10,2,1", "Lengths of windows, 0.1 to 10.", unit="s")
+    windows: str = parameter("10,2,1", "Lengths of the windows, from 0.1 to 10.", unit="s")
     true_hz: float | None = parameter(
-        None, "The tone that was played; default: the truth of a simulation.", unit="Hz", low=0.1, high=1e6
+        None, "Tone that was played; default: the ground truth of a simulation.", unit="Hz", low=0.1, high=1e6
     )
     tolerance_hz: float = parameter(
         1.0,
-        "A frequency so near to the tone is right; at least 0.5 over the window's length, 2 Hz in 0.25 s.",
+        "An estimate this close to the tone counts as correct; at least 0.5 divided by the window's length is allowed,"
+        " e.g. 2 Hz for 0.25 s.",
         unit="Hz",
         low=0.0,
         high=1e3,
     )
-    lowest_hz: float = parameter(25.0, "Lower frequencies are left out.", unit="Hz", low=1.0, high=1e4)
+    lowest_hz: float = parameter(25.0, "Lowest frequency that is considered.", unit="Hz", low=1.0, high=1e4)
     rate: int = parameter(
-        1000, "Frequencies up to half of this; events are counted so often a second.", unit="Hz", low=100, high=20000
+        1000,
+        "Sampling rate of the event counts; frequencies up to half of it are considered.",
+        unit="Hz",
+        low=100,
+        high=20000,
     )
     false_alarms: float = parameter(
-        0.01, "Probability that noise alone is taken for a vibration; default preset.", low=1e-9, high=0.5
+        0.01, "Probability that noise alone is reported as a vibration; for preset default.", low=1e-9, high=0.5
     )
 
 
 @dataclass(frozen=True)
 class EvaluateRealism:
-    """Compare a simulated recording with a real one: rates, intervals, dot edges, if they can be told apart."""
+    """Compare a simulated recording with a real one: rates, intervals, dot edges, separability by a classifier."""
 
     same: Path | None = parameter(
-        None, "Another recording of the real sensor, with the same motion: how well two of one can be told apart.",
+        None, "Another recording of the real sensor with the same motion, as a reference: how well two real recordings"
+        " can be distinguished.",
         recipe=False,
     )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class EvaluateLikeness:
-    """Measure what recordings, simulated or real, say of the public facts about the sensor, and what they cannot."""
+    """Compare recordings, simulated or real, with the published facts about the sensor, and list what they lack."""
 
     results: Path | None = parameter(
-        None, "Folder of tables that tell what needs trainings or grasps; default: docs/results of the clone.",
+        None, "Folder of result tables, for facts that need trained models or grasps; default: docs/results of the"
+        " clone.",
         recipe=False,
     )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class EvaluateLabels:
-    """Compare the onset of labels with the true onset of gross slip (simulated recordings)."""
+    """Compare labelled onsets with the true onset of gross slip (simulated recordings)."""
 
 
 @dataclass(frozen=True)
 class EvaluateTracking:
-    """Measure whether dots end where they began, and how far from the truth they were (simulated recordings)."""
+    """Measure whether tracked dots return to where they started, and their error (simulated recordings)."""
 
     recordings: Path | None = parameter(
-        None, "Folder of the recordings, if they do not lie beside the tracks.", recipe=False
+        None, "Folder of the recordings, if they are not next to the tracks.", recipe=False
     )
 
 
 @dataclass(frozen=True)
 class EvaluateGrasp:
-    """Report the outcome of grasps: lifted, balanced, moved (simulated recordings)."""
+    """Report the outcome of grasps: lifted, balanced, and how far the object moved (simulated recordings)."""
 
 
 @dataclass(frozen=True)
 class EvaluateCost:
-    """Measure error against run time of a part's numerical choices: table, report, plot."""
+    """Measure error and run time for the numerical settings of one part, as a table, a report and a plot."""
 
     part: str = parameter(
         "sim",
-        "What is measured; sim: the simulator; pipeline: settings of a recording, at the end of the whole chain; label:"
-        " slip labels; track: the dot tracker; model: slip detectors; grasp: grasps with a late detector, a slow"
-        " controller, other detectors; scenes: what the parts of three scenes cost a slice, each scene with and without"
-        " them.",
+        "Part to measure. sim: the simulator. pipeline: simulation settings, by their effect at the end of the whole"
+        " pipeline. label: slip labels. track: the dot tracker. model: slip detectors. grasp: grasps with a delayed"
+        " detector, a slow controller or other detectors. scenes: cost per slice of the elements of three scenes, each"
+        " scene with and without them.",
         choices=("sim", "pipeline", "label", "track", "model", "grasp", "scenes"),
         flag="PART",
     )
     model: Path | None = parameter(
         None,
-        "Part model: model file, a folder of them, a glob, or `shipped`, the package's, beside the report of `evaluate"
-        " slip` on them; without: untrained ones. Part grasp: detectors to try beside the package's.",
+        "Part model: model file, folder of models, glob, or `shipped` for the pretrained one, together with their"
+        " report of `evaluate slip`; without it, untrained models are measured. Part grasp: detectors to try in"
+        " addition to the pretrained one.",
         recipe=False,
     )
     trials: int | None = parameter(
         None,
-        "Trials of each setting, where they are simulated; default: as many as fit into three minutes.",
+        "Simulated trials per setting; default: as many as fit into three minutes.",
         low=1,
         high=10000,
     )
     seed: int = parameter(
         10000,
-        "Seed of the first trial; constants were chosen on seeds below 10,000, with exceptions that docs/results.md"
-        " names.",
+        "Seed of the first trial. Constants of evetac were chosen on seeds below 10,000; docs/results.md lists the"
+        " exceptions.",
         low=0,
         high=2**31 - 1 - 10000,
     )
-    full: bool = parameter(False, "More settings, finer references, more trials; takes many minutes.")
+    full: bool = parameter(False, "Measure more settings with finer references and more trials; takes many minutes.")
 
 
 @dataclass(frozen=True)
 class EvaluateStability:
-    """Run the stiff, extreme and nonsensical cases of a part: within stated bounds, or refused in words."""
+    """Run stiff, extreme and nonsensical cases of one part: each must stay in bounds or be refused with an error."""
 
     part: str = parameter(
         "sim",
-        "What is tried; sim: the simulator; track: the dot tracker; grasp: the loop of detector, controller, gripper.",
+        "Part to test. sim: the simulator. track: the dot tracker. grasp: the loop of detector, controller, gripper.",
         choices=("sim", "track", "grasp"),
         flag="PART",
     )
-    seed: int = parameter(0, "Seed of the cases that are drawn.", low=0, high=2**31 - 1)
-    full: bool = parameter(False, "More settings, longer runs and many more random cases; takes a few minutes.")
+    seed: int = parameter(0, "Seed of the random cases.", low=0, high=2**31 - 1)
+    full: bool = parameter(False, "Test more settings, longer runs and many more random cases; takes a few minutes.")
     strict: bool = parameter(
-        False, "Exit with 1 where a case is not ok; without, what is not ok is printed and counted.", recipe=False
+        False,
+        "Exit with 1 if a case fails. Without this flag, failed cases are only printed and counted.",
+        recipe=False,
     )
 
 
 @dataclass(frozen=True)
 class EvaluateForce:
-    """Compare forces that touch maps, or the paper's models, tell with the true ones (simulated recordings)."""
+    """Compare forces estimated by touch maps or by the paper's models with the true ones (simulated recordings)."""
 
     model: str = parameter(
         "",
-        "Force model of the paper's method, folder or glob of several: each judges the tracks of its own sensor;"
-        " default: none, touch maps are judged.",
+        "Force model trained by the paper's method, or a folder or glob of several. Each is evaluated on the tracks of"
+        " its own sensor. Default: none, touch maps are evaluated.",
         recipe=False,
     )
     adapt_on: str = parameter(
         "",
-        "Tracks (a folder or a glob) of the same sensors, on which touch maps are adapted first: more rows of each"
-        " sensor.",
+        "Tracks (folder or glob) of the same sensors, on which touch maps are adapted first; adds rows per sensor.",
         recipe=False,
     )
     identified: str = parameter(
         "",
-        "Folder with files of the same sensors by `evetac identify`, 7.sensor.toml for randomized:7: one row more of"
-        " each sensor that has one.",
+        "Folder with files of the same sensors from `evetac identify`, e.g. 7.sensor.toml for randomized:7; adds a row"
+        " for each sensor with such a file.",
         recipe=False,
     )
     stiffness_error: float = parameter(
-        0.1, "Of touch maps: relative error of the modulus that is taken as known, sd.", low=0.0, high=2.0
+        0.1, "For touch maps: relative error of the assumed modulus (standard deviation).", low=0.0, high=2.0
     )
     samples: int = parameter(
-        200, "Of the paper's models: samples of each trajectory, evenly spread over the contact.", low=3, high=100000
+        200, "For the paper's models: samples per trajectory, evenly spread over the contact.", low=3, high=100000
     )
     noise_n: float = parameter(
-        0.05, "Noise of the force sensor that is compared with, or adapted to, sd.", unit="N", low=0.0, high=100.0
+        0.05,
+        "Noise of the force sensor that serves as reference or for adaptation (standard deviation).",
+        unit="N",
+        low=0.0,
+        high=100.0,
     )
-    seed: int = parameter(0, "Seed of the noise, and of the error of the modulus.", low=0, high=2**31 - 1)
+    seed: int = parameter(0, "Seed of the noise and of the modulus error.", low=0, high=2**31 - 1)
 
 
 COMMANDS = (
@@ -210,7 +228,7 @@ COMMANDS = (
         "slip",
         EvaluateSlip,
         "evaluate.slip",
-        "Labelled features that the model never saw.",
+        "Labelled features not used in training.",
         kind="features",
         unit="files",
         examples=(
@@ -247,7 +265,7 @@ COMMANDS = (
         "tracking",
         EvaluateTracking,
         "evaluate.tracking",
-        "Tracks by one preset or more.",
+        "Tracks made with one or more presets.",
         kind="tracks",
         unit="files",
         examples=("evetac evaluate tracking data", "evetac evaluate tracking stable paper --recordings data"),
@@ -281,7 +299,7 @@ COMMANDS = (
         "likeness",
         EvaluateLikeness,
         "evaluate.likeness.command",
-        "Recordings: rests, presses, slips, what there is.",
+        "Recordings at rest, of presses or of slips, as available.",
         unit="files",
         examples=(
             "evetac evaluate likeness slip rest.recording.h5",
@@ -292,7 +310,7 @@ COMMANDS = (
         "cost",
         EvaluateCost,
         "evaluate.cost.command",
-        "Part model: the report of `evaluate slip`, and models.",
+        "For part model: the report of `evaluate slip`, and models.",
         kind="report",
         unit="rows",
         files_needed=False,

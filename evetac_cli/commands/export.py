@@ -6,17 +6,17 @@ from evetac_cli import names, plugins
 from evetac_cli.commands.command import Command
 from evetac_cli.commands.parameter import parameter
 
-IMAGES, LEROBOT = "Images of events", "LeRobot"  # panels of --help of what only these formats take
+IMAGES, LEROBOT = "Images of events", "LeRobot"  # panels of --help for options of these formats only
 
 
 @dataclass(frozen=True)
 class Export:
-    """Write recordings, and what was computed from them, in a format that other programs read.
+    """Export recordings and the results computed from them to a format that other programs read.
 
-    Formats of events hold the events alone; mcap has dots, touch, labels, gripper and control too. Tables have a row
-    a slice, with all that tracks, labels, features and touch beside the recording say of it. Images of events, for
-    networks, are those of `Recording.frames` and its like in Python. A data set for LeRobot has a frame for several
-    slices.
+    Event formats contain only the events. mcap also contains dots, touch, labels, gripper and control. Tables have one
+    row per slice, with the values of all tracks, labels, features and touch files next to the recording. Images of
+    events, for neural networks, are those of `Recording.frames` and similar methods in Python. In a LeRobot data set,
+    one frame covers several slices.
     """
 
     format: str = parameter(
@@ -28,12 +28,12 @@ class Export:
     )
     model: str | None = parameter(
         None,
-        "Of tables and data sets: with the slip probability by this model, or by `shipped`, the package's.",
+        "For tables and data sets: add the slip probability estimated by this model, or by the pretrained `shipped`.",
         recipe=False,
     )
     fps: int | None = parameter(
         None,
-        "Images or frames per second; default: 200 of images of events, 50 for LeRobot.",
+        "Images or frames per second; default: 200 for images of events, 50 for LeRobot.",
         unit="1/s",
         low=1,
         high=1000,
@@ -41,14 +41,14 @@ class Export:
     )
     size: str | None = parameter(
         None,
-        "Width and height of the images, as in 160x120: pixels of the sensor are added up; default: the sensor's, of"
+        "Width and height of the images, e.g. 160x120; the sensor's pixels are summed. Default: the sensor's, for"
         " LeRobot's event frames 160x120.",
         unit="px",
         recipe=False,
     )
     window_ms: int | None = parameter(
         None,
-        "What an image looks back on; default: from one image to the next.",
+        "Length of the time window that an image covers; default: the time between two images.",
         unit="ms",
         low=1,
         high=100_000,
@@ -57,14 +57,14 @@ class Export:
     )
     polarity: str | None = parameter(
         None,
-        "Channels: split: OFF and ON; signed: ON less OFF; sum: both together; default: split.",
+        "Channels of the images. split: OFF and ON separately; signed: ON minus OFF; sum: ON plus OFF; default: split.",
         choices=("split", "signed", "sum"),
         recipe=False,
         panel=IMAGES,
     )
     bins: int | None = parameter(
         None,
-        "Parts of the window of a histogram or voxel grid; default: 5.",
+        "Number of time bins of a histogram or voxel grid; default: 5.",
         low=1,
         high=1000,
         recipe=False,
@@ -72,7 +72,7 @@ class Export:
     )
     decay_ms: float | None = parameter(
         None,
-        "Time in which a surface decays to 1/e; default: 10.",
+        "Time in which the values of a time surface decay to 1/e; default: 10.",
         unit="ms",
         low=0.001,
         high=100_000.0,
@@ -81,42 +81,44 @@ class Export:
     )
     per_frame: str | None = parameter(
         None,
-        "What stands for the slices of a frame in the tactile vector: their mean (the default), the last, or all of"
-        " them stacked.",
+        "How the tactile vector combines the slices of a frame: mean (the default), the last slice, or all slices"
+        " stacked.",
         choices=("mean", "last", "stacked"),
         recipe=False,
         panel=LEROBOT,
     )
     test_objects: str | None = parameter(
-        None, "Objects that make the split `test`, as in 18-20; default: none.", recipe=False, panel=LEROBOT
+        None, "Objects of the split `test`, e.g. 18-20; default: none.", recipe=False, panel=LEROBOT
     )
     task: str | None = parameter(
-        None, "What the episodes do, in words; default: what the scene is about.", recipe=False, panel=LEROBOT
+        None, "Description of the episodes' task; default: that of the scene.", recipe=False, panel=LEROBOT
     )
     tactile_key: str | None = parameter(
         None,
-        "Name of the tactile vector; default: observation.tactile. Policies that know nothing of touch, such as ACT,"
-        " read it as observation.environment_state.",
+        "Name of the tactile vector; default: observation.tactile. Policies without support for touch, such as ACT,"
+        " need observation.environment_state.",
         choices=("observation.tactile", "observation.environment_state"),
         recipe=False,
         panel=LEROBOT,
     )
     tactile_layout: str | None = parameter(
         None,
-        "Touch as a vector (the default), or as points: of each dot its displacement and, with touch maps, its force;"
-        " and beside them the wrench.",
+        "Form of the touch data: one vector (the default), or points, which are the displacement of each dot and, with"
+        " touch maps, its force, together with the total wrench.",
         choices=("vector", "points"),
         recipe=False,
         panel=LEROBOT,
     )
     event_frames: str | None = parameter(
         None,
-        "Per frame also the last event frames before its end, as in 16@200: 16 of them at 200 Hz, ON less OFF; default:"
-        " none.",
+        "Add to each frame the last event frames (ON minus OFF) before its end, e.g. 16@200 for 16 of them at 200 Hz;"
+        " default: none.",
         recipe=False,
         panel=LEROBOT,
     )
-    truth: bool = parameter(False, "Add what only a simulation knows, as simulated_truth.", recipe=False, panel=LEROBOT)
+    truth: bool = parameter(
+        False, "Add the ground truth of a simulation, as simulated_truth.", recipe=False, panel=LEROBOT
+    )
 
 
 COMMAND = Command(

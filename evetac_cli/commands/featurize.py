@@ -9,31 +9,31 @@ from evetac_cli.commands.parameter import parameter
 
 @dataclass(frozen=True)
 class Featurize:
-    """Turn a recording and its tracks (and labels) into features for slip detection."""
+    """Compute features for slip detection from a recording, its tracks and, if present, its labels."""
 
     tracks: Path | None = parameter(
-        None, "Tracks of the recording, or their folder; default: beside it, under the same name.", recipe=False
+        None, "Tracks of the recording, or their folder; default: the file of the same name next to it.", recipe=False
     )
     labels: Path | None = parameter(
         None,
-        "Labels of the recording, or their folder; default: beside it, under the same name, where there are any.",
+        "Labels of the recording, or their folder; default: the file of the same name next to it, if there is one.",
         recipe=False,
     )
     events: bool = parameter(
         False,
-        "Add the events outside the window, for plug-in networks that see images of them.",
-        recipe=False,  # it is, where it is asked for: features that were made before there was such a choice stay
+        "Add the events outside the window, for plug-in networks that use event images.",
+        recipe=False,  # added to the recipe only if given: features made before this option existed stay up to date
     )
     images: bool = parameter(False, "Add event images, for the image baselines no-hist-img and hist10-img.")
     sticking_share: bool = parameter(
         False,
-        "Add which share of the contact sticks, by the network of touch maps, for the detector's network disp-xy-grip.",
-        recipe=False,  # it is, where it is given: features that were made before there was such a choice stay
+        "Add the sticking share of the contact, as estimated by the touch-map network, for the detector disp-xy-grip.",
+        recipe=False,  # added to the recipe only if given: features made before this option existed stay up to date
     )
     true_slip_share: bool = parameter(
         False,
-        "Copy from the truth of simulated recordings which share of the visible contact slips, for train"
-        " --learn-true-slip-share. Without it features hold nothing of the truth but labels that are copied from it.",
+        "Copy the slipping share of the visible contact from the ground truth of simulated recordings, for train"
+        " --learn-true-slip-share. Without this flag, only labels made from ground truth bring it into the features.",
     )
 
 
@@ -41,6 +41,6 @@ COMMAND = Command(
     "featurize",
     Featurize,
     "stages.featurize",
-    "Recordings (tracks and labels lie beside them).",
+    "Recordings, with tracks and labels next to them.",
     examples=("evetac featurize data --jobs 2", "evetac featurize data --tracks paper -o paper"),
 )

@@ -16,31 +16,31 @@ WITH_DEVICES = (Capability.GRASPED,)
 
 @dataclass(frozen=True)
 class Grasp(Devices, Trials):
-    """Lift an object with slip feedback: detect slip at 1000 Hz, control the gripper at 500 Hz."""
+    """Lift an object with slip feedback: slip detection at 1000 Hz, gripper control at 500 Hz."""
 
     scene: str = parameter("lift", f"Scene: {', '.join(names.GRASPED_SCENES)}, or a TOML file.")
     objects: str = parameter(
         "11",
-        "Objects of the paper's table, 1 to 20, as in `11` or `10-18`; or a TOML file.",
+        "Objects of the paper's table, 1 to 20, e.g. `11` or `10-18`; or a TOML file.",
         flag="--object",
         needs=SIMULATED,
     )
     model: Path | None = parameter(
         None,
-        "Slip detector; default: `shipped`, the package's, disp-xy-grip 10 ms ahead.",
+        "Slip detector; default: `shipped`, the pretrained disp-xy-grip 10 ms ahead.",
         recipe=False,
     )
     slip_threshold: float | None = parameter(
         None,
-        "Probability that three slices in a row have to reach, for the controller to be told of slip; default: the"
-        " model's own, or of a model that does not say how often it alarms falsely, 0.3.",
+        "Slip probability that three consecutive slices must reach before slip is reported to the controller; default:"
+        " the model's own, or 0.3 for a model without a measured rate of false alarms.",
         low=0.0,
         high=1.0,
         panel=GRIP,
     )
     false_alarms_per_min: float | None = parameter(
         None,
-        "Choose the lowest threshold with at most so many false alarms per minute, as they were counted in training.",
+        "Use the lowest threshold with at most this many false alarms per minute, as counted during training.",
         unit="1/min",
         low=0.0,
         high=300.0,
@@ -49,24 +49,28 @@ class Grasp(Devices, Trials):
     )
     controller: str = parameter(
         "paper",
-        f"Grip law; {names.words(names.CONTROLLERS)}; or a plug-in's.",
+        f"Grip controller; {names.words(names.CONTROLLERS)}; or a plug-in's.",
     )
     gain: float = parameter(
-        1.0, "K_p in balance, in multiples of the paper's; paper and paper-reset.", low=0.01, high=100.0, panel=GRIP
+        1.0,
+        "Gain K_p of the balancing phase, as a multiple of the paper's; for paper and paper-reset.",
+        low=0.01,
+        high=100.0,
+        panel=GRIP,
     )
     grip_margin: float = parameter(
         1.4,
-        "How many times the needed force the grip aims at; load-proportional alone.",
+        "Target grip force as a multiple of the force needed to hold the object; for load-proportional only.",
         low=1.0,
         high=5.0,
         panel=GRIP,
     )
     latency_ms: int = parameter(
-        0, "The slip signal reaches the controller so much later.", unit="ms", low=0, high=1000, panel=GRIP
+        0, "Extra delay of the slip signal to the controller.", unit="ms", low=0, high=1000, panel=GRIP
     )
     control_hz: float = parameter(
         500.0,
-        "Steps of the controller a second; 1000 has to be a multiple.",
+        "Rate of the controller; must divide 1000.",
         unit="Hz",
         low=1.0,
         high=1000.0,
@@ -77,7 +81,7 @@ class Grasp(Devices, Trials):
     balance_s: float = parameter(20.0, "Duration of the balancing phase.", unit="s", low=0.0, high=600.0, panel=GRIP)
     max_current_ma: int = parameter(
         100,
-        "The gripper's motor current never exceeds this.",
+        "Upper limit of the gripper's motor current.",
         unit="mA",
         low=1,
         high=2000,
@@ -86,7 +90,14 @@ class Grasp(Devices, Trials):
         needs=WITH_DEVICES,
     )
     max_seconds: float = parameter(
-        60.0, "No grasp takes longer.", unit="s", low=1.0, high=3600.0, recipe=False, panel=DEVICES, needs=WITH_DEVICES
+        60.0,
+        "Longest duration of a grasp.",
+        unit="s",
+        low=1.0,
+        high=3600.0,
+        recipe=False,
+        panel=DEVICES,
+        needs=WITH_DEVICES,
     )
 
 

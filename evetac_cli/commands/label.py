@@ -5,73 +5,85 @@ from dataclasses import dataclass
 from evetac_cli.commands.command import Command
 from evetac_cli.commands.parameter import parameter
 
-REVIEW = "A person's labels"  # a panel of --help
+REVIEW = "Manual labels"  # a panel of --help
 OTHERS, TRAINING = "Other methods than event-flow", "Training"  # panels of --help
 
 
 @dataclass(frozen=True)
 class Label:
-    """Label when the object slips, from what the window shows against the gel."""
+    """Label the slices in which the object slips, from its motion in the window relative to the gel."""
 
     method: str = parameter(
         "event-flow",
-        "How; event-flow: motion counted from events; farneback: the paper's optical flow; dis: another flow;"
-        " event-count: many events in the window; truth: gross slip as the simulation knows it, for comparison.",
+        "Labelling method. event-flow: motion counted from events. farneback: the paper's optical flow. dis: another"
+        " optical flow. event-count: many events in the window. truth: the simulation's gross slip, for comparison.",
         choices=("event-flow", "farneback", "dis", "event-count", "truth"),
     )
     slip_distance_px: float = parameter(
-        0.3, "Slide of the object on the gel, as counted, that is the onset of slip; event-flow.", unit="px", low=0.01
+        0.3,
+        "For event-flow: counted displacement of the object on the gel at which slip begins.",
+        unit="px",
+        low=0.01,
     )
     threshold_px: float = parameter(
         0.3,
-        "Flow methods: relative flow of window against gel over the look-ahead that is slip.",
+        "For flow methods: flow of the window relative to the gel, over the look-ahead, that counts as slip.",
         unit="px",
         low=0.01,
         panel=OTHERS,
     )
     threshold_events: int = parameter(
-        200, "Events of the window over the look-ahead that are slip; event-count.", unit="events", low=1, panel=OTHERS
+        200,
+        "For event-count: number of events in the window, over the look-ahead, that counts as slip.",
+        unit="events",
+        low=1,
+        panel=OTHERS,
     )
     look_ahead_ms: int = parameter(
         4,
-        "Flow methods: flow is taken from a slice to the one this much later.",
+        "For flow methods and event-count: flow is computed, and events are counted, over this time ahead of a slice.",
         unit="ms",
         low=1,
         high=100,
         panel=OTHERS,
     )
     accumulate_ms: int = parameter(
-        3, "Flow methods: slices summed into one event image.", unit="ms", low=1, high=100, panel=OTHERS
+        3, "For flow methods: slices summed into one event image.", unit="ms", low=1, high=100, panel=OTHERS
     )
     min_events: int = parameter(
         20,
-        "Flow methods: window images with fewer events have no flow; their pair is left out.",
+        "For flow methods: pairs in which a window image has fewer events are skipped.",
         unit="events",
         low=1,
         panel=OTHERS,
     )
     confirm_ms: int = parameter(
-        5, "Slip must hold for this long to be an onset.", unit="ms", low=1, high=1000, panel=OTHERS
+        5, "Slip must last this long to count as an onset.", unit="ms", low=1, high=1000, panel=OTHERS
     )
     coarse_ms: int = parameter(
         5,
-        "Step of the coarse search for the onset; up to --confirm-ms it misses none.",
+        "Step of the coarse search for the onset; with a step up to --confirm-ms no onset is missed.",
         unit="ms",
         low=1,
         high=1000,
         panel=OTHERS,
     )
-    after_ms: int = parameter(60, "Slices labelled after the onset; later ones are not examined.", unit="ms", low=0)
+    after_ms: int = parameter(
+        60, "Time after the onset that is labelled; later slices are not examined.", unit="ms", low=0
+    )
     from_start: bool = parameter(
-        False, "Label closing, loading and light contact too, before the current falls; truth, to train on."
+        False,
+        "For truth: also label closing, loading and light contact, before the current falls. Use it for training data.",
     )
     review: bool = parameter(
         False,
-        "Look at the onsets on a page in the browser, move them, and keep them as a person's labels.",
+        "Show the onsets on a page in the browser, where you can move them, and save them as manual labels.",
         recipe=False,
         panel=REVIEW,
     )
-    by: str = parameter("", "Who labels, with --review; by default the name of the login.", recipe=False, panel=REVIEW)
+    by: str = parameter(
+        "", "With --review: name of the person who labels; by default the login name.", recipe=False, panel=REVIEW
+    )
 
 
 COMMAND = Command(

@@ -1,6 +1,7 @@
-"""One parameter of a command: default, help, unit and range; what of it goes into flags and a recipe.
+"""One parameter of a command: its default, help, unit and range, and whether it is part of the recipe.
 
-Fields with `recipe=False` choose files or how to run; they do not change the numbers and are not part of a recipe.
+Fields with `recipe=False` choose files or how a command runs. They do not change the numbers and are not part of a
+recipe.
 """
 
 import dataclasses
@@ -10,7 +11,7 @@ from typing import Any
 
 from evetac_cli.errors import InputError
 
-RUNNING = "Running"  # the panel of --help with what does not change the numbers
+RUNNING = "Running"  # the panel of --help with flags that do not change the numbers
 
 
 def parameter(
@@ -28,13 +29,14 @@ def parameter(
     plugins: str = "",
     needs: tuple[str, ...] = (),
 ) -> Any:
-    """A dataclass field that knows its help text, unit and range (both ends included).
+    """Return a dataclass field that stores its help text, unit and range (both ends included) as metadata.
 
-    consent: whether it lets something happen that a person has to want now, such as that a gripper moves: it is typed
-    each time, and no file can give it. panel: under which heading `--help` shows it; those that most people need have
-    none, and come first. plugins: the group (plugins.py) that may add to the choices. needs: the option has an effect
-    only in a run that has one of these (names.py), and is refused in any other; without, it has an effect in every run,
-    or its stage checks it.
+    - consent: the flag permits an action that a person must want now, such as moving a gripper. It must be typed each
+      time; a config file cannot set it.
+    - panel: heading under which `--help` shows the flag. The flags that most people need have none and come first.
+    - plugins: the plug-in group (plugins.py) that may add choices.
+    - needs: capabilities (names.py). In a run that has none of them the option is refused, because it would have no
+      effect. If empty, the option is always accepted, or its stage checks it.
     """
     about = {"help": help_, "unit": unit, "choices": choices, "low": low, "high": high}
     how = {"recipe": recipe, "consent": consent, "flag": flag, "panel": panel, "plugins": plugins}
@@ -42,27 +44,28 @@ def parameter(
 
 
 def recipe_of(params: Any) -> dict[str, Any]:
-    """The parameters that determine the numbers, for a header."""
+    """Return the parameters that determine the numbers, for a file's header."""
     return {item.name: getattr(params, item.name) for item in fields(params) if item.metadata["recipe"]}
 
 
 def flag_of(item: "dataclasses.Field[Any]") -> str:
-    """The long flag of a field: --step-size for step_size; without dashes it is a positional argument."""
+    """Return the long flag of a field: --step-size for step_size. A name without dashes is a positional argument."""
     return str(item.metadata["flag"]) or "--" + item.name.replace("_", "-")
 
 
 def refuse_unused(params: Any, has: Collection[str], flags: str, *, never: Collection[str] = ()) -> None:
-    """InputError for an option that is not at its default, and needs what this run does not have.
+    """Raise InputError for an option that differs from its default but needs a capability that this run lacks.
 
-    has: what the run has, of names.Capability and its like; flags: those that say so, for the error; never: what no
-    run of this command has, and the error need not name.
+    - has: capabilities of the run, such as members of names.Capability.
+    - flags: the flags that determine them, for the error.
+    - never: capabilities that no run of this command has; the error does not name them.
     """
     for item in fields(params):
         needs = item.metadata["needs"]
         if not needs or getattr(params, item.name) == item.default or not set(has).isdisjoint(needs):
             continue
         raise InputError(
-            f"has no effect in this run: it belongs to {' or '.join(need for need in needs if need not in never)}",
+            f"has no effect in this run: it needs {' or '.join(need for need in needs if need not in never)}",
             where=flag_of(item),
             found=flags,
             hint=f"leave out {flag_of(item)}",

@@ -10,35 +10,44 @@ from evetac_cli.names import TouchOption
 
 @dataclass(frozen=True)
 class PredictTouch:
-    """Tell where the gel is touched, how hard and in which direction, slice by slice, from tracked dots."""
+    """Estimate where the gel is touched, how hard and in which direction, in each slice, from tracked dots."""
 
     sensor: str | None = parameter(
         None,
-        "Your sensor's file as `evetac identify` writes it, or a sensor's name: its scale, stiffness and creep;"
-        " default: unknown, and forces are as unsure.",
+        "Your sensor's file, as written by `evetac identify`, or the name of a sensor, for its scale, stiffness and"
+        " creep; default: unknown sensor, which makes forces less certain.",
         recipe=False,
     )
     model: Path | None = parameter(
         None,
-        "Your sensor's own scale, made by `train-force --method touch` from known forces.",
+        "Scale of your sensor, trained by `train-force --method touch` on known forces.",
         recipe=False,
     )
     stiffness_error: float = parameter(
         0.1,
-        "With --sensor: relative error of its shear modulus, one standard deviation.",
+        "With --sensor: relative error of its shear modulus (one standard deviation).",
         low=0.0,
         high=2.0,
         needs=(TouchOption.SENSOR,),
     )
     map_every: int = parameter(
-        10, "Store maps of shear and pressure so often; 0: no maps, and small files.", unit="ms", low=0, high=1000000
+        10,
+        "Interval at which maps of shear and pressure are stored; 0: no maps, for small files.",
+        unit="ms",
+        low=0,
+        high=1000000,
     )
     height_mm: float = parameter(
-        4.0, "Thickness of the gel; --model knows it.", unit="mm", low=0.1, high=100.0, needs=(TouchOption.OF_NO_MODEL,)
+        4.0,
+        "Thickness of the gel; not with --model, which stores it.",
+        unit="mm",
+        low=0.1,
+        high=100.0,
+        needs=(TouchOption.OF_NO_MODEL,),
     )
     print_depth_mm: float = parameter(
         0.0,
-        "Depth of the dots under the surface; --model knows it.",
+        "Depth of the dots below the surface; not with --model, which stores it.",
         unit="mm",
         low=0.0,
         high=99.0,
@@ -46,7 +55,8 @@ class PredictTouch:
     )
     lens_mm: float = parameter(
         25.0,
-        "From the lens to the dots, which are seen farther from the axis when pressed; --model knows it.",
+        "Distance from the lens to the dots, to correct that pressed dots appear farther from the axis; not with"
+        " --model, which stores it.",
         unit="mm",
         low=1.0,
         high=1e6,
@@ -54,14 +64,16 @@ class PredictTouch:
     )
     gel_mm: str = parameter(
         "",
-        "Where the gel ends: left, top, right and bottom edge from the middle of the frame, as in -12.8,-7.5,10.5,7.5;"
-        " default: a named sensor's, else far away but for the window of a cut gel; --model knows it.",
+        "Left, top, right and bottom edge of the gel, measured from the middle of the frame, e.g. -12.8,-7.5,10.5,7.5;"
+        " not with --model, which stores them. Default: those of --sensor. Without --sensor, edges are taken to be far"
+        " away, except at the window of a cut gel.",
         unit="mm",
         needs=(TouchOption.OF_NO_MODEL,),
     )
     leave_out_wrong: bool = parameter(
         False,
-        "Leave out dots that moved otherwise than the others allow: better after minutes of pushes, else a bit worse.",
+        "Leave out dots whose motion is inconsistent with the others. Use it after minutes of pushes; otherwise"
+        " estimates get slightly worse.",
     )
 
 

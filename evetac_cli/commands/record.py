@@ -22,7 +22,7 @@ READOUT_RATES = (
 
 @dataclass(frozen=True)
 class Record(Devices, Trials):
-    """Record events: simulate a scene, record from devices, or import a foreign event file."""
+    """Record events from a simulated scene or from devices, or import an event file of another format."""
 
     scene: str = parameter(
         "slip",
@@ -31,13 +31,13 @@ class Record(Devices, Trials):
     )
     objects: str = parameter(
         "8",
-        "Objects of the paper's table, 1 to 20, as in `8` or `1-3,10`; or a TOML file.",
+        "Objects of the paper's table, 1 to 20, e.g. `8` or `1-3,10`; or a TOML file.",
         flag="--object",
         needs=SIMULATED,
     )
     tones: str | None = parameter(
         None,
-        "Tones to play, of 1 to 2500, as in `200,300`; default: the scene's.",
+        "Tones to play, each from 1 to 2500 Hz, e.g. `200,300`; default: the scene's.",
         unit="Hz",
         flag="--tone",
         panel=SCENE,
@@ -45,33 +45,34 @@ class Record(Devices, Trials):
     )
     source: Path | None = parameter(
         None,
-        f"Import this event file instead: {', '.join(names.IMPORTS.values())}, or of the format of a plug-in.",
+        f"Import an event file instead: {', '.join(names.IMPORTS.values())}, or a plug-in's format.",
         flag="--from",
         recipe=False,
     )
     frame_size: str | None = parameter(
         None,
-        "Frame of the imported file where it does not say, as in 640x480; default: the smallest of a known sensor that"
-        " holds all events.",
+        "Frame size of an imported file that does not state it, e.g. 640x480; default: that of the smallest known"
+        " sensor that covers all events.",
         unit="px",
         panel=IMPORT,
         needs=IMPORTED,
     )
     sort: bool = parameter(
         False,
-        "Sort imported events by time, instead of refusing a file whose time goes back by 1 ms or more.",
+        "Sort imported events by time. Without this flag, a file whose time steps back by 1 ms or more is refused.",
         panel=IMPORT,
         needs=IMPORTED,
     )
     drop_late: bool = parameter(
         False,
-        "Leave out imported events that come 1 ms or more after a later one, instead of refusing.",
+        "Drop imported events that are 1 ms or more older than an event before them, instead of refusing the file.",
         panel=IMPORT,
         needs=IMPORTED,
     )
     from_restart: int | None = parameter(
         None,
-        "Of an imported file whose clock restarts, keep the part from this restart to the next; 0: before the first.",
+        "If the clock of the imported file restarts: keep only the part from this restart to the next. 0 keeps the part"
+        " before the first restart.",
         low=0,
         high=1000,
         panel=IMPORT,
@@ -79,34 +80,34 @@ class Record(Devices, Trials):
     )
     stream: str | None = parameter(
         None,
-        "Which event stream, topic, camera or array of the imported file, where it has several.",
+        "Event stream, topic, camera or array to import, if the file has several.",
         panel=IMPORT,
         needs=IMPORTED,
     )
     columns: str | None = parameter(
         None,
-        "Order of four columns of the imported file that have no names, as in `x y t p`.",
+        "Order of the four columns of an imported file without column names, e.g. `x y t p`.",
         panel=IMPORT,
         needs=IMPORTED,
     )
     time_unit: str | None = parameter(
         None,
-        "Unit of time of the imported text, numpy or HDF5 file, if it does not say: s, ms, us or ns; default: us"
-        " if all times are whole, s otherwise.",
+        "Unit of time in an imported text, numpy or HDF5 file that does not state it; default: us if all times are"
+        " whole numbers, s otherwise.",
         choices=("s", "ms", "us", "ns"),
         panel=IMPORT,
         needs=IMPORTED,
     )
     frames: bool = parameter(
         False,
-        "Keep the frames of the imported file, AEDAT4 or a bag, too; IMU samples and triggers are always kept.",
+        "Keep also the image frames of an imported AEDAT4 file or ROS bag. IMU samples and triggers are always kept.",
         panel=IMPORT,
         needs=IMPORTED,
     )
     seconds: float | None = parameter(
         None,
-        "Record, or with --preview look, for so long, with --listen no longer than that (an hour unless named);"
-        " default: until the gripper has let go, or Ctrl-C.",
+        "Duration of the recording or the --preview. With --listen: longest duration of a trial, one hour if not given."
+        " Default: until the gripper has let go, or Ctrl-C.",
         unit="s",
         low=0.001,
         high=86400.0,
@@ -116,7 +117,7 @@ class Record(Devices, Trials):
     )
     closing_ma: int = parameter(
         10,
-        "Current that closes the gripper until contact.",
+        "Motor current that closes the gripper until contact.",
         unit="mA",
         low=1,
         high=500,
@@ -126,7 +127,7 @@ class Record(Devices, Trials):
     )
     holding_ma: float | None = parameter(
         None,
-        "Current that holds the object; default: what a virtual world asks for, 50 otherwise.",
+        "Motor current that holds the object; default: that of the virtual scene, 50 otherwise.",
         unit="mA",
         low=0.0,
         high=1000.0,
@@ -136,7 +137,7 @@ class Record(Devices, Trials):
     )
     hold_s: float = parameter(
         1.0,
-        "How long it is held before the current falls.",
+        "How long the object is held before the current is lowered.",
         unit="s",
         low=0.0,
         high=3600.0,
@@ -146,7 +147,7 @@ class Record(Devices, Trials):
     )
     lowest_ma: float = parameter(
         -50.0,
-        "The recording ends where the current has fallen to this; less than --holding-ma.",
+        "Lowest motor current: the recording ends when it is reached. Must be less than --holding-ma.",
         unit="mA",
         low=-500.0,
         high=1000.0,
@@ -156,15 +157,15 @@ class Record(Devices, Trials):
     )
     current_of: str | None = parameter(
         None,
-        "The gripper follows the current that this scene names (grip-steps, or a TOML file), instead of closing,"
-        " holding and letting it fall.",
+        "Follow the current profile of this scene (grip-steps, or a TOML file) instead of closing, holding and lowering"
+        " the current.",
         recipe=False,
         panel=DEVICES,
         needs=MOVED,
     )
     threshold_on: int | None = parameter(
         None,
-        "Contrast threshold of brighter, 0 most sensitive, 17 least; default: the driver's.",
+        "Contrast threshold of ON events (brighter): 0 is most sensitive, 17 least; default: the driver's.",
         low=0,
         high=17,
         recipe=False,
@@ -173,7 +174,7 @@ class Record(Devices, Trials):
     )
     threshold_off: int | None = parameter(
         None,
-        "Contrast threshold of darker; default: the driver's.",
+        "Contrast threshold of OFF events (darker); default: the driver's.",
         low=0,
         high=17,
         recipe=False,
@@ -182,7 +183,7 @@ class Record(Devices, Trials):
     )
     readout_rate: str | None = parameter(
         None,
-        "Frames a second that the sensor reads out; default: variable-5000.",
+        "Readout mode of the sensor and its frames per second; default: variable-5000.",
         choices=READOUT_RATES,
         recipe=False,
         panel=DEVICES,
@@ -190,7 +191,7 @@ class Record(Devices, Trials):
     )
     expected_event_rate: float = parameter(
         1e6,
-        "Events a second that the disk must have room for.",
+        "Event rate for which the disk must have enough space when the recording starts.",
         unit="1/s",
         low=0.0,
         high=1e9,
@@ -200,14 +201,14 @@ class Record(Devices, Trials):
     )
     resume: bool = parameter(
         False,
-        "Go on with a series, made with the same set-up.",
+        "Continue a series that was interrupted; the setup must be the same.",
         recipe=False,
         panel=DEVICES,
         needs=RECORDED,
     )
     preview: bool = parameter(
         False,
-        "Show what the camera sees; write and move nothing.",
+        "Show the camera's view. Nothing is written and nothing moves.",
         recipe=False,
         panel=VIEW,
         needs=SERIES,
@@ -215,7 +216,7 @@ class Record(Devices, Trials):
 
     @property
     def shown_in(self) -> str | None:
-        """As of any trial; a preview is always shown."""
+        """Where the trial is shown, as in Trials; a preview is always shown."""
         return self.live_in if self.live or self.preview else None
 
 

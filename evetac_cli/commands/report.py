@@ -8,9 +8,9 @@ from evetac_cli.commands.parameter import parameter
 
 @dataclass(frozen=True)
 class Report:
-    """Look at a whole data set or study: one HTML page that needs no network, with trials, onsets and evaluations."""
+    """Summarize a data set or study on one HTML page: trials, onsets and evaluations. The page works offline."""
 
-    compare: bool = parameter(False, "Set two folders side by side.", recipe=False)
+    compare: bool = parameter(False, "Compare two folders side by side.", recipe=False)
 
 
 COMMAND = Command(

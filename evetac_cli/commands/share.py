@@ -8,27 +8,29 @@ from evetac_cli.commands.parameter import parameter
 
 @dataclass(frozen=True)
 class Share:
-    """Lay out a model, or a folder of files, as the Hugging Face Hub wants it, with a card; nothing is uploaded.
+    """Prepare a model or a folder of files for the Hugging Face Hub, with a card; nothing is uploaded.
 
-    The card says what it is, with data, seeds, figures, limits and how it is cited, and that it is simulated where it
-    is. Reports of `evetac evaluate slip` on the model, named after it, add their figures. Beside the files of a folder
-    lie tables in Parquet, which the Hub's viewer shows (extra `convert`). Folders called train, validation and test, or
-    learn, choose and unseen, are the splits.
+    The card describes the model or data: origin, seeds, results, limits and citation, and whether it is simulated.
+    Results are added from reports of `evetac evaluate slip` that are given after the model. For a folder, tables in
+    Parquet are written next to the files, for the Hub's viewer (extra `convert`). Subfolders named train, validation
+    and test, or learn, choose and unseen, become the splits.
     """
 
     title: str | None = parameter(None, "Title of the card; default: the name of the file or folder.", recipe=False)
     license: str | None = parameter(
-        None, "License by the Hub's name, as in mit or cc-by-4.0; default: none, and the card says so.", recipe=False
+        None,
+        "License, by the Hub's name for it, e.g. mit or cc-by-4.0; default: none, which the card states.",
+        recipe=False,
     )
     author: str | None = parameter(
         None,
-        "Who made it, as BibTeX has names: 'Noether, Emmy and Turing, Alan'; default: nobody is named.",
+        "Authors, in BibTeX form, e.g. 'Noether, Emmy and Turing, Alan'; default: none.",
         recipe=False,
     )
     tables: str = parameter(
         "slices",
-        "Of a folder: tables for the Hub's viewer. slices: one row per trial, and one per slice (1 ms); events: one per"
-        " event too, which takes about as much space again as the recordings; none: HDF5 alone.",
+        "For a folder: tables for the Hub's viewer. slices: one row per trial, and one per slice (1 ms). events: also"
+        " one row per event, which about doubles the space of the recordings. none: HDF5 files only.",
         choices=("slices", "events", "none"),
         recipe=False,
     )
@@ -38,7 +40,7 @@ COMMAND = Command(
     "share",
     Share,
     "inspect.share",
-    "A model and reports on it; or a folder.",
+    "A model, followed by its reports; or a folder.",
     kind="",
     unit="files",
     examples=(

@@ -10,17 +10,20 @@ from evetac_cli.commands.parameter import parameter
 
 @dataclass(frozen=True)
 class Track:
-    """Track the dots of the gel, slice by slice."""
+    """Track the dots of the gel through all slices of a recording."""
 
     preset: str = parameter(
         "stable",
-        f"Tracker; {names.words(names.TRACKERS)}.",
+        f"Preset of the tracker; {names.words(names.TRACKERS)}.",
         choices=tuple(names.TRACKERS),
     )
-    step_size: float | None = parameter(None, "Gradient step alpha; overrides the preset.", low=0.0)
+    step_size: float | None = parameter(None, "Gradient step size alpha; overrides the preset.", low=0.0)
     regulariser: float | None = parameter(None, "Weight of the distance regulariser; overrides the preset.", low=0.0)
     min_events: int | None = parameter(
-        None, "A dot moves only with more events than this; overrides the preset.", unit="events", low=0
+        None,
+        "A dot is moved only by more events than this in a slice; overrides the preset.",
+        unit="events",
+        low=0,
     )
     calibration: Path | None = parameter(
         None, "Dot grid (JSON) to use instead of the one in the recording.", recipe=False

@@ -8,7 +8,7 @@ from evetac_cli.commands.parameter import parameter
 
 @dataclass(frozen=True)
 class TrackRgb:
-    """Track the dots as an RGB sensor at 25 Hz sees them, by optical flow: a comparison (simulated recordings)."""
+    """Track the dots by optical flow in simulated 25 Hz RGB frames, for comparison (simulated recordings)."""
 
     seed: int = parameter(0, "Seed of the frames' noise.", low=0, high=2**31 - 1)
 

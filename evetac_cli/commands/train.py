@@ -15,102 +15,110 @@ class Train:
 
     model: str | None = parameter(
         None,
-        "Architecture, named as in the paper's table; -6x6: event images summed over 6 x 6 px, for a CPU;"
-        " disp-xy: ours, which sees directions and changes of displacements; disp-xy-grip: the same with,"
-        " where they are known, the gripper's position and command and which share of the contact sticks; default:"
-        " hist10, or that of --adapt.",
+        "Architecture, named as in the paper's table. -6x6: event images summed over 6 x 6 px, fast enough for a CPU."
+        " disp-xy: evetac's own, with directions and changes of the dots' displacements as inputs. disp-xy-grip:"
+        " disp-xy plus, if available, the gripper's position and command and the sticking share of the contact."
+        " Default: hist10, or that of --adapt.",
         choices=names.NETWORKS,
         plugins=plugins.NETWORKS,
     )
     horizon_ms: int | None = parameter(
         None,
-        "Predict slip so far ahead: labels are shifted by as much; default: 0, or that of --adapt.",
+        "How far ahead slip is predicted: labels are shifted by this time; default: 0, or that of --adapt.",
         unit="ms",
         low=0,
         high=1000,
     )
     preset: str | None = parameter(
         None,
-        "paper: SGD 0.001 on plain features; adam: Adam 0.001 on normalised features; adamw: AdamW 0.002 falling to 0"
-        " on normalised features, samples made stronger and weaker, and the average of the weights over training."
-        " With adam and adamw, probabilities are calibrated on the files that validate, to say how often slip happens."
-        " Default: paper, or with --adapt, which takes no other, adamw with small steps.",
+        "Training recipe. paper: SGD at 0.001 on plain features. adam: Adam at 0.001 on normalised features. adamw:"
+        " AdamW from 0.002 down to 0 on normalised features, with samples scaled up and down and weights averaged over"
+        " training. With adam and adamw, probabilities are calibrated on the validation files, to match how often slip"
+        " occurs. Default: paper, or with --adapt, which takes no other, adamw with small steps.",
         choices=("paper", "adam", "adamw"),
     )
     learn_true_slip_share: bool = parameter(
         False,
-        "Learn beside the labels, from the truth of simulated features (featurize --true-slip-share), which share of"
-        " the visible contact slips: no real sensor knows it. `info` and tables name a model that did.",
+        "Learn, in addition to the labels, the slipping share of the visible contact from simulated ground truth"
+        " (featurize --true-slip-share). No real sensor can measure this share; `info` and tables mark such a model.",
         panel=TRAINING,
     )
-    epochs: int = parameter(70, "Passes over the non-slip slices with more than 25 events.", low=1, high=100000)
+    epochs: int = parameter(
+        70,
+        "Passes over the training data; one covers all non-slip slices with more than 25 events.",
+        low=1,
+        high=100000,
+    )
     max_steps: int | None = parameter(
         None,
-        "Stop after this many steps, and say so; default: 40000, or 1000 with --adapt.",
+        "Stop after this many steps, with a note; default: 40000, or 1000 with --adapt.",
         unit="steps",
         low=1,
     )
     patience: int | None = parameter(
         None,
-        "Stop when the loss on the files that validate has not fallen for so many of 100 looks at it, evenly spread"
-        " over the steps; its best network is then among the checkpoints. Default: take all steps.",
+        "Stop early when the validation loss has not fallen for this many of the 100 checks, which are evenly spread"
+        " over the steps. The network with the lowest loss becomes one of the checkpoints. Default: take all steps.",
         low=1,
         high=100,
         panel=TRAINING,
-        recipe=False,  # it is, where it is given: models that were made before there was such a choice stay up to date
+        recipe=False,  # added to the recipe only if given: models trained before this option existed stay up to date
     )
-    seed: int = parameter(0, "Seed of weights, sampling and augmentation.", low=0, high=2**31 - 1)
+    seed: int = parameter(0, "Seed of the first weights, sampling and augmentation.", low=0, high=2**31 - 1)
     seeds: int = parameter(
-        1, "Models to train, each with the next seed and in a file of its own.", low=1, high=1000, recipe=False
+        1, "Number of models to train, each with the next seed and in a separate file.", low=1, high=1000, recipe=False
     )
     log: str | None = parameter(
         None,
-        "tensorboard: write the losses while they fall to NAME.model.log. A CSV of them lies beside every model.",
+        "tensorboard: write the losses to NAME.model.log during training. A CSV file of them is always written next to"
+        " the model.",
         choices=("tensorboard",),
         panel=TRAINING,
         recipe=False,
     )
     device: str = parameter(
-        "cpu", "Where it is computed; numbers depend on it.", choices=("cpu", "cuda"), panel=TRAINING
+        "cpu", "Device that computes the training; the numbers depend on it.", choices=("cpu", "cuda"), panel=TRAINING
     )
     networks: int | None = parameter(
         None,
-        "Train so many networks apart, from other first weights, and let the mean of their logits decide: steadier on"
-        " objects and sensors unlike those learned from, at so many times the cost; default: 1, or as many as the model"
-        " of --adapt.",
+        "Train an ensemble of this many networks from different first weights; the mean of their logits decides. An"
+        " ensemble is more reliable on unseen objects and sensors; its cost grows with its size. Default: 1, or as many"
+        " as the model of --adapt.",
         low=1,
         high=32,
         panel=TRAINING,
     )
     objects: str = parameter(
-        "", "Use the features of these objects only, as in `1-9` or `1-3,8`.", recipe=False, flag="--object"
+        "", "Train only on features of these objects, e.g. `1-9` or `1-3,8`.", recipe=False, flag="--object"
     )
     validate: str = parameter(
         "",
-        "Folder or glob of features to choose checkpoint and threshold on, at least 4; default: every 8th input.",
+        "Folder or glob of validation files, at least 4 features files, on which checkpoint and threshold are chosen;"
+        " default: every 8th input.",
         recipe=False,
     )
     false_alarms_per_min: float | None = parameter(
         None,
-        "Choose the lowest threshold with at most so many false alarms per minute, counted in the files that validate,"
-        " where nothing slips within 200 ms. Default: 4; with preset paper, or with less than 5 minutes to count in,"
-        " the paper's rule: the best mean of timing and F1.",
+        "Choose the lowest threshold with at most this many false alarms per minute, counted in the validation files at"
+        " times without slip within 200 ms. Default: 4; with preset paper, or with less than 5 minutes to count in, the"
+        " paper's rule: the best mean of timing and F1.",
         unit="1/min",
         low=0.0,
         high=300.0,
-        recipe=False,  # it is, where it is given
+        recipe=False,  # added to the recipe only if given
     )
     folds: int = parameter(
         0,
-        "Choose checkpoint and threshold on objects that a network has not seen: this many more networks are trained,"
-        " each without one share of the objects, and judged on that share. For detectors that will meet new objects.",
+        "Choose checkpoint and threshold by cross-validation over objects: this many more networks are trained, each"
+        " with one share of the objects held out and evaluated on that share. Use it for a detector that must work on"
+        " unseen objects.",
         low=0,
         high=100,
         panel=TRAINING,
     )
     adapt: str = parameter(
         "",
-        "Go on from this trained model, or `shipped`, the package's: a few recordings of one's own sensor adapt it."
+        "Adapt this trained model, or the pretrained `shipped`, to your own sensor with a few of your recordings."
         " Architecture and horizon are the model's.",
         recipe=False,
     )
@@ -120,7 +128,7 @@ COMMAND = Command(
     "train",
     Train,
     "stages.train",
-    "Labelled features, one file a trajectory.",
+    "Labelled features, one file per trajectory.",
     kind="features",
     unit="steps",
     examples=(

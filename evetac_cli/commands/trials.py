@@ -1,4 +1,4 @@
-"""Trials to simulate, and how finely: what `record` and `grasp` have in common."""
+"""Flags that `record` and `grasp` share: the trials to simulate, and the precision of the simulation."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -15,12 +15,12 @@ SOLVER_OPTIONS = ("tolerance_um", "step_ms", "theta", "node_pitch_mm", "camera_s
 
 @dataclass(frozen=True)
 class Trials:
-    """Trials to simulate: what `record` and `grasp` have in common."""
+    """Flags that `record` and `grasp` share: the trials to simulate."""
 
     scene: str
     objects: str
-    count: int = parameter(1, "Trials of each object.", low=1, high=100000, recipe=False, needs=SERIES)
-    seed: int = parameter(0, "Seed of everything that is drawn.", low=0, high=2**31 - 1, needs=SERIES)
+    count: int = parameter(1, "Trials per object.", low=1, high=100000, recipe=False, needs=SERIES)
+    seed: int = parameter(0, "Seed of all random choices.", low=0, high=2**31 - 1, needs=SERIES)
     sensor: str = parameter(
         "evetac",
         f"Sensor: {'; '.join(names.SENSORS)}: one per trial; randomized:N: the N-th; a TOML file"
@@ -28,25 +28,30 @@ class Trials:
         needs=SIMULATED,
     )
     gel: str | None = parameter(
-        None, "Gel of the sensor, instead of the scene's.", choices=("cut", "closed"), panel=SCENE, needs=SIMULATED
+        None,
+        "Gel type: cut has a window beside its dots. Default: the scene's.",
+        choices=("cut", "closed"),
+        panel=SCENE,
+        needs=SIMULATED,
     )
     texture: str | None = parameter(
         None,
-        "Whether the window shows the object's texture, instead of what the scene says.",
+        "Whether the object's texture is visible through the window. Default: as in the scene.",
         choices=("on", "off"),
         panel=SCENE,
         needs=SIMULATED,
     )
     readout: str = parameter(
         "dvxplorer",
-        "Camera: scanned 5000 times a second, or every event to the us.",
+        "Readout of the simulated camera. dvxplorer: pixels are scanned 5000 times per second. ideal: each event has"
+        " its exact time, to the us.",
         choices=("dvxplorer", "ideal"),
         panel=SCENE,
         needs=SIMULATED,
     )
     tolerance_um: float | None = parameter(
         None,
-        "Largest estimated error of the displacement in one mechanical step; default: the scene's, or 0.2.",
+        "Largest estimated displacement error of one mechanical step; default: the scene's, or 0.2.",
         unit="um",
         low=0.001,
         high=1000.0,
@@ -56,7 +61,7 @@ class Trials:
     )
     step_ms: float | None = parameter(
         None,
-        "Fixed mechanical step instead, 1 divided by a whole number.",
+        "Use a fixed mechanical step instead of --tolerance; must be 1 divided by a whole number.",
         unit="ms",
         low=0.0001,
         high=1.0,
@@ -65,7 +70,8 @@ class Trials:
     )
     theta: float | None = parameter(
         None,
-        "Of the mechanical step: 1 is implicit Euler, 0.5 the trapezoidal rule; default: the scene's, or 0.51.",
+        "Implicitness of the mechanical step: 1 is implicit Euler, 0.5 the trapezoidal rule; default: the scene's, or"
+        " 0.51.",
         low=0.5,
         high=1.0,
         panel=SOLVER,
@@ -73,7 +79,7 @@ class Trials:
     )
     node_pitch_mm: float | None = parameter(
         None,
-        "Distance of the gel's nodes; default: the scene's, or 0.833.",
+        "Distance between the gel's nodes; default: the scene's, or 0.833.",
         unit="mm",
         low=0.05,
         high=5.0,
@@ -82,7 +88,7 @@ class Trials:
     )
     camera_substeps: int | None = parameter(
         None,
-        "Straight pieces of a dot's path in each ms; default: the scene's, or 1.",
+        "Straight segments of a dot's path in each ms; default: the scene's, or 1.",
         low=1,
         high=100,
         panel=SOLVER,
@@ -90,7 +96,7 @@ class Trials:
     )
     scans_per_ms: int | None = parameter(
         None,
-        "Scans of the simulated readout; default: the scene's, or 5.",
+        "Scans of the simulated readout per ms; default: the scene's, or 5.",
         unit="1/ms",
         low=1,
         high=100,
@@ -99,28 +105,28 @@ class Trials:
     )
     live: bool = parameter(
         False,
-        "Show it while it is recorded: a page in the browser with dots, slip, force and gripper.",
+        "Show the trial while it is recorded, on a page in the browser with dots, slip, force and gripper.",
         recipe=False,
         panel=VIEW,
         needs=(Capability.SCENE, Capability.RECORDED, Capability.PREVIEW, Capability.GRASPED),
     )
     live_in: str = parameter(
         "auto",
-        "Where it is shown; browser: its address is printed; terminal: characters; auto: in a browser, where there is a"
-        " display.",
+        "Where the live view appears. browser: the page's address is printed. terminal: drawn with characters. auto: in"
+        " a browser if there is a display.",
         choices=("auto", "browser", "terminal"),
         recipe=False,
         panel=VIEW,
         needs=(Capability.SHOWN,),
     )
-    dry_run: bool = parameter(False, "Show what it would build and cost; write nothing.", recipe=False, panel=RUNNING)
+    dry_run: bool = parameter(False, "Only print what would be made and its cost.", recipe=False, panel=RUNNING)
 
     @property
     def shown_in(self) -> str | None:
-        """Where the trials are shown while they are made: auto, browser or terminal; None: nowhere."""
+        """Where the trials are shown while they run: auto, browser or terminal; None: not shown."""
         return self.live_in if self.live else None
 
     def solver(self) -> dict[str, Any]:
-        """The settings of the simulation that were given."""
+        """Return the simulation settings that were given as flags."""
         named = {name: getattr(self, name) for name in SOLVER_OPTIONS}
         return {name: value for name, value in named.items() if value is not None}

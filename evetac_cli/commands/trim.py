@@ -8,19 +8,22 @@ from evetac_cli.commands.parameter import parameter
 
 @dataclass(frozen=True)
 class Trim:
-    """Make a recording from a range of slices of another, or from all of them without noise."""
+    """Cut a recording to a range of slices, remove its noise, or both, and write a new recording."""
 
-    from_ms: int = parameter(0, "First slice of the piece.", unit="ms", low=0)
-    to_ms: int | None = parameter(None, "Slice after its last; default: the end.", unit="ms", low=1)
+    from_ms: int = parameter(0, "First slice to keep.", unit="ms", low=0)
+    to_ms: int | None = parameter(
+        None, "Slice before which the new recording ends; default: the end.", unit="ms", low=1
+    )
     denoise: bool = parameter(
         False,
-        "Leave out noise: the events of hot pixels that the recording's calibration names, and then those with no event"
-        " at the 8 pixels around within --support-ms before, as dv-processing's filter of background activity does.",
+        "Remove noise: first the events of hot pixels listed in the recording's calibration, then events without an"
+        " event at one of the 8 neighbouring pixels in the --support-ms before, as in dv-processing's background"
+        " activity filter.",
     )
     support_ms: float | None = parameter(
         None,
-        "Keep an event if one of the 8 pixels around had an event less than this long before; default: 2. The authors'"
-        " readout uses 100.",
+        "Keep an event if one of its 8 neighbouring pixels had an event less than this long before; default: 2. The"
+        " authors' readout uses 100.",
         unit="ms",
         low=0.001,
         high=10_000.0,

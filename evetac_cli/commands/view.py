@@ -9,17 +9,30 @@ from evetac_cli.commands.parameter import parameter
 
 @dataclass(frozen=True)
 class View:
-    """Look at a recording and what was computed from it: one HTML page that needs no network; an animation too."""
+    """Show a recording and the results computed from it on one HTML page, and optionally as an animation.
 
-    start_s: float = parameter(0.0, "Show from here on.", unit="s", low=0.0, recipe=False)
-    stop_s: float | None = parameter(None, "Show up to here; default: the end.", unit="s", low=0.0, recipe=False)
-    shown_ms: int = parameter(5, "Events summed into one image.", unit="ms", low=1, high=1000, recipe=False)
-    images: int = parameter(
-        500, "Images in the page at most, dense near slip and where it is busiest.", low=1, high=3000, recipe=False
+    The page works offline.
+    """
+
+    start_s: float = parameter(0.0, "Start of the part to show.", unit="s", low=0.0, recipe=False)
+    stop_s: float | None = parameter(
+        None, "End of the part to show; default: the end.", unit="s", low=0.0, recipe=False
     )
-    film: Path | None = parameter(None, "Write an animation too, to this GIF.", recipe=False)
+    shown_ms: int = parameter(
+        5, "Time over which events are summed into one image.", unit="ms", low=1, high=1000, recipe=False
+    )
+    images: int = parameter(
+        500,
+        "Largest number of images on the page; they are densest near slip and at high event rates.",
+        low=1,
+        high=3000,
+        recipe=False,
+    )
+    film: Path | None = parameter(None, "Also write an animation to this GIF file.", recipe=False)
     rrd: bool = parameter(
-        False, "Write a file for the viewer rerun instead, NAME.rrd, with every event as far as it fits.", recipe=False
+        False,
+        "Write NAME.rrd for the rerun viewer instead of a page, with every event up to its size limit.",
+        recipe=False,
     )
 
 
@@ -27,7 +40,7 @@ COMMAND = Command(
     "view",
     View,
     "pages.view",
-    "Stage files of one trial; others of its name are found. Also a model, or `shipped` for the package's.",
+    "Any stage file of one trial; the others of the same name are found. Also a model, or the pretrained `shipped`.",
     kind="",
     unit="images",
     examples=("evetac view a.recording.h5", "evetac view a.recording.h5 --start-s 1 --stop-s 1.2 --film a.gif"),

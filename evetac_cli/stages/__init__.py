@@ -1,8 +1,8 @@
-"""One module or folder per command, and which outputs a command makes from which inputs.
+"""Stages: one module or folder per command, which defines its outputs and how they are made from its inputs.
 
 A stage has OUTPUT (a kind of file), METHOD (raised when its numbers change) and two functions:
-`jobs(files, params, out)` says which outputs will be made from which inputs, `run(job, params, ...)` makes one of them.
-`record` and `grasp` are stages, too, whose jobs are trials (evetac_cli/trials/).
+`jobs(files, params, out)` returns which outputs will be made from which inputs, `run(job, params, ...)` makes one.
+`record` and `grasp` are stages too; their jobs are trials (evetac_cli/trials/).
 """
 
 from collections.abc import Iterator, Sequence
@@ -12,11 +12,11 @@ from typing import Any
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job
 
-BLOCK_ROWS = 1000  # of a file that are in memory together: memory does not grow with the length of a recording
+BLOCK_ROWS = 1000  # rows in memory at a time, so that memory does not grow with the length of a recording
 
 
 def per_file(files: list[Path], kind: str, out: Path | None) -> list[Job]:
-    """One output of a kind for every input file: beside it, in the folder `out`, or (one input) the file `out`."""
+    """Return a job for every input file, with its output next to it, in the folder `out`, or (one input) at `out`."""
     from evetac_cli.store.files import output_path
 
     one_file(files, out)
@@ -24,14 +24,14 @@ def per_file(files: list[Path], kind: str, out: Path | None) -> list[Job]:
 
 
 def row_blocks(rows: int, most: int | None = None) -> Iterator[tuple[int, int]]:
-    """The ranges [first, stop) of rows that are worked on together; one empty range if there are no rows at all."""
+    """Yield the ranges [first, stop) of rows to process together; one empty range if there are no rows."""
     most = most or BLOCK_ROWS
     for first in range(0, max(rows, 1), most):
         yield first, min(first + most, rows)
 
 
 def one_file(outputs: Sequence[Any], out: Path | None) -> None:
-    """Refuse `-o NAME.h5` where there are several outputs."""
+    """Raise InputError for `-o NAME.h5` if there are several outputs."""
     if out is not None and out.suffix == ".h5" and len(outputs) > 1:
         raise InputError(
             "one output file cannot hold several results",

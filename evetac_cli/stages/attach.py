@@ -1,8 +1,9 @@
-"""attach: other streams of a trial, such as an arm's pose or a camera's images, into a copy of its recording.
+"""attach: add other streams of a trial, such as an arm's pose or a camera's images, to a copy of its recording.
 
-Why a command of its own: the streams of a trial come from other programs, often later, and go with any recording,
-imported, simulated or of devices. Why a new file: a recording never changes once it is made, as labels and tracks name
-the one that they were made from. The hash of all arrays is part of the recipe, as it is of an import.
+It is a separate command because such streams come from other programs, often later, and can be added to any recording:
+imported, simulated or from devices. It writes a new file because a recording never changes after it is written: labels
+and tracks refer to the recording that they were made from. As for an import, the hash of all arrays is part of the
+recipe.
 """
 
 import math
@@ -31,13 +32,13 @@ METHOD = 1
 
 
 def jobs(files: list[Path], params: Attach, out: Path | None) -> list[Job]:
-    """One new recording for every recording, named <name>-streams."""
+    """Return a job for every recording, whose output is named <name>-streams."""
     sources = _named(params.stream, "--stream", "NAME=FILE")
     unknown = [name for name in _offsets(params) if name not in sources]
     if unknown:
         raise InputError("no such stream", where="--offset", expected=", ".join(sources), found=unknown[0])
     if not sources:
-        raise InputError("no stream to add", where="--stream", expected="NAME=FILE, as in arm=pose.csv")
+        raise InputError("no stream to add", where="--stream", expected="NAME=FILE, e.g. arm=pose.csv")
     one_file(files, out)
     if out is not None and out.suffix == ".h5":
         return [Job((file,), out) for file in files]
@@ -45,7 +46,7 @@ def jobs(files: list[Path], params: Attach, out: Path | None) -> list[Job]:
 
 
 def run(job: Job, params: Attach, *, force: bool = False, progress: Progress = silent) -> Outcome:
-    """Write a recording with all that one holds, and the streams; InputError where they do not fit it."""
+    """Write a recording with all data of the input and the streams; InputError if a stream does not fit it."""
     sources, offsets = _named(params.stream, "--stream", "NAME=FILE"), _offsets(params)
     folder = existing_folder(job.output.parent)
     notes: list[str] = []
@@ -54,7 +55,9 @@ def run(job: Job, params: Attach, *, force: bool = False, progress: Progress = s
         taken = streams.names(recording.contents())
         twice = next((name for name in sources if name in taken), None)
         if twice:
-            raise InputError(f"it has a stream {twice}", where=str(job.inputs[0]), hint="give the new one another name")
+            raise InputError(
+                f"already has a stream {twice}", where=str(job.inputs[0]), hint="choose another name for the new one"
+            )
         for number, (name, source) in enumerate(sources.items()):
             progress(number, len(sources), "streams read")
             stream, said = read_stream(source, name, folder)
@@ -93,14 +96,14 @@ def run(job: Job, params: Attach, *, force: bool = False, progress: Progress = s
 
 
 def _whole(recording: Recording, added: Sequence[Stream]) -> dict[str, Any]:
-    """Numbers and texts, which have no rows, and what is known of the sensor: its frame is what events are held to."""
+    """Return the datasets without rows: numbers, texts, and those of the sensor, whose frame is needed for checks."""
     rows = _with_rows(recording)
     whole = {path: recording.read(path) for path in recording.contents() if path not in rows}
     return whole | {path: text for one in added for path, text in one.texts().items()}
 
 
 def _with_rows(recording: Recording) -> dict[str, tuple[int, ...]]:
-    """Shapes of what may be long."""
+    """Return the shapes of the datasets that may be long."""
     shapes = {path: shape for path, (_, shape) in recording.contents().items()}
     return {path: shape for path, shape in shapes.items() if shape and not path.startswith("sensor/")}
 
@@ -108,7 +111,7 @@ def _with_rows(recording: Recording) -> dict[str, tuple[int, ...]]:
 def _blocks(
     recording: Recording, added: Sequence[Stream], progress: Callable[[float, float], None]
 ) -> Iterator[dict[str, Any]]:
-    """Everything that has rows, one dataset after the other, in pieces that memory holds; as progress count slices."""
+    """Yield all datasets with rows, one after the other, in blocks that fit in memory; progress counts slices."""
     old = _with_rows(recording)
     done, total = 0, sum(shape[0] for shape in old.values()) + sum(sum(one.lengths().values()) for one in added)
     pieces = ({path: rows} for path, shape in old.items() for rows in rules.blocks(recording, path, shape))
@@ -119,12 +122,12 @@ def _blocks(
 
 
 def _named(given: Sequence[str] | None, flag: str, form: str) -> dict[str, str]:
-    """What was given as NAME=VALUE, by name; InputError for anything else, or a name that cannot be one."""
+    """Return the values of NAME=VALUE flags by name; InputError for anything else, or for an invalid name."""
     named: dict[str, str] = {}
     for text in given or ():
         name, equals, value = text.partition("=")
         if not equals or not value or not streams.NAME.fullmatch(name):
-            expected = f"{form}; names are of letters, digits, _ . and -"
+            expected = f"{form}; names have letters, digits, _ . and -"
             raise InputError("cannot be read", where=flag, expected=expected, found=text)
         if name in named:
             raise InputError(f"{name} is given twice", where=flag, found=text)
@@ -133,7 +136,7 @@ def _named(given: Sequence[str] | None, flag: str, form: str) -> dict[str, str]:
 
 
 def _offsets(params: Attach) -> dict[str, float]:
-    """The offsets of the streams, in s."""
+    """Return the offsets of the streams, in s."""
     offsets = {}
     for name, text in _named(params.offset, "--offset", "NAME=SECONDS").items():
         try:

@@ -1,8 +1,8 @@
-"""calibrate: the places of a gel's dots at rest, from a press recording or imported; a JSON file for --calibration.
+"""calibrate: find a gel's dots at rest in a press recording, or import them; writes a JSON file for --calibration.
 
-A press recording shows a stylus that strokes the whole gel, lifted off between the strokes; `--scene press` simulates
-one. Places and size of the dots need not be known (kernels/calibration); which gel they belong to, whole or cut, is
-decided in calibrated_gel.py.
+In a press recording, a stylus strokes the whole gel and lifts off between strokes; `--scene press` simulates one. The
+positions and size of the dots need not be known (kernels/calibration). calibrated_gel.py determines the gel to which
+they belong, closed or cut.
 """
 
 from dataclasses import replace
@@ -35,21 +35,23 @@ WORST_JITTER_PX = 1.0
 
 
 def jobs(files: list[Path], params: Calibrate, out: Path | None) -> list[Job]:
-    """One calibration for every recording, `<name>.calibration.json`, or one for the file that is imported."""
+    """Return a job for every recording, with output `<name>.calibration.json`, or one for the imported file."""
     calibrated_gel.check_options(params)
     if params.source is not None and (files or params.refine):
         raise InputError(
-            "an import takes neither recordings nor a default grid", where="--import", found=str(params.source)
+            "cannot be combined with recordings or a default grid", where="--import", found=str(params.source)
         )
     if params.source is None and not files:
         raise InputError(
             "no recording is given",
             expected="a press recording, or --import FILE",
-            hint="evetac record makes one: --camera dvxplorer, --from FILE, or simulated with --scene press",
+            hint="evetac record makes one: with --camera dvxplorer, --from FILE, or simulated with --scene press",
         )
     sources = [params.source] if params.source is not None else files
     if out is not None and out.suffix == ".h5":
-        raise InputError("a calibration is JSON", where="--out", expected="a name that ends in .json", found=str(out))
+        raise InputError(
+            "a calibration is a JSON file", where="--out", expected="a name that ends in .json", found=str(out)
+        )
     if out is not None and out.suffix == ".json":
         if len(sources) > 1:
             raise InputError("one output file cannot hold several results", where="--out", found=str(out))
@@ -97,7 +99,7 @@ def run(job: Job, params: Calibrate, *, force: bool = False, progress: Progress 
         jitter = gel_at_rest.jitter_px(halves, dots, radius)
         if not jitter <= WORST_JITTER_PX:
             raise InputError(
-                "the dots come to rest at different places after each stroke",
+                "the dots come to rest at different positions after each stroke",
                 where=where,
                 expected=f"jitter of at most {WORST_JITTER_PX:g} px rms",
                 found=f"{jitter:.2f} px" if np.isfinite(jitter) else "too few strokes to measure it",
@@ -113,7 +115,7 @@ def run(job: Job, params: Calibrate, *, force: bool = False, progress: Progress 
 
 
 def _import(job: Job, params: Calibrate, force: bool) -> Outcome:
-    """Read the official software's pickle, JSON, or the dots of a sensor's TOML file, and write them as ours."""
+    """Read the official software's pickle, JSON, or a sensor's TOML file, and write a calibration file."""
     (source,) = job.inputs
     if source.suffix == ".json":
         calibration = calibrated_gel.rearranged(read_calibration(source), params, str(source))
@@ -123,7 +125,7 @@ def _import(job: Job, params: Calibrate, force: bool) -> Outcome:
         centres, radius = read_pickle(source)
         if (centres < 0).any() or (centres > np.array(FRAME_PX) - 1).any():
             raise InputError(
-                "a dot lies outside the frame", where=str(source), expected=f"{FRAME_PX[0]} x {FRAME_PX[1]} px"
+                "a dot is outside the frame", where=str(source), expected=f"{FRAME_PX[0]} x {FRAME_PX[1]} px"
             )
         dots, window = calibrated_gel.arranged(FoundDots(centres, radius, FRAME_PX, str(source)), params)
         if np.isfinite(dots[..., 0]).sum() != len(centres):
@@ -131,7 +133,7 @@ def _import(job: Job, params: Calibrate, force: bool) -> Outcome:
                 "the dots do not form a grid",
                 where=str(source),
                 expected=f"{len(centres)} dots in rows and columns",
-                found=f"{np.isfinite(dots[..., 0]).sum()} that are",
+                found=f"{np.isfinite(dots[..., 0]).sum()}",
                 hint=calibrated_gel.IRREGULAR,
             )
         calibration = Calibration(FRAME_PX, dots, radius, window)
@@ -143,7 +145,7 @@ def _import(job: Job, params: Calibrate, force: bool) -> Outcome:
 
 
 def _of_sensor(source: Path, params: Calibrate) -> Calibration:
-    """The dots of a sensor's file as its camera sees them, and how strongly it answers contact."""
+    """Return the dots of a sensor's file as seen by its camera, and its sensitivity to contact."""
     from evetac_cli.sim.camera.gel_camera import dot_grid
     from evetac_cli.sim.camera.lens import Lens
 
@@ -160,7 +162,7 @@ def _of_sensor(source: Path, params: Calibrate) -> Calibration:
 
 
 def _found(recording: Recording, places: Grid, radius_px: float) -> FoundDots:
-    """The dots of a press, and what its recording says of the gel: one with a grid says whether there is a window."""
+    """Return the dots of a press with the recording's information on the gel: if it has a grid, also its window."""
     window = recording.window_px
     gel = None if recording.dot_xy_px is None else "closed" if window is None else "cut"
     if window is not None and gel_layout.touches(window, places, radius_px):
@@ -176,7 +178,7 @@ def _write(job: Job, calibration: Calibration, recipe: Recipe, figures: dict[str
 
 
 def _outcome(job: Job, recipe: Recipe, *, made_now: bool) -> Outcome:
-    """The row of a calibration file, whether it was made now or before."""
+    """Return the outcome for a calibration file, which may have been made now or earlier."""
     calibration = read_calibration(job.output)
     rows, columns = calibration.dot_xy_px.shape[:2]
     missing = int(np.isnan(calibration.dot_xy_px[..., 0]).sum())
@@ -197,13 +199,14 @@ def _outcome(job: Job, recipe: Recipe, *, made_now: bool) -> Outcome:
 
 
 def _refined(default: Grid, measured: Grid, where: str) -> tuple[Grid, int]:
-    """The default grid with the dots that were measured, and how many were not: these keep their shifted place.
+    """Return the default grid with the measured dots, and the number of dots without a measurement.
 
-    The default must be within half a pitch of the truth: from there on, dots are taken for their neighbours.
+    Dots without a measurement keep their position, shifted with the grid. The default must be within half a pitch of
+    the true grid; beyond that, dots are mistaken for their neighbours.
     """
     reach = grid.pitch(default) / 2
     shift = np.zeros(2)
-    for _ in range(2):  # the second time with the places of most dots
+    for _ in range(2):  # the second time with the positions of most dots
         offset = measured[None] - (default.reshape(-1, 2) + shift)[:, None]
         distance = np.linalg.norm(offset, axis=2)
         nearest = np.where(np.isnan(distance), np.inf, distance).argmin(axis=1)
@@ -220,7 +223,7 @@ def _refined(default: Grid, measured: Grid, where: str) -> tuple[Grid, int]:
 
 
 def _against_stored(recording: Recording, dots: Grid) -> dict[str, float]:
-    """Distance to the grid stored in a simulated recording, the truth; nothing elsewhere."""
+    """Return the error relative to the true grid stored in a simulated recording; nothing for a real one."""
     stored = recording.dot_xy_px
     if stored is None or not recording.has("truth/dot_xy_px"):
         return {}

@@ -1,7 +1,7 @@
-"""The gel that found dots belong to: its rows and columns, which of them are missing, and where its window is.
+"""The gel to which detected dots belong: its rows and columns, its missing dots, and its window.
 
-What is known of it beforehand is an Evetac's size, what the flags say, and what the recording says of its sensor. The
-dots are held against that. What they leave open is asked for: a wrong window makes wrong labels without a word.
+The dots are compared with prior information: an Evetac's size, the flags, and the sensor in the recording. If this
+leaves the gel undetermined, the user has to decide, because a wrong window would silently make wrong labels.
 """
 
 from dataclasses import replace
@@ -16,35 +16,35 @@ from evetac_cli.kernels.calibration.gel_layout import CLOSED_COLUMNS, CUT_COLUMN
 from evetac_cli.sim.setup import sensor_file
 from evetac_cli.store.calibration import Calibration
 
-MOST_MISSING = 0.25  # of the dots; with more, a part of the gel was not pressed
+MOST_MISSING = 0.25  # share of the dots; with more missing, a part of the gel was not pressed
 MANY_MISSING = f"more than {MOST_MISSING:.0%} of them are missing"
-LEAST_ON_GRID = 0.9  # of the dots: with so many in rows and columns they are a grid, also where none was asked for
+LEAST_ON_GRID = 0.9  # share of dots in rows and columns with which dots count as a grid
 SIZES = {"closed": (ROWS, CLOSED_COLUMNS), "cut": (ROWS, CUT_COLUMNS)}
 REFINE = "--refine takes the others from a default grid"
-IRREGULAR = "--irregular takes dots that are in no grid"
-PRESS = "press over the whole gel, and lift off between strokes"
-BY_HAND = "or write window_px into the JSON by hand, docs/recordings.md"
+IRREGULAR = "--irregular accepts dots that form no grid"
+PRESS = "press on the whole gel, and lift off between strokes"
+BY_HAND = "or write window_px into the JSON by hand, see docs/recordings.md"
 
 
 class FoundDots(NamedTuple):
-    """Dots as they were found, and what their source says of the gel."""
+    """Detected dots, with information on the gel from their source."""
 
     places_px: Grid  # (n, 2) in any order
     radius_px: float
     frame_px: tuple[int, int]
-    where: str  # the source, as an error names it
-    remedy: str = ""  # how more of the dots would be found
-    gel: str | None = None  # cut or closed, where the source says it
-    window_px: Window | None = None  # of a cut gel, where the source says it
+    where: str  # the source, for error messages
+    remedy: str = ""  # how to find more of the dots
+    gel: str | None = None  # cut or closed, if the source states it
+    window_px: Window | None = None  # of a cut gel, if the source states it
 
 
 def check_options(params: Calibrate) -> None:
-    """InputError for flags that contradict each other, ask for too much, or have no effect."""
+    """Raise InputError for flags that contradict each other, exceed limits, or have no effect."""
     size = "--rows, --columns"
     if (params.rows is None) != (params.columns is None):
-        raise InputError("one needs the other", where=size, expected="both, or neither")
+        raise InputError("must be used together", where=size, expected="both, or neither")
     if params.rows is not None and params.irregular:
-        raise InputError("dots in no grid have no rows and columns", where="--irregular", found=size)
+        raise InputError("dots without a grid have no rows and columns", where="--irregular", found=size)
     if params.rows is not None and params.columns is not None and params.rows * params.columns > grid.MOST_DOTS:
         raise _too_many(size, params.rows * params.columns)
     given = {"--gel": params.gel is not None, size: params.rows is not None, "--irregular": params.irregular}
@@ -54,7 +54,7 @@ def check_options(params: Calibrate) -> None:
         unused = [flag for flag in unused if flag != "--gel"]
     if unused and (of_sensor or params.refine is not None):
         raise InputError(
-            "has no effect: the file with the grid says it",
+            "has no effect: the file with the grid determines it",
             where=", ".join(unused),
             found=f"--import {params.source}" if of_sensor else "--refine",
             hint=f"leave out {', '.join(unused)}",
@@ -62,9 +62,9 @@ def check_options(params: Calibrate) -> None:
 
 
 def arranged(seen: FoundDots, params: Calibrate) -> tuple[Grid, Window | None]:
-    """The dots of the whole gel, (rows, columns, 2), NaN where one is missing, and its window, None if it is closed.
+    """Return the dots of the whole gel, (rows, columns, 2), NaN for missing ones, and its window, None if closed.
 
-    InputError if a part of the gel is missing, or if the dots do not say which gel it is.
+    InputError if a part of the gel is missing, or if the gel cannot be identified from the dots.
     """
     gel = params.gel or seen.gel
     if params.irregular:
@@ -72,7 +72,7 @@ def arranged(seen: FoundDots, params: Calibrate) -> tuple[Grid, Window | None]:
             raise _too_many(seen.where, len(seen.places_px))
         dots = grid.one_row(seen.places_px)
         if grid.pitch(dots) == 0.0:
-            raise InputError("several dots are at the same place", where=seen.where)
+            raise InputError("several dots are at the same position", where=seen.where)
         return dots, _window(dots, gel, seen)
     size_given = None if params.rows is None or params.columns is None else (params.rows, params.columns)
     size = size_given or SIZES.get(gel or "")
@@ -99,12 +99,12 @@ def arranged(seen: FoundDots, params: Calibrate) -> tuple[Grid, Window | None]:
     window = _window(whole, gel, seen)
     free = gel_layout.free_sides(whole, seen.frame_px)
     if size_given is None and len(free) > (window is not None):
-        raise _another_size(dots, size, gel, seen, f"there is room for more dots: {', '.join(free)}")
+        raise _another_size(dots, size, gel, seen, f"there is space for more dots: {', '.join(free)}")
     return whole, window
 
 
 def rearranged(calibration: Calibration, params: Calibrate, where: str) -> Calibration:
-    """The dots of a grid that was written by hand or by a program, arranged as the flags say; as it is without any."""
+    """Return a calibration from a file with its dots arranged by the flags; unchanged without flags."""
     if params.gel is None and params.rows is None and not params.irregular:
         return calibration
     dots = calibration.dot_xy_px.reshape(-1, 2)
@@ -116,7 +116,7 @@ def rearranged(calibration: Calibration, params: Calibrate, where: str) -> Calib
 
 
 def notes(calibration: Calibration) -> list[str]:
-    """What a user should know of a grid beside its figures."""
+    """Return notes on a grid for the user, in addition to its figures."""
     dots = calibration.dot_xy_px
     said = [gel_layout.mounting(dots, calibration.frame_px, calibration.window_px)]
     if len(dots) == 1:
@@ -143,7 +143,10 @@ def _as_a_grid(places_px: Grid) -> str:
 
 
 def _window(dots: Grid, gel: str | None, seen: FoundDots) -> Window | None:
-    """Where the window is, None for a closed gel, also where nothing is said and there is no room; InputError."""
+    """Return the window; None for a closed gel, or if none is known and there is no space for one.
+
+    InputError if its position is unclear, or if only the user can decide whether there is one.
+    """
     if gel == "closed" or (gel is None and not gel_layout.free_sides(dots, seen.frame_px)):
         return None
     if gel is not None and seen.window_px is not None:
@@ -152,10 +155,10 @@ def _window(dots: Grid, gel: str | None, seen: FoundDots) -> Window | None:
         side, window = gel_layout.window(dots, seen.radius_px, seen.frame_px)
     except ValueError as error:
         if gel is None:
-            hint = f"--gel closed says that there is none; {BY_HAND}"
+            hint = f"--gel closed states that there is no window; {BY_HAND}"
         else:
-            hint = f"--gel closed if there is none, {BY_HAND}"
-        raise InputError(f"the place of the window is unclear: {error}", where=seen.where, hint=hint) from None
+            hint = f"--gel closed if there is no window, {BY_HAND}"
+        raise InputError(f"the position of the window is unclear: {error}", where=seen.where, hint=hint) from None
     if gel is None:
         raise _asked(dots, side, window, seen)
     return window
@@ -166,7 +169,7 @@ def _many_missing(dots: Grid) -> bool:
 
 
 def _which_gel(dots: Grid, seen: FoundDots) -> InputError:
-    """For dots that are not those of a closed Evetac, where nothing says what else they are."""
+    """Return the error for dots that are not those of a closed Evetac, if nothing states which gel it is."""
     rows, columns = dots.shape[:2]
     as_it_is = f"--rows {rows} --columns {columns}"
     if (rows, columns) == SIZES["cut"]:
@@ -179,11 +182,11 @@ def _which_gel(dots: Grid, seen: FoundDots) -> InputError:
     elif (rows, columns) == SIZES["closed"]:
         free = ", ".join(gel_layout.free_sides(dots, seen.frame_px))
         return InputError(
-            "there is room for more dots than those of an Evetac",
+            "there is space for more dots than those of an Evetac",
             where=seen.where,
             expected="dots that fill the frame",
-            found=f"{_in_words(dots)}; room: {free}",
-            hint=f"{as_it_is} --gel closed says that these are all",
+            found=f"{_in_words(dots)}; space: {free}",
+            hint=f"{as_it_is} --gel closed if the gel has no more dots",
         )
     if (columns, rows) in SIZES.values():
         return _turned(dots, seen)
@@ -193,7 +196,7 @@ def _which_gel(dots: Grid, seen: FoundDots) -> InputError:
     except ValueError:
         worn = ""
     return InputError(
-        "this is not the whole grid of an Evetac",
+        "these dots are not the whole grid of an Evetac",
         where=seen.where,
         expected=_sizes(),
         found=_in_words(dots),
@@ -202,14 +205,14 @@ def _which_gel(dots: Grid, seen: FoundDots) -> InputError:
 
 
 def _turned(dots: Grid, seen: FoundDots) -> InputError:
-    """For dots with the rows and columns of an Evetac exchanged."""
+    """Return the error for dots with the rows and columns of an Evetac exchanged."""
     rows, columns = dots.shape[:2]
     as_it_is = f"--rows {rows} --columns {columns}"
     if (columns, rows) == SIZES["closed"]:
-        hint = f"{as_it_is} --gel closed takes them as they are"
+        hint = f"{as_it_is} --gel closed accepts them as they are"
     else:
-        hint = f"{as_it_is} --gel cut takes them as they are; --rows {rows + 1} --columns {columns} --gel closed"
-        hint += " if a row does not show"
+        hint = f"{as_it_is} --gel cut accepts them as they are; --rows {rows + 1} --columns {columns} --gel closed"
+        hint += " if a row is not visible"
     return InputError(
         "these are the dots of an Evetac that is turned by 90 degrees",
         where=seen.where,
@@ -220,11 +223,11 @@ def _turned(dots: Grid, seen: FoundDots) -> InputError:
 
 
 def _asked(dots: Grid, side: str, window: Window, seen: FoundDots) -> InputError:
-    """For dots that leave room on one side."""
+    """Return the error for dots that leave space on one side."""
     what = "column" if side in ("left", "right") else "row"
     place = " ".join(map(str, window))
     return InputError(
-        f"is the gel cut, or does a {what} of dots not show? There is room for either at the {side}",
+        f"is the gel cut, or is a {what} of dots not visible? There is space for either at the {side}",
         where=seen.where,
         expected=f"--gel cut for a window there (window_px {place}), --gel closed for a {what} that is worn or missing",
         found=_in_words(dots),
@@ -233,7 +236,7 @@ def _asked(dots: Grid, side: str, window: Window, seen: FoundDots) -> InputError
 
 
 def _another_size(dots: Grid, size: tuple[int, int], gel: str | None, seen: FoundDots, why: str = "") -> InputError:
-    """For a grid that is not the one that was said or taken for granted."""
+    """Return the error for a grid that differs from the stated or assumed one."""
     shape = rows, columns = dots.shape[:2]
     if size in SIZES.values() and shape == size[::-1]:
         return _turned(dots, seen)
@@ -254,7 +257,7 @@ def _another_size(dots: Grid, size: tuple[int, int], gel: str | None, seen: Foun
 
 
 def _too_many(where: str, count: int) -> InputError:
-    expected = f"at most {grid.MOST_DOTS}, which the tracker has room for"
+    expected = f"at most {grid.MOST_DOTS}, the limit of the tracker"
     return InputError("too many dots", where=where, expected=expected, found=str(count))
 
 
@@ -263,7 +266,7 @@ def _sizes() -> str:
 
 
 def _in_words(dots: Grid) -> str:
-    """How many dots there are, and where."""
+    """Return a description of the number and positions of the dots."""
     missing = int(np.isnan(dots[..., 0]).sum())
     (x0, y0), (x1, y1) = np.nanmin(dots, axis=(0, 1)), np.nanmax(dots, axis=(0, 1))
     place = f"centres from x = {x0:.0f} to {x1:.0f}, y = {y0:.0f} to {y1:.0f} px"

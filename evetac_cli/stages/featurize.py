@@ -1,10 +1,11 @@
-"""featurize: the inputs of slip detectors, slice by slice (paper, "Evetac Touch Features").
+"""featurize: the inputs of slip detectors for each slice (paper, "Evetac Touch Features").
 
-Reads the recording, its tracks, and its labels where there are any; they lie beside it unless named by a flag, which
-may be a folder. Where the recording has a gripper, its position and goals are told of each slice. Added on request
-alone: event images, which only the image baselines need and which are half of the file; the events themselves, of which
-plug-in networks make images; the share of the contact that
-sticks; and from the truth of a simulation the share that slips, for `train --learn-true-slip-share`.
+It reads the recording, its tracks and, if present, its labels. These are next to the recording unless a flag names
+files or a folder. If the recording has a gripper, its position and goals are added for each slice.
+
+Further data are added only on request. Event images are needed only by the image baselines and take half of the file.
+The events themselves are for plug-in networks, which make images from them. The sticking share of the contact is for
+disp-xy-grip, and the true slipping share of a simulation for `train --learn-true-slip-share`.
 """
 
 from collections.abc import Iterator, Sequence
@@ -31,12 +32,12 @@ from evetac_cli.store.recordings.read import Recording, open_recording
 
 OUTPUT = "features"
 METHOD = 6
-TRUE_SLIP_SHARE = TRUE_SLIP_SHARES[0]  # in a simulated recording as well
-COLUMNS = ("displacement_px", "displacement_xy_px", "events_per_dot", "events_outside")  # a row for every slice
+TRUE_SLIP_SHARE = TRUE_SLIP_SHARES[0]  # the same name as in a simulated recording
+COLUMNS = ("displacement_px", "displacement_xy_px", "events_per_dot", "events_outside")  # one row per slice
 
 
 def jobs(files: list[Path], params: Featurize, out: Path | None) -> list[Job]:
-    """One features file for every recording, from its tracks and, where there are any, its labels."""
+    """Return a job for every recording, from its tracks and, if present, its labels."""
     one_file(files, out)
     named = [path for path in (params.tracks, params.labels) if path and not path.is_dir()]
     if len(files) > 1 and named:
@@ -61,7 +62,7 @@ def _recipe(params: Featurize, parents: Sequence[Header]) -> Recipe:
 
 
 def known_recipe(job: Job, params: Featurize, known: Known) -> Recipe | None:
-    """The recipe of the features, where an index knows all that they are made from."""
+    """Return the recipe of the features if an index has all of their inputs; None otherwise."""
     kinds = ("recording", "tracks", "labels")
     parents = [known.header(path, kind) for path, kind in zip(job.inputs, kinds, strict=False)]
     every = [parent for parent in parents if parent is not None]
@@ -69,7 +70,7 @@ def known_recipe(job: Job, params: Featurize, known: Known) -> Recipe | None:
 
 
 def run(job: Job, params: Featurize, *, force: bool = False, progress: Progress = silent) -> Outcome:
-    """Displacement and events of every dot, events outside the window, and the labels if there are any."""
+    """Write displacement and events of every dot, events outside the window, and labels if present."""
     recording_path, tracks_path, *labels_path = job.inputs
     with ExitStack() as opened:
         recording = opened.enter_context(open_recording(recording_path))
@@ -126,9 +127,9 @@ def run(job: Job, params: Featurize, *, force: bool = False, progress: Progress 
 
 
 def _gripper(recording: Recording) -> dict[str, NDArray[np.float32]]:
-    """Where the gripper of a recording was, and what it was told to do, as each slice began; nothing without one.
+    """Return the gripper's position and commands at the start of each slice; nothing without a gripper.
 
-    A goal current of a step in position mode, and a goal position where no controller wrote one, are NaN.
+    The goal current is NaN in position mode; the goal position is NaN if no controller wrote one.
     """
     from evetac_cli.kernels.slip.extras import known_at_start
 
@@ -148,7 +149,7 @@ def _gripper(recording: Recording) -> dict[str, NDArray[np.float32]]:
 
 
 def _sticking_share(tracks: StageFile) -> NDArray[np.float32]:
-    """The share that sticks, (slices,), as it is known when each slice begins: of the dots at the end of the last."""
+    """Return the sticking share, (slices,), known at the start of each slice: from the dots after the previous one."""
     from evetac_cli.stages.touch.sticking_share import StickingShare
 
     sticks = StickingShare(tracks.read("sensor/dot_xy_px").reshape(-1, 2))
@@ -162,12 +163,12 @@ def _sticking_share(tracks: StageFile) -> NDArray[np.float32]:
 
 
 def _true_slip_share(recording: Recording) -> NDArray[np.float32]:
-    """The share of the visible contact that slips, (slices,); InputError for a recording that does not know it."""
+    """Return the slipping share of the visible contact, (slices,); InputError for a recording without it."""
     if not recording.has(TRUE_SLIP_SHARE):
         raise InputError(
-            "the recording has no truth: only a simulation knows it",
+            "the recording has no truth: only simulated recordings have it",
             where=str(recording.path),
-            hint="leave out --true-slip-share, or take a recording that `evetac record` simulates",
+            hint="leave out --true-slip-share, or use a recording simulated by `evetac record`",
         )
     share: NDArray[np.float32] = recording.read(TRUE_SLIP_SHARE)
     return share
@@ -181,7 +182,7 @@ def _blocks(
     params: Featurize,
     progress: Progress,
 ) -> Iterator[dict[str, NDArray[Any]]]:
-    """The features in blocks of slices; images grow with the pixels that had events."""
+    """Yield the features in blocks of slices; the size of images depends on the number of pixels with events."""
     from evetac_cli.kernels.slip import features
 
     slices = len(recording)
@@ -220,7 +221,7 @@ def _blocks(
 
 
 def _named(recording: Path, kind: str, given: Path | None) -> Path:
-    """The file of a kind that belongs to a recording: beside it, in the folder given, or the file given."""
+    """Return the file of a kind for a recording: next to it, in the given folder, or the given file."""
     return given if given is not None and not given.is_dir() else output_path(recording, kind, given)
 
 

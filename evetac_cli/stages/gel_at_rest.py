@@ -1,4 +1,4 @@
-"""The gel at rest as a press recording shows it: between strokes, by every other pair of them and by the others."""
+"""Images of the gel at rest from a press recording, one from each half of its strokes."""
 
 from collections.abc import Iterator
 
@@ -15,13 +15,16 @@ from evetac_cli.stages.calibrated_gel import PRESS
 from evetac_cli.store.recordings.read import Recording
 
 BLOCK_SLICES = 200
-SETTLING_SLICES = 100  # after a stroke, in which pixels of the rims still fire
-LEAST_REST_SLICES = 1000  # in all, to tell hot pixels
-LONGEST_STROKE = 5000  # slices; a first run is over long before that
+SETTLING_SLICES = 100  # after a stroke, while pixels at the rims of dots still fire
+LEAST_REST_SLICES = 1000  # in total, to identify hot pixels
+LONGEST_STROKE = 5000  # slices; a first run ends long before that
 
 
 def rest_images(recording: Recording, progress: Progress = silent) -> tuple[RestImage, RestImage]:
-    """The gel at rest as seen by every other pair of strokes, and by the other pairs; InputError without strokes."""
+    """Return images of the gel at rest from every other pair of strokes and from the other pairs.
+
+    InputError if there is no stroke.
+    """
     if not strokes(recording):
         moved = dot_search.contrast(seen(recording, 0, len(recording))) > 0
         message = "the gel is not at rest before and after a stroke" if moved else "no dot was seen to move"
@@ -35,20 +38,20 @@ def rest_images(recording: Recording, progress: Progress = silent) -> tuple[Rest
 
 
 def stroke_images(recording: Recording) -> Iterator[tuple[int, tuple[int, int], tuple[RestImage, RestImage]]]:
-    """Each stroke: which half of the strokes it is of, 0 or 1, its slices, and the gel at rest before and after it."""
+    """Yield for each stroke its half of the strokes, 0 or 1, its slices, and the gel at rest before and after it."""
     for stroke, (start, stop) in enumerate(strokes(recording)):
-        half = stroke // 2 % 2  # two strokes each: there and back
+        half = stroke // 2 % 2  # a pair of strokes: there and back
         yield half, (start, stop), (seen(recording, start, stop), seen(recording, start, stop, backwards=True))
 
 
 def strokes(recording: Recording) -> list[tuple[int, int]]:
-    """Slices [start, stop) of each stroke, from the middle of the rest before it to that of the rest after it."""
+    """Return the slices [start, stop) of each stroke, from the middle of the rest before to that of the rest after."""
     rests = [(first + stop) // 2 for first, stop in rest_image.quiet_spells(np.diff(recording.starts))]
     return list(zip(rests, rests[1:], strict=False))
 
 
 def seen(recording: Recording, start: int, stop: int, *, backwards: bool = False) -> RestImage:
-    """The gel at rest before the slices [start, stop), as their events show it; backwards: at rest after them."""
+    """Return the gel at rest before the slices [start, stop), from their events; backwards: at rest after them."""
     if backwards:
         edges = range(stop, max(start, stop - LONGEST_STROKE), -BLOCK_SLICES)
         blocks = [(max(start, edge - BLOCK_SLICES), edge) for edge in edges]
@@ -63,7 +66,7 @@ def seen(recording: Recording, start: int, stop: int, *, backwards: bool = False
 
 
 def hot_pixels(recording: Recording) -> NDArray[np.uint16] | None:
-    """Pixels (n, 2) that fire while the gel is at rest between strokes, row by row; None where that cannot be told."""
+    """Return the pixels (n, 2) that fire while the gel is at rest between strokes, row by row; None if unknown."""
     from evetac_cli.kernels.identify.rest import check_still, find_hot
 
     width, height = recording.frame_px
@@ -85,7 +88,10 @@ def hot_pixels(recording: Recording) -> NDArray[np.uint16] | None:
 
 
 def jitter_px(halves: tuple[RestImage, RestImage], dots: Grid, radius: float) -> float:
-    """How far from its mean a dot is found in one half of the strokes, rms over dots; NaN if the halves share none."""
+    """Return how far a dot is from its mean position in one half of the strokes, rms over dots, in px.
+
+    NaN if the halves have no dot in common.
+    """
     present = dots[np.isfinite(dots[..., 0])]
     if any(dot_search.contrast(half) == 0.0 for half in halves):
         return float("nan")

@@ -1,14 +1,15 @@
-"""label: when the object slips, from what the window shows against the gel (paper, "Data Labelling - Slip Classifier").
+"""label: when the object slips, from its motion in the window (paper, "Data Labelling - Slip Classifier").
 
-A trajectory begins where the object is held stably and the gripper's current starts to fall (paper, "Experimental
-Setup and Data Collection Procedure"); closing and loading before are not examined. Without a gripper it begins at 0.
+A trajectory begins when the object is held stably and the gripper's current starts to fall (paper, "Experimental
+Setup and Data Collection Procedure"); closing and loading before that are not examined. Without a gripper it begins at
+slice 0.
 
-An onset comes with the interval in which it may lie. Where it cannot be told the labels abstain, and say why: the
+Each onset has an interval that contains it. If the onset cannot be determined, the labels abstain and state why: the
 slices of its interval are then neither slip nor no slip.
 
 The methods: `event-flow` (default) counts motion from events, `farneback` is the paper's optical flow, `dis` and
-`event-count` are its alternatives, `truth` copies gross slip from a simulation; the header of the labels, and of all
-files made from them, names the method.
+`event-count` are alternatives, and `truth` copies gross slip from a simulation. The method is stored in the header of
+the labels and of all files made from them.
 """
 
 import time
@@ -32,26 +33,26 @@ from evetac_cli.store.recordings.read import Recording, open_recording, ramp_sta
 
 OUTPUT = "labels"
 METHOD = 6
-OF_REVIEW = ("after_ms",)  # of what decides the numbers, this holds for a person's labels too
+OF_REVIEW = ("after_ms",)  # parameters of the recipe that also apply to manual labels
 # The border of the window is the gel's cut edge, which moves with the gel and is part of neither region.
 EDGE_IN_GEL_PX = 10
 EDGE_IN_WINDOW_PX = 25
 
 
 def jobs(files: list[Path], params: Label, out: Path | None) -> list[Job]:
-    """One labels file for every recording; with --review one job of all of them."""
+    """Return a job for every recording; with --review one job for all of them."""
     if params.review:
         from evetac_cli.stages import label_review
 
         _refuse_options_of_methods(params)
         return list(label_review.jobs(files, out))
     if params.by:
-        raise InputError("only a person's labels are by somebody", where="--by", expected="--review beside it")
+        raise InputError("has an effect only on manual labels", where="--by", expected="together with --review")
     return per_file(files, OUTPUT, out)
 
 
 def _refuse_options_of_methods(params: Label) -> None:
-    """InputError for an option that decides how a method labels, where a person does."""
+    """Raise InputError for an option of the automatic methods if a person labels."""
     for item in fields(params):
         value = getattr(params, item.name)
         if item.metadata["recipe"] and item.name not in OF_REVIEW and value != item.default:
@@ -64,7 +65,7 @@ def _recipe(params: Label, recording: Header) -> Recipe:
 
 
 def known_recipe(job: Job, params: Label, known: Known) -> Recipe | None:
-    """The recipe of the labels, where an index knows the recording; a person's are always asked for."""
+    """Return the recipe of the labels if an index has the recording; None for manual labels, which are always made."""
     if params.review:
         return None
     recording = known.header(job.inputs[0], "recording")
@@ -72,7 +73,7 @@ def known_recipe(job: Job, params: Label, known: Known) -> Recipe | None:
 
 
 def run(job: Job, params: Label, *, force: bool = False, progress: Progress = silent) -> Outcome:
-    """Find the onset by the method that is chosen, and label every slice; with --review, ask a person."""
+    """Find the onset by the chosen method and label every slice; with --review, a person does."""
     if params.review:
         from evetac_cli.stages import label_review
 
@@ -117,19 +118,19 @@ def run(job: Job, params: Label, *, force: bool = False, progress: Progress = si
 
 
 def warnings(rows: Rows) -> list[str]:
-    """In how many recordings the labels abstain, and why in the first of them."""
+    """Return a warning with the number of recordings in which labels abstain, and the reason in the first of them."""
     doubts = [row["doubt"] for row in rows if row.get("doubt")]
     if not doubts:
         return []
-    told = f"labels abstain in {len(doubts)} of {len(rows)}: their onset is neither trained on nor judged"
+    told = f"labels abstain in {len(doubts)} of {len(rows)}: their onset is used neither for training nor evaluation"
     return [f"{told}; the first: {doubts[0]}"]
 
 
 def compute(recording: Recording, params: Label, progress: Progress = silent) -> flow.Labels:
-    """Labels of a recording by the method that is chosen; InputError where the recording lacks what it needs."""
+    """Return the labels of a recording by the chosen method; InputError if the recording lacks required data."""
     if params.from_start and params.method != "truth":
         expected = "--method truth"
-        raise InputError("only the truth is known before the ramp", where="--from-start", expected=expected)
+        raise InputError("before the ramp only ground truth exists", where="--from-start", expected=expected)
     if params.method == "truth":
         return from_truth(recording, params.after_ms, from_start=params.from_start)
     window, gel = regions(recording)
@@ -144,7 +145,7 @@ def compute(recording: Recording, params: Label, progress: Progress = silent) ->
             dots = recording.dot_xy_px
             if dots is None:
                 raise InputError(
-                    "event-flow follows the dots, and the recording has no dot grid",
+                    "event-flow needs the dots, but the recording has no dot grid",
                     where=str(recording.path),
                     hint=f"{MAKE_GRID} to evetac record, or label with --method farneback",
                 )
@@ -163,23 +164,23 @@ def compute(recording: Recording, params: Label, progress: Progress = silent) ->
         raise InputError(
             f"slip cannot be labelled: {error}",
             where=str(recording.path),
-            hint="the object needs a texture that the window shows: --texture on, where a scene leaves it out",
+            hint="the object needs a texture that is visible in the window: --texture on, if the scene has none",
         ) from error
 
 
 def regions(recording: Recording) -> tuple[flow.Region, flow.Region]:
-    """The window and the gel, clear of the cut edge between them; InputError if the gel has no window."""
+    """Return the regions of the window and the gel, without the cut edge between them; InputError without a window."""
     if recording.window_px is None:
         raise InputError(
             "slip cannot be labelled: the gel has no window",
             where=str(recording.path),
             expected="a recording with sensor/window_px",
-            hint="only a cut gel shows slip: evetac calibrate --gel cut makes its grid; give that to record with"
+            hint="only a cut gel shows slip: evetac calibrate --gel cut makes its grid; pass it to record with"
             " --calibration. For a closed gel, use a detector that was trained on a cut one",
         )
     x0, y0, x1, y1 = recording.window_px
     width, height = recording.frame_px
-    # The gel lies on the side of the window where most of the frame is: at the left in an upright Evetac.
+    # The gel is on the side of the window with most of the frame: at the left in an upright Evetac.
     area = {"left": x0 * height, "right": (width - x1) * height, "above": y0 * width, "below": (height - y1) * width}
     side = max(area, key=lambda name: area[name])
     if side == "left":
@@ -194,14 +195,15 @@ def regions(recording: Recording) -> tuple[flow.Region, flow.Region]:
 
 
 def from_truth(recording: Recording, after_ms: int, *, from_start: bool = False) -> flow.Labels:
-    """Labels from the gross slip of a simulation, up to `after_ms` after its onset; InputError without truth.
+    """Return labels from the gross slip of a simulation, up to `after_ms` after its onset; InputError without truth.
 
-    They begin where those of the other methods do, or, as nothing is unknown here, with the first slice. An object may
-    slide a little while its weight is handed over: these slices are left out, and the onset is that of the ramp.
+    They begin in the same slice as those of the other methods, or with `from_start` in the first slice, since nothing
+    is unknown here. An object may slide a little while its weight is handed over: these slices are left out, and the
+    onset is that of the ramp.
     """
     if not recording.has("truth/slip"):
         raise InputError(
-            "the recording has no truth: only a simulation knows it",
+            "the recording has no truth: only simulated recordings have it",
             where=str(recording.path),
             hint="label with another --method",
         )

@@ -1,4 +1,4 @@
-"""What a model file says of its slip detector, for those who do not run it (slip_detectors.py does)."""
+"""Information on a slip detector from its model file, for code that does not run it (slip_detectors.py does)."""
 
 from collections.abc import Iterator
 
@@ -11,22 +11,22 @@ from evetac_cli.kernels.slip.warning_curve import WarningCurve
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.layout.provenance import Header
 
-USELESS_HINT = "train for more steps, on more trajectories, and name at least 4 others with --validate"
-# From which a controller is told of slip by a model without counted false alarms: with its own, 0.95 in the
-# package's first, a lift of the paper's law fails (docs/slip-detector.md, seeds 10,017 and 10,018).
+USELESS_HINT = "train for more steps, on more trajectories, and use at least 4 others with --validate"
+# Threshold at which slip is reported to a controller by a model without counted false alarms. With such a model's own
+# threshold, 0.95 in evetac's first model, a lift with the paper's controller fails (docs/slip-detector.md, seeds 10,017
+# and 10,018).
 OLDER_CONTROLLER_THRESHOLD = 0.3
-# Where features hold the share of the visible contact that slips, from a simulation's truth: today's name, and the one
-# of features up to 1.5, whose simulated files all had it.
+# Datasets of features with the slipping share of the visible contact, from a simulation's truth: the current name, and
+# that of features up to version 1.5, where all simulated files had it.
 TRUE_SLIP_SHARES = ("truth/visible_slip_share", "visible_slip_share")
-# Methods of `train` before there was a choice, and the presets by which they learned that share wherever it was known.
+# Method versions of `train` without this option, and the presets that always learned this share if it was available.
 LEARNED_TRUTH_METHODS, LEARNED_TRUTH_PRESETS = range(4, 7), ("adamw", "adapt")
 
 
 def why_useless(model: StageFile) -> str:
-    """Why a model detects nothing, in a sentence: at its threshold all slices are slip, or none is; "" if it may do.
+    """Return the reason why a model detects nothing: at its threshold all slices are slip, or none is; "" otherwise.
 
-    Models of an older evetac do not say how many validation slices they detect; a threshold of 0 is known to be useless
-    without that.
+    Models of older versions do not store how many validation slices they detect; a threshold of 0 is useless anyway.
     """
     share = float(model.read("validation/detected_share")) if model.has("validation/detected_share") else None
     if share not in (0.0, 1.0) and float(model.read("threshold")) > 0.0:
@@ -38,26 +38,26 @@ def why_useless(model: StageFile) -> str:
 
 
 def require_useful(model: StageFile) -> None:
-    """InputError for a model that detects nothing, before it is let at a gripper."""
+    """Raise InputError for a model that detects nothing, before it controls a gripper."""
     why = why_useless(model)
     if why:
         raise InputError("this model is no slip detector", where=str(model.path), found=why, hint=USELESS_HINT)
 
 
 def read_horizon_ms(model: StageFile) -> int:
-    """How far ahead a model predicts slip, in ms; 0 for detection."""
+    """Return how far ahead a model predicts slip, in ms; 0 for detection."""
     return int(model.read("horizon_ms")) if model.has("horizon_ms") else 0
 
 
 def read_calibration(model: StageFile) -> OddsScale | None:
-    """What the logits of a model were scaled by after training; None where its probabilities are not calibrated."""
+    """Return the scaling of a model's logits after training; None if its probabilities are not calibrated."""
     if not model.has("calibration"):
         return None
     return OddsScale(float(model.read("calibration/scale")), float(model.read("calibration/offset")))
 
 
 def read_curve(model: StageFile) -> WarningCurve | None:
-    """What warnings of a model cost, by threshold; None for a model that does not say."""
+    """Return a model's rates of false alarms and warnings by threshold; None if the model does not store them."""
     if not model.has("warnings"):
         return None
     return WarningCurve(
@@ -72,15 +72,15 @@ def read_curve(model: StageFile) -> WarningCurve | None:
 def chosen_threshold(
     model: StageFile, threshold: float | None = None, false_alarms_per_min: float | None = None
 ) -> float:
-    """The threshold that a detector is run at: the one given, one with so few false alarms, or the model's own.
+    """Return the threshold for a detector: the given one, the one for this rate of false alarms, or the model's own.
 
-    InputError where both are given, the model does not say how often it alarms falsely, or it always does more often.
+    InputError if both are given, if the model stores no rates of false alarms, or if none of them is low enough.
     """
     if threshold is not None and false_alarms_per_min is not None:
         raise InputError(
-            "a threshold and a number of false alarms are two ways to say one thing",
+            "cannot be combined with a threshold",
             where="--false-alarms-per-min",
-            expected="one of them",
+            expected="only one of the two",
             found=f"{threshold:g} and {false_alarms_per_min:g} per minute",
         )
     if false_alarms_per_min is None:
@@ -88,17 +88,17 @@ def chosen_threshold(
     curve = read_curve(model)
     if curve is None or not curve.minutes:
         raise InputError(
-            "the model does not say how often it alarms where nothing slips",
+            "the model has no rate of false alarms",
             where=str(model.path),
             expected="false alarms per minute by threshold, as `evetac train` stores them",
-            found="none: it is of an older evetac" if curve is None else "no slice 200 ms from slip to count them in",
-            hint="name a threshold instead, or train it anew, with trials without slip in --validate",
+            found="none: made by an older evetac" if curve is None else "no slice 200 ms from slip to count them in",
+            hint="set a threshold instead, or train the model again, with trials without slip in --validate",
         )
     chosen = curve.threshold_for(false_alarms_per_min)
     least = curve.at(chosen)[0]
     if least > false_alarms_per_min:
         raise InputError(
-            "no threshold of the model has so few false alarms",
+            "every threshold of the model has more false alarms",
             where="--false-alarms-per-min",
             expected=f"at least {least:.3g}",
             found=f"{false_alarms_per_min:g}",
@@ -109,9 +109,10 @@ def chosen_threshold(
 def controller_threshold(
     model: StageFile, threshold: float | None = None, false_alarms_per_min: float | None = None
 ) -> float:
-    """The threshold at which a controller is told of slip: as `chosen_threshold`, but for a model of an older evetac.
+    """Return the threshold at which slip is reported to a controller, as `chosen_threshold`.
 
-    Its own was chosen for timing alone, and in light touch a detector that keeps to it is silent.
+    For a model of an older evetac it is OLDER_CONTROLLER_THRESHOLD: the model's own threshold was chosen for timing
+    alone, and at light touch a detector with it reports nothing.
     """
     if threshold is None and false_alarms_per_min is None and not model.has("warnings"):
         return OLDER_CONTROLLER_THRESHOLD
@@ -119,28 +120,29 @@ def controller_threshold(
 
 
 def read_weights(model: StageFile) -> dict[str, NDArray[np.float32]]:
-    """The weights in a model file by their names in the detector; those of several networks begin with a number."""
+    """Return the weights by their names in the detector; for several networks, names begin with a number."""
     names = [name for name in model.contents() if name.startswith("weights/")]
     return {name.removeprefix("weights/"): model.read(name) for name in names}
 
 
 def training_ancestors(header: Header) -> Iterator[Header]:
-    """Headers of the files that the features were made from which a model, given by its header, learned from."""
+    """Yield headers of the files from which the training features of a model, given by its header, were made."""
     history = header["history"]
     for one in header["parents"][: header["parameters"].get("trained_on")]:
         yield from (history[parent] for parent in history[one]["parents"])
 
 
 def labelled_by(header: Header) -> str:
-    """The methods of the labels that a model, given by its header, learned from, `truth` included; "" without any."""
+    """Return the methods of the labels on which a model, given by its header, was trained, also `truth`; "" if none."""
     labels = (one["parameters"] for one in training_ancestors(header) if one["kind"] == "labels")
     return ", ".join(sorted({str(chosen.get("method", "farneback")) for chosen in labels}))
 
 
 def learned_true_slip_share(header: Header) -> bool:
-    """Whether a model, given by its header, or one that it was adapted from, learned which share of the contact slips.
+    """Whether a model, given by its header, or a model from which it was adapted, learned the true slipping share.
 
-    That is the truth of simulated recordings, beside the labels: `train --learn-true-slip-share`.
+    This is the share of the contact that slips, from the ground truth of simulated recordings:
+    `train --learn-true-slip-share`.
     """
     history = header["history"]
     models = [header, *(one for one in history.values() if one["kind"] == "model")]

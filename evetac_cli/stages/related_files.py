@@ -1,4 +1,4 @@
-"""Files that belong together: those that a flag names, and those that were made from the same recording."""
+"""Files that belong together: those named by a flag, and those made from the same recording."""
 
 import glob
 from collections.abc import Iterator
@@ -18,20 +18,20 @@ BY_SLICE = {
 
 
 def named_files(given: Path | str | None, kind: str, flag: str) -> list[Path]:
-    """The files of a kind that a flag names, sorted: one file, a folder or a glob; the package's model for `shipped`.
+    """Return the files of a kind named by a flag, sorted: a file, a folder, a glob, or the pretrained `shipped`.
 
-    InputError if it names none.
+    InputError if there are none.
     """
     pattern = str(given or "")
     if kind == "model" and pattern:
         pattern = str(model_file(pattern, flag))
     if pattern and Path(pattern).is_dir():
         pattern = f"{pattern}/*.{kind}.h5"
-    is_file = bool(pattern) and Path(pattern).is_file()  # its name may hold signs that mean something in a glob
+    is_file = bool(pattern) and Path(pattern).is_file()  # its name may contain special characters of globs
     files = [Path(pattern)] if is_file else [Path(name) for name in sorted(glob.glob(pattern))]
     if not files:
         raise InputError(
-            "no such file" if pattern else f"no {kind} file is named",
+            "no such file" if pattern else f"no {kind} file is given",
             where=flag,
             expected=f"a {kind} file, a folder of them, or a glob" + (f"; or {SHIPPED}" if kind == "model" else ""),
             found=str(given or ""),
@@ -41,13 +41,13 @@ def named_files(given: Path | str | None, kind: str, flag: str) -> list[Path]:
 
 
 def check_made_from(file: StageFile, recording: StageFile) -> None:
-    """InputError unless a file was made from this very recording, all of it: the right name is not enough."""
+    """Raise InputError unless a file was made from exactly this recording; an equal name is not enough."""
     if recording.header["id"] in file.header["parents"]:
         rows, slices = file.length(BY_SLICE[file.kind]), recording.length("ms_to_idx") - 1
         if rows == slices:
             return
         raise InputError(
-            f"the {file.kind} have another number of slices than the recording",
+            f"the {file.kind} differ from the recording in the number of slices",
             where=str(file.path),
             expected=f"{slices}, as {recording.path}",
             found=str(rows),
@@ -64,9 +64,9 @@ def check_made_from(file: StageFile, recording: StageFile) -> None:
 
 @contextmanager
 def recording_with_truth(file: StageFile) -> Iterator[Recording]:
-    """The simulated recording that a file was made from: beside it, or in the folder above, as for `track-rgb`.
+    """Open the simulated recording from which a file was made: next to it, or in the folder above, as for `track-rgb`.
 
-    InputError if it is missing, is another one or has no truth.
+    InputError if it is missing, is another recording or has no ground truth.
     """
     path = output_path(file.path, "recording", None)
     above = path.parent.resolve().parent / path.name
@@ -75,7 +75,7 @@ def recording_with_truth(file: StageFile) -> Iterator[Recording]:
         check_made_from(file, recording)
         if not recording.has("truth"):
             raise InputError(
-                "the recording has no truth: only a simulation knows it",
+                "the recording has no truth: only simulated recordings have it",
                 where=str(path),
                 hint="evetac record --scene NAME simulates one",
             )

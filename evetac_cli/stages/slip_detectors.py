@@ -25,9 +25,9 @@ EXTRA_COLUMNS = ("gripper_position_ticks", "gripper_goal_ticks", "gripper_goal_m
 
 
 def read_trajectory(path: Path, architecture: Architecture, *, true_slip_share: bool = False) -> Trajectory:
-    """The inputs of an architecture from a labelled features file, and the labels; InputError if they are missing.
+    """Read the inputs of an architecture and the labels from a labelled features file; InputError if missing.
 
-    true_slip_share: whether to read the share of the contact that slips too, from a simulation's truth, if it is there.
+    true_slip_share: whether to read the true slipping share of a simulation as well, if present.
     """
     with _labelled(path) as file:
         truth = next(filter(file.has, TRUE_SLIP_SHARES), None) if true_slip_share else None
@@ -42,7 +42,7 @@ def read_trajectory(path: Path, architecture: Architecture, *, true_slip_share: 
 
 
 def read_pool_sizes(path: Path, architecture: Architecture, horizon_ms: int) -> sampling.PoolSizes:
-    """How many samples a labelled features file has for each pool; InputError if it has no labels."""
+    """Return the number of samples of a labelled features file in each pool; InputError if it has no labels."""
     with _labelled(path) as file:
         labels = file.read("label"), int(file.read("onset_slice")), file.read("events_outside")
     return sampling.pool_sizes(*labels, architecture, horizon_ms)
@@ -57,7 +57,7 @@ def _labelled(path: Path) -> Iterator[StageFile]:
 
 
 def read_series(file: StageFile, architecture: Architecture, start: int = 0, stop: int | None = None) -> inputs.Series:
-    """The features that an architecture needs, of the slices [start, stop) of a file; InputError if missing."""
+    """Read the features that an architecture needs, for the slices [start, stop) of a file; InputError if missing."""
     if isinstance(architecture, ImageArchitecture):
         if not file.has("image"):
             raise InputError(
@@ -71,7 +71,7 @@ def read_series(file: StageFile, architecture: Architecture, start: int = 0, sto
     if isinstance(architecture, PluginImageArchitecture):
         if not file.has("gel_events"):
             raise InputError(
-                f"{architecture.name} sees images of events, and the features have no events",
+                f"{architecture.name} needs images of events, but the features have no events",
                 where=str(file.path),
                 hint="evetac featurize --events",
             )
@@ -85,7 +85,7 @@ def read_series(file: StageFile, architecture: Architecture, start: int = 0, sto
             raise InputError(
                 f"{architecture.name} needs displacements with their direction, and the features have none",
                 where=str(file.path),
-                hint="they were made by an older evetac; evetac featurize --force",
+                hint="the file was made by an older evetac; run evetac featurize --force",
             )
         displacement_xy_px = file.read("displacement_xy_px", start, stop)
     dots = features.series(
@@ -101,9 +101,9 @@ def read_series(file: StageFile, architecture: Architecture, start: int = 0, sto
 
 
 def predict(detectors: Sequence[Detector], trajectory: Trajectory, header: Header, horizon_ms: int) -> list[Prediction]:
-    """The probabilities of detectors of one architecture for a trajectory, from its first labelled slice on.
+    """Return the probabilities by detectors of one architecture for a trajectory, from its first labelled slice.
 
-    The labels beside them are shifted by `horizon_ms`, for F1; the onset is not, for the timing.
+    The labels returned with them are shifted by `horizon_ms`, for F1; the onset is not, for the timing.
     """
     slices = len(trajectory.label)
     every = [np.full(slices, np.nan, np.float32) for _ in detectors]
@@ -117,24 +117,27 @@ def predict(detectors: Sequence[Detector], trajectory: Trajectory, header: Heade
 
 
 def first_labelled(label: NDArray[np.int8]) -> int:
-    """The first slice that has a label: earlier ones count for nothing. The number of slices if none has."""
+    """Return the first slice with a label, before which nothing is evaluated; the number of slices if there is none."""
     examined = label >= 0
     return int(np.argmax(examined)) if examined.any() else len(label)
 
 
 def first_needed(architecture: Architecture, first: int) -> int:
-    """The slice from which on a detector needs inputs, to know the probability in slice `first` and in later ones."""
+    """Return the first slice whose inputs a detector needs for the probability in slice `first` and later ones."""
     return max(0, first - architecture.history - architecture.every + 2)
 
 
 def probabilities(detectors: Sequence[Detector], series: inputs.Series, first: int) -> list[NDArray[np.float32]]:
-    """What detectors of one architecture say from slice `first` of a trajectory on; series: from where they need it."""
+    """Return the probabilities by detectors of one architecture, starting at slice `first` of a trajectory.
+
+    series: inputs starting at the slice `first_needed`.
+    """
     begin = first_needed(detectors[0].architecture, first)
     return [found[first - begin :] for found in over_each(detectors, series, begin)]
 
 
 def load_detector(model: StageFile) -> Detector:
-    """The detector in a model file; InputError as `check_graph`."""
+    """Return the detector in a model file; InputError as for `check_graph`."""
     graph = check_graph(model)
     try:
         return Detector(graph, named_architecture(model.read("architecture")))
@@ -143,7 +146,7 @@ def load_detector(model: StageFile) -> Detector:
 
 
 def check_graph(model: StageFile) -> bytes:
-    """The graph in a model file; InputError if it is not ours, or not that of the weights beside it."""
+    """Return the graph in a model file; InputError if evetac did not make it, or if it does not match the weights."""
     architecture, shape = _of_model(model)
     weights = read_weights(model)
     graph: bytes = model.read("onnx").tobytes()
@@ -155,7 +158,7 @@ def check_graph(model: StageFile) -> bytes:
 
 
 def check_checkpoints(model: StageFile) -> None:
-    """InputError if the graph of a checkpoint is not ours; its weights are nowhere else."""
+    """Raise InputError if evetac did not make the graph of a checkpoint; its weights are stored only in the graph."""
     if not model.has("checkpoint/onnx"):
         return
     architecture, shape = _of_model(model)
@@ -168,6 +171,6 @@ def check_checkpoints(model: StageFile) -> None:
 
 
 def _of_model(model: StageFile) -> tuple[Architecture, tuple[int, int]]:
-    """Architecture, and rows and columns of the dot grid."""
+    """Return the architecture, and the rows and columns of the dot grid."""
     rows, columns = (int(size) for size in model.read("dot_shape"))
     return named_architecture(model.read("architecture")), (rows, columns)

@@ -1,4 +1,4 @@
-"""Which trajectories a model is trained on and which it is evaluated on: never the same, by object on request."""
+"""Splits of trajectories into training and evaluation, which never overlap, and are by object on request."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,7 +9,7 @@ from evetac_cli.store.layout.provenance import Header
 
 
 def object_name(header: Header) -> str:
-    """The object of the recording that a file descends from, or `unknown`."""
+    """Return the object of the recording from which a file was made, or `unknown`."""
     for ancestor in (header, *header["history"].values()):
         if ancestor["kind"] == "recording" and "object" in ancestor["parameters"]:
             return str(ancestor["parameters"]["object"])
@@ -17,7 +17,7 @@ def object_name(header: Header) -> str:
 
 
 def sensor_name(header: Header) -> str:
-    """The sensor of the recording that a file descends from, or `unknown`."""
+    """Return the sensor of the recording from which a file was made, or `unknown`."""
     for ancestor in (header, *header["history"].values()):
         if ancestor["kind"] == "recording" and "sensor" in ancestor["parameters"]:
             return str(ancestor["parameters"]["sensor"])
@@ -25,13 +25,13 @@ def sensor_name(header: Header) -> str:
 
 
 def recording_ids(header: Header) -> set[str]:
-    """Ids of all recordings that a file descends from."""
+    """Return the ids of all recordings from which a file was made."""
     lineage = {header["id"]: header, **header["history"]}
     return {id_ for id_, ancestor in lineage.items() if ancestor["kind"] == "recording"}
 
 
 def check_disjoint(learn: list[Header], held_out: list[Header], what: str, paths: Sequence[Path]) -> None:
-    """InputError where a held-out file comes from a recording that was trained on; `paths` are the held-out files."""
+    """Raise InputError if a held-out file comes from a training recording; `paths` are the held-out files."""
     seen = set().union(*(recording_ids(header) for header in learn))
     shared = [
         (path, common) for path, header in zip(paths, held_out, strict=True) if (common := recording_ids(header) & seen)
@@ -42,26 +42,26 @@ def check_disjoint(learn: list[Header], held_out: list[Header], what: str, paths
             f"a recording is both trained on and {what}",
             where=str(path),
             found=f"{len(shared)} such files, this one from the recording {min(common)[:12]}",
-            hint="split by trajectory: every recording belongs to one side",
+            hint="split by trajectory: use every recording on one side only",
         )
 
 
 class Fold(NamedTuple):
-    """One network to train: which inputs of the job it is trained on, and on which it is evaluated (their indices)."""
+    """A network to train: indices of the job's inputs for its training and for its evaluation."""
 
     trained_on: list[int]
     evaluated_on: list[int]
 
 
 def make_folds(headers: Sequence[Header], learn: int, folds: int) -> list[Fold]:
-    """The networks to train. The last one is the model; the evaluations of all choose its checkpoint and threshold.
+    """Return the networks to train. The last is the model; all evaluations together choose checkpoint and threshold.
 
-    The first `learn` of the headers are of files to train on, the others of files to evaluate on. InputError if there
-    are fewer objects than `folds`; with 0 folds the objects do not matter.
+    The first `learn` headers are those of training files, the others those of evaluation files. InputError if there are
+    fewer objects than `folds`; with 0 folds the objects do not matter.
 
-    Why so: on objects that it was trained on a detector is so good that many thresholds are nearly as good, and the
-    chosen one is too low for other objects. So further networks are trained, each without some of the objects, and
-    evaluated on these; that costs as many trainings more.
+    On its training objects a detector is so good that many thresholds are nearly equal, and the chosen one is too low
+    for other objects. So further networks are trained, each without some of the objects, and evaluated on these
+    objects. This needs `folds` more trainings.
     """
     everything, training = range(len(headers)), range(learn)
     if not folds:
@@ -70,7 +70,7 @@ def make_folds(headers: Sequence[Header], learn: int, folds: int) -> list[Fold]:
     objects = sorted(set(names), key=lambda name: (len(name), name))
     if not 2 <= folds <= len(objects):
         raise InputError(
-            "there are not so many groups of objects to leave out",
+            "there are too few objects for this number of folds",
             where="--folds",
             expected=f"2 to {len(objects)}, or 0" if len(objects) > 1 else "0",
             found=f"{folds}, and the objects {', '.join(objects)}",

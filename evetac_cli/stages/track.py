@@ -1,4 +1,4 @@
-"""track: where every dot is, slice by slice (paper, "Signal Processing - Dot Tracking")."""
+"""track: the position of every dot in each slice (paper, "Signal Processing - Dot Tracking")."""
 
 import dataclasses
 from collections.abc import Iterator
@@ -24,22 +24,22 @@ if TYPE_CHECKING:
 
 OUTPUT = "tracks"
 METHOD = 5
-COLUMNS = ("dot_xy_px", "events_per_dot", "lost")  # a row for every slice
+COLUMNS = ("dot_xy_px", "events_per_dot", "lost")  # one row per slice
 
 
 def jobs(files: list[Path], params: Track, out: Path | None) -> list[Job]:
-    """One tracks file for every recording."""
+    """Return a job for every recording."""
     return per_file(files, OUTPUT, out)
 
 
 def constants(preset: str, **overrides: Any) -> tuple[str, presets.TrackerConstants]:
-    """Name and constants of a preset; with overrides the name is `custom from PRESET`. InputError if invalid."""
+    """Return name and constants of a preset; with overrides the name is `custom from PRESET`. InputError if invalid."""
     chosen = {name: value for name, value in overrides.items() if value is not None}
     base = presets.PRESETS[preset]
     try:
         custom = dataclasses.replace(base, **chosen)
     except ValueError as error:
-        raise InputError(f"impossible constants of the tracker: {error}") from error
+        raise InputError(f"invalid constants of the tracker: {error}") from error
     return (preset if custom == base else f"custom from {preset}"), custom
 
 
@@ -57,7 +57,9 @@ def _recipe(
 ) -> Recipe:
     parameters = {
         "preset": preset,
-        "constants": dataclasses.asdict(chosen),  # as the preset has them, so that two sensors have one preset
+        "constants": dataclasses.asdict(
+            chosen
+        ),  # of the preset, before scaling, so that they are the same for all sensors
         "dot_radius_px": dot_radius_px,
         "grid": grid,
     }
@@ -65,7 +67,7 @@ def _recipe(
 
 
 def known_recipe(job: Job, params: Track, known: Known) -> Recipe | None:
-    """The recipe of the tracks, where an index knows the recording, and the grid is that of the recording."""
+    """Return the recipe of the tracks if an index has the recording and the grid is the recording's; None otherwise."""
     row = known.row(job.inputs[0], "recording")
     recording = known.header(job.inputs[0], "recording")
     if params.calibration is not None or row is None or row.dot_radius_px is None or not row.grid or recording is None:
@@ -74,7 +76,7 @@ def known_recipe(job: Job, params: Track, known: Known) -> Recipe | None:
 
 
 def run(job: Job, params: Track, *, force: bool = False, progress: Progress = silent) -> Outcome:
-    """Track the dots of a recording, slice by slice."""
+    """Track the dots of a recording through all slices."""
     name, chosen = _constants(params)
     with open_recording(job.inputs[0]) as recording:
         calibration = _calibration(recording, params.calibration)
@@ -119,9 +121,9 @@ def run(job: Job, params: Track, *, force: bool = False, progress: Progress = si
 
 
 def _tracked(recording: Recording, state: "TrackerState", progress: Progress) -> Iterator["Tracks"]:
-    """Where the dots are in every slice, in blocks of slices; the state of the tracker goes along.
+    """Yield the tracked dots in blocks of slices, updating the tracker's state.
 
-    Times are not read: the tracker takes the events of a slice in any order.
+    Times are not read, since the tracker does not depend on the order of events within a slice.
     """
     from evetac_cli.kernels.tracking import tracker
 
@@ -135,7 +137,7 @@ def _tracked(recording: Recording, state: "TrackerState", progress: Progress) ->
 
 
 def _calibration(recording: Recording, given: Path | None) -> Calibration:
-    """The dot grid given by hand, or the one in the recording."""
+    """Return the dot grid given by a flag, or the one in the recording."""
     if given is not None:
         return read_calibration(given, recording.frame_px)
     if recording.dot_xy_px is None:

@@ -1,9 +1,9 @@
-"""track-rgb: dots as an RGB sensor at 25 Hz would track them (paper, "Dot-based Shear Force Reconstruction").
+"""track-rgb: dot tracks of an RGB sensor at 25 Hz (paper, "Dot-based Shear Force Reconstruction").
 
-The gel of a simulated recording is rendered as frames from its true motion, and its dots are followed by optical flow.
-The files are like tracks from events; between two frames dots stay where the last frame showed them.
+The gel of a simulated recording is rendered as frames from its true motion, and its dots are tracked by optical flow.
+The files are like tracks from events; between two frames the dots keep their position in the last frame.
 
-Without `-o` they go to the folder `rgb` beside the recording, because tracks from its events have the same name.
+Without `-o` the files go to the folder `rgb` next to the recording, because tracks from its events have the same name.
 """
 
 import dataclasses
@@ -29,23 +29,23 @@ from evetac_cli.store.recordings.read import open_recording
 OUTPUT = "tracks"
 METHOD = 2
 PRESET = "rgb"
-FRAMES = 25  # whose truth is read together
-NOISE_SEED = 32452843  # keeps the noise of frames apart from what is drawn for the recording
+FRAMES = 25  # frames whose ground truth is read together
+NOISE_SEED = 32452843  # separates the noise of frames from the random numbers of the recording
 SENSOR = ("sensor/frame_px", "sensor/name", "sensor/dot_xy_px", "sensor/dot_radius_px", "sensor/window_px")
 
 
 def jobs(files: list[Path], params: TrackRgb, out: Path | None) -> list[Job]:
-    """One tracks file for every recording."""
+    """Return a job for every recording."""
     if out is None:
         return [job for file in files for job in per_file([file], OUTPUT, file.parent / PRESET)]
     return per_file(files, OUTPUT, out)
 
 
 def noise_seeds(seed: int, header: Header) -> list[int]:
-    """What the noise of the frames is drawn from, for the recording with this header: numbers that name its trial.
+    """Return the seeds of the frames' noise for the recording with this header: numbers that identify its trial.
 
-    Why so: another trial has another noise. The recording's recipe id would name it as well, but it changes with the
-    name of any parameter, and the noise with it.
+    Different trials have different noise. The recording's recipe id would also identify the trial, but it changes with
+    the name of any parameter, and the noise would change with it.
     """
     made = header["parameters"]
     tone_mhz = round(1000 * made.get("tone_hz", 0.0))
@@ -54,14 +54,14 @@ def noise_seeds(seed: int, header: Header) -> list[int]:
 
 
 def run(job: Job, params: TrackRgb, *, force: bool = False, progress: Progress = silent) -> Outcome:
-    """Render the frames of a recording and follow the dots in them."""
+    """Render the frames of a recording and track the dots in them."""
     camera = RgbCamera()
     with open_recording(job.inputs[0]) as recording:
         parameters = {"preset": PRESET, "camera": dataclasses.asdict(camera), **recipe_of(params)}
         recipe = Recipe(OUTPUT, METHOD, parameters, seed=params.seed, parents=(recording.header,))
         if not recording.has("truth"):
             raise InputError(
-                "no frames can be rendered: only a simulation knows where the gel is",
+                "no frames can be rendered: only simulated recordings have the true motion of the gel",
                 where=str(recording.path),
                 hint="evetac record --scene NAME simulates a recording",
             )

@@ -1,14 +1,15 @@
-"""trim: a range of slices out of a recording, or its noise, as a recording of its own.
+"""trim: write a new recording with a range of slices of another, without its noise, or both.
 
-Every group is cut: rows of slices by their index, rows of gripper, controller, marks and other streams by their time.
-Times begin anew at 0, and `t_offset` says by how much. Datasets without time are copied, but of `capture` only the lost
-slices and why it ended, because its counts are those of the whole recording.
+Every group is cut: rows per slice by their index, rows of gripper, controller, marks and other streams by their time.
+Times start again at 0, and `t_offset` stores the shift. Datasets without time are copied. Of `capture`, only the lost
+slices and the reason of the end are kept, because its counts are those of the whole recording.
 
-Tracks and features of a piece from slice 0 on are the first rows of those of the whole, bit for bit, because a slice's
-depend on no later slice. In a piece that begins later the tracker starts with dots at rest, as in every recording.
+If the piece begins at slice 0, its tracks and features equal the first rows of those of the whole recording, bit for
+bit, because they do not depend on later slices. In a piece that begins later, the tracker starts with dots at rest, as
+in every recording.
 
-What is left of the noise depends on no other slices than the filter looks back on, and these are looked at before the
-piece too: a piece of a denoised recording and a denoised piece of it have the same events.
+The noise filter looks back only over a fixed time, and slices before the piece are included in this. So a piece of a
+denoised recording and a denoised piece of the recording have the same events.
 """
 
 import math
@@ -32,16 +33,16 @@ from evetac_cli.store.recordings.read import Recording, open_recording
 
 OUTPUT = "recording"
 METHOD = 1
-DV_SUPPORT_MS = 2.0  # of dv-processing's filter, unless it is given another
-DENOISED_SLICES = 200  # at a time
-PIECE_ROWS = 1 << 18  # events that are in memory together
-MANY_VALUES = 1 << 12  # of a row: of images fewer rows are in memory together
-# Dims whose rows have times of their own, and where these are; in the stream itself for `samples`.
+DV_SUPPORT_MS = 2.0  # default of dv-processing's filter
+DENOISED_SLICES = 200  # processed at a time
+PIECE_ROWS = 1 << 18  # events in memory at a time
+MANY_VALUES = 1 << 12  # values per row above which fewer rows are in memory at a time, as for images
+# Dimensions whose rows have separate times, and the datasets of these times; for `samples`, within the stream.
 CLOCKS = {"commands": "gripper/t_us", "control_steps": "control/t_us", "marks": "marks/t_us", "samples": "t_us"}
 
 
 def jobs(files: list[Path], params: Trim, out: Path | None) -> list[Job]:
-    """One piece of every recording, named <name>-<from>-<to>ms; of a whole one without its noise, <name>-denoised."""
+    """Return a job for every recording, with output <name>-<from>-<to>ms, or <name>-denoised for all slices."""
     if params.to_ms is not None and params.to_ms <= params.from_ms:
         raise InputError(
             "the piece ends before it begins",
@@ -93,7 +94,7 @@ def run(job: Job, params: Trim, *, force: bool = False, progress: Progress = sil
 
 
 class _Noise(NamedTuple):
-    """What tells noise from other events of the slices [first, end) of a recording."""
+    """The noise filter for the slices [first, end) of a recording."""
 
     recording: Recording
     first: int
@@ -101,7 +102,7 @@ class _Noise(NamedTuple):
     support_ms: float
 
     def rest(self) -> Iterator[Events]:
-        """The events that are left of each block of slices, with the times of the recording."""
+        """Yield the remaining events of each block of slices, with the times of the recording."""
         from evetac_cli.kernels.noise_filter import NoiseFilter
 
         hot = self.recording.hot_pixels()
@@ -114,12 +115,12 @@ class _Noise(NamedTuple):
 
 
 def _without(events: Events, hot: NDArray[np.bool_]) -> Events:
-    """Events that come from no hot pixel, as new arrays; hot: (height, width)."""
+    """Return the events that are not from a hot pixel, as new arrays; hot: (height, width)."""
     return events.at(~hot[events.y, events.x])
 
 
 class _CutDatasets:
-    """The datasets of a recording, cut to the slices [first, end): small ones whole, those with rows block by block."""
+    """The datasets of a recording, cut to the slices [first, end): small ones whole, those with rows in blocks."""
 
     def __init__(self, recording: Recording, first: int, end: int, noise: _Noise | None) -> None:
         self._recording = recording
@@ -135,8 +136,8 @@ class _CutDatasets:
             "t_offset": np.int64(recording.read("t_offset") + first * SLICE_US),
         }
         self.lengths: dict[str, int] = {}
-        self._ranges: dict[str, tuple[int, int, str]] = {}  # of each dataset the rows, and the clock that picks some
-        kept: dict[str, int] = {}  # rows, by their clock
+        self._ranges: dict[str, tuple[int, int, str]] = {}  # for each dataset its rows, and the clock that selects some
+        kept: dict[str, int] = {}  # number of rows, by clock
         table = schema.load(OUTPUT)
         for name in recording.contents():
             described = table.find(name)
@@ -161,7 +162,7 @@ class _CutDatasets:
         self.whole |= _lost(recording, first, end)
 
     def blocks(self, progress: Progress) -> Iterator[dict[str, NDArray[Any]]]:
-        """One dataset after the other; as progress count all rows, in slices."""
+        """Yield one dataset after the other; progress is the share of all rows, in slices."""
         shift_us = self._slices[0] * SLICE_US
         slices = self._slices[1] - self._slices[0]
         for events in () if self._noise is None else self._noise.rest():
@@ -179,25 +180,25 @@ class _CutDatasets:
                 progress(done * slices // max(total, 1), slices)
 
     def _at_once(self, name: str) -> int | None:
-        """How many rows of a dataset are read together; None for the usual number."""
+        """Return how many rows of a dataset are read at a time; None for the usual number."""
         if name.startswith("events/"):
             return PIECE_ROWS
         row_values = int(np.prod(self._recording.contents()[name][1][1:]))
         return max(1, BLOCK_VALUES // row_values) if row_values > MANY_VALUES else None
 
     def _within(self, clock: str) -> int:
-        """How many rows have a time within the slices."""
+        """Return the number of rows with a time within the slices."""
         blocks = row_blocks(self._recording.length(clock))
         return sum(int(np.count_nonzero(self._rows(clock, first, stop))) for first, stop in blocks)
 
     def _rows(self, clock: str, first: int, stop: int) -> NDArray[np.bool_]:
-        """Which of the rows [first, stop) have a time within the slices."""
+        """Return which of the rows [first, stop) have a time within the slices."""
         t_us = self._recording.read(clock, first, stop)
         return np.asarray((t_us >= self._slices[0] * SLICE_US) & (t_us < self._slices[1] * SLICE_US))
 
 
 def _lost(recording: Recording, first: int, end: int) -> dict[str, Any]:
-    """The lost slices within [first, end), counted from first."""
+    """Return the lost slices within [first, end), relative to first."""
     if not recording.has("capture/lost_slices"):
         return {}
     gaps = np.clip(recording.read("capture/lost_slices"), first, end) - first

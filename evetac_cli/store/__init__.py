@@ -1,9 +1,9 @@
-"""Our own files on disk: the only package that imports h5py for them.
+"""evetac's files on disk; the only package that imports h5py for them.
 
-hdf5        the one door to HDF5 files, ours and other people's, and new files, all or nothing
-layout      what a file of each kind holds, whether its values make sense, and its identity
-recordings  recordings as they are read, as they grow, and what is made of one that broke off
+hdf5        checked access to HDF5 files, evetac's and others, and atomic writing of new files
+layout      contents of each kind of file, validity of values, and identity
+recordings  reading recordings, writing growing ones, and recovering interrupted ones
 files       open, check, skip and write files of all kinds
 calibration dot grids as JSON
-index       what each file of a data set is, in one SQLite file
+index       properties of all files of a data set, in one SQLite file
 """

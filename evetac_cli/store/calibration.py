@@ -1,10 +1,10 @@
 """Dot grids as JSON: the keys of the official base calibration (frame_px, radius_px, dot_xy_px), and optionally
 rows, columns, mask, window_px, hot_pixels, contrast_over_threshold and shear_modulus_pa. The dots may come in any
-order; rows and columns follow from their centres. Dots in no grid are one row, [[[x, y], [x, y], ...]].
+order; rows and columns follow from their centres. Dots without a grid are one row, [[[x, y], [x, y], ...]].
 
-A dot is missing where its centre is null or the mask, one list a row, is false: so a damaged dot is taken out of use
-by hand with one word. In stage files a missing dot is NaN. Neighbours follow from the centres (kernels.grid); files
-that `evetac calibrate` writes list them for other programs, and nothing here reads them.
+A dot is missing if its centre is null or its value in the mask, one list per row, is false. So a damaged dot can be
+disabled by hand with one word. In stage files a missing dot is NaN. Neighbours follow from the centres (kernels.grid);
+files written by `evetac calibrate` list them for other programs, and nothing here reads them.
 """
 
 import json
@@ -27,26 +27,26 @@ from evetac_cli.text_files import MOST_JSON_BYTES, parse_json, read_text
 if TYPE_CHECKING:
     from evetac_cli.store.files import StageFile
 
-MAKE_GRID = "evetac calibrate makes one from a press recording or a file; give it with --calibration GRID.json"
+MAKE_GRID = "evetac calibrate makes one from a press recording or a file; pass it with --calibration GRID.json"
 MOST_PX = 65536  # events count columns and rows in uint16
-# As in stage files; contrast over threshold is about 10, and gels of 10 kPa to 1 MPa are usual.
+# Limits as in stage files; contrast over threshold is about 10, and gels of 10 kPa to 1 MPa are usual.
 LEAST, MOST = Sensitivity(0.001, 1.0), Sensitivity(1e3, 1e9)
 LEAST_RADIUS_PX = 0.01  # files are written to 0.001 px
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """Where the dots of one gel are at rest, and what is known of how strongly the sensor answers contact."""
+    """The dots of a gel at rest, and the sensor's known sensitivity to contact."""
 
     frame_px: tuple[int, int]
     dot_xy_px: NDArray[np.float64]  # (rows, columns, 2)
     dot_radius_px: float
     window_px: tuple[int, int, int, int] | None
     sensitivity: Sensitivity = UNKNOWN
-    hot_xy_px: NDArray[np.uint16] = field(default_factory=lambda: np.empty((0, 2), np.uint16))  # pixels that are hot
+    hot_xy_px: NDArray[np.uint16] = field(default_factory=lambda: np.empty((0, 2), np.uint16))  # hot pixels
 
     def arrays(self) -> dict[str, Any]:
-        """As the datasets of a stage file's sensor group."""
+        """Return the datasets of a stage file's sensor group."""
         arrays: dict[str, Any] = {
             "sensor/dot_xy_px": self.dot_xy_px,
             "sensor/dot_radius_px": np.float64(self.dot_radius_px),
@@ -57,11 +57,11 @@ class Calibration:
         return arrays | {f"sensor/{name}": np.float64(value) for name, value in known.items()}
 
     def recorded(self) -> dict[str, Any]:
-        """As the datasets of a recording's sensor group: beside the rest, which of its pixels are hot."""
+        """Return the datasets of a recording's sensor group, which also has the hot pixels."""
         return self.arrays() | ({HOT_PIXELS: self.hot_xy_px} if len(self.hot_xy_px) else {})
 
     def require_frame(self, frame_px: Sequence[int], where: str) -> None:
-        """InputError unless it is of this frame (width, height), that of the camera or file named by `where`."""
+        """Raise InputError unless it is for this frame (width, height), which is that of `where`, a camera or file."""
         width, height = map(int, frame_px)
         if (width, height) != self.frame_px:
             raise InputError(
@@ -72,12 +72,12 @@ class Calibration:
             )
 
     def digest(self) -> str:
-        """What stands for this calibration in a recipe."""
+        """Return the hash that represents this calibration in a recipe."""
         return content_digest(self.recorded())
 
 
 def stored_calibration(recording: "StageFile") -> Calibration:
-    """The grid of dots in a recording that has one, at rest; of its sensitivity nothing, which tracks do not need."""
+    """Return the dot grid stored in a recording, without its sensitivity, which tracks do not need."""
     width, height = recording.read("sensor/frame_px")
     window = None
     if recording.has("sensor/window_px"):
@@ -89,22 +89,25 @@ def stored_calibration(recording: "StageFile") -> Calibration:
 
 
 def read_calibration(path: Path, frame_px: tuple[int, int] | None = None) -> Calibration:
-    """Read a calibration; InputError names the key that is missing or wrong, or the frame if another is wanted."""
+    """Read a calibration; InputError names a missing or invalid key, or the frame if it differs from `frame_px`."""
     return _parsed(read_text(path, MOST_JSON_BYTES), str(path), frame_px)
 
 
 def read_calibrations(path: Path | None, frames_px: Sequence[tuple[int, int]]) -> tuple[Calibration, ...]:
-    """The calibration of each camera, by the frames of these: one file for all, or one each with commas between.
+    """Return the calibration of each camera, by their frames: from one file for all, or one each with commas between.
 
-    Nothing without a path. InputError as of `read_calibration`, and for another number of files.
+    Empty without a path. InputError as for `read_calibration`, and for a wrong number of files.
     """
     if path is None:
         return ()
     named = [path] if len(frames_px) == 1 or path.exists() else [Path(each) for each in str(path).split(",")]
     if len(named) not in (1, len(frames_px)):
-        expected = f"one file for all cameras, or {len(frames_px)} with commas between them: one a camera"
+        expected = f"one file for all cameras, or {len(frames_px)} with commas between them, one per camera"
         raise InputError(
-            "not as many calibrations as cameras", where="--calibration", expected=expected, found=str(path)
+            "the number of calibrations differs from that of cameras",
+            where="--calibration",
+            expected=expected,
+            found=str(path),
         )
     if len(named) == 1:
         named *= len(frames_px)
@@ -112,7 +115,7 @@ def read_calibrations(path: Path | None, frames_px: Sequence[tuple[int, int]]) -
 
 
 def _parsed(text: str, where: str, frame_px: tuple[int, int] | None = None) -> Calibration:
-    """The calibration that a text says; `where` it comes from is said by an error."""
+    """Parse a calibration; `where` is its source, for error messages."""
     try:
         table = parse_json(text)
         width, height = _whole(table, "frame_px", 2)
@@ -151,7 +154,7 @@ def _parsed(text: str, where: str, frame_px: tuple[int, int] | None = None) -> C
     try:
         arranged = _masked(grid.arrange(dots), mask)
     except ValueError as error:
-        hint = "dots in no grid are one row: [[[x, y], [x, y], ...]]"
+        hint = "write dots without a grid as one row: [[[x, y], [x, y], ...]]"
         raise InputError(f"the dots do not form a grid: {error}", where=where, hint=hint) from None
     if shape and shape != list(arranged.shape[:2]):
         raise InputError(
@@ -162,14 +165,14 @@ def _parsed(text: str, where: str, frame_px: tuple[int, int] | None = None) -> C
         )
     if (arranged < 0).any() or (arranged >= (width, height)).any():
         raise InputError(
-            "a dot lies outside the frame",
+            "a dot is outside the frame",
             where=where,
             expected=f"dot_xy_px as (x, y) within {width} x {height} px",
             found=f"x up to {np.nanmax(arranged[..., 0]):.4g}, y up to {np.nanmax(arranged[..., 1]):.4g}",
         )
     fault = grid.impossible(arranged, float(radius))
     if fault:
-        raise InputError("dots that no gel can have", where=where, expected=fault[0], found=fault[1])
+        raise InputError("these dots are impossible", where=where, expected=fault[0], found=fault[1])
     calibration = Calibration(
         (width, height),
         arranged,
@@ -184,9 +187,9 @@ def _parsed(text: str, where: str, frame_px: tuple[int, int] | None = None) -> C
 
 
 def up_to_date(path: Path, recipe: Recipe, *, force: bool = False) -> bool:
-    """Whether `path` is already what this recipe makes; InputError if it is anything else, unless `force`.
+    """Return whether `path` already has the result of this recipe; InputError if it has another, unless `force`.
 
-    The counterpart of store.files.up_to_date, for JSON.
+    This is the counterpart of store.files.up_to_date for JSON.
     """
     if path.is_dir():
         raise InputError("the output is a folder", where=str(path))
@@ -196,7 +199,7 @@ def up_to_date(path: Path, recipe: Recipe, *, force: bool = False) -> bool:
         made = parse_json(read_text(path, MOST_JSON_BYTES))["provenance"]
         difference = "" if made["id"] == recipe.id else first_difference(recipe, made)
     except (InputError, ValueError, TypeError, KeyError, AttributeError):
-        difference = "no calibration made by evetac"
+        difference = "not a calibration made by evetac"
     if not difference or force:
         return not difference
     raise other_recipe(str(path), difference)
@@ -210,10 +213,11 @@ def write_calibration(
     provenance: dict[str, Any],
     source: str,
 ) -> None:
-    """Write a calibration as JSON, all or nothing; InputError, naming `source`, if it could not be read again.
+    """Write a calibration as JSON, atomically; InputError, with `source`, if the result would not be readable.
 
-    neighbours: indices of dots, counted row by row, a list for each dot. quality: how well the dots were detected, as
-    flat figures with units in their names. provenance: the recipe's identity, its id, when and where it was made.
+    - neighbours: indices of dots, counted row by row, a list for each dot.
+    - quality: figures on the detection of the dots, with units in their names.
+    - provenance: the recipe's identity, its id, and when and where it was made.
     """
     dots = calibration.dot_xy_px
     present = np.isfinite(dots).all(axis=2)
@@ -239,8 +243,8 @@ def write_calibration(
 
 
 def read_quality(path: Path) -> dict[str, Any]:
-    """The figures of how well the dots were detected, from a calibration that `write_calibration` wrote."""
-    table = parse_json(read_text(path, MOST_JSON_BYTES))  # was read as a calibration before
+    """Return the figures on the detection of the dots from a calibration written by `write_calibration`."""
+    table = parse_json(read_text(path, MOST_JSON_BYTES))  # already read as a calibration
     quality = table.get("quality")
     if not isinstance(quality, dict) or not all(_is_number(value) for value in quality.values()):
         raise InputError("quality is not valid", where=str(path), expected="numbers with their names")
@@ -248,19 +252,19 @@ def read_quality(path: Path) -> dict[str, Any]:
 
 
 def _rounded(dot: NDArray[np.float64]) -> list[float | None]:
-    """A centre to 0.001 px, or nulls: detection is no more accurate, and people read these files."""
+    """Return a centre rounded to 0.001 px, or nulls: detection is not more accurate, and people read these files."""
     return [round(float(value), 3) if np.isfinite(value) else None for value in dot]
 
 
 def _in_lines(value: Any) -> str:
-    """JSON with one line for every row."""
+    """Return JSON with one line for every row."""
     if isinstance(value, list) and value and isinstance(value[0], list):
         return "[\n" + ",\n".join(f"    {json.dumps(row)}" for row in value) + "\n  ]"
     return json.dumps(value)
 
 
 def _masked(dots: NDArray[np.float64], mask: Any) -> NDArray[np.float64]:
-    """The grid with NaN where the mask is false; a dot is missing in both coordinates, and not all are."""
+    """Return the grid with NaN where the mask is false; ValueError if the mask does not fit or all dots are missing."""
     masked = dots.copy()
     masked[np.isnan(dots).any(axis=2)] = np.nan
     if mask is not None:
@@ -268,7 +272,7 @@ def _masked(dots: NDArray[np.float64], mask: Any) -> NDArray[np.float64]:
         fits = isinstance(mask, list) and len(mask) == rows
         fits = fits and all(isinstance(row, list) and len(row) == columns for row in mask)
         if not fits or not all(isinstance(value, bool) for row in mask for value in row):
-            raise ValueError(f"expected a mask of {rows} rows of {columns} times true or false, found another")
+            raise ValueError(f"expected a mask of {rows} rows with {columns} values, true or false, found another")
         masked[~np.array(mask)] = np.nan
     if np.isnan(masked).all():
         raise ValueError("expected at least one dot, found all missing")
@@ -276,7 +280,7 @@ def _masked(dots: NDArray[np.float64], mask: Any) -> NDArray[np.float64]:
 
 
 def _are_numbers(values: Any) -> bool:
-    """Whether lists, in lists, hold nothing but numbers and null."""
+    """Whether nested lists contain only numbers and null."""
     return all(map(_are_numbers, values)) if isinstance(values, list) else values is None or _is_number(values)
 
 
@@ -285,7 +289,7 @@ def _is_number(value: Any) -> bool:
 
 
 def _whole(table: Any, key: str, count: int) -> tuple[int, ...]:
-    """So many whole numbers; int() would also take the digits of a string, or cut 640.7."""
+    """Return `count` whole numbers of a key; int() would also accept the digits of a string, or truncate 640.7."""
     values = table[key]
     if not isinstance(values, list) or len(values) != count or not all(_is_number(v) and v == int(v) for v in values):
         raise ValueError(f"{key} is {values}, not {count} whole numbers")
@@ -293,7 +297,7 @@ def _whole(table: Any, key: str, count: int) -> tuple[int, ...]:
 
 
 def _pixels(values: Any, width: int, height: int) -> NDArray[np.uint16]:
-    """Pixels (n, 2) of a frame as whole numbers x, y; each once."""
+    """Return pixels (n, 2) of a frame as whole numbers x, y, without duplicates."""
     pixels = [_whole({"hot_pixels": pixel}, "hot_pixels", 2) for pixel in values] if isinstance(values, list) else None
     if (
         pixels is None
@@ -305,12 +309,12 @@ def _pixels(values: Any, width: int, height: int) -> NDArray[np.uint16]:
 
 
 def _dots(values: Any) -> NDArray[np.float64]:
-    """Centres as numbers, null for a missing dot; text and truth values are refused, though numpy would take them."""
+    """Return centres as numbers, null for a missing dot; text and booleans are refused, although numpy accepts them."""
     if not _are_numbers(values):
-        raise ValueError("dot_xy_px holds something other than numbers")
+        raise ValueError("dot_xy_px contains something other than numbers")
     dots = np.asarray(values, dtype=np.float64) + 0.0  # a 0 without a sign
     if dots.size > 2 * grid.MOST_DOTS:
         raise ValueError(f"more than {grid.MOST_DOTS} dots")
     if (np.isfinite(dots) & (np.abs(dots) > MOST_PX)).any():
-        raise ValueError(f"a dot lies outside the frame, more than {MOST_PX} px away")
+        raise ValueError(f"a dot is outside the frame, more than {MOST_PX} px away")
     return dots

@@ -1,13 +1,13 @@
 """Open, check, skip and write stage files.
 
-A file is opened only if it is what the caller expects: its kind, version, header, names, dtypes and shapes are looked
-at, and that nothing in it leads elsewhere. Each dataset is looked at before it is first read: where its bytes lie, how
-they are packed, whether values make sense and fit those of others. Why not all of them at once: of a recording, whose
-32 take ten times as long, most commands read a few. Whoever vouches for a whole file asks for `check`.
+When a file is opened, its kind, version, header, names, dtypes and shapes are checked, and that nothing in it refers to
+other files. Each dataset is checked before it is first read: the location of its bytes, their compression, and whether
+its values are valid and fit those of other datasets. Not all datasets are checked at once: for the 32 datasets of a
+recording this would take ten times as long, and most commands read only a few. Use `check` to check a whole file.
 
-A file is written all-or-nothing: into a temporary file beside the target, which is renamed when it is complete. Two
-writers of the same target do not disturb each other: the later rename wins, and with the same recipe both wrote the
-same arrays.
+A file is written atomically: to a temporary file next to the target, which is renamed when it is complete. Two writers
+of the same target do not disturb each other: the later rename wins, and with the same recipe both wrote the same
+arrays.
 """
 
 import json
@@ -44,10 +44,10 @@ from evetac_cli.store.layout.rules import Rule, Shapes
 
 
 class StageFile:
-    """A stage file, open for reading: header, datasets by path."""
+    """A stage file, open for reading, with its header and datasets by path."""
 
     def __init__(self, path: Path, kind: str | tuple[str, ...] | None = None) -> None:
-        """Open and check; InputError if it is missing, not ours, of another kind, or of an earlier or newer version."""
+        """Open and check a file; InputError if it is missing, not evetac's, of another kind, or of another version."""
         self.path = Path(path)
         self._file = CheckedHdf5(self.path, "an evetac stage file", FOREIGN)
         try:
@@ -80,8 +80,8 @@ class StageFile:
         self.close()
 
     def close(self) -> None:
-        """Close the file; arrays already read stay valid."""
-        self._found.clear()  # h5py looks for whatever is still open of a file, which takes as long as opening it
+        """Close the file; arrays that were read stay valid."""
+        self._found.clear()  # otherwise h5py searches for open objects of the file, which takes as long as opening it
         self._readers.clear()
         self._file.close()
 
@@ -91,19 +91,19 @@ class StageFile:
         return str(self.header["kind"])
 
     def has(self, path: str) -> bool:
-        """Whether the file holds a dataset, or datasets in a group, of this path."""
+        """Whether the file has a dataset with this path, or datasets in a group with this path."""
         return path in self._shapes or any(name.startswith(f"{path}/") for name in self._shapes)
 
     @property
     def sensitivity(self) -> Sensitivity:
-        """What is known of how strongly the sensor answers contact."""
+        """The sensor's known sensitivity to contact."""
         return sensitivity_of({path: self.read(path) for path in DATASETS.values() if self.has(path)})
 
     def check(self) -> None:
-        """Look at every dataset as reading it does; InputError where one is damaged or makes no sense.
+        """Check every dataset as before reading it; InputError if one is damaged or invalid.
 
-        Values are read of those that are small, or have to fit others: `evetac validate` reads all. Dimensions, which
-        other programs read, are as long as the datasets.
+        Only the values of small datasets, and of those that have to fit others, are read; `evetac validate` reads all.
+        The dimensions, for other programs, must be as long as the datasets.
         """
         with damage_in_words(self.path, "its contents"):
             self._refuse_if([f"{path} is not in the schema" for path in self._file.check_left()])
@@ -113,9 +113,9 @@ class StageFile:
             self._look_at(path)
 
     def read(self, path: str, start: int = 0, stop: int | None = None) -> Any:
-        """A whole dataset, or its rows [start, stop); a str for text, a numpy scalar for a scalar.
+        """Return a whole dataset, or its rows [start, stop); a str for text, a numpy scalar for a scalar.
 
-        SchemaError where values are not what the schema allows, or do not fit those of others.
+        SchemaError if values violate the schema, or do not fit those of other datasets.
         """
         self._look_at(path)
         with damage_in_words(self.path, path):
@@ -124,7 +124,7 @@ class StageFile:
         return values
 
     def _refuse_if(self, lines: list[str]) -> None:
-        """SchemaError if there is any difference to the schema; a newer minor version only adds."""
+        """Raise SchemaError for differences from the schema; additions of a newer minor version are allowed."""
         major, minor = (int(part) for part in self.header["version"].split("."))
         known_minor = int(schema.load(self.kind).version.split(".")[1])
         if major == schema.MAJOR and minor > known_minor:
@@ -132,18 +132,18 @@ class StageFile:
         schema.refuse(self.kind, lines, str(self.path))
 
     def _look_at(self, path: str) -> None:
-        """Check a dataset before anything of it is handed out; InputError if it is none, or harms."""
+        """Check a dataset before any of it is returned; InputError if it is missing, damaged or harmful."""
         if path in self._looked_at:
             return
         if path not in self._shapes:
             raise InputError(f"{path} is not in this {self.kind}", where=str(self.path))
         with damage_in_words(self.path, path):
             self._file.check(path, self._found[path])
-        self._looked_at.add(path)  # before its values are checked, which are read for that
+        self._looked_at.add(path)  # before its values are read to be checked
         try:
             contents.check_first(self, path, self._shapes, self._passed)
         except BaseException:
-            self._looked_at.clear()  # those too that a rule has read, which it concerns
+            self._looked_at.clear()  # also datasets that a failed rule has read
             raise
 
     def _values(self, path: str, start: int, stop: int | None) -> Any:
@@ -158,7 +158,7 @@ class StageFile:
         size = max(0, stop - start) * math.prod(found.shape[1:]) * found.dtype.itemsize
         if size > MOST_READ_BYTES:
             raise InputError(
-                f"{path} is too long to be read at once",
+                f"{path} is too large to be read at once",
                 where=str(self.path),
                 expected=f"at most {MOST_READ_BYTES / 1e9:.1f} GB",
                 found=f"{size / 1e9:.1f} GB",
@@ -170,24 +170,24 @@ class StageFile:
         return array if array.dtype.isnative else array.astype(array.dtype.newbyteorder("="))
 
     def length(self, path: str) -> int:
-        """Number of rows of a dataset, all of which are there, without reading it."""
+        """Return the number of rows of a dataset, all of which are stored, without reading it."""
         self._look_at(path)
         rows: int = self._shapes[path][1][0]
         return rows
 
     def contents(self) -> dict[str, tuple[str, tuple[int, ...]]]:
-        """Path -> (dtype, shape) of every dataset; dimensions are none, as they hold no values."""
+        """Return path -> (dtype, shape) of every dataset; dimensions, which have no values, are not included."""
         return dict(self._shapes)
 
 
 def header_of(path: Path, kind: str | None = None) -> Header:
-    """The header of a stage file, of any kind or of one; InputError where it is no such file."""
+    """Return the header of a stage file, of any kind or a given one; InputError for another file."""
     with StageFile(path, kind) as file:
         return file.header
 
 
 def is_foreign(path: Path) -> bool:
-    """Whether a file is HDF5 of another program; of what cannot be read it is not known, and not said."""
+    """Whether a file is an HDF5 file of another program; False for a file that cannot be read."""
     try:
         with CheckedHdf5(path) as file:
             return file.text_attribute("header") is None
@@ -196,10 +196,10 @@ def is_foreign(path: Path) -> bool:
 
 
 def up_to_date(path: Path, recipe: Recipe, *, force: bool = False) -> bool:
-    """Whether `path` already holds the result of this recipe.
+    """Return whether `path` already has the result of this recipe.
 
-    InputError if it holds anything else, naming the first difference, unless `force`: then it will be replaced.
-    Checked before any work is done, so that a refusal comes at once and not after an hour.
+    If it has anything else: InputError with the first difference, or False with `force`, to replace it. This is checked
+    before any work is done, so that a refusal comes immediately and not after an hour.
     """
     if os.path.isdir(path):
         raise InputError("the output is a folder", where=str(path))
@@ -226,22 +226,22 @@ def up_to_date(path: Path, recipe: Recipe, *, force: bool = False) -> bool:
         return False
     if of_devices:
         raise InputError(
-            "the output exists: a recording of devices, which cannot be made again",
+            "the output exists: it is a recording of devices, which cannot be made again",
             where=str(path),
-            hint="-o NAME writes elsewhere; --force replaces it, and it is lost",
+            hint="-o NAME writes to another file; --force replaces the recording, which is then lost",
         )
     raise other_recipe(str(path), first_difference(recipe, header))
 
 
 def output_path(source: Path, kind: str, out: Path | None) -> Path:
-    """`<name>.<kind>.h5` beside the input; in the folder `out`; or the file `out` if it ends in .h5."""
+    """Return `<name>.<kind>.h5` next to the input or in the folder `out`, or `out` itself if it ends in .h5."""
     if out is not None and out.suffix == ".h5":
         return out
     return (out or source.parent) / f"{stem(source)}.{kind}.h5"
 
 
 def stem(path: Path) -> str:
-    """The name of a trial: the file name without `.<kind>.h5` (or without its suffix, for files of other programs)."""
+    """Return the name of a trial: the file name without `.<kind>.h5`, or without its suffix for other files."""
     name = path.name
     if name.endswith(".h5"):
         name = name[:-3]
@@ -252,7 +252,7 @@ def stem(path: Path) -> str:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[h5py.File]:
-    """A new HDF5 file that takes the place of `path` when the block ends well, and leaves no trace when it does not."""
+    """Yield a new HDF5 file that replaces `path` if the block succeeds, and is removed if it fails."""
     with taking_the_place_of(path) as temporary, new_file(temporary) as h5:
         yield h5
 
@@ -264,10 +264,10 @@ def write_stage(
     blocks: Iterable[Mapping[str, Any]] = (),
     lengths: Mapping[str, int] | None = None,
 ) -> Header:
-    """Check arrays against the schema of the kind, and its limits, and write them with their header, all or nothing.
+    """Check arrays against the schema of the kind and its limits, and write them with their header, atomically.
 
-    blocks: the next rows of further datasets, for results that do not fit in memory. Each of these datasets is in some
-    block, if only with no rows. lengths: how many rows each will have; one that is not named grows.
+    blocks: the next rows of further datasets, for results that do not fit in memory. Each of these datasets must be in
+    at least one block, possibly with no rows. lengths: number of rows of each; a dataset without one grows.
     """
     if lengths is not None:
         with writing(path, recipe.kind, arrays, lengths) as growing:
@@ -288,10 +288,10 @@ def write_stage(
 def writing(
     path: Path, kind: str, arrays: Mapping[str, Any], lengths: Mapping[str, int] | None = None
 ) -> Iterator["StageWriter"]:
-    """A new file of rows that come block by block; all or nothing, and nothing where it was not finished.
+    """Yield a writer for a new file whose rows come in blocks; the file appears only if the writer was finished.
 
-    arrays: the datasets that are known, among them those that others are held to, as events to the frame. lengths: how
-    many rows each of the others will have; one that is not named grows.
+    arrays: the datasets that are known, including those that others are checked against, as events against the frame.
+    lengths: number of rows of each other dataset; a dataset without one grows.
     """
     try:
         with replacing(path) as h5:
@@ -304,11 +304,11 @@ def writing(
 
 
 class _NotFinished(Exception):
-    """Whoever wrote a file found that it is not needed."""
+    """The file was not finished, because its writer does not need it."""
 
 
 class StageWriter:
-    """Writes the datasets of a file, of which it may be known at the end alone which recipe they follow."""
+    """Writes the datasets of a file whose recipe may be known only at the end."""
 
     def __init__(
         self, h5: h5py.File, path: Path, kind: str, arrays: Mapping[str, Any], lengths: Mapping[str, int]
@@ -320,7 +320,7 @@ class StageWriter:
         self._rows: dict[str, RowWriter] = {}
 
     def append(self, block: Mapping[str, Any]) -> None:
-        """Check and write the next rows of some datasets, if only none of them. Ctrl-C is heard here."""
+        """Check and write the next rows, possibly none, of some datasets. Ctrl-C is raised here."""
         leave_if_interrupted()
         for name, rows in block.items():
             if name not in self._rows:
@@ -329,7 +329,7 @@ class StageWriter:
             self._rows[name].append(rows)
 
     def finish(self, recipe: Recipe, arrays: Mapping[str, Any] | None = None) -> Header:
-        """Write the datasets that are known as a whole, more of which are in `arrays`; check all, and end the file."""
+        """Write the whole datasets, with more of them in `arrays`, check everything, and complete the file."""
         for writer in self._rows.values():
             writer.close()
         short = [
@@ -353,9 +353,9 @@ class StageWriter:
 
 
 def put_header(h5: h5py.File, header: Header) -> None:
-    """Write the header, as JSON in the attribute `header` of the root, and what other programs read (netcdf.py).
+    """Write the header, as JSON in the root's attribute `header`, and the metadata for other programs (netcdf.py).
 
-    Comes last: dimensions are those of the datasets that are there.
+    It must be called last, because the dimensions are those of the existing datasets.
     """
     h5.attrs["header"] = json.dumps(folded(header), sort_keys=True, allow_nan=False)
     netcdf.describe_file(h5, header)

@@ -1,11 +1,11 @@
-"""New folders of many files, all or nothing; and which folder may be replaced: one that is still as evetac made it.
+"""Atomic writing of folders with many files. A folder may be replaced only if it is still as evetac wrote it.
 
-Beside a folder NAME lies `.NAME.evetac-files.json`, which lists the files that evetac wrote into it: of each its size,
-and what shows that nobody changed it. A folder is replaced only if all that is in it is listed there, and unchanged.
-What somebody else put into it, or edited, is never removed: a repository, notes, a card with a paragraph of one's own.
+Next to a folder NAME is `.NAME.evetac-files.json`, which lists the files that evetac wrote into it, with their sizes
+and a mark that detects changes. A folder is replaced only if all of its files are listed and unchanged. Files that
+others added or edited are never removed: a repository, notes, a card with a paragraph added by the user.
 
-Why beside the folder and not in it: polars takes every file of a folder for a part of the data set, and what is
-uploaded from there should hold no list of ours.
+The list is next to the folder and not in it. The reasons: polars treats every file of a folder as a part of the data
+set, and the list should not be uploaded with the folder.
 """
 
 import hashlib
@@ -31,22 +31,22 @@ from evetac_cli.store.hdf5.disk import (
 from evetac_cli.text_files import parse_json, read_text
 
 LIST = ".{}.evetac-files.json"
-MOST_LIST_BYTES = 1 << 28  # of two million files
-# Files that people edit are small, and are compared byte by byte; of larger ones size and time of writing have to do.
+MOST_LIST_BYTES = 1 << 28  # enough for two million files
+# Files that people edit are small and are compared by their hash; larger ones by size and time of writing.
 MOST_COMPARED_BYTES = 1 << 20
-MOST_NAMED = 4  # of what keeps a folder from being replaced
+MOST_NAMED = 4  # files listed in the error that a folder is not replaced
 
-Listed = Mapping[str, tuple[int, str | int]]  # name from the folder on -> bytes, and SHA-256 or time of writing in ns
+Listed = Mapping[str, tuple[int, str | int]]  # path in the folder -> bytes, and SHA-256 or time of writing in ns
 
 
 def list_path(folder: Path) -> Path:
-    """Where the list of the files of a folder lies."""
+    """Return the path of the list of a folder's files."""
     folder = folder.resolve()
     return folder.with_name(LIST.format(folder.name))
 
 
 def require_replaceable(folder: Path, *, force: bool) -> None:
-    """InputError where something is there already: but for an empty folder, and with `force` one as evetac made it."""
+    """Raise InputError if `folder` exists, unless it is empty or, with `force`, unchanged since evetac wrote it."""
     if not os.path.lexists(folder):
         existing_folder(folder.parent)
         return
@@ -57,17 +57,18 @@ def require_replaceable(folder: Path, *, force: bool) -> None:
     listed = _listed(folder)
     strange = list(islice(_strange(folder, listed), MOST_NAMED + 1))
     if not force:
-        hint = "-o NAME writes elsewhere" if strange else "--force replaces it, -o NAME writes elsewhere"
+        elsewhere = "-o NAME writes to another folder"
+        hint = elsewhere if strange else f"--force replaces it, {elsewhere}"
         raise InputError("the output exists", where=str(folder), hint=hint)
     _refuse(folder, listed, strange)
 
 
 @contextmanager
 def new_folder(folder: Path, *, force: bool) -> Iterator[Path]:
-    """A new folder to write into, which takes the place of `folder` when the block ends well, and leaves no trace else.
+    """Yield a new folder, which replaces `folder` if the block succeeds, and is removed if it fails.
 
-    InputError as of `require_replaceable`, before the block and again before anything is removed; and if the disk does
-    not take it.
+    InputError as for `require_replaceable`, before the block and again before anything is removed, and if writing
+    fails.
     """
     require_replaceable(folder, force=force)
     made = missing_folders(folder.parent)
@@ -80,7 +81,7 @@ def new_folder(folder: Path, *, force: bool) -> Iterator[Path]:
             files = {name: _look(temporary / name) for name, _ in _entries(temporary)}
             unfinished.write_text(json.dumps({"files": files}, indent=0) + "\n")
             if folder.is_dir():
-                folder.replace(before)  # from here on nobody adds to it by its name
+                folder.replace(before)  # after this no program can add to it by its name
                 listed = _listed(folder)
                 _refuse(folder, listed, list(islice(_strange(before, listed), MOST_NAMED + 1)))
             temporary.replace(folder)
@@ -101,18 +102,18 @@ def _refuse(folder: Path, listed: Listed, strange: list[str]) -> None:
     if not strange:
         return
     more = ", and more" if len(strange) > MOST_NAMED else ""
-    message = "the folder holds files that evetac did not make, or that were changed since, and is not replaced"
+    message = "the folder has files that evetac did not make, or that were changed, so it is not replaced"
     raise InputError(
-        message if listed else "nothing shows that evetac made this folder, so it is not replaced",
+        message if listed else "the folder has no list of files by evetac, so it is not replaced",
         where=str(folder),
-        expected=f"files as {list_path(folder).name} lists them",
+        expected=f"files as listed in {list_path(folder).name}",
         found=", ".join(strange[:MOST_NAMED]) + more,
-        hint="-o NAME writes elsewhere; or move away what is yours",
+        hint="-o NAME writes to another folder; or move your own files away",
     )
 
 
 def _entries(folder: Path, inside: str = "") -> Iterator[tuple[str, bool]]:
-    """Name, from the folder on, of all that is no folder, in order, and whether it is a regular file."""
+    """Yield the path in the folder of everything but folders, in order, and whether it is a regular file."""
     for entry in sorted(os.scandir(folder / inside), key=lambda one: one.name):
         if entry.is_dir(follow_symlinks=False):
             yield from _entries(folder, f"{inside}{entry.name}/")
@@ -121,9 +122,9 @@ def _entries(folder: Path, inside: str = "") -> Iterator[tuple[str, bool]]:
 
 
 def _strange(folder: Path, listed: Listed) -> Iterator[str]:
-    """What is in a folder and not as it was listed; of a folder none of whose files is listed the folder alone.
+    """Yield the entries of a folder that are not listed or were changed; a subfolder without listed files only once.
 
-    An index of ours is none of it: looking at a folder makes one.
+    An index by evetac does not count, since `info` creates one.
     """
     own = {name.partition("/")[0] for name in listed}
     said = set()
@@ -158,7 +159,7 @@ def _digest(path: Path) -> str:
 
 
 def _listed(folder: Path) -> Listed:
-    """The files that evetac wrote into a folder; none where there is no list that can be read."""
+    """Return the files that evetac wrote into a folder; none if there is no readable list."""
     try:
         said: Any = parse_json(read_text(list_path(folder), MOST_LIST_BYTES), most_values=math.inf)
         files = said["files"]

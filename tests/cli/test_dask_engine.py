@@ -120,7 +120,7 @@ def test_what_is_no_scheduler_is_refused_in_words(server: Any, monkeypatch: pyte
 def test_a_cluster_with_certificates_is_not_asked_without(monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that tls:// is refused where Dask's settings name no certificate, or one that is not there."""
     dask = pytest.importorskip("dask")
-    with pytest.raises(InputError, match="asks for a certificate"):
+    with pytest.raises(InputError, match="requires a certificate"):
         dask_engine._require_scheduler("tls://127.0.0.1:1")
     with (
         dask.config.set({"distributed.comm.tls.ca-file": "/none.pem", "distributed.comm.tls.client.cert": "/none.pem"}),
@@ -482,7 +482,7 @@ def test_a_cluster_with_certificates(
     address = json.loads(scheduler.read_text())["address"]
     assert address.startswith("tls://127.0.0.1:")
     refused = run(started, tmp_path, f"dask:{address}", "quick-1").ended()
-    assert "asks for a certificate" in refused["ended"] and refused["jobs"] == {}
+    assert "requires a certificate" in refused["ended"] and refused["jobs"] == {}
     refused = run(started, tmp_path, f"dask:{address.replace('tls', 'tcp')}", "quick-1").ended()
     assert "no Dask scheduler answers" in refused["ended"] and "Traceback" not in refused["said"]
     for name, value in tls.items():

@@ -159,7 +159,7 @@ def test_a_quiet_doctor_prints_nothing(monkeypatch: pytest.MonkeyPatch, tmp_path
 @pytest.mark.parametrize(("path", "command"), [*COMMANDS, (["report"], REPORT), (["share"], SHARE)])
 def test_help_says_of_folders_what_is_done_with_them(path: list[str], command: Command, tmp_path: Path) -> None:
     """Assert that help speaks of the files in a folder where these are taken, and only there."""
-    sentence = f"A folder stands for the {command.kind} files in it."
+    sentence = f"For a folder, all {command.kind} files in it are used."
     text = " ".join(evetac(*path, "--help").stdout.replace("│", " ").split())
     assert (sentence in text) == bool(command.files and command.kind)
     if sentence in text:

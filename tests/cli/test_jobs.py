@@ -159,7 +159,7 @@ def test_a_worker_that_is_killed_is_said_in_words_and_others_go_on(tmp_path: Pat
     assert not reported["interrupted"]
     assert {name for name, result in reported["jobs"].items() if result == "made"} == {"quick-1", "quick-2", "quick-3"}
     for name in ("killed-1", "killed-2"):
-        assert "the process that worked on it died" in reported["jobs"][name]
+        assert "worker process died" in reported["jobs"][name]
         assert f"{name}.h5" in reported["jobs"][name]
         assert "SIGKILL" in reported["jobs"][name]
 

@@ -122,7 +122,7 @@ def test_a_session_at_80_columns(tmp_path: Path) -> None:
     shown = session(tmp_path, "train", "data", "--max-steps", "300", "--preset", "adam", "-o", "m.model.h5")
     check_bars(shown)
     assert "note: checkpoint and threshold are chosen on 1 trajectory" in " ".join(shown.plain.split())
-    assert shown.first_s("loading torch|files looked at") < shown.first_s("files read") < shown.first_s("/300 steps")
+    assert shown.first_s("loading torch|files inspected") < shown.first_s("files read") < shown.first_s("/300 steps")
     assert shown.last_line == "m.model.h5"
     shown = session(tmp_path, "grasp", "--lift-s", "1", "--balance-s", "1", "-o", "grasps")
     check_bars(shown)

@@ -39,33 +39,33 @@ def without_needs(params: type) -> set[str]:
     ("run", "option", "flag", "belongs"),
     [
         ({}, {"seconds": 3.0}, "--seconds", "a device .* or --preview"),
-        ({}, {"closing_ma": 20}, "--closing-ma", "a gripper that is moved"),
+        ({}, {"closing_ma": 20}, "--closing-ma", "a gripper that moves"),
         ({}, {"calibration": Path("a.json")}, "--calibration", "an import .* or a recording from a device"),
         ({}, {"stream": "a"}, "--stream", "an import"),
         ({}, {"frame_size": "640x480"}, "--frame-size", "an import"),
         ({}, {"resume": True}, "--resume", "a recording from a device"),
-        ({}, {"threshold_on": 3}, "--threshold-on", "a camera that can be set up"),
+        ({}, {"threshold_on": 3}, "--threshold-on", "a camera with settings"),
         (FILE, {"seconds": 3.0}, "--seconds", "a device"),
         (FILE, {"objects": "3"}, "--object", "a simulated scene"),
         (FILE, {"scene": "data-rate"}, "--scene", "a simulated scene"),
         (FILE, {"count": 2}, "--count", "a simulated scene .* or a device"),
         (FILE, {"live": True}, "--live", "a simulated scene .* or a recording from a device"),
         ({"live": True}, {"seconds": 3.0}, "--seconds", "a device .* or --preview"),
-        ({}, {"live_in": "browser"}, "--live-in", "what is shown"),
-        (REPLAY, {"readout_rate": "variable-5000"}, "--readout-rate", "a camera that can be set up"),
+        ({}, {"live_in": "browser"}, "--live-in", "a live view"),
+        (REPLAY, {"readout_rate": "variable-5000"}, "--readout-rate", "a camera with settings"),
         (REPLAY, {"sensor": "second"}, "--sensor", "a simulated scene"),
         (PREPARED, {"scene": "data-rate"}, "--scene", "a simulated scene"),
-        ({"camera": "dvxplorer"}, {"lowest_ma": 3.0}, "--lowest-ma", "a gripper that is moved"),
+        ({"camera": "dvxplorer"}, {"lowest_ma": 3.0}, "--lowest-ma", "a gripper that moves"),
         ({"camera": "dvxplorer"}, {"sort": True}, "--sort", "an import"),
-        ({"camera": "virtual"}, {"tones": "200"}, "--tone", "a simulated scene in its own time"),
+        ({"camera": "virtual"}, {"tones": "200"}, "--tone", "in simulated time"),
         (PREVIEW, {"expected_event_rate": 1e4}, "--expected-event-rate", "a recording from a device"),
-        ({**PREVIEW, "gripper": "/dev/ttyUSB0"}, {"hold_s": 3.0}, "--hold-s", "a gripper that is moved"),
+        ({**PREVIEW, "gripper": "/dev/ttyUSB0"}, {"hold_s": 3.0}, "--hold-s", "a gripper that moves"),
     ],
 )
 def test_options_of_another_source(run: dict[str, Any], option: dict[str, Any], flag: str, belongs: str) -> None:
-    """Assert that an option without effect is refused by name, with what it belongs to; without it all is well."""
+    """Assert that an option without effect is refused by name, with what it needs; without it all is well."""
     refuse_unused(Record(**run))
-    with pytest.raises(InputError, match=f"^{flag}: has no effect in this run: it belongs to .*{belongs}"):
+    with pytest.raises(InputError, match=f"^{flag}: has no effect in this run: it needs .*{belongs}"):
         record.jobs([], Record(**run, **option), None)
 
 
@@ -106,7 +106,7 @@ def test_every_option_belongs_somewhere() -> None:
 )
 def test_what_belongs_to_a_moving_gripper(camera: str, option: dict[str, Any], flag: str) -> None:
     """Assert that a grasp in which nothing moves refuses what is for devices, and that one with devices does not."""
-    with pytest.raises(InputError, match=f"^{flag}: has no effect in this run: it belongs to a grasp with devices"):
+    with pytest.raises(InputError, match=f"^{flag}: has no effect in this run: it needs a grasp with devices"):
         grasp.jobs([], Grasp(camera=camera, **option), None)
     refuse_unused(Grasp(camera="virtual", **option))
 
@@ -115,7 +115,7 @@ def test_what_belongs_to_a_moving_gripper(camera: str, option: dict[str, Any], f
 def test_what_belongs_to_a_simulated_grasp(option: dict[str, Any]) -> None:
     """Assert that an object or a gel is chosen where they are simulated, and refused where they are what they are."""
     for camera in ("dvxplorer", "replay:a.recording.h5", "virtual:prepared"):
-        with pytest.raises(InputError, match="it belongs to a simulated scene"):
+        with pytest.raises(InputError, match="it needs a simulated scene"):
             refuse_unused(Grasp(camera=camera, **option))
     for camera in ("sim", "virtual"):
         refuse_unused(Grasp(camera=camera, **option))
@@ -124,18 +124,18 @@ def test_what_belongs_to_a_simulated_grasp(option: dict[str, Any]) -> None:
 @pytest.mark.parametrize(
     ("run", "option", "belongs"),
     [
-        ({}, {"sensor": "evetac"}, "an adaptation of touch maps"),
-        ({}, {"height_mm": 3.0}, "an adaptation of touch maps"),
-        ({"method": "touch"}, {"stiffness_error": 0.2}, "of which something is known"),
-        ({"method": "touch"}, {"epochs": 3}, "a training by the paper's method"),
-        ({"method": "touch"}, {"samples": 30}, "a training by the paper's method"),
+        ({}, {"sensor": "evetac"}, "touch-map method"),
+        ({}, {"height_mm": 3.0}, "touch-map method"),
+        ({"method": "touch"}, {"stiffness_error": 0.2}, "a known sensor"),
+        ({"method": "touch"}, {"epochs": 3}, "the paper's method"),
+        ({"method": "touch"}, {"samples": 30}, "the paper's method"),
     ],
 )
 def test_options_of_another_training(run: dict[str, Any], option: dict[str, Any], belongs: str) -> None:
     """Assert that an option that does nothing in a training of forces is refused by name, before files are read."""
     train_force._refuse_unused(TrainForce(**run))
     flag = "--" + next(iter(option)).replace("_", "-")
-    with pytest.raises(InputError, match=f"^{flag}: has no effect in this run: it belongs to .*{belongs}"):
+    with pytest.raises(InputError, match=f"^{flag}: has no effect in this run: it needs .*{belongs}"):
         train_force.jobs([Path("a.tracks.h5")], TrainForce(**run, **option), None)
     assert without_needs(TrainForce) == {"noise_n", "seed"}
 
@@ -147,7 +147,7 @@ def test_options_of_another_prediction() -> None:
     for chosen, flag in (
         (PredictTouch(stiffness_error=0.2), r"--stiffness-error: has no effect .* \(--sensor\)"),
         (PredictTouch(model=Path("own.force-model.h5"), print_depth_mm=0.5), "--print-depth-mm: has no effect"),
-        (PredictTouch(model=Path("own.force-model.h5"), sensor="evetac"), "--sensor: an adapted model has"),
+        (PredictTouch(model=Path("own.force-model.h5"), sensor="evetac"), "--sensor: an adapted model"),
     ):
         with pytest.raises(InputError, match=f"^{flag}"):
             predict_touch.jobs(files, chosen, None)

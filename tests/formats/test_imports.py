@@ -666,7 +666,7 @@ def test_links_to_elsewhere_are_not_followed(dsec: Callable[..., Path], tmp_path
         file.create_dataset("events/p", (3,), "u1", external=[(str(tmp_path / "raw"), 0, 3)])
 
     assert "`events/p` is a link" in refusal(dsec(link, p=None), frame_px=FRAME)
-    assert "lies in another file" in refusal(dsec(external, p=None), frame_px=FRAME)
+    assert "stored in another file" in refusal(dsec(external, p=None), frame_px=FRAME)
 
 
 def test_rows_that_were_never_written_are_refused(dsec: Callable[..., Path]) -> None:

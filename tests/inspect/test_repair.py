@@ -162,12 +162,12 @@ def test_nothing_to_repair(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no such file"):
         repair.run([tmp_path / "nothing"])
     (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match="not what a recording left"):
+    with pytest.raises(InputError, match="not the folder of an interrupted recording"):
         repair.run([tmp_path / "file"])
     (tmp_path / "file.part").write_text("")
     none, file, empty = repair.run([tmp_path / f"{name}.part" for name in ("no", "file", "a.recording")]).rows
     assert "no such file" in none["fault"]
-    assert "not what a recording left" in file["fault"]
+    assert "not the folder of an interrupted recording" in file["fault"]
     assert "no slice of it can be read" in empty["fault"]
     (tmp_path / "sub").mkdir()
     assert repair.run([tmp_path / "sub"]).rows == []
@@ -341,7 +341,7 @@ def test_odd_locks_do_not_hold_a_recording_up(tmp_path: Path, odd: Callable[[Pat
     folder.mkdir()
     (folder / "lock").touch()
     odd(folder / "lock")
-    with pytest.raises(InputError, match="cannot be made"):
+    with pytest.raises(InputError, match="cannot be created"):
         RecordingWriter(tmp_path / "a.recording.h5", STATIC)
 
 

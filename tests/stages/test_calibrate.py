@@ -149,7 +149,7 @@ def test_again_and_otherwise(seen: Show, tmp_path: Path) -> None:
     forced = Calibrate(irregular=True)
     assert run_stage(calibrate, [short], forced, path, force=True)[1].made
     path.write_text("{}")
-    with pytest.raises(InputError, match="no calibration made by evetac"):
+    with pytest.raises(InputError, match="not a calibration made by evetac"):
         calibrated(short)
     assert sorted(file.name for file in tmp_path.iterdir()) == ["part.recording.h5", "part.recording.json"]
 
@@ -288,7 +288,7 @@ def test_the_size_that_is_said(seen: Show, truth: Grid) -> None:
 def test_half_a_gel_is_refused(seen: Show, part: NDArray[np.bool_]) -> None:
     """Assert that a gel of which a part was not pressed is not taken for a whole one, nor a lost first column."""
     path = seen(part)
-    with pytest.raises(InputError, match="press over the whole gel"):
+    with pytest.raises(InputError, match="press on the whole gel"):
         calibrated(path)
     assert not path.with_suffix(".json").exists()
 
@@ -393,7 +393,7 @@ def test_larger_frame(
     larger = tuple(RestImage(*(np.pad(side, ((60, 60), (80, 80))) for side in half)) for half in halves)
     monkeypatch.setattr(gel_at_rest, "rest_images", lambda recording, progress: larger)
     path = recorded(tmp_path / "large.recording.h5", empty(), (800, 600))
-    with pytest.raises(InputError, match=r"room for more dots(.|\n)*--rows 7 --columns 9 --gel closed"):
+    with pytest.raises(InputError, match=r"space for more dots(.|\n)*--rows 7 --columns 9 --gel closed"):
         calibrated(path)
     row, made = calibrated(path, rows=7, columns=9, gel="closed")
     assert (row["dots"], row["missing_dots"], row["notes"]) == (63, 0, None)
@@ -501,7 +501,7 @@ def test_command_line(tmp_path: Path) -> None:
     for arguments, words in (
         ([], "or --import FILE"),
         (["--import", str(hostile)], "os.system"),
-        (["--import", str(hostile), str(hostile)], "takes neither recordings"),
+        (["--import", str(hostile), str(hostile)], "recordings or a default grid"),
         (["a.recording.h5", "-o", "b.h5"], "a name that ends in .json"),
         (["a.recording.h5", "b.recording.h5", "-o", "b.json"], "cannot hold several"),
         (["nowhere.recording.h5"], "no such file"),

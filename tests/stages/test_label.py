@@ -93,7 +93,7 @@ def test_truth_from_the_first_slice(made: Made, tmp_path: Path) -> None:
         expected[early] = -1
         np.testing.assert_array_equal(labels.read("label")[: onset + 15], expected)
     assert row["onset_ms"] == onset
-    with pytest.raises(InputError, match="only the truth is known before the ramp"):
+    with pytest.raises(InputError, match="--from-start"):
         label_of(made.recordings[0], tmp_path / "other", method="event-flow", from_start=True)
 
 

@@ -98,7 +98,7 @@ def test_dots_in_no_grid(tmp_path: Path) -> None:
     )
     with pytest.raises(InputError, match="more than 256 dots"):
         read(tmp_path, {**GOOD, "radius_px": 0.5, "dot_xy_px": [[*places.tolist(), [1.0, 1.0]]]})
-    with pytest.raises(InputError, match="dots in no grid are one row"):
+    with pytest.raises(InputError, match="dots without a grid as one row"):
         read(tmp_path, {**GOOD, "radius_px": 0.5, "dot_xy_px": places.tolist()})
 
 
@@ -177,7 +177,7 @@ def test_up_to_date(tmp_path: Path) -> None:
     for content in ("", "{}", "[]", '{"provenance": {}}', '{"provenance": {"id": 3}}', json.dumps(GOOD)):
         path.write_text(content)
         assert not up_to_date(path, recipe, force=True)
-        with pytest.raises(InputError, match="no calibration made by evetac"):
+        with pytest.raises(InputError, match="not a calibration made by evetac"):
             up_to_date(path, recipe)
     with pytest.raises(InputError, match="is a folder"):
         up_to_date(tmp_path, recipe, force=True)
@@ -213,8 +213,8 @@ FAULTS: dict[str, tuple[Any, str]] = {
     "radius list": ({**GOOD, "radius_px": [20.5]}, "radius_px is not valid"),
     "radius zero": ({**GOOD, "radius_px": 0}, "radius_px is not valid"),
     "radius negative": ({**GOOD, "radius_px": -1.5}, "radius_px is not valid"),
-    "radius NaN": ({**GOOD, "radius_px": float("nan")}, "NaN is no number of JSON"),
-    "radius infinite": ({**GOOD, "radius_px": float("inf")}, "Infinity is no number of JSON"),
+    "radius NaN": ({**GOOD, "radius_px": float("nan")}, "NaN is not allowed in JSON"),
+    "radius infinite": ({**GOOD, "radius_px": float("inf")}, "Infinity is not allowed in JSON"),
     "radius beyond float": ({**GOOD, "radius_px": 10**400}, "more than 64 bits"),
     "window of three": ({**GOOD, "window_px": [540, 0, 640]}, "window_px"),
     "window as text": ({**GOOD, "window_px": "1234"}, "window_px"),
@@ -256,17 +256,17 @@ FAULTS: dict[str, tuple[Any, str]] = {
     "dots as text": ({**GOOD, "dot_xy_px": [["50", "40"], ["110", "40"]]}, "not a calibration"),
     "dots of truth": ({**GOOD, "dot_xy_px": [[True, False]]}, "not a calibration"),
     "dots beyond float": ({**GOOD, "dot_xy_px": [[10**400, 1], *FLAT]}, "not a calibration"),
-    "dot infinite": ({**GOOD, "dot_xy_px": [[float("inf"), 40], *FLAT[1:]]}, "is no number of JSON"),
-    "dot NaN": ({**GOOD, "dot_xy_px": [[float("nan"), 40], *FLAT[1:]]}, "is no number of JSON"),
-    "nested infinite": ({**GOOD, "dot_xy_px": [[[50, 40], [float("inf"), 40]]]}, "is no number of JSON"),
+    "dot infinite": ({**GOOD, "dot_xy_px": [[float("inf"), 40], *FLAT[1:]]}, "is not allowed in JSON"),
+    "dot NaN": ({**GOOD, "dot_xy_px": [[float("nan"), 40], *FLAT[1:]]}, "is not allowed in JSON"),
+    "nested infinite": ({**GOOD, "dot_xy_px": [[[50, 40], [float("inf"), 40]]]}, "is not allowed in JSON"),
     "nested by columns": ({**GOOD, "dot_xy_px": GRID.transpose(1, 0, 2).tolist()}, "do not form a grid"),
     "nested from below": ({**GOOD, "dot_xy_px": GRID[::-1].tolist()}, "do not form a grid"),
     "a dot less": ({**GOOD, "dot_xy_px": FLAT[1:]}, "do not form a grid"),
     "a dot twice": ({**GOOD, "dot_xy_px": [FLAT[0], *FLAT]}, "do not form a grid"),
     "a dot less in every row": ({**GOOD, "dot_xy_px": [*FLAT[1:5], *FLAT[6:10], *FLAT[11:]]}, "do not form a grid"),
     "x and y exchanged": ({**GOOD, "frame_px": [640, 200], "dot_xy_px": GRID[..., ::-1].tolist()}, ""),
-    "outside to the right": ({**GOOD, "frame_px": [230, 480]}, "a dot lies outside the frame"),
-    "outside to the left": ({**GOOD, "dot_xy_px": (GRID - 51).reshape(-1, 2).tolist()}, "a dot lies outside the frame"),
+    "outside to the right": ({**GOOD, "frame_px": [230, 480]}, "a dot is outside the frame"),
+    "outside to the left": ({**GOOD, "dot_xy_px": (GRID - 51).reshape(-1, 2).tolist()}, "a dot is outside the frame"),
 }  # fmt: skip
 
 

@@ -151,7 +151,7 @@ def test_what_evetac_did_not_make_is_left_as_it_is(name: str, folder: Path) -> N
     before = path.lstat()
     assert not index.is_index(path)
     for shown, words in answers(folder).values():
-        assert "evetac did not make" in words
+        assert "was not made by evetac" in words
         assert all(row.get("read", 2) == 2 and not row.get("stored") for row in shown["rows"])
     assert rows(folder) == right
     now = path.lstat()

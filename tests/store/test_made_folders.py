@@ -56,11 +56,11 @@ CHANGES = {
     "a link in place of a file": (link, "README.md"),
     "a pipe": (lambda folder: os.mkfifo(folder / "pipe"), "pipe"),
     "a file in a new folder, deep": (add("data/deep/er/notes.txt"), "data/deep/er/notes.txt"),
-    "a list that is gone": (lambda folder: list_path(folder).unlink(), "nothing shows that evetac made"),
-    "a list that is none": (lambda folder: list_path(folder).write_text("[1, 2"), "nothing shows that evetac made"),
+    "a list that is gone": (lambda folder: list_path(folder).unlink(), "no list of files by evetac"),
+    "a list that is none": (lambda folder: list_path(folder).write_text("[1, 2"), "no list of files by evetac"),
     "a list of odd things": (
         lambda folder: list_path(folder).write_text('{"files": {"README.md": 3}}'),
-        "nothing shows that evetac made",
+        "no list of files by evetac",
     ),
     "a list of another folder": (
         lambda folder: list_path(folder).write_text(json.dumps({"files": {"x.txt": [1, "0"]}})),

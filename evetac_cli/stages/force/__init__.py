@@ -1,1 +1,1 @@
-"""Shear force: train a model on shear recordings, predict the force from any tracks."""
+"""Shear force: train a model on shear recordings, and predict the force from any tracks."""

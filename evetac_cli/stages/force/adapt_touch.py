@@ -1,7 +1,7 @@
-"""train-force --method touch: the scale of touch maps, corrected for one sensor by recordings under known forces.
+"""train-force --method touch: correct the scale of touch maps for one sensor, by recordings under known forces.
 
-What is known of the gel before, of all gels or by `--sensor`, counts as much as it is sure: a minute of readings moves
-the stiffness most, creep less, and offsets only where the readings insist.
+Prior knowledge of the gel, general or from `--sensor`, is weighted by its certainty. A minute of readings changes the
+stiffness most, creep less, and offsets only if the readings clearly require it.
 """
 
 from collections.abc import Callable, Sequence
@@ -32,20 +32,20 @@ Fold = Callable[[GelWeights, StageFile], "Slices"]
 OUTPUT = "force-model"
 METHOD = 1
 SHORTEST_CONTACT_MS = 200
-GAP_MS = 200  # a shorter time without contact, as dots that are lost for a moment make it, divides no contact
-CONTACT_READING_N = 0.5  # a normal force that was measured tells contact better than dots do
-READING_LASTS_MS = 1000  # until the next one, at most
+GAP_MS = 200  # a shorter time without contact, for example while dots are lost briefly, does not divide a contact
+CONTACT_READING_N = 0.5  # measured normal force that counts as contact; it is more reliable than the dots
+READING_LASTS_MS = 1000  # longest time for which a reading is valid if no other follows
 
 
 def job(files: list[Path], params: TrainForce, out: Path | None) -> Job:
-    """One model from all tracks files: `own.force-model.h5` beside the first."""
+    """Return the job of one model from all tracks files: `own.force-model.h5` next to the first."""
     predict_touch.check_depth(params.print_depth_mm, params.height_mm)
     output = out if out is not None and out.suffix == ".h5" else (out or files[0].parent) / f"own.{OUTPUT}.h5"
     return Job(tuple(files), output)
 
 
 def run(job: Job, params: TrainForce, *, force: bool, progress: Progress = silent) -> Outcome:
-    """Correct what is known of the gel, and store it as a model."""
+    """Correct the prior knowledge of the gel by the readings, and store the result as a model."""
     known = known_gel.known_of(params.sensor)
     headers, names, sources = [], [], []
     for path in job.inputs:
@@ -101,7 +101,7 @@ def _kpa(gel: GelWeights) -> float:
 
 
 def adapted(gel: GelWeights, known: KnownForces, noise_n: float) -> GelWeights:
-    """The weights and errors after known forces."""
+    """Return the weights and errors corrected by known forces."""
     scale, errors = gel_forces.adapt(gel.scale, gel.errors, known, noise_n)
     return gel._replace(scale=scale, errors=errors)
 
@@ -114,10 +114,11 @@ def known_forces(
     progress: Progress = silent,
     fold: Fold | None = None,
 ) -> tuple[KnownForces, list[Path]]:
-    """Terms and readings of all contacts in tracks files, and the files without any; InputError where all are.
+    """Return terms and readings of all contacts in tracks files, and the files without any; InputError if none has any.
 
-    noise_n: sd in N that is added to the truth of simulated recordings. What is read where no dot tells of a touch is
-    left out. fold: touch_fold.slices_of, or what remembers its results.
+    Readings without contact by the dots are left out.
+    noise_n: standard deviation, in N, of noise that is added to the truth of simulated recordings.
+    fold: touch_fold.slices_of, or a function that caches its results.
     """
     from evetac_cli.stages.touch import touch_fold  # brings scipy
 
@@ -153,7 +154,7 @@ def known_forces(
     whole = KnownForces(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
     if not len(whole.contact):
         raise InputError(
-            "no reading is during a contact",
+            "there is no reading during a contact",
             where=f"{paths[0]} and {len(paths) - 1} more" if len(paths) > 1 else str(paths[0]),
             expected=f"contacts of {SHORTEST_CONTACT_MS} ms or more, with readings",
         )
@@ -161,7 +162,7 @@ def known_forces(
 
 
 def _touches(dots_say: NDArray[np.bool_], read: Readings) -> NDArray[np.bool_]:
-    """Whether there is contact in each slice: by the normal force where it was measured, else by the dots."""
+    """Return whether there is contact in each slice: by the normal force if it was measured, else by the dots."""
     touches = dots_say.copy()
     until = np.append(read.slice_[1:], len(touches))
     for first, end, normal_n in zip(read.slice_, until, read.normal_n, strict=True):
@@ -171,7 +172,7 @@ def _touches(dots_say: NDArray[np.bool_], read: Readings) -> NDArray[np.bool_]:
 
 
 def contact_numbers(touches: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """The number of the contact that each slice belongs to, or -1; short gaps divide none, short contacts are none."""
+    """Return the number of each slice's contact, or -1; short gaps are ignored, and short contacts do not count."""
     numbers = np.full(len(touches), -1)
     edges = np.flatnonzero(np.diff(touches, prepend=False, append=False))
     begins, ends = edges[::2], edges[1::2]

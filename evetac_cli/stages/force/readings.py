@@ -1,8 +1,9 @@
-"""What a force sensor read during a recording: from a table beside its tracks, or the truth of a simulation with noise.
+"""Force-sensor readings of a recording, from a table next to its tracks, or from a simulation's truth with noise.
 
-The table is `NAME.force.csv` beside `NAME.tracks.h5`: a first line `t_s,shear_x_n,shear_y_n,normal_n`, then a line for
-each reading. t_s is from the start of the recording; a force that was not measured is left empty. Shear is what the
-object does to the gel, x to the right and y down in the image, as `truth/shear_force_n` of simulated recordings.
+The table is `NAME.force.csv` next to `NAME.tracks.h5`, with a first line `t_s,shear_x_n,shear_y_n,normal_n`, then a
+line for each reading. The time t_s begins at the start of the recording. A force that was not measured is left empty.
+Shear is the force of the object on the gel, x to the right and y down in the image, as `truth/shear_force_n` of
+simulated recordings.
 """
 
 import csv
@@ -21,13 +22,13 @@ from evetac_cli.store.files import StageFile, stem
 from evetac_cli.text_files import read_text
 
 COLUMNS = ["t_s", "shear_x_n", "shear_y_n", "normal_n"]
-EVERY = 40  # slices from one reading that is used to the next
+EVERY = 40  # slices between two used readings
 MOST_BYTES = 1 << 26
 LARGEST_N = 1e4
 
 
 class Readings(NamedTuple):
-    """Forces in N at some slices, NaN where one was not measured."""
+    """Forces in N at some slices, NaN if not measured."""
 
     slice_: NDArray[np.int64]  # (n,)
     shear_n: Floats  # (n, 2)
@@ -35,18 +36,18 @@ class Readings(NamedTuple):
 
 
 def table_beside(tracks: Path) -> Path:
-    """Where the readings of a tracks file lie, if there are any."""
+    """Return the path of a tracks file's table of readings, which may not exist."""
     return tracks.with_name(f"{stem(tracks)}.force.csv")
 
 
 def digest(tracks: Path) -> str:
-    """What identifies the readings of a tracks file in a recipe: their table's content, or that they are the truth."""
+    """Return the identity of a tracks file's readings for a recipe: the hash of their table, or `truth`."""
     table = table_beside(tracks)
     return hashlib.sha256(read_text(table, MOST_BYTES).encode()).hexdigest() if table.exists() else "truth"
 
 
 def read(tracks: StageFile, noise_n: float, rng: np.random.Generator) -> Readings:
-    """Readings for a tracks file, one every 40 ms at most; InputError if there is neither a table nor truth."""
+    """Return the readings of a tracks file, at most one per 40 ms; InputError if there is neither a table nor truth."""
     table = table_beside(tracks.path)
     if table.exists():
         return _from_table(table, tracks.length("dot_xy_px"))
@@ -70,13 +71,13 @@ def read(tracks: StageFile, noise_n: float, rng: np.random.Generator) -> Reading
 
 
 def _from_table(path: Path, slices: int) -> Readings:
-    """The first reading of each 40 ms that has one; lines without a force are left out. InputError for any other text.
+    """Return the first reading of each 40 ms; lines without a force are left out. InputError for any other text.
 
-    slices: of the recording, in which all readings must lie.
+    slices: length of the recording, within which all readings must be.
     """
-    text = read_text(path, MOST_BYTES).removeprefix("\ufeff")  # as Excel writes
+    text = read_text(path, MOST_BYTES).removeprefix("\ufeff")  # written by Excel
     if "\0" in text:
-        raise InputError("not a table of forces: it holds bytes of value 0", where=str(path))
+        raise InputError("not a table of forces: it contains bytes of value 0", where=str(path))
     try:
         lines = list(csv.reader(text.splitlines()))
     except csv.Error as error:
@@ -95,20 +96,20 @@ def _from_table(path: Path, slices: int) -> Readings:
         except ValueError:
             row = []
         if len(row) != len(COLUMNS) or np.isinf(row).any() or np.isnan(row[0]) or np.nanmax(np.abs(row)) > LARGEST_N:
-            expected = f"four finite numbers of at most {LARGEST_N:g}, the forces empty where not measured"
+            expected = f"four finite numbers of at most {LARGEST_N:g}, with forces left empty if not measured"
             written = ",".join(line)[:80]
             raise InputError("not a reading", where=f"{path}, line {number}", expected=expected, found=written)
         if not 0 <= row[0] * SLICES_PER_S < slices:
             written = f"{row[0]:g} s"
             expected = f"a time within the recording, 0 to {slices / SLICES_PER_S:g} s"
             raise InputError(
-                "a reading beside the recording", where=f"{path}, line {number}", expected=expected, found=written
+                "a reading outside the recording", where=f"{path}, line {number}", expected=expected, found=written
             )
         rows.append(row)
     values = np.array(rows).reshape(-1, len(COLUMNS))
     values = values[np.isfinite(values[:, 1:]).any(axis=1)]
     if not len(values):
-        raise InputError("a table of forces without a reading", where=str(path))
+        raise InputError("the table of forces has no reading", where=str(path))
     slice_ = np.floor(values[:, 0] * SLICES_PER_S + 1e-6).astype(np.int64)  # 1.001 s is slice 1001
     _, kept = np.unique(slice_ // EVERY, return_index=True)
     return Readings(slice_[kept], values[kept, 1:3], values[kept, 3])

@@ -1,9 +1,9 @@
 """train-force: force from the displacements of dots (paper, "Dot-based Shear Force Reconstruction").
 
-The paper's method is here, the adaptation of touch maps to one's own sensor in adapt_touch. The paper's: two models
-into one file: a linear regression on the mean displacement, fitted to all trajectories, and the paper's
-network, trained on all but the last, on which the best epoch is chosen. The target is the reading of a force sensor:
-the true force of a simulated recording, with noise.
+This module has the paper's method; adapt_touch.py adapts touch maps to a user's sensor. The paper's method writes two
+models to one file: a linear regression and the paper's network. The regression on the mean displacement is fitted to
+all trajectories. The network is trained on all but the last, which is used to choose the best epoch. The target is the
+reading of a force sensor: the true force of a simulated recording, with noise.
 """
 
 from pathlib import Path
@@ -30,21 +30,21 @@ from evetac_cli.store.layout.provenance import Header, Recipe
 
 OUTPUT = "force-model"
 METHOD = 1
-SAMPLE_MS = 40  # samples lie at the frames of a 25 Hz sensor, also for tracks from events
+SAMPLE_MS = 40  # samples are at the frames of a 25 Hz sensor, also for tracks from events
 LAYERS = 3
-OF_THE_PAPER = ("samples", "noise_n", "epochs", "seed")  # parameters of its method
+OF_THE_PAPER = ("samples", "noise_n", "epochs", "seed")  # parameters of the paper's method
 
 
 class ForceSamples(NamedTuple):
-    """Samples of one trajectory, to train a force model on or to evaluate it."""
+    """Samples of one trajectory, to train or evaluate a force model."""
 
     slice_: NDArray[np.int64]  # (samples,)
     moved_px: Floats  # (samples, dots, 2)
-    force_n: Floats  # (samples, 2), as a force sensor reads it
+    force_n: Floats  # (samples, 2), with the noise of a force sensor
 
 
 class ForceModel(NamedTuple):
-    """The contents of a force-model file of the paper's method: both models, and the sensor that they are for."""
+    """The contents of a force-model file of the paper's method: both models, and the sensor for which they are."""
 
     sensor: str
     sensor_name: str
@@ -54,7 +54,7 @@ class ForceModel(NamedTuple):
 
 
 def _refuse_unused(params: TrainForce) -> None:
-    """InputError for an option that has no effect in this training."""
+    """Raise InputError for an option that has no effect in this training."""
     has = {TouchOption.TOUCH if params.method == "touch" else TouchOption.PAPER}
     flags = f"--method {params.method}"
     if params.method == "touch":
@@ -64,14 +64,14 @@ def _refuse_unused(params: TrainForce) -> None:
 
 
 def jobs(files: list[Path], params: TrainForce, out: Path | None) -> list[Job]:
-    """One model from all tracks files together: `shear.force-model.h5` beside the first, or `own.force-model.h5`."""
+    """Return the job of one model from all tracks files: `shear.force-model.h5` or `own.force-model.h5`."""
     _refuse_unused(params)
     if params.method == "touch":
         return [adapt_touch.job(files, params, out)]
     if len(files) < 2:
         raise InputError(
             "no file is left to hold out",
-            expected="at least two tracks files, of a trajectory each",
+            expected="at least two tracks files, one per trajectory",
             found="one",
             hint=made_by("tracks"),
         )
@@ -95,9 +95,9 @@ def run(job: Job, params: TrainForce, *, force: bool = False, progress: Progress
         if len(set(values)) > 1:
             odd = next(number for number, entry in enumerate(values) if entry != values[0])
             raise InputError(
-                f"the files are of different {what}",
+                f"the files have different {what}",
                 where=str(job.inputs[odd]),
-                expected=f"{values[0]} as in {job.inputs[0]}",
+                expected=f"{values[0]}, as in {job.inputs[0]}",
                 found=str(values[odd]),
             )
     chosen = {key: value for key, value in recipe_of(params).items() if key in OF_THE_PAPER}
@@ -158,7 +158,7 @@ def run(job: Job, params: TrainForce, *, force: bool = False, progress: Progress
 
 
 def read_samples(path: Path, params: TrainForce | EvaluateForce, noise: np.random.Generator) -> ForceSamples:
-    """Samples of a trajectory, with the force as a sensor with noise reads it; InputError where there are none."""
+    """Return the samples of a trajectory, with noise added to the force; InputError if there are none."""
     with StageFile(path, "tracks") as tracks, recording_with_truth(tracks) as recording:
         try:
             chosen = forces.sample_slices(recording.read("truth/normal_force_n"), params.samples, SAMPLE_MS)
@@ -170,31 +170,31 @@ def read_samples(path: Path, params: TrainForce | EvaluateForce, noise: np.rando
 
 
 def read_rest_px(tracks: StageFile) -> Floats:
-    """Places of the dots at rest, (dots, 2) in px."""
+    """Return the positions of the dots at rest, (dots, 2) in px."""
     rest: Floats = tracks.read("sensor/dot_xy_px").reshape(-1, 2)
     return rest
 
 
 def read_dot_shape(tracks: StageFile) -> tuple[int, int]:
-    """Rows and columns of the dot grid."""
+    """Return the rows and columns of the dot grid."""
     rows, columns, _ = tracks.contents()["sensor/dot_xy_px"][1]
     return rows, columns
 
 
 def sensor_sort(header: Header) -> str:
-    """The sort of sensor that tracked the dots: `events`, or `frames` of an RGB sensor."""
+    """Return the type of sensor that tracked the dots: `events`, or `frames` of an RGB sensor."""
     return "frames" if header["parameters"].get("preset") == PRESET else "events"
 
 
 def read_model(path: Path) -> tuple[Header, ForceModel]:
-    """Header and contents of a force model of the paper's method."""
+    """Return header and contents of a force model of the paper's method; InputError for another."""
     with StageFile(path, OUTPUT) as file:
         if not file.has("regression"):
             raise InputError(
                 "the force model is not of the paper's method",
                 where=str(path),
                 expected="a model of train-force --method paper",
-                hint="evetac evaluate force judges touch maps without --model; --adapt-on adapts them",
+                hint="evetac evaluate force evaluates touch maps without --model; --adapt-on adapts them",
             )
         rows, columns = file.read("dot_shape").tolist()
         regression = forces.Regression(file.read("regression/slope_n_px"), file.read("regression/offset_n"))
@@ -210,15 +210,15 @@ def read_model(path: Path) -> tuple[Header, ForceModel]:
 
 
 def check_grid(model: ForceModel, model_path: Path, tracks: StageFile) -> None:
-    """InputError for tracks of another dot grid than the model's."""
+    """Raise InputError for tracks of another dot grid than the model's."""
     shape = read_dot_shape(tracks)
     if shape != model.dot_shape:
         raise InputError(
             "the tracks have another dot grid than the force model",
             where=str(tracks.path),
-            expected=f"{in_words(*model.dot_shape)} as in {model_path}",
+            expected=f"{in_words(*model.dot_shape)}, as in {model_path}",
             found=in_words(*shape),
-            hint="evetac train-force fits one to this gel",
+            hint="evetac train-force trains a model for this gel",
         )
 
 

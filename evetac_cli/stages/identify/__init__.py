@@ -1,8 +1,8 @@
-"""identify: a sensor like the one that made recordings, as a TOML file for `--sensor`, each key with its interval.
+"""identify: estimate a sensor from its recordings, as a TOML file for `--sensor`, each key with its interval.
 
-What comes from which recording: the noise of the camera from the longest rest among them, dots and optics from the one
-that shows most dots moved, gripper and gel from those with rows of a gripper. What no recording tells keeps the value
-of the sensor that `--like` names.
+The noise of the camera is estimated from the longest rest in the recordings, dots and optics from the recording with
+the most moving dots, gripper and gel from recordings with rows of a gripper. Parameters that no recording determines
+keep the value of the sensor given by `--like`.
 """
 
 from collections.abc import Sequence
@@ -31,21 +31,21 @@ METHOD = 4
 
 
 def jobs(files: list[Path], params: Identify, out: Path | None) -> list[Job]:
-    """One sensor from all recordings: `<first recording's name>.sensor.toml`."""
+    """Return the job of one sensor from all recordings, `<first recording's name>.sensor.toml`."""
     if params.like.endswith(sensor_file.SUFFIX) or params.like in FOR_EACH_TRIAL:
-        expected = "a named sensor, as in evetac or randomized:7"
+        expected = "a named sensor, e.g. evetac or randomized:7"
         raise InputError("not the name of one sensor", where="--like", expected=expected, found=params.like)
     plan.one_sensor(params.like)
     sensor_file.check_name(params.name, "--name")
     if out is not None and out.suffix in (".h5", ".json"):
-        raise InputError("a sensor is TOML", where="--out", expected="a name that ends in .toml", found=str(out))
+        raise InputError("a sensor is a TOML file", where="--out", expected="a name that ends in .toml", found=str(out))
     if out is not None and out.suffix == sensor_file.SUFFIX:
         return [Job(tuple(files), out)]
     return [Job(tuple(files), (out or files[0].parent) / f"{stem(files[0])}.{OUTPUT}.toml")]
 
 
 def run(job: Job, params: Identify, *, force: bool = False, progress: Progress = silent) -> Outcome:
-    """Estimate what the recordings tell, print it as a table, and write the sensor's file."""
+    """Estimate the sensor from the recordings, return the estimates as rows, and write the sensor's file."""
     recipe = Recipe(OUTPUT, METHOD, recipe_of(params), parents=_headers(job.inputs))
     if _up_to_date(job.output, recipe, force=force):
         return outcome(job, made=False, simulated=recipe.simulated)
@@ -59,7 +59,7 @@ def run(job: Job, params: Identify, *, force: bool = False, progress: Progress =
     for number, path in enumerate(job.inputs):
         noise_rng, press_rng, servo_rng = np.random.default_rng([params.seed, number]).spawn(3)
         with open_recording(path) as recording:
-            if recording.has("gripper/t_us"):  # where it holds still, the gel creeps: that is no rest
+            if recording.has("gripper/t_us"):  # while the gripper holds still, the gel creeps, so that is no rest
                 grips.append(gripped.find(recording, mm_per_px, servo_rng))
             else:
                 rests.append(at_rest.longest(recording, noise_rng))
@@ -78,7 +78,7 @@ def run(job: Job, params: Identify, *, force: bool = False, progress: Progress =
     progress(steps, steps)
     rows, values = at_rest.rows(rest)
     best = max(presses, key=lambda one: one.dots, default=None)
-    why_none = no_press[max(no_press)] if no_press else ""  # of the recording with most events: a press has them
+    why_none = no_press[max(no_press)] if no_press else ""  # of the recording with most events, as a press has
     more_rows, more = pressed.rows(best, like, why_none)
     rows, values = rows + more_rows, more | values
     known = gripper_rows.Priors(
@@ -92,10 +92,10 @@ def run(job: Job, params: Identify, *, force: bool = False, progress: Progress =
     with taking_the_place_of(job.output, sensor_file.SUFFIX) as temporary:
         temporary.write_text(text)
         try:
-            sensor_file.read(temporary, plan.one_sensor)  # what record would refuse is not written
+            sensor_file.read(temporary, plan.one_sensor)  # a sensor that record would refuse is not written
         except InputError as error:
             raise InputError(
-                f"what is estimated is no sensor that can be simulated: {error.message}",
+                f"the estimated sensor cannot be simulated: {error.message}",
                 where=", ".join(map(str, job.inputs)),
                 expected=error.expected,
                 found=error.found,
@@ -108,9 +108,10 @@ def run(job: Job, params: Identify, *, force: bool = False, progress: Progress =
 
 
 def _headers(paths: Sequence[Path]) -> tuple[Header, ...]:
-    """Headers of the recordings; InputError unless each comes once and all may be of one sensor that can be simulated.
+    """Return the headers of the recordings.
 
-    A recording that was imported does not know its sensor.
+    InputError if a recording is given twice, if they are from different sensors, or from one that cannot be simulated.
+    An imported recording has no sensor name.
     """
     headers: dict[str, tuple[Path, Header]] = {}
     sensors: dict[tuple[str, bool], Path] = {}
@@ -119,7 +120,7 @@ def _headers(paths: Sequence[Path]) -> tuple[Header, ...]:
             header, frame_px, name = recording.header, recording.frame_px, str(recording.read("sensor/name"))
         if frame_px != FRAME_PX:
             raise InputError(
-                "another frame than that of a sensor which can be simulated",
+                "sensors with this frame size cannot be simulated",
                 where=str(path),
                 expected="{} x {} px".format(*FRAME_PX),
                 found="{} x {} px".format(*frame_px),
@@ -141,19 +142,19 @@ def _headers(paths: Sequence[Path]) -> tuple[Header, ...]:
 
 
 def _unused(paths: Sequence[Path], rows: Sequence[EstimateRow]) -> list[str]:
-    """Names of the recordings that no estimate comes from."""
+    """Return the names of the recordings from which no estimate was made."""
     sources = "".join(f", {row.source}, " for row in rows if row.estimate is not None)
     return [path.name for path in paths if f", {path.name}, " not in sources]
 
 
 def _printed(sensor: Sensor) -> NDArray[np.float64]:
-    """The dots (rows, columns, 2) as they were printed: as evenly as the sensor's columns and rows say."""
+    """Return the printed positions of the dots, (rows, columns, 2), on the sensor's columns and rows."""
     columns, rows = (np.array(lines, np.float64) for lines in (sensor.dot_columns_px, sensor.dot_rows_px))
     return np.stack(np.meshgrid(columns, rows), axis=-1)
 
 
 def table(rows: Sequence[EstimateRow]) -> list[dict[str, Any]]:
-    """Flat rows for the table and --json."""
+    """Return flat rows for the table and --json."""
     return [
         {
             "parameter": row.parameter,
@@ -168,7 +169,7 @@ def table(rows: Sequence[EstimateRow]) -> list[dict[str, Any]]:
 
 
 def _up_to_date(path: Path, recipe: Recipe, *, force: bool) -> bool:
-    """Whether the file was made by this recipe; InputError if it was made otherwise and is not to be replaced."""
+    """Whether the file was made with this recipe; InputError if it was not and must not be replaced."""
     if force or not path.exists():
         return False
     try:
@@ -178,9 +179,9 @@ def _up_to_date(path: Path, recipe: Recipe, *, force: bool) -> bool:
     if f"# recipe {recipe.id}" in written:
         return True
     raise InputError(
-        "the file exists and was made otherwise, or by hand",
+        "the file exists and was made with another recipe, or by hand",
         where=str(path),
-        hint="--force replaces it, -o writes another",
+        hint="--force replaces it, -o writes another file",
     )
 
 

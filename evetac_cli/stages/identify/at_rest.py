@@ -1,4 +1,4 @@
-"""What a rest tells of a sensor: the noise of its camera, from the longest time in which nothing moves."""
+"""Estimates from a rest: the noise of the camera, from the longest time in which nothing moves."""
 
 from dataclasses import dataclass
 
@@ -12,22 +12,22 @@ from evetac_cli.stages.identify.sensor_text import Entry, EstimateRow
 from evetac_cli.store.recordings.read import Recording
 
 SHORTEST_REST = 500  # slices
-LONGEST_REST = 60_000  # slices that are looked at
-MOST_EVENTS = 20_000_000  # ... and events
-MAKE_REST = "cannot be told from these recordings: make one of 3 s or more in which nothing touches the gel"
-MAKE_HOT = "cannot be told from these recordings: make a longer one in which nothing touches the gel"
+LONGEST_REST = 60_000  # slices that are used
+MOST_EVENTS = 20_000_000  # events that are used
+MAKE_REST = "cannot be estimated from these recordings: make one of 3 s or more in which nothing touches the gel"
+MAKE_HOT = "cannot be estimated from these recordings: make a longer one in which nothing touches the gel"
 
 
 @dataclass(frozen=True)
 class Rest:
-    """The longest rest of a recording: its noise, and where it comes from."""
+    """The longest rest of a recording: its noise, and its source."""
 
     noise: RestNoise
     source: str
 
 
 def longest(recording: Recording, rng: np.random.Generator) -> Rest | None:
-    """The noise in the longest time at rest; None where the recording has no rest of SHORTEST_REST."""
+    """Return the noise in the longest time at rest; None if the recording has no rest of SHORTEST_REST."""
     spells = rest_image.quiet_spells(np.diff(recording.starts))
     first, stop = max(spells, key=lambda spell: spell[1] - spell[0], default=(0, 0))
     stop = min(stop, first + LONGEST_REST)
@@ -39,13 +39,13 @@ def longest(recording: Recording, rng: np.random.Generator) -> Rest | None:
     columns = (events.t - SLICE_US * first, events.x, events.y, events.p)
     try:
         noise = rest.analyse(*columns, recording.frame_px, SLICE_US * (stop - first), rng)
-    except ValueError:  # so many pixels are busy that this is no rest
+    except ValueError:  # too many pixels are busy for a rest
         return None
     return Rest(noise, f"{recording.path.name}, {first} to {stop} ms")
 
 
 def rows(resting: Rest | None) -> tuple[list[EstimateRow], dict[str, Entry]]:
-    """Rows and keys of the camera's noise."""
+    """Return rows and keys of the camera's noise."""
     units = {
         "noise_hz": "Hz a pixel",
         "noise_on_share": "",

@@ -1,8 +1,8 @@
-"""The drive of a gripper from its own rows: the simulated drive is moved by the measured currents and fitted to places.
+"""The drive of a gripper, fitted to its rows: a simulated drive is moved by the measured currents to match positions.
 
-Everything is in current: without a scale no force is known, and the law of the drive (sim/gripper.py) divided by the
-force per current has currents alone in it. What is fitted: the gear's friction, damping and mass, the closing past
-first touch that a current takes (by fingers and gel), lost motion, and where the object is touched.
+All quantities are in terms of current: without a scale no force is known, and the drive's equations (sim/gripper.py),
+divided by the force per current, contain only currents. Fitted are the gear's friction, damping and mass, the closing
+beyond first touch as a function of current (by fingers and gel), backlash, and the position of first touch.
 """
 
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ from evetac_cli.sim import gripper
 from evetac_cli.sim.gel.contact import ForceCurve
 
 STEP_S = 1e-3
-MOVED_TICKS = 4.0  # so far the gripper has to close before it touches, and to open again
+MOVED_TICKS = 4.0  # distance that the gripper has to close before it touches, and to open again
 MOST_MA = 400.0
 CURVE_STEP_TICKS = 0.05
 CLOSING_MA = np.concatenate([np.linspace(0.0, 1.0, 21) ** 2 * 4.0, np.geomspace(4.4, MOST_MA, 60)])
@@ -25,17 +25,17 @@ NAMES = (
     *("friction_ma", "damping_ma_s_m", "mass_ma_s2_m", "finger_ticks_ma"),
     *("gel_ticks", "backlash_ticks", "touch_ticks", "first_ticks"),
 )
-LOG = 4  # of them the first are fitted by their logarithm
-STARTS_MA_S_M = (150.0, 400.0)  # of the damping
-BLOCK_MS, BLOCK_ROWS = 20.0, 10  # over which places are averaged
-COUNTED_MS = 60.0  # after a new current; a gripper that still moves counts longer
-REST_MS = 30  # a motor that has stopped may not have stopped yet
-LARGE_TICKS = 1.0  # residuals beyond count less
+LOG = 4  # number of parameters, the first ones, that are fitted by their logarithm
+STARTS_MA_S_M = (150.0, 400.0)  # initial values of the damping
+BLOCK_MS, BLOCK_ROWS = 20.0, 10  # block over which positions are averaged
+COUNTED_MS = 60.0  # rows used after a new current; while the gripper still moves, rows are used for longer
+REST_MS = 30  # left out at both ends of a rest, where the motor may still move
+LARGE_TICKS = 1.0  # larger residuals have less weight
 
 
 @dataclass(frozen=True)
 class GripperRows:
-    """Time in us, commanded and measured current in mA, and place in ticks, a row a command."""
+    """Time in us, commanded and measured current in mA, and position in ticks, one row per command."""
 
     time_us: NDArray[np.int64]
     commanded_ma: Floats
@@ -44,10 +44,10 @@ class GripperRows:
 
 
 class DriveFit(NamedTuple):
-    """What was fitted, each with the sd that the residuals give; forces are in mA of the motor.
+    """The fitted parameters with their standard deviations from the residuals; forces are in mA of the motor.
 
-    residual_ticks: rms of what is left of the place. rests: readings of each rest of the fitted motor.
-    force_ma: normal force in each ms from the first row on.
+    residual_ticks: rms residual of the position. rests: readings during each rest of the fitted motor.
+    force_ma: normal force in each ms, starting at the first row.
     """
 
     values: dict[str, float]
@@ -58,7 +58,7 @@ class DriveFit(NamedTuple):
 
 
 def fit(rows: GripperRows) -> DriveFit:
-    """Fit the drive; ValueError where the rows show no gripper that closes on something, opens and closes again."""
+    """Fit the drive; ValueError unless the rows show a gripper that closes on an object and opens again."""
     place = rows.place_ticks.astype(np.float64)
     current_ma, at = _each_step(rows)
     start = _start(rows, place)
@@ -97,15 +97,17 @@ def fit(rows: GripperRows) -> DriveFit:
 
 
 def _each_step(rows: GripperRows) -> tuple[Floats, NDArray[np.intp]]:
-    """The current in each step from the first row on, and the step after which each row was read."""
+    """Return the current in each step, starting at the first row, and the step after which each row was read."""
     at = np.round((rows.time_us - rows.time_us[0]) / (1e6 * STEP_S)).astype(np.intp)
     steps = np.arange(at[-1] + 1)
-    row = np.minimum(np.searchsorted(at, steps), len(at) - 1)  # measured at the end of a step, so of that before it too
+    row = np.minimum(
+        np.searchsorted(at, steps), len(at) - 1
+    )  # measured at the end of a step, so also valid for the step before
     return rows.measured_ma[row], at
 
 
 def _start(rows: GripperRows, place: Floats) -> dict[str, float]:
-    """First values, from where the gripper begins to move and how far it goes."""
+    """Return initial values, from the current at which the gripper begins to move and the distance it moves."""
     if len(place) < 1000:
         raise ValueError("fewer than 1000 rows")
     first = float(np.median(place[:20]))
@@ -115,7 +117,7 @@ def _start(rows: GripperRows, place: Floats) -> dict[str, float]:
     friction_ma = float(rows.measured_ma[moved[0]])
     if friction_ma <= 0.5:
         raise ValueError("the gripper does not close by its current")
-    # Where it rests under its largest current, and where the current has fallen by so much that it opens.
+    # The position at rest under the largest current, and the time when the current is so low that it opens.
     top = int(np.argmax(rows.measured_ma))
     tops = np.flatnonzero(rows.measured_ma >= rows.measured_ma[top] - 0.5)
     pressed = float(np.median(place[tops[len(tops) // 4 :]]))
@@ -123,7 +125,7 @@ def _start(rows: GripperRows, place: Floats) -> dict[str, float]:
     if not (later <= pressed - MOVED_TICKS).any():
         raise ValueError("the gripper never opens again")
     push_ma = max(float(rows.measured_ma[top]) - friction_ma, 1.0)
-    # Under half of the push the fingers have closed by about half as far: the closing branch of the loops.
+    # At half of the push the fingers have closed about half as far: the closing branch of the loops.
     return {
         "first_ticks": first + 0.5,
         "friction_ma": friction_ma,
@@ -137,10 +139,10 @@ def _start(rows: GripperRows, place: Floats) -> dict[str, float]:
 
 
 def _blocks(rows: GripperRows) -> NDArray[np.intp]:
-    """Number of the block of each row, -1 for none: BLOCK_MS of rows each, for a while after each new current.
+    """Return the block number of each row, -1 for none: blocks of BLOCK_MS for some time after each new current.
 
-    Why so: a mean over a block is less noisy than a reading, and rests of seconds would outweigh all else. A current is
-    new when it is commanded: what is measured is noisy, and changes in every row.
+    A mean over a block is less noisy than a reading, and rests of several seconds would outweigh everything else. A
+    change of current is taken from the commands, because the measured current is noisy and changes in every row.
     """
     time_ms = rows.time_us * 1e-3
     new = np.diff(rows.commanded_ma, prepend=np.nan) != 0.0
@@ -153,7 +155,10 @@ def _blocks(rows: GripperRows) -> NDArray[np.intp]:
 
 
 def _simulated(values: dict[str, float], current_ma: Floats) -> tuple[Floats, Floats]:
-    """Place of the motor in ticks and normal force in mA after each step of STEP_S, from values by NAMES."""
+    """Return the motor's position in ticks and the normal force in mA after each step of STEP_S.
+
+    values: parameters by their NAMES.
+    """
     closing = values["gel_ticks"] * CLOSING_MA ** (2 / 3) + values["finger_ticks_ma"] * CLOSING_MA
     ticks = np.arange(0.0, min(closing[-1], 300.0), CURVE_STEP_TICKS)
     force_ma = np.interp(ticks, closing, CLOSING_MA)
@@ -196,14 +201,14 @@ def _scales() -> Floats:
 
 
 def _spread(jacobian: Floats, off: Floats) -> Floats:
-    """Standard deviation of each parameter, as far as residuals are independent."""
+    """Return the standard deviation of each parameter, assuming independent residuals."""
     inverse = np.linalg.pinv(jacobian.T @ jacobian)
-    spread: Floats = np.sqrt(np.maximum(np.diag(inverse), 0.0) * np.mean(off**2))  # of none it is below 0 by rounding
+    spread: Floats = np.sqrt(np.maximum(np.diag(inverse), 0.0) * np.mean(off**2))  # rounding may make it negative
     return spread
 
 
 def _rests(motor: Floats, at: NDArray[np.intp], rows: GripperRows) -> list[NDArray[np.int64]]:
-    """Readings of each time in which the fitted motor stays where it is, without REST_MS at both ends."""
+    """Return the readings of each time in which the fitted motor does not move, without REST_MS at both ends."""
     moved = np.flatnonzero(np.diff(motor, prepend=np.nan, append=np.nan) != 0)
     rests = []
     for first, last in zip(moved[:-1], moved[1:], strict=True):

@@ -1,8 +1,8 @@
-"""What a gripper that closes, holds an object of known mass and lets it slip tells of itself and of the gel.
+"""Estimates from a gripper that closes, holds an object of known mass and lets it slip.
 
-The gripper's rows alone tell its drive, in current; the dots tell how far the weight pulls the gel, how that creeps,
-and when the object slips. No force is known but the weight: what needs the normal force needs the force per current,
-too.
+The gripper's rows alone determine its drive, in terms of current. The dots show how far the weight pulls the gel, its
+creep, and when the object slips. Only the weight is a known force; parameters that depend on the normal force also need
+the force per current.
 """
 
 from collections.abc import Mapping, Sequence
@@ -29,27 +29,27 @@ from evetac_cli.store.recordings.read import Recording
 
 STEP_MS = 1.0  # a simulated command takes effect in the next ms
 PAD_NODES = (36, 27)  # columns and rows
-LONGEST_MS = 120_000  # that is looked at
-SHORTEST_HOLD_MS = 3000  # under one current, in which the weight comes on
+LONGEST_MS = 120_000  # time that is used
+SHORTEST_HOLD_MS = 3000  # at one current, during which the weight comes on
 AROUND_MS = 300  # before and after the weight comes on
 LEAST_STEP_PX = 0.3
-BLOCK_SLICES = 10  # in which dots are taken to stay where they are
-RIM_PX = 5.0  # on either side of a dot's rim, where its events lie
+BLOCK_SLICES = 10  # during which dots are assumed not to move
+RIM_PX = 5.0  # width on either side of a dot's rim in which its events are counted
 QUIET_MS, BUSY_EVENTS = 400, 5  # a pixel with more events before the weight comes on is hot
-GONE = 0.8  # of its largest displacement: then the object has slipped
-SLIPS_AT = (0.98, 0.95)  # of the largest displacement, when it was last reached
+GONE = 0.8  # share of the largest displacement below which the object has slipped
+SLIPS_AT = (0.98, 0.95)  # shares of the largest displacement; the times when they were last reached are used
 PADS = 2
-# What a fit may leave: two to three times the most that it left of simulated sensors (randomized:100 to 114).
+# Largest residuals of a good fit: two to three times the largest found on simulated sensors (randomized:100 to 114).
 MOST_OFF_TICKS = 2.0  # of the drive, rms
-MOST_OFF_SHARE = 0.5  # of the dots' displacement, rms
-MOST_OFF_IN_TIME = 0.0075  # of the displacement under the weight over time, rms share of it
+MOST_OFF_SHARE = 0.5  # of the dots' displacement, rms share
+MOST_OFF_IN_TIME = 0.0075  # of the displacement under the weight over time, rms share
 
 
 class Weight(NamedTuple):
-    """How the gel took over a weight: creep, shear modulus, and the force per mA at which the object slipped.
+    """Response of the gel to a weight: creep, shear modulus, and the force per mA at which the object slipped.
 
-    creep, modulus_pa: None where the fit is bad. modulus_pa, weight_per_ma: for the weight of 1 kg; the latter at each
-    of SLIPS_AT, None if the object did not slip, or the drive is not known.
+    creep, modulus_pa: None if the fit is bad. modulus_pa, weight_per_ma: for a weight of 1 kg; the latter at each of
+    SLIPS_AT, None if the object did not slip or the drive is unknown.
     """
 
     creep: Creep | None
@@ -59,9 +59,9 @@ class Weight(NamedTuple):
 
 @dataclass(frozen=True)
 class Gripped:
-    """What one recording tells; each part is None where it does not.
+    """Estimates from one recording; each part is None if it could not be estimated.
 
-    misfits: why the drive, the gain, the weight as a whole, or of it the modulus or creep cannot be told.
+    misfits: reasons why the drive, the gain, the weight as a whole, or its modulus or creep cannot be estimated.
     """
 
     source: str
@@ -75,7 +75,7 @@ class Gripped:
 
 
 def find(recording: Recording, mm_per_px: float, rng: np.random.Generator) -> Gripped | None:
-    """What a recording tells of gripper and gel; None where it has no gripper rows. `truth` is never looked at."""
+    """Return the estimates of gripper and gel from a recording; None if it has no gripper rows. `truth` is not used."""
     if not recording.has("gripper/t_us"):
         return None
     source = recording.path.name
@@ -93,7 +93,7 @@ def find(recording: Recording, mm_per_px: float, rng: np.random.Generator) -> Gr
         try:
             return Gripped(source, gain_ma_tick=_gain(recording, rows, rng))
         except ValueError as error:
-            why = f"cannot be told from {source}: {error}; make one with evetac grasp --controller fixed:6"
+            why = f"cannot be estimated from {source}: {error}; make one with evetac grasp --controller fixed:6"
             return Gripped(source, misfits={"gain": why})
     delay = jitter = noise = None
     between_ms = gripper.lateness(rows.time_us, rows.commanded_ma, rows.measured_ma, STEP_MS)
@@ -101,14 +101,14 @@ def find(recording: Recording, mm_per_px: float, rng: np.random.Generator) -> Gr
         delay, jitter = gripper.delay_and_jitter(between_ms)
     try:
         fitted = drive.fit(rows)
-    except ValueError as error:  # it does not close on something and open again
+    except ValueError as error:  # it does not close on an object and open again
         return Gripped(source, delay_ms=delay, jitter_ms=jitter, misfits={"drive": _why(source, error)})
     known: DriveFit | None = fitted
     misfits = {}
     if fitted.residual_ticks > MOST_OFF_TICKS:
         known = None
-        off = f"{fitted.residual_ticks:.1f} ticks off, where {MOST_OFF_TICKS:g} are allowed"
-        misfits["drive"] = f"cannot be told: no simulated drive moves as this gripper did ({off})"
+        off = f"residual {fitted.residual_ticks:.1f} ticks, at most {MOST_OFF_TICKS:g} allowed"
+        misfits["drive"] = f"cannot be estimated: no simulated drive moves as this gripper did ({off})"
     else:
         with suppress(ValueError):  # it never rests
             noise = gripper.encoder_noise(fitted.rests)
@@ -117,25 +117,25 @@ def find(recording: Recording, mm_per_px: float, rng: np.random.Generator) -> Gr
 
 
 def _why(source: str, reason: object) -> str:
-    """Why a recording does not tell what one of a grip would."""
-    return f"cannot be told from {source}: {reason}; make one as of the scene grip-steps (docs/identify.md)"
+    """Return the note why a recording does not allow the estimates of a grip."""
+    return f"cannot be estimated from {source}: {reason}; make one like the scene grip-steps (docs/identify.md)"
 
 
 def merged(grips: Sequence[Gripped]) -> tuple[dict[str, Gripped], Gripped]:
-    """Of each part the first recording that tells it, and all parts together."""
+    """Return for each part the first recording with an estimate, and all parts together."""
     parts = ("drive", "encoder_ticks", "delay_ms", "jitter_ms", "gain_ma_tick", "weight")
     tells = {part: one for part in parts for one in reversed(grips) if getattr(one, part) is not None}
     return tells, Gripped("", **{part: getattr(one, part) for part, one in tells.items()})
 
 
 def _gain(recording: Recording, rows: GripperRows, rng: np.random.Generator) -> Estimate:
-    """The servo's gain where the goals are recorded, as in a grasp; ValueError where they are not, or tell nothing."""
+    """Return the servo's gain from recorded goals, as in a grasp; ValueError if they are missing or insufficient."""
     if not recording.has("control/goal_ticks"):
-        raise ValueError("it holds no goals of the gripper")
+        raise ValueError("it has no goals of the gripper")
     count = len(rows.time_us)
     goals, times = recording.read("control/goal_ticks")[:count], recording.read("control/t_us")[:count]
     if not np.array_equal(times, rows.time_us):
-        raise ValueError("its goals are of other times than its rows of the gripper")
+        raise ValueError("the times of its goals differ from those of its gripper rows")
     return gripper.servo_gain(
         rows.time_us, goals.astype(np.float64), rows.place_ticks.astype(float), rows.measured_ma, rng
     )
@@ -144,14 +144,14 @@ def _gain(recording: Recording, rows: GripperRows, rng: np.random.Generator) -> 
 def _weight(
     recording: Recording, rows: GripperRows, fitted: DriveFit | None, mm_per_px: float
 ) -> tuple[Weight | None, dict[str, str]]:
-    """How the gel takes over the weight of what the gripper holds, None where no weight comes on; and why not."""
+    """Return the gel's response to the weight of the held object, None if no weight comes on, and the reasons."""
     source = recording.path.name
     first_ms, last_ms = _longest_hold(rows)
     last_ms = min(last_ms, len(recording))
     if recording.dot_xy_px is None or recording.dot_radius_px is None:
-        return None, {"weight": f"cannot be told from {source}: it has no dot grid; {MAKE_GRID} to evetac record"}
+        return None, {"weight": f"cannot be estimated from {source}: it has no dot grid; {MAKE_GRID} to evetac record"}
     if last_ms - first_ms < SHORTEST_HOLD_MS:
-        return None, {"weight": _why(source, f"no current is commanded for {SHORTEST_HOLD_MS / 1000:g} s")}
+        return None, {"weight": _why(source, f"no current is held for {SHORTEST_HOLD_MS / 1000:g} s")}
     try:
         moved_px = _tracked(recording)
         along, came_ms, loaded_ms = _loading(moved_px[first_ms:last_ms])
@@ -173,7 +173,7 @@ def _weight(
         seen = _seen_motion(recording, moved_px, came_ms - AROUND_MS // 3, end_ms)[AROUND_MS // 3 :]
         both = displacement_m[came_ms:end_ms] / displacement_m[end_ms - 500 : end_ms].mean() + seen / seen[-500:].mean()
         creep = held_gel.creep(*_thinned(both[loaded_ms:] / 2), loaded_ms * 1e-3)
-    except ValueError as error:  # nothing moves as a held object does
+    except ValueError as error:  # the motion is not that of a held object
         return None, {"weight": _why(source, error)}
     misfits = _misfits(held, creep)
     modulus_pa = GRAVITY_M_S2 / PADS / (creep.final * held.displacement_m * held.stiffness_m)
@@ -188,22 +188,22 @@ def _weight(
 
 
 def _misfits(held: HeldFit, creep: Creep) -> dict[str, str]:
-    """Why modulus and creep cannot be told where a fit is bad; without creep the modulus is not known either."""
+    """Return the reasons why modulus and creep cannot be estimated with a bad fit; the modulus also needs the creep."""
     misfits = {}
     if creep.misfit > MOST_OFF_IN_TIME:
-        off = f"{creep.misfit:.1%} off, where {MOST_OFF_IN_TIME:.2%} are allowed"
-        why = f"cannot be told: no gel with two times of creep moves as this one did under the weight ({off})"
+        off = f"residual {creep.misfit:.1%}, at most {MOST_OFF_IN_TIME:.2%} allowed"
+        why = f"cannot be estimated: no gel with two creep times moves as this one did under the weight ({off})"
         misfits = {"creep": why, "modulus": why}
     if held.misfit > MOST_OFF_SHARE:
-        off = f"{held.misfit:.0%} off, where {MOST_OFF_SHARE:.0%} are allowed"
+        off = f"residual {held.misfit:.0%}, at most {MOST_OFF_SHARE:.0%} allowed"
         misfits["modulus"] = (
-            f"cannot be told: no strip of contact moves the dots as they moved under the weight ({off})"
+            f"cannot be estimated: no strip of contact moves the dots as they moved under the weight ({off})"
         )
     return misfits
 
 
 def _longest_hold(rows: GripperRows) -> tuple[int, int]:
-    """First and last ms of the longest time under one commanded current."""
+    """Return first and last ms of the longest time with one commanded current."""
     changes = np.flatnonzero(np.diff(rows.commanded_ma) != 0) + 1
     edges = np.concatenate([[0], changes, [len(rows.time_us) - 1]])
     longest = int(np.argmax(np.diff(rows.time_us[edges])))
@@ -212,7 +212,7 @@ def _longest_hold(rows: GripperRows) -> tuple[int, int]:
 
 
 def _tracked(recording: Recording) -> NDArray[np.float32]:
-    """Place of every dot at the end of each slice, (slices, dots, 2)."""
+    """Return the position of every dot at the end of each slice, (slices, dots, 2)."""
     dots, radius_px = recording.dot_xy_px, recording.dot_radius_px
     assert dots is not None and radius_px is not None
     state = tracker.start(dots.reshape(-1, 2), presets.PRESETS["stable"].for_dots(radius_px))
@@ -225,7 +225,7 @@ def _tracked(recording: Recording) -> NDArray[np.float32]:
 
 
 def _loading(place_px: NDArray[np.float32]) -> tuple[int, int, int]:
-    """Direction of the weight (1 or 2: x or y, negative against it), when it comes on, and within how many ms."""
+    """Return the direction of the weight (1 or 2: x or y, negative against it), its onset, and its rise time in ms."""
     mean_px = np.nanmean(place_px, axis=1)
     if len(mean_px) < 4 * AROUND_MS:
         raise ValueError("the hold is too short")
@@ -247,10 +247,10 @@ def _loading(place_px: NDArray[np.float32]) -> tuple[int, int, int]:
 
 
 def _seen_motion(recording: Recording, place_px: NDArray[np.float32], first: int, stop: int) -> Floats:
-    """How far all dots have moved along the weight since slice `first`, in slices up to `stop`, in a unit of its own.
+    """Return the motion of all dots along the weight since slice `first`, in slices up to `stop`, in arbitrary units.
 
-    Events on the rims of the dots, ON and OFF against each other, and one side of a dot against the other, added up. A
-    tracker hardly follows a creep of a hundredth of a pixel a second, of which it gets an event a slice; a sum does.
+    Events on the rims of the dots are summed, with opposite signs for ON and OFF and for the two sides of a dot. A
+    tracker hardly follows a creep of 0.01 px per second, which causes one event per slice, but the sum does.
     """
     radius_px = recording.dot_radius_px
     assert radius_px is not None
@@ -276,7 +276,7 @@ def _seen_motion(recording: Recording, place_px: NDArray[np.float32], first: int
 
 
 def _busy(recording: Recording, first: int, stop: int) -> NDArray[np.bool_]:
-    """Pixels (rows, columns) with many events while nothing moves: hot ones."""
+    """Return which pixels (rows, columns) are hot, with many events while nothing moves."""
     width, height = recording.frame_px
     events = recording.between(first, stop)
     counts = np.bincount(events.y.astype(np.int64) * width + events.x, minlength=width * height)
@@ -284,7 +284,7 @@ def _busy(recording: Recording, first: int, stop: int) -> NDArray[np.bool_]:
 
 
 def _pad(recording: Recording, mm_per_px: float, axis: int) -> held_gel.Pad:
-    """The pad, with its x along the weight: it ends at the window, as that of a simulated sensor."""
+    """Return the gel pad, with its x along the weight; it ends at the window, like that of a simulated sensor."""
     width, _ = recording.frame_px
     window = recording.window_px
     end_m = ((window[0] if window is not None else width) - width / 2) * mm_per_px * 1e-3
@@ -297,16 +297,16 @@ def _pad(recording: Recording, mm_per_px: float, axis: int) -> held_gel.Pad:
 
 
 def _thinned(displacement_m: Floats) -> tuple[Floats, Floats]:
-    """Times in s since the weight was on, and means of the displacement, as dense as its logarithm."""
+    """Return times in s since the weight came on, evenly spaced in their logarithm, and means of the displacement."""
     if len(displacement_m) < 1000:
-        raise ValueError("the weight hangs too short")
+        raise ValueError("the weight does not hang long enough")
     edges = np.unique(np.round(np.geomspace(20, len(displacement_m), 40)).astype(int))
     sums = np.concatenate([[0.0], np.cumsum(displacement_m)])
     return (edges[1:] + edges[:-1]) / 2e3, np.diff(sums[edges]) / np.diff(edges)
 
 
 def _slips(displacement_m: Floats) -> NDArray[np.int64] | None:
-    """The slices in which the gel, because the object slips, goes back to SLIPS_AT; None where it does not slip."""
+    """Return the slices in which the gel springs back to SLIPS_AT because the object slips; None without slip."""
     if len(displacement_m) < 20:
         return None
     smooth = np.convolve(displacement_m, np.ones(10) / 10, mode="valid")

@@ -1,9 +1,10 @@
-"""Rows of the table and keys of the sensor's file from what a gripped object tells.
+"""Rows of the table and keys of the sensor's file from recordings of a gripped object.
 
-Widths of the intervals: what the fit leaves, and at least by how much simulated sensors (randomized:100 to 149) were
-off. Forces need a scale. The object's weight is one for the gel's shear; for the normal force there is none but the
-force per current that somebody measured: without it, all that hangs on it is told in current, and the file takes the
-force per current of the sensor that `--like` names, so that it closes, slips and lets go at the same currents.
+The width of an interval follows from the residuals of the fit, and is at least the error found on simulated sensors
+(randomized:100 to 149). Forces need a scale. For the gel's shear this is the object's weight. For the normal force, it
+can only be a measured force per current. Without it, all dependent parameters are estimated in terms of current, and
+the file uses the force per current of the sensor given by `--like`. The simulated gripper then closes, slips and
+releases at the same currents.
 """
 
 import math
@@ -21,34 +22,34 @@ from evetac_cli.stages.identify.drive import DriveFit
 from evetac_cli.stages.identify.gripped import Gripped, Weight, merged
 from evetac_cli.stages.identify.sensor_text import Entry, EstimateRow
 
-MAKE_GRIP = "cannot be told from these recordings: make one as of the scene grip-steps (docs/identify.md)"
-MAKE_GRASP = "cannot be told from these recordings: make one with evetac grasp --controller fixed:6"
-MAKE_SLIP = "cannot be told from these recordings: make one in which the current falls until the object slips"
-NO_MASS = "cannot be told without --object-mass-g, the mass of the object that was held"
-NO_SCALE = "cannot be told: no recording shows a known normal force; a scale between the fingers, --force-per-current"
-NO_CREEP = "cannot be told from these recordings: make one in which the weight comes on at once and hangs for 10 s"
-BENDS = "cannot be told from a gripper: its fingers bend ten times as much as the gel"
-QUIET = "cannot be told from a quiet hold: nothing moves the gel at 100 Hz"
-# Half widths that an interval has at least, as a share of the value (drive, gel) or in the row's unit.
+MAKE_GRIP = "cannot be estimated from these recordings: make one like the scene grip-steps (docs/identify.md)"
+MAKE_GRASP = "cannot be estimated from these recordings: make one with evetac grasp --controller fixed:6"
+MAKE_SLIP = "cannot be estimated from these recordings: make one in which the current falls until the object slips"
+NO_MASS = "cannot be estimated without --object-mass-g, the mass of the object that was held"
+NO_SCALE = "cannot be estimated without a known normal force: measure it between the fingers for --force-per-current"
+NO_CREEP = "cannot be estimated from these recordings: make one in which the weight comes on at once and hangs for 10 s"
+BENDS = "cannot be estimated with a gripper: its fingers bend ten times as much as the gel"
+QUIET = "cannot be estimated from a quiet hold: nothing moves the gel at 100 Hz"
+# Smallest half widths of intervals, as a share of the value (drive, gel) or in the row's unit.
 LEAST_SHARE = {"friction_ma": 0.006, "damping_ma_s_m": 0.012, "mass_ma_s2_m": 0.2, "finger_ticks_ma": 0.08}
-BACKLASH_TICKS, BACKLASH_LOW_TICKS = 0.3, 0.05  # half width, and by how much the fit is too low
-ENCODER_LOW_TICKS, ENCODER_HIGH_TICKS = 0.06, 0.02  # a rest that is none makes noise
-MODULUS_SHARE, MODULUS_HIGH_SHARE = 0.10, 0.03  # half width, and by how much the fit is too high
-SCALE_SHARE, SCALE_POWER = 0.12, 1.5  # of a pixel that was not measured, and how the modulus goes with it
-# Half widths of both arms' share: what grips are off by alike, and each by its own; and by how much the fit is too low.
+BACKLASH_TICKS, BACKLASH_LOW_TICKS = 0.3, 0.05  # half width, and the bias of the fit, which is too low
+ENCODER_LOW_TICKS, ENCODER_HIGH_TICKS = 0.06, 0.02  # a wrongly detected rest adds noise
+MODULUS_SHARE, MODULUS_HIGH_SHARE = 0.10, 0.03  # half width, and the bias of the fit, which is too high
+SCALE_SHARE, SCALE_POWER = 0.12, 1.5  # error of a pixel size that was not measured, and its power in the modulus.
+# Half widths of both arms' share, common to all grips and for each grip, and the bias of the fit, which is too low.
 CREEP_SHARE, CREEP_GRIP_SHARE, CREEP_LOW_SHARE = 0.015, 0.019, 0.009
-# Friction varies over a gel, so each grip, elsewhere on it, is off by its own (sd of the logarithm), and all of them by
-# the same, too. Where the fingers are not parallel, one end of the contact slips, and is weaker then, before the other
-# does: the whole holds less than its static friction, by so many times the logarithm of the last over the first moment
-# of slip (with its sd).
+# Friction varies over a gel, so each grip at another spot has an error (sd of the logarithm), and all grips share one.
+# If the fingers are not parallel, one end of the contact slips and weakens before the other. The whole contact then
+# holds less than its static friction: in logarithm, by SLIP_PART (sd SLIP_PART_SD) times the difference between the
+# last and the first time of slip.
 GRIP_SD, ALL_GRIPS_SD = 0.04, 0.05
 SLIP_PART, SLIP_PART_SD = 0.5, 0.3
-DELAY_MS, JITTER_MS = 3.5, 2.0  # an interval that is wider tells nothing
+DELAY_MS, JITTER_MS = 3.5, 2.0  # widest intervals that are still informative
 TWO_TICKS_N = 0.13
 
 
 class Priors(NamedTuple):
-    """What is known beside the recordings; None where it is not."""
+    """Prior knowledge in addition to the recordings; None if unknown."""
 
     object_mass_g: float | None
     object_friction: float
@@ -57,7 +58,7 @@ class Priors(NamedTuple):
 
 
 def rows(grips: Sequence[Gripped], known: Priors, like: Sensor) -> tuple[list[EstimateRow], dict[str, Entry]]:
-    """Rows and keys of gripper, gel and friction; `like` is the sensor that has what is not told."""
+    """Return rows and keys of gripper, gel and friction; `like` is the sensor with the values of all other keys."""
     tells, known_parts = merged(grips)
     source = {part: one.source for part, one in tells.items()}
     usual = gripper.make_drive(like.gripper)
@@ -97,14 +98,14 @@ def rows(grips: Sequence[Gripped], known: Priors, like: Sensor) -> tuple[list[Es
     listed += gel_rows
     listed += [EstimateRow("normal_modulus_pa", "Pa", None, BENDS), EstimateRow("loss_tangent", "", None, QUIET)]
     if keys or given is not None:
-        scale_from = "as given" if given is not None else "not estimated: that of the sensor which like names"
+        scale_from = "as given" if given is not None else "not estimated: that of the sensor `like`"
         keys["force_per_current_n_ma"] = Entry(scale_n_ma, None, scale_from)
-        values["gripper"] = Entry(keys, None, "forces stand for the force per current below")
+        values["gripper"] = Entry(keys, None, "forces are for the force per current below")
     return listed, values
 
 
 def _drive_rows(fit: DriveFit | None, source: str) -> list[EstimateRow]:
-    """Rows of the drive, in current."""
+    """Return the rows of the drive, in terms of current."""
     units = {
         ("gripper: gear friction", "friction_ma"): ("mA", 1.0),
         ("gripper: damping", "damping_ma_s_m"): ("mA s/mm", 1e-3),
@@ -120,7 +121,7 @@ def _drive_rows(fit: DriveFit | None, source: str) -> list[EstimateRow]:
 
 
 def _of_drive(fit: DriveFit, key: str) -> Estimate:
-    """A value of the drive with an interval of two sd, or what simulated sensors were off by."""
+    """Return a value of the drive with an interval of two sd, or of the error found on simulated sensors."""
     value = fit.values[key]
     half = max(2 * fit.sd[key], LEAST_SHARE[key] * value)
     return Estimate(value, max(value - half, 0.0), value + half)
@@ -137,14 +138,14 @@ def _scaled(estimate: Estimate, factor: float) -> Estimate:
 
 
 def _within(value: float, share: float) -> Estimate:
-    """A value that is known to this share of it, either way by the same factor."""
+    """Return a value with a relative uncertainty, symmetric as a factor."""
     return Estimate(value, value / (1 + share), value * (1 + share))
 
 
 def _drive_keys(
     fit: DriveFit, gain: Estimate | None, usual: gripper.Drive, scale_n_ma: float, source: str
 ) -> dict[str, Entry]:
-    """Keys of the gripper's table, in which forces follow from the force per current."""
+    """Return the keys of the gripper's table, in which forces are computed with the force per current."""
     gain_ma_tick = usual.gain_ma_tick if gain is None else gain.value
     servo_n_tick = gain_ma_tick * scale_n_ma
     two_ticks_n = min(TWO_TICKS_N, servo_n_tick)
@@ -169,7 +170,7 @@ def _drive_keys(
 def _gel(
     weights: Sequence[tuple[str, Weight]], misfits: Mapping[str, str], known: Priors, scale_n_ma: float
 ) -> tuple[list[EstimateRow], dict[str, Entry]]:
-    """Rows and keys of the gel's shear modulus, creep and friction, from weights and the recordings that show them."""
+    """Return rows and keys of the gel's shear modulus, creep and friction, from weights and their recordings."""
     values: dict[str, Entry] = {}
     modulus = friction = factor = total = None
     mass_kg = None if known.object_mass_g is None else 1e-3 * known.object_mass_g
@@ -204,7 +205,7 @@ def _gel(
             as_factor = _scaled(friction, 1 / (scale_n_ma * known.object_friction))
             given = known.force_per_current_n_ma is not None
             factor, whys[3] = (as_factor, source) if given else (None, NO_SCALE)
-            needs = source if given else f"{source}; right for the force per current below alone"
+            needs = source if given else f"{source}; valid only for the force per current below"
             values["static_friction_factor"] = Entry(as_factor.value, factor, needs)
     named = [("shear_modulus_pa", "Pa", modulus), ("creep.share, both arms", "", total)]
     named += [("static friction x force per current", "N/mA", friction), ("static_friction_factor", "", factor)]
@@ -212,7 +213,7 @@ def _gel(
 
 
 def _friction(per_ma: Sequence[Floats]) -> Estimate:
-    """Static friction times force per current, from the weight per mA at the first and last moment of each slip."""
+    """Return static friction times force per current, from the weight per mA at first and last time of each slip."""
     first, last = np.log(np.array(per_ma)).T
     gap = last - first
     middle = float(np.mean(last + SLIP_PART * gap))

@@ -1,4 +1,4 @@
-"""What a press tells of a sensor: places, size, blur and contrast of its dots, its lens, and its thresholds."""
+"""Estimates from a press: positions, size, blur and contrast of the dots, the lens, and the thresholds."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -20,23 +20,23 @@ from evetac_cli.stages.identify.sensor_text import Entry, EstimateRow
 from evetac_cli.store.recordings.read import Recording
 
 MAKE_PRESS = "make one in which a blunt tip strokes the whole gel, as for evetac calibrate"
-MAKE_WHOLE = "cannot be told from these recordings: some dots were not seen; press over the whole gel"
+MAKE_WHOLE = "cannot be estimated from these recordings: some dots were not seen; press on the whole gel"
 PLACE = "error of a dot's place, 95 %"
-MAKE_LONGER = "cannot be told from these recordings: make one with more strokes over the whole gel"
-NOT_ALONE = "cannot be told from events: only contrast over threshold makes them"
+MAKE_LONGER = "cannot be estimated from these recordings: make one with more strokes over the whole gel"
+NOT_ALONE = "cannot be estimated from events, which depend only on contrast over threshold"
 OTHER_GRID = (
-    "cannot be told from these recordings: the dots are not the grid of --like, of which a lens would curve rows"
+    "cannot be estimated from these recordings: the dots are not the grid of --like, whose rows would show a lens"
 )
-UNEVEN = "cannot be told from these recordings: the dots were printed too unevenly for their rows to show a lens"
+UNEVEN = "cannot be estimated from these recordings: the dots are printed too unevenly for their rows to show a lens"
 ONLY_LATE = (
-    "cannot be told from these recordings: slow pixels show a motion later and smoother, as a slow gel would; make one"
-    " of a motion whose time is known otherwise, as of a shaker that tells its phase"
+    "cannot be estimated from these recordings: slow pixels show a motion later and smoother, as a slow gel would; make"
+    " one of a motion with known times, e.g. of a shaker that reports its phase"
 )
-MAKE_LONG_REST = "cannot be told from these recordings: make one of ten minutes in which nothing touches the gel"
+MAKE_LONG_REST = "cannot be estimated from these recordings: make one of ten minutes in which nothing touches the gel"
 WORST_JITTER_PX = calibrate.WORST_JITTER_PX
 MOST_MISSING = calibrated_gel.MOST_MISSING
-APART = 0.01  # relative sd of the thresholds of ON against those of OFF: less is one threshold for both
-WIDEST_LENS = 0.0175  # interval of k1, a quarter of what `--sensor randomized` has: a wider one is not shown
+APART = 0.01  # relative sd of ON against OFF thresholds; a smaller one counts as one threshold for both
+WIDEST_LENS = 0.0175  # interval of k1, a quarter of the range of `--sensor randomized`; a wider one is not shown
 UNITS = {
     "dots": "",
     PLACE: "px",
@@ -53,9 +53,9 @@ UNITS = {
 
 @dataclass(frozen=True)
 class Press:
-    """Dots (rows, columns, 2) in px, NaN where one is missing, how far halves of the strokes disagree, optics, lens.
+    """Dots (rows, columns, 2) in px, NaN for missing ones, the difference between halves of the strokes, optics, lens.
 
-    `is_apart`: pixels have one threshold for ON and another one for OFF.
+    `is_apart`: whether the thresholds of a pixel for ON and OFF differ.
     """
 
     dot_xy_px: NDArray[np.float64]
@@ -71,12 +71,12 @@ class Press:
 
     @property
     def dots(self) -> int:
-        """How many dots were found."""
+        """Number of dots found."""
         return int(np.isfinite(self.dot_xy_px[..., 0]).sum())
 
     @property
     def told_lens_k1(self) -> Estimate | None:
-        """The lens, if its interval is narrow enough to tell something."""
+        """The lens, if its interval is narrow enough to be informative."""
         k1 = self.lens_k1
         return k1 if k1 is not None and k1.high - k1.low <= WIDEST_LENS else None
 
@@ -88,10 +88,10 @@ def find(
     noise_hz: float,
     rng: np.random.Generator,
 ) -> Press:
-    """What the dots tell that a recording shows moved from rest; ValueError, which says why, where that is too little.
+    """Return the estimates from dots that move from rest in a recording; ValueError, with the reason, if insufficient.
 
-    `printed_xy` (rows, columns, 2) is the grid as printed, against which the lens is seen, None where it is not known;
-    `noise_hz` is that of a pixel.
+    printed_xy: the grid as printed, (rows, columns, 2), as reference for the lens; None if unknown.
+    noise_hz: noise of a pixel.
     """
     halves, events, seconds = _stroked(recording)
     runs = Runs(*(first.joined(second) for first, second in zip(*halves, strict=True)))
@@ -100,11 +100,11 @@ def find(
     radius_px = float(np.median(places.radius_px))
     jitter_px = gel_at_rest.jitter_px((halves[0].joined, halves[1].joined), seen, radius_px)
     if not np.isfinite(jitter_px):
-        raise ValueError("too few strokes to see where dots come to rest")
+        raise ValueError("too few strokes to determine where dots come to rest")
     if jitter_px > WORST_JITTER_PX:
         raise ValueError(
-            f"dots come to rest at different places after each stroke, {jitter_px:.2f} px rms apart,"
-            f" where {WORST_JITTER_PX:g} are allowed"
+            f"dots come to rest at different positions after each stroke, {jitter_px:.2f} px rms apart,"
+            f" at most {WORST_JITTER_PX:g} allowed"
         )
     expected = _filled(seen)
     looked_for = np.isfinite(expected[..., 0])
@@ -131,7 +131,7 @@ def find(
 
 
 def _stroked(recording: Recording) -> tuple[tuple[Runs, Runs], StrokeEvents, float]:
-    """First runs of every other pair of strokes and of the other pairs, all events, and how long the strokes took."""
+    """Return first runs of every other pair of strokes and of the other pairs, all events, and the total duration."""
     nothing = np.zeros(recording.frame_px[::-1], np.uint8)
     halves = [[RestImage(nothing, nothing), RestImage(nothing, nothing)] for _ in range(2)]
     events = thresholds.start(recording.frame_px)
@@ -147,7 +147,7 @@ def _stroked(recording: Recording) -> tuple[tuple[Runs, Runs], StrokeEvents, flo
 
 
 def _filled(seen: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The grid with missing dots where the others let expect them: a smooth surface over rows and columns."""
+    """Return the grid with missing dots at their expected positions: a smooth surface over rows and columns."""
     row, column = (
         axis / max(1, size - 1) - 0.5 for axis, size in zip(np.indices(seen.shape[:2]), seen.shape, strict=False)
     )
@@ -167,7 +167,7 @@ def _polarity(events: StrokeEvents, noise: float, rng: np.random.Generator) -> P
 
 
 def _beside(events: StrokeEvents, contrast_over_threshold: float, rng: np.random.Generator) -> Estimate | None:
-    """The spread of the thresholds if each pixel has one for ON and OFF; None with too few events."""
+    """Return the spread of the thresholds if each pixel has one for both ON and OFF; None with too few events."""
     try:
         return thresholds.of_both_polarities(events.events[0], events.events[1], contrast_over_threshold, rng)
     except ValueError:
@@ -187,9 +187,10 @@ def _lens(
 
 
 def rows(press: Press | None, like: Sensor, why_none: str = "") -> tuple[list[EstimateRow], dict[str, Entry]]:
-    """Rows and keys of dots, optics, lens and thresholds; `like` is the sensor that has what is not told.
+    """Return rows and keys of dots, optics, lens and thresholds.
 
-    The rims were read with its log_contrast. why_none: where there is no press, which recording shows none, and why.
+    like: the sensor with the values of all other keys; its log_contrast was used for the rims.
+    why_none: if there is no press, a recording without one, and the reason.
     """
     never = [
         EstimateRow("log_contrast", "log units", None, NOT_ALONE),
@@ -197,7 +198,7 @@ def rows(press: Press | None, like: Sensor, why_none: str = "") -> tuple[list[Es
         EstimateRow("leak_hz", "Hz a pixel", None, MAKE_LONG_REST),
     ]
     if press is None:
-        why = f"cannot be told from {why_none or 'these recordings'}; {MAKE_PRESS}"
+        why = f"cannot be estimated from {why_none or 'these recordings'}; {MAKE_PRESS}"
         return [*(EstimateRow(name, unit, None, why) for name, unit in UNITS.items()), *never], {}
     half_px = 1.96 * press.jitter_px / np.sqrt(2.0)
     whole = press.dot_xy_px[..., 0].size - press.dots <= MOST_MISSING * press.dot_xy_px[..., 0].size
@@ -223,25 +224,25 @@ def rows(press: Press | None, like: Sensor, why_none: str = "") -> tuple[list[Es
 
 
 def _without(like: Sensor, estimated: Mapping[str, Entry]) -> dict[str, Entry]:
-    """Keys that `like` names and the press does not show to be there: as on a sensor without them."""
+    """Return neutral values for keys of `like` that were not found in the press, as on a sensor without them."""
     none: dict[str, Any] = {"threshold_off": estimated["threshold"].value}
     none |= {"dot_radius_spread": 0.0, "dot_contrast_spread": 0.0}
-    if "dot_xy_px" in estimated:  # as seen: a lens would move them once more
+    if "dot_xy_px" in estimated:  # already as seen: a lens would move them again
         none["distortion"] = np.zeros(2)
     named = as_table(like)
     names = [name for name in none if name in named and name not in estimated]
-    return {name: Entry(none[name], None, "not surely there in the press") for name in names}
+    return {name: Entry(none[name], None, "not significant in the press") for name in names}
 
 
 def _entries(press: Press, log_contrast: float, half_px: float | None) -> dict[str, Entry]:
-    """Keys of the sensor's file; a spread, a lens and a second threshold only where they are surely there."""
+    """Return keys of the sensor's file; a spread, a lens and a second threshold only if they are significant."""
     optics, source = press.optics, press.source
     ratio = optics.contrast_over_threshold
     threshold = Estimate(log_contrast / ratio.value, log_contrast / ratio.high, log_contrast / ratio.low)
     values = {
         "dot_radius_px": Entry(optics.dot_radius_px.value, optics.dot_radius_px, source),
         "edge_sigma_px": Entry(optics.edge_sigma_px.value, optics.edge_sigma_px, source),
-        "log_contrast": Entry(log_contrast, None, "not estimated: only contrast over threshold makes events"),
+        "log_contrast": Entry(log_contrast, None, "not estimated: events depend only on contrast over threshold"),
         "threshold": Entry(threshold.value, threshold, f"{source}, for this log_contrast"),
     }
     for key, one in (
@@ -267,7 +268,7 @@ def _entries(press: Press, log_contrast: float, half_px: float | None) -> dict[s
         missing = press.dot_xy_px[..., 0].size - press.dots
         about = f"each within {half_px:.2g} px in x and in y{' without the lens' if is_curved else ''}; {source}"
         if missing:
-            about += f"; {missing} that were not seen lie where the others let expect them"
+            about += f"; {missing} that were not seen are at positions expected from the others"
         if np.isfinite(places).all():
             values["dot_xy_px"] = Entry(places, None, about)
     return values

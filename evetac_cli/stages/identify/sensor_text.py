@@ -1,4 +1,4 @@
-"""The text of a sensor's TOML file: what was estimated, each key with its interval and source, and what was not."""
+"""The text of a sensor's TOML file: the estimated keys, each with its interval and source, and notes on the others."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -9,13 +9,13 @@ import numpy as np
 from evetac_cli.kernels.estimates import Estimate
 from evetac_cli.store.layout.provenance import Recipe
 
-DIGITS = 6  # of an estimate: no recording tells more
+DIGITS = 6  # of an estimate: no recording is more precise
 LINE = 110
 NOT_ESTIMATED = "bandwidth and leak are not estimated"
 
 
 class EstimateRow(NamedTuple):
-    """A row of the table: what was estimated and from what, or with what recording it could be."""
+    """A row of the table: a parameter, its estimate and source, or the recording needed to estimate it."""
 
     parameter: str
     unit: str
@@ -24,7 +24,7 @@ class EstimateRow(NamedTuple):
 
 
 class Entry(NamedTuple):
-    """The value of a key, its interval if it has one, and where it comes from; a table may hold entries of its own."""
+    """The value of a key, its interval if it has one, and its source; the value may be a table of entries."""
 
     value: Any
     estimate: Estimate | None
@@ -32,13 +32,13 @@ class Entry(NamedTuple):
 
 
 def sensor_text(name: str, like: str, values: Mapping[str, Entry], recipe: Recipe, files: Sequence[str]) -> str:
-    """The file's text; `values` by key, a table of columns as the value of a key that is a table."""
+    """Return the file's text; `values` by key, where the value of a table is its columns."""
     lines = [
-        "# A sensor that is like the one of these recordings; intervals are of 95 %.",
+        "# A sensor estimated from these recordings, with 95 % intervals.",
         f"# recipe {recipe.id}",
         f"# from {_in_a_comment(', '.join(files))}{' (simulated)' if recipe.simulated else ''}",
         f'name = "{name}"',
-        f'like = "{like}"  # which has all keys that are not below; {NOT_ESTIMATED}',
+        f'like = "{like}"  # source of all keys that are not below; {NOT_ESTIMATED}',
         'summary = "estimated from recordings by evetac identify"',
         "",
     ]
@@ -46,7 +46,7 @@ def sensor_text(name: str, like: str, values: Mapping[str, Entry], recipe: Recip
     for key, one in plain.items():
         lines += _commented(key, one)
     if not values:
-        lines.append(f"# These recordings tell nothing of the sensor: all is as in {like}.")
+        lines.append(f"# Nothing could be estimated from these recordings: all values are those of {like}.")
     for key, one in values.items():
         if isinstance(one.value, Mapping):
             lines += ["", f"[{key}]", f"# {_in_a_comment(one.source)}"]
@@ -58,13 +58,13 @@ def sensor_text(name: str, like: str, values: Mapping[str, Entry], recipe: Recip
 
 
 def _commented(key: str, one: Entry) -> list[str]:
-    """A key with its interval and source above it."""
+    """Return the lines of a key, with its interval and source above it."""
     interval = "" if one.estimate is None else f"{_number(one.estimate.low)} to {_number(one.estimate.high)}; "
     return [f"# {interval}{_in_a_comment(one.source)}", f"{key} = {_value(one.value)}"]
 
 
 def _in_a_comment(text: str) -> str:
-    """A comment ends with its line, and TOML allows no control characters in it."""
+    """Return a text for a comment: it must be one line, and TOML allows no control characters in it."""
     return "".join(sign if sign.isprintable() else "?" for sign in text)
 
 

@@ -1,8 +1,8 @@
-"""label --review: a page on which a person looks at the onset of each recording, moves it, and keeps it as a label.
+"""label --review: a page on which a person checks the onset of each recording, moves it, and keeps it as a label.
 
-It works for real recordings, which have no truth, and never shows the truth of simulated ones. What a person keeps is a
-labels file of the method `person`, with who gave it in its header, and what it took the place of. A recording without
-labels is shown with those of `event-flow`, which are not kept unless the person does.
+It works for real recordings, which have no truth, and never shows the truth of simulated ones. A label that a person
+keeps is a labels file of the method `person`, with the person's name and the replaced labels in its header. A recording
+without labels is shown with those of `event-flow`, which are stored only if the person keeps them.
 """
 
 import asyncio
@@ -21,9 +21,9 @@ from evetac_cli.store.recordings.read import open_recording
 
 @dataclass(frozen=True)
 class ReviewJob(Job):
-    """All recordings that a person looks at, one after the other; labels: the file of each."""
+    """All recordings that a person reviews, one after the other; labels: the file of each."""
 
-    exclusive = True  # there is one person
+    exclusive = True  # there is only one person
     labels: tuple[Path, ...]
 
     @property
@@ -33,14 +33,14 @@ class ReviewJob(Job):
 
 
 def jobs(files: Sequence[Path], out: Path | None) -> list[ReviewJob]:
-    """One job of all recordings."""
+    """Return one job for all recordings."""
     one_file(files, out)
     labels = tuple(output_path(file, "labels", out) for file in files)
     return [ReviewJob(tuple(files), labels[0], labels)] if labels else []
 
 
 def run(job: ReviewJob, params: Label) -> Outcome:
-    """Serve the page until the person is done; a row for every label that was kept. MissingLibrary without tornado."""
+    """Serve the page until the person is done, with a row for every kept label. MissingLibrary without tornado."""
     from importlib.util import find_spec
 
     from evetac_cli.errors import missing_extra

@@ -1,8 +1,8 @@
 "use strict";
-// The page of a review. What a person sees about an onset, and the verdicts; all text is put in as text.
+// The page of a review: the data around an onset, and the verdicts; all text is inserted as text.
 const $ = (id) => document.getElementById(id);
 const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
-const LEFT = 44, RIGHT = 8, LOW = 4;  // px of a chart beside what it draws
+const LEFT = 44, RIGHT = 8, LOW = 4;  // margins of a chart in px
 const SCALED_MS = 12;
 let trial = null, number = 0, at = 0, earliest = -1, latest = -1, timer = 0, asked = 0;
 
@@ -16,7 +16,7 @@ async function load(which, where) {
   pause();
   $("answer").textContent = "";
   const answer = await fetch(`trial?n=${which}${where === undefined ? "" : `&at=${where}`}`);
-  const data = answer.ok ? await answer.json() : { error: `the page got ${answer.status}`, n: which, of: 0 };
+  const data = answer.ok ? await answer.json() : { error: `the server answered with status ${answer.status}`, n: which, of: 0 };
   if (mine !== asked) return;
   number = data.n;
   $("name").textContent = data.name || "evetac label review";
@@ -56,8 +56,8 @@ function stands(label) {
   const place = $("stands");
   place.replaceChildren();
   const add = (text, kind, name) => { const part = document.createElement(kind || "span"); part.textContent = text; if (name) part.className = name; place.append(part); };
-  if (label.method === null) return add("There are no labels yet, and none can be computed: drag the onset yourself.");
-  add(label.kept ? "Labels: " : "Not kept yet, computed: ");
+  if (label.method === null) return add("There are no labels, and none can be computed for this recording: set the onset yourself.");
+  add(label.kept ? "Labels: " : "Computed, not saved yet: ");
   add(label.onset_ms === null ? "no slip" : `${label.onset_ms} ms`, "b");
   if (label.earliest_ms !== null) add(`, within ${label.earliest_ms} to ${label.latest_ms} ms`);
   add(`, by ${label.method === "person" ? label.by : label.method}${label.kept && label.at ? `, ${label.at.replace("T", " ").replace("Z", " UTC")}` : ""}. `);
@@ -97,7 +97,7 @@ function chart(canvas) {
   const values = trial[canvas.dataset.series];
   if (!values || canvas.closest("[hidden]")) return;
   const [pen, width, height] = sized(canvas);
-  // the slide that follows is a hundred times as fast: what is drawn to scale ends soon after the slice that is chosen
+  // the later slide is a hundred times as fast: the scale is set by values up to shortly after the chosen slice
   const known = values.slice(0, Math.max(at - trial.span[0] + SCALED_MS, SCALED_MS)).filter((value) => value !== null);
   const low = Math.min(0, ...known), high = Math.max(low + 1e-3, ...known);
   const y_of = (value) => LOW + (1 - (value - low) / (high - low)) * (height - 2 * LOW);
@@ -212,7 +212,7 @@ async function send(where, what) {
     const answer = await fetch(where, { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(what) });
     return answer.ok ? answer.json() : { error: `the program refused (${answer.status})` };
   } catch {
-    return { error: "the program that serves this page has gone" };
+    return { error: "the program that serves this page is no longer running" };
   }
 }
 
@@ -224,7 +224,7 @@ async function keep(onset, can_tell) {
   const answer = await send("keep", verdict);
   if (answer.error) return say(answer.error, true);
   await load(number, onset >= 0 ? onset : at);
-  say(onset < 0 ? "Kept: no slip." : `Kept: ${onset} ms${can_tell ? "" : ", cannot tell"}.`);
+  say(onset < 0 ? "Kept: no slip." : `Kept: ${onset} ms${can_tell ? "" : ", uncertain"}.`);
 }
 
 async function done() {

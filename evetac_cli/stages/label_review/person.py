@@ -1,4 +1,4 @@
-"""The label that a person gives, as a labels file with its provenance."""
+"""A person's label, written as a labels file with its provenance."""
 
 import getpass
 from pathlib import Path
@@ -12,15 +12,15 @@ from evetac_cli.store.layout.provenance import Header, Recipe
 from evetac_cli.store.recordings.onset import PERSON, labelled_onset
 from evetac_cli.store.recordings.read import Recording, ramp_start
 
-METHOD = 1  # raised when what is written for the same verdict changes
-CANNOT_TELL = "a person who looked at it cannot tell"
+METHOD = 1  # raised when the labels written for the same verdict change
+CANNOT_TELL = "the person who reviewed it could not decide"
 LONGEST_NAME = 100
 
 
 class Verdict(NamedTuple):
-    """What a person says of a recording: onset, a slice or -1 for no slip, and where else it may lie.
+    """A person's verdict on a recording: the onset, a slice or -1 for no slip, and an interval for it.
 
-    earliest, latest: -1 where the person gives none; can_tell: whether the onset is sure enough to train on.
+    earliest, latest: -1 if not given. can_tell: whether the onset is certain enough for training.
     """
 
     onset: int
@@ -30,23 +30,24 @@ class Verdict(NamedTuple):
 
 
 def name_of(by: str) -> str:
-    """Who labels: the name given, or that of the login; InputError for none, or one that is no line of text."""
+    """Return the name of the person: the given one, or the login name; InputError if there is none or it is invalid."""
     name = by.strip()
     if not name:
         try:
             name = getpass.getuser()
         except (KeyError, OSError, ImportError):  # no such user on this system
-            raise InputError("nobody knows who labels", where="--by", expected="a name") from None
+            raise InputError("there is no login name", where="--by", expected="a name") from None
     if len(name) > LONGEST_NAME or not name.isprintable():
-        raise InputError("no name", where="--by", expected=f"up to {LONGEST_NAME} printed characters", found=name[:20])
+        expected = f"up to {LONGEST_NAME} printable characters"
+        raise InputError("not a valid name", where="--by", expected=expected, found=name[:20])
     return name
 
 
 def keep(recording: Recording, labels: Path, verdict: Verdict, by: str, after_ms: int) -> dict[str, Any]:
-    """Write the labels of a verdict, in the place of those that are there; the row of it.
+    """Write the labels of a verdict, replacing existing ones, and return its row.
 
-    Slices before the onset are no slip, those of the next after_ms are slip. InputError for an onset that lies before
-    the ramp or outside the recording, or outside its own interval.
+    Slices before the onset are no slip, those of the next after_ms are slip. InputError for an onset before the ramp,
+    outside the recording, or outside its own interval.
     """
     slices, start = len(recording), ramp_start(recording)
     _check(verdict, start, slices)
@@ -92,12 +93,12 @@ def _check(verdict: Verdict, start: int, slices: int) -> None:
     if onset != -1 and not start <= onset < slices:
         raise InputError("no such onset", where="onset", expected=f"{start} to {slices - 1} ms", found=str(onset))
     if (earliest, latest) != (-1, -1) and not (onset >= 0 and start <= earliest <= onset <= latest < slices):
-        expected = f"from {start} on, about the onset of {onset} ms"
+        expected = f"an interval that contains the onset, {onset} ms, and starts at {start} ms or later"
         raise InputError("no such interval", where="interval", expected=expected, found=f"{earliest} to {latest} ms")
 
 
 def _replaced(labels: Path) -> list[Header]:
-    """What the labels in this place said, the oldest first, as it stays in the header; none where there are none."""
+    """Return the labels that are replaced, the oldest first, for the header; none if there are no earlier labels."""
     if not labels.exists():
         return []
     with StageFile(labels, "labels") as file:

@@ -1,6 +1,6 @@
-"""Serves the page of a review: what it shows of each recording, and the verdicts that it keeps.
+"""Serves the page of a review: the data of each recording, and the verdicts that the page sends.
 
-Who may ask is told by page_server.py; whatever writes comes by POST, as JSON, from the page itself (Origin).
+page_server.py decides who has access. Requests that write come by POST, as JSON, from the page itself (Origin).
 """
 
 import asyncio
@@ -30,10 +30,10 @@ LAST_S = 0.2  # for the last answer to arrive
 
 
 class ReviewServer(OwnServer):
-    """The page at `url`; `done` is set when the person has finished, `rows` are of what was kept."""
+    """The page at `url`; `done` is set when the person has finished, `rows` has a row for each kept label."""
 
     def __init__(self, recordings: Sequence[Path], labels: Sequence[Path], params: Label) -> None:
-        """Begin to listen."""
+        """Start to listen."""
         self.recordings, self.labels, self.params = recordings, labels, params
         self.by = name_of(params.by)
         self.done = asyncio.Event()
@@ -41,12 +41,12 @@ class ReviewServer(OwnServer):
         super().__init__(CONTENT, [(rf"/([^/]*)/{name}", handler, {}) for name, handler in HANDLERS.items()])
 
     def kept(self, row: dict[str, Any]) -> None:
-        """A verdict was kept: the last of a recording is the one that counts."""
+        """Record a kept verdict; it replaces an earlier one for the same recording."""
         self.rows = [one for one in self.rows if one["output"] != row["output"]] + [row]
         console.say(f"kept {row['output']}: onset {row['onset_ms']} ms, by {row['by']}")
 
     async def end(self) -> None:
-        """Answer nobody any more."""
+        """Stop answering requests."""
         self.door.stop()
         await asyncio.sleep(LAST_S)
         await self.door.close_all_connections()
@@ -58,7 +58,7 @@ class _Asked(Guarded):
     _page_server: ReviewServer
 
     def place(self, number: Any) -> int:
-        """The number of a recording; HTTP 404 where there is none."""
+        """Return the number of a recording; HTTP 404 if there is none."""
         if not isinstance(number, int) or isinstance(number, bool) or not 0 <= number < len(self.server.recordings):
             raise web.HTTPError(404)
         return number
@@ -75,10 +75,10 @@ class _Asked(Guarded):
 
 
 class _Trial(_Asked):
-    """What the page shows."""
+    """The data for the page."""
 
     def get(self, token: str) -> None:
-        """`trial?n=NUMBER&at=SLICE`: what is drawn about a slice, or about the onset."""
+        """Answer `trial?n=NUMBER&at=SLICE` with the data around a slice, or around the onset."""
         number = self.place(_whole(self.get_query_argument("n", "0")))
         asked = self.get_query_argument("at", "")
         at = _whole(asked) if asked else None
@@ -91,10 +91,10 @@ class _Trial(_Asked):
 
 
 class _Post(_Asked):
-    """A request that does something."""
+    """A request that changes something."""
 
     def body(self) -> dict[str, Any]:
-        """What was sent; HTTP 403 or 400 unless it is a JSON object from the page."""
+        """Return the request's JSON object; HTTP 403 or 400 unless it is one from the page."""
         if not self.is_from_here():
             raise web.HTTPError(403)
         if self.request.headers.get("Content-Type", "").partition(";")[0] != "application/json":
@@ -112,7 +112,7 @@ class _Keep(_Post):
     """Keeps a verdict."""
 
     def post(self, token: str) -> None:
-        """`keep` {n, onset, earliest, latest, can_tell}: what was kept, or why not."""
+        """Answer `keep` {n, onset, earliest, latest, can_tell} with the kept row, or the error."""
         sent = self.body()
         number = self.place(sent.get("n"))
         onset, earliest, latest = (sent.get(name, -1) for name in ("onset", "earliest", "latest"))
@@ -138,7 +138,7 @@ class _Done(_Post):
     """Ends the review."""
 
     def post(self, token: str) -> None:
-        """`done` {}: how many labels were kept."""
+        """Answer `done` {} with the number of kept labels."""
         self.body()
         self.say({"kept": len(self.server.rows)})
         self.server.done.set()
@@ -148,7 +148,7 @@ HANDLERS: dict[str, type[_Asked]] = {"trial": _Trial, "keep": _Keep, "done": _Do
 
 
 def _whole(text: str) -> int:
-    """A whole number of at most 15 digits; HTTP 400 for anything else."""
+    """Return a whole number of at most 15 digits; HTTP 400 for anything else."""
     if not text.isascii() or not text.isdigit() or len(text) > 15:
         raise web.HTTPError(400)
     return int(text)

@@ -1,4 +1,4 @@
-"""What the page of a review shows of a recording: its events, window, flow and dots about a moment, as JSON."""
+"""Data of a recording for the page of a review: its events, window, flow and dots around a slice, as JSON."""
 
 from base64 import b64encode
 from pathlib import Path
@@ -18,15 +18,15 @@ from evetac_cli.store.files import StageFile
 from evetac_cli.store.recordings.onset import LabelledOnset, labelled_onset, told_onset
 from evetac_cli.store.recordings.read import Recording, ramp_start
 
-BEFORE_MS, AFTER_MS = 250, 150  # of the moment that is looked at
-SHORTEST_MS = 40  # either way, however many events there are
+BEFORE_MS, AFTER_MS = 250, 150  # time shown before and after the chosen slice
+SHORTEST_MS = 40  # shown at least on either side, with any number of events
 MOST_EVENTS = 400_000  # in an answer: 2 MB
 MOST_BINS = 1200  # of the overview
-TRACKED_MS = 2000  # dots are tracked from so long before what is shown, or from the start
+TRACKED_MS = 2000  # tracking starts this long before the shown time, or at the start of the recording
 
 
 def onset_now(recording: Recording, labels: Path) -> tuple[LabelledOnset, dict[str, Any]]:
-    """The onset that stands, and what is known of where it is from: of the file, or of `event-flow` without one."""
+    """Return the current onset and its origin: from the labels file, or by `event-flow` without one."""
     if labels.exists():
         with StageFile(labels, "labels") as file:
             check_made_from(file, recording)
@@ -41,7 +41,7 @@ def onset_now(recording: Recording, labels: Path) -> tuple[LabelledOnset, dict[s
 
 
 def by_flow(recording: Recording) -> Labels | None:
-    """Labels by `event-flow`; None where the recording lacks what they need."""
+    """Return labels by `event-flow`; None if the recording lacks required data."""
     try:
         return label.compute(recording, Label())
     except InputError:
@@ -49,7 +49,7 @@ def by_flow(recording: Recording) -> Labels | None:
 
 
 def trial_data(recording: Recording, labels: Path, at: int | None) -> dict[str, Any]:
-    """Everything that the page draws about slice `at`, or about the onset; text is text, numbers are plain."""
+    """Return everything that the page draws around slice `at`, or around the onset, as plain texts and numbers."""
     slices, start = len(recording), ramp_start(recording)
     told, about = onset_now(recording, labels)
     middle = at if at is not None else told.slice_ if told.slice_ is not None else (start + slices) // 2
@@ -79,7 +79,7 @@ def trial_data(recording: Recording, labels: Path, at: int | None) -> dict[str, 
 
 
 def _span(starts: NDArray[np.int64], middle: int) -> tuple[int, int]:
-    """Slices about a moment, fewer where they hold too many events."""
+    """Return the range of slices around a slice, shorter if it has too many events."""
     slices = len(starts) - 1
     before, after = BEFORE_MS, AFTER_MS
     while True:
@@ -90,7 +90,7 @@ def _span(starts: NDArray[np.int64], middle: int) -> tuple[int, int]:
 
 
 def _window_counts(recording: Recording, first: int, stop: int) -> NDArray[np.int64]:
-    """Events of the window in each slice, of the whole frame where there is none."""
+    """Return the number of events in the window in each slice, or in the whole frame without a window."""
     events, window = recording.between(first, stop), recording.window_px
     slices = events.t // 1000 - first
     if window is not None:
@@ -100,7 +100,7 @@ def _window_counts(recording: Recording, first: int, stop: int) -> NDArray[np.in
 
 
 def _overview(recording: Recording) -> dict[str, Any]:
-    """Events of the whole recording in bins of so many slices."""
+    """Return the events of the whole recording in bins, with the width of a bin in slices."""
     slices = len(recording)
     width = max(-(-slices // MOST_BINS), 1)
     edges = np.minimum(np.arange(0, slices + width, width), slices)
@@ -108,7 +108,7 @@ def _overview(recording: Recording) -> dict[str, Any]:
 
 
 def _dots(recording: Recording, first: int, stop: int) -> dict[str, Any]:
-    """Where the tracker sees the dots at the end of each slice, and how far the three farthest are from rest."""
+    """Return the tracked dots at the end of each slice, and the mean distance of the three farthest from rest."""
     grid, radius_px = recording.dot_xy_px, recording.dot_radius_px
     if grid is None or radius_px is None:
         return {"dots": 0}
@@ -119,7 +119,7 @@ def _dots(recording: Recording, first: int, stop: int) -> dict[str, Any]:
         events = recording.between(begin, stop)
         starts = recording.starts[begin : stop + 1] - recording.starts[begin]
         dots = tracker.fold(state, events.x, events.y, events.p, starts).dot_xy_px[first - begin :]
-    except ValueError:  # a grid, or a frame, that the tracker does not follow
+    except ValueError:  # the tracker does not support this grid or frame
         return {"dots": 0}
     away = np.sort(np.hypot(*np.moveaxis(dots - rest, 2, 0)), axis=1)[:, -3:].mean(axis=1)
     return {

@@ -1,1 +1,1 @@
-"""Touch files: what is known of a gel, its weights, and touch maps slice by slice."""
+"""Touch files: prior knowledge of a gel, its weights, and touch maps for each slice."""

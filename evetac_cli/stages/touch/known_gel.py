@@ -1,4 +1,4 @@
-"""What is known of a sensor's gel: what a sensor's file tells of it, and what is expected where nothing does."""
+"""Prior knowledge of a sensor's gel: values from a sensor's file, and expected values for an unknown gel."""
 
 from collections.abc import Container, Sequence
 from pathlib import Path
@@ -22,25 +22,25 @@ from evetac_cli.store.files import StageFile
 from evetac_cli.store.layout.provenance import Header
 from evetac_cli.text_files import read_toml
 
-# What is expected of a gel of which nothing is known: medians and spreads of 2000 sensors drawn from `randomized`
-# (data/sensors.toml), whose ranges are wider than what is published of gels by as much as these were guessed.
+# Expected values of an unknown gel: medians and spreads of 2000 sensors drawn from `randomized` (data/sensors.toml),
+# whose ranges are wider than published values of gels, because those ranges were guessed.
 SHEAR_MODULUS_PA, SHEAR_LOG_SD = 121e3, 0.53
 MM_PER_PX, MM_LOG_SD = 0.0315, 0.046
 CREEP_SHARE, CREEP_SD, CREEP_TIME_S = (0.05, 0.05), (0.029, 0.029), (0.32, 4.4)
-LENGTHS_IN_FORCE = 3  # powers of mm_per_px in force over modulus: of the dots' motion, and two of the patch's area
-TRACKER_PX, DRIFT_PX = 0.05, 0.2  # sd of a tracked dot's own error, and of all dots' together, see DotNoise
+LENGTHS_IN_FORCE = 3  # powers of mm_per_px in force over modulus: one from the dots' motion, two from the patch's area
+TRACKER_PX, DRIFT_PX = 0.05, 0.2  # sd of each tracked dot's error, and of the common error of all dots, see DotNoise
 
 
 class KnownGel(NamedTuple):
-    """What `--sensor` says of a gel; None where it does not. Arms of a gel that does not creep are empty."""
+    """Values of a gel from `--sensor`; None if not given. For a gel without creep, the arms are empty."""
 
     shear_modulus_pa: float | None = None
     mm_per_px: float | None = None
-    creep: tuple[tuple[float, ...], tuple[float, ...]] | None = None  # share and time in s of its arms
-    edges_mm: tuple[float, float, float, float] | None = None  # where it ends, see GelLayer
+    creep: tuple[tuple[float, ...], tuple[float, ...]] | None = None  # share and time, in s, of its arms
+    edges_mm: tuple[float, float, float, float] | None = None  # edges of the gel, see GelLayer
 
     def named(self) -> dict[str, Any]:
-        """As it enters a recipe."""
+        """Return the known values for a recipe."""
         named = {name: value for name, value in self._asdict().items() if value is not None}
         if self.creep is not None:
             named["creep"] = dict(zip(("share", "time_s"), map(list, self.creep), strict=True))
@@ -48,7 +48,7 @@ class KnownGel(NamedTuple):
 
 
 class GelShape(NamedTuple):
-    """A gel's thickness, depth of its dots, distance to the lens and edges: what a touch map takes as given."""
+    """A gel's thickness, depth of its dots, distance to the lens and edges, which a touch map assumes."""
 
     height_mm: float = 4.0
     print_depth_mm: float = 0.0
@@ -57,20 +57,20 @@ class GelShape(NamedTuple):
 
     @classmethod
     def of(cls, params: PredictTouch | TrainForce, known: KnownGel) -> Self:
-        """As flags say, and of edges what is known where they do not."""
+        """Return the shape from flags; edges that the flags do not set are the known ones."""
         edges = _typed_edges(params.gel_mm) if params.gel_mm else known.edges_mm or ENDLESS_MM
         return cls(params.height_mm, params.print_depth_mm, params.lens_mm, edges)
 
     def layer(self, modulus_pa: float) -> GelLayer:
-        """The layer of this shape."""
+        """Return the elastic layer with this shape."""
         return GelLayer(self.height_mm, modulus_pa, 0.5, self.print_depth_mm, self.lens_mm, self.edges_mm)
 
 
 class GelWeights(NamedTuple):
-    """All that turns the dots of one sensor into forces.
+    """All values that convert the dots of one sensor to forces.
 
-    modulus_pa: that touch maps are made with; scale: weights of force over this modulus. mm_log_sd: sd of the logarithm
-    of mm_per_px, whose effect on forces is in the scale's covariance.
+    modulus_pa: modulus with which touch maps are computed. scale: weights of force over this modulus. mm_log_sd: sd of
+    the logarithm of mm_per_px; its effect on forces is part of the scale's covariance.
     """
 
     modulus_pa: float
@@ -83,9 +83,9 @@ class GelWeights(NamedTuple):
 
 
 def gel_of(known: KnownGel, stiffness_error: float, shape: GelShape | None = None) -> GelWeights:
-    """The weights for a sensor of which so much is known.
+    """Return the weights for a sensor with this prior knowledge.
 
-    stiffness_error: sd of the logarithm of a modulus that is known. A scale that is not known makes forces less sure.
+    stiffness_error: sd of the logarithm of a known modulus. An unknown scale makes forces less certain.
     """
     shape = GelShape(edges_mm=known.edges_mm or ENDLESS_MM) if shape is None else shape
     mm_per_px, mm_log_sd = (MM_PER_PX, MM_LOG_SD) if known.mm_per_px is None else (known.mm_per_px, 0.0)
@@ -107,12 +107,12 @@ def _padded(values: Sequence[float], size: int, by: float) -> list[float]:
 
 
 def known_of(sensor: str | None) -> KnownGel:
-    """What `--sensor` tells of a gel: of a file only the keys that it names itself, of a named sensor all."""
+    """Return the values of a gel from `--sensor`: from a file only the keys that it sets, from a named sensor all."""
     if sensor is None:
         return KnownGel()
     if sensor in FOR_EACH_TRIAL:
-        expected = "one sensor, as in evetac or randomized:7, or its file"
-        raise InputError("not one sensor but many", where="--sensor", expected=expected, found=sensor)
+        expected = "one sensor, e.g. evetac or randomized:7, or its file"
+        raise InputError("selects many sensors, not one", where="--sensor", expected=expected, found=sensor)
     if not sensor.endswith(sensor_file.SUFFIX):
         return _known(one_sensor(sensor), KnownGel._fields)
     _, own = sensor_file.read(Path(sensor), one_sensor)
@@ -120,14 +120,14 @@ def known_of(sensor: str | None) -> KnownGel:
 
 
 def _known(sensor: Sensor, named: Container[str]) -> KnownGel:
-    """What a sensor says of its gel, of the keys that are named; it creeps if it says so."""
+    """Return the values of a sensor's gel for these keys; the gel creeps only if the sensor has creep."""
     arms = sensor.creep or GelCreep(share=(), time_s=())
     whole = KnownGel(sensor.shear_modulus_pa, sensor.mm_per_px, (arms.share, arms.time_s), edges_of(sensor))
     return KnownGel(**{name: value for name, value in whole._asdict().items() if name in named})
 
 
 def mm_per_px_of(touch: Header) -> float:
-    """The scale that a touch file was made with: what its recipe, or the one of its force model, names as known."""
+    """Return the scale with which a touch file was made: from its recipe or its force model's, or the expected one."""
     ancestors = [touch["history"][parent] for parent in touch["parents"]]
     models = [header for header in ancestors if header["kind"] == "force-model"]
     scales = [header["parameters"].get("known", {}).get("mm_per_px") for header in (touch, *models)]
@@ -135,27 +135,27 @@ def mm_per_px_of(touch: Header) -> float:
 
 
 def edges_of(sensor: Sensor) -> tuple[float, float, float, float]:
-    """Where the gel of a simulated sensor ends, in mm from the middle of the frame, before it is cut."""
+    """Return the edges of a simulated sensor's gel before it is cut, in mm from the middle of the frame."""
     x0, y0, x1, y1 = (round(1e3 * edge, 6) for edge in sensor.pad_m(cut=False))
     return x0, y0, x1, y1
 
 
 def _typed_edges(text: str) -> tuple[float, float, float, float]:
-    """The edges of a gel as typed, four numbers; InputError for anything else."""
+    """Return the edges of a gel from the flag, four numbers; InputError for anything else."""
     try:
         x0, y0, x1, y1 = (float(part) for part in text.split(","))
     except ValueError:
         x0 = y0 = x1 = y1 = np.nan
     if not (x0 < x1 and y0 < y1):
-        expected = "left, top, right and bottom edge in mm from the middle of the frame, as in -12.8,-7.5,10.5,7.5"
-        raise InputError("these are no edges of a gel", where="--gel-mm", expected=expected, found=text)
+        expected = "left, top, right and bottom edge in mm from the middle of the frame, e.g. -12.8,-7.5,10.5,7.5"
+        raise InputError("not the edges of a gel", where="--gel-mm", expected=expected, found=text)
     return x0, y0, x1, y1
 
 
 def at_window(
     shape: GelShape, window_px: Sequence[int] | None, frame_px: Sequence[int], mm_per_px: float, dot_mm: Floats
 ) -> GelShape:
-    """The shape of a gel that is cut: it ends at its window (x0, y0, x1, y1), where that is a strip beside its dots."""
+    """Return the shape of a cut gel: it ends at its window (x0, y0, x1, y1) if that is a strip beside its dots."""
     if window_px is None:
         return shape
     middle = np.array(frame_px) / 2
@@ -171,18 +171,18 @@ def at_window(
 
 
 def check_scale(tracks: StageFile, known: KnownGel) -> None:
-    """InputError for tracks of another frame than an Evetac's, unless it is known how large a pixel is on the gel.
+    """Raise InputError for tracks with another frame than an Evetac's, unless the size of a pixel on the gel is known.
 
-    Displacements in mm would be wrong by the ratio of the scales, and forces by its third power.
+    Otherwise displacements in mm would be wrong by the ratio of the scales, and forces by its third power.
     """
     width, height = (int(size) for size in tracks.read("sensor/frame_px"))
     if (width, height) == FRAME_PX or known.mm_per_px is not None:
         return
     raise InputError(
-        "the scale of this frame, in mm per pixel on the gel, is not known",
+        "the scale of this frame, in mm per pixel on the gel, is unknown",
         where=str(tracks.path),
         expected="{} x {} px, or --sensor with mm_per_px".format(*FRAME_PX),
         found=f"{width} x {height} px",
-        hint='write like = "evetac" and mm_per_px, by a ruler laid on the gel, into mine.sensor.toml;'
+        hint='measure mm_per_px with a ruler on the gel, write it with like = "evetac" into mine.sensor.toml, and use'
         " --sensor mine.sensor.toml",
     )

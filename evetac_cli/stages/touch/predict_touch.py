@@ -1,4 +1,4 @@
-"""predict-touch: forces, place, torsion and maps of a touch, slice by slice, from tracks."""
+"""predict-touch: forces, position, torsion and maps of a touch in each slice, from tracks."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -22,14 +22,14 @@ from evetac_cli.store.recordings.read import UNKNOWN_SENSOR
 
 OUTPUT = "touch"
 METHOD = 1
-SHAPE_FLAGS = {"height_mm", "print_depth_mm", "lens_mm", "gel_mm"}  # which a model knows
+SHAPE_FLAGS = {"height_mm", "print_depth_mm", "lens_mm", "gel_mm"}  # stored in a model
 
 
 def jobs(files: list[Path], params: PredictTouch, out: Path | None) -> list[Job]:
-    """One touch file for every tracks file."""
+    """Return a job for every tracks file."""
     if params.model is not None and params.sensor is not None:
         raise InputError(
-            "an adapted model has the stiffness of its sensor",
+            "an adapted model already has the stiffness of its sensor",
             where="--sensor",
             found=f"{params.sensor}, and --model {params.model}",
             hint="leave out one of the two",
@@ -43,14 +43,14 @@ def jobs(files: list[Path], params: PredictTouch, out: Path | None) -> list[Job]
 
 
 def check_depth(print_depth_mm: float, height_mm: float) -> None:
-    """InputError for dots that would lie below the gel."""
+    """Raise InputError for dots that would be below the gel."""
     if print_depth_mm >= height_mm:
-        expected, found = f"less than the gel is thick, {height_mm:g} mm", f"{print_depth_mm:g} mm"
+        expected, found = f"less than the thickness of the gel, {height_mm:g} mm", f"{print_depth_mm:g} mm"
         raise InputError("dots below the gel", where="--print-depth-mm", expected=expected, found=found)
 
 
 def run(job: Job, params: PredictTouch, *, force: bool = False, progress: Progress = silent) -> Outcome:
-    """Fold touch maps over the tracks and store a row for every slice, and some maps."""
+    """Apply the touch map to the tracks, slice by slice, and store a row for every slice, and some maps."""
     path, *models = job.inputs
     known = known_gel.known_of(params.sensor)
     own = touch_model.read_own(models[0]) if models else None
@@ -71,7 +71,7 @@ def run(job: Job, params: PredictTouch, *, force: bool = False, progress: Progre
 
 
 def _recipe(params: PredictTouch, known: KnownGel, tracks: Header, own: Header | None) -> Recipe:
-    """What the numbers follow from: of a sensor that is not named its error is none, and a model has its own shape."""
+    """Return the recipe, without parameters that have no effect: error of an unknown sensor, shape with a model."""
     unused = set() if params.sensor is not None else {"stiffness_error"}
     unused |= set() if own is None else SHAPE_FLAGS
     chosen: dict[str, Any] = {name: value for name, value in recipe_of(params).items() if name not in unused}
@@ -80,20 +80,20 @@ def _recipe(params: PredictTouch, known: KnownGel, tracks: Header, own: Header |
 
 
 def _check_sensor(tracks: StageFile, adapted_to: str, model: Path) -> None:
-    """InputError for tracks of another sensor than known forces were applied to."""
+    """Raise InputError for tracks of another sensor than that to which the model was adapted."""
     name = str(tracks.read("sensor/name"))
     if len({name, adapted_to} - {UNKNOWN_SENSOR}) > 1:
         raise InputError(
-            "the tracks are of another sensor than the model was adapted to",
+            "the tracks are not from the sensor to which the model was adapted",
             where=str(tracks.path),
             expected=f"{adapted_to}, as in {model}",
             found=name,
-            hint="train-force --method touch adapts one to this sensor; or leave out --model",
+            hint="train-force --method touch adapts a model to this sensor; or leave out --model",
         )
 
 
 class _Told:
-    """What the row of a file says, from block to block."""
+    """Collects the figures for a file's row, block by block."""
 
     def __init__(self) -> None:
         self.slices = self.maps = self.touched = 0
@@ -101,7 +101,7 @@ class _Told:
         self.most: dict[str, tuple[float, float]] = {}
 
     def add(self, columns: dict[str, Any]) -> None:
-        """The columns of one more block."""
+        """Add the columns of one block."""
         self.slices += len(columns["known"])
         self.maps += len(columns.get("map/slice", ()))
         self.touched += int(columns["touches"].sum())
@@ -118,7 +118,7 @@ class _Told:
             self.most[name] = max(self.most.get(name, (-np.inf, np.nan)), (float(value[at]), float(sd[at])))
 
     def row(self) -> dict[str, Any]:
-        """As it is shown; None for the most of a recording without a touch."""
+        """Return the row; maxima are None for a recording without touch."""
         most: dict[str, float | None] = {}
         for name in ("shear_n", "normal_n", "torsion_n_mm"):
             value, sd = self.most.get(name, (None, None))

@@ -1,4 +1,7 @@
-"""The network of the sticking share from its file: named arrays, no code (kernels/touch/sticking.py)."""
+"""Loads the network of the sticking share from its file of named arrays, which contains no code.
+
+The network itself is in kernels/touch/sticking.py.
+"""
 
 import functools
 import zipfile
@@ -13,15 +16,15 @@ from evetac_cli.resources import STICKING_MODEL
 
 @functools.cache
 def shipped() -> StickingNetwork:
-    """The package's network."""
+    """Return the pretrained network."""
     return read(STICKING_MODEL)
 
 
 def read(path: Path) -> StickingNetwork:
-    """A network from a file of named arrays (.npz); InputError where it holds none."""
+    """Read a network from a file of named arrays (.npz); InputError if it contains none."""
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as held:
             return StickingNetwork.of_arrays({name: held[name] for name in held.files})
     except (OSError, ValueError, EOFError, TypeError, AttributeError, zipfile.BadZipFile) as error:
-        expected, found = "named arrays (.npz) as scripts/train_sticking.py writes them", str(error)
-        raise InputError("no network of a sticking share", where=str(path), expected=expected, found=found) from None
+        expected, found = "named arrays (.npz) as written by scripts/train_sticking.py", str(error)
+        raise InputError("not a sticking-share network", where=str(path), expected=expected, found=found) from None

@@ -1,8 +1,8 @@
-"""The share of a contact that sticks, slice by slice from tracked dots: what a slip detector may be told beside them.
+"""The sticking share of a contact in each slice, from tracked dots: an additional input for slip detectors.
 
-The network of touch maps without the map, which takes milliseconds where it is found anew, by the frame and the scale
-that are expected of any sensor (known_gel.py). `featurize` folds it over tracks, and a detector that learned with it
-over the dots that it follows: with the same bits.
+It uses the network of touch maps without the map itself, which takes milliseconds to compute, and assumes the expected
+frame and scale of any sensor (known_gel.py). `featurize` applies it to tracks, and a detector trained with it to the
+dots that it tracks; both give identical bits.
 """
 
 import math
@@ -22,10 +22,10 @@ from evetac_cli.stages.touch.known_gel import DRIFT_PX, MM_PER_PX, TRACKER_PX
 
 
 class StickingShare:
-    """What sticks after the slices so far: `share`, NaN where nothing touches or too few dots are known."""
+    """The sticking share after the slices so far: `share`, NaN without contact or with too few known dots."""
 
     def __init__(self, rest_xy_px: NDArray[np.floating]) -> None:
-        """For dots at rest at (dots, 2), NaN where one is missing."""
+        """Start with the dots at rest, (dots, 2), NaN for missing ones."""
         self.share = math.nan
         self._middle_px = np.array(FRAME_PX) / 2
         self._rest_mm: Floats = (np.asarray(rest_xy_px, np.float64) - self._middle_px) * MM_PER_PX
@@ -38,14 +38,14 @@ class StickingShare:
             self._state = sticking.start(self._rest_mm, sticking_network.shipped(), noise)
 
     def step(self, dot_xy_px: NDArray[np.floating], lost: NDArray[np.bool_] | NDArray[np.uint8]) -> float:
-        """The share after one more slice, with its dots (dots, 2) and which of them are lost (dots,)."""
+        """Process one slice, with its dots (dots, 2) and which of them are lost (dots,), and return the share."""
         if self._state is None:
             return self.share
-        # as tracks are stored, so that a live dot and one from a file are the same
+        # float32 as in tracks files, so that live dots and dots from a file are identical
         dot_mm = (np.asarray(dot_xy_px, np.float32) - self._middle_px) * MM_PER_PX
         gone: Flags = np.asarray(lost) != 0
         self._slices += 1
-        if self._slices % rest.BLOCK_MS == 0:  # as often as the network looks
+        if self._slices % rest.BLOCK_MS == 0:  # the interval of the network
             self._touches = self._is_touched(dot_mm, gone)
         self.share = sticking.step(self._state, dot_mm, gone, self._touches).sticking_share
         return self.share

@@ -1,7 +1,7 @@
-"""Touch maps folded over the tracks of a recording, block by block: forces and place of every slice, and some maps.
+"""Touch maps applied to the tracks of a recording, block by block: forces and position in every slice, and some maps.
 
-A touch map is made with the modulus that is expected of the gel; `GelWeights` says by what its forces are to be
-multiplied, and how sure that is, of a gel that creeps or to which known forces were applied.
+A touch map is computed with the expected modulus of the gel. `GelWeights` has the factors by which its forces are
+multiplied, with their uncertainty, for a gel with creep or one adapted to known forces.
 """
 
 from collections.abc import Iterator, Sequence
@@ -37,10 +37,10 @@ Columns = dict[str, NDArray[Any]]
 
 
 class Slices(NamedTuple):
-    """Forces over the modulus in mm2 that the dots tell in each slice, their deviations, and whether it is a touch.
+    """Forces over modulus, in mm2, from the dots of each slice, with standard deviations, and whether there is touch.
 
-    shear_mm2, shear_sd_mm2: (slices, 2); normal_mm2, normal_sd_mm2, touches: (slices,). 0 without a touch, and the
-    deviations NaN; all NaN with too few dots.
+    shear_mm2, shear_sd_mm2: (slices, 2); normal_mm2, normal_sd_mm2, touches: (slices,). Without touch, forces are 0 and
+    their standard deviations NaN; with too few dots, all are NaN.
     """
 
     shear_mm2: Floats
@@ -51,14 +51,14 @@ class Slices(NamedTuple):
 
 
 class Factor(NamedTuple):
-    """What forces of a map are to be multiplied by, its relative sd, and how much larger the map's own sd is."""
+    """A factor for the forces of a map, its relative sd, and the factor by which the map's own sd is increased."""
 
     value: Floats
     relative_sd: Floats
     times: float
 
     def applied(self, value: Floats, sd: Floats) -> tuple[Floats, Floats]:
-        """A force or traction and its sd."""
+        """Return a force or traction and its sd after applying the factor."""
         after = value * self.value
         return after, np.hypot(self.times * self.value * sd, self.relative_sd * after)
 
@@ -72,7 +72,7 @@ def start(
     renews: bool = True,
     compares: bool = False,
 ) -> TouchState:
-    """Begin a touch map of dots at rest (n, 2), of a gel that may be cut; ValueError where they are no such dots."""
+    """Start a touch map from dots at rest (n, 2) of a gel, which may be cut; ValueError if the dots are unsuitable."""
     scale = gel.mm_per_px
     rest_mm = (rest_px - np.array(frame_px) / 2) * scale
     shape = at_window(gel.shape, window_px, frame_px, scale, rest_mm)
@@ -81,22 +81,22 @@ def start(
 
 
 def of_tracks(gel: GelWeights, tracks: StageFile, *, compares: bool = False) -> TouchState:
-    """Begin a touch map of the dots of a tracks file; InputError where they are no dots of a gel.
+    """Start a touch map from the dots of a tracks file; InputError if the dots are unsuitable.
 
-    compares: leave out dots that moved otherwise than the others allow.
+    compares: leave out dots whose motion is inconsistent with the others.
     """
     window_px = tracks.read("sensor/window_px").tolist() if tracks.has("sensor/window_px") else None
     try:
         rest_px = tracks.read("sensor/dot_xy_px").reshape(-1, 2)
         return start(gel, rest_px, tracks.read("sensor/frame_px").tolist(), window_px, compares=compares)
     except ValueError as error:
-        raise InputError(f"no touch can be told of these dots: {error}", where=str(tracks.path)) from error
+        raise InputError(f"no touch can be estimated from these dots: {error}", where=str(tracks.path)) from error
 
 
 class TouchFold:
-    """Folds touch maps over the slices of a tracks file in turn; map_every: slices between maps, 0 for none.
+    """Applies a touch map to the slices of a tracks file in order; map_every: slices between maps, 0 for none.
 
-    What is `since` counts from where the field of the dots last came to rest.
+    Quantities named `since` are measured from the last state in which the field of dots came to rest.
     """
 
     def __init__(self, gel: GelWeights, tracks: StageFile, map_every: int, *, compares: bool = False) -> None:
@@ -108,7 +108,7 @@ class TouchFold:
         self._reference = -1
 
     def block(self, first: int, stop: int) -> Columns:
-        """Columns of a touch file, and its maps, for the slices [first, stop), which follow those before."""
+        """Return the columns of a touch file, and its maps, for the next slices [first, stop)."""
         readings: list[tuple[Any, ...]] = []
         sticks: list[StickingReading] = []
         maps: list[tuple[Any, ...]] = []
@@ -129,7 +129,7 @@ class TouchFold:
         return columns | (self._maps(maps) if self.map_every else {})
 
     def _step_sticking(self, dot_mm: Floats, lost: Flags, touches: bool) -> StickingReading:
-        """What sticks in one more slice; where the reference is another, the touch map counts from it, too."""
+        """Return the sticking share of one slice; if its reference changed, the touch map uses the new one too."""
         if self._sticking is None:
             return sticking.NO_TOUCH
         told = sticking.step(self._sticking, dot_mm, lost, touches)
@@ -139,9 +139,9 @@ class TouchFold:
         return told
 
     def _scaled(self, told: Columns, reference: NDArray[np.int64]) -> Columns:
-        """What readings of a block tell, with the weights of the gel; nothing is `since` before there is a reference.
+        """Return the columns of a block with the weights of the gel; `since` is NaN before there is a reference.
 
-        An unknown scale of the image concerns places and areas, and torsion once more than forces.
+        An unknown scale of the image affects positions and areas, and torsion with one more power than forces.
         """
         gel, touches = self.gel, np.asarray(told["touches"], np.bool_)
         forces = forces_of(gel, _over_modulus(gel, told), self._memory)
@@ -167,7 +167,7 @@ class TouchFold:
         }
 
     def _maps(self, maps: list[tuple[Any, ...]]) -> Columns:
-        """The maps of some slices, with the weights of the gel."""
+        """Return the maps of some slices, with the weights of the gel."""
         cells = self.state.cells.shape
         sizes = {"patch": cells, "shear_pa": (2, *cells), "pressure_pa": cells}
         told = {
@@ -191,14 +191,14 @@ class TouchFold:
 
 
 def sticking_of(state: TouchState) -> StickingState | None:
-    """Begin to tell what sticks, of the dots of a touch map; None with too few of them."""
+    """Start estimating the sticking share from the dots of a touch map; None with too few dots."""
     if np.count_nonzero(state.there) < dot_field.LEAST_DOTS:
         return None
     return sticking.start(state.rest_mm, sticking_network.shipped(), state.noise)
 
 
 def _slices(tracks: StageFile, mm_per_px: float, first: int, stop: int) -> Iterator[tuple[Floats, Flags]]:
-    """The dots (n, 2) in mm of some slices of a tracks file, and which of them are lost (n,)."""
+    """Iterate over slices of a tracks file: the dots (n, 2) in mm, and which of them are lost (n,)."""
     dot_mm = (tracks.read("dot_xy_px", first, stop) - _middle_px(tracks)) * mm_per_px
     return zip(dot_mm, tracks.read("lost", first, stop) != 0, strict=True)
 
@@ -209,7 +209,7 @@ def _middle_px(tracks: StageFile) -> Floats:
 
 
 def slices_of(gel: GelWeights, tracks: StageFile) -> Slices:
-    """What the dots tell in all slices of a tracks file, without holding and without maps."""
+    """Return the forces over modulus in all slices of a tracks file, without a reference and without maps."""
     state = of_tracks(gel, tracks)
     slices = tracks.length("dot_xy_px")
     told = {name: np.empty((slices, 2) if name in PAIRS else slices) for name in (*SUMS, "touches")}
@@ -223,7 +223,7 @@ def slices_of(gel: GelWeights, tracks: StageFile) -> Slices:
 
 
 def _over_modulus(gel: GelWeights, told: Columns) -> Slices:
-    """Forces of readings over the modulus that their map was made with."""
+    """Return the forces of readings over the modulus with which their map was made."""
     mpa = gel.modulus_pa * 1e-6
     shear, shear_sd, normal, normal_sd = (told[name] / mpa for name in SUMS[:4])
     return Slices(shear, shear_sd, normal, normal_sd, np.asarray(told["touches"], np.bool_))
@@ -232,9 +232,9 @@ def _over_modulus(gel: GelWeights, told: Columns) -> Slices:
 def forces_of(
     gel: GelWeights, over: Slices, memory: CreepMemory | None = None, step_s: float = gel_forces.SLICE_S
 ) -> Forces:
-    """Forces of slices that follow each other, step_s apart; 0 without a touch, NaN where nothing is known.
+    """Return the forces of consecutive slices, step_s apart; 0 without touch, NaN if unknown.
 
-    memory: of the gel's creep in the slices before.
+    memory: state of the gel's creep from earlier slices.
     """
     shear, normal = terms_of(gel, over, memory, step_s)
     forces = gel_forces.predict(gel.scale, gel.errors, shear, normal, over.shear_sd_mm2, over.normal_sd_mm2)
@@ -247,20 +247,20 @@ def forces_of(
 def terms_of(
     gel: GelWeights, over: Slices, memory: CreepMemory | None = None, step_s: float = gel_forces.SLICE_S
 ) -> tuple[Floats, Floats]:
-    """Terms of the shear force (slices, 2, 4) and of the normal force (slices, 2) of slices that follow each other."""
+    """Return the terms of shear force (slices, 2, 4) and normal force (slices, 2) of consecutive slices."""
     shear = gel_forces.shear_terms(over.shear_mm2, gel.creep_time_s, step_s, memory)
     return shear, gel_forces.normal_terms(over.normal_mm2, over.normal_sd_mm2)
 
 
 def shear_factor(gel: GelWeights) -> Factor:
-    """Of what is shear, without creep and offset."""
+    """Return the factor for shear, without creep and offset."""
     weight = gel.scale.shear[:, 0]
     relative_sd = np.sqrt(gel.scale.shear_covariance[:, 0, 0]) / weight
     return Factor(weight / (gel.modulus_pa * 1e-6), relative_sd, gel.errors.shear_times)
 
 
 def normal_factor(gel: GelWeights) -> Factor:
-    """Of what is pressure, without an offset."""
+    """Return the factor for pressure, without offset."""
     weight = gel.scale.normal[0]
     relative_sd = np.sqrt(gel.scale.normal_covariance[0, 0]) / weight
     return Factor(weight / (gel.modulus_pa * 1e-6), relative_sd, gel.errors.normal_times)

@@ -15,7 +15,7 @@ from evetac_cli.store.layout.provenance import Header
 KIND = "force-model"
 MADE = "a model of train-force --method touch"
 SHAPE = ("height_mm", "print_depth_mm", "lens_mm")  # numbers of a GelShape
-SHAPES = {  # what the schema leaves open
+SHAPES = {  # shapes that the schema leaves open
     "adapted/shear_covariance": (2, CREEP_ARMS + 2, CREEP_ARMS + 2),
     "adapted/normal": (3,),
     "adapted/normal_covariance": (3, 3),
@@ -26,7 +26,7 @@ SHAPES = {  # what the schema leaves open
 
 
 def arrays_of(gel: GelWeights) -> dict[str, Any]:
-    """The datasets of an adapted scale."""
+    """Return the datasets of an adapted scale."""
     return {
         **{f"adapted/{name}": values for name, values in gel.scale._asdict().items()},
         **{f"adapted/{name}": np.float64(getattr(gel.shape, name)) for name in SHAPE},
@@ -40,20 +40,20 @@ def arrays_of(gel: GelWeights) -> dict[str, Any]:
 
 
 def read_own(path: Path) -> tuple[Header, str, GelWeights]:
-    """Header, name of the sensor and weights of an adapted model; InputError for one of the paper's method."""
+    """Return header, sensor name and weights of an adapted model; InputError for a model of the paper's method."""
     with StageFile(path, KIND) as file:
         if not file.has("adapted"):
             raise InputError(
-                "the force model is of the paper's method, which only `evetac evaluate force` applies",
+                "the force model is of the paper's method, which only `evetac evaluate force` uses",
                 where=str(path),
                 expected=MADE,
-                hint="leave out --model: predict-touch needs none",
+                hint="leave out --model, which predict-touch does not need",
             )
         stored = file.contents()
         for name, shape in SHAPES.items():
             if stored[name][1] != shape:
                 raise InputError(
-                    f"{name} has another shape than models of this version",
+                    f"{name} has a different shape than in this version of evetac",
                     where=str(path),
                     expected=str(shape),
                     found=str(stored[name][1]),
@@ -78,7 +78,7 @@ def _weights(file: StageFile) -> GelWeights:
 
 
 def _edges(file: StageFile) -> tuple[float, float, float, float]:
-    """The edges of a gel; NaN in a file stands for one that is far away."""
+    """Return the edges of a gel; NaN in the file marks an edge that is far away."""
     stored = file.read("adapted/edges_mm")
     x0, y0, x1, y1 = (float(edge) for edge in np.where(np.isnan(stored), ENDLESS_MM, stored))
     return x0, y0, x1, y1

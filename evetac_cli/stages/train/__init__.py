@@ -1,16 +1,17 @@
 """train: slip detectors from labelled features (paper, "Model Training & Data Selection").
 
 Checkpoint and threshold are chosen on validation trajectories (paper, "Evaluation Procedure & Metrics"), which are
-never trained on: those named by --validate, or every 8th of the inputs. With --folds they are chosen on objects that a
-network has not seen, by networks that are trained for this alone. --adapt goes on from a trained model.
+never used for training: those given by --validate, or every 8th input. With --folds they are chosen on held-out
+objects, by networks that are trained only for this purpose. --adapt continues from a trained model.
 
-On the same trajectories probabilities are calibrated, and the threshold is chosen by how often alarms come where
-nothing slips, but for preset paper (validating.py). So trials without slip belong among them.
+On the same trajectories, probabilities are calibrated, and the threshold is chosen by the rate of false alarms, except
+with preset paper (validating.py). So the validation trajectories should include trials without slip.
 
-Beside the model lies the course of its training, NAME.model.csv; with --log tensorboard NAME.model.log, which can be
-watched while it goes on.
+The course of the training is written next to the model, as NAME.model.csv; with --log tensorboard also to
+NAME.model.log, during the training.
 
-An interrupted run leaves `NAME.model.part` for each network, from which the same command goes on to the same result.
+An interrupted run leaves `NAME.model.part` for each network. The same command continues from there, with the same
+result as without the interruption.
 """
 
 from collections.abc import Sequence
@@ -64,17 +65,17 @@ if TYPE_CHECKING:  # torch takes more than a second to import
 OUTPUT = "model"
 METHOD = 9
 VALIDATE_EVERY = 8
-FEWEST_VALIDATED_ON = 4  # trajectories; with fewer, a threshold that is far too low may do as well as a good one
+FEWEST_VALIDATED_ON = 4  # trajectories; with fewer, a far too low threshold may score as well as a good one
 
 
 class Settings(NamedTuple):
-    """What a training takes from the flags, from a model to adapt, or from its defaults; part of the recipe."""
+    """Settings of a training from the flags, from a model to adapt, or from defaults; part of the recipe."""
 
     model: str
     horizon_ms: int
     preset: str
     max_steps: int
-    networks: int  # trained apart; the mean of their logits is the detector's
+    networks: int  # trained separately; the detector uses the mean of their logits
 
 
 USUAL = Settings("hist10", 0, "paper", max_steps=40000, networks=1)
@@ -83,7 +84,7 @@ ADAPT_STEPS = 1000
 
 @dataclass(frozen=True)
 class TrainJob(Job):
-    """One model to train on the first `learned` of its inputs, with a seed; the others validate."""
+    """One model to train with a seed on the first `learned` inputs; the others are for validation."""
 
     learned: int
     seed: int
@@ -91,14 +92,14 @@ class TrainJob(Job):
 
 @dataclass(frozen=True)
 class NetworkJob(TrainJob):
-    """One of the networks of a model: its output is its state at the end, from which the model is then made."""
+    """One network of a model. Its output is its final state, from which the model is then made."""
 
     number: int
     model: Path
 
 
 def jobs(files: list[Path], params: Train, out: Path | None) -> list[TrainJob]:
-    """One model for every seed, each from all features files together."""
+    """Return a job for every seed, each with all features files."""
     validate = named_files(params.validate, "features", "--validate") if params.validate else []
     files, validate = _with_objects(files, params), _with_objects(validate, params)
     if not validate:
@@ -109,7 +110,7 @@ def jobs(files: list[Path], params: Train, out: Path | None) -> list[TrainJob]:
             "no file is left to train on",
             expected="at least two features files",
             hint=made_by("features"),
-            found=f"{len(files)}, all of them validate",
+            found=f"{len(files)}, all used for validation",
         )
     settings, _ = _settings(params)
     one_file(range(params.seeds), out)
@@ -124,7 +125,7 @@ def jobs(files: list[Path], params: Train, out: Path | None) -> list[TrainJob]:
 
 
 def parts(job: TrainJob, params: Train) -> list[NetworkJob]:
-    """The networks of a model, to be trained at the same time; none if it is a single one."""
+    """Return the networks of a model, which can be trained at the same time; none for a single network."""
     settings, _ = _settings(params)
     count = settings.networks * (params.folds + 1)
     numbers = range(count if count > 1 else 0)
@@ -133,13 +134,13 @@ def parts(job: TrainJob, params: Train) -> list[NetworkJob]:
 
 
 def cautions(jobs: Sequence[TrainJob], params: Train) -> list[str]:
-    """What to know before a training begins that may take long."""
+    """Return notes to print before a training, which may take long."""
     few = {_few(len(job.inputs) if params.folds else len(job.inputs) - job.learned) for job in jobs}
     return sorted(few - {""})
 
 
 def for_people(rows: list[dict[str, Any]], params: Train) -> tuple[list[dict[str, Any]], list[str]]:
-    """All rows, which models detect nothing, and how far a threshold can be relied on."""
+    """Return all rows, with notes on models that detect nothing and on unreliable thresholds."""
     useless = [f"{row['output']} is no slip detector: {row['warning']}" for row in rows if row.get("warning")]
     useless += [f"`grasp` refuses it. Try: {USELESS_HINT}."] if useless else []
     few = {_few(row["validated_on"]) for row in rows if "validated_on" in row}
@@ -148,39 +149,39 @@ def for_people(rows: list[dict[str, Any]], params: Train) -> tuple[list[dict[str
 
 
 def _few(validated_on: int) -> str:
-    """What is said where a threshold is chosen on few trajectories; nothing elsewhere."""
+    """Return a note if a threshold is chosen on too few trajectories; otherwise an empty text."""
     if validated_on >= FEWEST_VALIDATED_ON:
         return ""
     count = f"{validated_on} trajector{'y' if validated_on == 1 else 'ies'}"
     return (
-        f"checkpoint and threshold are chosen on {count}, too few: on others the model may do badly; name at least"
-        f" {FEWEST_VALIDATED_ON} that it is not trained on with --validate"
+        f"checkpoint and threshold are chosen on {count}, which is too few: the model may fail on others; use at least"
+        f" {FEWEST_VALIDATED_ON} trajectories, not used for training, with --validate"
     )
 
 
 def _short(minutes: float) -> str:
-    """What is said where false alarms are counted in too short a time to choose a threshold by; nothing elsewhere."""
+    """Return a note if false alarms are counted in too short a time to choose a threshold; otherwise an empty text."""
     if minutes >= validating.LEAST_MINUTES:
         return ""
     return (
-        f"false alarms are counted in {minutes:.1f} minutes without slip: too few to say how often they come; add to"
-        f" --validate {validating.LEAST_MINUTES:g} minutes or more in which fingers open or push and nothing slips"
+        f"false alarms are counted in {minutes:.1f} minutes without slip, which is too short to measure their rate; add"
+        f" at least {validating.LEAST_MINUTES:g} minutes to --validate in which fingers open or push and nothing slips"
     )
 
 
 def _with_objects(files: list[Path], params: Train) -> list[Path]:
-    """The files of the objects that `--object` names, or all; InputError if none is of these objects."""
+    """Return the files of the objects given by `--object`, or all; InputError if there are none of these objects."""
     if not params.objects or not files:
         return files
     wanted = {str(number) for number in numbers(params.objects)}
     chosen = [file for file in files if object_name(header_of(file, "features")) in wanted]
     if not chosen:
-        raise InputError("no features are of these objects", where="--object", found=params.objects)
+        raise InputError("there are no features of these objects", where="--object", found=params.objects)
     return chosen
 
 
 class TrainedModel(NamedTuple):
-    """A model to go on from, as its file holds it."""
+    """A trained model to adapt, as read from its file."""
 
     path: Path
     header: Header
@@ -189,7 +190,7 @@ class TrainedModel(NamedTuple):
 
 
 def _settings(params: Train) -> tuple[Settings, TrainedModel | None]:
-    """The settings of a training, and the model that --adapt names, if any; InputError if they do not fit."""
+    """Return the settings of a training and the model given by --adapt, if any; InputError if they do not fit."""
     if not params.adapt:
         usual, trained = USUAL, None
     else:
@@ -201,13 +202,13 @@ def _settings(params: Train) -> tuple[Settings, TrainedModel | None]:
                 raise InputError(
                     "does not go with --adapt",
                     where=f"--{name.replace('_', '-')}",
-                    expected=f"{value}, as the model, or none" if value else "none",
+                    expected=f"{value}, as in the model, or left out" if value else "left out",
                     found=str(getattr(params, name)),
                 )
     given = {name: getattr(params, name) for name in Settings._fields}
     if params.patience is not None and (params.folds or (given["networks"] or usual.networks) > 1):
         raise InputError(
-            "is for a model of one network, without --folds: several would stop at different steps",
+            "needs a model of one network, without --folds: several networks would stop at different steps",
             where="--patience",
             found=str(params.patience),
         )
@@ -215,12 +216,12 @@ def _settings(params: Train) -> tuple[Settings, TrainedModel | None]:
 
 
 def _to_adapt(path: Path) -> tuple[Settings, TrainedModel]:
-    """A model to adapt, and the settings that this takes unless the flags say otherwise."""
+    """Return the default settings for adapting a model, and the model."""
     with StageFile(path, "model") as file:
         rows, columns = (int(size) for size in file.read("dot_shape"))
         architecture, horizon_ms = str(file.read("architecture")), int(file.read("horizon_ms"))
         together = read_weights(file)
-        if (calibration := read_calibration(file)) is not None:  # it is no part of what batches of half slip taught
+        if (calibration := read_calibration(file)) is not None:  # the calibration was not learned from balanced batches
             layer = last_layer(named_architecture(architecture), rows, columns)
             together = with_scaled_logit(together, layer, *calibration.inverse())
         weights = parted(together)
@@ -229,12 +230,12 @@ def _to_adapt(path: Path) -> tuple[Settings, TrainedModel]:
 
 
 def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress = silent) -> Outcome:
-    """Train, choose checkpoint and threshold, store weights and ONNX graphs."""
+    """Train a model, choose checkpoint and threshold, and store weights and ONNX graphs."""
     settings, adapted = _settings(params)
     architecture = named_architecture(settings.model)
     headers, shapes, memory_bytes, know_truth, slip, unsure = [], [], [], [], [], []
     for number, path in enumerate(job.inputs):
-        progress(number, len(job.inputs), "files looked at")
+        progress(number, len(job.inputs), "files inspected")
         with StageFile(path, "features") as file:
             headers.append(file.header)
             shapes.append(tuple(int(size) for size in file.read("dot_shape")))
@@ -247,7 +248,7 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
     check_disjoint(learned_from, headers[learn:], "validated on", job.inputs[learn:])
     if params.learn_true_slip_share and not any(know_truth[:learn]):
         raise InputError(
-            "none of the features holds the true share of the contact that slips",
+            "none of the features files has the true slipping share of the contact",
             where="--learn-true-slip-share",
             found=f"{job.inputs[0]} and {learn - 1} more",
             hint="evetac featurize --true-slip-share copies it from simulated recordings",
@@ -286,13 +287,13 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
 
     if params.device == "cuda" and not torch.cuda.is_available():
         raise InputError("torch finds no GPU", where="--device", expected="cpu", found=params.device)
-    torch.set_num_threads(1)  # these networks are too small to share, and one thread gives one result
+    torch.set_num_threads(1)  # the networks are too small for several threads, and results depend on their number
     shape = _common_shape(job.inputs, shapes)
     if adapted is not None and adapted.dot_shape != shape:
         raise InputError(
-            "a model for another dot grid",
+            "the model is for another dot grid",
             where=str(adapted.path),
-            expected="{} x {} dots, as of {}".format(*shape, job.inputs[0]),
+            expected="{} x {} dots, as in {}".format(*shape, job.inputs[0]),
             found="{} x {}".format(*adapted.dot_shape),
             hint="evetac train without --adapt makes a model for this grid",
         )
@@ -320,7 +321,7 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
             detectors = [Detector(graph, architecture) for graph in graphs]
             predictions = predictions or [[] for _ in detectors]
             for done, index in enumerate(fold.evaluated_on):
-                progress(done, len(fold.evaluated_on), "files judged")
+                progress(done, len(fold.evaluated_on), "files evaluated")
                 trajectory = read_trajectory(job.inputs[index], architecture)
                 found = predict(detectors, trajectory, headers[index], settings.horizon_ms)
                 for of_detector, prediction in zip(predictions, found, strict=True):
@@ -391,21 +392,21 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
 
 
 def _learned_truth(params: Train, adapted: TrainedModel | None) -> bool:
-    """Whether the model, or the one that it was adapted from, learned the true share of the contact that slips."""
+    """Whether the model, or the model from which it was adapted, learned the true slipping share of the contact."""
     return params.learn_true_slip_share or (adapted is not None and learned_true_slip_share(adapted.header))
 
 
 def _warning(model: Path) -> str | None:
-    """Why a model detects nothing, if that is so."""
+    """Return the reason why a model detects nothing; None if it does detect slip."""
     with StageFile(model, "model") as file:
         return why_useless(file) or None
 
 
 def _label_method(paths: tuple[Path, ...], headers: list[Header], slip: list[bool]) -> str:
-    """The methods that labelled the training files, `truth` included; InputError if they are labelled differently.
+    """Return the methods that labelled the training files, also `truth`; InputError if the methods differ.
 
-    Files in which nothing slips may be labelled otherwise, as when one knows that nothing did: no onset differs by it.
-    A person's labels go with those of any other method, which they correct, but not with copies of the truth.
+    Files without slip may be labelled by another method, since no onset depends on it. Manual labels may be combined
+    with those of any method, which they correct, but not with copies of the truth.
     """
     methods: dict[str, Path] = {}
     for path, header, slips in zip(paths, headers, slip, strict=True):
@@ -417,14 +418,14 @@ def _label_method(paths: tuple[Path, ...], headers: list[Header], slip: list[boo
         raise InputError(
             "the files to train on are labelled by different methods",
             where=str(elsewhere),
-            expected=f"{first} as in {path}",
+            expected=f"{first}, as in {path}",
             found=other,
         )
     return ", ".join(sorted(methods)) or "none"
 
 
 def _common_shape(paths: Sequence[Path], of_each: Sequence[tuple[int, ...]]) -> tuple[int, int]:
-    """Rows and columns of the dot grid, which all files must share."""
+    """Return rows and columns of the dot grid, which all files must share."""
     shapes: dict[tuple[int, ...], Path] = {}
     for path, shape in zip(paths, of_each, strict=True):
         shapes.setdefault(shape, path)
@@ -433,7 +434,7 @@ def _common_shape(paths: Sequence[Path], of_each: Sequence[tuple[int, ...]]) -> 
         raise InputError(
             "the files have different dot grids",
             where=str(elsewhere),
-            expected=f"{first[0]} x {first[1]} as in {path}",
+            expected=f"{first[0]} x {first[1]}, as in {path}",
             found=f"{other[0]} x {other[1]}",
         )
     rows, columns = next(iter(shapes))
@@ -441,15 +442,15 @@ def _common_shape(paths: Sequence[Path], of_each: Sequence[tuple[int, ...]]) -> 
 
 
 def _check_grid(shape: tuple[int, int], path: Path) -> None:
-    """InputError for dots that a network over a grid of them cannot take."""
+    """Raise InputError if the dots do not form a grid that is large enough for a network on dots."""
     rows, columns = shape
     if rows < LEAST_ROWS or columns < LEAST_COLUMNS:
         raise InputError(
-            "this network looks at a grid of dots",
+            "this network needs a grid of dots",
             where=str(path),
             expected=f"at least {LEAST_ROWS} rows and {LEAST_COLUMNS} columns",
             found=grid.in_words(rows, columns),
-            hint="--model no-hist-img-6x6 sees events instead of dots; featurize with --images for it",
+            hint="--model no-hist-img-6x6 uses events instead of dots; run featurize with --images for it",
         )
 
 

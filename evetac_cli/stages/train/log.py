@@ -1,4 +1,4 @@
-"""The course of a training: as CSV beside every model, and for TensorBoard while it goes on."""
+"""The course of a training: as a CSV file next to the model, and for TensorBoard during the training."""
 
 import csv
 import io
@@ -12,16 +12,16 @@ from evetac_cli.store.files import StageFile
 from evetac_cli.store.hdf5.disk import taking_the_place_of
 
 COLUMNS = ("step", "loss", "validation_score", "threshold", "chosen", "simulated")
-OnPoint = Callable[[int, float, float | None], None]  # step, training loss, loss on what validates
+OnPoint = Callable[[int, float, float | None], None]  # step, training loss, validation loss
 
 
 def log_folder(model: Path) -> Path:
-    """Where TensorBoard finds the training of a model: NAME.model.log, with a folder for each network."""
+    """Return the folder of a model's training for TensorBoard: NAME.model.log, with a subfolder for each network."""
     return model.with_name(model.name.removesuffix(".h5") + ".log")
 
 
 def require_tensorboard() -> None:
-    """MissingLibrary, before any work, where torch's writer for TensorBoard cannot be loaded."""
+    """Raise MissingLibrary, before any work, if torch's writer for TensorBoard cannot be loaded."""
     try:
         import torch.utils.tensorboard  # noqa: F401
     except ImportError as error:
@@ -30,7 +30,7 @@ def require_tensorboard() -> None:
 
 @contextmanager
 def for_tensorboard(folder: Path | None, *, simulated: bool) -> Iterator[OnPoint | None]:
-    """What takes the points of one network's loss curve, as long as the block lasts; None without a folder."""
+    """Yield a function that records points of one network's loss curve within the block; None without a folder."""
     if folder is None:
         yield None
         return
@@ -49,7 +49,7 @@ def for_tensorboard(folder: Path | None, *, simulated: bool) -> Iterator[OnPoint
 
 
 def add_checkpoints(folder: Path, arrays: dict[str, Any], about: dict[str, Any], *, simulated: bool) -> None:
-    """Add what is known at the end: how each checkpoint did on the files that validate, and what was trained."""
+    """Add the final results: the validation score of each checkpoint, and the settings of the training."""
     from torch.utils.tensorboard import SummaryWriter
 
     with SummaryWriter(folder) as writer:
@@ -65,7 +65,7 @@ def _marked(name: str, simulated: bool) -> str:
 
 
 def course(model: StageFile) -> str:
-    """The course of a training as CSV: a row for each step at which the loss or the score of a checkpoint is known."""
+    """Return the course of a training as CSV, with a row for each step with a loss or a checkpoint's score."""
     rows: dict[int, dict[str, Any]] = {}
     if model.has("curve/loss"):
         for step, loss in zip(model.read("curve/step").tolist(), model.read("curve/loss").tolist(), strict=True):
@@ -87,7 +87,7 @@ def course(model: StageFile) -> str:
 
 
 def write_course(model: Path) -> None:
-    """Write the CSV beside a model, NAME.model.csv."""
+    """Write the CSV file next to a model, NAME.model.csv."""
     with StageFile(model, "model") as file:
         text = course(file)
     with taking_the_place_of(model.with_suffix(".csv")) as temporary:

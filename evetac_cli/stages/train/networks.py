@@ -1,7 +1,7 @@
-"""The networks of one training, one after the other or each as a task: trained, or gone on with where they broke off.
+"""The networks of one training, trained one after the other or each as a task, and resumed after an interruption.
 
-The state of each is kept in a file beside the model, a numpy archive that is written every half a minute. What another
-process finished is taken from there.
+The state of each network is kept in a file next to the model, a numpy archive written every half minute. Networks that
+another process finished are read from there.
 """
 
 import time
@@ -30,31 +30,31 @@ from evetac_cli.store.layout.rules import named_architecture
 if TYPE_CHECKING:  # torch takes more than a second to import
     from evetac_cli.kernels.slip.training import Preset, SlipTraining, TrainingState
 
-SAVE_S = 30.0  # at most so much work is lost when a run is interrupted
+SAVE_S = 30.0  # interval of saving: the most work lost when a run is interrupted
 
 
 @dataclass(eq=False)
 class Networks:
-    """Every network that a model takes, numbered: those of the first fold, of the second, and so on."""
+    """All networks of a model, numbered: those of the first fold, of the second, and so on."""
 
-    model: Path  # which they are for
+    model: Path  # file of the model
     inputs: tuple[Path, ...]
-    memory_bytes: Sequence[int]  # that the features of each take
+    memory_bytes: Sequence[int]  # memory for the features of each input
     folds: Sequence[Fold]
     recipe: Recipe  # with all settings of the training
     shape: tuple[int, int]  # rows and columns of dots
-    start: Sequence[dict[str, NDArray[np.float32]]] | None  # weights to go on from, of each network of a fold
-    log: Path | None = None  # folder of what TensorBoard shows
-    _gathered: dict[int, SampleGroups] = field(default_factory=dict, init=False)  # of the fold that was asked for last
+    start: Sequence[dict[str, NDArray[np.float32]]] | None  # initial weights of each network of a fold
+    log: Path | None = None  # folder for TensorBoard
+    _gathered: dict[int, SampleGroups] = field(default_factory=dict, init=False)  # of the last requested fold
 
     @property
     def count(self) -> int:
-        """How many there are."""
+        """Number of networks."""
         return len(self.folds) * int(self.recipe.parameters["networks"])
 
     @property
     def preset(self) -> "Preset":
-        """How they are trained."""
+        """The training preset of all networks."""
         from evetac_cli.kernels.slip import training
 
         chosen = self.recipe.parameters
@@ -62,9 +62,10 @@ class Networks:
         return training.with_true_slip_share(preset) if chosen["learn_true_slip_share"] else preset
 
     def train(self, number: int, progress: Progress) -> tuple["SlipTraining", int | None]:
-        """Train one, or go on from its saved state; the step of that is returned too, None without or at the end.
+        """Train a network, or continue from its saved state; return the result and the step of that state.
 
-        Of several the state at the end is saved. The last one draws the same numbers whatever their count.
+        The step is None without a saved state, or if the state was that of a finished network. If there are several
+        networks, each final state is saved. The random numbers of the last network do not depend on their number.
         """
         from evetac_cli.kernels.slip import training
 
@@ -88,7 +89,7 @@ class Networks:
             result = training.train(
                 self._groups_of(number // chosen["networks"], progress),
                 preset,
-                # (0, 0) would be 0: numpy fills the words of a seed up with zeros.
+                # (0, 0) would be the same as 0, since numpy pads the words of a seed with zeros.
                 np.random.default_rng(seed if number == self.count - 1 else (seed, number + 1)),
                 training.TrainingLimits(
                     chosen["epochs"],
@@ -106,33 +107,33 @@ class Networks:
         return result, None if saved is None else int(saved["step"])
 
     def remove_states(self) -> None:
-        """Remove what was saved."""
+        """Remove the saved states."""
         for number in range(self.count):
             plan.state_file(self.model, number, self.count).unlink(missing_ok=True)
 
     def _groups_of(self, fold: int, progress: Progress) -> SampleGroups:
-        """What the networks of a fold learn from."""
+        """Return the training samples of a fold."""
         if fold not in self._gathered:
             self._gathered.clear()
             self._gathered[fold] = self._groups(self.folds[fold].trained_on, progress)
         return self._gathered[fold]
 
     def _groups(self, numbers: Sequence[int], progress: Progress) -> SampleGroups:
-        """The samples of the inputs of these numbers: together if there is room, or else in groups by the seed."""
+        """Return the samples of these inputs: all together if memory allows, otherwise in groups drawn by the seed."""
         if self._takes(numbers) <= plan.HELD_BYTES:
             return SampleGroups.alone(self._samples(numbers, progress))
         sizes = []
         for done, number in enumerate(numbers):
             progress(done, len(numbers), "labels read")
             sizes.append(Size(self.memory_bytes[number], self._pool_sizes(number)))
-        # not what the networks draw from, which are this generator's children
+        # a different generator than those of the networks, which are seeded with its children
         drawn = drawn_groups(sizes, plan.HELD_BYTES, np.random.default_rng(self.recipe.parameters["seed"]))
         groups = [[numbers[index] for index in group] for group in drawn]
         steps = [PoolSizes(*np.sum([sizes[index].samples for index in group], axis=0)).steps for group in drawn]
         return SampleGroups(steps, lambda group: self._samples(groups[group], progress))
 
     def _validation(self, progress: Progress) -> SlipSamples:
-        """The samples of what validates: of all, or of so many, evenly among them, as there is room for."""
+        """Return the samples of the validation inputs: of all, or of as many, evenly spread, as memory allows."""
         numbers = self.folds[-1].evaluated_on
         return self._samples(numbers[:: max(1, -(-self._takes(numbers) // plan.HELD_BYTES))], progress)
 
@@ -144,7 +145,7 @@ class Networks:
         return read_pool_sizes(self.inputs[number], named_architecture(chosen["model"]), chosen["horizon_ms"])
 
     def _samples(self, numbers: Sequence[int], progress: Progress) -> SlipSamples:
-        """The samples of the inputs of these numbers."""
+        """Return the samples of these inputs."""
         chosen = self.recipe.parameters
         architecture = named_architecture(chosen["model"])
 
@@ -159,7 +160,7 @@ class Networks:
 
 
 def _read(path: Path, recipe: Recipe) -> "TrainingState | None":
-    """The saved state of a run of this recipe; None if there is none, it is damaged, or of another recipe."""
+    """Return the saved state of a run of this recipe; None if it is missing, damaged, or of another recipe."""
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files}
@@ -169,6 +170,6 @@ def _read(path: Path, recipe: Recipe) -> "TrainingState | None":
 
 
 def _write(path: Path, recipe: Recipe, state: "TrainingState") -> None:
-    """Save the state of a run, all or nothing."""
+    """Save the state of a run atomically."""
     with taking_the_place_of(path) as temporary, temporary.open("wb") as file:
         np.savez(file, recipe=np.array(recipe.id), **state)  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""What is known of a training before it begins: the memory that features take, and where its state is saved."""
+"""Planning of a training: the memory for its features, and the files of its saved state."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,12 +12,12 @@ from evetac_cli.kernels.slip.architectures import (
 )
 from evetac_cli.store.files import StageFile
 
-# Features that are in memory together: 6.7 million slices of 56 dots, without directions, or half as many with them.
+# Limit for features in memory: 6.7 million slices of 56 dots without directions, or half as many with directions.
 HELD_BYTES = 3_000_000_000
 
 
 def series_bytes(file: StageFile, architecture: Architecture) -> int:
-    """What the features that an architecture needs take in memory, for all slices of a features file."""
+    """Return the memory, in bytes, for the features that an architecture needs from a features file."""
     if isinstance(architecture, ImageArchitecture):
         return 8 * file.length("image/start") + 5 * file.length("image/pixel") if file.has("image") else 0
     if isinstance(architecture, PluginImageArchitecture):
@@ -29,11 +29,11 @@ def series_bytes(file: StageFile, architecture: Architecture) -> int:
 
 
 def group_parameters(memory_bytes: Sequence[int]) -> dict[str, int]:
-    """What the recipe of a model says where its trajectories, which take so much each, are not in memory together."""
+    """Return the entry for a model's recipe if its trajectories do not fit in memory together; otherwise nothing."""
     return {"held_bytes": HELD_BYTES} if sum(memory_bytes) > HELD_BYTES else {}
 
 
 def state_file(model: Path, number: int, networks: int) -> Path:
-    """Where the state of a run is saved: NAME.model.part, or NAME.model.network1.part for the first of several."""
+    """Return the file of a run's saved state: NAME.model.part, or NAME.model.network1.part for the first of several."""
     name = "" if number == networks - 1 else f".network{number + 1}"
     return model.with_name(model.name.removesuffix(".h5") + name + ".part")

@@ -1,11 +1,11 @@
-"""What the trajectories that validate decide of a trained model: checkpoint, calibration, threshold.
+"""Choice of checkpoint, calibration and threshold of a trained model, from the validation trajectories.
 
-Every checkpoint that may be chosen is calibrated, unless the preset is the paper's; the checkpoint is chosen by the
-paper's rule. Its threshold is the lowest with few enough false alarms per minute, where there is time enough to count
-them in, or the paper's.
+Every candidate checkpoint is calibrated, unless the preset is the paper's. The checkpoint is chosen by the paper's
+rule. Its threshold is the lowest with few enough false alarms per minute, if there is enough time without slip to count
+them; otherwise it is the paper's.
 
-Why so: thresholds that the paper's rule finds equally good, 0.7 and 0.95 of the first detector of evetac, warn 18 and 8
-ms ahead, and say nothing of how often they do so where nothing slips.
+The paper's rule alone is not enough. For evetac's first detector it rates the thresholds 0.7 and 0.95 as equally good,
+but they warn 18 and 8 ms ahead. The rule also ignores false alarms when nothing slips.
 """
 
 from collections.abc import Sequence
@@ -23,18 +23,18 @@ from evetac_cli.kernels.slip.warning_curve import WarningCurve
 if TYPE_CHECKING:  # torch takes more than a second to import
     from evetac_cli.kernels.slip.training import Preset
 
-LEAST_MINUTES = 5.0  # without slip, to choose a threshold by: with fewer, one alarm per minute is less than five alarms
-# Where none are named. A false alarm costs a controller little, as it asks the load before it believes it; a slide that
-# is told late costs the object. With 1 per minute the detector that it was chosen by warned of 0.22 of the slips
-# that it was validated on 10 ms ahead, with 2 of 0.62, with 4 of 0.74, with 6 of 0.78 (simulated, seeds 5600 to 5623).
+LEAST_MINUTES = 5.0  # without slip, to choose a threshold: with fewer, 1 alarm per minute is less than five alarms
+# Default rate. A false alarm costs a controller little, since it checks the load first; a late warning costs more.
+# It was chosen on one detector by the share of its validation slips with a warning 10 ms ahead (simulated, seeds 5600
+# to 5623): 0.22 with 1 per minute, 0.62 with 2, 0.74 with 4, 0.78 with 6.
 FALSE_ALARMS_PER_MIN = 4.0
 
 
 @dataclass(frozen=True)
 class Validated:
-    """The choice, what warnings cost, and the calibration of each checkpoint, None where there is none.
+    """The chosen checkpoint and threshold, its false alarms and warnings, and each checkpoint's calibration or None.
 
-    predictions: of the chosen checkpoint, calibrated.
+    predictions: those of the chosen checkpoint, calibrated.
     """
 
     choice: Choice
@@ -44,10 +44,10 @@ class Validated:
 
     @classmethod
     def of(cls, checkpoints: Sequence[Sequence[Prediction]], preset: "Preset", per_min: float | None) -> "Validated":
-        """From what the checkpoints predict for the trajectories that validate; per_min: of false alarms, as named.
+        """Choose from the checkpoints' predictions for the validation trajectories.
 
-        Where none are named and there are few minutes to count them in, the paper's rule is taken. InputError where a
-        number is named and there is no slice to count in.
+        per_min: allowed false alarms per minute, as given by the flag. If None and there are too few minutes to count
+        them, the paper's rule is used. InputError if a rate is given but there is no slice to count in.
         """
         calibrations = [_calibration(predictions) if preset.calibrated else None for predictions in checkpoints]
         calibrated = [
@@ -59,11 +59,11 @@ class Validated:
         curve = warning_curve.of_predictions(chosen)
         if per_min is not None and not curve.minutes:
             raise InputError(
-                "false alarms cannot be counted in the files that validate",
+                "false alarms cannot be counted in the validation files",
                 where="--false-alarms-per-min",
-                expected="slices labelled no slip, 200 ms from any that is, as in trials without slip",
+                expected="slices labelled no slip, at least 200 ms from any slip, as in trials without slip",
                 found="none",
-                hint="name such trials with --validate, or leave the option out",
+                hint="add such trials to --validate, or leave the option out",
             )
         if per_min is not None or (preset.calibrated and curve.minutes >= LEAST_MINUTES):
             threshold = curve.threshold_for(FALSE_ALARMS_PER_MIN if per_min is None else per_min)
@@ -72,7 +72,7 @@ class Validated:
         return cls(choice, curve, calibrations, chosen)
 
     def arrays(self, which: str) -> dict[str, Any]:
-        """Datasets of the model file; which: the trajectories that validate, in words."""
+        """Return datasets for the model file; which: description of the validation trajectories."""
         curve = self.curve
         arrays: dict[str, Any] = {
             "warnings/threshold": curve.threshold,
@@ -94,7 +94,7 @@ class Validated:
         return arrays
 
     def figures(self) -> dict[str, Any]:
-        """What is printed of it."""
+        """Return the figures to print."""
         false, warned = self.curve.at(self.choice.threshold)
         return {
             "calibrated": self.calibrations[self.choice.checkpoint] is not None,
@@ -105,9 +105,9 @@ class Validated:
 
 
 def _of_calibrated(choice: Choice, calibrations: Sequence[OddsScale | None]) -> Choice:
-    """A choice among checkpoints with the thresholds that mean the same once these are calibrated.
+    """Return the choice among checkpoints with its thresholds converted to calibrated probabilities.
 
-    Why so: the paper's grid is of thresholds for detectors that learned from as much slip as not.
+    The paper's grid of thresholds is for detectors trained on as many slip as non-slip samples.
     """
     thresholds = np.array(
         [
@@ -119,7 +119,7 @@ def _of_calibrated(choice: Choice, calibrations: Sequence[OddsScale | None]) -> 
 
 
 def _calibration(predictions: Sequence[Prediction]) -> OddsScale | None:
-    """The calibration of a checkpoint; None for one that tells nothing, which has no more to say either way."""
+    """Return the calibration of a checkpoint; None for a checkpoint without information, where it would not help."""
     try:
         return reliability.fit(predictions)
     except ValueError:

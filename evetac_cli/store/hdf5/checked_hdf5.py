@@ -1,11 +1,11 @@
-"""The one door to HDF5 files, ours and other people's: whatever is read has been checked here first.
+"""Checked access to HDF5 files, evetac's and others: all data are checked here before they are read.
 
-Why so: HDF5 may lead into any other file of the machine (links, external storage, virtual datasets), makes rows of
-nothing where none were written, and takes the memory that a file announces, not what it holds. So a file is refused
-in words if it holds anything that leads elsewhere, or announces more than its own bytes can fill. That concerns all of
-it, and is looked at when it is opened (`survey`); where the bytes of a dataset lie and how they are packed is looked at
-before it is first read (`check`), for most who open a file of dozens of datasets read a few.
-Other people's files may hold what we do not read; of their datasets only those that are asked for are checked.
+HDF5 files may refer to any other file on the computer (links, external storage, virtual datasets). HDF5 also invents
+rows that were never written, and allocates the memory that a file announces, not what it contains. So a file is refused
+with an error message if it refers to other files, or announces more data than its bytes can contain. This is checked
+for the whole file when it is opened (`survey`). The location and compression of a dataset's bytes are checked before it
+is first read (`check`), because most callers read only a few of dozens of datasets.
+Files of other programs may have contents that evetac does not read; only the requested datasets are checked.
 """
 
 import math
@@ -31,23 +31,23 @@ from evetac_cli.store.hdf5.packed_bytes import (
     check_stored,
 )
 
-# Deflate makes at most 1,032 bytes of one (zlib's technical notes), and no part of a file is stored twice.
+# Deflate expands one byte to at most 1,032 (zlib's technical notes), and no part of a file is stored twice.
 MOST_EXPANSION = 1100
-MOST_READ_BYTES = 4 << 30  # of one dataset at a time; what is longer is read in blocks
-MOST_TEXT_BYTES = 32 << 20  # of one text: a header that tells of 10,000 ancestors has half of it
-MOST_OBJECTS = 10_000  # datasets and groups; our own files have some dozens
+MOST_READ_BYTES = 4 << 30  # of one dataset at a time; longer ones are read in blocks
+MOST_TEXT_BYTES = 32 << 20  # of one text; a header with 10,000 ancestors has half of this
+MOST_OBJECTS = 10_000  # datasets and groups; evetac's files have some dozens
 MOST_GROUPS_DEEP = 16
 MOST_ATTRIBUTES = 1000  # of one object
 MOST_ATTRIBUTE_BYTES = 1 << 20
 ITSELF = "data in the file itself"
 DAMAGE = (OSError, RuntimeError, KeyError, ValueError, TypeError, MemoryError)  # what h5py raises on damaged bytes
 
-ANY = np.dtype("V1")  # in the place of a dtype that is not asked for
+ANY = np.dtype("V1")  # placeholder for a dtype that is not needed
 DIMENSION_ONLY = b"This is a netCDF dimension but not a netCDF variable"
 
 
 class StoredDataset(NamedTuple):
-    """A dataset of a file: its shape is None where it holds no value, `itemsize` the bytes of one."""
+    """A dataset of a file; its shape is None if it has no value, `itemsize` is the size of a value in bytes."""
 
     id: h5d.DatasetID
     shape: tuple[int, ...] | None
@@ -57,23 +57,23 @@ class StoredDataset(NamedTuple):
 
     @property
     def announced_bytes(self) -> int:
-        """A row without columns takes no byte, but is a row to go through: it counts as if it had one."""
+        """Bytes that the dataset announces; a row without columns counts as one value, since rows cost time."""
         return 0 if self.shape is None else math.prod(max(1, size) for size in self.shape) * self.itemsize
 
 
 class CheckedHdf5:
-    """An HDF5 file, open for reading, of which only what was checked is handed out."""
+    """An HDF5 file, open for reading, which returns only checked data."""
 
     def __init__(self, path: Path, expected: str = "an HDF5 file", hint: str = "") -> None:
-        """Open a regular file; InputError if it is none, or no HDF5, UnavailableError if it cannot be looked at now.
+        """Open a regular file; InputError if it is not one or not HDF5, UnavailableError if it cannot be read now.
 
-        hint: what to do with a file that is no HDF5.
+        hint: what to do with a file that is not HDF5.
         """
         self.path, self.where = path, str(path)
-        self.dimensions: dict[str, int] = {}  # length of each by its path, once the datasets have been asked for
+        self.dimensions: dict[str, int] = {}  # length of each by its path, once the datasets have been requested
         self._checked: set[str] = set()
-        self._left: dict[bytes, str] = {}  # objects that were not looked at
-        self._announced = self._stored = 0  # bytes of what was checked
+        self._left: dict[bytes, str] = {}  # objects that were not checked
+        self._announced = self._stored = 0  # bytes of the checked datasets
         _refuse_irregular(path, expected)
         try:
             self.size = os.stat(path).st_size
@@ -83,7 +83,7 @@ class CheckedHdf5:
                 raise cannot_read(error, path) from None
             if "already open for write" in str(error):
                 # A mark in the file, not a lock: the program that set it may have been killed.
-                hint = f"close it there; if no program writes it: h5clear -s {shlex.quote(self.where)}"
+                hint = f"close it there; if no program is writing it: h5clear -s {shlex.quote(self.where)}"
                 message = "marked as open for writing by another program"
                 raise UnavailableError(message, where=self.where, hint=hint) from None
             reason = "it is truncated" if "truncated" in str(error) else "it is not an HDF5 file"
@@ -98,11 +98,11 @@ class CheckedHdf5:
         self.close()
 
     def close(self) -> None:
-        """Close the file, and with it all datasets that were handed out."""
+        """Close the file, and with it all datasets that were returned."""
         self.h5.close()
 
     def text_attribute(self, name: str) -> str | None:
-        """A text among the attributes of the root; None if there is no such text."""
+        """Return a text attribute of the root; None if there is none of this name."""
         with damage_in_words(self.path, f"its {name}"):
             if not h5a.exists(self.h5.id, name.encode()):
                 return None
@@ -114,7 +114,7 @@ class CheckedHdf5:
             return self._text(f"its {name}", lambda most: attribute_text(self.path, address, name, most))
 
     def text(self, name: str, dataset: h5py.Dataset) -> str:
-        """The one text that a dataset holds; `name` is what an error calls it."""
+        """Return the text of a dataset; `name` is used in error messages."""
         with damage_in_words(self.path, name):
             if h5py.check_string_dtype(dataset.dtype).length is not None:
                 return str(dataset.asstr()[()])
@@ -122,13 +122,13 @@ class CheckedHdf5:
             return self._text(name, lambda most: dataset_text(self.path, address, most))
 
     def _text(self, name: str, read: Callable[[int], str]) -> str:
-        """Read a text, which cannot be longer than the file that holds it."""
+        """Read a text, which cannot be longer than its file."""
         most = min(MOST_TEXT_BYTES, self.size)
         try:
             return read(most)
         except TextTooLong as error:
             raise InputError(
-                f"{name} announces a text longer than it can be",
+                f"{name} announces an impossibly long text",
                 where=self.where,
                 expected=f"at most {most} bytes",
                 found=str(error),
@@ -136,7 +136,7 @@ class CheckedHdf5:
             ) from None
 
     def number_attribute(self, name: str, of: str = "/") -> int | None:
-        """A whole number among the attributes of an object; None if there is no such number."""
+        """Return a whole-number attribute of an object; None if there is none of this name."""
         with damage_in_words(self.path, f"{name} of {of}"):
             item = self.h5[of].id
             if not h5a.exists(item, name.encode()):
@@ -149,9 +149,9 @@ class CheckedHdf5:
     def datasets(
         self, only: Collection[str] | None = None, filters: Collection[int] = OUR_FILTERS
     ) -> dict[str, h5py.Dataset]:
-        """Every dataset by its path, checked, or `only` those of these paths; InputError names what may not be.
+        """Return every dataset by its path, checked, or `only` those of these paths; InputError for invalid contents.
 
-        Nothing may lead elsewhere, in any part of the file. With `only`, a path may be missing, or be a group.
+        No part of the file may refer to other files. With `only`, a path may be missing or be a group.
         """
         if only is None:
             found = self.survey()
@@ -166,11 +166,11 @@ class CheckedHdf5:
         return {name: h5py.Dataset(one.id) for name, one in found.items()}
 
     def survey(self, is_left: Callable[[str], bool] = lambda path: False) -> dict[str, StoredDataset]:
-        """Every dataset by its path, of which `check` has yet to look at the bytes; InputError names what may not be.
+        """Return every dataset by its path, whose bytes `check` has yet to check; InputError for invalid contents.
 
-        Nothing leads elsewhere, each holds plain numbers or one text, and together they announce no more than the file
-        can hold. Dimensions, which hold no numbers, are left out; their lengths are in `dimensions`.
-        is_left: whether what lies at a path is not looked at, for nobody reads it, but by `check_left`.
+        Nothing may refer to other files. Each dataset has plain numbers or one text, and together they announce no more
+        than the file can contain. Dimensions, which have no numbers, are left out; their lengths are in `dimensions`.
+        is_left: whether the object at a path is checked only by `check_left`, because it is never read.
         """
         found: dict[str, StoredDataset] = {}
         with damage_in_words(self.path, "its contents"):
@@ -181,17 +181,17 @@ class CheckedHdf5:
                 found[name] = StoredDataset(item, shape, kind.get_size(), kind.dtype, is_text)
             announced = sum(one.announced_bytes for one in found.values())
             if announced > MOST_EXPANSION * self.size:
-                for name, one in found.items():  # which may say what is wrong more precisely
+                for name, one in found.items():  # to raise a more precise error if possible
                     self.check(name, one)
-                self._refuse("its datasets announce more than the file can hold", f"{announced} bytes")
+                self._refuse("its datasets announce more than the file can contain", f"{announced} bytes")
         return found
 
     def check(
         self, name: str, one: StoredDataset, filters: Collection[int] = OUR_FILTERS, *, any_kind: bool = False
     ) -> None:
-        """Refuse a dataset whose bytes are not all in this file, or are packed in a way that is not read.
+        """Refuse a dataset whose bytes are not all in this file, or whose compression is not supported.
 
-        Together those that are checked may hold no more than the file can.
+        Together, the checked datasets must not have more data than the file can contain.
         """
         if name in self._checked:
             return
@@ -207,12 +207,12 @@ class CheckedHdf5:
             stored = self._stored + check_stored(at, one.id, one.shape, one.itemsize, recipe, applied)
             announced = self._announced + one.announced_bytes
             if announced > MOST_EXPANSION * self.size or stored > self.size:
-                self._refuse(f"{name} announces more than the file can hold", f"{announced} bytes")
+                self._refuse(f"{name} announces more than the file can contain", f"{announced} bytes")
         self._announced, self._stored = announced, stored
         self._checked.add(name)
 
     def check_left(self) -> list[str]:
-        """Look at what `survey` left; those paths at which there is a dataset, and no dimension."""
+        """Check the objects that `survey` left; return the paths of those that are datasets and not dimensions."""
         left, self._left = self._left, {}
         with damage_in_words(self.path, "its contents"):
             return [name for name, item in self._opened(left) if self._is_dataset(name, item)]
@@ -220,7 +220,7 @@ class CheckedHdf5:
     def _found(
         self, only: Collection[str] | None, is_left: Callable[[str], bool] = lambda path: False
     ) -> dict[str, h5d.DatasetID]:
-        """The datasets that are asked for, in the order of their paths; InputError where any leads elsewhere."""
+        """Return the requested datasets, in the order of their paths; InputError if anything refers to other files."""
         found: dict[str, h5d.DatasetID] = {}
         with damage_in_words(self.path, "its contents"):
             for name, item in self._objects(is_left):
@@ -231,10 +231,10 @@ class CheckedHdf5:
         return dict(sorted(found.items()))
 
     def _is_dataset(self, name: str, item: Any) -> bool:
-        """Whether an object is a dataset, and no dimension, which is noted; InputError where it leads elsewhere."""
+        """Whether an object is a dataset; dimensions are recorded. InputError if it refers to another file."""
         if isinstance(item, h5g.GroupID):
             return False
-        if item.get_offset() is None:  # otherwise its bytes lie in this file, in one piece
+        if item.get_offset() is None:  # otherwise its bytes are in this file, contiguous
             self._refuse_elsewhere(name, item.get_create_plist())
         if _is_dimension_only(item):
             self.dimensions[name] = item.shape[0]
@@ -242,13 +242,13 @@ class CheckedHdf5:
         return True
 
     def lengths(self) -> dict[str, int]:
-        """The rows of every dataset by its path; 1 for a single value. Nothing in them is looked at."""
+        """Return the number of rows of every dataset by its path, 1 for a single value, without reading any."""
         with damage_in_words(self.path, "its contents"):
             shapes = {name: item.shape for name, item in self._objects() if not isinstance(item, h5g.GroupID)}
         return {name: int(shape[0]) if shape else 1 for name, shape in shapes.items()}
 
     def _objects(self, is_left: Callable[[str], bool] = lambda path: False) -> Iterator[tuple[str, Any]]:
-        """Path and id of every object; InputError where a name leads anywhere but to an object of its own.
+        """Yield path and id of every object; InputError for a link, or for a second name of an object.
 
         is_left: whether the object at a path is not opened.
         """
@@ -260,19 +260,19 @@ class CheckedHdf5:
         def fault(raw: bytes, link: Any) -> InputError | None:
             name = raw.decode(errors="backslashreplace")
             if len(seen) >= MOST_OBJECTS:
-                return self._fault("holds too many datasets and groups", f"more than {MOST_OBJECTS}")
+                return self._fault("has too many datasets and groups", f"more than {MOST_OBJECTS}")
             if link.type != h5l.TYPE_HARD:
                 return InputError(f"`{name}` is a link", where=self.where, expected=ITSELF)
-            if link.u in seen or raw in names:  # a name with a slash in it is one, too
-                message = f"`{name}` is a second name of something else in the file"
+            if link.u in seen or raw in names:  # also a name that contains a slash
+                message = f"`{name}` is a second name of another object in the file"
                 return self._fault(message, "one object, two names")
             if name.count("/") > MOST_GROUPS_DEEP:
-                return self._fault("its groups lie too deep in one another", f"more than {MOST_GROUPS_DEEP} levels")
+                return self._fault("its groups are nested too deeply", f"more than {MOST_GROUPS_DEEP} levels")
             seen.add(link.u)
             names[raw] = name
             return None
 
-        found = root.links.visit(fault, info=True, order=h5.ITER_NATIVE)  # which would lose what is raised
+        found = root.links.visit(fault, info=True, order=h5.ITER_NATIVE)  # it would lose a raised exception
         if found is not None:
             raise found
         self._left = {raw: name for raw, name in names.items() if is_left(name)}
@@ -287,7 +287,7 @@ class CheckedHdf5:
             yield name, item
 
     def _check_attributes(self, name: str, item: Any) -> None:
-        """Refuse more attributes than anybody would read."""
+        """Refuse too many or too large attributes."""
         count = h5a.get_num_attrs(item)
         if count > MOST_ATTRIBUTES:
             self._refuse(f"{name} has too many attributes", f"{count}, more than {MOST_ATTRIBUTES}")
@@ -299,23 +299,23 @@ class CheckedHdf5:
 
     def _refuse_elsewhere(self, name: str, recipe: Any) -> None:
         if recipe.get_external_count() or recipe.get_layout() == h5d.VIRTUAL:
-            raise InputError(f"{name} lies in another file", where=self.where, expected=ITSELF)
+            raise InputError(f"{name} is stored in another file", where=self.where, expected=ITSELF)
 
     def _check_kind(self, name: str, item: Any, kind: Any, shape: tuple[int, ...] | None) -> None:
-        """InputError unless a dataset holds plain numbers or one text, or has no value."""
+        """Raise InputError unless a dataset has plain numbers, one text, or no value."""
         if shape is None:
             return
         text = kind.get_class() == h5t.STRING
         if not text and kind.get_class() not in (h5t.INTEGER, h5t.FLOAT):
             held = h5py.Dataset(item).dtype
             raise InputError(
-                f"{name} is of a kind that is not read",
+                f"{name} has an unsupported type",
                 where=self.where,
                 expected="plain numbers, or one text",
                 found=str(held)[:200],
             )
         if text and kind.is_variable_str() and (shape != () or item.get_offset() is None):
-            self._refuse(f"{name} is of a kind that is not read", "a list of texts")
+            self._refuse(f"{name} has an unsupported type", "a list of texts")
 
     def _refuse(self, message: str, what: str) -> NoReturn:
         raise self._fault(message, what)
@@ -325,16 +325,16 @@ class CheckedHdf5:
 
 
 def row_blocks(dataset: h5py.Dataset, most_bytes: int = 4 << 20) -> Iterator[Any]:
-    """The rows of a dataset, in blocks of about so many bytes, so that its length costs no memory."""
+    """Yield the rows of a dataset in blocks of about this size, so that memory does not grow with its length."""
     row_bytes = max(1, math.prod(dataset.shape[1:]) * dataset.dtype.itemsize)
     step = max(1, most_bytes // row_bytes)
-    for start in range(0, max(1, len(dataset)), step):  # one empty block, where there are no rows
+    for start in range(0, max(1, len(dataset)), step):  # one empty block if there are no rows
         yield dataset[start : start + step]
 
 
 @contextmanager
 def damage_in_words(path: Path, what: str) -> Iterator[None]:
-    """Damaged bytes in a file make h5py raise nearly anything; say which file and what could not be read."""
+    """Turn exceptions that h5py raises on damaged bytes into an InputError with the file and the unreadable part."""
     try:
         yield
     except DAMAGE as error:
@@ -358,14 +358,14 @@ def _refuse_irregular(path: Path, expected: str) -> None:
 
 
 def _is_dimension_only(item: Any) -> bool:
-    """Whether a dataset only names a dimension, as netCDF writes them: a length, and no number was ever stored."""
+    """Whether a dataset only defines a dimension, as netCDF writes them: it has a length but no stored number."""
     if item.get_storage_size() or not h5a.exists(item, b"CLASS") or len(item.shape or ()) != 1:
         return False
     return _short_text(item, b"CLASS") == b"DIMENSION_SCALE" and _short_text(item, b"NAME").startswith(DIMENSION_ONLY)
 
 
 def _short_text(item: Any, name: bytes) -> bytes:
-    """An attribute that is a text of fixed length; nothing if it is anything else."""
+    """Return an attribute that is a text of fixed length; empty for anything else."""
     if not h5a.exists(item, name):
         return b""
     attribute = h5a.open(item, name)

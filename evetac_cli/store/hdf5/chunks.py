@@ -1,8 +1,8 @@
-"""Datasets of chunks with gzip and shuffle, packed and unpacked here, as they lie on disk.
+"""Datasets of chunks with gzip and shuffle, compressed and decompressed here.
 
-Every HDF5 tool reads them without a plugin. Why here: ISA-L (isal) packs events four times as fast as the zlib inside
-HDF5, as small, and unpacks them in two thirds of the time. Both were most of the time in which a file of events is
-written or read.
+Every HDF5 tool reads them without a plugin. ISA-L (isal) compresses events four times as fast as the zlib in HDF5, to
+the same size, and decompresses them in two thirds of the time. With zlib, this is most of the time for writing or
+reading a file of events.
 """
 
 import math
@@ -16,22 +16,22 @@ from numpy.typing import NDArray
 
 CHUNK_ROWS = 65536
 CHUNK_BYTES = 1 << 20
-FEW = 64  # numbers that are not worth a chunk
-ISAL_LEVEL = 2  # 2.0 bytes an event of 13, as zlib's level 1
-GZIP_LEVEL = 1  # what the dataset says of itself, and what HDF5 takes for rows that another program adds
+FEW = 64  # fewer numbers are not worth a chunk
+ISAL_LEVEL = 2  # 2.0 of 13 bytes per event, as with zlib's level 1
+GZIP_LEVEL = 1  # level declared in the dataset, which HDF5 uses for rows that another program adds
 
 
 class RowWriter:
-    """Makes a dataset, and takes its rows in pieces of any size; complete once it is closed.
+    """Creates a dataset and writes its rows in blocks of any size; the dataset is complete once it is closed.
 
-    A dataset of fewer than FEW numbers is written plainly. Rows larger than a chunk may be, such as large images, lie
-    in several chunks each, which HDF5 packs.
+    A dataset of fewer than FEW numbers is not compressed. Rows that are larger than a chunk, such as large images, use
+    several chunks each, which HDF5 compresses.
     """
 
     def __init__(
         self, h5: h5py.File, name: str, dtype: Any, row_shape: tuple[int, ...], length: int | None = None
     ) -> None:
-        """length: how many rows will come; None: as many as do, and the dataset may grow later."""
+        """length: number of rows; None if unknown, and the dataset may grow later."""
         size = int(np.prod(row_shape, dtype=np.int64))
         row_bytes = max(1, size * np.dtype(dtype).itemsize)
         self._packs = length is None or length * size >= FEW
@@ -56,7 +56,7 @@ class RowWriter:
             )
             self._open = np.zeros((chunk, *within_row), dtype)  # the chunk that is not full yet
         self._grows = length is None
-        self._extent = length or 0  # of the dataset, which grows faster than its rows: each time costs 60 us
+        self._extent = length or 0  # of the dataset; it grows in large steps, because each step costs 60 us
         self.rows = 0
 
     def append(self, rows: NDArray[Any]) -> None:
@@ -79,7 +79,7 @@ class RowWriter:
                 self._pack(first + taken - chunk)
 
     def close(self) -> None:
-        """Write what waits."""
+        """Write the remaining rows."""
         if self._packs and (waiting := self.rows % len(self._open)):
             self._open[waiting:] = 0
             self._pack(self.rows - waiting)
@@ -87,7 +87,7 @@ class RowWriter:
             self.dataset.resize(self.rows, axis=0)
 
     def _pack(self, first: int) -> None:
-        """Write the open chunk, whose first row is this one of the dataset."""
+        """Write the open chunk, which starts at row `first` of the dataset."""
         numbers = np.frombuffer(self._open, np.uint8).reshape(-1, self._open.itemsize)
         shuffled = np.ascontiguousarray(numbers.T)  # first bytes of all numbers, then second bytes, ...
         packed = isal_zlib.compress(shuffled, ISAL_LEVEL)
@@ -95,16 +95,16 @@ class RowWriter:
 
 
 class RowReader:
-    """Reads rows of a dataset; the chunk that was unpacked last is kept, for rows that go on in it.
+    """Reads rows of a dataset; the last decompressed chunk is kept for further rows in it.
 
-    Chunks that are packed in another way, or not at all, are left to HDF5.
+    Chunks with another compression, or none, are read by HDF5.
     """
 
     def __init__(self, dataset: h5d.DatasetID, dtype: np.dtype[Any]) -> None:
         self._dataset, self._shape, self._dtype = dataset, dataset.shape, dtype
         recipe = dataset.get_create_plist()
         self._chunks: Any = recipe.get_chunk() if recipe.get_layout() == h5d.CHUNKED else ()
-        self._first = -1  # row of the chunk that is kept
+        self._first = -1  # first row of the kept chunk
         self._kept: NDArray[Any] = np.empty(0)
         self._nothing = self._kept
         filters = [recipe.get_filter(number)[0] for number in range(recipe.get_nfilters())]
@@ -115,32 +115,32 @@ class RowReader:
         )
 
     def read(self, start: int, stop: int) -> NDArray[Any]:
-        """The rows [start, stop), as they are stored; OSError where a chunk is damaged."""
+        """Return the rows [start, stop) as stored; OSError if a chunk is damaged."""
         if not self._ours or start >= stop:
             return self._by_hdf5(start, stop)
         chunk = self._chunks[0]
         rows = np.empty((stop - start, *self._shape[1:]), self._dtype)
         for first in range(start - start % chunk, stop, chunk):
             if first != self._first:
-                self._kept, self._first = self._nothing, -1  # two chunks at a time are not needed
+                self._kept, self._first = self._nothing, -1  # free the old chunk first
                 self._kept, self._first = self._unpacked(first), first
             begin, end = max(start, first), min(stop, first + chunk)
             rows[begin - start : end - start] = self._kept[begin - first : end - first]
         return rows
 
     def _unpacked(self, first: int) -> NDArray[Any]:
-        """The chunk that begins with this row."""
+        """Return the decompressed chunk that starts at this row."""
         left_out, packed = self._dataset.read_direct_chunk((first,) + (0,) * (len(self._shape) - 1))
-        if left_out:  # filters, by whoever wrote it
+        if left_out:  # the writer skipped some filters
             return self._by_hdf5(first, min(first + self._chunks[0], self._shape[0]))
         size = math.prod(self._chunks) * self._dtype.itemsize
         unpacker = isal_zlib.decompressobj()
         try:
-            shuffled = unpacker.decompress(packed, size + 1)  # no more, whatever it was made to unpack to
+            shuffled = unpacker.decompress(packed, size + 1)  # limited, against decompression bombs
         except igzip_lib.IsalError as error:  # type: ignore[misc]  # its stub says no class
             raise OSError(f"a chunk cannot be unpacked: {error}") from None
         if len(shuffled) != size or not unpacker.eof:
-            raise OSError(f"a chunk unpacks to another size than its {size} bytes")
+            raise OSError(f"a chunk does not unpack to its {size} bytes")
         planes = np.frombuffer(shuffled, np.uint8).reshape(self._dtype.itemsize, -1)
         numbers = np.empty(planes.shape[::-1], np.uint8)
         for place, plane in enumerate(planes):  # three times as fast as a copy of planes.T
@@ -158,7 +158,7 @@ class RowReader:
 
 
 def put(h5: h5py.File, name: str, value: Any) -> None:
-    """Write one whole dataset: texts and scalars plainly, arrays as a RowWriter does."""
+    """Write one whole dataset: texts and scalars uncompressed, arrays as by a RowWriter."""
     if isinstance(value, str):
         h5.create_dataset(name, data=value, dtype=h5py.string_dtype(), track_times=False)
         return

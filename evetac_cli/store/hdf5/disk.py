@@ -1,12 +1,12 @@
-"""New files, all or nothing, also where the disk is full or the process is killed; HDF5 files among them.
+"""Atomic writing of new files, including HDF5 files, even if the disk is full or the process is killed.
 
-A file is written beside its place, under the name of this machine and process, and renamed when it is complete. What a
-process that was killed left behind is removed by the next that writes the same file. A part of that name is random:
-in a folder that others may write to, one that can be guessed may be a link to any file of this user's.
+A file is written next to its target, under a name with this machine and process, and renamed when it is complete.
+Leftovers of a killed process are removed by the next process that writes the same file. A part of the name is random:
+in a folder that others can write to, a predictable name could be a link to any of the user's files.
 
-Why HDF5 has a file object: where it cannot write, it cannot close the file either, and takes the whole process down at
-its end. So it writes through a file object that never fails: that keeps the first error, which is raised once HDF5 has
-closed. For the same reason Ctrl-C waits until then; it would otherwise come up inside that object.
+If HDF5 cannot write, it cannot close the file either, and crashes the process at its end. So HDF5 writes through a
+file object that never fails: it keeps the first error, which is raised once HDF5 has closed the file. For the same
+reason Ctrl-C is delayed until then; it would otherwise be raised inside that object.
 """
 
 import errno
@@ -32,17 +32,17 @@ from evetac_cli.errors import InputError
 from evetac_cli.interrupts import interrupts_wait, leave_if_interrupted
 from evetac_cli.text_files import as_utf8
 
-# HDF5 1.14 and everything since opens this; `latest` would need HDF5 2.0, which h5py bundles and others do not have.
+# HDF5 1.14 and newer open this; `latest` would need HDF5 2.0, which h5py bundles but other programs do not have.
 LIBVER = ("earliest", "v114")
 
 
 class _Disk(io.FileIO):
-    """A file that takes everything: after the first error, bytes are dropped."""
+    """A file that accepts all bytes: after the first error, they are dropped."""
 
     error: OSError | None = None
 
     def write(self, data: Any) -> int:
-        """Write all of `data`, or remember why not."""
+        """Write all of `data`, or keep the error."""
         left = memoryview(data).cast("B")
         try:
             while left and self.error is None:
@@ -53,7 +53,7 @@ class _Disk(io.FileIO):
 
 
 def existing_folder(folder: Path) -> Path:
-    """The folder, or the nearest folder above that exists; InputError if it cannot be made or written in."""
+    """Return the folder, or its nearest existing parent; InputError if it cannot be created or written to."""
     while not os.path.exists(folder):
         folder = folder.parent
     if not os.path.isdir(folder):
@@ -64,27 +64,27 @@ def existing_folder(folder: Path) -> Path:
 
 
 def missing_folders(folder: Path) -> list[Path]:
-    """The folder and those above it, as far as they do not exist, the innermost first."""
+    """Return the folder and its parents that do not exist, the innermost first."""
     return [one for one in (folder, *folder.parents) if not os.path.lexists(one)]
 
 
 def remove_empty(folders: list[Path]) -> None:
-    """Remove folders that were made for nothing, the innermost first; one that holds something stays."""
+    """Remove folders, the innermost first, unless they contain something."""
     for folder in folders:
         with suppress(OSError):
             folder.rmdir()
 
 
 def require_room(path: Path, needed_bytes: float, hint: str) -> None:
-    """Refuse to begin what the disk of the folder `path` has no room for; InputError with figures.
+    """Raise InputError, with figures, if the disk of the folder `path` does not have enough space.
 
-    The folder need not exist yet, but has to be one that can be made.
+    The folder need not exist yet, but it must be possible to create it.
     """
     folder = existing_folder(path)
     free_bytes = shutil.disk_usage(folder).free
     if free_bytes < needed_bytes:
         raise InputError(
-            "not enough room on this disk",
+            "not enough space on this disk",
             where=str(folder),
             expected=f"{needed_bytes / 1e6:,.0f} MB",
             found=f"{free_bytes / 1e6:,.0f} MB free",
@@ -94,16 +94,16 @@ def require_room(path: Path, needed_bytes: float, hint: str) -> None:
 
 @contextmanager
 def taking_the_place_of(path: Path, ending: str = "") -> Iterator[Path]:
-    """A path to write to, which takes the place of `path` when the block ends well, and leaves no trace otherwise.
+    """Yield a path to write to, which replaces `path` if the block succeeds, and is removed if it fails.
 
-    ending: what the name has to end in, for libraries that go by it. InputError if the disk does not take the file, or
-    where `path` is neither a file nor a link, which is replaced and not followed: a device, a pipe, a folder.
+    ending: required end of the name, for libraries that depend on it. InputError if writing fails, or if `path` is a
+    device, a pipe or a folder. A link at `path` is replaced and not followed.
     """
     with suppress(OSError):
         kind = os.lstat(path).st_mode
         if not stat.S_ISREG(kind) and not stat.S_ISLNK(kind):
             what = "a folder" if stat.S_ISDIR(kind) else "a device, a pipe or a socket"
-            raise InputError(f"cannot be written: it is {what}, and is not replaced", where=str(path))
+            raise InputError(f"cannot be written: it is {what}, which is not replaced", where=str(path))
     temporary = temporary_name(path, ending)
     made = missing_folders(path.parent)
     try:
@@ -113,7 +113,7 @@ def taking_the_place_of(path: Path, ending: str = "") -> Iterator[Path]:
             raise InputError("the output folder is a file", where=str(path.parent)) from None
         yield temporary
         temporary.replace(path)
-    except KeyboardInterrupt:  # only now: after an error, another job may be about to write there
+    except KeyboardInterrupt:  # folders are removed only here: after an error, another job may be about to write there
         with suppress(OSError):
             temporary.unlink()
         remove_empty(made)
@@ -126,7 +126,7 @@ def taking_the_place_of(path: Path, ending: str = "") -> Iterator[Path]:
 
 
 def remove_with_contents(path: Path) -> None:
-    """Remove a file, or a folder with all that is in it, as far as that is possible."""
+    """Remove a file, or a folder with its contents, as far as possible."""
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path, ignore_errors=True)
     else:
@@ -135,14 +135,14 @@ def remove_with_contents(path: Path) -> None:
 
 
 def temporary_name(path: Path, ending: str = "") -> Path:
-    """The name beside `path` under which this process writes; those of processes that no longer live are removed."""
+    """Return the name next to `path` under which this process writes; leftovers of dead processes are removed."""
     remove_unfinished(path, ending)
     process = os.getpid()
     return path.with_name(f"{_start(path)}{process}-{_started(process)}.{secrets.token_hex(8)}.tmp{ending}")
 
 
 def remove_unfinished(path: Path, ending: str = "") -> None:
-    """Remove what processes that no longer live left beside `path` while they wrote it."""
+    """Remove files that dead processes left next to `path` while they wrote it."""
     for left in path.parent.glob(f"{escape(_start(path))}*.tmp{escape(ending)}"):
         if not _lives(left.name.removeprefix(_start(path)).partition(".")[0]):
             remove_with_contents(left)
@@ -150,16 +150,16 @@ def remove_unfinished(path: Path, ending: str = "") -> None:
 
 def _start(path: Path) -> str:
     name = path.name
-    if as_utf8(name) != name:  # libraries that write there may know no other names
+    if as_utf8(name) != name:  # libraries that write there may support only UTF-8 names
         name = hashlib.sha256(os.fsencode(name)).hexdigest()[:16]
-    return f".{name}.{platform.node()}."  # a folder may be shared: other machines' processes cannot be seen
+    return f".{name}.{platform.node()}."  # a folder may be shared, and processes of other machines are not visible
 
 
 @contextmanager
 def utf8_path(path: Path) -> Iterator[Path]:
-    """A name of UTF-8 for a file that is there, or is to be made, for libraries that take no other.
+    """Yield a UTF-8 path for an existing or new file, for libraries that accept no other.
 
-    On Linux by way of the file, or its folder, held open meanwhile; elsewhere the path as it is.
+    On Linux it leads through the file, or its folder, held open meanwhile; elsewhere it is the path itself.
     """
     if as_utf8(str(path)) == str(path) or not os.path.isdir("/proc/self/fd"):
         yield path
@@ -174,16 +174,16 @@ def utf8_path(path: Path) -> Iterator[Path]:
 
 
 def _started(process: int | str) -> str:
-    """When a process started, in the words of Linux, as numbers are given away again; empty where that is unknown."""
+    """Return the start time of a process, as Linux reports it, because numbers are reused; empty if it is unknown."""
     try:
         state, *more = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
     except OSError:
         return ""
-    return "dead" if state in "ZX" else more[18]  # one whose parent has not waited for it still has its number
+    return "dead" if state in "ZX" else more[18]  # a zombie process still has its number
 
 
 def _lives(name: str) -> bool:
-    """Whether the process of a temporary file, its number and when it started, still runs."""
+    """Whether the process of a temporary file, given by its number and start time, still runs."""
     process, _, started = name.partition("-")
     if (now := _started(process)) and (now == "dead" or started not in ("", now)):
         return False
@@ -191,18 +191,17 @@ def _lives(name: str) -> bool:
         os.kill(int(process), 0)
     except ProcessLookupError:
         return False
-    except (ValueError, OverflowError, PermissionError):  # no number: not ours to remove; or somebody else's process
+    except (ValueError, OverflowError, PermissionError):  # not a name by evetac, or another user's process
         return True
     return True
 
 
 def joined_on_disk(folder: Path | None, parts: Iterable[tuple[NDArray[Any], ...]]) -> tuple[NDArray[Any], ...]:
-    """Columns of arrays, each put end to end: in files of `folder`, from where they are read as they are used.
+    """Return columns of arrays, each concatenated in a file of `folder` and mapped into memory.
 
-    parts: of each column the next rows. Without a folder, that of the system for temporary files, which TMPDIR names.
-    The files have no name and are gone with the arrays. Memory is needed for one part; what is read lies in memory that
-    the system takes back when it needs it. Without any part there is no column. InputError if the disk does not take
-    them.
+    parts: the next rows of each column. folder: None for the system's folder for temporary files (TMPDIR). The files
+    have no name and disappear with the arrays. Memory is needed for one part; the system can reclaim the memory of
+    mapped data. Without any part there is no column. InputError if writing fails.
     """
     with ExitStack() as stack:
         files: list[IO[bytes]] = []
@@ -221,7 +220,7 @@ def joined_on_disk(folder: Path | None, parts: Iterable[tuple[NDArray[Any], ...]
 
 
 def _mapped(file: IO[bytes], like: NDArray[Any]) -> NDArray[Any]:
-    """What a file holds, as an array of rows like these."""
+    """Return the contents of a file as an array of rows like these."""
     file.flush()
     row_bytes = like.dtype.itemsize * int(np.prod(like.shape[1:]))
     shape = (os.fstat(file.fileno()).st_size // row_bytes, *like.shape[1:])
@@ -231,10 +230,10 @@ def _mapped(file: IO[bytes], like: NDArray[Any]) -> NDArray[Any]:
 
 
 def make_own_folder(folder: Path) -> None:
-    """Make a folder to write into; one that is there may stay if nobody else can exchange what is written there.
+    """Create a folder to write to; an existing one is accepted if no other user can replace its contents.
 
-    InputError for one that another user made (root may), for a link, which could lead to any folder of the user's, and
-    for a file.
+    InputError for a folder made by another user except root, for a link, which could lead to any of the user's folders,
+    and for a file.
     """
     folder.parent.mkdir(parents=True, exist_ok=True)
     try:
@@ -246,14 +245,14 @@ def make_own_folder(folder: Path) -> None:
             raise InputError(f"the output folder is {what}", where=str(folder)) from None
         if status.st_uid not in (0, os.geteuid()):
             raise InputError(
-                "this folder was made by another user", where=str(folder), hint="-o NAME writes elsewhere"
+                "this folder was made by another user", where=str(folder), hint="-o NAME writes to another folder"
             ) from None
 
 
 def open_lock(path: Path) -> BinaryIO:
-    """The lock file of a folder, made where there is none; OSError if it is a link, a pipe or anything but a file.
+    """Open the lock file of a folder, creating it if needed; OSError if it is not a regular file.
 
-    A link could lead to any file of the user's, and opening a pipe waits for its other end.
+    A link could lead to any of the user's files, and opening a pipe waits for its other end.
     """
     file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, 0o666)
     if not stat.S_ISREG(os.fstat(file).st_mode):
@@ -264,7 +263,7 @@ def open_lock(path: Path) -> BinaryIO:
 
 @contextmanager
 def new_file(path: Path) -> Iterator[h5py.File]:
-    """A new HDF5 file, open for writing; OSError if something is there already, or the disk did not take all of it."""
+    """Yield a new HDF5 file, open for writing; OSError if the path exists, or if not everything could be written."""
     with interrupts_wait(), _Disk(path, "x+") as disk:
         try:
             with h5py.File(disk, "w", libver=LIBVER) as h5:

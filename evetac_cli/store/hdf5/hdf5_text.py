@@ -1,10 +1,10 @@
-"""Texts of an HDF5 file, read from its bytes: those of attributes of the root, and of scalar datasets.
+"""Texts of an HDF5 file, read from its bytes: attributes of the root, and scalar datasets.
 
-Why so: HDF5 takes memory for the length that a text announces, up to 4 GB, before it looks how long the text is, and
-where the sizes in its heap of texts are damaged it runs in circles for ever; one flipped bit is enough for either, and
-it has no call that only tells the length. So these few structures are read here, as the HDF5 File Format Specification
-lays them out: object headers of versions 1 and 2 (IV.A.1), attributes (IV.A.2.m), the global heap (III.E).
-Whatever does not fit ends in a ValueError.
+HDF5 allocates memory for the length that a text announces, up to 4 GB, before it checks how long the text is. If the
+sizes in its heap of texts are damaged, it loops forever. One flipped bit is enough for either, and HDF5 has no call
+that returns only the length. So these few structures are read here according to the HDF5 File Format Specification:
+object headers of versions 1 and 2 (IV.A.1), attributes (IV.A.2.m), the global heap (III.E).
+Anything that does not fit raises ValueError.
 """
 
 import os
@@ -12,18 +12,18 @@ from collections.abc import Iterator
 from pathlib import Path
 
 ATTRIBUTE, CONTINUATION = 0x0C, 0x10
-SHARED = 2  # a flag: the message lies elsewhere
+SHARED = 2  # flag: the message is stored elsewhere
 MOST_HEADER_BYTES = 16 << 20
-MOST_HEAP_OBJECTS = 1 << 16  # they are numbered in 16 bits
+MOST_HEAP_OBJECTS = 1 << 16  # they have 16-bit numbers
 REFERENCE_BYTES = 16
 
 
 class TextTooLong(ValueError):
-    """A text that announces more bytes than it may have."""
+    """A text announces more bytes than allowed."""
 
 
 def attribute_text(path: Path, address: int, name: str, most_bytes: int) -> str:
-    """The text attribute `name` of the object whose header is at `address`."""
+    """Return the text attribute `name` of the object whose header is at `address`."""
     with open(path, "rb") as file:
         _require_eight_bytes(file.fileno())
         for kind, flags, data in _messages(file.fileno(), address):
@@ -31,26 +31,26 @@ def attribute_text(path: Path, address: int, name: str, most_bytes: int) -> str:
                 reference = _value(data, name.encode())
                 if reference is not None:
                     return _text(file.fileno(), reference, most_bytes)
-    raise ValueError(f"the attribute {name} is stored in a way that is not read")
+    raise ValueError(f"the attribute {name} is stored in an unsupported form")
 
 
 def dataset_text(path: Path, address: int, most_bytes: int) -> str:
-    """The text of a scalar dataset whose bytes lie at `address`."""
+    """Return the text of a scalar dataset whose bytes are at `address`."""
     with open(path, "rb") as file:
         _require_eight_bytes(file.fileno())
         return _text(file.fileno(), _bytes(file.fileno(), REFERENCE_BYTES, address), most_bytes)
 
 
 def _require_eight_bytes(file: int) -> None:
-    """Addresses and lengths of 8 bytes, as every HDF5 library writes them unless asked not to."""
+    """Raise ValueError unless addresses and lengths have 8 bytes, as HDF5 libraries write by default."""
     start = _bytes(file, 16, 0)
     sizes = start[13:15] if start[8:9] in (b"\0", b"\1") else start[9:11]
     if start[:4] != b"\x89HDF" or sizes != b"\x08\x08":
-        raise ValueError("its addresses are not of 8 bytes, or do not count from its start")
+        raise ValueError("its addresses do not have 8 bytes, or do not count from its start")
 
 
 def _text(file: int, reference: bytes, most_bytes: int) -> str:
-    """The text that a length, the address of a heap and a number in it refer to."""
+    """Return the text for a reference: a length, the address of a heap, and a number in the heap."""
     length, heap, number = _number(reference[:4]), _number(reference[4:12]), _number(reference[12:16])
     if length > most_bytes:
         raise TextTooLong(f"{length} bytes")
@@ -58,7 +58,7 @@ def _text(file: int, reference: bytes, most_bytes: int) -> str:
         return ""
     head = _bytes(file, 16, heap)
     if head[:4] != b"GCOL":
-        raise ValueError("its text is not where it says")
+        raise ValueError("its text is not at the stated address")
     at, end = heap + 16, heap + _number(head[8:16])
     for _ in range(MOST_HEAP_OBJECTS):
         entry = _bytes(file, 16, at)
@@ -71,11 +71,11 @@ def _text(file: int, reference: bytes, most_bytes: int) -> str:
                 break
             return content.decode()
         at += 16 + -(-size // 8) * 8
-    raise ValueError("its text is not where it says")
+    raise ValueError("its text is not at the stated address")
 
 
 def _messages(file: int, address: int) -> Iterator[tuple[int, int, bytes]]:
-    """Type, flags and bytes of each message of an object header."""
+    """Yield type, flags and bytes of each message of an object header."""
     start = _bytes(file, 64, address)
     second = start[:4] == b"OHDR"
     if second:
@@ -88,7 +88,7 @@ def _messages(file: int, address: int) -> Iterator[tuple[int, int, bytes]]:
     total = 0
     while blocks:
         where, size = blocks.pop(0)
-        total += size + 16  # continuations that lead in a circle come to an end too
+        total += size + 16  # so that circular continuations end too
         if total > MOST_HEADER_BYTES:
             raise ValueError("its object header is too long")
         block, at = _bytes(file, size, where), 0
@@ -105,7 +105,7 @@ def _messages(file: int, address: int) -> Iterator[tuple[int, int, bytes]]:
 
 
 def _value(data: bytes, name: bytes) -> bytes | None:
-    """What an attribute message holds as its value, for one text; None if it has another name."""
+    """Return the value in an attribute message, for one text; None if the attribute has another name."""
     version = data[:1]
     sizes = [_number(data[at : at + 2]) for at in (2, 4, 6)]  # of name, type, shape
     at = 9 if version == b"\3" else 8
@@ -116,9 +116,9 @@ def _value(data: bytes, name: bytes) -> bytes | None:
 
 
 def _bytes(file: int, count: int, at: int) -> bytes:
-    """So many bytes of a file, fewer at its end; ValueError for a place that no file has."""
+    """Return `count` bytes of a file, fewer at its end; ValueError for an impossible position."""
     if not (0 <= count <= 2**31 and at < 2**62):
-        raise ValueError("it leads to a place that no file has")
+        raise ValueError("it refers to an impossible position")
     return os.pread(file, count, at)
 
 

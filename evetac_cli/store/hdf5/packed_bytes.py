@@ -1,7 +1,7 @@
-"""Whether the bytes of a dataset all lie in its file, and unpack to no more than they have to.
+"""Checks that the bytes of a dataset are all in its file, and do not unpack to more than they should.
 
-Why so: HDF5 makes rows of nothing where none were written, loads what a file names as a filter, and unpacks a chunk
-whole, whatever it was made to unpack to.
+HDF5 invents rows that were never written, loads any filter that a file names, and unpacks a chunk completely, without a
+limit.
 """
 
 import importlib
@@ -15,8 +15,8 @@ from h5py import h5d, h5z
 
 from evetac_cli.errors import InputError, missing_extra
 
-# A chunk is unpacked whole, and one made to harm unpacks to 1,100 times its size, of which HDF5 says nothing.
-# Of our own that is 1 GB at most; larger chunks, of other programs, are unpacked here first, as far as they may go.
+# A chunk is unpacked as a whole, and a malicious one unpacks to 1,100 times its size, without a warning by HDF5. For
+# chunks by evetac this is at most 1 GB. Larger chunks by other programs are first unpacked here, up to their size.
 OUR_CHUNK_BYTES = 1 << 20
 MOST_CHUNK_BYTES = 128 << 20
 
@@ -35,7 +35,7 @@ EVENT_FILE_FILTERS = OUR_FILTERS | {
 
 
 class Place(NamedTuple):
-    """A dataset of a file: where that is, its size, the name of the dataset, and how large its chunks may be."""
+    """A dataset of a file: the file, its size, the dataset's name, and the largest size of its chunks."""
 
     where: str
     size: int
@@ -44,18 +44,16 @@ class Place(NamedTuple):
 
 
 def check_filters(where: str, name: str, recipe: Any, allowed: Collection[int]) -> list[int]:
-    """Numbers of the filters: those alone that are known, each once, whose plugin is there.
+    """Return the numbers of the filters; InputError unless they are known, different and installed.
 
-    HDF5 would look for others on its own.
+    HDF5 would search for other filters on its own.
     """
     used = [recipe.get_filter(i) for i in range(recipe.get_nfilters())]
     for number, _, _, label in used:
         spoken = f"HDF5 filter {number} ({label.decode(errors='replace').split(';')[0] or 'unknown'})"
         if number not in allowed:
-            hint = "pack it anew with gzip: h5repack -f GZIP=1 IN OUT"
-            raise InputError(
-                f"{name} is compressed with a filter that is not read", where=where, found=spoken, hint=hint
-            )
+            hint = "compress it again with gzip: h5repack -f GZIP=1 IN OUT"
+            raise InputError(f"{name} is compressed with an unsupported filter", where=where, found=spoken, hint=hint)
         if not h5z.filter_avail(number):
             with suppress(ImportError):
                 importlib.import_module("hdf5plugin")  # registers its filters
@@ -65,16 +63,16 @@ def check_filters(where: str, name: str, recipe: Any, allowed: Collection[int]) 
         if not h5z.filter_avail(number):
             raise missing_extra(message, "convert", where=where, found=spoken)
     if len({number for number, *_ in used}) < len(used):
-        _refuse(where, f"{name} is compressed twice with the same filter", "a filter that is named twice")
+        _refuse(where, f"{name} is compressed twice with the same filter", "a repeated filter")
     return [number for number, *_ in used]
 
 
 def check_stored(
     place: Place, item: Any, shape: tuple[int, ...] | None, itemsize: int, recipe: Any, applied: list[int]
 ) -> int:
-    """Bytes that are stored; InputError unless every announced row was written, within the file.
+    """Return the number of stored bytes; InputError unless every announced row was written, within the file.
 
-    item, recipe: the ids of the dataset and of how it was created. applied: numbers of its filters.
+    item, recipe: ids of the dataset and of its creation properties. applied: numbers of its filters.
     """
     if shape is None or math.prod(shape) == 0:
         return 0
@@ -99,7 +97,7 @@ def _check_chunks(
     packing = sum(
         1 << i for i, number in enumerate(applied) if number not in (h5z.FILTER_SHUFFLE, h5z.FILTER_FLETCHER32)
     )
-    most = whole + whole // 64 + 1024  # what cannot be packed grows a little
+    most = whole + whole // 64 + 1024  # incompressible data grow a little
     undone = [i for i in reversed(range(len(applied))) if applied[i] != h5z.FILTER_FLETCHER32]
     gzip = 1 << undone[0] if undone and applied[undone[0]] == h5z.FILTER_DEFLATE else 0
     large: list[tuple[int, ...]] = []
@@ -126,7 +124,7 @@ def _check_chunks(
 
 
 def _refuse_overfull(where: str, name: str, packed: bytes, whole: int) -> None:
-    """Refuse a gzip chunk that unpacks to more than it has to hold; no more than that is unpacked to see it."""
+    """Refuse a gzip chunk that unpacks to more than its size; only one byte more is unpacked to detect this."""
     try:
         size = len(zlib.decompressobj().decompress(packed, whole + 1))
     except zlib.error as error:

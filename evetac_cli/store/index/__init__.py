@@ -1,17 +1,17 @@
-"""The index of a data set: what each stage file in a folder is, in one SQLite file, so that nobody opens them all.
+"""The index of a data set: the properties of all stage files in a folder, in one SQLite file, so that none is opened.
 
-It is the table `files` of FOLDER/.evetac-index.sqlite, a row for every `*.h5` in the folder and those below it, broken
-ones with their reason, HDF5 files of other programs without a kind. A row is made again when size, time of change or
-inode of its file differ: one look at the folder, in which no file is opened, says whether the index is up to date. Only
-what could not be read is tried each time: the reason may lie in permissions, the storage, or an older evetac.
+It is the table `files` of FOLDER/.evetac-index.sqlite, with a row for every `*.h5` in the folder and its subfolders.
+Damaged files have the reason in their row; HDF5 files of other programs have no kind. A row is updated if size, time of
+change or inode of its file differ, so listing the folder shows whether the index is up to date. Only unreadable files
+are tried each time, because the reason may be permissions, the storage, or an older evetac.
 
-Why the time of change (ctime) and not that of the last writing (mtime): `cp -p`, `rsync -t` and backups bring files
-back with an old mtime, and another content may have the same size. Nobody can set the ctime;
-a data set that was copied to another place is read once again there.
+The time of change (ctime) is used and not that of the last writing (mtime): `cp -p`, `rsync -t` and backups restore
+files with an old mtime, and other contents may have the same size. The ctime cannot be set by a user. A data set that
+was copied to another folder is read once again there.
 
-rows     what a row says of a file
-table    the file on disk, which may be anybody's
-known    whether outputs are up to date, answered without opening a file
+rows     the row of a file
+table    the file on disk, which may come from another user
+known    whether outputs are up to date, without opening a file
 """
 
 import os
@@ -32,37 +32,37 @@ __all__ = (
     "one_by_one", "open_index", "recording_of", "scene_words",
 )  # fmt: skip
 
-# The condition of HDF5 files of other programs, which are passed over.
+# SQL condition for HDF5 files of other programs, which are skipped.
 FOREIGN = "kind IS NULL AND error IS NULL"
-KEEP_S = 60.0  # so often what was read so far is kept: reading a million trials takes hours
+KEEP_S = 60.0  # interval at which new rows are saved: reading a million trials takes hours
 
 Progress = Callable[[int, int], None]
-# Describes files, which are given by their paths, and hands over rows as they come.
+# Describes files, given by their paths, and passes on rows as they are made.
 Describe = Callable[[Path, Mapping[str, Seen], Progress, Callable[[Sequence[IndexRow]], None]], None]
 
 
 class Index(NamedTuple):
-    """An index that is up to date: its table, in memory, and what was to be done for that."""
+    """An index that is up to date: its table, in memory, and the changes that were made for this."""
 
     table: sqlite3.Connection
     read: int  # files that were added or changed, or could not be read before
     removed: int
-    stored: bool  # False where the folder cannot be written to, or something else has the index's name
-    note: str  # what to know of something else that has the index's name; empty otherwise
+    stored: bool  # False if the folder cannot be written to, or another file has the index's name
+    note: str  # note on another file that has the index's name; empty otherwise
 
     def rows(self, where: str = "1", values: Sequence[Any] = ()) -> list[IndexRow]:
-        """The rows for which a condition of SQL holds, by their paths."""
+        """Return the rows that satisfy an SQL condition, sorted by their paths."""
         chosen = self.table.execute(f"{table.SELECT} WHERE {where} ORDER BY path", values)
         return sorted(IndexRow(table.name_of(path), *more) for path, *more in chosen)
 
 
 def foreign_note(index: Index) -> str:
-    """How many HDF5 files of other programs were passed over, in words; empty if there is none."""
+    """Return a note with the number of skipped HDF5 files of other programs; empty if there is none."""
     names = [row.path for row in index.rows(FOREIGN)]
     if not names:
         return ""
     several = f"s of other programs ({names[0]}, ...)" if len(names) > 1 else f" of another program ({names[0]})"
-    return f"passed over: {len(names):,} HDF5 file{several}"
+    return f"skipped: {len(names):,} HDF5 file{several}"
 
 
 def one_by_one(
@@ -78,9 +78,9 @@ def one_by_one(
 def open_index(
     folder: Path, progress: Progress = lambda done, total: None, describe_files: Describe = one_by_one
 ) -> Iterator[Index]:
-    """The index of a folder, made again as far as files changed; InputError if it is no folder.
+    """Yield the index of a folder, updated for changed files; InputError if it is not a folder.
 
-    progress: of the files that have to be read.
+    progress: counts the files that have to be read.
     """
     if not folder.is_dir():
         raise InputError("no such folder", where=str(folder), expected="a folder of stage files")
@@ -92,7 +92,7 @@ def open_index(
     is_stored, kept_s = lies.rows is not None, time.monotonic()
 
     def keep() -> None:
-        """Store what is new, unless something else has the index's name."""
+        """Store new rows, unless another file has the index's name."""
         nonlocal is_stored, kept_s
         if lies.note or (is_stored and not waiting and not removed):
             return
@@ -115,7 +115,7 @@ def open_index(
     try:
         describe_files(folder, stale, progress, take)
     except KeyboardInterrupt:
-        keep()  # the next goes on from here
+        keep()  # the next run continues from here
         raise
     keep()
     with closing(table.fill(sqlite3.connect(":memory:"), rows.values())) as filled:
@@ -123,7 +123,7 @@ def open_index(
 
 
 def _look(folder: Path) -> dict[str, Seen]:
-    """What is seen of every stage file below a folder; folders of recordings in progress are left out."""
+    """Return the status of every stage file below a folder, without folders of recordings in progress."""
     seen: dict[str, Seen] = {}
     folders = [""]
     while folders:

@@ -1,15 +1,15 @@
-"""Whether outputs are up to date, answered by the indexes that lie beside files, without opening any of these.
+"""Determine from the indexes next to files whether outputs are up to date, without opening the files.
 
-A row is believed of a file that is as it was when it was read whole: size, time of change and inode are the same. Then
-the recipe ids of the inputs are known, the stage computes that of the output from them, as it would from the files, and
-compares it with the one that the index has of the output. Wherever anything is missing, or differs, files are opened.
+A row of the index is trusted if its file is unchanged since it was read completely: size, time of change and inode are
+the same. The recipe ids of the inputs are then known. The stage computes the id of the output from them, as it would
+from the files, and compares it with the id in the index. If anything is missing or differs, the files are opened.
 
-Whose index is believed: one of this user's, of root's, or of whoever owns the folder of the file, and so could exchange
-the file too. In a folder that all may write to, as /tmp, anybody could put an index above the files of others.
+An index is trusted if it belongs to this user, to root, or to the owner of the file's folder, who could replace the
+file as well. In a folder that everyone can write to, such as /tmp, any user could put an index above others' files.
 
-Why a run brings an index up to date that is there, and makes none: whoever has made one wants to be answered from it,
-also of what this run made; but nobody expects a hidden file in a folder by asking for labels. It is that of the folder,
-or of the nearest folder above that has one.
+A run updates an existing index but does not create one. A user who created an index wants answers from it, also about
+the files of this run; but a user who runs `label` does not expect a hidden file in the folder. The index is that of the
+folder, or of the nearest parent that has one.
 """
 
 import os
@@ -24,7 +24,7 @@ from evetac_cli.store.layout.provenance import Header, Recipe
 
 
 class Known:
-    """What indexes say of files; to be used at one time, for what is seen of a file is asked of it once."""
+    """Access to the indexes of files, for short use: the location of each index is determined only once."""
 
     def __init__(self) -> None:
         self._open = ExitStack()
@@ -38,7 +38,7 @@ class Known:
         self._open.close()
 
     def row(self, path: Path, *kinds: str) -> IndexRow | None:
-        """The row of a file of these kinds that is as it was when it was read; None where there is none."""
+        """Return the row of a file of these kinds that is unchanged since it was read; None if there is none."""
         place = self.place(path.parent)
         if place is None:
             return None
@@ -52,23 +52,23 @@ class Known:
             return None
 
     def header(self, path: Path, *kinds: str) -> Header | None:
-        """As much of the header of such a file as the recipe of what is made from it takes."""
+        """Return the part of such a file's header that is needed for the recipe of a file made from it."""
         row = self.row(path, *kinds)
         return None if row is None else {"id": row.recipe_id, "simulated": bool(row.simulated)}
 
     def is_up_to_date(self, output: Path, recipe: Recipe) -> bool:
-        """Whether `output` is known to hold the result of this recipe; if not, it may all the same."""
+        """Whether `output` is known to have the result of this recipe; if False, it may still have it."""
         row = self.row(output, recipe.kind)
         return row is not None and row.recipe_id == recipe.id
 
     def place(self, folder: Path) -> tuple[Path, str] | None:
-        """The folder whose index has the files of a folder, and the way from there; None without one to believe."""
+        """Return the folder whose index covers a folder, and the path from there; None without a trusted index."""
         if folder not in self._places:
             self._places[folder] = _place(folder)
         return self._places[folder]
 
     def unknown(self, paths: Iterable[Path]) -> dict[Path, dict[str, Seen]]:
-        """Which of these files an index should have and does not, by the folder of the index: path there -> seen."""
+        """Return the files that are missing in their index or outdated: folder of the index -> path there -> status."""
         missing: dict[Path, dict[str, Seen]] = {}
         for path in dict.fromkeys(paths):
             place = self.place(path.parent)
@@ -104,6 +104,6 @@ def _place(folder: Path) -> tuple[Path, str] | None:
             return (above, "".join(f"{name}/" for name in inner)) if is_theirs else None
         name = above.name
         if not name or name in (".", "..") or name.startswith(".") or name.endswith(".part") or above.is_symlink():
-            return None  # an index has nothing of what lies there
+            return None  # an index does not cover such folders
         inner = (name, *inner)
         above = above.parent

@@ -1,4 +1,4 @@
-"""What the index says of a file: its row."""
+"""The rows of the index: the properties of a file."""
 
 import json
 import os
@@ -9,15 +9,15 @@ from typing import Any, NamedTuple
 from evetac_cli.errors import EvetacError, ForeignFile, shortened
 from evetac_cli.text_files import as_utf8
 
-LARGEST = 2**63 - 1  # whole number of SQLite
+LARGEST = 2**63 - 1  # largest whole number of SQLite
 
 
 class Seen(NamedTuple):
-    """What tells whether a file is the one that was read; of a file that is not there, zeros.
+    """File status that identifies an unchanged file; zeros for a missing file.
 
-    Two files of one folder have no inode in common, and nobody can set the time of change (ctime). So a file with the
-    same three is the same, unless it was changed in place, to the same size, within the tick of the storage's clock (4
-    ms on Linux) in which it was looked at.
+    Two files of a folder have different inodes, and the time of change (ctime) cannot be set. So a file with the same
+    three values is unchanged. The only exception is a change in place, to the same size, within the tick of the
+    storage's clock (4 ms on Linux) in which the status was read.
     """
 
     size_bytes: int
@@ -26,7 +26,7 @@ class Seen(NamedTuple):
 
     @classmethod
     def of(cls, status: os.stat_result) -> "Seen":
-        """As SQLite holds it: some storage numbers files in 64 bits without a sign."""
+        """Return the status in the form of SQLite: some storage systems have unsigned 64-bit inodes."""
         inode = status.st_ino
         return cls(status.st_size, status.st_ctime_ns, inode if inode <= LARGEST else inode - 2 * (LARGEST + 1))
 
@@ -35,37 +35,37 @@ NOT_THERE = Seen(0, 0, 0)
 
 
 class IndexRow(NamedTuple):
-    """What the index says of a file; None where a file of its kind has no such thing, or it is unknown."""
+    """The row of a file; a value is None if it does not exist for this kind of file, or if it is unknown."""
 
-    path: str  # from the folder on
+    path: str  # relative to the folder
     size_bytes: int
     changed_ns: int
     inode: int
-    kind: str | None = None  # none for a file that cannot be read, or that another program made
+    kind: str | None = None  # None for an unreadable file, or one of another program
     recipe_id: str | None = None
-    recording: str | None = None  # recipe id of the one recording that it was made from, or is
+    recording: str | None = None  # recipe id of the only recording from which it was made, or which it is
     object: int | str | None = None
     sensor: str | None = None
     seed: int | str | None = None
     trial: int | None = None
     scene: str | None = None
-    outcome: str | None = None  # slips, held; of a grasp: dropped, lifted, balanced
+    outcome: str | None = None  # slips, held; for a grasp: dropped, lifted, balanced
     slices: int | None = None
     simulated: bool | None = None
     dot_radius_px: float | None = None  # of a recording's grid of dots
-    grid: str | None = None  # what stands for that grid in a recipe
-    error: str | None = None  # why it cannot be read
+    grid: str | None = None  # hash of that grid, as in a recipe
+    error: str | None = None  # reason why the file cannot be read
 
     @property
     def seen(self) -> Seen:
-        """The file that was read."""
+        """The status of the file when it was read."""
         return Seen(self.size_bytes, self.changed_ns, self.inode)
 
 
 def describe(folder: Path, name: str, size_bytes: int, changed_ns: int, inode: int) -> IndexRow:
-    """The row of a file; one that cannot be read has its reason, one of another program neither kind nor reason.
+    """Return the row of a file; an unreadable file has its reason, one of another program neither kind nor reason.
 
-    All of it is looked at, for a row is believed later without another look.
+    The whole file is checked, because a row is later trusted without another check.
     """
     from evetac_cli.store.files import StageFile
 
@@ -106,7 +106,7 @@ def _figures(file: Any) -> dict[str, Any]:
 
 
 def _dots(file: Any) -> dict[str, Any]:
-    """What the recipe of tracks says of a recording's dots, where it has some."""
+    """Return the values of a recording's dots that are part of the recipe of tracks, if it has dots."""
     if file.kind != "recording" or not file.has("sensor/dot_xy_px"):
         return {}
     from evetac_cli.store.calibration import stored_calibration
@@ -116,16 +116,16 @@ def _dots(file: Any) -> dict[str, Any]:
 
 
 def scene_words(parameters: Mapping[str, Any], key: str) -> str | None:
-    """What a recording's parameters say of its scene, its `name` or `summary`; None where they say nothing in words."""
+    """Return the `name` or `summary` of the scene from a recording's parameters; None if there is no such text."""
     named = parameters.get("scene")
     words = named.get(key) if isinstance(named, dict) else None
     return words if isinstance(words, str) else None
 
 
 def recording_of(header: dict[str, Any], history: dict[str, Any]) -> dict[str, Any] | None:
-    """The header of the one recording that a file was made from, itself if it is one; None where there are several.
+    """Return the header of the only recording from which a file was made, or its own if it is one; None for several.
 
-    What a model was trained on does not count.
+    The training files of a model do not count.
     """
     recordings: dict[str, dict[str, Any]] = {}
     waiting, passed = [header], set()
@@ -142,7 +142,7 @@ def recording_of(header: dict[str, Any], history: dict[str, Any]) -> dict[str, A
 
 
 def _plain(value: Any) -> Any:
-    """A value as SQLite keeps it; None for what is no number and no text."""
+    """Return a value in the form of SQLite; None for anything but a whole number or a text."""
     if isinstance(value, int) and not isinstance(value, bool):
         return value if abs(value) <= LARGEST else str(value)
     return shortened(as_utf8(value)) if isinstance(value, str) else None
@@ -153,7 +153,7 @@ def _sensor_name(file: Any) -> str | None:
 
 
 def _outcome(file: Any) -> str | None:
-    """Whether the object slipped, by labels or the truth of a simulation; what became of a grasp."""
+    """Return whether the object slipped, by labels or a simulation's truth, or the outcome of a grasp."""
     if file.has("control/outcome"):
         try:
             figures = json.loads(file.read("control/outcome"))

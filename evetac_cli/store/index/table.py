@@ -1,14 +1,15 @@
-"""The index as it lies on disk: one SQLite table, read like a stranger's file, and what is new added to a copy of it.
+"""The index on disk: one SQLite table, which is read as untrusted data; new rows are added to a copy of it.
 
-Why what lies there is read like a stranger's file: the folder may come from anybody. Only the table that evetac makes
-is read, as far as it has rows of files that are there, and each value is looked at. Anything else of that name is left
-as it is, and the files are read each time.
+The table is untrusted because the folder may come from another person. Only a table in evetac's format is read, only
+rows of existing files are used, and each value is checked. Any other file of that name is left unchanged, and the stage
+files are then read each time.
 
-Why rows are added to a copy, which then takes the place of what was there, and not to the table itself: storage that
-several computers share often has no locks, a process may be killed at any time, and SQLite would leave a journal, which
-the next to open the table plays back, whoever wrote it. So whoever reads the old table goes on with it, and of two
-commands at once the later one copies what the earlier one added, or replaces it, and then the files are read once more.
-A copy of what a million trials need, 1.3 GB, takes seconds; to look at the times of their files takes minutes.
+Rows are added to a copy, which then replaces the old table, and not to the table itself. Storage shared by several
+computers often has no locks, and a process may be killed at any time. SQLite would then leave a journal, which the next
+program to open the table would execute, even if it was forged. With a copy, readers of the old table can continue. Of
+two concurrent commands, the later one copies the rows of the earlier one, or replaces them, and the files are then read
+once more. Copying the table of a million trials, 1.3 GB, takes seconds; reading the status of their files takes
+minutes.
 """
 
 import os
@@ -24,13 +25,13 @@ from evetac_cli.store.index.rows import IndexRow
 from evetac_cli.text_files import as_utf8
 
 NAME = ".evetac-index.sqlite"
-FORMAT = 5  # of the table; an index of another format is made again
-MOST_SLICES = 1 << 40  # 35 years; sums of them are numbers of SQLite too
-# Of an index that is found; ours have 300 bytes a row, and rows of files that were removed since.
+FORMAT = 5  # of the table; an index of another format is created again
+MOST_SLICES = 1 << 40  # 35 years; sums of such numbers are valid in SQLite too
+# Limits for an existing index; those by evetac have 300 bytes per row, and rows of files that were removed since.
 MOST_ROW_BYTES = 1 << 16
 MOST_SQL_BYTES = 1 << 12
 MOST_UNKNOWN_ROWS = 100_000
-STEPS_A_ROW = 200  # of SQLite's machine, which takes 30
+STEPS_A_ROW = 200  # limit of steps of SQLite's machine per row, which needs 30
 STEPS_AT_ONCE = 10_000
 COPIED_BYTES = 8 << 20  # at a time
 
@@ -51,10 +52,9 @@ _TYPES: dict[str, tuple[type, ...]] = {
 
 
 class Lies(NamedTuple):
-    """What lies in the index's place: its rows by their paths, None where there is none that can be read.
+    """The contents of the index's file: its rows by their paths, None if there is no readable index.
 
-    removed: paths of rows of files that are no longer there. note: why it may not be replaced, for evetac did not make
-    it.
+    removed: paths of rows whose files are missing. note: why the file may not be replaced, if evetac did not make it.
     """
 
     rows: dict[str, IndexRow] | None = None
@@ -63,20 +63,20 @@ class Lies(NamedTuple):
 
 
 def is_index(path: Path) -> bool:
-    """Whether a file is an index that evetac made, of whatever format, and so may be replaced or removed."""
+    """Whether a file is an index made by evetac, in any format, so that it may be replaced or removed."""
     return path.name == NAME and os.path.lexists(path) and not read(path, ()).note
 
 
 def read(path: Path, wanted: Collection[str]) -> Lies:
-    """The rows of files that are there; no other program's database is opened, and nothing that could wait."""
+    """Return the rows of wanted files; no database of another program is opened, and nothing that could block."""
     with IndexTable(path) as table:
         return table.read(wanted)
 
 
 class IndexTable:
-    """An index that was found, open for reading; `note` says why it is none, where evetac did not make what lies there.
+    """An existing index, open for reading; `note` has the reason if the file was not made by evetac.
 
-    What replaces it meanwhile does not change what is read here.
+    If the file is replaced meanwhile, the old contents are still read here.
     """
 
     def __init__(self, path: Path) -> None:
@@ -88,10 +88,10 @@ class IndexTable:
         except FileNotFoundError:
             return
         except OSError as error:
-            self.note = _note(error.strerror or "it cannot be looked at")
+            self.note = _note(error.strerror or "it cannot be accessed")
             return
         if not stat.S_ISREG(kind.st_mode):
-            self.note = _note("it is no file")
+            self.note = _note("it is not a regular file")
         elif kind.st_size:
             self._open(path)
 
@@ -114,7 +114,7 @@ class IndexTable:
             table.set_progress_handler(self._too_many, STEPS_AT_ONCE)
             sql = _sql(table)
             if sql is None or not (sql.startswith(_BEGINS) and sql.endswith(_ENDS)):
-                self.note = _note("it holds something else than the table of an index")
+                self.note = _note("it does not have the table of an index")
             elif sql == _CREATE and _format(table) == FORMAT:
                 self._table = table
         except sqlite3.Error as error:
@@ -125,7 +125,7 @@ class IndexTable:
 
     @property
     def is_index(self) -> bool:
-        """Whether it is one of ours, of this format."""
+        """Whether it is an index by evetac in the current format."""
         return self._table is not None
 
     def _too_many(self) -> bool:
@@ -133,7 +133,7 @@ class IndexTable:
         return self._steps > self._most
 
     def read(self, wanted: Collection[str]) -> Lies:
-        """All rows of files that are wanted."""
+        """Return all rows of the wanted files."""
         if self._table is None:
             return Lies(note=self.note)
         most = 10 * len(wanted) + MOST_UNKNOWN_ROWS
@@ -150,12 +150,12 @@ class IndexTable:
                     rows[row.path] = row
                 else:
                     removed.append(row.path)
-        except sqlite3.Error:  # an index of ours that was damaged, or made to look like one
+        except sqlite3.Error:  # a damaged index, or a forged one
             return Lies()
         return Lies(rows, removed)
 
     def row(self, name: str) -> IndexRow | None:
-        """The row of one file, by its path from the folder on; None where there is none, or none that can be."""
+        """Return the row of one file, by its path in the folder; None if there is none or it is invalid."""
         if self._table is None:
             return None
         self._steps, self._most = 0, STEPS_A_ROW * STEPS_AT_ONCE
@@ -167,7 +167,7 @@ class IndexTable:
 
 
 def _sql(table: sqlite3.Connection) -> str | None:
-    """How the table `files` was made, if there is nothing else."""
+    """Return the SQL statement of the table `files`, if there is nothing else."""
     made = table.execute("SELECT type, name, sql FROM sqlite_master LIMIT 2").fetchall()
     is_one = len(made) == 1 and made[0][:2] == ("table", "files") and isinstance(made[0][2], str)
     return made[0][2] if is_one else None
@@ -179,13 +179,13 @@ def _format(table: sqlite3.Connection) -> Any:
 
 def _note(reason: str) -> str:
     return (
-        f"evetac did not make {NAME} ({shortened(as_utf8(reason))}): it is left as it is, so all files are"
-        " read each time; if you move it away, they are read once"
+        f"{NAME} was not made by evetac ({shortened(as_utf8(reason))}) and is left unchanged, so all files are"
+        " read each time; move it away to have them read only once"
     )
 
 
 def _is_possible(row: tuple[Any, ...], possible: set[tuple[type, ...]]) -> bool:
-    """Whether a row can be one of ours; `possible`: types of rows that are."""
+    """Whether a row is valid; possible: combinations of types that are known to be valid, which is extended."""
     types = tuple(map(type, row))
     if types not in possible:
         if not all(kind in _TYPES[name] for name, kind in zip(IndexRow._fields, types, strict=True)):
@@ -195,12 +195,12 @@ def _is_possible(row: tuple[Any, ...], possible: set[tuple[type, ...]]) -> bool:
 
 
 def name_of(path: str | bytes) -> str:
-    """A path as Python has it, from the table, where one that is no UTF-8 stands as its bytes."""
+    """Return a path from the table as a str; the table has the bytes of a path that is not UTF-8."""
     return os.fsdecode(path) if isinstance(path, bytes) else path
 
 
 def _stored_name(path: str) -> str | bytes:
-    """A path as the table has it: SQLite has no text but UTF-8."""
+    """Return a path in the form of the table: as bytes if it is not UTF-8, the only text of SQLite."""
     return path if as_utf8(path) == path else os.fsencode(path)
 
 
@@ -210,7 +210,7 @@ def _stored(rows: Iterable[IndexRow]) -> Iterator[tuple[Any, ...]]:
 
 
 def fill(table: sqlite3.Connection, rows: Iterable[IndexRow]) -> sqlite3.Connection:
-    """Make the table of an index in an empty database."""
+    """Create the table of an index in an empty database, and return the database."""
     with table:
         table.execute(_CREATE)
         table.executemany(_INSERT, _stored(rows))
@@ -219,7 +219,7 @@ def fill(table: sqlite3.Connection, rows: Iterable[IndexRow]) -> sqlite3.Connect
 
 
 def write(path: Path, rows: Iterable[IndexRow]) -> bool:
-    """Let an index of these rows take the place of the old one; False if the folder cannot be written to."""
+    """Replace the old index by one with these rows; False if the folder cannot be written to."""
     with suppress(InputError, sqlite3.Error), _replacing(path) as temporary:
         fill(sqlite3.connect(temporary), rows).close()
         return True
@@ -227,9 +227,9 @@ def write(path: Path, rows: Iterable[IndexRow]) -> bool:
 
 
 def add(path: Path, rows: Iterable[IndexRow], removed: Iterable[str] = ()) -> bool:
-    """Let an index that has these rows too, and none of what was removed, take the place of the old one.
+    """Replace the old index by one with these rows added, and those of removed files deleted.
 
-    False if there is no old one to which rows can be added, or the folder cannot be written to.
+    False if there is no old index to which rows can be added, or if the folder cannot be written to.
     """
     with suppress(InputError, _NoIndex), _replacing(path) as temporary:
         if not (_copied(path, temporary) and _changed(temporary, rows, removed)):
@@ -244,7 +244,7 @@ class _NoIndex(Exception):
 
 @contextmanager
 def _replacing(path: Path) -> Iterator[Path]:
-    from evetac_cli.store.hdf5.disk import existing_folder, taking_the_place_of  # with h5py, which only this needs
+    from evetac_cli.store.hdf5.disk import existing_folder, taking_the_place_of  # loads h5py, needed only here
 
     existing_folder(path.parent)
     with taking_the_place_of(path) as temporary:
@@ -252,7 +252,7 @@ def _replacing(path: Path) -> Iterator[Path]:
 
 
 def _copied(path: Path, to: Path) -> bool:
-    """Copy a regular file, and nothing that was put in its place meanwhile; False where there is none."""
+    """Copy a regular file, even if the path is replaced meanwhile; False if there is none."""
     try:
         source = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
     except OSError:
@@ -267,10 +267,10 @@ def _copied(path: Path, to: Path) -> bool:
 
 
 def _changed(path: Path, rows: Iterable[IndexRow], removed: Iterable[str]) -> bool:
-    """Add rows to a table of ours, and take some out; False where it is none, or is damaged."""
+    """Add rows to an index's table and delete some; False if it is not evetac's table, or is damaged."""
     with closing(sqlite3.connect(path)) as table:
         try:
-            table.execute("PRAGMA journal_mode = OFF")  # nobody else has this file
+            table.execute("PRAGMA journal_mode = OFF")  # no other process uses this file
             table.execute("PRAGMA synchronous = OFF")
             if _sql(table) != _CREATE or _format(table) != FORMAT:
                 return False

@@ -1,7 +1,7 @@
-"""What a file of evetac holds.
+"""The layout of evetac's files.
 
-schema      what a file of each kind holds; checks arrays and files
-contents    whether values make sense: limits of the schema, and rules across datasets
+schema      contents of each kind of file; checks arrays and files
+contents    validity of values: limits of the schema, and rules across datasets
 new_contents  the same for a file that is being written
 provenance  recipe, recipe id and header: the identity of a result
 netcdf      dimensions by name, for xarray

@@ -1,11 +1,10 @@
-"""Whether the contents of a file make sense: the limits of its schema, and rules across datasets.
+"""Validity of a file's contents: the limits of its schema, and rules across datasets.
 
-Why so: there is one place for both and no second way around it. `StageFile.read` hands out nothing that `check_values`
-refuses, so a stage is never given a value that its schema forbids. What follows from names and shapes alone is refused
-when a file is opened (`check_shapes`). A dataset that is small is read whole before any of it is handed out, and so are
-those that have to fit it by a rule (`check_first`), for most who open a file read a few of its datasets; `validate`
-reads all, block by block, in bounded memory (`faults`). What a stage writes is held to the same before it takes its
-place (new_contents.py).
+All checks are here. `StageFile.read` returns nothing that `check_values` refuses, so a stage never gets a value that
+its schema forbids. Faults of names and shapes alone are refused when a file is opened (`check_shapes`). A small dataset
+is read as a whole before any of it is returned, together with those that have to fit it by a rule (`check_first`). Not
+all datasets are read, because most callers need only a few. `validate` reads all, block by block, in bounded memory
+(`faults`). The same checks apply to a file that is being written (new_contents.py).
 """
 
 import math
@@ -23,12 +22,12 @@ from evetac_cli.store.layout.rules import RULES, RULES_OF_SHAPES, Contents, Faul
 from evetac_cli.store.layout.schema import Dataset, Limits
 from evetac_cli.text_files import parse_json
 
-SMALL_VALUES = 4096  # datasets of no more values are checked whole: 4 s of a trial, in a few ms
-SHORT = 60  # characters of a value that a message shows
+SMALL_VALUES = 4096  # datasets with at most this many values are checked as a whole: 4 s of a trial, in a few ms
+SHORT = 60  # longest value in a message, in characters
 
 
 def check_values(file: Contents, path: str, values: Any, first: int = 0) -> None:
-    """Raise SchemaError if values, of which the first is row `first` of a dataset, are not what its schema allows."""
+    """Raise SchemaError if values of a dataset, starting at row `first`, violate its schema."""
     row = schema.load(file.kind).find(path)
     if row is None or row.limits == schema.ANYTHING:
         return
@@ -41,22 +40,22 @@ def check_values(file: Contents, path: str, values: Any, first: int = 0) -> None
 
 
 def check_shapes(kind: str, path: Path, shapes: Shapes) -> None:
-    """Raise SchemaError if what datasets there are, and their shapes, make no sense; `path`: of the file."""
+    """Raise SchemaError if the set of datasets, or their shapes, are invalid; path: that of the file."""
     table = schema.load(kind)
     for name in shapes:
         row = table.find(name)
         for other in (row.limits.index_of, row.limits.nan_where) if row is not None else ():
             if other and other not in shapes:
-                _refuse(path, (name, f"beside {other}", f"no {other} in the file"))
+                _refuse(path, (name, f"together with {other}", f"no {other} in the file"))
     for rule in RULES_OF_SHAPES.get(kind, ()):
         for fault in rule(shapes):
             _refuse(path, fault)
 
 
 def check_first(file: Contents, name: str, shapes: Shapes, passed: set[Rule]) -> None:
-    """Raise SchemaError if a dataset that is small makes no sense, or does not fit the others by the rules for it.
+    """Raise SchemaError if a small dataset is invalid, or if a dataset violates the rules for it.
 
-    To be called before it is first read. passed: the rules that have been applied, to which those for it are added.
+    It must be called before the dataset is first read. passed: the rules that were applied, which is extended.
     """
     row = schema.load(file.kind).find(name)
     if row is None:
@@ -73,7 +72,7 @@ def check_first(file: Contents, name: str, shapes: Shapes, passed: set[Rule]) ->
     for rule, concerns in RULES.get(file.kind, ()):
         if rule in passed or not re.fullmatch(concerns, name):
             continue
-        passed.add(rule)  # now, for it reads what it concerns
+        passed.add(rule)  # before it runs, because it reads the datasets that it concerns
         try:
             for fault in rule(file, shapes):
                 _refuse(file.path, fault)
@@ -83,14 +82,14 @@ def check_first(file: Contents, name: str, shapes: Shapes, passed: set[Rule]) ->
 
 
 def check_small(file: Contents, shapes: Shapes) -> None:
-    """Raise SchemaError if a small dataset, or how the datasets fit each other, makes no sense."""
+    """Raise SchemaError if a small dataset is invalid, or if a rule across datasets is violated."""
     passed: set[Rule] = set()
     for name in shapes:
         check_first(file, name, shapes, passed)
 
 
 def faults(file: Contents) -> Iterator[str]:
-    """Read every dataset, block by block; a line for each that cannot be read or makes no sense."""
+    """Read every dataset, block by block; yield a line for each that is unreadable or invalid."""
     for path, (_, shape) in file.contents().items():
         try:
             check_dataset(file, path, shape)
@@ -99,14 +98,14 @@ def faults(file: Contents) -> Iterator[str]:
 
 
 def check_dataset(file: Contents, path: str, shape: tuple[int, ...]) -> None:
-    """Read a dataset, block by block; SchemaError if it makes no sense."""
+    """Read a dataset, block by block; SchemaError if it is invalid."""
     last: Any = None
     for values in blocks(file, path, shape):
         last = check_order(file, path, last, values)
 
 
 def check_order(file: Contents, path: str, last: Any, values: Any) -> Any:
-    """Hold the first of some values to the one before them, if any; returns the last, which the next values follow."""
+    """Check the order of the first value and the one before it, if any; return the last value for the next call."""
     row = schema.load(file.kind).find(path)
     if row is None or not row.limits.increasing or not np.size(values):
         return last
@@ -139,7 +138,7 @@ def _text_fault(limits: Limits, text: str) -> tuple[str, str] | None:
 
 
 def _array_fault(file: Contents, row: Dataset, array: NDArray[Any], first: int) -> tuple[str, str] | None:
-    """Expected and found of the first limit that an array breaks, if any."""
+    """Return expected and found values of the first limit that an array violates; None if there is none."""
     limits = row.limits
     least, most = array.min(), array.max()
     if array.dtype.kind == "f":
@@ -156,7 +155,7 @@ def _array_fault(file: Contents, row: Dataset, array: NDArray[Any], first: int) 
                 words = f"NaN only for dots that are missing in the grid {limits.nan_where}"
                 return words, _first_wrong(wrong, array, first)
     for part, low, high, expected in _bounds(file, row, array):
-        beyond = least < low or most > high  # some value, which may be of another part
+        beyond = least < low or most > high  # some value, possibly in another part
         if beyond and (np.fmin.reduce(part, axis=None) < low or np.fmax.reduce(part, axis=None) > high):
             return expected, _first_wrong((part < low) | (part > high), part, first)
     if limits.above is not None and not (array > limits.above).all():
@@ -176,14 +175,14 @@ def _array_fault(file: Contents, row: Dataset, array: NDArray[Any], first: int) 
 
 
 def _first_wrong(wrong: NDArray[np.bool_], array: NDArray[Any], first: int) -> str:
-    """The first value of an array that is wrong, and its row, counted from row `first` of a dataset."""
+    """Return the first invalid value of an array, and its row, counted from row `first` of a dataset."""
     place = tuple(int(index) for index in np.argwhere(wrong)[0])
     value = str(array[place])[:SHORT]
     return f"{value} in row {first + place[0]}" if place else value
 
 
 def _bounds(file: Contents, row: Dataset, array: NDArray[Any]) -> Iterator[tuple[NDArray[Any], float, float, str]]:
-    """Parts of an array, the least and greatest value that each may have, and that in words."""
+    """Yield parts of an array, the smallest and largest allowed value of each, and a description of these."""
     limits = row.limits
     if limits.index_of:
         least = int(limits.minimum or 0)
@@ -198,11 +197,11 @@ def _bounds(file: Contents, row: Dataset, array: NDArray[Any]) -> Iterator[tuple
     if limits.inside_frame:
         width, height = (int(size) for size in file.read("sensor/frame_px"))
         margin = limits.margin_px
-        near = f", or {margin} px beside it" if margin else ""
+        near = f", or up to {margin} px outside it" if margin else ""
         for axis, (name, size) in enumerate((("x", width), ("y", height))):
             if name in limits.inside_frame:
                 part = array[..., axis] if limits.inside_frame == "xy" else array
-                last = size - 1 if array.dtype.kind == "u" else size  # of pixels and of places
+                last = size - 1 if array.dtype.kind == "u" else size  # of pixels, or of positions
                 yield part, -margin, last + margin, f"{name} inside the frame of {width} x {height} px{near}"
 
 

@@ -1,4 +1,4 @@
-"""The header of a stage file, as it is read: whether it is one, and of a kind and version that can be read."""
+"""Reads and checks the header of a stage file: its validity, kind and version."""
 
 import math
 import re
@@ -13,7 +13,7 @@ from evetac_cli.text_files import SEED_BITS, parse_json
 
 FOREIGN = "event files of other programs are read with `evetac record --from FILE`"
 
-# What every header says, and as what.
+# The keys of every header, and their types.
 HEADER: dict[str, tuple[type, ...]] = {
     "kind": (str,),
     "version": (str,),
@@ -29,7 +29,7 @@ HEADER: dict[str, tuple[type, ...]] = {
 
 
 def read_header(file: CheckedHdf5) -> Header:
-    """The header of an open file; ForeignFile where there is none, InputError where it is none of this version."""
+    """Return the header of an open file; ForeignFile if there is none, InputError for another version."""
     path, text = file.path, file.text_attribute("header")
     if text is None:
         raise ForeignFile("this HDF5 file was not made by evetac: it has no header", where=str(path), hint=FOREIGN)
@@ -49,7 +49,7 @@ def read_header(file: CheckedHdf5) -> Header:
             found=f"{header.get('kind')} version {version[0]}",
             hint="make it again from its recipe: names of datasets and parameters have changed",
         )
-    if version and int(version[1]) > schema.MAJOR:  # said first: such a header may look different
+    if version and int(version[1]) > schema.MAJOR:  # checked first: such a header may have another form
         raise InputError(
             f"made by a newer evetac: {header.get('kind')} version {version[0]}",
             where=str(path),
@@ -73,7 +73,7 @@ def read_header(file: CheckedHdf5) -> Header:
 
 
 def check_kind(path: Path, header: Header, wanted: tuple[str, ...] | None) -> None:
-    """InputError where a header is of another kind than wanted, or of one that is not known."""
+    """Raise InputError if a header is of another kind than wanted, or of an unknown kind."""
     if wanted and header["kind"] not in wanted:
         raise InputError(
             "wrong kind of file",

@@ -1,14 +1,14 @@
-"""What xarray, netCDF, MATLAB and HDFView read in our files: units, long names, named dimensions, a readable header.
+"""Metadata in files for xarray, netCDF, MATLAB and HDFView: units, long names, named dimensions, a readable header.
 
-Everything comes from the schema of the kind and from the header, and is written when a file is complete. Arrays and
-recipe ids know nothing of it, and evetac itself reads only the JSON header.
+All of it comes from the kind's schema and from the header, and is written when a file is complete. It is not part of
+arrays or recipe ids, and evetac itself reads only the JSON header.
 
-Why so: a dimension is what netCDF-4 calls one, a dataset that is attached to others as an HDF5 dimension scale. Ours
-hold no values, since the place along each is the plain index, so that a length takes no room on disk. Each lies in the
-deepest group that holds all datasets that may have it, where netCDF looks for it. Units are written as in our names:
-`us`, `ms`. xarray makes durations of `microseconds` and the like, but leaves these symbols alone, and times stay the
-numbers that they are. There is no `Conventions`: CF wants units that UDUNITS knows, which has no `px` and no `ticks`.
-Texts have a variable length, because h5py gives those of a fixed one as bytes.
+A dimension is one in the sense of netCDF-4: a dataset that is attached to others as an HDF5 dimension scale. Those of
+evetac have no values, since the coordinate is the plain index, so they take no space on disk. Each is in the deepest
+group that contains all datasets that may have it, where netCDF looks for it. Units are written as in evetac's names:
+`us`, `ms`. xarray converts `microseconds` and the like to durations, but not these symbols, so times stay numbers.
+There is no `Conventions`: CF requires units of UDUNITS, which has neither `px` nor `ticks`. Texts have a variable
+length, because h5py returns texts of fixed length as bytes.
 """
 
 import functools
@@ -23,10 +23,10 @@ from evetac_cli.store.layout.provenance import Header
 from evetac_cli.store.layout.schema import Dataset
 from evetac_cli.text_files import parse_json
 
-NO_VARIABLE = "This is a netCDF dimension but not a netCDF variable."  # netCDF's word for a scale without values
-LARGEST_INT = 2**63 - 1  # what an attribute holds as a number
+NO_VARIABLE = "This is a netCDF dimension but not a netCDF variable."  # netCDF's text for a scale without values
+LARGEST_INT = 2**63 - 1  # largest number of an attribute
 MOST_ANCESTORS = 20  # lines of `history`; a model may have hundreds of parents
-# Dimensions that a schema gives as a number say what lies along them: by the dataset, else by the number.
+# Names of dimensions that a schema gives as a number: by the dataset, or else by the number.
 FIXED = {
     "frame_px": ("width_height",),
     "window_px": ("x0_y0_x1_y1",),
@@ -40,7 +40,7 @@ ANY_SHAPE = re.compile("size_[0-9]+(_[0-9]+)?")  # dimensions of datasets whose 
 
 
 def describe_file(h5: h5py.File, header: Header) -> None:
-    """Write everything of this module into a file that holds all its datasets."""
+    """Write all metadata of this module to a file that has all of its datasets."""
     table = schema.load(header["kind"])
     for name, value in header_in_words(header).items():
         h5.attrs[name] = value
@@ -61,7 +61,7 @@ def describe_file(h5: h5py.File, header: Header) -> None:
 
 
 def describe_dataset(dataset: Any, row: Dataset | None) -> None:
-    """Write `units`, which is `1` for what has none, and `long_name`, if a schema describes the dataset."""
+    """Write `units`, which is `1` without a unit, and `long_name`, if a schema describes the dataset."""
     if row is None:
         return
     dataset.attrs["units"] = row.unit or "1"
@@ -69,7 +69,7 @@ def describe_dataset(dataset: Any, row: Dataset | None) -> None:
 
 
 def _describe_column(h5: h5py.File, column: Any, group: str, described_in: str) -> None:
-    """Write the unit of a column and what it is a column of, as the JSON text of its group tells them."""
+    """Write the unit of a column and its description, from the JSON text of its group."""
     about = parse_json(h5[f"{group}/{described_in}"].asstr()[()])
     name = column.name.rpartition("/")[2]
     column.attrs["units"] = about.get("units", {}).get(name) or "1"
@@ -86,7 +86,7 @@ def is_place(kind: str, path: str) -> bool:
 
 @functools.lru_cache(maxsize=1000)
 def is_dimension(kind: str, path: str) -> bool:
-    """Whether what lies at a path can be no dataset of a file of this kind, but a dimension of it."""
+    """Whether an object at a path can only be a dimension of a file of this kind, and not a dataset."""
     return is_place(kind, path) and schema.load(kind).find(path) is None
 
 
@@ -98,9 +98,10 @@ def _of_open_shape(kind: str, path: str) -> bool:
 def dimension_problems(
     kind: str, stored: Mapping[str, tuple[str, tuple[int, ...]]], lengths: Mapping[str, int]
 ) -> list[str]:
-    """A line for each dimension, path -> length, that is not as long as a dataset, path -> (dtype, shape), that has it.
+    """Return a line for each dimension whose length differs from that of a dataset with this dimension.
 
-    Files without dimensions are fine. The shapes have been checked: see schema.problems.
+    stored: path -> (dtype, shape) of the datasets, which were checked by schema.problems. lengths: path -> length of
+    the dimensions. Files without dimensions are valid.
     """
     lines: dict[str, str] = {}
     for path, (_, shape) in stored.items():
@@ -114,9 +115,9 @@ def dimension_problems(
 
 @functools.cache
 def dimension_paths(kind: str) -> dict[str, str]:
-    """Name of each dimension of a kind -> its path: in the deepest group that holds all datasets that may have it.
+    """Return name -> path of each dimension of a kind, in the deepest group with all datasets that may have it.
 
-    Where a group has a name of its own, a `*` stands for it.
+    A `*` represents the name of a group that can be chosen.
     """
     homes: dict[str, list[str]] = {}
     for row in schema.load(kind).datasets:
@@ -129,7 +130,7 @@ def dimension_paths(kind: str) -> dict[str, str]:
 
 
 def header_in_words(header: Header) -> dict[str, str | int]:
-    """The header as attributes of the root: plain values, and title, source and history as CF calls them."""
+    """Return the header as attributes of the root: plain values, and title, source and history as in CF."""
     table = schema.load(header["kind"])
     seed = header["seed"]
     words: dict[str, str | int] = {
@@ -148,10 +149,10 @@ def header_in_words(header: Header) -> dict[str, str | int]:
 
 
 def _history(header: Header) -> Iterator[str]:
-    """A line for every ancestor, the oldest first, and one for the file itself."""
+    """Yield a line for every ancestor, the oldest first, and one for the file itself."""
     ancestors = list(header["history"].items())
     if len(ancestors) > MOST_ANCESTORS:
-        yield f"{len(ancestors) - MOST_ANCESTORS} more files, named in the attribute header"
+        yield f"{len(ancestors) - MOST_ANCESTORS} more files, listed in the attribute header"
     for id_, ancestor in ancestors[-MOST_ANCESTORS:]:
         yield f"{ancestor['kind']} {id_[:12]}, method {ancestor['method']}"
     made = header.get("made", {})
@@ -162,7 +163,7 @@ def _history(header: Header) -> Iterator[str]:
 
 
 def _names(row: Dataset) -> list[str]:
-    """Names of the dimensions of a dataset; none where the schema leaves its shape open."""
+    """Return the names of a dataset's dimensions; none if the schema leaves its shape open."""
     if row.dims is None:
         return []
     fixed = FIXED.get(row.path.rpartition("/")[2])
@@ -175,7 +176,7 @@ def _names(row: Dataset) -> list[str]:
 
 
 def _dimensions(kind: str, row: Dataset, path: str, shape: tuple[int, ...]) -> list[str]:
-    """Paths of the dimensions of the dataset that is stored at a path."""
+    """Return the paths of the dimensions of the dataset at a path."""
     if row.dims is not None:
         group = row.named_group(path).rpartition("/")[2]
         return [dimension_paths(kind)[name].replace("*", group) for name in _names(row)]
@@ -188,12 +189,12 @@ def _dimensions(kind: str, row: Dataset, path: str, shape: tuple[int, ...]) -> l
 
 @functools.cache
 def _open_groups(kind: str) -> frozenset[str]:
-    """Groups that hold datasets whose shape the schema leaves open."""
+    """Return the groups with datasets whose shape the schema leaves open."""
     return frozenset(row.path.rpartition("/")[0] for row in schema.load(kind).datasets if row.dims is None)
 
 
 def _new_scale(h5: h5py.File, path: str, length: int) -> Any:
-    """A dimension: a dataset into which nothing is written, so that it takes no room."""
+    """Create a dimension: a dataset without values, which takes no space."""
     scale = h5.create_dataset(path, shape=(length,), dtype=">f4", track_times=False)
     scale.make_scale(f"{NO_VARIABLE}{length:10d}")
     return scale

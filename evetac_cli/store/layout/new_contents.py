@@ -1,8 +1,8 @@
-"""The contents of a file that is being written, held to what `contents` asks of one that is read.
+"""Checks the contents of a file that is being written, with the same rules as `contents` for files that are read.
 
-Why so: what makes no sense is refused before the file takes its place, and not by whoever reads it later. Values are
-looked at while they are still in memory, which costs a fraction of reading back what was just compressed. Only indices
-of rows of another dataset, whose length is known at the end, are read again: there are few of them.
+Invalid contents are refused before the file is complete, and not by a later reader. Values are checked while they are
+still in memory, which costs a fraction of reading back what was just compressed. Only indices of rows of another
+dataset, whose length is known at the end, are read again; there are few of them.
 """
 
 from collections.abc import Iterator, Mapping
@@ -17,31 +17,31 @@ from evetac_cli.errors import SchemaError
 from evetac_cli.store.layout import contents, schema
 from evetac_cli.store.layout.rules import Shapes
 
-HINT = "the file was not written; see what `evetac validate` says of its inputs"
+HINT = "the file was not written; check its inputs with `evetac validate`"
 
 
 class NewContents:
-    """Datasets of a new file: some in memory as a whole, others given block by block on their way into the file.
+    """Datasets of a new file: some in memory as a whole, others passed block by block while they are written.
 
-    To the checks of `contents` it looks like an open file. What they refuse is a SchemaError that names the file to be.
+    It has the interface of an open file for the checks of `contents`, which raise SchemaError with the new file's path.
     """
 
     def __init__(self, path: Path, kind: str, whole: Mapping[str, Any]) -> None:
-        """`whole`: the datasets in memory; `shapes` of the others are known once all of their blocks have come."""
+        """whole: the datasets in memory. `shapes` of the others are known once all of their blocks were passed."""
         self.path, self.kind = path, kind
         self.shapes: Shapes = {name: schema.describe(value) for name, value in whole.items()}
         self._whole = dict(whole)
-        self._last: dict[str, Any] = {}  # value of a dataset that its next block follows
-        self._indices: set[str] = set()  # datasets of blocks that are checked at the end
+        self._last: dict[str, Any] = {}  # last value of each dataset so far
+        self._indices: set[str] = set()  # datasets in blocks that are checked at the end
         self._h5: h5py.File | None = None
 
     def add(self, whole: Mapping[str, Any]) -> None:
-        """More datasets in memory, that were not known before."""
+        """Add more datasets in memory."""
         self.shapes |= {name: schema.describe(value) for name, value in whole.items()}
         self._whole |= whole
 
     def check_block(self, name: str, rows: Any, first: int) -> None:
-        """Hold the rows of a dataset from row `first` on to its limits."""
+        """Check the rows of a dataset, starting at row `first`, against its limits."""
         described = schema.load(self.kind).find(name)
         if described is not None and described.limits.index_of:
             self._indices.add(name)
@@ -51,7 +51,7 @@ class NewContents:
             self._last[name] = contents.check_order(self, name, self._last.get(name), rows)
 
     def check_rest(self, h5: h5py.File | None = None) -> None:
-        """Check what came in no block, and how the datasets fit each other; `h5` holds the blocks, if any came."""
+        """Check the datasets without blocks, and the rules across datasets; `h5` contains the blocks, if any."""
         self._h5 = h5
         with _not_written():
             contents.check_shapes(self.kind, self.path, self.shapes)
@@ -61,7 +61,7 @@ class NewContents:
             contents.check_small(self, self.shapes)
 
     def read(self, path: str, start: int = 0, stop: int | None = None) -> Any:
-        """A dataset, or its rows [start, stop); SchemaError where values are not what the schema allows."""
+        """Return a dataset, or its rows [start, stop); SchemaError if values violate the schema."""
         values = self._whole[path] if path in self._whole else self._written(path)
         if not isinstance(values, str):
             values = values[start:stop] if np.ndim(values) else np.asarray(values)[()]
@@ -88,7 +88,7 @@ class NewContents:
 
 @contextmanager
 def _not_written() -> Iterator[None]:
-    """Let an error say that there is no file, and where to look."""
+    """Add to a SchemaError the hint that the file was not written."""
     try:
         yield
     except SchemaError as error:

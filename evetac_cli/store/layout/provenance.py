@@ -1,10 +1,10 @@
-"""The identity of a result: what made it (recipe), the hash of that (recipe id), and the header that says so in a file.
+"""The identity of a result: its recipe, the hash of the recipe (recipe id), and the header that stores both in a file.
 
-Two files with the same id hold the same numbers on the same machine type, so a stage whose output already carries the
-id of the wanted recipe has nothing to do. The id covers the kind, its major version (minor ones only add), the method
-number of the stage, every parameter, the seed and the parents' ids. A recording from a device or a file cannot be made
-again from a recipe: the hash of its stored arrays stands in for the seed. Time, host and versions of libraries
-are recorded beside it and are not part of it.
+Two files with the same id have the same numbers on the same type of machine, so a stage whose output already has the id
+of the wanted recipe has nothing to do. The id covers the kind, its major version (minor ones only add), the method
+version of the stage, every parameter, the seed and the parents' ids. A recording from a device or a file cannot be made
+again from a recipe: the hash of its stored arrays replaces the seed. Time, host and versions of libraries are also
+stored but are not part of the id.
 """
 
 import hashlib
@@ -26,11 +26,11 @@ from evetac_cli.store.layout import schema
 
 Header = dict[str, Any]
 
-LEAST_SHARED = 64  # characters: its place in the list takes some 20
+LEAST_SHARED = 64  # characters; a reference to the list takes some 20
 
 
 def canonical(value: Any) -> str:
-    """JSON with sorted keys and no blanks; NaN and infinity are refused."""
+    """Return JSON with sorted keys and no blanks; ValueError for NaN and infinity."""
     return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
 
 
@@ -48,7 +48,7 @@ class Recipe:
 
     @property
     def identity(self) -> dict[str, Any]:
-        """The parts that make a result what it is, as JSON values; the id is their hash."""
+        """The parts that determine a result, as JSON values; the id is their hash."""
         return {
             "kind": self.kind,
             "major": schema.MAJOR,
@@ -71,10 +71,10 @@ class Recipe:
         return hashlib.sha256(canonical(self.identity).encode()).hexdigest()
 
     def header(self) -> Header:
-        """The header of a file made now from this recipe; carries the whole history of its parents, each once.
+        """Return the header of a file made now from this recipe, with the whole history of its parents, each once.
 
-        But a recording does not carry what the detector of its grasp learned from, which the model's own file tells:
-        thousands of ancestors, some megabytes of each grasp.
+        A recording of a grasp does not include the training files of its detector, which are listed in the model's
+        file: thousands of ancestors would be some megabytes in each grasp.
         """
         history: dict[str, Header] = {}
         for parent in self._carried_parents():
@@ -95,7 +95,7 @@ class Recipe:
         }
 
     def carried(self) -> "Recipe":
-        """The recipe without what its header does not carry: they have the same header."""
+        """Return the recipe without the history that its header leaves out; both have the same header."""
         return replace(self, parents=self._carried_parents())
 
     def _carried_parents(self) -> tuple[Header, ...]:
@@ -105,10 +105,10 @@ class Recipe:
 
 
 def folded(header: Header) -> Header:
-    """The header as it lies in a file: what several ancestors have as a parameter stands once, in its list `shared`.
+    """Return the header as stored in a file: parameters common to several ancestors are stored once, in `shared`.
 
-    Such an ancestor has, beside its own `parameters`, `shared`: name of a parameter -> place in that list. Why so: a
-    model has hundreds of recordings of few scenes, whose parameters are most of its header.
+    Such an ancestor has, in addition to its own `parameters`, `shared`: name of a parameter -> index in that list. The
+    reason: a model has hundreds of recordings of few scenes, whose parameters are most of its header.
     """
     ancestors = header["history"].values()
     counts = Counter(canonical(value) for ancestor in ancestors for value in ancestor["parameters"].values())
@@ -124,19 +124,19 @@ def folded(header: Header) -> Header:
 
 
 def unfolded(header: Header, most_characters: int) -> Header:
-    """The whole header of one that lies in a file; ValueError where `shared` does not fit, or makes more than so much.
+    """Return the whole header from one as stored in a file; ValueError if `shared` is invalid or expands to too much.
 
-    Ancestors have parameters that they share in common, not as copies.
+    Ancestors refer to the same shared parameters, not to copies.
     """
     values = header.pop("shared", [])
     if not isinstance(values, list):
-        raise ValueError("expected a list of what is shared")
+        raise ValueError("`shared` is not a list")
     sizes = [len(canonical(value)) for value in values]
     history = header.get("history")
     for ancestor in history.values() if isinstance(history, dict) else ():
         shared = ancestor.pop("shared", {}) if isinstance(ancestor, dict) else {}
         if not isinstance(shared, dict) or not all(type(at) is int and 0 <= at < len(sizes) for at in shared.values()):
-            raise ValueError("an ancestor shares what is not there")
+            raise ValueError("an ancestor refers to a missing entry of `shared`")
         most_characters -= sum(sizes[at] for at in shared.values())
         if most_characters < 0:
             raise ValueError("too long")
@@ -146,7 +146,7 @@ def unfolded(header: Header, most_characters: int) -> Header:
 
 
 def recompute_id(header: Header) -> str:
-    """Recompute the id from a header, to see whether somebody edited it; empty if it lacks what an id is made of."""
+    """Recompute the id from a header, to detect edits; empty if the header lacks parts of the id."""
     keys = ("kind", "method", "parameters", "seed", "content", "simulated", "parents")
     try:
         identity = {key: header[key] for key in keys} | {"major": int(header["version"].split(".")[0])}
@@ -157,7 +157,7 @@ def recompute_id(header: Header) -> str:
 
 
 def identity_fault(header: Header) -> str:
-    """What does not fit in the ids of a header and of its ancestors, in words; empty if all do."""
+    """Return what is wrong with the ids of a header and its ancestors; empty if all are right."""
     if recompute_id(header) != header["id"]:
         return "its header was edited: the recipe id does not fit it"
     for id_, ancestor in header["history"].items():
@@ -168,9 +168,9 @@ def identity_fault(header: Header) -> str:
 
 
 def made() -> dict[str, str]:
-    """Time, host and versions, of plug-ins too: recorded, not part of the id."""
+    """Return time, host and versions, also of plug-ins, which are stored but not part of the id."""
     return {
-        **plugins.used(),  # first, so that no package stands in the place of what follows
+        **plugins.used(),  # first, so that no package replaces an entry below
         "at": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
         "host": platform.node(),
         "machine": platform.machine(),
@@ -182,8 +182,8 @@ def made() -> dict[str, str]:
 
 @cache
 def _libraries() -> dict[str, str]:
-    """Versions of the libraries that arrays depend on; looking them up takes 15 ms."""
-    from importlib import metadata  # here, as whoever reads a file makes none
+    """Return the versions of the libraries on which arrays depend; looking them up takes 15 ms."""
+    from importlib import metadata  # imported here, since reading a file does not need it
 
     versions = {}
     for name in ("numpy", "numba", "h5py", "scipy", "torch", "opencv-contrib-python-headless", "onnxruntime"):
@@ -193,7 +193,7 @@ def _libraries() -> dict[str, str]:
 
 
 def first_difference(wanted: Recipe, existing: Header) -> str:
-    """Say in words where another recipe departs from the wanted one."""
+    """Return a description of the first difference between an existing recipe and the wanted one."""
     for key in ("kind", "method", "seed", "content"):
         ours = wanted.identity[key]
         if ours != existing[key]:
@@ -202,7 +202,7 @@ def first_difference(wanted: Recipe, existing: Header) -> str:
     if difference:
         return difference
     if len(existing["parents"]) != len(wanted.parents):
-        return f"it was made from {len(existing['parents'])} files, now {len(wanted.parents)}"
+        return f"it was made from {len(existing['parents'])} files, now from {len(wanted.parents)}"
     for parent, theirs in zip(wanted.parents, existing["parents"], strict=True):
         if parent["id"] != theirs:
             return f"its {parent['kind']} was {_short(theirs)}, now {parent['id'][:12]}"
@@ -210,17 +210,17 @@ def first_difference(wanted: Recipe, existing: Header) -> str:
 
 
 def other_recipe(path: str, difference: str) -> InputError:
-    """The error for an output that exists and that another recipe made, with the first difference of the two."""
+    """Return the error for an existing output that was made with another recipe, with the first difference."""
     return InputError(
-        "the output exists and was made by another recipe",
+        "the output exists and was made with another recipe",
         where=path,
         found=difference,
-        hint="--force replaces it, -o NAME writes elsewhere",
+        hint="--force replaces it, -o NAME writes to another file",
     )
 
 
 def _difference(ours: Any, theirs: Any, where: str) -> str:
-    """First place where two nested parameter values differ, or an empty string."""
+    """Return the first difference between two nested parameter values; empty if they are equal."""
     if isinstance(ours, dict) and isinstance(theirs, dict):
         for key in sorted(ours.keys() | theirs.keys()):
             if key not in theirs or key not in ours:
@@ -243,13 +243,13 @@ def _short(value: Any) -> str:
 
 
 class ContentDigest:
-    """SHA-256 over named arrays, with dtype and shape, that arrive in pieces; independent of how they were cut."""
+    """SHA-256 over named arrays, with dtype and shape, which arrive in blocks of any size."""
 
     def __init__(self) -> None:
         self._hashes: dict[str, Any] = {}
 
     def update(self, path: str, value: Any) -> None:
-        """Add the next piece of one array (or the whole of a scalar or a str)."""
+        """Add the next block of one array (or a whole scalar or str)."""
         if isinstance(value, str):
             what, content = "utf8", np.frombuffer(value.encode(), np.uint8)
         else:
@@ -261,19 +261,19 @@ class ContentDigest:
         self._hashes[path].update(content)
 
     def update_all(self, arrays: Mapping[str, Any]) -> None:
-        """Add the next pieces of some arrays."""
+        """Add the next blocks of some arrays."""
         for path, value in arrays.items():
             self.update(path, value)
 
     def hexdigest(self) -> str:
-        """The digest over all paths, in their sorted order."""
+        """Return the digest over all paths, in sorted order."""
         return hashlib.sha256(
             canonical({path: hash_.hexdigest() for path, hash_ in self._hashes.items()}).encode()
         ).hexdigest()
 
 
 def content_digest(arrays: Mapping[str, Any]) -> str:
-    """Digest of whole arrays; equal for equal content, whatever the compression or order in a file."""
+    """Return the digest of whole arrays, which does not depend on compression or order in a file."""
     digest = ContentDigest()
     digest.update_all(arrays)
     return digest.hexdigest()

@@ -1,6 +1,6 @@
-"""How the datasets of a file fit each other: what the limits of its schema, which concern one at a time, do not say.
+"""Rules across the datasets of a file, in addition to the limits of its schema, which concern single datasets.
 
-Each rule yields what does not fit: the dataset, what was expected, what was found. contents.py applies them.
+Each rule yields its violations: the dataset, the expected value, and the value found. contents.py applies the rules.
 """
 
 import re
@@ -26,16 +26,16 @@ from evetac_cli.kernels.slip.architectures import (
 from evetac_cli.store.recordings import streams
 from evetac_cli.text_files import parse_json
 
-BLOCK_VALUES = 1 << 20  # that are read together: 8 MiB
-SHORT = 60  # characters of a value that a message shows
+BLOCK_VALUES = 1 << 20  # values read at a time: 8 MiB
+SHORT = 60  # longest value in a message, in characters
 
-Fault = tuple[str, str, str]  # dataset, what was expected, what was found
+Fault = tuple[str, str, str]  # dataset, expected, found
 Shapes = dict[str, tuple[str, tuple[int, ...]]]
 Rule = Callable[["Contents", Shapes], Iterator[Fault]]
 
 
 class Contents(Protocol):
-    """What is checked: a stage file, or one that is being written."""
+    """The checked contents: those of a stage file, or of one that is being written."""
 
     @property
     def kind(self) -> str:
@@ -57,17 +57,17 @@ class Contents(Protocol):
 
 
 def blocks(file: Contents, path: str, shape: tuple[int, ...]) -> Iterator[Any]:
-    """A dataset in pieces of at most BLOCK_VALUES values, or of one row; a scalar or a text as it is."""
+    """Yield a dataset in blocks of at most BLOCK_VALUES values, or of one row; a scalar or a text as a whole."""
     if not shape:
         yield file.read(path)
         return
     rows = max(1, BLOCK_VALUES // max(1, int(np.prod(shape[1:]))))
-    for first in range(0, max(shape[0], 1), rows):  # one that is empty, too, is a piece
+    for first in range(0, max(shape[0], 1), rows):  # an empty dataset has one block
         yield file.read(path, first, min(first + rows, shape[0]))
 
 
 def _sensor(file: Contents, shapes: Shapes) -> Iterator[Fault]:
-    """Window, radius and dots at rest of a sensor fit its frame, and dots over time fit the grid."""
+    """Check that window, radius and dots at rest fit the frame, and that dots over time fit the grid."""
     width, height = (int(size) for size in file.read("sensor/frame_px"))
     frame = f"inside the frame of {width} x {height} px"
     if "sensor/window_px" in shapes:
@@ -84,7 +84,7 @@ def _sensor(file: Contents, shapes: Shapes) -> Iterator[Fault]:
     if missing.all():
         yield "sensor/dot_xy_px", "at least one dot", "all of them NaN"
     if (missing[..., 0] != missing[..., 1]).any():
-        yield "sensor/dot_xy_px", "NaN in both coordinates of a missing dot", "it in one"
+        yield "sensor/dot_xy_px", "NaN in both coordinates of a missing dot", "NaN in one"
     known_px = float(file.read("sensor/dot_radius_px")) if "sensor/dot_radius_px" in shapes else None
     fault = grid.impossible(file.read("sensor/dot_xy_px"), known_px)
     if fault:
@@ -104,7 +104,7 @@ def _lost_slices(file: Contents, shapes: Shapes) -> Iterator[Fault]:
 
 
 def _stream_shapes(shapes: Shapes) -> Iterator[Fault]:
-    """Streams and their columns have names that fit, their images a shape that can be shown."""
+    """Check the names of streams and columns, and the shape of images."""
     for path, (_, shape) in shapes.items():
         if not path.startswith(f"{streams.GROUP}/"):
             continue
@@ -130,7 +130,7 @@ def _units_of_streams(file: Contents, shapes: Shapes) -> Iterator[Fault]:
 def _label_and_onset(shapes: Shapes) -> Iterator[Fault]:
     for one, other in (("label", "onset_slice"), ("onset_slice", "label")):
         if one in shapes and other not in shapes:
-            yield other, f"as {one} is there, {other} too", "none"
+            yield other, f"{other}, because {one} is present", "none"
 
 
 def _grid_of_features(file: Contents, shapes: Shapes) -> Iterator[Fault]:
@@ -141,7 +141,7 @@ def _grid_of_features(file: Contents, shapes: Shapes) -> Iterator[Fault]:
 
 
 def _weights(file: Contents, shapes: Shapes) -> Iterator[Fault]:
-    """The weights are those of the architecture, for this grid."""
+    """Check that the weights are those of the architecture for this grid."""
     name = file.read("architecture")
     try:
         architecture = named_architecture(name)
@@ -151,7 +151,7 @@ def _weights(file: Contents, shapes: Shapes) -> Iterator[Fault]:
     rows, columns = (int(size) for size in file.read("dot_shape"))
     history = int(file.read("history"))
     if history != architecture.history:
-        yield "history", f"{architecture.history}, as of the architecture {name}", str(history)
+        yield "history", f"{architecture.history}, that of the architecture {name}", str(history)
     if isinstance(architecture, DotArchitecture) and (rows < LEAST_ROWS or columns < LEAST_COLUMNS):
         yield "dot_shape", f"at least {LEAST_ROWS} x {LEAST_COLUMNS} dots", f"{rows} x {columns}"
         return
@@ -162,7 +162,7 @@ def _weights(file: Contents, shapes: Shapes) -> Iterator[Fault]:
     for layer in sorted(wanted.keys() | stored.keys()):
         if wanted.get(layer) != stored.get(layer):
             expected = (
-                f"shape {wanted[layer]} as of {name} for a dot_shape of {rows} x {columns}"
+                f"shape {wanted[layer]}, that of {name} for a dot_shape of {rows} x {columns}"
                 if layer in wanted
                 else f"no such weights in {name}"
             )
@@ -183,9 +183,9 @@ def _layers_of_force(file: Contents, shapes: Shapes) -> Iterator[Fault]:
 
 
 def _onset(file: Contents, shapes: Shapes) -> Iterator[Fault]:
-    """The onset is the first slice of slip; an hour of labels takes a few ms.
+    """Check that the onset is the first slice of slip; an hour of labels takes a few ms.
 
-    Where labels abstain it is a guess, in a slice that is not examined, and no slice slips before it.
+    If labels abstain, the onset is a guess, in a slice that is not examined, and no slice before it is slip.
     """
     if "label" not in shapes:
         return
@@ -198,7 +198,7 @@ def _onset(file: Contents, shapes: Shapes) -> Iterator[Fault]:
         first += len(label)
     if "abstained" in shapes and bool(file.read("abstained")):
         if not guessed or 0 <= slip < onset:
-            yield "onset_slice", "a slice before all slip whose label is -1, as the labels abstain", str(onset)
+            yield "onset_slice", "a slice before all slip with label -1, because the labels abstain", str(onset)
     elif onset != slip:
         yield "onset_slice", f"{slip}, the first slice of slip in label, or -1", str(onset)
 
@@ -209,7 +209,7 @@ RULES_OF_SHAPES: dict[str, tuple[Callable[[Shapes], Iterator[Fault]], ...]] = {
 }
 _SENSOR = "sensor/(frame|window|dot_radius|dot_xy)_px|(truth/)?dot_xy_px"
 _ONSET = "label|onset_slice|abstained"
-# With each the datasets that it concerns, as a pattern.
+# Rules, each with a pattern for the datasets that it concerns.
 RULES: dict[str, tuple[tuple[Rule, str], ...]] = {
     "recording": (
         (_sensor, _SENSOR),
@@ -225,11 +225,11 @@ RULES: dict[str, tuple[tuple[Rule, str], ...]] = {
 
 
 def named_architecture(name: str) -> Architecture:
-    """An architecture by its name, ours or a plug-in's; ValueError if there is none of this name."""
+    """Return an architecture by its name, evetac's or a plug-in's; ValueError if there is none of this name."""
     of_plugin = cast(PluginNetwork | None, plugins.find(plugins.NETWORKS, name, PluginLayers))
     architecture = ARCHITECTURES.get(name) or of_plugin
     if architecture is None:
         others = plugins.usable(plugins.NETWORKS)
         known = ", ".join((*ARCHITECTURES, *others))
-        raise ValueError(f"one of {known}; if it is of a plug-in that is not installed, install that")
+        raise ValueError(f"one of {known}; if it is from a plug-in, install that")
     return architecture

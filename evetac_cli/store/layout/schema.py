@@ -1,12 +1,13 @@
-"""What a file of each kind holds: the tables in schemas/ lay files out and check them, and nothing else says it.
+"""The contents of each kind of file. The tables in schemas/ are the only definition of layouts, and used for checks.
 
 A schema is a flat table: path -> dtype, named dims, unit, meaning. Every named dim has one size in a file; `slices+1`
-is the dim `slices` plus one. Dims may be null (any shape). A path may end in `*`: any path. A `*` between slashes is a
-group with a name of its own, of which there may be several: `streams/*/t_us`. Each has sizes of its own for the dims,
-which no dataset outside such a group uses, and all its required datasets. A group listed in `optional_groups` is there
-with all its required datasets or not at all. `described_in`: the JSON text of the group with `units` of its columns.
+is the dim `slices` plus one. Dims may be null (any shape). A path that ends in `*` matches any path. A `*` between
+slashes is a group whose name can be chosen, of which there may be several: `streams/*/t_us`. Each such group has its
+own sizes of dims, which no dataset outside such a group uses, and all its required datasets. A group listed in
+`optional_groups` is either present with all its required datasets, or missing. `described_in` names the JSON text of
+the group with the `units` of its columns.
 
-A dataset may have limits, of which store/layout/contents.py makes checks:
+A dataset may have limits, which store/layout/contents.py checks:
 
     minimum, maximum, above   numbers that values may reach, and one that they must exceed
     finite                    true, or "or NaN"; every float says which
@@ -14,7 +15,7 @@ A dataset may have limits, of which store/layout/contents.py makes checks:
     increasing                "strictly" or "never decreasing", in the order in which values are stored
     index_of                  values are rows of another dataset; with `+1` in the dims, where its rows begin and end
     one_of                    the only values
-    inside_frame, margin_px   x, y or xy within the sensor's frame, or so many px beside it
+    inside_frame, margin_px   x, y or xy within the sensor's frame, or at most this many px outside it
     json                      a text is a JSON "object" or a "list of flat objects"
     why                       the reason for a limit, where it is not obvious
 """
@@ -43,7 +44,7 @@ PLAIN = {"i": "int", "u": "uint", "f": "float"}  # kinds of numpy's dtypes
 
 @dataclass(frozen=True)
 class Limits:
-    """What values of a dataset may be, as described above; by default anything."""
+    """Limits for the values of a dataset, as described above; by default there are none."""
 
     minimum: float | None = None
     maximum: float | None = None
@@ -64,7 +65,7 @@ ANYTHING = Limits()
 
 @dataclass(frozen=True)
 class Dataset:
-    """One dataset of a schema: its dtype, named dims (None: any shape), unit, what it means, and its limits."""
+    """One dataset of a schema: its dtype, named dims (None: any shape), unit, meaning and limits."""
 
     path: str
     dtype: str
@@ -76,20 +77,20 @@ class Dataset:
     described_in: str = ""
 
     def describes(self, path: str) -> bool:
-        """Whether a path is that of this row."""
+        """Whether this row describes a path."""
         if "*" not in self.path:
             return path == self.path
         pattern = re.escape(self.path).replace(r"/\*/", "/[^/]+/")
         return re.fullmatch(re.sub(r"/\\\*$", "/.+", pattern), path) is not None
 
     def named_group(self, path: str) -> str:
-        """The group with a name of its own in which a dataset of this row lies; empty if there is none."""
+        """Return the group with a chosen name that contains a dataset of this row; empty if there is none."""
         before, star, _ = self.path.partition("*/")
         return "/".join(path.split("/")[: before.count("/") + 1]) if star else ""
 
     @property
     def edges(self) -> bool:
-        """Whether its values are where rows of another dataset begin, and where the last one ends."""
+        """Whether its values are the starts of parts of another dataset, followed by the end of the last part."""
         return bool(self.limits.index_of and self.dims) and str(self.dims[-1]).endswith("+1")  # type: ignore[index]
 
 
@@ -104,19 +105,19 @@ class Schema:
     datasets: tuple[Dataset, ...]
 
     def find(self, path: str) -> Dataset | None:
-        """The row that describes a path, if any."""
+        """Return the row that describes a path; None if there is none."""
         named = self._named.get(path)
         return named or next((row for row in self.datasets if "*" in row.path and row.describes(path)), None)
 
     @functools.cached_property
     def _named(self) -> dict[str, Dataset]:
-        """Rows of one path each: most are, and they are looked for thousands of times in a file."""
+        """Rows with a fixed path, by path; most rows have one, and a file needs thousands of look-ups."""
         return {row.path: row for row in self.datasets if "*" not in row.path}
 
 
 @functools.cache
 def load(kind: str) -> Schema:
-    """The schema of a kind, in its newest version."""
+    """Return the schema of a kind, in its newest version."""
     table = json.loads((schemas() / f"{kind}.v{MAJOR}.json").read_text())
     rows = tuple(
         Dataset(
@@ -142,7 +143,7 @@ def _limits(row: Mapping[str, Any]) -> Limits:
 
 
 def problems(schema: Schema, stored: Mapping[str, tuple[str, tuple[int, ...]]]) -> list[str]:
-    """Compare what a file holds, path -> (dtype, shape), with its schema; one line per difference, empty if valid."""
+    """Compare a file's datasets, path -> (dtype, shape), with its schema; return a line per difference."""
     groups = {path.split("/")[0] for path in stored if "/" in path}
     lines = [
         f"{path} is missing: {row.meaning}"
@@ -164,7 +165,7 @@ def problems(schema: Schema, stored: Mapping[str, tuple[str, tuple[int, ...]]]) 
 
 
 def _missing(schema: Schema, row: Dataset, stored: Mapping[str, Any], groups: Collection[str]) -> Iterator[str]:
-    """Paths at which a required dataset is missing; groups: in which something is stored."""
+    """Yield the paths at which a required dataset is missing; groups: groups that are not empty."""
     before, star, after = row.path.partition("*/")
     if star:
         inside = [path.removeprefix(before) for path in stored if path.startswith(before)]
@@ -184,7 +185,7 @@ def _shape_problems(
     sizes: dict[tuple[str, str], tuple[int, str]],
     group: str,
 ) -> list[str]:
-    """Compare one shape with its dims, remembering the size that each dim of a group was first seen with."""
+    """Compare one shape with its dims, and store the first size of each dim of a group in `sizes`."""
     if len(shape) != len(dims):
         return [f"{path}: expected dims {list(dims)}, found shape {list(shape)}"]
     lines = []
@@ -205,7 +206,7 @@ def _shape_problems(
 
 
 def describe(value: Any) -> tuple[str, tuple[int, ...]]:
-    """Dtype name and shape of a value about to be stored; a str counts as `utf8`."""
+    """Return dtype name and shape of a value to be stored; a str counts as `utf8`."""
     if isinstance(value, str):
         return "utf8", ()
     array = np.asarray(value)
@@ -213,12 +214,12 @@ def describe(value: Any) -> tuple[str, tuple[int, ...]]:
 
 
 def check(kind: str, arrays: Mapping[str, Any]) -> None:
-    """Raise SchemaError if arrays are not what a file of this kind holds."""
+    """Raise SchemaError if arrays violate the schema of this kind."""
     refuse(kind, problems(load(kind), {path: describe(value) for path, value in arrays.items()}))
 
 
 def typed_rows(kind: str, rows: Mapping[str, Sequence[Any]]) -> dict[str, NDArray[Any]]:
-    """Rows that were collected one by one, as arrays of the dtypes of the schema; KeyError for an unknown path."""
+    """Return rows that were collected one by one as arrays with the schema's dtypes; KeyError for an unknown path."""
     table = load(kind)
     arrays = {}
     for path, values in rows.items():
@@ -238,10 +239,10 @@ def refuse(kind: str, lines: list[str], where: str = "") -> None:
 
 
 def describe_stored(dataset: Any) -> str:
-    """Dtype name of an HDF5 dataset, or of the id of one, in the words of the schema."""
+    """Return the schema's dtype name for an HDF5 dataset, or for the id of one."""
     if dataset.shape is None:  # HDF5's null dataspace: a name without a value
         return "nothing"
     dtype = dataset.dtype
-    if dtype.kind in PLAIN:  # as numpy names it, in a tenth of the time
+    if dtype.kind in PLAIN:  # the same as numpy's name, in a tenth of the time
         return f"{PLAIN[dtype.kind]}{8 * dtype.itemsize}"
     return str(dtype.name) if h5py.check_string_dtype(dtype) is None else "utf8"

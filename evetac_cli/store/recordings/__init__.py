@@ -2,7 +2,7 @@
 
 read        the reading API for Python: recordings as slices, features as a data set
 trial_writer  trials that can be simulated again, written once
-segments    recordings that grow: closed segments, joined at the end
-recovery    what can be made of the segments of a recording that broke off
-streams     what was measured beside the events
+segments    growing recordings: closed segments, joined at the end
+recovery    recovery of the segments of an interrupted recording
+streams     measurements in addition to the events
 """

@@ -1,4 +1,4 @@
-"""Events of a recording by slice in its first columns: those of the gel, where a window lies beside it."""
+"""Number of events per slice in the first columns of a recording: those of the gel, if a window is beside it."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,9 +10,9 @@ from evetac_cli.store.recordings.read import BLOCK_SLICES, Recording
 def gel_counts(
     recording: Recording, start: int = 0, stop: int | None = None, columns: int = GEL_PX[0]
 ) -> NDArray[np.int64]:
-    """The number of events with x < columns in each of the slices [start, stop), (slices,).
+    """Return the number of events with x < columns in each of the slices [start, stop), (slices,).
 
-    x is read in blocks of a second; not at all where the frame has no more columns.
+    x is read in blocks of a second, and not at all if the frame has no more columns.
     """
     stop = len(recording) if stop is None else stop
     counts = np.diff(recording.starts[start : stop + 1])
@@ -21,6 +21,8 @@ def gel_counts(
     for first in range(start, stop, BLOCK_SLICES):
         starts = recording.starts[first : min(first + BLOCK_SLICES, stop) + 1]
         x = recording.read("events/x", int(starts[0]), int(starts[-1]))
-        beyond = np.searchsorted(np.flatnonzero(x >= columns), starts - starts[0])  # of the block, before each slice
+        beyond = np.searchsorted(
+            np.flatnonzero(x >= columns), starts - starts[0]
+        )  # events of the block before each slice
         counts[first - start : first - start + len(starts) - 1] -= np.diff(beyond)
     return counts

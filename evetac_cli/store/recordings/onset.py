@@ -1,4 +1,4 @@
-"""The onset of slip that labels tell: its interval, how sure they are, and why they abstain where they do."""
+"""The labelled onset of slip: its interval, its confidence, and the reason if the labels abstain."""
 
 from typing import Any, NamedTuple
 
@@ -7,25 +7,25 @@ import numpy as np
 from evetac_cli.store.files import StageFile
 
 ABSTAINED = "abstained"  # dataset of labels, and of features made from them
-PERSON = "person"  # method of labels that a person gave (`label --review`)
+PERSON = "person"  # method of manual labels (`label --review`)
 
 
 class LabelledOnset(NamedTuple):
-    """Slices of 1 ms; None where there is no onset, or where labels of an older version know no interval."""
+    """The onset and its interval, in slices of 1 ms; None without an onset, or without interval in older labels."""
 
     slice_: int | None
     earliest: int | None
     latest: int | None
     confidence: float | None
-    doubt: str  # why the onset cannot be told, in words; empty where it can
+    doubt: str  # why the onset cannot be determined; empty if it can
 
     @property
     def abstained(self) -> bool:
-        """Whether the labels say that they cannot tell the onset."""
+        """Whether the labels abstain because the onset cannot be determined."""
         return bool(self.doubt)
 
     def row(self) -> dict[str, Any]:
-        """The onset as columns of a table."""
+        """Return the onset as columns of a table."""
         return {
             "onset_ms": self.slice_,
             "earliest_ms": self.earliest,
@@ -36,19 +36,19 @@ class LabelledOnset(NamedTuple):
         }
 
     def in_words(self) -> str:
-        """That labels abstain, and why; empty where they do not."""
+        """Return a sentence that the labels abstain, and why; empty if they do not."""
         return f"The labels abstain: {self.doubt}." if self.doubt else ""
 
 
 def told_onset(onset: int, earliest: int, latest: int, confidence: float, doubt: str) -> LabelledOnset:
-    """The onset as labels have it, in which -1 and NaN stand for none."""
+    """Return the onset from the values in labels, where -1 and NaN mean none."""
     first, last = (None if value < 0 else value for value in (earliest, latest))
     sure = confidence if np.isfinite(confidence) else None
     return LabelledOnset(None if onset < 0 else onset, first, last, sure, doubt)
 
 
 def labelled_onset(labels: StageFile) -> LabelledOnset:
-    """The onset in a labels file."""
+    """Return the onset in a labels file."""
     earliest, latest = (
         int(labels.read(name)) if labels.has(name) else -1 for name in ("earliest_slice", "latest_slice")
     )
@@ -57,5 +57,5 @@ def labelled_onset(labels: StageFile) -> LabelledOnset:
 
 
 def abstains(file: StageFile) -> bool:
-    """Whether labels, or the labels that features were made from, abstained."""
+    """Whether labels, or the labels from which features were made, abstain."""
     return file.has(ABSTAINED) and bool(file.read(ABSTAINED))

@@ -1,4 +1,4 @@
-"""Recordings slice by slice or in blocks of slices, and where their slip begins."""
+"""Reading of recordings, slice by slice or in blocks of slices, and the onset of their slip."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,18 +17,18 @@ if TYPE_CHECKING:
     from evetac_cli.kernels.event_representation import Kind, Polarity, Representation
 
 BLOCK_SLICES = 1000
-RATE_HZ = 200.0  # of images of events, unless asked for another
+RATE_HZ = 200.0  # default rate of images of events
 HOT_PIXELS = "sensor/hot_xy_px"
 UNKNOWN_SENSOR = "unknown"  # the name of the sensor of an imported recording
 
 
 class Recording(StageFile):
-    """A recording as a sequence of slices: len() in ms, [k] and iteration give Events, read block by block.
+    """A recording as a sequence of slices: len() is its length in ms; [k] and iteration return Events.
 
-    What takes many slices at a time is quicker on `blocks`.
+    Slices are read in blocks. To process many slices at a time, `blocks` is faster.
 
     >>> with evetac.open_recording("a.recording.h5") as recording:
-    ...     burst = recording.between(120, 170)          # the slices [120, 170) in one
+    ...     burst = recording.between(120, 170)          # all events of the slices [120, 170)
     >>> bool(burst.t[-1] < 170_000)
     True
     """
@@ -40,7 +40,7 @@ class Recording(StageFile):
         except BaseException:
             self.close()
             raise
-        self._last = SliceBlock(0, np.zeros(1, np.int64), empty())  # that [k] read from
+        self._last = SliceBlock(0, np.zeros(1, np.int64), empty())  # last block read by [k]
 
     def __len__(self) -> int:
         return len(self.starts) - 1
@@ -58,7 +58,7 @@ class Recording(StageFile):
 
     @property
     def window_px(self) -> tuple[int, int, int, int] | None:
-        """The cut-out strip x0, y0, x1, y1, or None for a closed gel."""
+        """The window of a cut gel, x0, y0, x1, y1, or None for a closed gel."""
         if not self.has("sensor/window_px"):
             return None
         x0, y0, x1, y1 = self.read("sensor/window_px").tolist()
@@ -66,16 +66,16 @@ class Recording(StageFile):
 
     @property
     def dot_xy_px(self) -> NDArray[np.float64] | None:
-        """Dot centres at rest (rows, columns, 2), or None where no calibration is stored."""
+        """Dot centres at rest (rows, columns, 2), or None if no calibration is stored."""
         return self.read("sensor/dot_xy_px") if self.has("sensor/dot_xy_px") else None
 
     @property
     def dot_radius_px(self) -> float | None:
-        """Radius of the printed dots, or None where no calibration is stored."""
+        """Radius of the printed dots, or None if no calibration is stored."""
         return float(self.read("sensor/dot_radius_px")) if self.has("sensor/dot_radius_px") else None
 
     def hot_pixels(self) -> NDArray[np.bool_]:
-        """Mask of the pixels that its calibration names as hot, (height, width); none where it names none."""
+        """Return a mask of the hot pixels in the stored calibration, (height, width)."""
         width, height = self.frame_px
         hot = np.zeros((height, width), np.bool_)
         if self.has(HOT_PIXELS):
@@ -85,7 +85,7 @@ class Recording(StageFile):
 
     @property
     def marks(self) -> list[Mark]:
-        """What a robot's program marked while it was recorded (`record --listen`): slice, t_us and text of each.
+        """The marks by a robot's program during the recording (`record --listen`): slice, t_us and text of each.
 
         >>> with evetac.open_recording("a.recording.h5") as recording:
         ...     lifted = [mark.slice for mark in recording.marks if mark.text == "lifted"]
@@ -95,18 +95,18 @@ class Recording(StageFile):
         return marks_of(self)
 
     def sensor_datasets(self) -> dict[str, Any]:
-        """What belongs to the sensor, `sensor/...` by name: dot grid, window, frame size, to be copied along."""
+        """Return the datasets of the sensor, `sensor/...` by name: dot grid, window, frame size, for copying."""
         return {name: self.read(name) for name in self.contents() if name.startswith("sensor/")}
 
     def between(self, start: int, stop: int) -> Events:
-        """All events of the slices [start, stop) in one; t stays absolute."""
+        """Return all events of the slices [start, stop) together; t is absolute."""
         self._check_range(start, stop)
         return self.events(int(self.starts[start]), int(self.starts[stop]))
 
     def blocks(self, ms: int = BLOCK_SLICES, start: int = 0, stop: int | None = None) -> Iterator[SliceBlock]:
-        """All slices, or the slices [start, stop), in blocks of `ms` slices each, of which the last may be shorter.
+        """Iterate over all slices, or the slices [start, stop), in blocks of `ms` slices; the last may be shorter.
 
-        A block without events is still a block. Each is read when it is asked for, and stays valid after that.
+        A block without events is also returned. Blocks are read when they are requested, and stay valid.
         InputError for less than 1 ms, or slices out of range.
 
         >>> with evetac.open_recording("a.recording.h5") as recording:
@@ -120,7 +120,7 @@ class Recording(StageFile):
         stop = len(self) if stop is None else stop
         self._check_range(start, stop)
         if ms < 1:
-            raise InputError("no length of a block", where="ms", expected="at least 1", found=str(ms))
+            raise InputError("invalid length of a block", where="ms", expected="at least 1", found=str(ms))
         return (self._block(first, min(first + ms, stop)) for first in range(start, stop, ms))
 
     def frames(
@@ -130,10 +130,11 @@ class Recording(StageFile):
         window_ms: int | None = None,
         polarity: "Polarity" = "split",
     ) -> Iterator["ImageBlock"]:
-        """Counts of events (channels, height, width) at a fixed rate, in blocks of images; see `Representation`.
+        """Iterate over blocks of event-count images (channels, height, width) at a fixed rate; see `Representation`.
 
-        size_px: width and height, the sensor's unless given. window_ms: what an image counts, from one image to the
-        next unless given. InputError for numbers that cannot be.
+        - size_px: width and height; default: the sensor's.
+        - window_ms: length of the time window that an image covers; default: the time between images.
+        - InputError: a number is out of range.
 
         >>> with evetac.open_recording("a.recording.h5") as recording:
         ...     for block in recording.frames(rate_hz=200, size_px=(160, 120)):
@@ -151,7 +152,7 @@ class Recording(StageFile):
         window_ms: int | None = None,
         polarity: "Polarity" = "split",
     ) -> Iterator["ImageBlock"]:
-        """Counts as of `frames`, of each of the `bins` that the window is divided into (channels, bins, height, width).
+        """Iterate over blocks of histograms (channels, bins, height, width): as `frames`, with counts per time bin.
 
         >>> with evetac.open_recording("a.recording.h5") as recording:
         ...     block = next(recording.histogram(bins=10, window_ms=50, size_px=(64, 48)))
@@ -168,7 +169,9 @@ class Recording(StageFile):
         size_px: tuple[int, int] | None = None,
         window_ms: int | None = None,
     ) -> Iterator["ImageBlock"]:
-        """Voxel grids (bins, height, width): ON is 1, OFF -1, shared between the two nearest bins; else as `frames`.
+        """Iterate over blocks of voxel grids (bins, height, width); otherwise as `frames`.
+
+        An ON event counts 1, an OFF event -1, shared between the two nearest bins.
 
         >>> with evetac.open_recording("a.recording.h5") as recording:
         ...     block = next(recording.voxels(bins=5, window_ms=50, size_px=(160, 120)))
@@ -184,7 +187,9 @@ class Recording(StageFile):
         size_px: tuple[int, int] | None = None,
         polarity: "Polarity" = "split",
     ) -> Iterator["ImageBlock"]:
-        """Time surfaces: exp(-(age of each pixel's last event) / decay_ms), 0 where there was none; else as `frames`.
+        """Iterate over blocks of time surfaces; otherwise as `frames`.
+
+        A pixel has the value exp(-(age of its last event) / decay_ms), or 0 if it had no event.
 
         >>> with evetac.open_recording("a.recording.h5") as recording:
         ...     block = next(recording.time_surface(decay_ms=20, size_px=(112, 90)))
@@ -202,16 +207,16 @@ class Recording(StageFile):
         window_ms: int | None = None,
         **more: Any,
     ) -> "Representation":
-        """What images of this recording show, from the parameters of `frames` and its like; InputError as there."""
+        """Return the representation for the parameters of `frames` and similar methods; InputError as there."""
         from evetac_cli.kernels.event_representation import representation
 
         try:
             return representation(kind, self.frame_px, size_px, rate_hz, window_ms, **more)
         except ValueError as error:
-            raise InputError(f"no such images: {error}", where=str(self.path)) from None
+            raise InputError(f"invalid images: {error}", where=str(self.path)) from None
 
     def images(self, of: "Representation") -> Iterator["ImageBlock"]:
-        """The images of a representation, in blocks of images; ValueError if it is of another frame."""
+        """Iterate over blocks of images in a representation; ValueError if it is for another frame."""
         from evetac_cli.kernels.event_drawing import fold
 
         return fold(of, self.blocks())
@@ -230,14 +235,14 @@ class Recording(StageFile):
             )
 
     def events(self, first: int, last: int) -> Events:
-        """The events [first, last), counted from the start of the recording; SchemaError if their slice is another."""
+        """Return the events [first, last), by their index in the recording; SchemaError if one is in a wrong slice."""
         events = Events(*(self.read(f"events/{column}", first, last) for column in Events._fields))
         if events.size:
             self.check_slices(events.t, first, last)
         return events
 
     def check_slices(self, t: NDArray[np.int64], first: int, last: int) -> None:
-        """Raise SchemaError unless the events [first, last), whose times do not decrease, lie in their slices."""
+        """Raise SchemaError unless the events [first, last), whose times do not decrease, are in their slices."""
         begin, end = np.searchsorted(self.starts, (first, last - 1), side="right")
         edges = np.clip(self.starts[begin - 1 : end + 1], first, last) - first
         slices = np.arange(begin - 1, end)
@@ -270,10 +275,10 @@ class Recording(StageFile):
 
 
 def open_recording(path: str | Path) -> Recording:
-    """Open a recording for reading by slices; InputError if it is anything else.
+    """Open a recording to read its slices; InputError if the file is of another kind.
 
     >>> with evetac.open_recording("a.recording.h5") as recording:
-    ...     counts = [events.size for events in recording]      # one Events a millisecond
+    ...     counts = [events.size for events in recording]      # one Events per slice of 1 ms
     ...     shear_n = recording.read("truth/shear_force_n")     # any dataset by its path
     >>> len(counts) == len(shear_n)
     True
@@ -282,7 +287,7 @@ def open_recording(path: str | Path) -> Recording:
 
 
 def ramp_start(recording: Recording) -> int:
-    """The slice in which a current that holds the object first changes, or gives way to a position; 0 without one."""
+    """Return the slice in which the holding current first changes, or position mode begins; 0 if there is none."""
     if not recording.has("gripper"):
         return 0
     target_ma = recording.read("gripper/current_target_ma")
@@ -292,11 +297,11 @@ def ramp_start(recording: Recording) -> int:
 
 
 def true_onset(recording: Recording, first: int = 0, stop: int | None = None) -> int | None:
-    """The first slice of gross slip in first .. stop, since the current began to fall; None where there is none."""
+    """Return the first slice of gross slip within [first, stop), after the current began to fall; None without one."""
     return first_slice(recording.read("truth/slip")[:stop] > 0, max(first, ramp_start(recording)))
 
 
 def first_slice(is_so: NDArray[np.bool_], start: int) -> int | None:
-    """The first slice from `start` on that is marked, of (slices,); None without one."""
+    """Return the first slice, at `start` or later, for which `is_so` (slices,) is true; None without one."""
     slices = start + np.flatnonzero(is_so[start:])
     return int(slices[0]) if len(slices) else None

@@ -1,8 +1,8 @@
-"""What a recording that broke off left in NAME.part/: which segments are whole, and where the gaps are.
+"""Recovery of an interrupted recording from NAME.part/: which segments are whole, and where the gaps are.
 
-Why so: the slice index is the clock, so a segment that cannot be read stays a gap in time. Its slices are empty and
-are named in `capture/lost_slices`; everything after it keeps its moment. Only a recording with the truth of a
-simulation ends before its first gap, because a truth has no empty value, and such a recording can be made again.
+The slice index is the clock, so an unreadable segment becomes a gap in time. Its slices are empty and are listed in
+`capture/lost_slices`; everything after it keeps its time. Only a recording with a simulation's truth ends before its
+first gap, because truth has no empty value, and such a recording can be simulated again.
 """
 
 import fcntl
@@ -30,41 +30,41 @@ from evetac_cli.store.recordings.segments import COUNTS, CRC, FIRST_SLICE, RECIP
 from evetac_cli.text_files import SEED_BITS, parse_json
 
 SUFFIX = ".part"
-# `record` takes a day at most. Every slice costs a row, so a damaged number must not make billions of empty ones.
+# `record` lasts at most a day. Every slice has a row, so a damaged number must not cause billions of empty rows.
 LONGEST_SLICES = 25 * 3600 * SLICES_PER_S
-LARGEST_PX = 65535  # what an event's uint16 can say
-PLAIN = "the segments beside it are plain HDF5 files: events/t, x, y, p, events_per_slice"
-LEFTOVER = f"a folder NAME.recording{SUFFIX}, or one that holds some"
+LARGEST_PX = 65535  # largest value of an event's uint16
+PLAIN = "the segments next to it are plain HDF5 files with events/t, x, y, p, events_per_slice"
+LEFTOVER = f"a folder NAME.recording{SUFFIX}, or one that contains some"
 
 
 @dataclass
 class Leftover:
-    """The segments in a folder that can be joined, and what is lost between them."""
+    """The segments in a folder that can be joined, and the slices lost between them."""
 
     recipe: Recipe
-    parts: list[Path | int] = field(default_factory=list)  # segments, and so many lost slices between them
+    parts: list[Path | int] = field(default_factory=list)  # segments, and numbers of lost slices between them
     lost: list[tuple[int, int]] = field(default_factory=list)  # slices [first, end) of the gaps
-    slices: int = 0  # gaps included
+    slices: int = 0  # including gaps
     events: int = 0
     gripper_rows: int = 0
-    unreadable: list[str] = field(default_factory=list)  # segments, and what is wrong with each
+    unreadable: list[str] = field(default_factory=list)  # segments, with the fault of each
     left_out: int = 0  # whole segments after a gap that could not be bridged
-    late: dict[str, Any] = field(default_factory=dict)  # what was known only at the end, if nothing is missing
+    late: dict[str, Any] = field(default_factory=dict)  # datasets known only at the end, if nothing is missing
 
 
 def check_folder(path: Path) -> None:
-    """InputError unless the path is a folder."""
+    """Raise InputError unless the path is a folder."""
     if not path.exists():
         raise InputError("no such file", where=str(path), expected=LEFTOVER)
     if not path.is_dir():
-        raise InputError("not what a recording left", where=str(path), expected=LEFTOVER)
+        raise InputError("not the folder of an interrupted recording", where=str(path), expected=LEFTOVER)
     if path.is_symlink():
         raise InputError("this is a link", where=str(path), expected="the folder itself")
 
 
 @contextmanager
 def held(folder: Path) -> Iterator[None]:
-    """Keep a recorder away from the folder; InputError if one is at work in it."""
+    """Lock the folder against recorders; InputError if one is using it."""
     check_folder(folder)
     try:
         lock = open_lock(folder / LOCK)
@@ -81,17 +81,17 @@ def held(folder: Path) -> Iterator[None]:
 
 
 def recording_path(folder: Path) -> Path:
-    """The file that a left-over folder was to become."""
+    """Return the path of the recording for a left-over folder."""
     return folder.with_name(folder.name.removesuffix(SUFFIX) + ".h5")
 
 
 def was_joined(folder: Path) -> bool:
-    """Whether the recording is complete, and only its folder was not removed."""
+    """Whether the recording is complete and only its folder was not removed."""
     return (folder / JOINED).exists()
 
 
 def read_leftover(folder: Path) -> Leftover:
-    """Check every segment; InputError if what was known at the start cannot be read, and nothing can be made."""
+    """Check every segment; InputError if the data from the start cannot be read, so that nothing can be recovered."""
     recipe, frame = _known_at_start(folder)
     leftover = Leftover(recipe)
     numbered = _segments(folder, leftover)
@@ -128,7 +128,7 @@ def read_leftover(folder: Path) -> Leftover:
 
 
 def _known_at_end(path: Path) -> dict[str, Any]:
-    """What a recorder knew at the end of a recording that it left to be joined; nothing if that cannot be read."""
+    """Return the datasets from the end of a recording that is to be joined later; empty if they cannot be read."""
     known = schema.load("recording")
     late: dict[str, Any] = {}
     try:
@@ -155,7 +155,7 @@ class _Segment:
 
 
 def _segments(folder: Path, leftover: Leftover) -> dict[int, Path]:
-    """The segments by their number; what only looks like one is named as unreadable."""
+    """Return the segments by their number; files with similar names are listed as unreadable."""
     numbered: dict[int, Path] = {}
     for path in sorted(folder.iterdir()):  # .h5 before .tmp
         match = re.fullmatch(SEGMENT, path.name)
@@ -167,14 +167,14 @@ def _segments(folder: Path, leftover: Leftover) -> dict[int, Path]:
 
 
 def _reason(error: Exception) -> str:
-    """What is wrong with a segment, in one line and without its path, which the number tells."""
+    """Return the fault of a segment, in one line and without its path, which follows from its number."""
     if isinstance(error, InputError):
         return ", ".join([error.message, *([f"found {error.found}"] if error.found else [])])
     return str(error)
 
 
 def _known_at_start(folder: Path) -> tuple[Recipe, tuple[int, int]]:
-    """The recipe that the recording began with, and its frame in px; InputError if they cannot be told."""
+    """Return the recipe with which the recording began, and its frame in px; InputError if they cannot be read."""
     path = folder / STATIC
     try:
         try:
@@ -188,7 +188,7 @@ def _known_at_start(folder: Path) -> tuple[Recipe, tuple[int, int]]:
             raise ValueError(_reason(error)) from None
         if text is None:
             raise InputError(
-                "it does not say what was recorded",
+                "it has no recipe of the recording",
                 where=str(folder),
                 hint=PLAIN,
             )
@@ -206,24 +206,25 @@ def _known_at_start(folder: Path) -> tuple[Recipe, tuple[int, int]]:
             raise ValueError(f"sensor/frame_px is {frame or 'missing'}")
         recipe = parse_json(text, most_values=math.inf, whole_bits=SEED_BITS)
         made = Recipe(**{**recipe, "parents": tuple(recipe["parents"])})
-        if made.kind != "recording" or made.header()["kind"] != "recording":  # the header shows that it can be made
+        if made.kind != "recording" or made.header()["kind"] != "recording":  # also checks that a header can be made
             raise ValueError(f"the recipe is of another kind, {str(made.kind)[:60]!r}")
     except (*DAMAGE, AttributeError) as error:
-        raise InputError(f"what was known at the start cannot be read: {error}", where=str(path), hint=PLAIN) from None
+        message = f"the data from the start of the recording cannot be read: {error}"
+        raise InputError(message, where=str(path), hint=PLAIN) from None
     return made, (frame[0], frame[1])
 
 
 @contextmanager
 def _opened(path: Path) -> Iterator[CheckedHdf5]:
-    """A file of the folder; what a recorder wrote lies there itself, so a link to elsewhere is refused."""
+    """Open a file of the folder; ValueError for a link, since a recorder writes only regular files."""
     if path.is_symlink():
-        raise ValueError("is a link, and not what a recorder wrote")
+        raise ValueError("is a link, which no recorder writes")
     with CheckedHdf5(path) as file:
         yield file
 
 
 def _check_bytes(file: CheckedHdf5, name: str, dataset: h5py.Dataset) -> None:
-    """ValueError if the bytes of a dataset are not those that were written."""
+    """Raise ValueError if the bytes of a dataset are not those that were written."""
     stored = file.number_attribute(CRC, name)
     if stored is None or schema.describe_stored(dataset) == "utf8":
         return
@@ -235,9 +236,9 @@ def _check_bytes(file: CheckedHdf5, name: str, dataset: h5py.Dataset) -> None:
 
 
 def _checked(path: Path, frame: tuple[int, int], row_shapes: dict[str, tuple[int, ...]]) -> _Segment:
-    """Check a segment, block by block; ValueError if it is not what a recorder wrote.
+    """Check a segment, block by block; ValueError if it is not as a recorder writes it.
 
-    row_shapes: of each dataset, as the segments before had them; those of this one are added.
+    row_shapes: shapes of rows of each dataset in earlier segments; those of this one are added.
     """
     with _opened(path) as file:
         first = file.number_attribute(FIRST_SLICE)
@@ -255,7 +256,7 @@ def _checked(path: Path, frame: tuple[int, int], row_shapes: dict[str, tuple[int
             name for name, row in described.items() if row is not None and (row.dims or ())[:1] == ("slices",)
         ]
         if any(len(datasets[name]) != len(counts) for name in every_slice):
-            raise ValueError("its rows are not as many as its slices")
+            raise ValueError("the number of its rows differs from that of its slices")
         gripper_rows = len(datasets["gripper/t_us"]) if "gripper/t_us" in datasets else 0
         row_shapes.update(shapes)
         return _Segment(
@@ -269,10 +270,10 @@ def _checked(path: Path, frame: tuple[int, int], row_shapes: dict[str, tuple[int
 
 
 def _row_shapes(datasets: dict[str, h5py.Dataset], before: dict[str, tuple[int, ...]]) -> dict[str, tuple[int, ...]]:
-    """Shape of a row of each dataset; ValueError for one that a recording does not have, or not like this."""
+    """Return the shape of a row of each dataset; ValueError for a dataset that does not fit a recording."""
     missing = [name for name in (COUNTS, *(f"events/{name}" for name in Events._fields)) if name not in datasets]
     if missing:
-        raise ValueError(f"{missing[0]} is missing, or is no dataset")
+        raise ValueError(f"{missing[0]} is missing, or is not a dataset")
     table = schema.load("recording")
     shapes = {}
     for name, dataset in datasets.items():
@@ -280,19 +281,19 @@ def _row_shapes(datasets: dict[str, h5py.Dataset], before: dict[str, tuple[int, 
         dtype, dims = ("int64", 1) if name == COUNTS else (row.dtype, len(row.dims or ())) if row else ("", 0)
         shape = dataset.shape
         if not dims or schema.describe_stored(dataset) != dtype or shape is None or len(shape) != dims:
-            raise ValueError(f"{name} is not what a recording has: {schema.describe_stored(dataset)} of shape {shape}")
+            raise ValueError(f"{name} does not fit a recording: {schema.describe_stored(dataset)} of shape {shape}")
         shapes[name] = shape[1:]
         if before.get(name, shape[1:]) != shape[1:]:
-            raise ValueError(f"{name} has rows of shape {shape[1:]}, those before of {before[name]}")
+            raise ValueError(f"{name} has rows of shape {shape[1:]}, but earlier rows have {before[name]}")
     return shapes
 
 
 def _check_events(columns: list[h5py.Dataset], counts: NDArray[np.int64], first: int, frame: tuple[int, int]) -> None:
-    """Four columns as long as counted, each event in its slice and in the frame; ValueError if not."""
+    """Raise ValueError unless the columns have the counted length, and each event is in its slice and in the frame."""
     events = len(columns[0])
     fits = not len(counts) or (counts.min() >= 0 and counts.max() <= events)
     if not fits or {len(column) for column in columns} != {int(counts.sum())}:
-        raise ValueError("its columns are not as long as it says")
+        raise ValueError("the length of its columns differs from its counts")
     ends = np.cumsum(counts)
     done, last = 0, -1
     for t in row_blocks(columns[0]):
@@ -300,7 +301,7 @@ def _check_events(columns: list[h5py.Dataset], counts: NDArray[np.int64], first:
         x, y, p = (column[rows] for column in columns[1:])
         in_slice = first + np.searchsorted(ends, np.arange(rows.start, rows.stop), side="right")
         if len(t) and (t[0] < last or (np.diff(t) < 0).any() or (t // SLICE_US != in_slice).any()):
-            raise ValueError("its events do not lie in its slices")
+            raise ValueError("its events are not in its slices")
         if (x >= frame[0]).any() or (y >= frame[1]).any() or (p > 1).any():
-            raise ValueError("it holds impossible events")
+            raise ValueError("it has impossible events")
         done, last = rows.stop, int(t[-1]) if len(t) else last

@@ -1,12 +1,13 @@
-"""Recordings of devices: closed segments in NAME.part/, joined into one file at the end.
+"""Writing of recordings of devices: closed segments in NAME.part/, joined into one file at the end.
 
-Why so: a single HDF5 file that is being appended to is unreadable after a kill and destroyed by a full disk. Here every
-segment is a small file of its own, complete from the moment it is renamed into place, so whatever happens, all but the
-last quarter of a second is on disk: of wall time, which is that of devices; and what whoever records has not handed
-over, if it is late. Trials that can be simulated again are written once (trial_writer.py). A folder NAME.part/ that is
-left over means that a recording broke off; it holds all that `evetac repair` needs (recovery.py). Segments are not
-compressed: that would cost a tenth of the time in which they fill, at a million events a second, and the recorder must
-not leave its devices unread for so long. Each dataset carries its CRC-32 instead, so that damage is seen.
+A single HDF5 file that is being appended to is unreadable after a kill and destroyed by a full disk. Here every segment
+is a separate small file, complete once it is renamed. So in any case only the last quarter of a second is lost, in wall
+time, plus slices that a late caller has not passed on. Trials that can be simulated again are written once
+(trial_writer.py). A left-over folder NAME.part/ means that a recording was interrupted; it has everything that
+`evetac repair` needs (recovery.py).
+
+Segments are not compressed: this would take a tenth of the time in which they fill, at a million events per second, and
+the recorder must not leave its devices unread for that long. Each dataset has its CRC-32 instead, to detect damage.
 """
 
 import fcntl
@@ -38,7 +39,7 @@ SEGMENT_S = 0.25  # at most one segment in this time, in wall time
 SEGMENT_EVENTS = 4_000_000  # ... unless this many events wait in memory
 COUNTS = "events_per_slice"
 STARTS = "ms_to_idx"
-BLOCK_ROWS = 1 << 16  # of lost slices, which are written at once
+BLOCK_ROWS = 1 << 16  # rows of lost slices written at a time
 # Attributes of a segment, of its datasets, and of STATIC.
 FIRST_SLICE = "first_slice"
 CRC = "crc32"
@@ -46,16 +47,15 @@ RECIPE = "recipe"
 
 
 class RecordingWriter:
-    """Append slices and rows; nothing is in `path` until `finish`.
+    """Appends slices and rows; `path` is written only by `finish`.
 
-    Rows are named by their schema path, such as `gripper/t_us`, and may come at any rate of their own.
+    Rows are named by their schema path, such as `gripper/t_us`, and may come at any rate.
     """
 
     def __init__(self, path: Path, static: Mapping[str, Any], *, recipe: Recipe | None = None) -> None:
-        """Make NAME.part/; `static` holds what is known beforehand (sensor/..., t_offset).
+        """Create NAME.part/; static: the datasets that are known beforehand (sensor/..., t_offset).
 
-        A left-over NAME.part/ that holds segments is refused. With a `recipe` what is left by a recording that breaks
-        off can be repaired.
+        A left-over NAME.part/ with segments is refused. With a `recipe`, an interrupted recording can be repaired.
         """
         self.path = path
         self.folder = _part_folder(path)
@@ -73,21 +73,21 @@ class RecordingWriter:
             self.discard()
             raise
         self._waiting = TrialBuffer()
-        self._counts: list[int] = []  # events of each slice that waits
+        self._counts: list[int] = []  # events of each waiting slice
         self._segments = 0
         self._slices = 0
         self.events = 0
         self._closed_at = time.monotonic()
 
     def _claim(self) -> None:
-        """Make the folder ours; a lock tells a recording in progress from one that broke off."""
+        """Create and lock the folder; the lock distinguishes a recording in progress from an interrupted one."""
         try:
             make_own_folder(self.folder)
             self._lock = lock = open_lock(self.folder / LOCK)  # held until finish() or discard()
         except (FileExistsError, NotADirectoryError):
             raise InputError("the output folder is a file", where=str(self.folder)) from None
         except OSError as error:
-            raise InputError(f"cannot be made: {error.strerror}", where=str(self.folder)) from None
+            raise InputError(f"cannot be created: {error.strerror}", where=str(self.folder)) from None
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
@@ -111,7 +111,7 @@ class RecordingWriter:
         self.append_slices(events, (events.size,), {name: (row,) for name, row in (rows or {}).items()})
 
     def append_slices(self, events: Events, counts: Sequence[int], rows: Mapping[str, Sequence[Any]]) -> None:
-        """Add slices: their events together, how many each has, and a row for each to each of the named datasets."""
+        """Add slices: all of their events, the number of events of each, and a row of each named dataset for each."""
         self._waiting.append(events, {})
         for name, column in rows.items():
             self._waiting.rows.setdefault(name, []).extend(column)
@@ -121,11 +121,11 @@ class RecordingWriter:
             self.close_segment()
 
     def append_rows(self, rows: Mapping[str, Any]) -> None:
-        """Add one row to each of the named datasets, beside the slices."""
+        """Add one row to each of the named datasets, independent of slices."""
         self._waiting.append_rows(rows)
 
     def close_segment(self) -> None:
-        """Write everything that waits as the next segment."""
+        """Write all waiting data as the next segment."""
         if self._counts or (self._slices and self._waiting.rows):  # rows may come after the last slice
             counts = np.array(self._counts, np.int64)
             arrays = {COUNTS: counts, **self._waiting.columns()}
@@ -136,40 +136,40 @@ class RecordingWriter:
         self._closed_at = time.monotonic()
 
     def finish(self, recipe: Recipe, late: Mapping[str, Any] | None = None) -> Header:
-        """Close, join all segments into `path` and remove the folder; `late` adds what is only known at the end."""
+        """Close, join all segments to `path` and remove the folder; late: datasets that are known only at the end."""
         self.close_segment()
         parts = [self.folder / f"{number:06d}.h5" for number in range(self._segments)]
         header = join(self.folder, self.path, recipe, late or {}, parts)
-        with suppress(OSError):  # on a full disk; then the next lines have not much to do
+        with suppress(OSError):  # on a full disk
             (self.folder / JOINED).touch()
         self.discard()
         return header
 
     @property
     def segments(self) -> int:
-        """How many were written."""
+        """Number of segments written."""
         return self._segments
 
     def leave(self) -> None:
-        """Let go of the folder: what is in it waits for `evetac repair`; without a segment it goes."""
+        """Unlock the folder, whose contents wait for `evetac repair`; without a segment it is removed."""
         if self._segments == 0:
             self.discard()
         self._unlock()
 
     def leave_complete(self, late: Mapping[str, Any]) -> None:
-        """Close, and leave the folder with all that `evetac repair` needs to do what `finish` would have done."""
+        """Close, and leave the folder with everything that `evetac repair` needs for the same result as `finish`."""
         self.close_segment()
         self._write(self.folder / LATE, late, {})
         self.leave()
 
     def discard(self) -> None:
-        """Throw the folder away: of a recording that is joined, or that nobody wants."""
-        part_folder.remove(self.folder)  # before the lock is let go: the next may be waiting for it
+        """Remove the folder, of a recording that was joined or is not wanted."""
+        part_folder.remove(self.folder)  # before unlocking: another process may be waiting for the lock
         remove_empty(self._made)
         self._unlock()
 
     def _remove_if_only_begun(self) -> None:
-        """Remove the folder where it holds nothing but the lock, and that is ours."""
+        """Remove the folder if it has nothing but the lock file, locked by this process."""
         with suppress(OSError):
             if self._lock is None:
                 self.folder.rmdir()
@@ -210,15 +210,15 @@ class RecordingWriter:
 
 
 def refuse_leftover(path: Path) -> None:
-    """InputError where a recording of this name broke off, and its segments wait for repair."""
+    """Raise InputError if a recording of this name was interrupted and its segments wait for repair."""
     folder = _part_folder(path)
     if not folder.is_dir() or (folder / JOINED).exists():
         return
     if any(re.fullmatch(SEGMENT, file.name) for file in folder.iterdir()):
         raise InputError(
-            "a recording broke off here and cannot be made again",
+            "an interrupted recording is here, which cannot be made again",
             where=str(folder),
-            hint=f"evetac repair {folder}, or write elsewhere with -o",
+            hint=f"evetac repair {folder}, or use another name with -o",
         )
 
 
@@ -227,16 +227,16 @@ def _part_folder(path: Path) -> Path:
 
 
 def checksum(value: Any) -> int:
-    """CRC-32 of the bytes of an array, as stored beside it in a segment."""
+    """Return the CRC-32 of the bytes of an array, as stored with it in a segment."""
     return int(isal_zlib.crc32(np.ascontiguousarray(value).reshape(-1).view(np.uint8)))
 
 
 def join(folder: Path, path: Path, recipe: Recipe, late: Mapping[str, Any], parts: Sequence[Path | int]) -> Header:
-    """Join segments of NAME.part/ into one recording, block by block: memory does not grow with its length.
+    """Join segments of NAME.part/ to one recording, block by block, so that memory does not grow with its length.
 
-    parts: the segments in their order; a number stands for so many slices that were lost: they are empty, and what is
-    stored of every slice is NaN there. Values are not looked at: what devices gave is kept as it is. The digest of the
-    stored arrays enters the recipe, because such a recording cannot be made again.
+    parts: the segments in their order. A number is a number of lost slices, which are empty, with NaN in datasets that
+    have a row per slice. Values are not checked: the data of devices are kept as they are. The digest of the stored
+    arrays is part of the recipe, because such a recording cannot be made again.
     """
     per_slice = _float_of_every_slice(parts)
     digest = ContentDigest()
@@ -251,7 +251,7 @@ def join(folder: Path, path: Path, recipe: Recipe, late: Mapping[str, Any], part
         writers: dict[str, RowWriter] = {}
 
         def put_more(name: str, rows: Any) -> None:
-            """Append rows to a dataset, which is made by the first."""
+            """Append rows to a dataset, which is created by the first rows."""
             if name not in writers:
                 writers[name] = RowWriter(h5, name, rows.dtype, rows.shape[1:])
             writer = writers[name]
@@ -277,7 +277,7 @@ def join(folder: Path, path: Path, recipe: Recipe, late: Mapping[str, Any], part
                             put_more(STARTS, ends.astype(np.int64))
                             events = int(ends[-1]) if len(ends) else events
         table = schema.load("recording")
-        for column in Events._fields:  # a recording without a single slice still has its columns
+        for column in Events._fields:  # a recording without any slice still has these columns
             name = f"events/{column}"
             described = table.find(name)
             if name not in writers and described is not None:
@@ -291,7 +291,7 @@ def join(folder: Path, path: Path, recipe: Recipe, late: Mapping[str, Any], part
 
 
 def _static(folder: Path) -> dict[str, Any]:
-    """What was known of a recording at its start."""
+    """Return the datasets that were known at the start of a recording."""
     with CheckedHdf5(folder / STATIC) as static:
         return {
             name: static.text(name, dataset) if schema.describe_stored(dataset) == "utf8" else dataset[()]
@@ -300,13 +300,13 @@ def _static(folder: Path) -> dict[str, Any]:
 
 
 def _in_blocks(count: int) -> Iterator[int]:
-    """Numbers of at most BLOCK_ROWS that add up to `count`."""
+    """Yield numbers of at most BLOCK_ROWS that add up to `count`."""
     for start in range(0, count, BLOCK_ROWS):
         yield min(BLOCK_ROWS, count - start)
 
 
 def _float_of_every_slice(parts: Sequence[Path | int]) -> dict[str, tuple[Any, tuple[int, ...]]]:
-    """Name -> (dtype, shape of a row) of what segments hold of every slice beside events, as far as it may be NaN."""
+    """Return name -> (dtype, shape of a row) of the float datasets with a row per slice, which may be NaN."""
     table = schema.load("recording")
     first = next((part for part in parts if isinstance(part, Path)), None)
     if first is None or len(parts) < 2:

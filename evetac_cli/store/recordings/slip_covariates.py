@@ -9,9 +9,9 @@ from evetac_cli.store.recordings.read import Recording, ramp_start, true_onset
 
 
 def covariates_of_truth(recording: Recording) -> SlipCovariates | None:
-    """Of the first gross slip of a simulated recording since its current began to fall; None where nothing slips.
+    """Return the covariates of the first gross slip since the current began to fall; None if nothing slips.
 
-    None for a grasp as well: its controller acts on the slip.
+    The recording must be simulated. None for a grasp as well, because its controller acts on the slip.
     """
     onset = None if recording.has("control") else true_onset(recording)
     if onset is None:
@@ -29,6 +29,6 @@ def covariates_of_truth(recording: Recording) -> SlipCovariates | None:
 
 
 def covariates_of_labels(recording: Recording, labels: StageFile) -> SlipCovariates | None:
-    """Of the slip that the labels of this recording, or its labelled features, tell; None where they tell none."""
+    """Return the covariates of the slip in this recording's labels, or labelled features; None without slip."""
     onset = int(labels.read("onset_slice"))
     return None if onset < 0 else of_labels(onset, labels.read("label"), partial(gel_counts, recording))

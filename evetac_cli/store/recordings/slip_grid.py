@@ -1,7 +1,7 @@
-"""Whether the gel's nodes were fine enough for the slip of a simulated recording: from its truth, in number and words.
+"""Whether the gel's nodes were fine enough for the slip of a simulated recording, from its truth.
 
-Slip that friction makes unstable grows in patches. Half the wavelength of the shortest (sim.gel.friction) has to span
-FEWEST_NODES nodes: below that, the onset of slip depends on the grid, and figures that rest on it do, too.
+Slip that is unstable because of friction grows in patches. Half of the shortest wavelength (sim.gel.friction) must span
+FEWEST_NODES nodes. With fewer, the onset of slip depends on the grid, and so do all results that depend on the onset.
 """
 
 import math
@@ -15,56 +15,58 @@ from evetac_cli.store.files import StageFile
 
 FEWEST_NODES = 4
 NODES = "truth/slip_half_wavelength_nodes"
-COLUMN = "slip_half_wavelength_nodes"  # of rows that rest on recordings
-ROUNDED = 0.95  # a pad has a whole number of nodes, some thirty a side: either pitch may be 2 % off what was asked for
-FINEST_MM = 0.05  # pitch of nodes that a scene may ask for
+COLUMN = "slip_half_wavelength_nodes"  # of rows that depend on recordings
+ROUNDED = (
+    0.95  # a pad has a whole number of nodes, some 30 per side, so either pitch may differ by 2 % from the request
+)
+FINEST_MM = 0.05  # finest pitch of nodes that a scene may request
 MOST_NAMED = 3
 
 
 def fewest_nodes(half_wavelength_nodes: ArrayLike) -> float | None:
-    """Fewest nodes that half the wavelength of unstable slip spans, over slices; None where no slip is unstable."""
+    """Return the fewest nodes that half the wavelength of unstable slip spans, over slices; None without such slip."""
     nodes = np.atleast_1d(np.asarray(half_wavelength_nodes, np.float64))
     nodes = nodes[np.isfinite(nodes)]
     return float(nodes.min()) if len(nodes) else None
 
 
 def nodes_of(recording: StageFile) -> float | None:
-    """The same of a recording; None where it does not know, as a real one."""
+    """Return this number for a recording; None if it is unknown, as for a real one."""
     return fewest_nodes(recording.read(NODES)) if recording.has(NODES) else None
 
 
 def is_unresolved(nodes: float | None) -> bool:
-    """Whether so few nodes are too few; unknown is not."""
+    """Whether there are too few nodes; False if unknown."""
     return nodes is not None and nodes < FEWEST_NODES
 
 
 def unresolved(nodes: float | None, node_pitch_mm: float | None) -> str | None:
-    """What is wrong with so few nodes, and what to do, in words; None where they are enough.
+    """Return a warning with a remedy if there are too few nodes; None if there are enough.
 
-    node_pitch_mm: of the gel that was simulated, None where it is not known.
+    node_pitch_mm: pitch of the simulated gel's nodes; None if unknown.
     """
     if nodes is None or not is_unresolved(nodes):
         return None
     words = f"onset of slip depends on the gel's grid: half the wavelength of unstable slip spans {nodes:.1f} nodes,"
-    words += f" of {FEWEST_NODES} at least; "
+    words += f" fewer than {FEWEST_NODES}; "
     if node_pitch_mm is None:
         return words + "record it with a finer --node-pitch-mm"
     finer_mm = resolving_mm(nodes, node_pitch_mm)
     if finer_mm < FINEST_MM:
         return (
             words
-            + f"no --node-pitch-mm down to {FINEST_MM:g} resolves it: leave this recording out where its onset matters"
+            + f"no --node-pitch-mm down to {FINEST_MM:g} resolves it: leave this recording out if its onset matters"
         )
     return words + f"record it with --node-pitch-mm {finer_mm:.2f} or finer"
 
 
 def resolving_mm(nodes: float, node_pitch_mm: float) -> float:
-    """The coarsest pitch in mm, in hundredths, that resolves slip which spans so many nodes of another pitch."""
+    """Return the coarsest pitch, to 0.01 mm, that resolves slip which spans this number of nodes at another pitch."""
     return math.floor(100.0 * ROUNDED * node_pitch_mm * nodes / FEWEST_NODES) / 100.0
 
 
 def once(rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    """The warnings of rows of recordings that were just simulated, in one line; that of the coarsest stands for all."""
+    """Return one warning for all rows of recordings that were just simulated: that of the coarsest."""
     warned = [row for row in rows if row.get("warning") and is_unresolved(row.get(COLUMN))]
     if not warned:
         return []
@@ -77,7 +79,7 @@ def _of_several(warned: int, rows: int) -> str:
 
 
 def resting_on(rows: Iterable[Mapping[str, Any]], name: str = "file") -> list[str]:
-    """A sentence on those rows that rest on recordings whose slip the nodes did not resolve; none where all did."""
+    """Return a sentence on rows from recordings whose slip the nodes did not resolve; none if all were resolved."""
     coarse = [row for row in rows if is_unresolved(row.get(COLUMN))]
     if not coarse:
         return []
@@ -85,6 +87,6 @@ def resting_on(rows: Iterable[Mapping[str, Any]], name: str = "file") -> list[st
     named += f" and {len(coarse) - MOST_NAMED} more" if len(coarse) > MOST_NAMED else ""
     which = f"{len(coarse)} recording{'s' if len(coarse) > 1 else ''} ({named}; half its wavelength should span"
     return [
-        f"The gel's nodes do not resolve the slip of {which} {FEWEST_NODES} nodes): their onsets hang on the grid."
+        f"The gel's nodes do not resolve the slip of {which} {FEWEST_NODES} nodes): their onsets depend on the grid."
         " Record them with a finer --node-pitch-mm."
     ]

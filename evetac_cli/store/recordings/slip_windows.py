@@ -1,4 +1,4 @@
-"""Windows of features with their labels, for training networks of one's own."""
+"""Windows of features with their labels, for training your own networks."""
 
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
@@ -17,7 +17,7 @@ MEMORY_GB = 3.0
 
 
 class _Span(NamedTuple):
-    """The slices of a file that its windows need."""
+    """The slices of a file that are needed for its windows."""
 
     first: int
     stop: int
@@ -25,20 +25,20 @@ class _Span(NamedTuple):
 
     @property
     def memory_bytes(self) -> int:
-        """Of distances and event counts."""
+        """Memory for distances and event counts, in bytes."""
         return 4 * 2 * self.dots * (self.stop - self.first)
 
 
 class SlipWindows:
-    """Windows of features with their labels: a map-style data set that torch's DataLoader takes as it is.
+    """Windows of features with their labels, as a map-style data set for torch's DataLoader.
 
-    Item i is (window (dots, 2 * history) float32, label 0.0 or 1.0 float32); a window holds for every dot its distances
-    from rest in px, then its event counts, of the last `history` slices, the newest first. Slices without a full
-    history, without an examined label, or `after_onset` slices and more after the onset are left out.
+    Item i is (window (dots, 2 * history) float32, label 0.0 or 1.0 float32). A window has for every dot its distances
+    from rest in px, then its event counts, for the last `history` slices, the newest first. Left out are slices without
+    a full history, slices without an examined label, and slices `after_onset` or more after the onset.
 
-    At most `memory_gb` of features are in memory (448 bytes a slice of 56 dots). If all fit, they are read once, and
-    workers that are forked share them; those that are spawned read them again. If not, files are read when a window of
-    them is asked for, which takes some 10 ms each: draw with `shuffled` then, not with shuffle=True.
+    At most `memory_gb` of features are in memory (448 bytes per slice of 56 dots). If all fit, they are read once;
+    forked workers share them, spawned workers read them again. If not, a file is read when one of its windows is
+    requested, which takes some 10 ms. Then use `shuffled` and not shuffle=True.
 
     >>> import torch
     >>> windows = evetac.SlipWindows(["a.features.h5"], history=10)
@@ -53,10 +53,10 @@ class SlipWindows:
     ) -> None:
         self.paths, self.history, self.after_onset = [Path(path) for path in paths], history, after_onset
         self.memory_gb = memory_gb
-        self._held: OrderedDict[int, NDArray[np.float32]] = OrderedDict()  # by file, the one used last at the end
+        self._held: OrderedDict[int, NDArray[np.float32]] = OrderedDict()  # by file, the last used at the end
         self._held_bytes = 0
-        self._spans: list[_Span] = []  # of each file
-        # of each window: its file, its slice there, its label
+        self._spans: list[_Span] = []  # one per file
+        # for each window: its file, its slice there, its label
         index: list[NDArray[np.int32]] = [np.empty((0, 3), np.int32)]
         for number, path in enumerate(self.paths):
             with StageFile(path, "features") as file:
@@ -70,7 +70,7 @@ class SlipWindows:
         return self.memory_gb * 1e9
 
     def _windows_of(self, number: int, file: StageFile) -> NDArray[np.int32]:
-        """Rows of the index for a file, whose span is noted."""
+        """Return the rows of the index for a file, and store its span."""
         if not file.has("label"):
             raise InputError("these features have no labels", where=str(file.path), hint="evetac label, then featurize")
         label, onset = file.read("label"), int(file.read("onset_slice"))
@@ -83,7 +83,7 @@ class SlipWindows:
         return np.stack([np.full_like(usable, number), usable, label[usable]], axis=1, dtype=np.int32)
 
     def _hold(self, number: int, file: StageFile) -> NDArray[np.float32]:
-        """Distances and event counts of a file, (slices, 2, dots), for which files that were used longer ago go."""
+        """Read distances and event counts of a file, (slices, 2, dots), and drop files that were used longest ago."""
         first, stop, _ = span = self._spans[number]
         while self._held and self._held_bytes + span.memory_bytes > self._most_bytes:
             other, _ = self._held.popitem(last=False)
@@ -101,10 +101,10 @@ class SlipWindows:
             return self._hold(number, file)
 
     def shuffled(self, seed: int = 0) -> "WindowOrder":
-        """Every window once, at random, another time in another order: a sampler for torch's DataLoader.
+        """Return a sampler for torch's DataLoader: every window once, in a new random order in each epoch.
 
-        Where not all fit into memory, files are drawn at random in groups that do, and windows at random within each
-        group: a file is then read once an epoch.
+        If not all files fit in memory, they are drawn at random in groups that fit, and windows at random within each
+        group. A file is then read once per epoch.
         """
         return WindowOrder(self, np.random.default_rng(seed))
 
@@ -116,7 +116,7 @@ class SlipWindows:
             yield from rng.permutation(windows).tolist()
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """For workers that are spawned, which have files of their own."""
+        """Support for spawned workers, which open the files themselves."""
         return SlipWindows, (self.paths, self.history, self.after_onset, self.memory_gb)
 
     def __len__(self) -> int:
@@ -126,12 +126,12 @@ class SlipWindows:
         number, slice_, label = self._index[index].tolist()
         begin = slice_ + 1 - self.history - self._spans[number].first
         values = self._values(number)[begin : begin + self.history]
-        # newest first; of each dot its distances, then its event counts
+        # newest first; for each dot its distances, then its event counts
         return values[::-1].transpose(2, 1, 0).reshape(-1, 2 * self.history), np.float32(label)
 
 
 class WindowOrder:
-    """The numbers of all windows at random, in an order of its own each time that they are gone through."""
+    """The indices of all windows, in a new random order at each iteration."""
 
     def __init__(self, windows: SlipWindows, rng: np.random.Generator) -> None:
         self._windows, self._rng = windows, rng

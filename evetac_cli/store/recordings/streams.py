@@ -1,7 +1,7 @@
-"""Other streams of a trial: what else was measured beside the events, such as an arm's pose or a camera's images.
+"""Other streams of a trial: measurements in addition to the events, such as an arm's pose or a camera's images.
 
-A stream is the group `streams/NAME` of a recording. Its times are in the recording's clock, so nothing has to be added
-to compare it with events, gripper or truth.
+A stream is the group `streams/NAME` of a recording. Its times are in the recording's clock, so they can be compared
+directly with events, gripper or truth.
 """
 
 import json
@@ -17,21 +17,26 @@ from numpy.typing import NDArray
 from evetac_cli.events import SLICE_US
 
 GROUP = "streams"
-NAME = re.compile("[A-Za-z_][A-Za-z0-9_.-]{0,63}")  # of a stream, and of a column
-# Names in a stream's group that no column may have: its other datasets, and the dimensions of all.
+NAME = re.compile("[A-Za-z_][A-Za-z0-9_.-]{0,63}")  # valid names of streams and columns
+# Names in a stream's group that no column may have: its other datasets, and the dimensions.
 TAKEN = ("t_us", "about", "frames", "samples", "frame_rows", "frame_columns", "channels")
-LARGEST_FRAME_PX = 16384  # of either side
+LARGEST_FRAME_PX = 16384  # width or height
 MOST_OFFSET_S = 1e11  # 3,000 years
-BLOCK_VALUES = 1 << 20  # numbers that are written at once
+BLOCK_VALUES = 1 << 20  # numbers written at a time
 
 
 @dataclass(frozen=True)
 class Stream:
     """One stream: times in us, never decreasing, in the recording's clock; columns of numbers, or images, or both.
 
-    columns: name -> float64, one a sample. frames: uint8 (samples, rows, columns, 1 or 3: red, green, blue), which may
-    lie on disk. units: of the columns, by name. what: in a few words. source: file, or file and topic. clock: where the
-    times come from, in words. offset_s: what was added to them. left_out: samples outside the recording.
+    - columns: name -> float64, one value per sample.
+    - frames: uint8 (samples, rows, columns, 1 or 3: red, green, blue), which may be mapped from disk.
+    - units: units of the columns, by name.
+    - what: short description.
+    - source: file, or file and topic.
+    - clock: description of the origin of the times.
+    - offset_s: offset that was added to the times.
+    - left_out: number of samples outside the recording.
     """
 
     name: str
@@ -46,7 +51,7 @@ class Stream:
     left_out: int = 0
 
     def datasets(self) -> dict[str, Any]:
-        """What a recording holds of it, path -> array or text."""
+        """Return its datasets in a recording, path -> array or text."""
         about = {name: getattr(self, name) for name in ("what", "source", "clock", "offset_s", "left_out")}
         about["units"] = {name: unit for name, unit in self.units.items() if unit and name in self.columns}
         whole = {"about": json.dumps(about, sort_keys=True, allow_nan=False), "t_us": self.t_us, **self.columns}
@@ -55,11 +60,11 @@ class Stream:
         return {f"{GROUP}/{self.name}/{name}": values for name, values in whole.items()}
 
     def lengths(self) -> dict[str, int]:
-        """How many rows each of its datasets has, by its path."""
+        """Return the number of rows of each dataset, by its path."""
         return {path: len(values) for path, values in self.datasets().items() if not isinstance(values, str)}
 
     def blocks(self) -> Iterator[dict[str, Any]]:
-        """Its rows, one dataset after the other, in pieces that memory holds."""
+        """Yield its rows, one dataset after the other, in blocks that fit in memory."""
         for path, values in self.datasets().items():
             if not isinstance(values, str):
                 at_once = max(1, BLOCK_VALUES // max(1, math.prod(values.shape[1:])))
@@ -67,11 +72,11 @@ class Stream:
                     yield {path: values[first : first + at_once]}
 
     def texts(self) -> dict[str, str]:
-        """Its datasets that have no rows."""
+        """Return its datasets without rows."""
         return {path: values for path, values in self.datasets().items() if isinstance(values, str)}
 
     def within(self, slices: int) -> "Stream":
-        """The samples within a recording of so many slices; the others are counted in `left_out`."""
+        """Return the stream with only the samples within `slices` slices; the others are counted in `left_out`."""
         first, stop = np.searchsorted(self.t_us, (0, slices * SLICE_US)).tolist()
         return replace(
             self,
@@ -83,12 +88,12 @@ class Stream:
 
 
 def names(paths: Collection[str]) -> list[str]:
-    """The streams that a recording with datasets of these paths holds, by name."""
+    """Return the names of the streams in a recording with these paths of datasets."""
     return sorted({path.split("/")[1] for path in paths if path.startswith(f"{GROUP}/")})
 
 
 def free_name(wanted: str, taken: Collection[str]) -> str:
-    """A name for a column as close to another program's as ours allow, unlike those that are taken."""
+    """Return a valid, unused name for a column that is as close as possible to the name by another program."""
     name = re.sub("[^A-Za-z0-9_.-]+", "_", wanted.strip()).strip("._-")[:56] or "column"
     name = name if NAME.match(name) else f"_{name}"
     numbered = [name, *(f"{name}_{number}" for number in range(2, len(taken) + len(TAKEN) + 3))]

@@ -1,9 +1,9 @@
-"""Trials that are simulated: their slices and rows are collected in memory, and written once, at the end.
+"""Writing of simulated trials: their slices and rows are collected in memory and written once, at the end.
 
-Why so: a trial that can be made again need not survive a kill, so nothing has to be on disk before it is complete, and
-writing it once costs a third of writing it in segments. Only a trial that is too long for memory is written in blocks.
-When a block is full depends on its slices and events alone, and never on the time that passes: the work and the file
-are the same on a computer that is busy with other things. Recordings of devices are kept in segments (segments.py).
+A trial that can be simulated again need not survive a kill, so nothing has to be on disk before it is complete. Writing
+it once costs a third of writing it in segments. Only a trial that is too long for memory is written in blocks. The size
+of a block depends only on its slices and events, and never on elapsed time, so the work and the file are the same on a
+busy computer. Recordings of devices are kept in segments (segments.py).
 """
 
 from collections.abc import Mapping
@@ -22,8 +22,8 @@ from evetac_cli.store.files import StageWriter, writing
 from evetac_cli.store.layout import schema
 from evetac_cli.store.layout.provenance import Header, Recipe
 
-BLOCK_SLICES = 20_000  # of which each holds some 2 kB beside its events
-BLOCK_EVENTS = 2_000_000  # of 13 bytes
+BLOCK_SLICES = 20_000  # each with some 2 kB in addition to its events
+BLOCK_EVENTS = 2_000_000  # of 13 bytes each
 
 
 @dataclass
@@ -46,34 +46,34 @@ class TrialBuffer:
             self.rows.setdefault(name, []).append(row)
 
     def row_arrays(self) -> dict[str, NDArray[Any]]:
-        """Rows as arrays, with the types of the recording's schema."""
+        """Return the rows as arrays, with the dtypes of the recording's schema."""
         return schema.typed_rows("recording", self.rows)
 
     def columns(self) -> dict[str, Any]:
-        """Events and rows as datasets, or as the next rows of these."""
+        """Return events and rows as datasets, or as the next rows of datasets."""
         events = concatenate(self.events)
         return {**{f"events/{name}": getattr(events, name) for name in Events._fields}, **self.row_arrays()}
 
     def counts(self) -> NDArray[np.int64]:
-        """Events of each slice."""
+        """Return the number of events of each slice."""
         return np.array([events.size for events in self.events], np.int64)
 
     def arrays(self) -> dict[str, Any]:
-        """All that was added as the datasets of a recording."""
+        """Return everything that was added as the datasets of a recording."""
         return {**self.columns(), "ms_to_idx": slice_starts_of(self.counts())}
 
 
 def slice_starts_of(counts: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Index of the first event of every slice, and the total at the end, from the number of events of each slice."""
+    """Return the index of each slice's first event, then the total, from the number of events of each slice."""
     return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
 
 
 class TrialWriter:
-    """Append slices and rows; nothing is in `path` until `finish`, and nothing is left without it."""
+    """Appends slices and rows; `path` is written only by `finish`, and nothing is left without it."""
 
     def __init__(self, path: Path, known: Mapping[str, Any]) -> None:
-        """`known`: the datasets that are known beforehand (sensor/..., t_offset)."""
-        self.path, self.blocks = path, 0  # so many were written
+        """known: the datasets that are known beforehand (sensor/..., t_offset)."""
+        self.path, self.blocks = path, 0  # number of blocks written
         self._known = known
         self._buffer = TrialBuffer()
         self._counts: list[NDArray[np.int64]] = []
@@ -91,20 +91,20 @@ class TrialWriter:
     def append(self, events: Events, rows: Mapping[str, Any]) -> None:
         """Add one slice (its events may be none) and one row to each of the named datasets."""
         if self._file is not None:
-            leave_if_interrupted()  # while a file is open, Ctrl-C is heard here alone
+            leave_if_interrupted()  # while a file is open, Ctrl-C is raised only here
         self._buffer.append(events, rows)
         if len(self._buffer.events) >= BLOCK_SLICES or self._buffer.event_count >= BLOCK_EVENTS:
             self._write_block()
 
     def finish(self, recipe: Recipe) -> Header:
-        """Write what is in memory; the file takes its place. SchemaError where it is no valid recording."""
+        """Write the remaining data and complete the file; SchemaError if it is not a valid recording."""
         file = self._write_block(is_last=True)
         header = file.finish(recipe, {"ms_to_idx": slice_starts_of(np.concatenate(self._counts))})
         self._stack.close()
         return header
 
     def _write_block(self, *, is_last: bool = False) -> StageWriter:
-        """Write what is in memory; returns the file. The first block opens it, with all lengths if it is the last."""
+        """Write the data in memory and return the file, which the first block opens, with all lengths if it is last."""
         columns = self._buffer.columns()
         if self._file is None:
             lengths = {name: len(rows) for name, rows in columns.items()} if is_last else {}

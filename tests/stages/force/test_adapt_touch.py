@@ -71,7 +71,7 @@ def test_adaptation_finds_the_gel(own: list[Path], tmp_path: Path) -> None:
     assert from_tables.rows[0]["shear_modulus_kpa"] == pytest.approx(1e-3 * MODULUS_PA, rel=0.1)
 
     for files, chosen, message in (
-        ([write_contact(tmp_path, 21, contact(), name="second")], PredictTouch(model=model), "of another sensor than"),
+        ([write_contact(tmp_path, 21, contact(), name="second")], PredictTouch(model=model), "not from the sensor"),
         ([path], PredictTouch(model=model, sensor="evetac"), "stiffness of its sensor"),
         ([path], PredictTouch(model=model, height_mm=3.0), "--height-mm: has no effect"),
     ):
@@ -114,7 +114,7 @@ def test_what_cannot_be_adapted(own: list[Path], tmp_path: Path) -> None:
     """Assert that two sensors, no contact at all and another frame are refused, and a file without contact is named."""
     rested = write_contact(tmp_path, 22, None)
     for files, message in (
-        ([rested], "no reading is during a contact"),
+        ([rested], "no reading during a contact"),
         ([own[0], write_contact(tmp_path, 21, contact(), name="second")], "different sensors"),
         ([write_contact(tmp_path, 23, contact(), smaller=2)], "the scale of this frame"),
     ):
@@ -129,13 +129,13 @@ def test_what_cannot_be_adapted(own: list[Path], tmp_path: Path) -> None:
     [
         ("", "not a table of forces"),
         ("t,fx,fy,fz\n0,1,2,3", "not a table of forces"),
-        ("t_s,shear_x_n,shear_y_n,normal_n\n", "without a reading"),
+        ("t_s,shear_x_n,shear_y_n,normal_n\n", "no reading"),
         ("t_s,shear_x_n,shear_y_n,normal_n\n0.3,1,2", "not a reading"),
         ("t_s,shear_x_n,shear_y_n,normal_n\n0.3,1,inf,3", "not a reading"),
         ("t_s,shear_x_n,shear_y_n,normal_n\n,1,2,3", "not a reading"),
-        ("t_s,shear_x_n,shear_y_n,normal_n\n9.4,1,2,3", "beside the recording"),
-        ("t_s,shear_x_n,shear_y_n,normal_n\n0.3,,,\n", "without a reading"),
-        ("t_s,shear_x_n,shear_y_n,normal_n\n0.01,1,,\n", "no reading is during a contact"),
+        ("t_s,shear_x_n,shear_y_n,normal_n\n9.4,1,2,3", "outside the recording"),
+        ("t_s,shear_x_n,shear_y_n,normal_n\n0.3,,,\n", "no reading"),
+        ("t_s,shear_x_n,shear_y_n,normal_n\n0.01,1,,\n", "no reading during a contact"),
         ("t_s,shear_x_n,shear_y_n,normal_n\n0.3,1,2,\0", "bytes of value 0"),
         pytest.param("t_s,shear_x_n,shear_y_n,normal_n\n0.3,1,2," + "1" * 200_000, "field larger", id="large field"),
     ],

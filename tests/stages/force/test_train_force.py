@@ -131,7 +131,7 @@ def test_what_a_model_of_the_paper_is_for(fits: Path, tmp_path: Path) -> None:
     model = fits / "events.force-model.h5"
     assert info.run([model]).rows[0]["sensor"] == "events"
     tracks = [fits / "trial3.tracks.h5"]
-    refused(predict_touch, tracks, PredictTouch(model=model), "which only `evetac evaluate force` applies", tmp_path)
+    refused(predict_touch, tracks, PredictTouch(model=model), "only `evetac evaluate force`", tmp_path)
     for flags in ({"adapt_on": str(fits / "trial1.tracks.h5")}, {"identified": str(fits)}):
         refused(evaluate_force, tracks, EvaluateForce(model=str(model), **flags), "works only for the sensor", tmp_path)
 
@@ -193,7 +193,7 @@ def test_what_cannot_be_answered(fits: Path, tmp_path: Path) -> None:
     refused(evaluate_force, [fits / "trial3.tracks.h5"], EvaluateForce(model=model), "too short", tmp_path)
     real = tracks_of_shear(tmp_path, 9, truth=False)
     refused(evaluate_force, [real], EvaluateForce(model=model), "has no truth", tmp_path)
-    refused(track_rgb, [tmp_path / "trial9.recording.h5"], TrackRgb(), "only a simulation", tmp_path)
+    refused(track_rgb, [tmp_path / "trial9.recording.h5"], TrackRgb(), "no frames can be rendered", tmp_path)
 
 
 def test_damaged_network_is_refused(fits: Path, tmp_path: Path) -> None:

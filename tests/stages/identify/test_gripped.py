@@ -78,7 +78,7 @@ def test_nothing_told() -> None:
     """Assert that without a gripper, and where the object never slips, each row says which recording it takes."""
     listed, values = gripper_rows.rows([], Priors(500.0, 0.9, None, True), LIKE)
     assert values == {} and len(listed) == 16
-    assert all(row.estimate is None and row.source.startswith("cannot be told") for row in listed)
+    assert all(row.estimate is None and row.source.startswith("cannot be estimated") for row in listed)
     whole = gripped_whole()
     assert whole.weight is not None
     stuck = Gripped("a.recording.h5", whole.drive, weight=whole.weight._replace(weight_per_ma=None))
@@ -128,11 +128,15 @@ def test_a_bad_fit_is_not_told() -> None:
     whole = gripped_whole()
     assert whole.weight is not None
     known = Priors(500.0, 0.9, None, True)
-    bad = Gripped("bad.recording.h5", weight=Weight(None, None, None), misfits=misfits | {"drive": "cannot be told: x"})
+    bad = Gripped(
+        "bad.recording.h5", weight=Weight(None, None, None), misfits=misfits | {"drive": "cannot be estimated: x"}
+    )
     listed, values = gripper_rows.rows([bad], known, LIKE)
     by_name = {row.parameter: row for row in listed}
     assert by_name["shear_modulus_pa"].source == by_name["creep.share, both arms"].source == misfits["creep"]
-    assert by_name["gripper: damping"].source == by_name["gripper.encoder_noise_ticks"].source == "cannot be told: x"
+    assert (
+        by_name["gripper: damping"].source == by_name["gripper.encoder_noise_ticks"].source == "cannot be estimated: x"
+    )
     assert values == {}
     listed, values = gripper_rows.rows([bad, whole], known, LIKE)  # another recording tells it
     assert all(row.estimate is not None for row in listed if row.parameter.startswith("gripper: "))
@@ -186,7 +190,7 @@ def test_why_a_grip_tells_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gripped, "_tracked", lambda _: np.zeros((6000, 63, 2), np.float32))
     weight, why = gripped._weight(recording, rows, None, 0.0329)  # type: ignore[arg-type]
     assert weight is None and "grip.recording.h5: no weight comes on" in why["weight"]
-    why["drive"] = "cannot be told from grip.recording.h5: the gripper never closes"
+    why["drive"] = "cannot be estimated from grip.recording.h5: the gripper never closes"
     by_name = {row.parameter: row for row in gripper_rows.rows([Gripped("", misfits=why)], known, LIKE)[0]}
     assert by_name["gripper: damping"].source == why["drive"]
     assert by_name["shear_modulus_pa"].source == by_name["static_friction_factor"].source == why["weight"]
@@ -264,7 +268,7 @@ def test_a_simulated_gripper_and_gel(grip: Path, tmp_path: Path) -> None:
     for name, value in truth.items():
         assert by_name[name]["low"] <= value <= by_name[name]["high"], (name, by_name[name])
     for name in ("normal_modulus_pa", "loss_tangent", "noise_hz", "dots"):
-        assert by_name[name]["estimate"] is None and "cannot be told" in by_name[name]["from"]
+        assert by_name[name]["estimate"] is None and "cannot be estimated" in by_name[name]["from"]
     _, sensor = named_sensor(str(job.output))
     assert isinstance(sensor, Sensor)
     chosen = Record(scene="slip", sensor=str(job.output), objects="18")

@@ -89,14 +89,14 @@ def test_dots_that_are_not_seen() -> None:
     assert "3 that were not seen" in values["dot_xy_px"].source
     rows, values = pressed.rows(press(dot_xy_px=many), LIKE)
     place = next(row for row in rows if row.parameter == pressed.PLACE)
-    assert "dot_xy_px" not in values and place.estimate is None and "press over the whole gel" in place.source
+    assert "dot_xy_px" not in values and place.estimate is None and "press on the whole gel" in place.source
 
 
 def test_what_a_press_cannot_tell() -> None:
     """Assert that bandwidth and leak, and a lens before another grid, say which recording would tell them."""
     rows = {row.parameter: row for row in pressed.rows(press(lens_k1=None), LIKE)[0]}
     for name in ("bandwidth_hz", "leak_hz", "distortion", "log_contrast"):
-        assert rows[name].estimate is None and rows[name].source.startswith("cannot be told"), name
+        assert rows[name].estimate is None and rows[name].source.startswith("cannot be estimated"), name
 
 
 def test_a_lens_that_uneven_dots_hide() -> None:

@@ -179,7 +179,7 @@ def test_what_cannot_be_told(pressed: Path, tmp_path: Path) -> None:
     for chosen, message in (
         (PredictTouch(print_depth_mm=4.0), "dots below the gel"),
         (PredictTouch(print_depth_mm=1.0, height_mm=0.5), "dots below the gel"),
-        (PredictTouch(sensor="randomized"), "not one sensor but many"),
+        (PredictTouch(sensor="randomized"), "selects many sensors"),
     ):
         with pytest.raises(InputError, match=message):
             run_valid(predict_touch, [pressed], chosen, tmp_path / "refused.h5")
@@ -190,7 +190,7 @@ def test_what_cannot_be_told(pressed: Path, tmp_path: Path) -> None:
         arrays[name] = arrays[name][:, :3]
     path = tmp_path / "few.tracks.h5"
     write_stage(path, Recipe("tracks", 1, {"preset": "few"}, parents=(header,)), arrays)
-    with pytest.raises(InputError, match="no touch can be told of these dots"):
+    with pytest.raises(InputError, match="no touch can be estimated from these dots"):
         run_valid(predict_touch, [path], PredictTouch(), tmp_path / "refused.h5")
     assert not list(tmp_path.glob("refused*"))
 

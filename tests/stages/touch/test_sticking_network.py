@@ -31,8 +31,8 @@ def test_other_files_are_refused(tmp_path: Path) -> None:
     (tmp_path / "broken.npz").write_bytes(STICKING_MODEL.read_bytes()[:1000])
     (tmp_path / "empty.npz").write_bytes(b"")
     for name, why in (("less.npz", "third"), ("object.npz", "allow_pickle"), ("lone.npy", ""), ("broken.npz", "")):
-        with pytest.raises(InputError, match=f"(?s)no network of a sticking share.*{why}"):
+        with pytest.raises(InputError, match=f"(?s)not a sticking-share network.*{why}"):
             sticking_network.read(tmp_path / name)
     for name in ("empty.npz", "none.npz"):
-        with pytest.raises(InputError, match="no network"):
+        with pytest.raises(InputError, match="not a sticking-share network"):
             sticking_network.read(tmp_path / name)

@@ -145,7 +145,7 @@ def test_what_it_does_is_said_from_the_start(trials: list[Path], tmp_path: Path)
         train, trials, small(), tmp_path, progress=lambda done, total, doing="": reports.append((done, total, doing))
     )
     phases = list(dict.fromkeys(doing for _, _, doing in reports))
-    assert phases == ["files looked at", "loading torch", "files read", "", "files judged"]
+    assert phases == ["files inspected", "loading torch", "files read", "", "files evaluated"]
     assert [done for done, _, doing in reports if not doing] == list(range(10, 121, 10))
 
 
@@ -225,7 +225,7 @@ def test_few_trajectories_to_choose_a_threshold_on_are_said(trials: list[Path], 
     (early,) = train.cautions([job], small())
     (late,) = train.for_people([{"validated_on": 1}], small())[1]
     assert early == late
-    assert "chosen on 1 trajectory, too few" in early and "--validate" in early
+    assert "chosen on 1 trajectory" in early and "--validate" in early
     assert train.for_people([{"validated_on": 4}], small())[1] == []
     assert train.cautions([replace(job, learned=0)], small()) == []
     assert train.cautions([job], small(folds=2)) == []
@@ -382,7 +382,7 @@ def test_objects_are_chosen(trials: list[Path], tmp_path: Path) -> None:
     """Assert that --object keeps the files of these objects alone, and that none of them is an error."""
     (job,) = train.jobs(trials, Train(objects="2"), tmp_path)
     assert set(job.inputs) == set(trials[2:])
-    with pytest.raises(InputError, match="no features are of these objects"):
+    with pytest.raises(InputError, match="no features of these objects"):
         train.jobs(trials, Train(objects="3-9"), tmp_path)
 
 
@@ -403,7 +403,7 @@ def test_folds_leave_objects_out(tmp_path: Path) -> None:
     left_out = [fold.evaluated_on for fold in splits.make_folds(headers, 3, 2)]
     assert left_out == [[0, 2, 3], [1, 4], []]  # 9 and 11; 10; none
     for wrong in (1, 4):
-        with pytest.raises(InputError, match=r"(?s)leave out.*2 to 3, or 0.*9, 10, 11"):
+        with pytest.raises(InputError, match=r"(?s)--folds.*2 to 3, or 0.*9, 10, 11"):
             splits.make_folds(headers, 3, wrong)
 
 
@@ -450,7 +450,7 @@ def test_patience_is_part_of_the_recipe(trials: list[Path], tmp_path: Path) -> N
     # it never has to wait for so long
     assert contents(patient.output) | {"id": b""} == contents(job.output) | {"id": b""}
     for several in ({"folds": 2}, {"networks": 2}):
-        with pytest.raises(InputError, match=r"--patience: is for a model of one network"):
+        with pytest.raises(InputError, match=r"--patience: .*model of one network"):
             train.jobs(trials, small(patience=3, **several), tmp_path)
 
 
@@ -649,7 +649,7 @@ def test_truth_is_learned_on_request_alone(tmp_path: Path) -> None:
 
 def test_truth_that_features_do_not_hold_is_refused(trials: list[Path], tmp_path: Path) -> None:
     """Assert that truth cannot be learned from features without it, and that the error says where it comes from."""
-    with pytest.raises(InputError, match="none of the features holds the true share") as error:
+    with pytest.raises(InputError, match="true slipping share") as error:
         run_stage(train, trials, small(learn_true_slip_share=True), tmp_path)
     assert "featurize --true-slip-share" in str(error.value)
 

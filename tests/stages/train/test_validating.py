@@ -129,7 +129,7 @@ def test_a_threshold_by_false_alarms(model: Path) -> None:
         most = float(curve.false_alarms_per_min[0])
         assert model_files.chosen_threshold(file, false_alarms_per_min=most) == curve.threshold[0] < own
         assert model_files.chosen_threshold(file, threshold=0.25) == 0.25
-        with pytest.raises(InputError, match="two ways"):
+        with pytest.raises(InputError, match="only one of the two"):
             model_files.chosen_threshold(file, 0.25, 1.0)
 
 
@@ -138,7 +138,7 @@ def test_a_model_without_a_curve_is_refused_in_words(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(model_files, "read_curve", lambda model: None)
     with StageFile(MODEL, "model") as file:
         assert model_files.chosen_threshold(file) == float(file.read("threshold"))
-        with pytest.raises(InputError, match="does not say how often") as refused:
+        with pytest.raises(InputError, match="no rate of false alarms") as refused:
             model_files.chosen_threshold(file, false_alarms_per_min=1.0)
     assert refused.value.hint
 

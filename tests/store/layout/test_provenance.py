@@ -195,8 +195,8 @@ WORDS = {
     "no seed": "seed is null in the file, 7 wanted",
     "content": f"content is {'d' * 57}... in the file, {'c' * 57}... wanted",
     "another parent": f"its recording was {OTHER_PARENT['id'][:57]}..., now {PARENT['id'][:12]}",
-    "a parent more": "it was made from 2 files, now 1",
-    "no parent": "it was made from 0 files, now 1",
+    "a parent more": "it was made from 2 files, now from 1",
+    "no parent": "it was made from 0 files, now from 1",
 }
 
 

@@ -167,7 +167,7 @@ def test_start_that_cannot_be_read(tmp_path: Path) -> None:
     """Assert that without what was known at the start nothing is made, and that it is said where the events are."""
     folder = broken_off(tmp_path, [2])
     (folder / "static.h5").write_bytes(b"")
-    with pytest.raises(InputError, match="known at the start cannot be read") as refused:
+    with pytest.raises(InputError, match="start of the recording cannot be read") as refused:
         recovery.read_leftover(folder)
     assert "events_per_slice" in str(refused.value)
 
@@ -175,7 +175,7 @@ def test_start_that_cannot_be_read(tmp_path: Path) -> None:
 def test_recording_without_a_recipe(tmp_path: Path) -> None:
     """Assert that segments of which nobody knows what was recorded are refused, with how to read them."""
     folder = broken_off(tmp_path, [2], recipe=None)
-    with pytest.raises(InputError, match="does not say what was recorded(.|\n)*plain HDF5 files"):
+    with pytest.raises(InputError, match="no recipe of the recording(.|\n)*plain HDF5 files"):
         recovery.read_leftover(folder)
 
 

@@ -21,7 +21,7 @@ def test_what_is_said(nodes: float | None, said: bool) -> None:
     words = unresolved(nodes, 0.833)
     assert (words is not None) == said
     if words:
-        assert "spans 3.9 nodes, of 4 at least; record it with --node-pitch-mm 0.77 or finer" in words
+        assert "spans 3.9 nodes, fewer than 4; record it with --node-pitch-mm 0.77 or finer" in words
 
 
 @pytest.mark.parametrize("side_mm", [17.0, 20.3, 25.0])

@@ -74,7 +74,7 @@ def test_the_threshold_is_the_models_unless_named() -> None:
     for named, expected in ((None, own), (0.25, 0.25)):
         settings = GraspSettings.of(Grasp(slip_threshold=named))
         assert settings.detector is not None and settings.detector.threshold == expected
-    with pytest.raises(InputError, match="two ways"):
+    with pytest.raises(InputError, match="only one of the two"):
         GraspSettings.of(Grasp(slip_threshold=0.25, false_alarms_per_min=1.0))
 
 

@@ -307,7 +307,7 @@ def test_a_full_disk(armed: tuple[Grasp, DeviceTrial], recorder_is: Callable[[An
         grasp.run(armed[1], armed[0])
     assert GraspProcesses.closed
     GraspProcesses.closed = 0
-    with pytest.raises(InputError, match="broke off here"):
+    with pytest.raises(InputError, match="interrupted recording"):
         grasp.run(armed[1], armed[0])
     assert not GraspProcesses.closed
 

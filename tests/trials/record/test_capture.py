@@ -380,7 +380,7 @@ def test_series_is_not_begun_in_part(taken: str, rig_is: Callable[..., Rig], tmp
         ({"camera": "dvxplorer", "calibration": Path("nope.json")}, "", "nope.json: cannot be read"),
         ({"camera": "dvxplorer"}, "there.recording.h5", "the output exists"),
         ({"camera": "dvxplorer"}, "there.recording.h5/new.recording.h5", "the output folder is a file"),
-        ({"camera": "dvxplorer", "expected_event_rate": 1e9, "seconds": 80000.0}, "", "not enough room"),
+        ({"camera": "dvxplorer", "expected_event_rate": 1e9, "seconds": 80000.0}, "", "not enough space"),
         ({"camera": "dvxplorer", **ARMED, "lowest_ma": 50.0}, "", "--lowest-ma: .*would not fall"),
         ({"camera": "virtual", "lowest_ma": 500.0, "holding_ma": 50.0}, "", "--lowest-ma: .*would not fall"),
         ({"camera": "dvxplorer", "calibration": Path("nope.json"), "live": False}, "", "nope.json: cannot be read"),
@@ -435,7 +435,7 @@ def test_room_is_asked_for_before(rig_is: Callable[..., Rig], tmp_path: Path, mo
     monkeypatch.setattr(disk.shutil, "disk_usage", lambda path: SimpleNamespace(free=free))
     params = Record(camera="dvxplorer", expected_event_rate=1e6, seconds=10.0)
     (job,) = record.jobs([], params, tmp_path / "new" / "folder")
-    with pytest.raises(InputError, match="not enough room") as refused:
+    with pytest.raises(InputError, match="not enough space") as refused:
         record.run(job, params)
     needed = 1e6 * 10 * session.BYTES_AN_EVENT
     assert f"{needed / 1e6:,.0f} MB" in str(refused.value)

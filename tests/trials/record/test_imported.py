@@ -52,7 +52,7 @@ def test_what_is_kept_of_a_file_is_said_in_its_recording(source: Path) -> None:
 def test_another_option_is_another_recording(source: Path) -> None:
     """Assert that a recording of one part is not taken for that of another; and that two options are one too many."""
     imported(source, from_restart=0)
-    with pytest.raises(InputError, match="made by another recipe"):
+    with pytest.raises(InputError, match="another recipe"):
         imported(source, from_restart=1)
     with pytest.raises(InputError, match="--sort and --drop-late"):
         imported(source, sort=True, drop_late=True)
