@@ -94,7 +94,7 @@ def test_a_recording_comes_back_as_it_was(
     source = write(tmp_path / "a.recording.h5", events, slices, t_offset, simulated=simulated)
     target = target_path(source, format_, None)
     if format_ == "mcap" and t_offset < 0:
-        assert "ROS has no such times" in refusal(lambda: export(source, format_, target))
+        assert "ROS messages" in refusal(lambda: export(source, format_, target))
         return
     row = export(source, format_, target)
     assert (row["events"], row["slices"], row["left_out"]) == (events.size, slices, None)
@@ -384,7 +384,7 @@ def test_aedat4_has_no_times_before_0(tmp_path: Path) -> None:
     """Assert that a recording whose source's clock begins before 0 is refused rather than written with other times."""
     pytest.importorskip("faery")
     source = write(tmp_path / "a.recording.h5", drawn(10), 50, -100_000)
-    assert "no times before 0" in refusal(lambda: export(source, "aedat4", tmp_path / "x.aedat4"))
+    assert "times before 0" in refusal(lambda: export(source, "aedat4", tmp_path / "x.aedat4"))
     assert [path.name for path in tmp_path.iterdir()] == ["a.recording.h5"]
 
 
@@ -408,7 +408,7 @@ def test_edited_notes_are_refused(tmp_path: Path, text: str) -> None:
     assert read_note(note.text(), "x") == note
     path = tmp_path / "a.txt"
     path.write_text(f"# evetac {text}\n0 1 2 1\n")
-    assert "note that evetac left in it is damaged" in refusal(lambda: read_events(path))
+    assert "note that evetac wrote" in refusal(lambda: read_events(path))
 
 
 def test_notes_that_do_not_fit_the_events_are_refused(tmp_path: Path) -> None:

@@ -339,7 +339,7 @@ def test_a_folder_of_others_is_not_replaced(source: Path, tmp_path: Path) -> Non
     (out / "mine.txt").write_text("mine")
     assert "mine.txt" in refusal([source], "parquet", out, {}, opened=trial_files, force=True)
     twice = refusal([source, source], "parquet", tmp_path / "new", {}, opened=trial_files)
-    assert "same name" in twice
+    assert "same file" in twice
     assert "not a folder" in refusal([source], "parquet", out / "mine.txt", {}, opened=trial_files, force=True)
     assert sorted(path.name for path in tmp_path.iterdir()) == [".out.evetac-files.json", "out"]
 

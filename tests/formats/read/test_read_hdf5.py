@@ -161,7 +161,7 @@ def test_known_values(tmp_path: Path) -> None:
     [
         ("events", np.zeros((3, 5)), "one table of shape (3, 5)"),
         ("events", np.zeros(3), "one table of shape (3,)"),
-        ("events", np.array([b"a", b"b"]), "holds no columns of events"),
+        ("events", np.array([b"a", b"b"]), "no event columns"),
         ("CD/events", np.zeros((3, 4)), "a compound with t, x, y, p"),
         ("CD/events", np.zeros(3, [("t", "i8"), ("x", "i2")]), "a compound with t, x, y, p"),
         ("CD/events", np.zeros(3, [("t", "i8"), ("x", "S4"), ("y", "i2"), ("p", "i2")]), "a compound with"),

@@ -175,15 +175,15 @@ def test_no_events_are_a_recording_without_any(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arrays", "words"),
     [
-        ({"a": np.zeros((4, 3))}, "holds no columns of events"),
+        ({"a": np.zeros((4, 3))}, "no event columns"),
         ({"a": np.zeros((3, 5))}, "found:    a float64 of shape (3, 5)"),
-        ({"a": np.zeros((3, 4), complex)}, "holds no columns of events"),
-        ({"t": np.zeros(3), "x": np.zeros(3), "y": np.zeros(3)}, "holds no columns of events"),
-        ({"t": np.zeros(3), "ts": np.zeros(3), "x": np.zeros(3), "y": np.zeros(3), "p": np.zeros(3)}, "no columns"),
+        ({"a": np.zeros((3, 4), complex)}, "no event columns"),
+        ({"t": np.zeros(3), "x": np.zeros(3), "y": np.zeros(3)}, "no event columns"),
+        ({"t": np.zeros(3), "ts": np.zeros(3), "x": np.zeros(3), "y": np.zeros(3), "p": np.zeros(3)}, "no event columns"),
         ({"t": np.zeros(3), "x": np.zeros(2), "y": np.zeros(3), "p": np.zeros(3)}, "columns differ in length"),
-        ({"t": np.array(["a", "b", "c"]), "x": np.zeros(3), "y": np.zeros(3), "p": np.zeros(3)}, "no columns"),
+        ({"t": np.array(["a", "b", "c"]), "x": np.zeros(3), "y": np.zeros(3), "p": np.zeros(3)}, "no event columns"),
         ({"a": np.zeros(3, [("t", "i8"), ("x", "i2"), ("y", "i2"), ("q", "i1")])}, "fields t, x, y, q"),
-        ({"a": np.zeros(3, [("t", "i8", (2,)), ("x", "i2"), ("y", "i2"), ("p", "i1")])}, "holds no columns"),
+        ({"a": np.zeros(3, [("t", "i8", (2,)), ("x", "i2"), ("y", "i2"), ("p", "i1")])}, "no event columns"),
         ({"t": np.zeros(3), "x": np.zeros(3) + 0.5, "y": np.zeros(3), "p": np.zeros(3)}, "x lies between pixels"),
     ],
 )
@@ -227,7 +227,7 @@ def test_an_archive_that_unpacks_to_more_than_events_can(tmp_path: Path) -> None
     assert path.stat().st_size < 1 << 18
     tracemalloc.start()
     words = refusal(path, frame_px=FRAME)
-    assert "unpacks to too much" in words
+    assert "unpack to too much" in words
     assert tracemalloc.get_traced_memory()[1] < 8 << 20
     tracemalloc.stop()
 
@@ -257,7 +257,7 @@ def test_other_archives_are_refused(tmp_path: Path) -> None:
     directory = 2 << 20
     end = struct.pack("<4s4H2LH", b"PK\5\6", 0, 0, 30000, 30000, directory, 30, 0)
     path.write_bytes(b"PK\3\4" + bytes(26) + bytes(directory) + end)
-    assert "a table of contents of more than" in refusal(path, frame_px=FRAME)
+    assert "table of contents has more than" in refusal(path, frame_px=FRAME)
 
 
 @pytest.mark.parametrize(

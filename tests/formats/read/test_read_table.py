@@ -140,7 +140,7 @@ def test_a_footer_that_lies_about_its_pages(tmp_path: Path, monkeypatch: pytest.
     """Assert that what pages unpack to is asked of the pages: with a lower limit an honest file is too large."""
     path = written(tmp_path / "a.parquet", {"t_ms": np.arange(ROWS), "x": X}, compression="none", use_dictionary=False)
     monkeypatch.setattr(read_table, "MOST_GROUP_BYTES", 2 * ROWS * 8 - 1)
-    with pytest.raises(InputError, match="its row groups are too large"):
+    with pytest.raises(InputError, match="row groups are too large"):
         read(path)
     monkeypatch.setattr(read_table, "MOST_GROUP_BYTES", 2 * ROWS * 8 + 100)
     assert len(read(path).t_us) == ROWS
@@ -212,7 +212,7 @@ def test_times_that_64_bits_do_not_hold(tmp_path: Path) -> None:
     """Assert that times are refused that would come out as others, of few microseconds, once they are numbers of us."""
     least = pa.array([-(2**63), 1])
     path = written(tmp_path / "a.parquet", {"stamp.sec": least, "stamp.nanosec": pa.array([0, 0]), "x": X[:2]})
-    with pytest.raises(InputError, match="an impossible time"):
+    with pytest.raises(InputError, match="impossible time"):
         read(path)
     stamps = pa.array([2**61, 2**61 + 1], pa.timestamp("ms"))
     with pytest.raises(InputError, match="the table cannot be read(.|\n)*out of bounds"):

@@ -277,7 +277,7 @@ def read_triggers(path: Path, topic: str, folder: Path | None) -> Stream:
     t_us, *values = joined_on_disk(folder, _trigger_parts(path, topic)) or (np.empty(0, np.int64),)
     names = ("source",) if len(values) == 1 else ("id", "edge")
     columns = dict(zip(names, values, strict=False))
-    return Stream("", t_us, columns, source=f"{path.name}: {topic}", clock="the camera's, as of the events")
+    return Stream("", t_us, columns, source=f"{path.name}: {topic}", clock="the camera's, same as the events")
 
 
 def _trigger_parts(path: Path, topic: str) -> Iterator[tuple[NDArray[Any], ...]]:

@@ -120,7 +120,7 @@ def _clock_us(fields: dict[str, str], where: str) -> int:
     key = next((key for key in OFFSETS if key in fields), OFFSET)
     text = fields.get(key, "0")
     if not re.fullmatch("-?[0-9]{1,16}", text) or abs(int(text)) >= CLOCK_LIMIT_US:
-        expected = "microseconds within 285 years of 0"
+        expected = "at most 285 years before or after 0"
         raise InputError(f"`{key}` is damaged", where=where, expected=expected, found=text[:40])
     return int(text)
 
@@ -209,7 +209,9 @@ def decoded(
         rows = np.argsort(t_us, kind="stable")
         t_us, columns = t_us[rows], {"id": number[rows].astype(np.float64), "edge": edge[rows].astype(np.float64)}
         foreign.streams.append(
-            Stream("triggers", t_us + foreign.clock_us, columns, what=TRIGGERS, clock="the camera's, as of the events")
+            Stream(
+                "triggers", t_us + foreign.clock_us, columns, what=TRIGGERS, clock="the camera's, same as the events"
+            )
         )
 
 

@@ -171,7 +171,7 @@ def test_of_a_cut_file_what_is_whole(tmp_path: Path) -> None:
         (HEAD.replace(b"3.1", b"3.0") + END, "of another version"),
         (HEAD + END + packet(1, []), "holds no events"),
         (HEAD + END + struct.pack("<hhiiiiii", 1, 1, 8, 4, 0, 2**31 - 1, 1, 1), "no packet that can be read"),
-        (HEAD.replace(b"DAVIS240C", b"Unknown") + END + packet(1, [polarity(1, 9999, 1, 1)]), "how large the frame is"),
+        (HEAD.replace(b"DAVIS240C", b"Unknown") + END + packet(1, [polarity(1, 9999, 1, 1)]), "frame size"),
     ],
 )
 def test_other_files_are_refused(tmp_path: Path, content: bytes, words: str) -> None:

@@ -382,4 +382,4 @@ def test_a_small_file_does_not_become_a_large_one(tmp_path: Path) -> None:
     whole = path.read_bytes()[: header.size].replace(struct.pack("<q", header.table), struct.pack("<q", -1))
     path.write_bytes(whole + 40 * (struct.pack("<ii", 0, len(packet)) + packet))
     words = refusal(path)
-    assert "unpacks to too much" in words and "84 MB of" in words
+    assert "unpack to too much" in words and "84 MB of" in words

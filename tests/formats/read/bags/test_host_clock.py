@@ -96,7 +96,7 @@ def test_imu_samples_of_the_host_land_in_the_recording(write: Write, bag: str, e
     assert "s ahead of the sensor's on /cam/events" in note and "moved cam_imu to the sensor's clock" in note
     assert f"is {HOST_US / 1e6:.2f}"[:-1] in note and "nine of ten within" in note
     assert kept == "kept: 80 samples of cam_imu"
-    assert "brought to the sensor's clock" in imported.streams[0].clock
+    assert "converted to the sensor's clock" in imported.streams[0].clock
     assert imported.streams[0].offset_s == pytest.approx(-HOST_US / 1e6, abs=0.01)
 
 
@@ -149,7 +149,7 @@ def test_what_cannot_be_told_is_said(write: Write) -> None:
 
 
 def test_samples_without_a_stamp_go_by_their_reception(write: Write) -> None:
-    """Assert that streams whose headers are empty have the host's time of reception, brought to the sensor's clock."""
+    """Assert that streams whose headers are empty have the host's time of reception, converted to the sensor's clock."""
     types = Types("db3")
     events = events_of(3, BEGIN_US)
     topics = {
