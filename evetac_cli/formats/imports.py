@@ -224,7 +224,7 @@ class EventFile:
         foreign, note = self._foreign, self._foreign.note
         notes = [*foreign.notes, *_losses(foreign, normal)]
         if note is None and not normal.size:
-            notes.append("the file holds no events")
+            notes.append("the file has no events")
         notes += normal.notes
         notes += foreign.times.notes if foreign.times else []
         slices = (normal.last_us - normal.first_us) // SLICE_US + 1 if normal.size else 0

@@ -218,7 +218,7 @@ def test_steps_back_below_a_millisecond_are_put_in_order(tmp_path: Path, name: s
         assert imported.events.y.tolist() == Y[order].tolist()
     assert imported.events.p.tolist() == P[order].tolist()
     assert imported.sorted == 4
-    assert "4 events came up to 999 us after a later one: put in order" in imported.notes
+    assert "4 events came up to 999 us after a later one: sorted" in imported.notes
 
 
 @pytest.mark.parametrize("name", KINDS)

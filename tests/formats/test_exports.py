@@ -454,7 +454,7 @@ def test_an_export_that_was_cut_ends_with_its_last_event(
         assert imported.slices == int(events.t[count - 1]) // 1000 + 1
         assert any(f"{count} events" in note for note in imported.notes)
     target.write_bytes(b"".join(whole.splitlines(True)[:2]) if format_ == "text" else whole[: len(whole) // 50])
-    words = {"text": "holds no events", "aedat4": "the file is broken"}[format_]
+    words = {"text": "has no events", "aedat4": "the file is damaged"}[format_]
     assert words in refusal(lambda: read_events(target))
 
 

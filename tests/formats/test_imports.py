@@ -420,7 +420,7 @@ def test_text_without_events(text: Callable[..., Path]) -> None:
     """Assert that neither a line of names nor comments alone are a recording, with a frame or without."""
     for content in ("t,x,y,p\n", "# nothing\n\n"):
         for frame in (FRAME, None):
-            assert "holds no events" in refusal(text(content), frame_px=frame)
+            assert "has no events" in refusal(text(content), frame_px=frame)
 
 
 @pytest.mark.parametrize("content", ["root:x:0:0:root:/root:/bin/bash\n", '{"a": 1}\n', "1 2 3\n"])
@@ -521,8 +521,8 @@ def test_an_import_is_all_or_nothing(
         ("a.txt", b"0 1 \x00\x00 2 1\n", "begins with b'0 1 "),
         ("a.txt", "0 1 2 1\n".encode("utf-16"), "begins with"),
         ("a.aedat", b"#!AER-DAT1.0\r\n# x\r\n", "AEDAT of another version"),
-        ("a.aedat", b"#!AER-DAT3.1\r\n", "the head of the file does not end"),
-        ("a.raw", b"% evt 4.1\n% end\n\x00\x01", "with the maker's tools"),
+        ("a.aedat", b"#!AER-DAT3.1\r\n", "the header of the file does not end"),
+        ("a.raw", b"% evt 4.1\n% end\n\x00\x01", "with Prophesee's tools"),
         ("a.raw", b"0 1 2 1\n", "begins with b'0 1 2 1"),
         ("a.db3", b"0 1 2 1\n", "begins with b'0 1 2 1"),
         ("a.npz", b"PK\x03\x04rest", "cannot be read as npy"),
@@ -609,7 +609,7 @@ def test_hdf5_without_events_in_it(dsec: Callable[..., Path]) -> None:
     none = {name: np.empty(0, np.uint16) for name in "txyp"}
     imported = read_events(dsec(**none), frame_px=FRAME)
     assert (imported.events.size, imported.slices) == (0, 0)
-    assert "the file holds no events" in imported.notes
+    assert "the file has no events" in imported.notes
     assert "--frame-size" in refusal(dsec(**none))
 
 

@@ -360,7 +360,7 @@ def test_the_offset_that_would_align_is_named(recording: Path, tmp_path: Path) -
         (["arm=missing.csv"], [], "missing.csv"),
         (["arm=pose.csv:/topic"], [], "not a bag"),
         (["arm=ros1.bag:/none"], [], "no such topic"),
-        (["arm=ros1.bag"], [], "which topic"),
+        (["arm=ros1.bag"], [], "several topics"),
     ],
 )
 def test_what_is_asked_for_wrongly(

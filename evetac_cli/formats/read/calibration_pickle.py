@@ -1,4 +1,4 @@
-"""Read the dot grid that the official software stores as a pickle of two arrays: centres (n, 2) as (x, y), sizes (n, 1).
+"""Read the dot grid that the official software stores as a pickle: centres (n, 2) as (x, y), and sizes (n, 1).
 
 The official software calls the sizes radii, but they are the sizes of OpenCV's blob detector (cv::KeyPoint): diameters.
 With a radius of 20.6 px, evetac's tracker would search for the rims of dots outside of them, and would not move.
@@ -143,7 +143,7 @@ def read_pickle(path: Path) -> tuple[NDArray[np.float64], float]:
             _check_opcodes(content)
             value = _Reader(io.BytesIO(content)).load()
         if not isinstance(value, (tuple, list)) or len(value) != 2:
-            raise pickle.UnpicklingError("not two arrays")
+            raise pickle.UnpicklingError("the pickle does not contain two arrays")
         centres, radii = (_numbers(part) for part in value)
     # A damaged or malicious pickle can make the unpickler raise any of these.
     except (
@@ -164,9 +164,9 @@ def read_pickle(path: Path) -> tuple[NDArray[np.float64], float]:
 
 
 def _check_opcodes(content: bytes) -> None:
-    """Refuse opcodes that numpy does not write, or that ask for more memory than the file has bytes.
+    """Refuse opcodes that numpy does not write, or that require more memory than the file has bytes.
 
-    genops reads only as far as the file goes.
+    genops does not read beyond the end of the file.
     """
     allowed = OPCODES.split()
     for opcode, argument, _ in pickletools.genops(content):

@@ -62,7 +62,7 @@ def open_hdf5(
     columns: str | None = None,
     time_unit: str | None = None,
 ) -> Foreign:
-    """Return the events of an HDF5 file; raise FrameUnknown without frame_px if it does not state it, as most do not."""
+    """Return the events of an HDF5 file; raise FrameUnknown without frame_px if the file does not state it."""
     where = str(path)
     with CheckedHdf5(path) as file:
         _refuse_own(file)
@@ -173,7 +173,7 @@ def _unreadable(where: str, error: Exception) -> InputError:
 
 
 def _refuse_own(file: CheckedHdf5) -> None:
-    """Raise InputError for evetac's own files, which have a header: a recording needs no import, others have no events."""
+    """Raise InputError for evetac's own files, which have a header: recordings need no import."""
     header = file.text_attribute("header")
     if header is not None and '"kind"' in header:
         raise InputError(

@@ -206,7 +206,7 @@ def _find_times(names: list[str], where: str) -> _Times:
 
 
 def _guess(values: NDArray[Any], where: str, clock: str) -> str:
-    """Return the unit of times if nothing states it: for dates by their size, otherwise seconds if they have fractions."""
+    """Guess the unit of times: for dates by their size, otherwise seconds if they have fractions; else InputError."""
     first = abs(float(values[0]))
     for unit, ticks in TICKS_S.items():
         if YEARS_S[0] * ticks <= first < YEARS_S[1] * ticks:
@@ -269,7 +269,7 @@ def _csv(path: Path, where: str) -> tuple[list[str], list[Any], Batches]:
 
 
 def _parquet(path: Path) -> tuple[list[str], list[Any], Batches]:
-    """Return names and types of the columns, and a function that reads some of them (no lists, no structs) in batches."""
+    """Return names and types of the columns, and a function that reads some (no lists, no structs) in batches."""
     with _parquet_file(path, str(path)) as file:
         schema = file.schema_arrow
     first = list(accumulate(map(_leaves, schema.types), initial=0))  # index in the file of each column of the schema

@@ -69,7 +69,7 @@ def open_text(
     if note is None and own_px is None and frame_px is None:
         with closing(
             _batches(path, foreign, columns, time_unit)
-        ) as batches:  # what is no text of events has no frame either
+        ) as batches:  # first report a file that is not a text of events; the frame matters only for one that is
             if next(batches, None) is None:
                 raise no_events(where)
     hint = "give it with --frame-size WIDTHxHEIGHT, for example 640x480"

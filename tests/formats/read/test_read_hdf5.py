@@ -111,7 +111,7 @@ def test_mvsec(tmp_path: Path) -> None:
     with h5py.File(path, "a") as file:
         mvsec(file, "right", 1_506_117_894.0)
     notes = read_events(path).notes
-    assert "took the camera left; also there: right (choose with --stream)" in notes
+    assert "read the camera left; the file also has: right (choose with --stream)" in notes
     assert read_events(path, stream="right").t_offset_us == 1_506_117_894_000_000
     assert "left or right" in refusal(path, stream="middle")
 

@@ -159,7 +159,7 @@ def test_several_tables_are_streams(tmp_path: Path) -> None:
     np.savez(tmp_path / "a.npz", right=table[:100], left=table)
     imported = read_events(tmp_path / "a.npz", frame_px=FRAME)
     assert imported.events.size == 3000
-    assert imported.notes[0] == "took the array left; also there: right (choose with --stream)"
+    assert imported.notes[0] == "read the array left; the file also has: right (choose with --stream)"
     assert read_events(tmp_path / "a.npz", frame_px=FRAME, stream="right").events.size == 100
     assert "left or right" in refusal(tmp_path / "a.npz", frame_px=FRAME, stream="middle")
 
@@ -179,12 +179,15 @@ def test_no_events_are_a_recording_without_any(tmp_path: Path) -> None:
         ({"a": np.zeros((3, 5))}, "found:    a float64 of shape (3, 5)"),
         ({"a": np.zeros((3, 4), complex)}, "no event columns"),
         ({"t": np.zeros(3), "x": np.zeros(3), "y": np.zeros(3)}, "no event columns"),
-        ({"t": np.zeros(3), "ts": np.zeros(3), "x": np.zeros(3), "y": np.zeros(3), "p": np.zeros(3)}, "no event columns"),
+        (
+            {"t": np.zeros(3), "ts": np.zeros(3), "x": np.zeros(3), "y": np.zeros(3), "p": np.zeros(3)},
+            "no event columns",
+        ),
         ({"t": np.zeros(3), "x": np.zeros(2), "y": np.zeros(3), "p": np.zeros(3)}, "columns differ in length"),
         ({"t": np.array(["a", "b", "c"]), "x": np.zeros(3), "y": np.zeros(3), "p": np.zeros(3)}, "no event columns"),
         ({"a": np.zeros(3, [("t", "i8"), ("x", "i2"), ("y", "i2"), ("q", "i1")])}, "fields t, x, y, q"),
         ({"a": np.zeros(3, [("t", "i8", (2,)), ("x", "i2"), ("y", "i2"), ("p", "i1")])}, "no event columns"),
-        ({"t": np.zeros(3), "x": np.zeros(3) + 0.5, "y": np.zeros(3), "p": np.zeros(3)}, "x lies between pixels"),
+        ({"t": np.zeros(3), "x": np.zeros(3) + 0.5, "y": np.zeros(3), "p": np.zeros(3)}, "x is not a whole pixel"),
     ],
 )
 def test_other_arrays_are_refused(tmp_path: Path, arrays: dict[str, Any], words: str) -> None:

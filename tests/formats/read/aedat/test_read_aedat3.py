@@ -164,13 +164,13 @@ def test_of_a_cut_file_what_is_whole(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        (HEAD + END, "holds no event stream"),
+        (HEAD + END, "no event stream"),
         (HEAD + END + packet(2, [bytes(56)] * 3, size=56), "found:    3 frames"),
-        (HEAD + b"1234", "the head of the file does not end"),
+        (HEAD + b"1234", "the header of the file does not end"),
         (HEAD.replace(b"RAW", b"SerializedTS,PNGFrames") + END, "found:    SerializedTS,PNGFrames"),
-        (HEAD.replace(b"3.1", b"3.0") + END, "of another version"),
-        (HEAD + END + packet(1, []), "holds no events"),
-        (HEAD + END + struct.pack("<hhiiiiii", 1, 1, 8, 4, 0, 2**31 - 1, 1, 1), "no packet that can be read"),
+        (HEAD.replace(b"3.1", b"3.0") + END, "version of AEDAT 3"),
+        (HEAD + END + packet(1, []), "has no events"),
+        (HEAD + END + struct.pack("<hhiiiiii", 1, 1, 8, 4, 0, 2**31 - 1, 1, 1), "no readable packet"),
         (HEAD.replace(b"DAVIS240C", b"Unknown") + END + packet(1, [polarity(1, 9999, 1, 1)]), "frame size"),
     ],
 )

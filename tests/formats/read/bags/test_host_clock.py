@@ -145,11 +145,11 @@ def test_what_cannot_be_told_is_said(write: Write) -> None:
     topics = {"/e": packets(types, events_of(10), host_us=4_000_000), "/imu": imu(types, wanted)}
     imported = read_events(write("db3", types, topics))
     assert (errors_us(imported, wanted) == 0).all()
-    assert "it is unclear which of the two imu is on: left unchanged" in imported.notes[0]
+    assert "imu uses: left unchanged" in imported.notes[0]
 
 
 def test_samples_without_a_stamp_go_by_their_reception(write: Write) -> None:
-    """Assert that streams whose headers are empty have the host's time of reception, converted to the sensor's clock."""
+    """Assert that streams whose headers are empty have the host's time of reception, brought to the sensor's clock."""
     types = Types("db3")
     events = events_of(3, BEGIN_US)
     topics = {
