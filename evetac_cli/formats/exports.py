@@ -38,11 +38,13 @@ from evetac_cli.store.recordings.read import Recording
 class ExportFormat(NamedTuple):
     """A row of the table: the file endings (the usual one first), the writer, and whether the files store events.
 
-    of_trial: `write` gets the TrialFiles instead of the Recording, and returns what it could not show.
-    write_folder: the function that writes a data set of many trials.
-    holds: groups and datasets of a recording that the files store in addition to its events.
-    takes: the parameters of `export` that have an effect. All except `model` are passed to the writer; `model` selects
-    the detector whose slip probability is among the TrialFiles. A plug-in provides a row of the same type.
+    - of_trial: `write` gets the TrialFiles instead of the Recording, and returns what it could not show.
+    - write_folder: the function that writes a data set of many trials.
+    - holds: groups and datasets of a recording that the files store in addition to its events.
+    - takes: the parameters of `export` that have an effect. All except `model` are passed to the writer; `model`
+      selects the detector whose slip probability is among the TrialFiles.
+
+    A plug-in provides a row of the same type.
     """
 
     suffixes: tuple[str, ...]

@@ -170,18 +170,18 @@ class EventFile:
     ) -> None:
         """Recognize the file and determine its frame; raise InputError if it is not an event file.
 
-        columns: names of four unnamed columns, for example "x y t p"; by default the first known order that fits.
-        folder: where events that must be sorted are stored temporarily; by default the folder for temporary files.
-        frame_px: (width, height); an error if it contradicts the file. If it is not given and the file does not state
-        it (text, HDF5), the frame of the smallest known sensor that contains all events is used, and a note says so.
-        frames: keep frames too, which may be many times larger than the events; IMU samples and triggers are always
-        kept.
-        order: how to handle events that are out of order; by default such a file is refused.
-        path: a file, or the folder of a ROS 2 bag.
-        progress: receives the number of events read; the total is unknown, because no format states it.
-        stream: which event stream of an AEDAT4 file, topic of a bag, camera of an HDF5 file or array of an npz to read
-        if there are several; by default the first by name.
-        time_unit: s, ms, us or ns, if the file does not state it; by default us if all times are whole, otherwise s.
+        - columns: names of four unnamed columns, for example "x y t p"; by default the first known order that fits.
+        - folder: where events that must be sorted are stored temporarily; by default the folder for temporary files.
+        - frame_px: (width, height); an error if it contradicts the file. If it is not given and the file does not state
+          it (text, HDF5), the frame of the smallest known sensor that contains all events is used, and a note says so.
+        - frames: keep frames too, which may be many times larger than the events; IMU samples and triggers are always
+          kept.
+        - order: how to handle events that are out of order; by default such a file is refused.
+        - path: a file, or the folder of a ROS 2 bag.
+        - progress: receives the number of events read; the total is unknown, because no format states it.
+        - stream: the event stream of an AEDAT4 file, topic of a bag, camera of an HDF5 file or array of an npz to read
+          if there are several; by default the first by name.
+        - time_unit: s, ms, us or ns, if the file does not state it; by default us if all times are whole, otherwise s.
         """
         self._path, self._where = Path(path), str(path)
         self._steady = Steady(self._path)

@@ -289,7 +289,7 @@ def _model(file: StageFile) -> dict[str, Any]:
 
 
 def _warnings(file: StageFile) -> dict[str, Any]:
-    """Return the false alarms of a model's warnings at its threshold, and the data that calibrated its probabilities."""
+    """Return the false alarms of a model at its threshold, and the data that calibrated its probabilities."""
     figures: dict[str, Any] = {}
     if (curve := read_curve(file)) is not None:
         false, warned = curve.at(float(file.read("threshold")))

@@ -33,7 +33,7 @@ def slip_of(recording: Recording) -> tuple[str, SlipCovariates | None]:
 
 
 def figures(recording: Recording) -> dict[str, Any]:
-    """Return the covariates of a recording's slip, their source, and the covariates that are unknown; {} without slip."""
+    """Return the covariates of a recording's slip, their source, and the unknown ones; {} without slip."""
     source, slip = slip_of(recording)
     if slip is None:
         return {}

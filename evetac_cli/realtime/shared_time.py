@@ -114,7 +114,7 @@ class SharedTime:
         self._limit.write(behind_s, max(until_s, host_s - behind_s))
 
     def slices_read_until(self, now_s: float) -> None:
-        """For the reader of a camera's slices: report that all that ended before this time were read; inf: no reader."""
+        """For the reader of a camera's slices: report that all slices before this time were read; inf: no reader."""
         self._readers[self._number].write(now_s)
 
     @property

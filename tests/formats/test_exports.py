@@ -317,8 +317,8 @@ def test_images_of_nothing(tmp_path: Path) -> None:
     [
         (("surface", "--bins", "3"), "--format histogram, voxels"),
         (("text", "--fps", "50"), "--format frames, histogram, voxels, surface, lerobot"),
-        (("frames", "--size", "160"), "as in 160x120"),
-        (("frames", "--size", "0x120"), "1 px or more"),
+        (("frames", "--size", "160"), "160x120"),
+        (("frames", "--size", "0x120"), "at least 1 px"),
         (
             ("frames", "--size", "900x480"),
             "error: --size: larger than the sensor expected: at most the sensor's 640 x 480 px",

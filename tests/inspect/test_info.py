@@ -87,7 +87,7 @@ def test_history_is_the_parents_and_a_count_of_the_rest(made: Made, capsys: pyte
     """Assert that a grasp names its model, a model its features and a count of what lies behind; JSON keeps all."""
     (model,) = info.run([made.grasp]).rows[0]["parents"]
     froms = [line for line in shown(made.grasp, capsys) if line.startswith(("from", "behind"))]
-    assert froms == [f"from model {model[:12]} method number {train.METHOD}"]
+    assert froms == [f"from model {model[:12]} method version {train.METHOD}"]
     (row,) = info.run([made.model]).rows
     lines = shown(made.model, capsys)
     assert sum(line.startswith("from features") for line in lines) == len(row["parents"])

@@ -174,7 +174,7 @@ def test_validate_sees_a_changed_sample(recording: Path, tmp_path: Path) -> None
     with h5py.File(output, "r+") as h5:
         h5["streams/arm/x_m"][3] = 99.0
     (row,) = validate.run([output]).rows
-    assert "not those that the header was made for" in row["faults"]
+    assert "digest is not the one in the header" in row["faults"]
 
 
 def test_parquet_says_what_csv_says(recording: Path, tmp_path: Path) -> None:

@@ -4,11 +4,11 @@ The official software calls the sizes radii, but they are the sizes of OpenCV's 
 With a radius of 20.6 px, evetac's tracker would search for the rims of dots outside of them, and would not move.
 
 A pickle is a small program, and loading one means running it. Here every name in the pickle is looked up in one table
-of stand-ins defined in this module: nothing of numpy, builtins or any other module can be called.
+of substitutes defined in this module: nothing of numpy, builtins or any other module can be called.
 
-Why even harmless names have stand-ins: numpy's own `_reconstruct` allocates an array of any shape that the file states,
-before the missing bytes are noticed, and numpy's dtypes may contain objects. Only the opcodes that numpy writes are
-accepted: a key of tuples nested sixty deep would take 2^60 steps to look up.
+Why even harmless names have substitutes: numpy's own `_reconstruct` allocates an array of any shape that the file
+states, before the missing bytes are noticed, and numpy's dtypes may contain objects. Only the opcodes that numpy writes
+are accepted: a key of tuples nested sixty deep would take 2^60 steps to look up.
 """
 
 import io
@@ -43,7 +43,7 @@ BYTE_ORDERS = ("<", ">", "=", "|")
 
 
 class _Type:
-    """Stand-in for a dtype: one of NUMBERS."""
+    """Substitute for a dtype: one of NUMBERS."""
 
     def __init__(self, code: Any) -> None:
         if code not in NUMBERS:
@@ -57,7 +57,7 @@ class _Type:
 
 
 class _Array:
-    """Stand-in for an array: empty until its state has been checked to have the bytes that its shape needs."""
+    """Substitute for an array: empty until its state has been checked to have the bytes that its shape needs."""
 
     values: NDArray[Any] = np.empty(0)
 
@@ -80,7 +80,7 @@ def _array(content: Any, type_: Any, shape: Any, order: Any = "C") -> _Array:
     return array
 
 
-class _StandIn:
+class _Substitute:
     """A function that a pickle can call but not change, although pickles may set the state of objects they can name."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
@@ -93,10 +93,10 @@ class _StandIn:
         raise pickle.UnpicklingError("the pickle sets the state of a function")
 
 
-_DTYPE = _StandIn(lambda code, *_: _Type(code))
-_RECONSTRUCT = _StandIn(lambda *_: _Array())
-_SCALAR = _StandIn(lambda type_, content: _array(content, type_, ()))
-_FROM_BUFFER = _StandIn(_array)
+_DTYPE = _Substitute(lambda code, *_: _Type(code))
+_RECONSTRUCT = _Substitute(lambda *_: _Array())
+_SCALAR = _Substitute(lambda type_, content: _array(content, type_, ()))
+_FROM_BUFFER = _Substitute(_array)
 _NAMES: dict[str, Any] = {
     "numpy.ndarray": "ndarray",  # the class that _reconstruct is called with
     "numpy.dtype": _DTYPE,
@@ -122,9 +122,9 @@ class _Reader(pickle.Unpickler):
         return text.encode("latin1")
 
     def find_class(self, module: str, name: str) -> Any:
-        """Look a name up in the table of stand-ins; nothing is ever imported."""
+        """Look a name up in the table of substitutes; nothing is ever imported."""
         if (module, name) == ("_codecs", "encode"):
-            return _StandIn(self._latin1)
+            return _Substitute(self._latin1)
         if f"{module}.{name}" not in _NAMES:
             raise pickle.UnpicklingError(f"it uses {module[:40]}.{name[:40]}, which a calibration does not need")
         return _NAMES[f"{module}.{name}"]
@@ -185,7 +185,7 @@ def _numbers(value: Any) -> NDArray[np.float64]:
 
 
 def _plain(value: Any, left: list[int]) -> Any:
-    """Return lists in which stand-ins are replaced by their arrays; raise UnpicklingError after `left` items."""
+    """Return lists in which substitutes are replaced by their arrays; raise UnpicklingError after `left` items."""
     left[0] -= 1
     if left[0] < 0:
         raise pickle.UnpicklingError(f"lists have more than {MOST_NUMBERS} numbers")

@@ -1,10 +1,10 @@
 """Unwrap the camera clock of a file: the one rule for wraps, used for every format.
 
-A clock with few bits wraps when it is full: 24 bits of microseconds in EVT3 (16.8 s), 31 or 32 bits in AEDAT, DAT,
-libcaer and in columns that a program saved as int32 or uint32 (35.8 or 71.6 min), 34 bits in EVT2. The clock of a file
-may also really go back: the camera was restarted, files were joined, or a packet was damaged. The size of the step
-distinguishes the two: a step back by more than three quarters of the clock's range is a wrap and is unwrapped. Any
-smaller step back stays in the times, and time_order handles it.
+A clock with few bits wraps when it is full. EVT3 has 24 bits of microseconds (16.8 s), EVT2 has 34. AEDAT, DAT, libcaer
+and columns that a program saved as int32 or uint32 have 31 or 32 (35.8 or 71.6 min). The clock of a file may also
+really go back: the camera was restarted, files were joined, or a packet was damaged. The size of the step distinguishes
+the two: a step back by more than three quarters of the clock's range is a wrap and is unwrapped. Any smaller step back
+stays in the times, and time_order handles it.
 
 After a jump ahead by more than three quarters of the range, an equally large step back stays in the times too: the jump
 may have been the error, and the step back its end. An event that is less than a millisecond late after a wrap looks
@@ -31,7 +31,7 @@ class Clock:
     """Unwraps the times of a clock, batch by batch."""
 
     def __init__(self, spans: Sequence[int], edges: Sequence[int] = (), tick_us: float = 1.0) -> None:
-        """spans: ticks after which the clock wraps, by the format; of several, the first that fits a step back.
+        """spans: ticks after which the clock wraps, by the format; if there are several, the first that fits.
 
         edges: possible ranges that the format does not state: a wrap must lead from close to their end to close to 0.
         tick_us: length of a tick.
@@ -80,7 +80,7 @@ class Clock:
         return span
 
     def _span(self, before: int, to: int) -> int:
-        """Return the range whose wrap explains a step back; 0 if none does."""
+        """Return the range whose wrap explains this jump back; 0 if none does."""
         for span in self._spans:
             if before - to > WRAP_SHARE * span and (to >= 0 or span == self._spans[0]):
                 return span

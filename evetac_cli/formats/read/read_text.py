@@ -1,8 +1,8 @@
 """Read events from text: one event per line, columns separated by blanks, commas or semicolons, comments after # or %.
 
-The order of the columns is defined by the first line or a comment before it (`x,y,polarity,timestamp`; columns with
-other names are left out), otherwise by the user, or by the first order that fits (column_order). The unit of time is
-defined by the names (`t_s`, `t_us`) or the user. Otherwise it follows from the first time: an integer is in
+The first line, or a comment before it, may define the order of the columns (`x,y,polarity,timestamp`); columns with
+other names are left out. Otherwise the user defines it, or the first order that fits (column_order). The unit of time
+is defined by the names (`t_s`, `t_us`) or the user. Otherwise it follows from the first time: an integer is in
 microseconds, a number with a point or exponent in seconds (column_times). Polarity may be True and False, as pandas
 writes it. The frame is known if the first line has only two numbers (rpg) or names like `x@640,y@480` (faery), or if a
 comment states `%geometry:640,480` (Prophesee).

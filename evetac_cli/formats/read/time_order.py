@@ -3,8 +3,8 @@
 An event that is less than 1 ms late is sorted: sensors and their drivers send such events. A step back of 1 ms or more
 that is not a wrap of the clock (clock.py) is a restart: the camera was restarted, files were joined, or a packet was
 damaged. The numbers do not show what the user wants then. So the file is refused with an error message, which states
-the position and the effect of each option: `from_restart` keeps one part, `drop_late` keeps all events except late
-ones, `sort` keeps all events, sorted by time.
+the position and the effect of each option. The options are `from_restart`, which keeps one part, `drop_late`, which
+drops late events, and `sort`, which sorts all events by time.
 """
 
 from collections.abc import Callable, Iterable, Iterator

@@ -180,7 +180,7 @@ def _of_detector(probability: NDArray[np.float32]) -> SliceColumns:
 
 
 def _dot_words(files: TrialFiles) -> Callable[[int], str]:
-    """Return a function that describes a dot's position in the grid, given its number."""
+    """Return a function that describes the position of a dot, by its number, in the grid."""
     grids = (file.contents().get("sensor/dot_xy_px") for file in files.by_kind.values())
     columns = next((shape[1] for _, shape in filter(None, grids) if shape[1]), None)
     if columns is None:

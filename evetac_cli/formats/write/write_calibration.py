@@ -1,8 +1,8 @@
 """Write the dot grid of a recording: as JSON, which `--calibration` accepts, or as the official software's pickle.
 
-The pickle is a tuple of two arrays: centres (n, 2) as (x, y), and sizes (n, 1), which are diameters. numpy 2 would
-write module names that the official software's numpy 1.24 does not have. The older names are written instead, which
-all versions accept.
+The pickle is a tuple of two arrays: centres (n, 2) as (x, y), and sizes (n, 1), which are diameters. With numpy 2, it
+would have module names that the official software's numpy 1.24 does not have. The older names are written instead,
+which all versions accept.
 """
 
 import pickle

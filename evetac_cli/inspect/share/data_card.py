@@ -49,8 +49,9 @@ with h5py.File("data/NAME.recording.h5") as file:
     t_us, x, y, p = (file[f"events/{column}"][:] for column in "txyp")
 ```
 
-Every dataset has `units` and `long_name`, and the root attribute `header` describes how the file was made. xarray opens
-the files with `engine="h5netcdf"`. docs/read-without-evetac.md of evetac has a short reader of each kind of file."""
+Every dataset has `units` and `long_name`, and the root attribute `header` describes how the file was made. To open
+a file with xarray, use `engine="h5netcdf"`. A short reader of each kind of file is in docs/read-without-evetac.md of
+evetac."""
 READ_TABLES = """The tables are Parquet. Column names end in their units, unknown values are null, and the metadata of
 each column describe it. Join the tables on `trial` and `t_ms`.
 

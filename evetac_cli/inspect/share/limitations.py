@@ -15,10 +15,10 @@ from evetac_cli.store.index import IndexRow
 NOT_LIKE = ("official-2024", "official-2026", "paper-on-slip", "lost-regularised")
 UNLIKE = (
     "The simulated sensor is known to differ from the real one. In simulation, an object that slides over the gel drags"
-    " along dots that the published trackers keep. Also, no dot radius fits both the paper's equations and the published"
-    f" code. These are the facts {', '.join(f'`{name}`' for name in NOT_LIKE)} in docs/likeness.md of evetac, which lists"
-    " all public facts and how well the simulator matches them. `evetac evaluate likeness` compares recordings with the"
-    " same facts."
+    " along dots that the published trackers keep. Also, no dot radius fits both the paper's equations and the"
+    f" published code. These are the facts {', '.join(f'`{name}`' for name in NOT_LIKE)} in docs/likeness.md of evetac,"
+    " which lists all public facts and how well the simulator matches them. `evetac evaluate likeness` compares"
+    " recordings with the same facts."
 )
 # The estimates of each kind of file: its columns in the tables, and the estimator.
 ESTIMATED = {
@@ -100,8 +100,8 @@ COVERED: Mapping[str, str] = {"sensor": "sensor", "object": "object", "scene": "
 
 def _simulated(simulated: int, trials: int) -> str:
     truth = (
-        "`truth_*` and `truth/` are ground truth, which only a simulator has: do not use them as inputs of a method for a"
-        " real sensor."
+        "`truth_*` and `truth/` are ground truth, which only a simulator has: do not use them as inputs of a method for"
+        " a real sensor."
     )
     if not simulated:
         return "According to the files, no trial is simulated."

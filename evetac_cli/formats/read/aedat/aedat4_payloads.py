@@ -8,7 +8,7 @@
     FTAB   the packet table: a vector of tables: position of the payload, (stream, size), elements, first and last t
 
 Why not faery or dv-processing: faery raises every time to the latest before it, so a clock that goes back stops without
-a message, and it refuses a whole packet for one event outside the frame. dv-processing loops forever on some damaged
+a message, and it refuses a whole packet for one event outside the frame. The other loops forever on some damaged
 packets. A field that a table leaves out is zero. All positions come from the file, so each is checked against its end;
 a ValueError or IndexError means that a packet is damaged.
 """

@@ -1,7 +1,7 @@
 """The common part of ROS 1 bags and MCAP files: connections, and consecutive chunks of messages.
 
-Why this is not left to rosbags or mcap: both use the index at the end of a file, which a recorder that was killed never
-wrote, and skip or refuse data that it does not list. They also unpack all chunks that claim the same time at once.
+Why this is not left to rosbags or mcap: both use the index at the end of a file and skip or refuse data that it does
+not list, but a recorder that was killed wrote none. They also unpack all chunks that claim the same time at once.
 Instead, a table of the chunks is built here by walking from record to record, as for AEDAT4, and all complete chunks
 are read. The notes report missing data.
 """
@@ -27,8 +27,10 @@ Record = tuple[int, int, bytes | memoryview]  # number of the connection, time o
 class Connection(NamedTuple):
     """A topic of one file with the type of its messages.
 
-    number: within the file. msgtype: as `package/msg/Name`. encoding: of the messages; cdr in ROS 2, ros1 in ROS 1.
-    definition: of the type, as text; digest: its checksum in ROS 1; each empty if it is unknown.
+    - number: within the file
+    - msgtype: as `package/msg/Name`
+    - encoding: of the messages; cdr in ROS 2, ros1 in ROS 1
+    - definition, digest: of the type, as text, and its checksum in ROS 1; each empty if it is unknown
     """
 
     number: int

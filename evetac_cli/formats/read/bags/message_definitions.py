@@ -1,10 +1,10 @@
-"""Compute the checksum of a ROS message definition, which identifies a layout whatever the name of its package.
+"""Compute the checksum of a ROS message definition, which identifies a layout independently of its package's name.
 
 ROS 1 writes this checksum into its bags. Here it is also computed from the text of a definition, including those of
 ROS 2, so that one table of checksums identifies a layout in every bag. It is the MD5 of constants and fields, without
-comments, and with the checksum of an inner message in place of its name:
+comments, and with the checksum of an inner message in place of its name. Times and headers, which ROS 2 writes
+differently, count as in ROS 1. A text is only parsed, never executed. Source:
 http://wiki.ros.org/ROS/Technical%20Overview
-Times and headers, which ROS 2 writes differently, count as in ROS 1. A text is only parsed, never executed.
 """
 
 import re

@@ -1,7 +1,9 @@
 """The compiled loops of prophesee_words: decode the words of a block into columns. Each returns the number of events.
 
-highs: the unwrapped high bits of time of the block, in the order of their words. state: one prophesee_words.STATE, the
-values at the beginning of the block, updated to its end. columns: space for the events. edges: space for the triggers.
+- highs: the unwrapped high bits of time of the block, in the order of their words
+- state: one prophesee_words.STATE, the values at the beginning of the block, updated to its end
+- columns: space for the events
+- edges: space for the triggers
 """
 
 from typing import Any

@@ -10,8 +10,8 @@
 Other types that Prophesee documents contain no events and are skipped. Words before the first high bits of time have no
 time and are left out, as in Prophesee's own software. Source: Prophesee's pages on EVT 2.0, EVT 2.1 and EVT 3.0.
 
-The high bits of a block are unwrapped (clock.py) with numpy, and a compiled loop decodes word after word. numpy alone
-takes ten times as long for EVT3, in which the meaning of a word depends on the words before it.
+The high bits of a block are unwrapped (clock.py) with numpy, and a compiled loop decodes word after word. With numpy
+alone, EVT3 takes ten times as long, because the meaning of a word depends on the words before it.
 """
 
 from collections import Counter
@@ -25,6 +25,7 @@ from evetac_cli.formats.read.clock import Clock
 
 TIME_HIGH, TRIGGER = 0x8, 0xA  # types of words
 MOST_UNDEFINED = 0.1  # share of words of undefined types above which a file has another encoding
+
 # The state at the beginning of a block: unwrapped high bits of time; for EVT3 also the low bits, the row, and the next
 # column and the polarity of a vector.
 STATE = np.dtype([(name, np.int64) for name in ("high", "low", "y", "x", "p")])

@@ -3,11 +3,11 @@
 `16@200` means 16 frames at 200 Hz. They are the frames of `Recording.frames`, ON minus OFF. The youngest one ends no
 later than the episode's frame, so that none shows the future. Frames before the recording are empty.
 
-Why one picture feature per position in the stack, and not one feature of (16, 120, 160) numbers: the policies of
-lerobot 0.6 accept pictures but ignore other arrays, and lerobot computes statistics of arrays along the last axis only.
-lerobot also stores arrays uncompressed in the copy that it makes when it opens a data set: 1.2 MB per frame, 61 MB per
-second at 50 fps. PNG is exact too; four simulated grasps took 0.53 MB per second. Why not video: it is not exact, and
-16 videos would have to be opened for each frame.
+Each position in the stack is one picture feature; they are not one feature of (16, 120, 160) numbers. Reasons: the
+policies of lerobot 0.6 accept pictures but ignore other arrays, and statistics of arrays are computed along the last
+axis only. Arrays are also stored uncompressed in the copy that lerobot makes when it opens a data set: 1.2 MB per
+frame, 61 MB per second at 50 fps. PNG is exact too; four simulated grasps took 0.53 MB per second. Why not video: it is
+not exact, and 16 videos would have to be opened for each frame.
 """
 
 import io

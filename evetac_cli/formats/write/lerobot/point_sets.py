@@ -1,7 +1,7 @@
 """Touch as a set of points: six numbers per dot, [dx dy dz Fx Fy Fz], and the wrench of the whole contact.
 
-The layout is the one discussed in LeRobot's roadmap for 0.7 (huggingface/lerobot issue 3832, pull request 4469), with
-its names: `displacement` has dx, dy, dz; `full` has the force too. dx and dy are the dot's displacement. A camera
+The layout is the one discussed in LeRobot's roadmap for 0.7 (huggingface/lerobot issue 3832, pull request 4469). It has
+LeRobot's names: `displacement` has dx, dy, dz; `full` has the force too. The dot's displacement is (dx, dy). A camera
 behind the gel does not measure dz: it is 0 and named `dz_unknown`. A dot's force is the sum over those cells of the
 touch map that are nearest to this dot at rest, so the forces of all dots add up to the force of the map. Without touch
 maps the forces of dots are unknown, and the layout is `displacement`.

@@ -193,7 +193,8 @@ def test_no_index_is_needed(what: str, compression: CompressionType, tmp_path: P
     assert event_rows(imported) == expected and imported.size > 0.9 * EVENTS.size
     others = imported.left_out["messages on /n (std_msgs/msg/Float64)"]
     assert others == imported.size // SIZE if complete else others >= imported.size // SIZE - 1
-    said = f"the bag was not closed, probably because its recorder was killed: kept {others + imported.size // SIZE} messages"
+    kept = others + imported.size // SIZE
+    said = f"the bag was not closed, probably because its recorder was killed: kept {kept} messages"
     assert [note for note in imported.notes if "left out" not in note] == ([] if complete else [said])
 
 
