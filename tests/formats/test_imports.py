@@ -160,7 +160,7 @@ def test_very_many_events_of_one_millisecond(monkeypatch: pytest.MonkeyPatch, st
             t = np.where(np.arange(100) % 2, 7, 7 + step_us)
             yield columns(t, np.full(100, first // 100 % 9), np.arange(100) % 2)
 
-    with pytest.raises(InputError, match="more events within 1 ms than a camera makes(.|\\n)*near 0.00"):
+    with pytest.raises(InputError, match="more events within 1 ms(.|\\n)*near 0.00"):
         normalised(batches(), (9, 9))
     assert len(given) < 1000
     normal = Normal()
@@ -371,9 +371,9 @@ def test_text_holds_microseconds_exactly(
         ("0 1 2 1\n5 1 ?? 1\n", 2, "4 numbers"),
         ("0 1 2 1\n1_0 1 2 1\n", 2, "4 numbers"),
         (b"0 1 2 1\n5 1 2 1\n\x07\x00\xff\xfe garbled\n", 3, "4 numbers"),
-        ("zeit x y p\n0 1 2 1\n", 1, "no column is named as t"),
-        ("secs,nsecs,x,y,polarity\n1,2,3,4,1\n", 1, "no column is named as t"),
-        ("t;x;y;polarität\n0;1;2;1\n", 1, "no column is named as p"),
+        ("zeit x y p\n0 1 2 1\n", 1, "no column has a name for t"),
+        ("secs,nsecs,x,y,polarity\n1,2,3,4,1\n", 1, "no column has a name for t"),
+        ("t;x;y;polarität\n0;1;2;1\n", 1, "no column has a name for p"),
         ("t;x;y;p\n0;1;2\n", 2, "separated by semicolons"),
         ("0 1 2 1\n0.5 1 2 1\n", 2, "the unit of time changes"),
         ("# c\n0 1 2 1\n5 1 2 7\n", 3, "unknown polarity"),
@@ -409,7 +409,7 @@ def test_the_frame_is_guessed_among_known_sensors(text: Callable[..., Path]) -> 
         assert imported.frame_px == frame
         assert imported.counts["out_of_frame"] == 0
         (said,) = (note for note in imported.notes if "--frame-size" in note)
-        assert "took {}x{}".format(*frame) in said
+        assert "assumed {}x{}".format(*frame) in said
     path = text("0 1 2 1\n1 4000 2 1\n")
     assert "does not state its frame size" in refusal(path)
     for frame in ((0, 480), (640, -1), (70000, 1)):
@@ -434,9 +434,9 @@ def test_hints_fit_what_was_dropped(text: Callable[..., Path]) -> None:
     """Assert that many events outside the frame put it in question, and values that are no numbers do not."""
     good = "".join(f"{t} 1 1 1\n" for t in range(4))
     outside, _ = read_events(text(good + "9 9999 1 1\n"), frame_px=FRAME).notes
-    assert outside == "20% of the events lie outside 640x480 and were dropped; is it the frame?"
+    assert outside == "20% of the events are outside 640x480 and were dropped; is this frame size right?"
     odd, _ = read_events(text(good + "nan 1 1 1\n"), frame_px=FRAME).notes
-    assert odd == "20% of the events were dropped: not all of t, x, y, p are numbers"
+    assert odd == "20% of the events were dropped: t, x, y or p is not a number"
     assert "frame size" not in refusal(text("nan 1 1 1\n"), frame_px=FRAME).split("try:")[-1]
     assert "frame size" in refusal(text("1 9999 1 1\n"), frame_px=FRAME).split("try:")[-1]
 
@@ -547,7 +547,9 @@ def test_what_is_no_plain_file_is_refused(tmp_path: Path) -> None:
 
 def test_options_that_would_do_nothing_are_refused(text: Callable[..., Path], dsec: Callable[..., Path]) -> None:
     """Assert that an option of another format is an error."""
-    assert "--stream is for files that may hold several" in refusal(text("0 1 2 1\n"), frame_px=FRAME, stream="events")
+    assert "--stream is for files that may contain several" in refusal(
+        text("0 1 2 1\n"), frame_px=FRAME, stream="events"
+    )
     assert "only one stream" in refusal(dsec(), frame_px=FRAME, stream="events")
 
 

@@ -74,7 +74,7 @@ def test_notes_of_an_import(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     output, _ = run_stage(record, [], chosen, tmp_path / "a.recording.h5")
     lines = shown(output, capsys)
     assert "source a.txt (text)" in lines and "events_dropped 1" in lines
-    assert any(line.startswith("notes 50% of the events lie outside 640x480") for line in lines)
+    assert any(line.startswith("notes 50% of the events are outside 640x480") for line in lines)
 
 
 def test_a_simulated_recording_has_neither(made: Made, capsys: pytest.CaptureFixture[str]) -> None:

@@ -199,7 +199,7 @@ def _check_kind(file: CheckedHdf5, dataset: Any, layout: Hdf5Layout, name: str) 
     if kind not in kinds or len(shape) != 1:
         expected = "a list of integers" + (" in microseconds" if timed and layout.us_per_unit == 1 else "")
         held = f"{dataset.dtype} of shape {shape}"
-        raise InputError(f"`{name}` is not a column of numbers", where=file.where, expected=expected, found=held)
+        raise InputError(f"{name} is not a column of numbers", where=file.where, expected=expected, found=held)
 
 
 def _is_compound(dataset: Any) -> bool:

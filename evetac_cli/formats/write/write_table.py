@@ -144,7 +144,7 @@ def _further(progress: Progress, before: int, of: int, now: float, total: float,
 
 
 def typed(facts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Return the type of each column that identifies a trial: int64 if all values are integers, otherwise text."""
+    """Return the types of the columns that identify trials: int64 if all values are integers, otherwise string."""
     types: dict[str, Any] = dict.fromkeys(facts[0], "string") | {"simulated": "bool"}
     for name in ("object", "seed"):
         values = [one[name] for one in facts if one[name] is not None]

@@ -1,7 +1,7 @@
 """share: prepare a model or a data set as a folder for the Hugging Face Hub, with a card; nothing is uploaded.
 
 The folder appears only when it is complete. Files of a data set are hard links if the disk supports them, so that they
-take no space twice. This is safe because evetac never changes a file but replaces it by a new one.
+take no space twice. Links are safe because evetac never changes files but replaces them by new ones.
 """
 
 import json

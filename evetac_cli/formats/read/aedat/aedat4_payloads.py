@@ -7,10 +7,10 @@
     FRME   a table: t, four more times, int8 format, int16 width and height, two offsets, a vector of bytes
     FTAB   the packet table: a vector of tables: position of the payload, (stream, size), elements, first and last t
 
-Why not faery or dv-processing: faery raises every time to the latest before it, so a clock that goes back stops without
-a message, and it refuses a whole packet for one event outside the frame. The other loops forever on some damaged
-packets. A field that a table leaves out is zero. All positions come from the file, so each is checked against its end;
-a ValueError or IndexError means that a packet is damaged.
+Why not faery: it raises every time to the latest before it, so a clock that goes back stops without a message. It also
+refuses a whole packet for one event outside the frame. Why not dv-processing: it loops forever on some damaged packets.
+A field that a table leaves out is zero. All positions come from the file, so each is checked against its end; a
+ValueError or IndexError means that a packet is damaged.
 """
 
 import importlib

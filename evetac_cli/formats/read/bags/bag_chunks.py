@@ -1,9 +1,9 @@
 """The common part of ROS 1 bags and MCAP files: connections, and consecutive chunks of messages.
 
-Why this is not left to rosbags or mcap: both use the index at the end of a file and skip or refuse data that it does
-not list, but a recorder that was killed wrote none. They also unpack all chunks that claim the same time at once.
-Instead, a table of the chunks is built here by walking from record to record, as for AEDAT4, and all complete chunks
-are read. The notes report missing data.
+Why this is not left to rosbags or mcap: both skip or refuse data that the index at the end of a file does not list, but
+a recorder that was killed wrote no index. They also unpack all chunks that claim the same time at once. Instead, a
+table of the chunks is built here by walking from record to record, as for AEDAT4, and all complete chunks are read. The
+notes report missing data.
 """
 
 import heapq

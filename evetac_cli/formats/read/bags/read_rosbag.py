@@ -2,8 +2,8 @@
 
 open_bag finds the messages; ros_messages decodes them from their bytes. So a bag needs no definitions of its messages,
 and the definitions of other topics do not matter. A layout is identified by the checksum of its definition, also in ROS
-2 bags that have the definition, independently of the package's name: several makers publish the same layout under
-their own names. Without a definition, the name of the type decides. A known name with another layout is refused. An export of
+2 bags that have the definition, independently of the package's name: several makers publish the same layout under their
+own names. Without a definition, the name of the type decides. A known name with another layout is refused. An export of
 evetac has its note on a topic.
 """
 

@@ -183,7 +183,7 @@ def test_packets_with_impossible_or_no_events_are_read(tmp_path: Path) -> None:
     path.write_bytes(data.replace(b">200<", b">050<"))  # a frame smaller than what the packets hold
     imported = read_events(path)
     assert (imported.events.size, imported.counts["out_of_frame"], imported.frame_px) == (9, 1, (50, 80))
-    assert imported.notes == ["10% of the events lie outside 50x80 and were dropped; is it the frame?"]
+    assert imported.notes == ["10% of the events are outside 50x80 and were dropped; is this frame size right?"]
 
 
 @pytest.mark.parametrize("compression", [None, ("lz4", 1), ("zstd", 3)])
