@@ -344,7 +344,7 @@ def _lacks_events(foreign: Foreign, normal: Normal) -> bool:
 def _losses(foreign: Foreign, normal: Normal) -> Iterator[str]:
     """Yield notes on losses that the reader did not report; dropped events only if they exceed LARGE_LOSS."""
     if foreign.note and not foreign.cut_short and _lacks_events(foreign, normal):
-        yield f"cut short: {normal.size} of the {foreign.note.events} exported events are left"
+        yield f"cut short: {normal.size} events are left of the {foreign.note.events} that were exported"
     dropped = normal.dropped
     read = normal.size + sum(dropped.values())
     if dropped["out_of_frame"] > LARGE_LOSS * read:

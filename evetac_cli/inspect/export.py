@@ -73,7 +73,7 @@ def _options(params: Export) -> dict[str, Any]:
             others = ", ".join(other for other, row in FORMATS.items() if name in row.takes)
             flag = flag_of(Export.__dataclass_fields__[name])
             raise InputError(
-                "the option has no effect with this format",
+                "has no effect with this format",
                 where=flag,
                 expected=f"--format {others}",
                 found=params.format,

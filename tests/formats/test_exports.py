@@ -307,7 +307,7 @@ def test_images_of_nothing(tmp_path: Path) -> None:
     source = write(tmp_path / "a.recording.h5", drawn(0), 3)
     for suffix in (".npz", ".parquet", ".zarr.zip"):
         row = export(source, "frames", tmp_path / f"a{suffix}")
-        assert "ends before the first image, at 5 ms" in row["left_out"]
+        assert "ends before the first image would, at 5 ms" in row["left_out"]
         images, end_us, _ = read_images(tmp_path / f"a{suffix}")
         assert (images.shape, end_us.shape) == ((0, 2, 480, 640), (0,))
 
@@ -321,7 +321,7 @@ def test_images_of_nothing(tmp_path: Path) -> None:
         (("frames", "--size", "0x120"), "at least 1 px"),
         (
             ("frames", "--size", "900x480"),
-            "error: --size: larger than the sensor expected: at most the sensor's 640 x 480 px",
+            "error: --size: images would be larger than the sensor's frame expected: at most the sensor's 640 x 480 px",
         ),
         (("surface", "--polarity", "signed"), "split or sum"),
     ],

@@ -200,7 +200,7 @@ def test_streams_that_are_not_alike_are_left_out(tmp_path: Path) -> None:
     ]
     info, _ = export(tmp_path / "out", some)
     assert info["row"]["left_out"] == (
-        "streams/arm: other columns in some trials; streams/wrist: other images in some trials"
+        "streams/arm: its columns differ between trials; streams/wrist: its images differ between trials"
     )
     assert not [name for name in info["features"] if "arm" in name or "wrist" in name]
 

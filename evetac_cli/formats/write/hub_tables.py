@@ -170,7 +170,7 @@ class HubTables:
 
     def _write_events(self, recording: Recording, name: str, path: Path) -> None:
         arrow = self._arrow
-        fields = [field_of(arrow, "trial", arrow.string(), "", "trial of the trial")]
+        fields = [field_of(arrow, "trial", arrow.string(), "", "name of the trial")]
         fields += [
             field_of(arrow, column, arrow.from_numpy_dtype(type_), unit, meaning)
             for column, (_, type_, unit, meaning) in OF_EVENT.items()

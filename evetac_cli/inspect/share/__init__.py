@@ -35,7 +35,7 @@ def run(
     else:
         if params.tables != Share.tables:
             raise InputError(
-                "the option has no effect on a model",
+                "has no effect on a model",
                 where="--tables",
                 expected="a folder of recordings",
                 found=str(first),

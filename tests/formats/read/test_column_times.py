@@ -142,7 +142,7 @@ def test_minus_one_without_a_sign(tmp_path: Path, values: tuple[int, int], kind:
         path = npz(tmp_path, T_US, p=p)
     imported = read_events(path, frame_px=FRAME)
     assert imported.events.p.tolist() == P.tolist()
-    assert f"polarity {values[0]} was read as -1" in imported.notes
+    assert f"polarity {values[0]} was read as -1 (darker)" in imported.notes
 
 
 @pytest.mark.parametrize("spoken", [("False", "True"), ("false", "true"), ("FALSE", "TRUE")])
@@ -177,5 +177,5 @@ def test_columns_are_for_files_without_names(tmp_path: Path) -> None:
     """Assert that naming columns that have names, or of a format that needs none, is refused."""
     assert "columns have no names" in refusal(npz(tmp_path, T_US), columns="t x y p")
     (tmp_path / "a.raw").write_bytes(b"% evt 3.0\n% geometry 640x480\n% end\n")
-    assert "--columns is for files of four columns" in refusal(tmp_path / "a.raw", columns="t x y p")
+    assert "--columns is for files of four unnamed columns" in refusal(tmp_path / "a.raw", columns="t x y p")
     assert "--time-unit is for files that do not say" in refusal(tmp_path / "a.raw", time_unit="us")

@@ -167,7 +167,7 @@ def test_known_values(tmp_path: Path) -> None:
         ("CD/events", np.zeros(3, [("t", "i8"), ("x", "S4"), ("y", "i2"), ("p", "i2")]), "a compound with"),
         ("davis/left/events", np.array([[1, 2, np.inf, 1.0]]), "none of the events can be used"),
         ("davis/left/events", np.array([[1, 2, 1e300, 1.0]]), "time out of range"),
-        ("davis/left/events", np.array([[1, 2.5, 1, 1.0]]), "y lies between pixels"),
+        ("davis/left/events", np.array([[1, 2.5, 1, 1.0]]), "y is not a whole pixel"),
         ("davis/left/depth", np.zeros((3, 4)), "found:    davis"),
     ],
 )

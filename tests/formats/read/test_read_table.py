@@ -43,7 +43,7 @@ def test_a_small_file_does_not_become_a_large_one(tmp_path: Path) -> None:
     """Assert that rows by runs are refused by what they would take, before one is read; a plain table is not."""
     path = written(tmp_path / "a.parquet", same_rows(8_000_000), compression="zstd")
     assert path.stat().st_size < 1e6
-    with pytest.raises(InputError, match=r"unpacks to too much(.|\n)*128 MB"):
+    with pytest.raises(InputError, match=r"unpack to too much(.|\n)*128 MB"):
         read(path)
     columns = {"t_ms": np.arange(ROWS), "x": X, **{f"c{at}": np.zeros(ROWS) for at in range(100)}}
     assert len(read(written(tmp_path / "b.parquet", columns)).columns) == 101
@@ -166,7 +166,7 @@ def test_columns_keep_their_names_and_order(tmp_path: Path) -> None:
         "x_2": [0.0, 10.0, 20.0, 30.0, 40.0],
         "flag": [1.0, 0.0, 1.0, 0.0, 1.0],
     }
-    assert notes == ["left out: columns struct, list, words, which are not of numbers"]
+    assert notes == ["left out: columns struct, list, words, which are not numeric"]
 
 
 def test_damaged_page_headers_end_in_words(tmp_path: Path) -> None:

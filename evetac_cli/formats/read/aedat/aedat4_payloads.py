@@ -185,7 +185,7 @@ def _frame(tables: _Tables, root: int) -> ImageFrame:
     name, channels = FORMATS[format_]
     start, count = tables.vector(root, FRAME_PIXELS)
     if count != width * height * channels:
-        raise ValueError(f"{count} bytes of pixels for {width} x {height} px of {channels}")
+        raise ValueError(f"{count} bytes of pixels for {width} x {height} px of {channels} bytes")
     pixels = np.frombuffer(tables.body, np.uint8, count, start) if count else np.empty(0, np.uint8)
     if channels == 1:
         return ImageFrame(t, name, pixels.reshape(height, width))

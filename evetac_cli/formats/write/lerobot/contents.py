@@ -94,11 +94,14 @@ def choose(outlines: Sequence[EpisodeOutline], choices: Choices) -> tuple[FrameC
     as_points = choices.tactile_layout == "points"
     if as_points and choices.per_frame == "stacked":
         raise InputError(
-            "points cannot be stacked", where="--per-frame", expected="mean or last, or a vector", found="stacked"
+            "points cannot be stacked",
+            where="--per-frame",
+            expected="mean or last, or --tactile-layout vector",
+            found="stacked",
         )
     if as_points and choices.tactile_key == "observation.environment_state":
         expected = "--tactile-layout vector"
-        raise InputError("the option has no effect on points", where="--tactile-key", expected=expected, found="points")
+        raise InputError("has no effect on points", where="--tactile-key", expected=expected, found="points")
     frame_px = outlines[0].frame_px
     stacks = event_stacks.parse(choices.event_frames, choices.size, frame_px)
     vectors, left_out = choose_vectors(outlines, as_points=as_points, truth=choices.truth)

@@ -129,7 +129,7 @@ def test_a_cut_file_keeps_whole_events(tmp_path: Path) -> None:
     path.write_bytes(path.read_bytes()[:-3])
     imported = read_events(path)
     assert imported.events.size == 49
-    assert "cut short: the last 5 bytes are no whole event" in imported.notes
+    assert "cut short: the last 5 bytes are an incomplete event" in imported.notes
 
 
 @pytest.mark.parametrize("chip", ["DVS128", "DAVIS346"])

@@ -125,7 +125,7 @@ def test_imu_samples_are_kept(tmp_path: Path, kind: int, name: str, count: int) 
         "degC",
     )
     assert imported.left_out == {"IMU samples of source 2": 1}
-    assert f"1 IMU samples are marked as invalid, or are of another kind than {name}" in imported.notes
+    assert f"1 IMU samples were left out: they are marked as invalid or are not {name}" in imported.notes
 
 
 def test_triggers_are_kept(tmp_path: Path) -> None:
@@ -139,7 +139,7 @@ def test_triggers_are_kept(tmp_path: Path) -> None:
     assert stream.columns["source"].tolist() == [1, 2, 3] * 3
     assert stream.columns["input"].tolist() == [0, 0, 0, 1, 1, 1, 2, 2, 2]
     assert imported.left_out == {}
-    assert "5 special events are marked as invalid, or are of another kind than triggers" in imported.notes
+    assert "5 special events were left out: they are marked as invalid or are not triggers" in imported.notes
 
 
 def test_samples_of_another_size_stay_counted(tmp_path: Path) -> None:

@@ -153,7 +153,7 @@ def test_what_waits_and_is_damaged_is_said_to_be_lost(whole: Path, tmp_path: Pat
     wal.write_bytes(bytes(size))
     imported = read_events(left)
     assert event_rows(imported) == shifted(EVENTS)[:70]
-    assert f"part of bag_0.db3-wal ({size:,} bytes) is lost: SQLite finds nothing" in imported.notes[0]
+    assert f"part of bag_0.db3-wal ({size:,} bytes) is lost: SQLite finds no" in imported.notes[0]
 
 
 @pytest.mark.parametrize(("share", "cut"), [(0.3, False), (0.6, False), (0.9, False), (0.3, True), (0.7, True)])
@@ -250,7 +250,7 @@ def test_all_files_of_a_folder_are_one_bag(tmp_path: Path, start: int) -> None:
     imported = read_events(folder)
     assert event_rows(imported) == shifted(EVENTS)
     (note,) = imported.notes
-    assert "there is no metadata.yaml" in note and f"trial_{start}.mcap, trial_{start + 1}.mcap" in note
+    assert "no metadata.yaml" in note and f"trial_{start}.mcap, trial_{start + 1}.mcap" in note
     about(folder, *(f"trial_{start + number}.mcap" for number in range(3)))
     imported = read_events(folder)
     assert event_rows(imported) == shifted(EVENTS)
@@ -283,7 +283,9 @@ def test_files_that_are_not_read_are_named(tmp_path: Path) -> None:
     folder = about(split(tmp_path / "bag"), "trial_0.mcap", "trial_1.mcap", count=28)
     imported = read_events(folder)
     assert event_rows(imported) == shifted(EVENTS)[:280]
-    assert imported.notes == ["not read: trial_2.mcap, which metadata.yaml does not list; name it to read it"]
+    assert imported.notes == [
+        "not read: trial_2.mcap, which metadata.yaml does not list; give the file itself to read it"
+    ]
     imported = read_events(folder / "trial_1.mcap")
     assert imported.size == 140
     assert imported.notes == ["next to it: trial_0.mcap, trial_2.mcap, which may be parts of the same recording"]
@@ -338,7 +340,7 @@ def test_metadata_that_say_another_count_are_noted(tmp_path: Path, count: int, s
     folder = about(split(tmp_path / "bag", 1), "trial_0.mcap", count=count)
     imported = read_events(folder)
     assert event_rows(imported) == shifted(EVENTS)
-    said = f"metadata.yaml states {count} messages; the bag has 40"
+    said = f"metadata.yaml states {count} messages, but the bag has 40"
     assert imported.notes == ([] if count == 40 else [said])
 
 

@@ -128,7 +128,7 @@ def test_the_bytes_that_are_lost_are_counted(tmp_path: Path) -> None:
     path = tmp_path / "cut.mcap"
     path.write_bytes(whole.read_bytes()[:end] + b"\x06" + struct.pack("<Q", 5000) + bytes(4991))
     notes = read_events(path).notes
-    assert "those in complete chunks; the last 5,000 bytes are lost" in notes[0]
+    assert "complete chunks; the last 5,000 bytes are lost" in notes[0]
 
 
 @pytest.mark.parametrize("kind", ["ros1 none", "mcap ZSTD"])
@@ -245,7 +245,7 @@ def test_a_damaged_chunk_costs_its_messages(kind: str, tmp_path: Path) -> None:
     imported = read_events(whole)
     lost = slice(SIZE * chunks[3][1], SIZE * chunks[4][1])
     assert event_rows(imported) == ROWS[: lost.start] + ROWS[lost.stop :]
-    assert "damaged and cannot be read: 1 (" in " ".join(imported.notes)
+    assert "left out 1 damaged chunks" in " ".join(imported.notes)
 
 
 @pytest.mark.parametrize("kind", ["mcap ZSTD", "ros1 none"])
@@ -380,7 +380,7 @@ def test_chunks_that_lie_about_their_size_are_left_out(tmp_path: Path) -> None:
         path = tmp_path / "lies.mcap"
         path.write_bytes(data)
         imported = read_events(path)
-        assert imported.size < EVENTS.size and "cannot be read" in " ".join(imported.notes)
+        assert imported.size < EVENTS.size and "left out" in " ".join(imported.notes)
 
 
 def test_messages_of_ros_1_in_mcap_come(tmp_path: Path) -> None:

@@ -314,7 +314,7 @@ def test_files_without_events(tmp_path: Path) -> None:
     """Assert that a header alone is no recording, and half a word at the end is noted."""
     assert "has no events" in refusal(raw(tmp_path / "a.raw", []))
     imported = read_events(raw(tmp_path / "a.raw", evt3([0, 7]), rest=b"\1"))
-    assert (imported.events.size, imported.notes) == (2, ["cut short: the last 1 bytes are no whole word"])
+    assert (imported.events.size, imported.notes) == (2, ["cut short: the last 1 bytes are an incomplete word"])
 
 
 @pytest.mark.parametrize(("kind", "suffix"), KINDS)
