@@ -160,7 +160,7 @@ def test_rows_that_are_left_out_say_why(tmp_path: Path, t_us: Sequence[int], sai
     path = write_grasp(tmp_path, "a", gripper__t_us=np.array(t_us, np.int64))
     with open_recording(path) as recording:
         missing_rows = [each for each in slice_columns.not_in_tables(recording) if "gripper" in each]
-    missing = sum(int(number) for number in re.findall(r"(\d+) (?:after|followed)", said))
+    missing = sum(int(number) for number in re.findall(r"(\d+) (?:after|because)", said))
     assert missing_rows == ([f"{missing} of 12 rows of gripper: {said}"] if said else [])
 
 

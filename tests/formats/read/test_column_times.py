@@ -178,4 +178,4 @@ def test_columns_are_for_files_without_names(tmp_path: Path) -> None:
     assert "columns have no names" in refusal(npz(tmp_path, T_US), columns="t x y p")
     (tmp_path / "a.raw").write_bytes(b"% evt 3.0\n% geometry 640x480\n% end\n")
     assert "--columns is for files of four unnamed columns" in refusal(tmp_path / "a.raw", columns="t x y p")
-    assert "--time-unit is for files that do not say" in refusal(tmp_path / "a.raw", time_unit="us")
+    assert "--time-unit is for files that do not state" in refusal(tmp_path / "a.raw", time_unit="us")

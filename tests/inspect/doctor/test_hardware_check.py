@@ -150,8 +150,8 @@ def test_ctrl_c_leaves_a_report_and_no_torque(tmp_path: Path) -> None:
     ("flags", "words"),
     [
         ({}, "no device was given"),
-        ({"gripper": "sim"}, "no device"),
-        ({"camera": "sim"}, "no device"),
+        ({"gripper": "sim"}, "not a device"),
+        ({"camera": "sim"}, "not a device"),
         ({"gripper": "/dev/ttyNothing"}, "--arm"),
         ({"gripper": "/dev/ttyNothing", "arm": True}, "a terminal, or --yes"),
     ],

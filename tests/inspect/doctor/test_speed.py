@@ -90,7 +90,7 @@ def test_at_the_limits_a_computer_is_fast_enough(capsys: pytest.CaptureFixture[s
     ("figures", "check", "words"),
     [
         ({"late_us": {0: [10.0] * 100, 1: [501.0] * 100}}, "core 1 wakes", "501 us late"),
-        ({"late_us": {0: [*[10.0] * 999, 2001.0], 1: [10.0]}}, "core 0 wakes", "all at most 2001 us"),
+        ({"late_us": {0: [*[10.0] * 999, 2001.0], 1: [10.0]}}, "core 0 wakes", "all of them at most 2001 us"),
         ({"cores": [1]}, "for this program", "1"),
         ({"steps_us": {500: [501.0] * 100, 5000: [1.0]}}, "500 events", "501 us"),
         ({"steps_us": {500: [1.0], 5000: [1001.0]}}, "5000 events", "1001 us"),
