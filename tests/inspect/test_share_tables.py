@@ -173,7 +173,7 @@ def test_tables_of_nothing_are_refused(folder: Path, tmp_path: Path) -> None:
     alone = tmp_path / "alone"
     alone.mkdir()
     shutil.copy(folder / "learn" / "a.tracks.h5", alone)
-    with pytest.raises(InputError, match="has no effect"):
+    with pytest.raises(InputError, match="no recordings"):
         shared(alone, out=tmp_path / "hub", tables="events")
     shared(alone, out=tmp_path / "hub")
     assert fields(tmp_path / "hub")["viewer"] is False

@@ -97,7 +97,7 @@ def test_a_command_that_fails_is_named() -> None:
 def test_a_process_that_dies_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that a process that ends before it answers is an error that says so."""
     monkeypatch.setattr(compile_kernels.sys, "executable", "false")
-    with pytest.raises(EvetacError, match="camera: .*\n.*its process ended with exit code 1"):
+    with pytest.raises(EvetacError, match="camera: .*\n.*the process ended with exit code 1"):
         compile_kernels.run(steps=((("camera",),),), say=lambda line: None)
 
 
