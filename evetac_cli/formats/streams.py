@@ -81,7 +81,7 @@ def aligned(stream: Stream, offset_s: float, t_offset_us: int, slices: int, sour
         where=source,
         expected=f"times from {start_s:.6f} to {start_s + slices * SLICE_US / 1e6:.6f} s, on the clock of the events",
         found=f"{first_s:.6f} to {last_s:.6f} s ({stream.clock})",
-        hint=f"--offset {stream.name}={begins_s:.6f}, if stream and events began at the same time",
+        hint=f"--offset {stream.name}={begins_s:.6f} if stream and events began at the same time",
     )
 
 

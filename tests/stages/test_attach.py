@@ -134,14 +134,18 @@ def test_csv_is_aligned_by_its_clock(recording: Path, tmp_path: Path) -> None:
         assert file.read("streams/arm/force").tolist() == [-at - 2 for at in range(10)]
         said = about(file, "arm")
         assert said["units"] == {"x_m": "m", "force": "N"}
-        assert (said["left_out"], said["source"], said["clock"]) == (10, "pose.csv", "column timestamp, assumed to be in s")
+        assert (said["left_out"], said["source"], said["clock"]) == (
+            10,
+            "pose.csv",
+            "column timestamp, assumed to be in s",
+        )
         with StageFile(recording) as source:
             assert file.header["parents"] == [source.header["id"]]
             assert not file.header["simulated"]
             for name in source.contents():
                 np.testing.assert_array_equal(file.read(name), source.read(name))
     assert row["left_out"] == 10
-    assert "column frame, which is not of numbers" in row["notes"]
+    assert "column frame, which is not numeric" in row["notes"]
     assert [row["faults"] for row in validate.run([output]).rows] == [None]
 
 
