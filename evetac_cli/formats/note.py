@@ -45,11 +45,11 @@ def read_note(text: str, where: str) -> Note:
         events = fields.get("events")
         whole = all(type(number) is int for number in (start_us, slices, width, height, events or 0))
         if not whole or type(fields["simulated"]) is not bool:
-            raise ValueError("values of other types")
+            raise ValueError("values have wrong types")
         if not 0 <= slices <= LONGEST_SLICES:
-            raise ValueError(f"{slices} slices")
+            raise ValueError(f"impossible number of slices: {slices}")
         if abs(start_us) > CLOCK_LIMIT_US or (events is not None and not 0 <= events <= CLOCK_LIMIT_US):
-            raise ValueError(f"begins at {start_us} us, {events} events")
+            raise ValueError(f"impossible start or number of events: {start_us} us, {events} events")
     except (ValueError, KeyError, TypeError) as error:
         raise InputError(
             f"the note that evetac wrote into this file is damaged: {str(error)[:80]}",

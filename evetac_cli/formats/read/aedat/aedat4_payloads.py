@@ -181,11 +181,11 @@ def _frame(tables: _Tables, root: int) -> ImageFrame:
         for code, slot in (("q", FRAME_T), ("b", FRAME_FORMAT), ("h", FRAME_WIDTH), ("h", FRAME_HEIGHT))
     )
     if format_ not in FORMATS or width < 0 or height < 0:
-        raise ValueError(f"a frame of {width} x {height} px in format {format_}")
+        raise ValueError(f"a frame has the impossible size or format {width} x {height} px, {format_}")
     name, channels = FORMATS[format_]
     start, count = tables.vector(root, FRAME_PIXELS)
     if count != width * height * channels:
-        raise ValueError(f"{count} bytes of pixels for {width} x {height} px of {channels} bytes")
+        raise ValueError(f"a frame of {width} x {height} px of {channels} bytes has {count} bytes")
     pixels = np.frombuffer(tables.body, np.uint8, count, start) if count else np.empty(0, np.uint8)
     if channels == 1:
         return ImageFrame(t, name, pixels.reshape(height, width))

@@ -122,7 +122,7 @@ def event_array(fields: Fields) -> tuple[tuple[int, int], MessageEvents]:
     content = fields.rest()
     if not fields.ros2:
         if len(content) != count * EVENT_BYTES_ROS1:
-            raise ValueError(f"{len(content)} bytes for {count} events of {EVENT_BYTES_ROS1}")
+            raise ValueError(f"{len(content)} bytes for {count} events of {EVENT_BYTES_ROS1} bytes")
         rows = np.frombuffer(content, EVENT_ROS1)
         return frame, MessageEvents(_us(rows), rows["x"], rows["y"], rows["p"])
     needed = max(0, count * EVENT_STRIDE_CDR - 3)  # the last event ends with its polarity
@@ -154,7 +154,7 @@ def evetac_image(fields: Fields) -> tuple[tuple[int, int], MessageEvents]:
     stride = fields.number("I")
     content = fields.bytes_()
     if encoding not in ("mono8", "8UC1") or stride != height or len(content) != width * height:
-        raise ValueError(f"an image of {width} x {height} px, {encoding[:20]!r}, in {len(content)} bytes")
+        raise ValueError(f"an image of {width} x {height} px, {encoding[:20]!r}, has {len(content)} bytes")
     image = np.frombuffer(content, np.uint8).reshape(width, height).astype(np.int16) - GREY
     if (image % STEP).any():
         raise ValueError(f"grey levels other than {GREY} + {STEP} n")
