@@ -270,7 +270,7 @@ ANYWHERE: dict[str, tuple[Change, str]] = {
     "false dimension": (lambda path: as_dimension(path, b"x"), "never written"),
     "dimension without a column": (
         lambda path: as_dimension(path, b"This is a netCDF dimension but not a netCDF variable         9"),
-        "events/x is missing|holds no columns",
+        "events/x is missing|no event columns",
     ),
     "beyond the end": (beyond_the_end, "never written|invalid dataset size"),
     # is packed to harm

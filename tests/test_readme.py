@@ -177,7 +177,7 @@ def test_some_sentences_name_their_figures() -> None:
 def test_what_info_shows_of_a_recording_is_of_today() -> None:
     """Assert that schema version and method number, wherever a page shows what `info` prints, are today's."""
     block = re.compile(
-        r"^ +kind +recording\n +schema version +([\d.]+)\n +id .*\n +method number +(\d+)$", re.MULTILINE
+        r"^ +kind +recording\n +schema version +([\d.]+)\n +id .*\n +method version +(\d+)$", re.MULTILINE
     )
     shown = [each for page in PAGES.values() for each in block.findall(page)]
     assert len(shown) == sum(page.count("  schema version  ") for page in PAGES.values()) > 0

@@ -1,7 +1,7 @@
-"""Columns between numpy and Arrow, by their buffers.
+"""Convert columns between numpy and Arrow through their buffers.
 
-Why so: whatever pyarrow is given or gives back as values of Python or numpy, it first asks whether they are pandas's,
-and loads pandas where that is installed: longer than writing a trial takes. Of buffers it does not ask.
+Reason: when pyarrow converts Python or numpy values, it first checks whether they are pandas objects and imports pandas
+if it is installed. That takes longer than writing a trial. For buffers pyarrow does not check.
 """
 
 from typing import Any
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 
 def to_arrow(arrow: Any, values: NDArray[Any], missing: NDArray[np.bool_] | None = None) -> Any:
-    """A column of numbers or truth values (rows,) as Arrow's array, null where one is missing; NaN stays NaN.
+    """Return a column of numbers or booleans (rows,) as an Arrow array, null where `missing` is set; NaN stays NaN.
 
     arrow: the module pyarrow.
     """
@@ -25,7 +25,7 @@ def to_arrow(arrow: Any, values: NDArray[Any], missing: NDArray[np.bool_] | None
 
 
 def repeated(arrow: Any, value: str | int | bool | None, type_: Any, rows: int) -> Any:
-    """A column that has one value in every row; type_: of Arrow, string, int64 or bool."""
+    """Return a column with the same value in every row; type_: Arrow's string, int64 or bool."""
     if value is None:
         return arrow.nulls(rows, type_)
     if type_ == arrow.string():
@@ -38,7 +38,7 @@ def repeated(arrow: Any, value: str | int | bool | None, type_: Any, rows: int) 
 
 
 def to_numpy(column: Any) -> NDArray[Any]:
-    """Arrow's array of numbers or truth values as one of numpy; where some are null, as floats with NaN."""
+    """Return an Arrow array of numbers or booleans as a numpy array; if it has nulls, as floats with NaN."""
     first, stop = column.offset, column.offset + len(column)
     kind = str(column.type)
     if kind == "null":
@@ -57,7 +57,7 @@ def to_numpy(column: Any) -> NDArray[Any]:
 
 
 def is_known(column: Any) -> NDArray[np.bool_]:
-    """Which rows (rows,) of Arrow's array are not null."""
+    """Return a mask (rows,) of the rows of an Arrow array that are not null."""
     valid = column.buffers()[0]
     if valid is None:
         return np.full(len(column), not column.null_count)

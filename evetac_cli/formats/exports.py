@@ -1,9 +1,9 @@
-"""Recordings -> what other programs read: files, or a folder of many trials, and one table of the formats.
+"""Export recordings to files, or to a folder of many trials, that other programs read; one table lists the formats.
 
-Of a recording, the formats of events hold the events and, in a note (formats/note.py), where it begins and ends, its
-frame and whether it was simulated; so it comes back from them event for event and slice for slice. What a format does
-not hold of gripper, truth, control and dots is left out, and that is said. Tables and data sets for policies hold a
-trial: the recording and what was computed from it, with a row a slice or a frame, and no single events.
+Event formats store the events of a recording. A note (formats/note.py) adds its begin and end, its frame and whether it
+was simulated, so an import restores it event for event and slice for slice. Gripper, truth, control and dots are left
+out where the format cannot store them, and the export reports this. Tables and data sets for policies store a trial:
+the recording and everything computed from it, one row per slice or frame, without single events.
 """
 
 import os
@@ -36,12 +36,15 @@ from evetac_cli.store.recordings.read import Recording
 
 
 class ExportFormat(NamedTuple):
-    """A row of the table: endings of its files, the usual one first; who writes them; whether they hold events.
+    """A row of the table: the file endings (the usual one first), the writer, and whether the files store events.
 
-    of_trial: `write` gets the TrialFiles instead of the Recording, and returns what it could not show. write_folder:
-    who writes a data set of many trials.
-    holds: groups and datasets of a recording that they hold beside its events. takes: the parameters of `export` that
-    have an effect; all but `model`, which chooses what of_trial gets, go to the writer. A plug-in's row is like ours.
+    - of_trial: `write` gets the TrialFiles instead of the Recording, and returns what it could not show.
+    - write_folder: the function that writes a data set of many trials.
+    - holds: groups and datasets of a recording that the files store in addition to its events.
+    - takes: the parameters of `export` that have an effect. All except `model` are passed to the writer; `model`
+      selects the detector whose slip probability is among the TrialFiles.
+
+    A plug-in provides a row of the same type.
     """
 
     suffixes: tuple[str, ...]
@@ -54,7 +57,7 @@ class ExportFormat(NamedTuple):
 
 
 TABLE: dict[str, Any] = {"events": False, "of_trial": True, "takes": ("model",)}
-OF_IMAGES = ("fps", "size")  # parameters of all images of events
+OF_IMAGES = ("fps", "size")  # parameters of every event image format
 
 OF_LEROBOT = (
     *("fps", "per_frame", "test_objects", "task", "tactile_key", "tactile_layout"),
@@ -90,21 +93,21 @@ FORMATS = {
         write_folder=write_lerobot.write,
     ),
 }
-# Groups and datasets of a recording that a file of events cannot hold.
+# Groups and datasets of a recording that an event file cannot store.
 LEFT_OUT = ("gripper", "truth", "control", "capture", "marks", "streams", "sensor/dot_xy_px", "sensor/window_px")
 
 
 def named_format(name: str) -> ExportFormat:
-    """The row of a format, ours or a plug-in's; InputError if there is none of this name."""
+    """Return the row of a format, built in or from a plug-in; raise InputError if none has this name."""
     row = FORMATS.get(name) or plugins.find(plugins.EXPORTERS, name, ExportFormat)
     if row is None:
         expected = ", ".join((*FORMATS, *plugins.usable(plugins.EXPORTERS)))
-        raise InputError("unknown value", where="--format", expected=expected, found=name)
+        raise InputError("unknown format", where="--format", expected=expected, found=name)
     return row
 
 
 def is_folder(format_: str, out: Path | None) -> bool:
-    """Whether all recordings go into one folder: of formats that have nothing else, and where `out` names no file."""
+    """Whether all recordings go into one folder: the format writes only folders, or `out` is not a file name."""
     row = named_format(format_)
     if row.write_folder is None:
         return False
@@ -112,7 +115,7 @@ def is_folder(format_: str, out: Path | None) -> bool:
 
 
 def target_path(source: Path, format_: str, out: Path | None) -> Path:
-    """`<name><ending>` beside the recording or in the folder `out`, or the file `out` if it ends so."""
+    """Return `<name><ending>` next to the recording or in the folder `out`, or `out` if it has such an ending."""
     suffixes = named_format(format_).suffixes
     if out is None:
         return source.with_name(stem(source) + suffixes[0])
@@ -120,7 +123,7 @@ def target_path(source: Path, format_: str, out: Path | None) -> Path:
         return out / (stem(source) + suffixes[0])
     if out.suffix.lower() not in {Path("x" + suffix).suffix for suffix in suffixes}:
         raise InputError(
-            "wrong kind of output",
+            "the output's name does not fit the format",
             where=str(out),
             expected=f"a name that ends in {' or '.join(suffixes)}, or a folder",
             found=out.suffix,
@@ -138,10 +141,10 @@ def export(
     progress: Progress = silent,
     opened: Opener = recording_alone,
 ) -> dict[str, Any]:
-    """Write a recording in another format, all or nothing; returns what was written and what was left out.
+    """Write a recording in another format, completely or not at all; return what was written and what was left out.
 
-    options: of the format. opened: gives the files of the recording's trial. InputError if the target exists, unless
-    `force`, or if the recording has not got what the format holds.
+    options: of the format. opened: opens the files of the recording's trial. Raises InputError if the target exists and
+    `force` is not set, or if the recording lacks data that the format requires.
     """
     require_possible_name(target)
     if target.is_dir():
@@ -173,7 +176,7 @@ def export(
 
 
 def _left_out(recording: Recording, holds: tuple[str, ...]) -> list[str]:
-    """What a file of events does not hold of a recording: whole groups, and datasets of those that it holds in part."""
+    """Return the contents of a recording that an event file does not store: whole groups, or single datasets."""
     names: list[str] = []
     for group in LEFT_OUT:
         paths = [path for path in recording.contents() if path == group or path.startswith(f"{group}/")]
@@ -192,9 +195,10 @@ def export_folder(
     progress: Progress = silent,
     opened: Opener = recording_alone,
 ) -> dict[str, Any]:
-    """Write many recordings as one data set in a folder, all or nothing; returns what was written and what left out.
+    """Write many recordings as one data set in a folder, completely or not at all; return what was written and omitted.
 
-    options: of the format. InputError if the folder exists, unless `force` and it is as evetac made it.
+    options: of the format. Raises InputError if the folder exists. With `force`, a folder that evetac wrote and that is
+    unchanged is replaced.
     """
     require_possible_name(folder)
     row = named_format(format_)

@@ -1,6 +1,7 @@
-"""Other people's event files -> our columns: one function, and one table of the formats that are read.
+"""Read other programs' event files into evetac's columns; one table lists the formats.
 
-The content decides, not the file's name. What all formats share is checked in one place, read/event_validation.
+A format is recognized by the file's content, not by its name. The checks that all formats share are in
+read/event_validation.
 """
 
 import math
@@ -40,28 +41,28 @@ EXPECTED = names.either(names.IMPORTS.values())
 HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 HDF5_SIGNATURE_AT = (0, 512, 1024, 2048)  # a user block may come before it
 HEAD_BYTES = 4096
-LEAST_MARK = 4  # bytes by which a file of a plug-in's format is known: fewer would be found by chance
+LEAST_MARK = 4  # bytes that a plug-in's format must begin with: a shorter mark would occur in other files by chance
 BINARY_SUFFIXES = (".aedat4", ".h5", ".hdf5", ".bag", ".db3", ".mcap", ".raw", ".npy", ".npz", ".aedat", ".bin", ".es")
-# Frames of event cameras that are sold or in data sets, smallest first; and one that holds them all.
+# Frame sizes of event cameras that are sold or used in data sets, smallest first; and a frame larger than all of them.
 FRAMES_PX = ((128, 128), (240, 180), (304, 240), (320, 240), (346, 260), (320, 320), (640, 480), (1280, 720))
 ANY_FRAME_PX = (2048, 2048)
-MOST_NAMED = 12  # of what was left out
+MOST_NAMED = 12  # kinds of left-out data that a note lists by name
 LARGE_LOSS = 0.02  # share of events dropped for one reason, above which a note says so
 
 
-# What a user may say of a file, by name, and which files it is for.
+# What a user may specify about a file: the flag, and the files that it applies to.
 SAID = {
-    "stream": ("--stream", "files that may hold several streams of events: AEDAT4, HDF5, npz and bags"),
-    "columns": ("--columns", "files of four columns without names: text, numpy and HDF5"),
-    "time_unit": ("--time-unit", "files that do not say their unit of time: text, numpy and HDF5"),
+    "stream": ("--stream", "files that may contain several event streams: AEDAT4, HDF5, npz and bags"),
+    "columns": ("--columns", "files of four unnamed columns: text, numpy and HDF5"),
+    "time_unit": ("--time-unit", "files that do not state their unit of time: text, numpy and HDF5"),
 }
 
 
 class ImportFormat(NamedTuple):
-    """How a file of the format begins, at one of which places, who reads it, and what a user may say of it (SAID).
+    """The bytes that a file of the format begins with, their possible offsets, its reader, and the options (SAID).
 
-    read: takes the path, the frame (width, height) or None, and what the user says, and gives a Foreign. A plug-in's
-    row is one of these; it is asked where no format of ours knows the file, which then begins with its mark.
+    read: called with the path, the frame (width, height) or None, and the user's options; returns a Foreign. A plug-in
+    provides a row of this type. It is tried if no built-in format matches and the file begins with the plug-in's mark.
     """
 
     begins: tuple[bytes, ...]
@@ -71,7 +72,7 @@ class ImportFormat(NamedTuple):
 
 
 BAG = ImportFormat(read_rosbag.SIGNS, open_rosbag, ("stream",))
-TEXT = ImportFormat((), open_text, ("columns", "time_unit"))  # begins with anything, so it is tried last
+TEXT = ImportFormat((), open_text, ("columns", "time_unit"))  # may begin with anything, so it is tried last
 FORMATS = {
     "aedat4": ImportFormat((b"#!AER-DAT4",), open_aedat4, ("stream",)),
     "aedat3": ImportFormat((read_aedat3.SIGN,), read_aedat3.open_aedat3),
@@ -83,67 +84,75 @@ FORMATS = {
     "text": TEXT,
 }
 
-# Who reads what is kept beside the events.
+# The readers of data other than events that is kept.
 OTHER_STREAMS = {"aedat3": aedat3_streams, "aedat4": aedat4_streams, "rosbag": bag_streams}
-SAVED = "numpy.savez('A.npz', t_us=t, x=x, y=y, p=p) saves columns, x and y from 0, p 1 where it got brighter"
-# The five bytes of an event of N-MNIST and N-Caltech101, whose files begin with no mark.
+SAVED = "then save it with numpy.savez('A.npz', t_us=t, x=x, y=y, p=p): x and y from 0, p 1 for ON (brighter)"
+# The five bytes of an event of N-MNIST and N-Caltech101, whose files have no mark at their beginning.
 FIVE_BYTES = (
-    "if it is of N-MNIST or N-Caltech101: b = numpy.fromfile('A.bin', 'u1').astype(int).reshape(-1, 5); numpy.savez("
+    "for N-MNIST or N-Caltech101: b = numpy.fromfile('A.bin', 'u1').astype(int).reshape(-1, 5); numpy.savez("
     "'A.npz', t_us=(b[:, 2] & 127) << 16 | b[:, 3] << 8 | b[:, 4], x=b[:, 0], y=b[:, 1], p=b[:, 2] >> 7)"
 )
-# Files that people keep beside their event files: how they begin, what they are, and how to convert them.
+# Files that are often confused with event files: how they begin, what they are, and how to convert them.
 OTHER_FILES: tuple[tuple[tuple[bytes, ...], str, str], ...] = (
-    ((b"#!AER-DAT",), "AEDAT of another version", "convert it to AEDAT4 with the maker's DV, or to text"),
-    ((b"#ROSBAG",), "a ROS bag older than 2.0", "rosbag migrate"),
-    ((b"PK\x05\x06",), "an empty archive", "pack it again"),
-    ((b"\x1f\x8b",), "gzip", "unpack it with gunzip"),
-    ((b"\x28\xb5\x2f\xfd",), "Zstandard", "unpack it with zstd -d, or name the folder of the bag that it belongs to"),
+    ((b"#!AER-DAT",), "AEDAT of another version", "convert it to AEDAT4 with iniVation's DV, or to text"),
+    ((b"#ROSBAG",), "a ROS bag older than 2.0", "convert it with `rosbag migrate`"),
+    ((b"PK\x05\x06",), "an empty zip archive", "create the archive again"),
+    ((b"\x1f\x8b",), "a gzip file", "unpack it with gunzip"),
+    (
+        (b"\x28\xb5\x2f\xfd",),
+        "a Zstandard file",
+        "unpack it with zstd -d; if it is part of a bag, give the bag's folder instead",
+    ),
     (
         (b"Event Stream",),
         "Event Stream (.es)",
-        "faery converts it, if it is of a DVS or ATIS: python -c"
+        "faery converts it, if it was recorded with a DVS or ATIS: python -c"
         " \"import faery; faery.events_stream_from_file('A.es').to_file('A.aedat4')\"",
     ),
-    ((b"MATLAB 5.0 MAT-file",), "a file of MATLAB", f"scipy.io.loadmat('A.mat') reads it; {SAVED}"),
-    ((b"MATLAB 7.3 MAT-file",), "a file of MATLAB", f"h5py.File('A.mat')['TD/ts'][()].ravel() is a column; {SAVED}"),
+    ((b"MATLAB 5.0 MAT-file",), "a MATLAB file", f"read it with scipy.io.loadmat('A.mat'), {SAVED}"),
+    (
+        (b"MATLAB 7.3 MAT-file",),
+        "a MATLAB file",
+        f"read each column, for example h5py.File('A.mat')['TD/ts'][()].ravel(), {SAVED}",
+    ),
     (
         (b"\x80\x02", b"\x80\x03", b"\x80\x04", b"\x80\x05"),
         "a Python pickle",
-        "pickles are never loaded, as they can run code: write it as text or HDF5",
+        "evetac never loads pickles, because they can run code: save the events as text or HDF5",
     ),
 )
 
 
 @dataclass(frozen=True)
 class Facts:
-    """What is known of another program's file once its events were read."""
+    """Facts about another program's file, available after its events have been read."""
 
-    size: int  # events; the first one at t = 0, unless the file says when its recording began
+    size: int  # events; the first one is at t = 0, unless the file states when its recording began
     frame_px: tuple[int, int]  # width, height
-    t_offset_us: int  # where t = 0 is in the file's own clock
-    slices: int  # up to and with the slice of the last event; 0 without events; more where an export of ours had more
+    t_offset_us: int  # t = 0 on the file's own clock
+    slices: int  # up to the slice of the last event; 0 without events; more if an evetac export had more
     format: str  # aedat2, aedat3, aedat4, hdf5, numpy, prophesee, rosbag or text
     counts: dict[str, int]  # events dropped, by reason: not_a_number, out_of_frame
-    sorted: int  # events put back in order
-    notes: list[str]  # what the user should know: other streams, losses, what was assumed and what was left out
+    sorted: int  # events that were out of order and were sorted
+    notes: list[str]  # for the user: other streams, losses, assumptions and data that was left out
     streams: list[Stream]  # IMU samples, triggers, frames: in the recording's clock
-    left_out: dict[str, int]  # what the file holds beside these events, and how much of it: frames, IMU samples, ...
-    simulated: bool  # an export of ours says that its events come from a simulation
+    left_out: dict[str, int]  # amounts of other data in the file that were not imported: frames, IMU samples, ...
+    simulated: bool  # the note of an evetac export states that its events are simulated
 
 
 @dataclass(frozen=True)
 class Imported(Facts):
-    """The events of another program's file, in our columns, in memory."""
+    """The events of another program's file in evetac's columns, in memory, with the facts about the file."""
 
     events: Events
 
 
 class EventFile:
-    """Another program's event file: its frame at once, then its events in blocks, and with the last of them its facts.
+    """Another program's event file: its frame first, then its events in blocks, and after the last block its facts.
 
-    The number of slices is the last event's slice + 1, not the duration rounded up: an event at exactly 2 ms lies in
-    the third slice. A file without any event is a recording without any where the format says that it is whole
-    (AEDAT4 that was closed, HDF5, an export of ours), and refused elsewhere.
+    The number of slices is the last event's slice + 1, not the duration rounded up: an event at exactly 2 ms belongs to
+    the third slice. A file without events is imported as an empty recording if its format shows that the file is
+    complete (AEDAT4 that was closed, HDF5, an export of evetac). Otherwise it is refused.
     """
 
     def __init__(
@@ -159,19 +168,20 @@ class EventFile:
         folder: Path | None = None,
         progress: Progress = silent,
     ) -> None:
-        """Recognize the file and find its frame; InputError for what is no event file.
+        """Recognize the file and determine its frame; raise InputError if it is not an event file.
 
-        columns: names of four columns that have none, as in "x y t p"; without it, the first known order that fits.
-        folder: on whose disk events wait that are to be sorted; the one for temporary files otherwise.
-        frame_px: (width, height), refused if it contradicts the file; without it, where the file does not say it (text,
-        HDF5), that of the smallest known sensor that holds all events, and a note says so.
-        frames: keep frames too, which may be many times larger than the events; IMU samples and triggers always are.
-        order: what becomes of events that are not in the order of their time; without options such a file is refused.
-        path: a file, or the folder of a ROS 2 bag.
-        progress: of the events that were read; how many there will be, no format says.
-        stream: the event stream of an AEDAT4 file, the topic of a bag, the camera of an HDF5 file, or the array of an
-        npz, that has several; the first by name otherwise.
-        time_unit: s, ms, us or ns, where the file does not say it; without it, us if all times are whole, else s.
+        - columns: names of four unnamed columns, for example "x y t p"; by default the first known order that fits.
+        - folder: where events that must be sorted are stored temporarily; by default the folder for temporary files.
+        - frame_px: (width, height); an error if it contradicts the file. If it is not given and the file does not state
+          it (text, HDF5), the frame of the smallest known sensor that contains all events is used, and a note says so.
+        - frames: keep frames too, which may be many times larger than the events; IMU samples and triggers are always
+          kept.
+        - order: how to handle events that are out of order; by default such a file is refused.
+        - path: a file, or the folder of a ROS 2 bag.
+        - progress: receives the number of events read; the total is unknown, because no format states it.
+        - stream: the event stream of an AEDAT4 file, topic of a bag, camera of an HDF5 file or array of an npz to read
+          if there are several; by default the first by name.
+        - time_unit: s, ms, us or ns, if the file does not state it; by default us if all times are whole, otherwise s.
         """
         self._path, self._where = Path(path), str(path)
         self._steady = Steady(self._path)
@@ -188,10 +198,10 @@ class EventFile:
         self.frame_px = self._foreign.frame_px
 
     def blocks(self) -> Iterator[Events]:
-        """All events in the order of their time; after them there is `facts`.
+        """Yield all events in time order; afterwards `facts` is set.
 
-        InputError, as late as after the last block, where the file cannot be used: then all of them are void. Of a
-        damaged AEDAT4 file what is intact.
+        Raises InputError if the file cannot be used, possibly only after the last block: discard all blocks then. Of a
+        damaged AEDAT4 file, the intact events are yielded.
         """
         foreign, normal = self._foreign, Normal()
         batches = foreign.batches
@@ -205,7 +215,7 @@ class EventFile:
                     break
                 yield block
         finally:
-            if isinstance(batches, Generator):  # a refusal leaves it with its file open
+            if isinstance(batches, Generator):  # after an error its file is still open
                 batches.close()
         self.facts = self._facts(normal)
         self._steady.check()
@@ -214,18 +224,18 @@ class EventFile:
         foreign, note = self._foreign, self._foreign.note
         notes = [*foreign.notes, *_losses(foreign, normal)]
         if note is None and not normal.size:
-            notes.append("the file holds no events")
+            notes.append("the file has no events")
         notes += normal.notes
         notes += foreign.times.notes if foreign.times else []
         slices = (normal.last_us - normal.first_us) // SLICE_US + 1 if normal.size else 0
         if note and not foreign.cut_short and not _lacks_events(foreign, normal):
-            slices = max(slices, note.slices)  # what a cut file lost is unknown: it gets no empty slices instead
+            slices = max(slices, note.slices)  # not for a truncated file: its lost slices were not necessarily empty
         t_offset_us = normal.first_us + foreign.clock_us if normal.size or note else 0
         with _reading(self._path, self._steady):
             if self._order.from_restart is None:
                 options = {"frames": self._frames, "folder": self._folder, "topic": self._stream}
                 streams, said = _kept(self._path, foreign, t_offset_us, slices, options)
-            else:  # their times do not say which part they belong to
+            else:  # their times do not show which part they belong to
                 streams, said = [], []
                 foreign.left_out |= {stream.name: len(stream.t_us) for stream in foreign.streams}
         notes += [*said, *_unsaid(foreign, streams)]
@@ -245,7 +255,7 @@ class EventFile:
 
 
 def read_events(path: str | Path, **options: Any) -> Imported:
-    """Read another program's event file into memory: all of it or an InputError; options are those of EventFile."""
+    """Read another program's event file into memory, or raise InputError; options are those of EventFile."""
     file = EventFile(path, **options)
     events = concatenate(list(file.blocks()))
     return Imported(**vars(file.facts), events=events)
@@ -253,7 +263,7 @@ def read_events(path: str | Path, **options: Any) -> Imported:
 
 @contextmanager
 def _reading(path: Path, before: Steady) -> Iterator[None]:
-    """What goes wrong while a file is read, in words; a fault of one that is being written is none of its own."""
+    """Turn errors while reading into InputError; if the file changed during reading, report that instead."""
     try:
         yield
     except InputError:
@@ -263,16 +273,18 @@ def _reading(path: Path, before: Steady) -> Iterator[None]:
         raise cannot_read(error, path) from error
     except MemoryError as error:
         raise InputError(
-            "does not fit in memory", where=str(path), hint="cut it into parts with the program that wrote it"
+            "the file does not fit in memory",
+            where=str(path),
+            hint="split it with the program that wrote it",
         ) from error
 
 
 def _kept(
     path: Path, foreign: Foreign, t_offset_us: int, slices: int, options: dict[str, Any]
 ) -> tuple[list[Stream], list[str]]:
-    """The other streams of the file that are kept, in the recording's clock, and notes on how they came there.
+    """Return the other streams that are kept, in the recording's clock, and notes on their conversion.
 
-    What came is no longer left out.
+    Streams that are kept are removed from `foreign.left_out`.
     """
     read = OTHER_STREAMS.get(foreign.format)
     streams: list[Stream] = []
@@ -296,7 +308,7 @@ def _kept(
 
 
 def _unsaid(foreign: Foreign, streams: list[Stream]) -> Iterator[str]:
-    """What was kept beside the events, what was left out, counted, and what was assumed, in words."""
+    """Yield notes: what was kept in addition to the events, what was left out (with counts), what was assumed."""
     if streams:
         yield "kept: " + ", ".join(f"{len(stream.t_us):,} samples of {stream.name}" for stream in streams)
     if foreign.left_out:
@@ -307,14 +319,14 @@ def _unsaid(foreign: Foreign, streams: list[Stream]) -> Iterator[str]:
 
 
 def left_out_text(left_out: dict[str, int]) -> str:
-    """Names and counts on one line; of very many the first, and how many there are."""
+    """Return names and counts on one line: the first MOST_NAMED, and the number of further kinds."""
     named = [f"{name} {count:,}" for name, count in left_out.items()]
     more = [f"and {len(named) - MOST_NAMED} more kinds"] if len(named) > MOST_NAMED else []
     return ", ".join([*named[:MOST_NAMED], *more])
 
 
 def _counted(batches: Iterable[EventColumns], progress: Progress) -> Iterator[EventColumns]:
-    """The same batches, with their events counted. Ctrl-C is heard here."""
+    """Yield the same batches and report the events read so far; stop here on Ctrl-C."""
     count = 0
     for batch in batches:
         leave_if_interrupted()
@@ -324,27 +336,27 @@ def _counted(batches: Iterable[EventColumns], progress: Progress) -> Iterator[Ev
 
 
 def _lacks_events(foreign: Foreign, normal: Normal) -> bool:
-    """Whether an export of ours has fewer events than were written into it."""
+    """Whether a file that evetac exported has fewer events than were written into it."""
     written = foreign.note.events if foreign.note else None
     return written is not None and normal.size + sum(normal.dropped.values()) < written
 
 
 def _losses(foreign: Foreign, normal: Normal) -> Iterator[str]:
-    """What is missing and was not said by the reader, in words; of dropped events only where they are many."""
+    """Yield notes on losses that the reader did not report; dropped events only if they exceed LARGE_LOSS."""
     if foreign.note and not foreign.cut_short and _lacks_events(foreign, normal):
-        yield f"cut short: {normal.size} events of the {foreign.note.events} that were exported"
+        yield f"cut short: {normal.size} events are left of the {foreign.note.events} that were exported"
     dropped = normal.dropped
     read = normal.size + sum(dropped.values())
     if dropped["out_of_frame"] > LARGE_LOSS * read:
         frame = "{}x{}".format(*foreign.frame_px)
         share = f"{dropped['out_of_frame'] / read:.0%}"
-        yield f"{share} of the events lie outside {frame} and were dropped; is it the frame?"
+        yield f"{share} of the events are outside {frame} and were dropped; is this frame size right?"
     if dropped["not_a_number"] > LARGE_LOSS * read:
-        yield f"{dropped['not_a_number'] / read:.0%} of the events were dropped: not all of t, x, y, p are numbers"
+        yield f"{dropped['not_a_number'] / read:.0%} of the events were dropped: t, x, y or p is not a number"
 
 
 def _open(path: Path, frame_px: tuple[int, int] | None, said: Mapping[str, str]) -> Foreign:
-    """Recognize the format by the first bytes and hand over to its reader, with what the user says of the file."""
+    """Recognize the format by the first bytes and call its reader with the user's options."""
     format_ = BAG if path.is_dir() and is_bag_folder(path) else _format(path)
     for name in said.keys() - set(format_.said):  # an option that would do nothing is an error
         flag, files = SAID[name]
@@ -353,7 +365,7 @@ def _open(path: Path, frame_px: tuple[int, int] | None, said: Mapping[str, str])
 
 
 def _open_with_guessed_frame(path: Path, said: Mapping[str, str], unknown: FrameUnknown) -> Foreign:
-    """The file with the frame of the smallest known sensor that holds all its events; `unknown` where none does."""
+    """Open the file with the frame of the smallest known sensor that fits all events; raise `unknown` if none does."""
     width = height = 0
     batches = _open(path, ANY_FRAME_PX, said).batches
     try:
@@ -371,7 +383,7 @@ def _open_with_guessed_frame(path: Path, said: Mapping[str, str], unknown: Frame
     foreign = _open(path, fitting[0], said)
     frame = "{}x{}".format(*fitting[0])
     foreign.notes.append(
-        f"the file does not state its frame size: took {frame}, of the smallest known sensor that holds all events"
+        f"the file does not state its frame size: assumed {frame}, the smallest known sensor that fits all events"
         f" ({width}x{height}); --frame-size sets another"
     )
     if swapped := _swapped(width, height, fitting[0]):
@@ -380,18 +392,18 @@ def _open_with_guessed_frame(path: Path, said: Mapping[str, str], unknown: Frame
 
 
 def _swapped(width: int, height: int, frame_px: tuple[int, int]) -> str:
-    """A note where the events fill a smaller sensor with columns and rows exchanged; empty otherwise."""
+    """Return a note if the events would fit a smaller sensor with x and y exchanged; empty otherwise."""
     exchanged = next(((w, h) for w, h in FRAMES_PX if w >= height and h >= width), None)
     if width >= height or exchanged is None or math.prod(exchanged) >= math.prod(frame_px):
         return ""
     sensor = "{}x{}".format(*exchanged)
     return (
-        f"x reaches {width - 1} and y reaches {height - 1}: are they exchanged? The other way round they fit {sensor}"
+        f"x reaches {width - 1} and y reaches {height - 1}: are x and y exchanged? Exchanged, they would fit {sensor}"
     )
 
 
 def _format(path: Path) -> ImportFormat:
-    """The row that a file belongs to; text if its first line looks like text."""
+    """Return the row of the format that a file has; text if its first line looks like text."""
     where = str(path)
     head = _head(path)
     for format_ in FORMATS.values():
@@ -400,9 +412,9 @@ def _format(path: Path) -> ImportFormat:
     for starts, name, hint in OTHER_FILES:
         if head.startswith(starts):
             raise InputError(
-                "not a file of events that can be read", where=where, expected=EXPECTED, found=name, hint=hint
+                "not an event file that evetac can read", where=where, expected=EXPECTED, found=name, hint=hint
             )
-    for format_ in FORMATS.values():  # behind a block of somebody's own
+    for format_ in FORMATS.values():  # after a user block, which HDF5 allows
         if any(head.startswith(format_.begins, at) for at in format_.at):
             return format_
     first_line = head.partition(b"\n")[0]
@@ -414,13 +426,13 @@ def _format(path: Path) -> ImportFormat:
             return of_plugin
     if binary or path.suffix.lower() in BINARY_SUFFIXES:
         raise InputError(
-            "not a file of events that can be read",
+            "not an event file that evetac can read",
             where=where,
             expected=EXPECTED,
             found=f"a file that begins with {head[:16]!r}",
             hint=FIVE_BYTES
             if path.suffix.lower() == ".bin" and not path.stat().st_size % 5
-            else f"evetac doctor lists all plug-ins; left out: {'; '.join(unusable)}"
+            else f"evetac doctor lists all plug-ins; not usable: {'; '.join(unusable)}"
             if unusable
             else "",
         )
@@ -428,7 +440,10 @@ def _format(path: Path) -> ImportFormat:
 
 
 def _format_of_plugin(head: bytes, unusable: list[str]) -> ImportFormat | None:
-    """The row of a plug-in whose files begin so; those that cannot be used are added to `unusable`, with the reason."""
+    """Return the row of the plug-in whose mark the file begins with; add unusable plug-ins to `unusable`, with reasons.
+
+    None if there is no such plug-in.
+    """
     for plugin in plugins.installed(plugins.IMPORTERS):
         try:
             format_ = format_of_plugin(plugin)
@@ -442,28 +457,28 @@ def _format_of_plugin(head: bytes, unusable: list[str]) -> ImportFormat | None:
 
 
 def format_of_plugin(plugin: plugins.Plugin) -> ImportFormat:
-    """The row of a plug-in; InputError if it cannot be used."""
+    """Return the row of a plug-in; raise InputError if it cannot be used."""
     format_ = plugin.load(ImportFormat)
     begins, said = format_.begins, format_.said
     if not isinstance(begins, tuple) or not all(isinstance(mark, bytes) for mark in begins):
-        raise plugin.error(f"its `begins` is {begins!r}, and a tuple of bytes is wanted")
+        raise plugin.error(f"its `begins` must be a tuple of bytes, but is {begins!r}")
     if not any(len(mark) >= LEAST_MARK for mark in begins):
-        raise plugin.error(f"its `begins` is {begins!r}, and a mark of at least {LEAST_MARK} bytes is wanted")
+        raise plugin.error(f"its `begins` must have a mark of at least {LEAST_MARK} bytes, but is {begins!r}")
     if not callable(format_.read):
-        raise plugin.error(f"its `read` is {format_.read!r}, and a function is wanted")
+        raise plugin.error(f"its `read` must be a function, but is {format_.read!r}")
     if not isinstance(said, tuple) or not all(name in SAID for name in said):
-        raise plugin.error(f"its `said` is {said!r}, and a tuple of {', '.join(SAID)} is wanted")
+        raise plugin.error(f"its `said` must be a tuple of {', '.join(SAID)}, but is {said!r}")
     return format_
 
 
 def _head(path: Path) -> bytes:
-    """The first bytes of a plain file that has some."""
+    """Return the first bytes of a regular file; raise InputError if it is empty or not a regular file."""
     if path.is_dir():
-        hint = "name a file in it; of a bag of ROS 2, the folder that holds its .db3 or .mcap files"
+        hint = "give a file in it; for a ROS 2 bag, give the folder with its .db3 or .mcap files"
         raise InputError("this is a folder", where=str(path), expected=EXPECTED, hint=hint)
     if not path.is_file():
         what = "a device or pipe" if path.exists() else "no such file"
-        raise InputError("cannot be read", where=str(path), expected=EXPECTED, found=what)
+        raise InputError("the file cannot be read", where=str(path), expected=EXPECTED, found=what)
     with path.open("rb") as handle:
         head = handle.read(HEAD_BYTES)
     if not head:

@@ -1,8 +1,9 @@
-"""The note that an export writes into a file, and an import reads back: what the format itself cannot say.
+"""The note that an export writes into a file and an import reads back: facts that the format itself cannot store.
 
-Formats of events hold events: a recording that begins or ends in silence would come back shorter, text and HDF5 do not
-say how large the frame is, and none says that its events come from a simulation. The note is one line of JSON: in
-AEDAT4 among the stream's metadata, in HDF5 an attribute of the root, in text a comment before the first event.
+Event formats store only events. Without the note, a recording that begins or ends without events would come back
+shorter. Text and HDF5 do not store the frame size, and no format stores whether the events are simulated. The note is
+one line of JSON: metadata of the stream in AEDAT4, an attribute of the root in HDF5, a comment before the first event
+in text.
 """
 
 import json
@@ -13,43 +14,45 @@ from evetac_cli.errors import InputError
 from evetac_cli.text_files import parse_json
 
 NAME = "evetac"
-# Beyond 2^53 us (285 years) a float no longer holds whole microseconds. Camera clocks that count from 1970 are at 2^51.
+# Beyond 2^53 us (285 years) a float no longer represents whole microseconds. Camera clocks counted from 1970 are at
+# 2^51.
 CLOCK_LIMIT_US = 2**53
-# Of any import, 6 h: an index takes 8 bytes a slice, some copies at a time, and is to stay below 1 GB.
+# The longest recording that any import may produce, 6 h: an index takes 8 bytes per slice, exists in several copies at
+# a time, and must stay below 1 GB.
 LONGEST_SLICES = 6 * 3600 * 1000 + 1
 
 
 @dataclass(frozen=True)
 class Note:
-    """What the recording was: its first microsecond in the file's clock, its slices, its frame, where it comes from."""
+    """The exported recording: its first microsecond in the file's clock, its slices, its frame, and its origin."""
 
     start_us: int
     slices: int
     frame_px: tuple[int, int]
     simulated: bool
-    events: int | None = None  # how many were written: shows whether the file still has its end
+    events: int | None = None  # how many were written; fewer in the file mean that its end is missing
 
     def text(self) -> str:
-        """The note as one line of JSON, as it is written into the file."""
+        """Return the note as one line of JSON, as it is written into the file."""
         return json.dumps(asdict(self))
 
 
 def read_note(text: str, where: str) -> Note:
-    """Read a note back; InputError if somebody edited it into something else."""
+    """Parse a note; raise InputError if it was edited and no longer has the expected fields and values."""
     try:
         fields: dict[str, Any] = dict(parse_json(text))
         start_us, slices, (width, height) = fields["start_us"], fields["slices"], fields["frame_px"]
         events = fields.get("events")
         whole = all(type(number) is int for number in (start_us, slices, width, height, events or 0))
         if not whole or type(fields["simulated"]) is not bool:
-            raise ValueError("values of other types")
+            raise ValueError("values have wrong types")
         if not 0 <= slices <= LONGEST_SLICES:
-            raise ValueError(f"{slices} slices")
+            raise ValueError(f"impossible number of slices: {slices}")
         if abs(start_us) > CLOCK_LIMIT_US or (events is not None and not 0 <= events <= CLOCK_LIMIT_US):
-            raise ValueError(f"begins at {start_us} us, {events} events")
+            raise ValueError(f"impossible start or number of events: {start_us} us, {events} events")
     except (ValueError, KeyError, TypeError) as error:
         raise InputError(
-            f"the note that evetac left in it is damaged: {str(error)[:80]}",
+            f"the note that evetac wrote into this file is damaged: {str(error)[:80]}",
             where=where,
             expected=f"JSON with {', '.join(Note.__dataclass_fields__)}",
             found=text[:80],

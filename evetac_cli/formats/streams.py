@@ -1,6 +1,6 @@
-"""Files of other programs that hold a stream of a trial, brought into the clock of a recording: one function.
+"""Read another program's file with a stream of a trial, and convert its times to the clock of a recording.
 
-The content decides, not the file's name: a bag of ROS 1 or ROS 2, Parquet, else CSV.
+The format is recognized by content, not by file name: a bag of ROS 1 or ROS 2, Parquet, otherwise CSV.
 """
 
 from dataclasses import replace
@@ -20,9 +20,9 @@ from evetac_cli.text_files import open_regular, steady
 
 
 def read_stream(source: str, name: str, folder: Path | None = None) -> tuple[Stream, list[str]]:
-    """A stream in its own clock, and notes on what was left out; InputError in words.
+    """Return a stream in its own clock, and notes on what was left out; raise InputError if it cannot be read.
 
-    source: a file, or FILE:/TOPIC of a bag. folder: on whose disk the samples wait.
+    source: a file, or FILE:/TOPIC of a bag. folder: where the samples are stored temporarily.
     """
     path, topic = _parted(source)
     try:
@@ -30,30 +30,30 @@ def read_stream(source: str, name: str, folder: Path | None = None) -> tuple[Str
             if _is_bag(path):
                 stream, notes = read_bag_stream(path, topic, folder)
             elif topic:
-                raise InputError("only a bag has topics", where=str(path), found=topic)
+                raise InputError("a topic was given, but the file is not a bag", where=str(path), found=topic)
             else:
                 stream, notes = read_table(path, folder)
     except OSError as error:
         raise cannot_read(error, path) from error
     except MemoryError as error:
-        raise InputError("does not fit in memory", where=str(path), hint="a damaged file?") from error
+        raise InputError("the file does not fit in memory", where=str(path), hint="is the file damaged?") from error
     back = np.flatnonzero(stream.t_us[1:] < stream.t_us[:-1])
     if len(back):
         at = int(back[0])
         raise InputError(
-            "times go backwards",
+            "the times of the stream go backwards",
             where=f"{source}: sample {at + 2}",
             expected=f"at least {stream.t_us[at] / 1e6:.6f} s",
             found=f"{stream.t_us[at + 1] / 1e6:.6f} s",
-            hint="sort its rows by time, if they are of one clock",
+            hint="sort the rows by time, if all of them are on the same clock",
         )
     return replace(stream, name=name), notes
 
 
 def on_clock_of_events(stream: Stream, source: str, span_us: tuple[int, int]) -> tuple[Stream, str]:
-    """A stream of a bag whose events are on the sensor's own clock brought to that, and a note; else as it is.
+    """Return a bag's stream on the sensor's clock, and a note, if the bag's events use that clock; else it unchanged.
 
-    span_us: from when to when the recording is, on the clock of its events: only one that is on the sensor's counts.
+    span_us: begin and end of the recording on the clock of its events. It matters only if that is the sensor's clock.
     """
     path, _ = _parted(source)
     if not _is_bag(path):
@@ -63,9 +63,10 @@ def on_clock_of_events(stream: Stream, source: str, span_us: tuple[int, int]) ->
 
 
 def aligned(stream: Stream, offset_s: float, t_offset_us: int, slices: int, source: str) -> Stream:
-    """The samples of a stream within a recording, in its clock; InputError where there is none.
+    """Return the samples of a stream within a recording, in its clock; raise InputError if there are none.
 
-    offset_s: what brings the stream's clock to that of the event file. t_offset_us: where the recording begins in that.
+    offset_s: added to the stream's times to get times on the event file's clock.
+    t_offset_us: begin of the recording on the event file's clock.
     """
     shift_us = round(offset_s * 1e6) - t_offset_us
     moved = replace(stream, t_us=stream.t_us + shift_us, offset_s=stream.offset_s + offset_s)
@@ -76,16 +77,16 @@ def aligned(stream: Stream, offset_s: float, t_offset_us: int, slices: int, sour
     start_s = t_offset_us / 1e6
     begins_s = start_s - int(stream.t_us[0]) / 1e6
     raise InputError(
-        f"no sample of {stream.name} lies within the recording",
+        f"no sample of {stream.name} is within the recording",
         where=source,
-        expected=f"times from {start_s:.6f} to {start_s + slices * SLICE_US / 1e6:.6f} s, in the clock of the events",
+        expected=f"times from {start_s:.6f} to {start_s + slices * SLICE_US / 1e6:.6f} s, on the clock of the events",
         found=f"{first_s:.6f} to {last_s:.6f} s ({stream.clock})",
-        hint=f"--offset {stream.name}={begins_s:.6f} if both began at the same time",
+        hint=f"--offset {stream.name}={begins_s:.6f} if stream and events began at the same time",
     )
 
 
 def _parted(source: str) -> tuple[Path, str]:
-    """The file and the topic that FILE:/TOPIC names; a file of that very name comes first."""
+    """Split FILE:/TOPIC into file and topic; if a file has exactly this name, the topic is empty."""
     before, colon, topic = source.rpartition(":/")
     if not colon or not before or Path(source).exists():
         return Path(source), ""

@@ -1,1 +1,1 @@
-"""Commands for people, which no stage needs: info, validate, repair, export, doctor, view."""
+"""Commands for users that no stage depends on: info, validate, repair, export, index, doctor, share."""

@@ -1,4 +1,4 @@
-"""export: write recordings, and what was computed from them, in formats that other programs read."""
+"""export: write recordings, and the data computed from them, in formats that other programs read."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -20,26 +20,32 @@ from evetac_cli.sim.setup.plan import numbers
 from evetac_cli.store.files import StageFile
 from evetac_cli.text_files import as_utf8
 
-OF_TRACKS = ("features", "touch")  # kinds that are made from tracks
+OF_TRACKS = ("features", "touch")  # kinds of files that are computed from tracks
 
 
 def run(
     files: list[Path], params: Export, out: Path | None, *, force: bool = False, progress: Progress = silent
 ) -> Outcome:
-    """Write a file for every recording, or one folder of all; InputError, before any is written, for equal names."""
+    """Write a file for every recording, or one folder of all.
+
+    Raises InputError, before any file is written, if two recordings would have the same output.
+    """
     options = _options(params)
     opened: Opener = partial(trial_files, model=_model(params))
     if is_folder(params.format, out):
         if out is None:
             raise InputError(
-                f"{params.format} is a folder of many files", where="--out", expected="a folder", found="none"
+                f"the format {params.format} needs a folder for its files",
+                where="--out",
+                expected="a folder",
+                found="none",
             )
         row = export_folder(files, params.format, out, options, force=force, progress=progress, opened=opened)
         return Outcome([row], bool(row.pop("simulated")), {"files": len(files)})
     targets = [target_path(file, params.format, out) for file in files]
     twice = sorted({str(target) for target in targets if targets.count(target) > 1})
     if twice:
-        raise InputError("several recordings would write the same output", found=", ".join(twice))
+        raise InputError("several recordings would be written to the same file", found=", ".join(twice))
     rows = [
         export(file, params.format, target, options, force=force, progress=progress, opened=opened)
         for file, target in zip(files, targets, strict=True)
@@ -49,7 +55,7 @@ def run(
 
 
 def _model(params: Export) -> Path | None:
-    """The model whose slip probability is wanted; InputError if it is none, before any work."""
+    """Return the model whose slip probability is requested; raise InputError if it is not a model, before any work."""
     if params.model is None:
         return None
     path = model_file(params.model)
@@ -58,7 +64,7 @@ def _model(params: Export) -> Path | None:
 
 
 def _options(params: Export) -> dict[str, Any]:
-    """What was chosen for the format, for its writer; InputError for what has no effect with it."""
+    """Return the chosen options for the format's writer; raise InputError for options that the format does not use."""
     chosen = {item.name: getattr(params, item.name) for item in fields(Export) if item.name != "format"}
     given = {name: value for name, value in chosen.items() if value is not None and value is not False}
     takes = named_format(params.format).takes
@@ -66,7 +72,12 @@ def _options(params: Export) -> dict[str, Any]:
         if name not in takes:
             others = ", ".join(other for other, row in FORMATS.items() if name in row.takes)
             flag = flag_of(Export.__dataclass_fields__[name])
-            raise InputError("has no effect", where=flag, expected=f"--format {others}", found=params.format)
+            raise InputError(
+                "has no effect with this format",
+                where=flag,
+                expected=f"--format {others}",
+                found=params.format,
+            )
     if "task" in given:
         given["task"] = as_utf8(given["task"])
     if "test_objects" in given:
@@ -78,20 +89,23 @@ def _options(params: Export) -> dict[str, Any]:
 
 
 def _size(text: str) -> tuple[int, int]:
-    """Width and height from `160x120`; InputError."""
+    """Parse width and height from text such as `160x120`; raise InputError if it is invalid."""
     width, _, height = text.partition("x")
     if not (width.isdecimal() and height.isdecimal() and max(len(width), len(height)) < 6):
-        raise InputError("no size", where="--size", expected="width and height in px, as in 160x120", found=text)
+        raise InputError(
+            "not a valid size", where="--size", expected="WIDTHxHEIGHT in px, for example 160x120", found=text
+        )
     if 0 in (int(width), int(height)):
-        raise InputError("no size", where="--size", expected="a width and a height of 1 px or more", found=text)
+        raise InputError("not a valid size", where="--size", expected="a width and height of at least 1 px", found=text)
     return int(width), int(height)
 
 
 @contextmanager
 def trial_files(path: Path, model: Path | None = None) -> Iterator[TrialFiles]:
-    """The files of a recording's trial, as `view` finds them beside it; features of other tracks are left out.
+    """Open the files of a recording's trial, found next to it as in `view`; features of other tracks are left out.
 
-    With a model also its slip probability; InputError if there are no features, or it is for another dot grid.
+    With a model, its slip probability is included. Raises InputError if there are no features, or if the model is for
+    another dot grid.
     """
     with open_trial([path] if model is None else [path, model]) as trial:
         if trial.recording is None:
@@ -108,13 +122,18 @@ def trial_files(path: Path, model: Path | None = None) -> Iterator[TrialFiles]:
             return
         if "features" not in by_kind:
             hint = "evetac track, then evetac featurize"
-            raise InputError("a model needs features", where=str(path), expected="features beside it", hint=hint)
+            raise InputError(
+                "the model needs features of this recording",
+                where=str(path),
+                expected="features next to the recording",
+                hint=hint,
+            )
         probability = model_output(trial, (0, trial.slices))
         yield TrialFiles(by_kind, notes, probability, scale)
 
 
 def _mm_per_px(touch: StageFile) -> float:
-    """The scale of the maps of a touch file; asked for late, since the stage that knows it loads compiled code."""
+    """Return the scale of a touch file's maps; the import is delayed because it loads compiled code."""
     from evetac_cli.stages.touch.known_gel import mm_per_px_of
 
     return mm_per_px_of(touch.header)

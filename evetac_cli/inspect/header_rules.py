@@ -1,20 +1,20 @@
-"""Whether a header follows the rules of schemas/header.v1.json, without jsonschema.
+"""Check whether a header follows the rules of schemas/header.v1.json, without jsonschema.
 
-Why so: jsonschema takes as long to load as a file to be validated. It is asked only where a header does not follow the
-rules, or where they use more than what is known here: it says in words what is wrong.
+Reason: importing jsonschema takes as long as validating a file. It is used only if a header does not follow the rules,
+for its error message, or if the rules use keywords that are not implemented here.
 """
 
 import re
 from collections.abc import Callable, Mapping
 from typing import Any
 
-NOTES = ("$schema", "$defs", "title", "description")  # ask for nothing
+NOTES = ("$schema", "$defs", "title", "description")  # keywords without requirements
 TYPES: Mapping[str, type] = {"object": dict, "array": list, "string": str, "boolean": bool, "null": type(None)}
 Rules = Mapping[str, Any]
 
 
 def follows(value: Any, rules: Rules) -> bool:
-    """Whether a value of JSON is known to follow the rules of a JSON schema (draft 2020-12)."""
+    """Whether a JSON value follows the rules of a JSON schema (draft 2020-12); False also if that is unknown."""
     try:
         return _follows(value, rules, rules.get("$defs", {}))
     except NotImplementedError:
@@ -22,7 +22,7 @@ def follows(value: Any, rules: Rules) -> bool:
 
 
 def _follows(value: Any, rules: Rules, named: Rules) -> bool:
-    """The same; NotImplementedError where that cannot be told here. named: rules that others refer to."""
+    """Whether a value follows the rules; NotImplementedError for other keywords. named: rules that others refer to."""
     if unknown := rules.keys() - _KEYWORDS.keys() - {*NOTES}:
         raise NotImplementedError(f"keywords {', '.join(unknown)}")
     return all(_KEYWORDS[word](value, asked, rules, named) for word, asked in rules.items() if word not in NOTES)
@@ -31,7 +31,7 @@ def _follows(value: Any, rules: Rules, named: Rules) -> bool:
 def _is_of(value: Any, kind: str) -> bool:
     if kind in TYPES:
         return isinstance(value, TYPES[kind])
-    if kind != "integer" or isinstance(value, float):  # of which 1.0 is an integer
+    if kind != "integer" or isinstance(value, float):  # 1.0 would count as an integer
         raise NotImplementedError(f"type {kind}")
     return isinstance(value, int) and not isinstance(value, bool)
 

@@ -1,4 +1,4 @@
-"""index: make the index of a data set, or bring it up to date; and what `info FOLDER` answers from it."""
+"""index: build or update the index of a data set; and the answers of `info FOLDER`, which uses the index."""
 
 import os
 import re
@@ -14,19 +14,19 @@ from evetac_cli.jobs import Outcome, Progress, silent
 from evetac_cli.store.index import FOREIGN, Describe, Index, IndexRow, one_by_one, open_index
 from evetac_cli.text_files import as_utf8
 
-HIDDEN = ("changed_ns", "inode", "dot_radius_px", "grid")  # what tells whether a row, or an output, is up to date
-NAMES = tuple(name for name in IndexRow._fields if name not in HIDDEN)  # that --where knows, and a row shows
+HIDDEN = ("changed_ns", "inode", "dot_radius_px", "grid")  # used to check whether a row, or an output, is up to date
+NAMES = tuple(name for name in IndexRow._fields if name not in HIDDEN)  # columns for --where, shown in rows
 SHOWN = ("path", "object", "sensor", "seed", "trial", "outcome")
-COUNTED = ("object", "sensor", "scene", "outcome")  # of each kind of file, a table each
-MOST_UNREADABLE = 20  # of the files that are named with their reasons
+COUNTED = ("object", "sensor", "scene", "outcome")  # a table of counts for each
+MOST_UNREADABLE = 20  # files that are listed with their reasons
 MISSING = "none"
-TRUTH: dict[str, Any] = {"yes": 1, "no": 0}  # as simulated is shown in a table
+TRUTH: dict[str, Any] = {"yes": 1, "no": 0}  # values of `simulated` as shown in a table
 
 
-# Stage files, broken ones among them; all others are FOREIGN.
+# Stage files, including damaged ones; all others are FOREIGN.
 _OURS = "(kind IS NOT NULL OR error IS NOT NULL)"
 _TOTALS = f"SELECT COUNT(CASE WHEN {_OURS} THEN 1 END), COUNT(error), MAX(simulated) FROM files"
-# Recordings that slip by their truth, or by labels that were made from them.
+# Recordings that slip according to their truth, or to labels made from them.
 _SLIPPING = (
     "kind = 'recording' AND (outcome = 'slips' OR (outcome IS NULL AND recipe_id IN"
     " (SELECT recording FROM files WHERE kind = 'labels' AND outcome = 'slips')))"
@@ -35,7 +35,7 @@ _SLIPPING = (
 
 @contextmanager
 def indexed(folder: Path, progress: Progress, describe_files: Describe = one_by_one) -> Iterator[Index]:
-    """The index of a folder, up to date; what lies in its place and is none is said."""
+    """Open the up-to-date index of a folder; print a note if a file with its name is not an index."""
     with open_index(folder, progress, describe_files) as index:
         if index.note:
             say(f"{folder}: {index.note}")
@@ -43,7 +43,7 @@ def indexed(folder: Path, progress: Progress, describe_files: Describe = one_by_
 
 
 def run(folders: list[Path], progress: Progress = silent, describe_files: Describe = one_by_one) -> Outcome:
-    """A row for every folder: how many files it has, and how many had to be read for that."""
+    """Return a row for every folder: the number of its files, and of those that had to be read."""
     rows = []
     simulated = False
     for folder in folders:
@@ -61,7 +61,7 @@ def show(result: Outcome) -> None:
 
 
 def answer(folder: Path, conditions: Sequence[str], progress: Progress = silent) -> Outcome:
-    """What a data set holds: counts of its files, covariates of its slips; with conditions (`object=3`) its files."""
+    """Return counts of a data set's files and covariates of its slips; with conditions (`object=3`) its files."""
     where, values = _condition(conditions)
     with indexed(folder, progress) as index:
         rows = _files(index, where, values) if conditions else list(_counts(index))
@@ -77,7 +77,7 @@ def answer(folder: Path, conditions: Sequence[str], progress: Progress = silent)
 
 
 def for_people(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Rows of files with the columns that fit into a terminal: --json has all; other rows stay as they are."""
+    """Return rows of files with the columns that fit into a terminal; --json has all. Other rows are unchanged."""
     broken = any(row.get("error") for row in rows)
     names = ("path", "error") if broken else SHOWN
     return [{name: row[name] for name in names} if "path" in row else row for row in rows]
@@ -91,11 +91,11 @@ def _files(index: Index, where: str, values: list[Any]) -> list[dict[str, Any]]:
 
 
 def _covariates(index: Index, folder: Path, progress: Progress) -> tuple[list[dict[str, Any]], dict[str, Any]]:
-    """Rows of covariates of the recordings that slip, and of how many they are; nothing where none does."""
+    """Return rows of covariates of the recordings that slip, and their number; empty if none slips."""
     names = [row.path for row in index.rows(_SLIPPING)]
     if not names:
         return [], {}
-    from evetac_cli.inspect import info_slip  # with what reads recordings, which an index does without
+    from evetac_cli.inspect import info_slip  # imported here because an index does not need to read recordings
 
     return info_slip.of_folder(folder, names, progress)
 
@@ -105,7 +105,7 @@ def _foreign(index: Index) -> int:
 
 
 def _counts(index: Index) -> list[dict[str, Any]]:
-    """Counts of files by kind, and of each kind by object, sensor, scene and outcome; files that cannot be read."""
+    """Return counts of files by kind, per object, sensor, scene and outcome, and the files that cannot be read."""
     select = (
         "SELECT kind, COUNT(*) AS files, SUM(simulated) AS simulated, SUM(slices) AS slices,"
         " SUM(size_bytes) / 1e6 AS size_mb FROM files WHERE kind IS NOT NULL GROUP BY kind ORDER BY kind"
@@ -136,9 +136,9 @@ def _one(index: Index, select: str, values: Sequence[Any] = ()) -> Any:
 
 
 def _condition(conditions: Sequence[str]) -> tuple[str, list[Any]]:
-    """SQL of `NAME=VALUE` conditions, all of which have to hold; InputError for a name that there is not.
+    """Return SQL for `NAME=VALUE` conditions that must all be satisfied; raise InputError for an unknown name.
 
-    A value is a text, a number, a range of whole numbers (`7-9`), `none`, or several of these with commas.
+    A value is a text, a number, a range of whole numbers (`7-9`), `none`, or several of these separated by commas.
     """
     parts: list[str] = []
     values: list[Any] = []
@@ -147,7 +147,7 @@ def _condition(conditions: Sequence[str]) -> tuple[str, list[Any]]:
         if not wanted or name not in NAMES:
             near = get_close_matches(name, NAMES, n=1)
             raise InputError(
-                "no such condition",
+                "not a valid condition",
                 where="--where",
                 expected=f"NAME=VALUE, with a NAME of {', '.join(NAMES)}",
                 found=condition,
@@ -161,7 +161,7 @@ def _condition(conditions: Sequence[str]) -> tuple[str, list[Any]]:
                 ways.append(f"(typeof({name}) = 'integer' AND {name} BETWEEN ? AND ?)")
                 values += [int(limits[1]), int(limits[2])]
             else:
-                # As bytes, for a path need not be text; what is stored of other texts has its odd bytes spelt out.
+                # As bytes, because a path need not be valid text; in other stored texts, invalid bytes are escaped.
                 ways.append(f"{name} = ?" if name == "simulated" else f"CAST({name} AS BLOB) = ?")
                 wanted_bytes = os.fsencode(value) if name == "path" else as_utf8(value).encode()
                 values.append(TRUTH.get(value, as_utf8(value)) if name == "simulated" else wanted_bytes)

@@ -1,4 +1,4 @@
-"""info: the figures of stage files and where they come from."""
+"""info: the figures of stage files, and their provenance."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -26,21 +26,21 @@ from evetac_cli.text_files import parse_json
 RGB_BYTES_S = 540 * 480 * 3 * 25  # the paper's RGB sensor
 EVENT_BYTES = 5
 LOST = "capture/lost/"
-HIDDEN = ("history", "parameters", "parents", "made", "file")  # of --json, left out of the text
-NUMBERS = {"version": "schema version", "method": "method number"}  # how the text calls what is a bare number
+HIDDEN = ("history", "parameters", "parents", "made", "file")  # in --json, but not in the text
+NUMBERS = {"version": "schema version", "method": "method version"}  # labels in the text
 VALIDATED = ("validation/detected_share", "validation/slip_share")  # of a model
 MOST_PARENTS = 10  # lines; a model may have hundreds of parents
 OPTIONAL_GROUPS = ("gripper", "truth", "control", "capture", "marks", "streams")  # of a recording
 
 
 def run(files: list[Path]) -> Outcome:
-    """A row for every file, with its figures and its history."""
+    """Return a row for every file, with its figures and its history."""
     rows = [_describe(path) for path in files]
     return Outcome(rows, any(row["simulated"] for row in rows), {"files": len(rows)})
 
 
 def show(result: Outcome) -> None:
-    """Print a block for each file: figures first, then where it comes from."""
+    """Print a block for each file: figures first, then its provenance."""
     for row in result.rows:
         figures = {name: value for name, value in row.items() if name not in HIDDEN}
         print_text(f"{row['file']}" + ("  (simulated)" if row["simulated"] else ""))
@@ -55,10 +55,10 @@ def show(result: Outcome) -> None:
 
 
 def _ancestry(row: dict[str, Any]) -> Iterator[str]:
-    """Lines that name the parents of a file and count its other ancestors; --json has all of them."""
+    """Yield lines that name the parents of a file and count its other ancestors; --json has all of them."""
     parents = [ancestor for ancestor in row["history"] if ancestor["id"] in row["parents"]]
     for parent in parents[:MOST_PARENTS]:
-        yield f"from {parent['kind']:<19} {parent['id'][:12]}  method number {parent['method']}"
+        yield f"from {parent['kind']:<19} {parent['id'][:12]}  method version {parent['method']}"
     more = parents[MOST_PARENTS:]
     deeper = [ancestor for ancestor in row["history"] if ancestor["id"] not in row["parents"]]
     for name, ancestors in (("and from", more), ("behind these", deeper)):
@@ -69,16 +69,17 @@ def _ancestry(row: dict[str, Any]) -> Iterator[str]:
 
 @contextmanager
 def _contents_in_words(path: Path) -> Iterator[None]:
-    """A file may have the right datasets, and still hold an epoch that does not exist: info shows what others refuse.
+    """Turn errors while computing figures into InputError.
 
-    So whatever its figures cannot be made from is refused here, once for all of them.
+    A file may have the right datasets but impossible values, for example an epoch that does not exist: `info` also
+    shows files that other commands refuse.
     """
     try:
         with np.errstate(all="ignore"):
             yield
     except (ValueError, TypeError, KeyError, IndexError, AttributeError, OverflowError) as error:
         raise InputError(
-            "its contents make no sense",
+            "the file's contents are inconsistent",
             where=str(path),
             found=f"{type(error).__name__}: {error}",
             hint=f"evetac validate {path}",
@@ -87,7 +88,7 @@ def _contents_in_words(path: Path) -> Iterator[None]:
 
 def _describe(path: Path) -> dict[str, Any]:
     with _opened(path) as file, _contents_in_words(path):
-        file.check()  # what it says of a file holds for all of it
+        file.check()  # all of it, because the figures describe the whole file
         header = file.header
         known: dict[str, Any] = {
             "file": str(path),
@@ -98,7 +99,7 @@ def _describe(path: Path) -> dict[str, Any]:
             "seed": header["seed"],
             "simulated": header["simulated"],
         }
-        row = known | _FIGURES[file.kind](file) | known  # a report's own figures never stand in for these
+        row = known | _FIGURES[file.kind](file) | known  # a report's own figures never replace these
         row["size_bytes"] = path.stat().st_size
         row["parameters"] = header["parameters"]
         row["made"] = dict(header.get("made", {}))
@@ -112,9 +113,9 @@ def _describe(path: Path) -> dict[str, Any]:
 
 
 def _opened(path: Path) -> StageFile:
-    """The file, as a recording where its name and its contents say so: it is opened once."""
+    """Open a file, as a recording if name and contents agree, so that it is opened only once."""
     if path.name.endswith(".recording.h5"):
-        with suppress(InputError):  # what it is else, or what is wrong with it, is said of any file alike
+        with suppress(InputError):  # opened below as any other file, with the same messages
             return Recording(path)
     return StageFile(path)
 
@@ -150,22 +151,22 @@ def _recording(file: StageFile) -> dict[str, Any]:
 
 
 def _slip_grid(recording: Recording) -> dict[str, Any]:
-    """Of a simulated recording with unstable slip: how many nodes resolve it, and what to do if they are too few."""
+    """Return, for a simulated recording with unstable slip, the nodes that resolve it, and a warning if too few."""
     nodes = slip_grid.nodes_of(recording)
     if nodes is None:
         return {}
     if not slip_grid.is_unresolved(nodes):
         return {slip_grid.COLUMN: nodes}
-    from evetac_cli.sim.setup.plan import read_plan  # here, as few files need it
+    from evetac_cli.sim.setup.plan import read_plan  # imported here because few files need it
 
-    pitch_mm = None  # of one that was trimmed or imported the header does not say
+    pitch_mm = None  # the header of a trimmed or imported recording does not state it
     with suppress(InputError):
         pitch_mm = read_plan(recording.header["parameters"], str(recording.path)).scene.solver.node_pitch_mm
     return {slip_grid.COLUMN: nodes, "warning": slip_grid.unresolved(nodes, pitch_mm)}
 
 
 def _streams(recording: Recording) -> dict[str, str]:
-    """Of each other stream what it is, how many samples it has, how often, and from when to when."""
+    """Return a text for each other stream: its content, number of samples, rate, and time span."""
     shapes = recording.contents()
     figures = {}
     for name in streams.names(shapes):
@@ -189,8 +190,8 @@ def _streams(recording: Recording) -> dict[str, str]:
 
 
 def _capture(file: StageFile) -> dict[str, Any]:
-    """How a recording from devices ended, what was lost, and rates and delays as far as they were recorded."""
-    from evetac_cli.devices import losses  # here, as most recordings are of no device
+    """Return how a recording from devices ended, its losses, and the rates and delays that were recorded."""
+    from evetac_cli.devices import losses  # imported here because most recordings are not from devices
 
     known = file.contents()
     counted = {name.removeprefix(LOST): int(file.read(name)) for name in known if name.startswith(LOST)}
@@ -218,7 +219,7 @@ def _capture(file: StageFile) -> dict[str, Any]:
 
 
 def _import(parameters: dict[str, Any]) -> dict[str, Any]:
-    """The source of an imported recording, and the notes of its reader."""
+    """Return the source of an imported recording, and the notes of its reader."""
     if "notes" not in parameters or "format" not in parameters:
         return {}
     return {
@@ -240,7 +241,7 @@ def _labels(file: StageFile) -> dict[str, Any]:
 
 
 def _onset_ms(file: StageFile) -> int | None:
-    """The onset of slip; None where there is none, which files store as -1."""
+    """Return the onset of slip; None if there is none, which files store as -1."""
     onset = int(file.read("onset_slice"))
     return None if onset < 0 else onset
 
@@ -252,7 +253,7 @@ def _tracks(file: StageFile) -> dict[str, Any]:
         "slices": len(dots),
         "dots": dots.shape[1],
         "preset": file.header["parameters"]["preset"],
-        "moved_px_most": float(np.fmax.reduce(moved, axis=None)) if moved.size else 0.0,  # NaN where all dots are lost
+        "moved_px_most": float(np.fmax.reduce(moved, axis=None)) if moved.size else 0.0,  # NaN if all dots are lost
         "dots_lost_at_end": int(file.read("lost")[-1].sum()) if len(dots) else 0,
     }
 
@@ -288,7 +289,7 @@ def _model(file: StageFile) -> dict[str, Any]:
 
 
 def _warnings(file: StageFile) -> dict[str, Any]:
-    """What the warnings of a model cost at its threshold, and what its probabilities were calibrated on."""
+    """Return the false alarms of a model at its threshold, and the data that calibrated its probabilities."""
     figures: dict[str, Any] = {}
     if (curve := read_curve(file)) is not None:
         false, warned = curve.at(float(file.read("threshold")))
@@ -327,10 +328,10 @@ def _force_model(file: StageFile) -> dict[str, Any]:
 
 
 def _touch(file: StageFile) -> dict[str, Any]:
-    """Contacts, the largest forces and the least sticking share with their deviations, the maps, and the stiffness."""
+    """Return contacts, largest forces, smallest sticking share, standard deviations, touch maps, and stiffness."""
     touches, known = file.read("touches"), file.read("known")
     begun = np.flatnonzero(np.diff(touches, prepend=np.uint8(0)) == 1)
-    shear_sd_n = file.read("shear_sd_n").max(axis=1)  # of the axis that is less sure, as predict-touch prints it
+    shear_sd_n = file.read("shear_sd_n").max(axis=1)  # of the less certain axis, as in the output of predict-touch
     most = {
         "shear_n": (np.linalg.norm(file.read("shear_n"), axis=1), shear_sd_n),
         "normal_n": (file.read("normal_n"), file.read("normal_sd_n")),
@@ -358,7 +359,7 @@ def _touch(file: StageFile) -> dict[str, Any]:
 
 
 def _extreme(values: Floats, sd: Floats, *, lowest: bool = False) -> Iterator[tuple[str, float | None]]:
-    """The highest or lowest value and its deviation; None where no slice has one."""
+    """Yield the highest or lowest value and its standard deviation; None if no slice has one."""
     known = np.flatnonzero(np.isfinite(values))
     at = None if not len(known) else known[(np.argmin if lowest else np.argmax)(values[known])]
     yield "", None if at is None else float(values[at])
@@ -366,7 +367,7 @@ def _extreme(values: Floats, sd: Floats, *, lowest: bool = False) -> Iterator[tu
 
 
 def _touch_maps(file: StageFile) -> str:
-    """How many maps there are, and of which cells."""
+    """Return a text on the number of maps, their cells, and their interval."""
     if not file.has("map/slice"):
         return "none"
     x_mm, y_mm, count = file.read("map/x_mm"), file.read("map/y_mm"), file.length("map/slice")
@@ -379,7 +380,7 @@ def _touch_maps(file: StageFile) -> str:
 def _report(file: StageFile) -> dict[str, Any]:
     summary = parse_json(file.read("summary"))
     if not isinstance(summary, dict):
-        raise ValueError("a summary that is no table")
+        raise ValueError("the summary is not a table")
     return {"command": file.read("command"), **summary}
 
 

@@ -1,7 +1,7 @@
-"""What info says of the slip of a recording, and of the slips of a folder: their covariates.
+"""Covariates of the slip of a recording, or of the slips of a folder, for `info`.
 
-Of a recording whose slip is known from truth, or from labels beside it. Of a folder, which may hold a million of them,
-as many as take half a second, evenly among them.
+The slip of a recording is known from truth, or from labels next to it. Of a folder, which may contain a million
+recordings, an evenly spread sample is read that takes half a second.
 """
 
 from collections.abc import Callable, Sequence
@@ -17,23 +17,23 @@ from evetac_cli.store.files import StageFile, output_path
 from evetac_cli.store.recordings.read import Recording
 from evetac_cli.store.recordings.slip_covariates import covariates_of_labels, covariates_of_truth
 
-MOST_SLIPS = 40  # of a folder that are looked at
+MOST_SLIPS = 40  # recordings of a folder that are read
 
 
 def slip_of(recording: Recording) -> tuple[str, SlipCovariates | None]:
-    """Whether `truth` or `labels` tell of the slip of a recording, and its covariates; None where it is not known."""
+    """Return the source of a recording's slip, `truth` or `labels`, and its covariates; None if it is unknown."""
     if recording.has("truth"):
         return "truth", covariates_of_truth(recording)
     path = output_path(recording.path, "labels", None)
     if path.exists():
-        with suppress(EvetacError), StageFile(path, "labels") as labels:  # `validate` says what is wrong with them
+        with suppress(EvetacError), StageFile(path, "labels") as labels:  # `validate` reports faults of the labels
             check_made_from(labels, recording)
             return "labels", covariates_of_labels(recording, labels)
     return "", None
 
 
 def figures(recording: Recording) -> dict[str, Any]:
-    """The covariates of the slip of a recording, beside what tells them and what cannot be told; nothing without."""
+    """Return the covariates of a recording's slip, their source, and the unknown ones; {} without slip."""
     source, slip = slip_of(recording)
     if slip is None:
         return {}
@@ -47,13 +47,13 @@ def figures(recording: Recording) -> dict[str, Any]:
 
 
 def of_folder(folder: Path, names: Sequence[str], progress: Callable[[int, int], None]) -> tuple[Rows, dict[str, Any]]:
-    """Rows of covariates over recordings of a folder that slip, and of how many; nothing where none can be told."""
+    """Return rows of covariates over recordings of a folder that slip, and their number; empty if none are known."""
     count = min(len(names), MOST_SLIPS)
     chosen = [names[number * len(names) // count] for number in range(count)]
     slips = []
     for number, name in enumerate(chosen):
         progress(number, len(chosen))
-        with suppress(EvetacError), Recording(folder / name) as recording:  # one that cannot be read is counted as such
+        with suppress(EvetacError), Recording(folder / name) as recording:  # the index counts unreadable ones
             _, slip = slip_of(recording)
             slips += [slip] if slip is not None else []
     if not slips:

@@ -1,4 +1,4 @@
-"""repair: make a valid recording of the segments that an interrupted recording left behind."""
+"""repair: make a valid recording from the segments that an interrupted recording left."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -28,7 +28,10 @@ ENDED = "broke off, and was repaired"
 
 
 def run(folders: list[Path], progress: Progress = silent) -> Outcome:
-    """A row for every left-over folder: what was kept and lost, or its fault. Folders are removed last."""
+    """Repair every left-over folder; return a row for each with what was kept and lost, or its fault.
+
+    Folders are removed last.
+    """
     rows: list[dict[str, Any]] = []
     simulated = False
     leftovers = _leftovers(folders)
@@ -36,7 +39,7 @@ def run(folders: list[Path], progress: Progress = silent) -> Outcome:
         progress(number, len(leftovers))
         try:
             row, from_simulation = _repair(folder)
-        except (InputError, UnavailableError, *DAMAGE) as error:  # a disk that fails while it is joined, say
+        except (InputError, UnavailableError, *DAMAGE) as error:  # for example a disk that fails during joining
             fault = " ".join(str(error).split()) or type(error).__name__
             row, from_simulation = _row(folder, "not repaired", fault=fault), False
         rows.append(row)
@@ -50,10 +53,10 @@ def show(result: Outcome) -> None:
 
 
 def _leftovers(folders: list[Path]) -> list[Path]:
-    """The folders NAME.recording.part among those given, or inside them."""
+    """Return the folders NAME.recording.part among the given folders, or inside them."""
     leftovers = []
     for folder in folders:
-        if folder.name.endswith(SUFFIX):  # one that is missing gets its own row, beside those of the others
+        if folder.name.endswith(SUFFIX):  # a missing folder gets its own row, like the others
             leftovers.append(folder)
         else:
             check_folder(folder)
@@ -62,7 +65,7 @@ def _leftovers(folders: list[Path]) -> list[Path]:
 
 
 def _repair(folder: Path) -> tuple[dict[str, Any], bool]:
-    """Join what can be read, validate the result, and only then remove the folder."""
+    """Join the readable segments, validate the result, and only then remove the folder."""
     output = recording_path(folder)
     with held(folder):
         if was_joined(folder):
@@ -71,11 +74,13 @@ def _repair(folder: Path) -> tuple[dict[str, Any], bool]:
         left = read_leftover(folder)
         if not left.parts:
             raise InputError(
-                "no slice of it can be read", where=str(folder), found="; ".join(left.unreadable) or "no segment"
+                "no slice of this recording can be read",
+                where=str(folder),
+                found="; ".join(left.unreadable) or "no segment",
             )
         if output.exists():
             raise InputError(
-                "the recording exists; what was left beside it is kept",
+                "the recording already exists, so its segments were not joined",
                 where=str(output),
                 hint=f"move {output.name} away and repair again, or remove {folder.name}",
             )
@@ -88,26 +93,28 @@ def _repair(folder: Path) -> tuple[dict[str, Any], bool]:
         except InputError:
             output.unlink()
             raise
-        remove_unfinished(output)  # of a recorder that was killed while it joined
+        remove_unfinished(output)  # left by a recorder that was killed while it joined segments
         strange = part_folder.remove(folder)
     return _row(folder, "repaired", left, strange=strange), left.recipe.simulated
 
 
 def _check(output: Path) -> None:
-    """Validate the result, as `evetac validate` does; InputError with its faults, UnavailableError if it cannot be."""
+    """Validate the result like `evetac validate`; raise InputError with its faults, UnavailableError if impossible."""
     (row,) = validate.run([output]).rows
     if row["not_checked"] is not None:
-        raise UnavailableError("the result could not be checked", where=str(output), found=str(row["not_checked"]))
+        raise UnavailableError(
+            "the repaired recording could not be checked", where=str(output), found=str(row["not_checked"])
+        )
     if row["faults"] is not None:
-        raise InputError("the result is not valid", where=str(output), found=str(row["faults"]))
+        raise InputError("the repaired recording is not valid", where=str(output), found=str(row["faults"]))
 
 
 def _row(
     folder: Path, status: str, left: Leftover | None = None, *, fault: str | None = None, strange: Sequence[str] = ()
 ) -> dict[str, Any]:
-    """The row of one folder; how much is missing at the end cannot be known from it.
+    """Return the row of one folder; the amount missing at the end of the recording is unknown.
 
-    strange: what no recorder wrote, and was left in the folder.
+    strange: files that no recorder wrote, which were left in the folder.
     """
     return {
         "output": str(recording_path(folder)),

@@ -15,11 +15,11 @@ from evetac_cli.store.layout import contents, rules
 from evetac_cli.store.layout.provenance import ContentDigest
 from evetac_cli.store.recordings.read import Recording
 
-EVENTS = 1 << 18  # that are read together
+EVENTS = 1 << 18  # read at once
 
 
 def run(files: list[Path], progress: Progress = silent) -> Outcome:
-    """A row for every file: whether it is valid, and its faults; neither is known where it cannot be looked at now."""
+    """Return a row for every file: whether it is valid, and its faults; both None if it cannot be read now."""
     rows: list[dict[str, Any]] = []
     simulated = False
     for number, path in enumerate(files):
@@ -48,7 +48,7 @@ def show(result: Outcome) -> None:
 
 
 def _faults(file: StageFile) -> list[str]:
-    """All faults of a file that could be opened, and so has the right datasets, dtypes and shapes."""
+    """Return all faults of a file that could be opened, and so has the right datasets, dtypes and shapes."""
     rules = json.loads((schemas() / "header.v1.json").read_text())
     if not follows(file.header, rules):
         import jsonschema
@@ -58,7 +58,7 @@ def _faults(file: StageFile) -> list[str]:
             return [f"header: {violation.message[:300]}"]
     faults = list(contents.faults(file))
     if faults:
-        return faults  # what follows reads the same values again
+        return faults  # the checks below read the same values again
     check = _CHECKS.get(file.kind)
     try:
         return check(file) if check else []
@@ -78,7 +78,7 @@ def _recording(file: StageFile) -> list[str]:
             for values in rules.blocks(recording, name, shape):
                 digest.update(name, values)
         fits = digest.hexdigest() == file.header["content"]
-        return [] if fits else ["the arrays are not those that the header was made for"]
+        return [] if fits else ["the arrays were changed: their digest is not the one in the header"]
 
 
 def _model(file: StageFile) -> list[str]:

@@ -1,7 +1,7 @@
-"""A bell: what one process rings and another, that sleeps, is woken by; whoever rings never waits.
+"""A bell with which one process wakes another that sleeps; ringing never waits.
 
-Why a pipe and not an eventfd or a futex: macOS has neither, to ring a pipe takes a microsecond as they do, and a pipe
-can be waited for together with a time that is no whole number of milliseconds.
+Why a pipe and not an eventfd or a futex: macOS has neither. Writing to a pipe also takes a microsecond, and a wait for
+a pipe can have a timeout that is not a whole number of milliseconds.
 """
 
 import contextlib
@@ -9,23 +9,23 @@ import multiprocessing
 import os
 import select
 
-_MANY = 1 << 12  # rings that are forgotten at once
+_MANY = 1 << 12  # rings that one wait clears
 
 
 class Bell:
-    """The bell; may be given to a process that is being spawned."""
+    """The bell; may be passed to a process when it is spawned."""
 
     def __init__(self) -> None:
         self._ear, self._rope = multiprocessing.get_context("spawn").Pipe(duplex=False)
 
     def ring(self) -> None:
-        """Wake whoever waits, or does so next; without effect where so many rings wait that no more fit."""
+        """Wake the process that waits, or the next that does; without effect if the pipe is full of rings."""
         os.set_blocking(self._rope.fileno(), False)
         with contextlib.suppress(BlockingIOError):
             os.write(self._rope.fileno(), b"!")
 
     def wait(self, seconds: float) -> bool:
-        """Sleep until it rings, at most so long; whether it rang. Rings that came before count, and are then over."""
+        """Sleep until it rings, for at most `seconds`; return whether it rang. Earlier rings count, and are cleared."""
         if not select.select([self._ear], [], [], seconds)[0]:
             return False
         os.read(self._ear.fileno(), _MANY)

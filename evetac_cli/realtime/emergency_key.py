@@ -1,7 +1,7 @@
-"""The emergency key: a key on the terminal that opens the gripper, while a program runs that moves it.
+"""The emergency key: a key on the terminal that opens the gripper while a program moves it.
 
-Keys come at once and are not shown, as long as the block lasts; Ctrl-C works as ever. The terminal is then as it was,
-whatever ended the block. There is no key where stdin is no terminal, or belongs to another program just now.
+During the block, keys are read immediately and not shown; Ctrl-C works as usual. Afterwards the terminal is restored,
+however the block ended. There is no key if stdin is not a terminal, or currently belongs to another program.
 """
 
 import contextlib
@@ -17,7 +17,7 @@ KEY_NAME = "space"
 
 
 class EmergencyKey:
-    """Whether the key was pressed; `exists` says whether there is one."""
+    """Whether the key was pressed; `exists`: whether there is a terminal to press it."""
 
     def __init__(self, terminal: int | None) -> None:
         self._terminal = terminal
@@ -30,21 +30,21 @@ class EmergencyKey:
 
     @property
     def pressed(self) -> bool:
-        """Whether it was pressed until now; other keys are passed over."""
+        """Whether it has been pressed; other keys are ignored."""
         try:
             while not self._pressed and self._terminal is not None and select.select([self._terminal], [], [], 0)[0]:
                 typed = os.read(self._terminal, 64)
                 if not typed:
                     self._terminal = None
                 self._pressed = KEY.encode() in typed
-        except OSError:  # the terminal is gone
+        except OSError:  # the terminal was closed
             self._terminal = None
         return self._pressed
 
 
 @contextlib.contextmanager
 def emergency_key() -> Iterator[EmergencyKey]:
-    """Listen for the key; what was typed before does not count."""
+    """Listen for the key; keys pressed before do not count."""
     terminal = _terminal()
     if terminal is None:
         yield EmergencyKey(None)
@@ -54,17 +54,17 @@ def emergency_key() -> Iterator[EmergencyKey]:
         tty.setcbreak(terminal, termios.TCSAFLUSH)
         yield EmergencyKey(terminal)
     finally:
-        with contextlib.suppress(termios.error, OSError):  # the terminal is gone
-            if os.tcgetpgrp(terminal) == os.getpgrp():  # else the shell has it, and whoever sets it is stopped
+        with contextlib.suppress(termios.error, OSError):  # the terminal was closed
+            if os.tcgetpgrp(terminal) == os.getpgrp():  # otherwise the shell has it, and setting it would stop us
                 termios.tcsetattr(terminal, termios.TCSANOW, before)
 
 
 def _terminal() -> int | None:
-    """The terminal at which somebody can press a key for this program; None if there is none."""
+    """Return the terminal on which a user can press a key for this program; None if there is none."""
     try:
         terminal = sys.stdin.fileno()
         if os.isatty(terminal) and os.tcgetpgrp(terminal) == os.getpgrp():
             return terminal
-    except (AttributeError, OSError, ValueError):  # no stdin, one that is no file, or one that was closed
+    except (AttributeError, OSError, ValueError):  # stdin is missing, not a file, or closed
         pass
     return None

@@ -1,7 +1,7 @@
-"""How a process of ours ended, told by whoever started it: signal, exit code, and the error that the process met last.
+"""Report how a child process ended: its signal or exit code, and its last error.
 
-Why so: an exit code alone helps nobody, and code 0 is what a process leaves whose error looked like an ordinary end. So
-what ends a process is written into memory that outlives it, before it goes on its way.
+Reason: an exit code alone does not explain anything, and a process whose error looked like a normal end leaves code 0.
+So the error that ends a process is written into memory that outlives it, before the process exits.
 """
 
 import multiprocessing
@@ -15,11 +15,11 @@ from typing import Any
 from evetac_cli.errors import EvetacError, exit_code_words, shortened
 
 MOST_BYTES = 512
-PATIENCE_S = 5.0  # a pipe tells that a process ends before it has: Python takes a while, on a busy computer seconds
+PATIENCE_S = 5.0  # a pipe closes before its process has ended: Python's exit takes seconds on a busy computer
 
 
 class LastWords:
-    """A line of text in shared memory; given to a process when it is spawned."""
+    """A line of text in shared memory; passed to a process when it is spawned."""
 
     def __init__(self) -> None:
         self._text = multiprocessing.get_context("spawn").RawArray("c", MOST_BYTES)
@@ -29,23 +29,23 @@ class LastWords:
         self._text.value = text.partition("\n")[0].encode(errors="backslashreplace")[: MOST_BYTES - 1]
 
     def read(self) -> str:
-        """The text; empty before the first."""
+        """Return the text; empty if none was written."""
         return bytes(self._text.value).decode(errors="ignore")
 
 
 def telling(words: LastWords, target: Callable[..., object], *arguments: Any) -> None:
-    """Run a function as the target of a process, and write down what ends it but for a return."""
+    """Run a function as the target of a process, and write down the error that ends it, if any."""
     try:
         target(*arguments)
     except BaseException as error:
         words.write(error_words(error))
-        if isinstance(error, EvetacError):  # it is in words; a traceback would say no more
+        if isinstance(error, EvetacError):  # its message is complete; a traceback would not add anything
             sys.exit(1)
         raise
 
 
 def error_words(error: BaseException) -> str:
-    """An error in a line: its type, its message, and where in the code it came up."""
+    """Return an error on one line: its type, its message, and where in the code it was raised."""
     if isinstance(error, EvetacError):
         return str(error)
     said = shortened(str(error).partition("\n")[0])
@@ -56,11 +56,11 @@ def error_words(error: BaseException) -> str:
 
 
 def with_reason(sentence: str, how: str) -> str:
-    """A sentence about the end of a process, with how it ended in brackets where that is known."""
+    """Return a sentence about the end of a process, with the reason in brackets if it is known."""
     return f"{sentence} ({how})" if how else sentence
 
 
 def exit_words(process: BaseProcess, words: LastWords | None = None, patience_s: float = PATIENCE_S) -> str:
-    """How a process ended, in a line; "" if it has not within this time."""
+    """Return on one line how a process ended; "" if it has not ended within this time."""
     process.join(patience_s)
     return exit_code_words(process.exitcode, "" if words is None else words.read())

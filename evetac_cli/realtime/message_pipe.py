@@ -1,8 +1,8 @@
-"""Messages from one process to another that never make the writer wait.
+"""Send messages from one process to another without ever making the writer wait.
 
-Why so: whoever keeps a beat of 1 or 2 ms cannot wait for a recorder that is writing a file. So what does not fit into
-the pipe stays with the writer, and goes with a later `send`. A pipe tells the reader at once when the writer has died,
-and a message that it died over is never delivered.
+Reason: a process with a period of 1 or 2 ms cannot wait for a recorder that is writing a file. So messages that do not
+fit into the pipe stay with the writer until a later `send`. The reader notices immediately when the writer has died,
+and an incomplete message is never delivered.
 """
 
 import contextlib
@@ -20,49 +20,49 @@ MOST_BYTES = 64 << 20
 _PIPE_BYTES = 1 << 20
 _LENGTH = struct.Struct("<Q")
 _READ_BYTES = 1 << 18
-_MOST_READ_BYTES = 4 << 20  # at once: a writer that catches up must not keep its reader from all else
-_MOST_PARTS = 64  # of messages that are written by one call
+_MOST_READ_BYTES = 4 << 20  # at once: a writer that catches up must not block its reader
+_MOST_PARTS = 64  # parts of messages that are written by one call
 _PAUSE_S = 1e-3
 
 
 class PeerGone(BrokenPipeError):
-    """The process at the other end of a pipe of ours is gone: not what a camera or a file raises by the same name."""
+    """The process at the other end of a message pipe has ended; distinct from a BrokenPipeError of a camera or file."""
 
 
 def take_order(orders: Connection, timeout_s: float = 0.0) -> bool:
-    """Whether an order has come in this time, which is taken; PeerGone if nobody gives orders any more."""
+    """Whether an order arrived in this time; it is consumed. Raise PeerGone if the process that sends orders ended."""
     if not orders.poll(timeout_s):
         return False
     try:
         orders.recv()
     except (EOFError, OSError):
-        raise PeerGone("whoever gives orders is gone") from None
+        raise PeerGone("the process that sends orders has ended") from None
     return True
 
 
 class MessageWriter:
-    """The writing end; takes messages at any time and sends them when there is room."""
+    """The writing end; accepts messages at any time and sends them when there is room."""
 
     def __init__(self, pipe: Connection, most_bytes: int = MOST_BYTES) -> None:
-        """most_bytes: how much may wait in memory until the pipe has room."""
+        """most_bytes: size of messages that may wait in memory until the pipe has room."""
         self._pipe = pipe
         self._waiting: deque[memoryview] = deque()
         self._most_bytes = most_bytes
         self.waiting_bytes = 0
         os.set_blocking(pipe.fileno(), False)
-        with contextlib.suppress(ImportError, OSError):  # more room in the pipe means fewer calls; only Linux has it
+        with contextlib.suppress(ImportError, OSError):  # a larger pipe needs fewer calls; only Linux supports this
             import fcntl
 
             fcntl.fcntl(pipe.fileno(), fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
 
     def fileno(self) -> int:
-        """For select: writable when there is room in the pipe."""
+        """Return the descriptor for select: writable when there is room in the pipe."""
         return self._pipe.fileno()
 
     def put(self, message: Any, *, always: bool = False) -> bool:
-        """Take a message, to be sent later; False, and it is not taken, if too much is waiting.
+        """Queue a message; return False without queuing it if too much is waiting.
 
-        always: take it however much is waiting, as a last message that says so.
+        always: queue it however much is waiting, for example as the last message that reports this.
         """
         data = pickle.dumps(message, pickle.HIGHEST_PROTOCOL)
         size = _LENGTH.size + len(data)
@@ -73,14 +73,14 @@ class MessageWriter:
         return True
 
     def send(self) -> None:
-        """Send as much as there is room for; PeerGone if there is no reader any more."""
+        """Send as much as there is room for; raise PeerGone if the reader has ended."""
         while self._waiting:
             try:
                 sent = os.writev(self._pipe.fileno(), list(itertools.islice(self._waiting, _MOST_PARTS)))
             except BlockingIOError:
                 return
             except BrokenPipeError:
-                raise PeerGone("whoever reads is gone") from None
+                raise PeerGone("the process that reads has ended") from None
             self.waiting_bytes -= sent
             while self._waiting and sent >= len(self._waiting[0]):
                 sent -= len(self._waiting.popleft())
@@ -88,7 +88,7 @@ class MessageWriter:
                 self._waiting[0] = self._waiting[0][sent:]
 
     def flush(self, timeout_s: float) -> bool:
-        """Send everything, waiting for room; False if not all of it went in time."""
+        """Send everything, waiting for room; return False if that was not possible in time."""
         end_s = time.monotonic() + timeout_s
         self.send()
         while self._waiting and time.monotonic() < end_s:
@@ -98,19 +98,19 @@ class MessageWriter:
 
 
 class MessageReader:
-    """The reading end; takes what has come whole, and never waits."""
+    """The reading end; returns complete messages and never waits."""
 
     def __init__(self, pipe: Connection) -> None:
         self._pipe = pipe
         self._data = bytearray()
-        self.ended = False  # the writer is gone, and what it sent is here
+        self.ended = False  # the writer has ended, and all that it sent has been read
 
     def fileno(self) -> int:
-        """For select: readable when there is something to take, or the writer has gone."""
+        """Return the descriptor for select: readable when there is data, or the writer has ended."""
         return self._pipe.fileno()
 
     def take(self) -> Iterator[Any]:
-        """The messages that have come whole, oldest first; what is not taken now is there for the next call."""
+        """Yield the complete messages, oldest first; those not consumed are there for the next call."""
         os.set_blocking(self._pipe.fileno(), False)
         came = 0
         while not self.ended and came < _MOST_READ_BYTES:
@@ -126,6 +126,6 @@ class MessageReader:
             if len(self._data) < end:
                 break
             with memoryview(self._data) as whole:
-                message = pickle.loads(whole[_LENGTH.size : end])  # from a process of our own
+                message = pickle.loads(whole[_LENGTH.size : end])  # safe: written by another process of evetac
             del self._data[:end]
             yield message

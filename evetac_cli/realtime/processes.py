@@ -1,16 +1,17 @@
-"""Processes that keep a beat of 1 or 2 ms: started so that Ctrl-C does not reach them, and put ahead of others.
+"""Start processes with a period of 1 or 2 ms so that Ctrl-C does not reach them, and raise their priority.
 
-Why so, Ctrl-C: it goes to all processes of a terminal, and whoever started ours ends them in order; so each ignores it
-as the first thing that it does. But before it comes to that, it loads modules for seconds. A process inherits which
-signals are held back: so SIGINT is held back while one is started, in the child until it ignores it, here until the
-child runs, and none is lost.
+Ctrl-C: the signal goes to all processes of a terminal, but the parent process must end its children in order. So each
+child ignores SIGINT first of all. But before it can do so, it loads modules for seconds. Blocked signals are inherited:
+so SIGINT is blocked while a child is started, in the child until it ignores the signal, in the parent until the child
+runs. No signal is lost.
 
-Why so, priority: a beat of 1 ms is shorter than what a usual scheduler promises on a busy computer. What is permitted
-depends on the user (`ulimit -r`, `ulimit -e`): it is tried, and the result is recorded. Only for what takes little:
-Linux stops all real-time processes of a core for the rest of a second of which they took 0.95 s (sched_rt_runtime_us),
-which with a simulated world and a recorder among them looked like a dead detector. And serial bytes are handed on by
-threads of the kernel with usual priority: where a detector with real-time priority took most of a core, the controller
-waited for answers of its gripper, and missed one command in eight on two cores. So the detector is only nicer.
+Priority: a period of 1 ms is shorter than the usual scheduler guarantees on a busy computer. The permitted priority
+depends on the user (`ulimit -r`, `ulimit -e`): it is tried, and the result is recorded. Only processes with little load
+get real-time priority. Linux stops all real-time processes of a core for the rest of a second after 0.95 s
+(sched_rt_runtime_us); with a simulated world and a recorder among them, this looked like a dead detector. Also, kernel
+threads of usual priority deliver serial bytes. When a detector with real-time priority took most of a core, the
+controller waited for answers of its gripper and missed one command in eight on two cores. So the detector only gets a
+lower niceness.
 """
 
 import os
@@ -27,8 +28,8 @@ from pathlib import Path
 from evetac_cli.errors import DeviceError
 from evetac_cli.interrupts import CTRL_C, signals_blocked
 
-STANDSTILL_S = 60.0  # a process that computed nothing for so long while it starts will not come up any more
-ENDING_FLAG = 0x4  # of a process that has begun to end (PF_EXITING): one that was killed may need a core for that
+STANDSTILL_S = 60.0  # a starting process without any computation for this long is considered stuck
+ENDING_FLAG = 0x4  # PF_EXITING: the process has begun to end; a killed process may have to wait for a core to do so
 NICE = -10
 USUAL = "as usual"
 REALTIME = "real-time"
@@ -37,12 +38,12 @@ REALTIME = "real-time"
 def start_shielded(process: BaseProcess) -> None:
     """Start a spawned process whose target begins with `ignore_interrupts`; until then Ctrl-C does not reach it.
 
-    Nor does it load modules from the working folder, where Python looks first for those of a process that is spawned.
+    The process does not import modules from the working folder either, which Python would search first.
     """
-    unsafe = "PYTHONSAFEPATH" not in os.environ  # which the command `evetac` sets; this may be somebody else's program
+    unsafe = "PYTHONSAFEPATH" not in os.environ  # the command `evetac` sets it; this may be another program
     if unsafe:
         os.environ["PYTHONSAFEPATH"] = "1"
-    resource_tracker.ensure_running()  # or starting the process does so, and lets signals through again
+    resource_tracker.ensure_running()  # otherwise starting the process does so, which unblocks the signals
     try:
         with signals_blocked(CTRL_C):
             process.start()
@@ -52,7 +53,7 @@ def start_shielded(process: BaseProcess) -> None:
 
 
 def cpu_time_s(process: int | None) -> float:
-    """How long a process has computed so far, to see whether it does; where Linux does not say it, the time of day."""
+    """Return the CPU time of a process, which shows whether it computes; without Linux's count, the current time."""
     with suppress(OSError, IndexError, ValueError):
         fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
         return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
@@ -60,9 +61,9 @@ def cpu_time_s(process: int | None) -> float:
 
 
 def stands_still(process: int) -> bool:
-    """Whether a process was stopped (SIGSTOP, a debugger) or killed, and does not only wait for a core or a disk.
+    """Whether a process was stopped (SIGSTOP, a debugger) or killed, and is not only waiting for a core or a disk.
 
-    Where Linux does not say which, it counts as stopped: whoever asks has not heard of it for a while.
+    If Linux does not state it, the process counts as stopped: the caller has not heard from it for a while.
     """
     try:
         state, *more = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
@@ -74,9 +75,9 @@ def stands_still(process: int) -> bool:
 
 
 def wait_while_computing(pipe: Connection, process: BaseProcess, failure: str) -> None:
-    """Wait until a process that starts says something, or ends; DeviceError(failure) where it stands still.
+    """Wait until a starting process sends something or ends; raise DeviceError(failure) if it stops computing.
 
-    Why not for a time: its kernels may have to be compiled, which takes minutes where others want the cores too.
+    Why there is no fixed timeout: its kernels may have to be compiled, which takes minutes on a busy computer.
     """
     used_s, since_s = -1.0, time.monotonic()
     while not pipe.poll(1.0):
@@ -84,13 +85,15 @@ def wait_while_computing(pipe: Connection, process: BaseProcess, failure: str) -
         if now_s > used_s:
             used_s, since_s = now_s, time.monotonic()
         elif time.monotonic() - since_s > STANDSTILL_S:
-            raise DeviceError(failure, expected="a process that computes", found=f"none for {STANDSTILL_S:g} s")
+            raise DeviceError(
+                failure, expected="a process that computes", found=f"no computation for {STANDSTILL_S:g} s"
+            )
 
 
 def set_realtime_priority(rank: int, process: int = 0) -> str:
-    """Raise this process (or one by its number) above others; of two, the one of higher rank, 1 to 50, goes first.
+    """Raise the priority of this process (or another, by its id); a higher rank, 1 to 50, takes precedence.
 
-    Returns `real-time RANK` (first in, first out), `nice -10`, or `as usual` where nothing is permitted.
+    Returns `real-time RANK` (first in, first out), `nice -10`, or `as usual` if nothing is permitted.
     """
     if sys.platform != "linux":
         return USUAL
@@ -107,7 +110,7 @@ def set_realtime_priority(rank: int, process: int = 0) -> str:
 
 
 def set_niceness(niceness: int) -> str:
-    """Put this process ahead of others (below 0) or behind them; returns `nice N`, or `as usual` if not permitted."""
+    """Set the niceness of this process, below 0 for precedence; return `nice N`, or `as usual` if not permitted."""
     try:
         os.setpriority(os.PRIO_PROCESS, 0, niceness)
         return f"nice {niceness}"
@@ -117,7 +120,7 @@ def set_niceness(niceness: int) -> str:
 
 @contextmanager
 def raised_priority(rank: int, *, wanted: bool = True) -> Iterator[str]:
-    """Let this thread, and threads that it starts, go ahead of others for as long as the block lasts, if permitted.
+    """Raise the priority of this thread, and of threads that it starts, during the block, if permitted.
 
     Yields what `set_realtime_priority` returns.
     """

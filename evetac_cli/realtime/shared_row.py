@@ -1,7 +1,7 @@
-"""A row of numbers in memory that processes share: written by one, read by others, never read half written.
+"""A row of numbers in shared memory: written by one process, read by others, never read half written.
 
-Why so: a checksum beside the row needs no lock and no promise about the order in which memory is written; a reader that
-meets a half-written row reads again, and keeps to the row before if the writer died over it.
+A checksum next to the row requires no lock and no guarantee about the order of memory writes. A reader that finds a
+half-written row reads again, and uses the previous row if the writer died while writing.
 """
 
 import mmap
@@ -17,13 +17,13 @@ class SharedRow:
     def __init__(self, memory: "mmap.mmap | memoryview[int]", start: int, form: str) -> None:
         self._memory = memory
         self._start = start
-        self._form = struct.Struct("<q" + form)  # a counter comes first
+        self._form = struct.Struct("<q" + form)  # preceded by a counter
         self._count = 0
         self._last: tuple[int, tuple[float, ...]] | None = None
 
     @property
     def size(self) -> int:
-        """Bytes of memory that the row takes, counter and checksum included."""
+        """Size of the row in bytes, including counter and checksum."""
         return self._form.size + 4
 
     def write(self, *row: float) -> None:
@@ -34,7 +34,7 @@ class SharedRow:
         self._memory[self._start : self._start + len(data)] = data
 
     def read(self) -> tuple[int, tuple[float, ...]] | None:
-        """How often it was written, and the row; None if never."""
+        """Return the number of writes and the row; None if it was never written."""
         size = self._form.size
         for _ in range(_TRIES):
             data = bytes(self._memory[self._start : self._start + size + 4])

@@ -1,17 +1,17 @@
-"""What the processes of a grasp know of each other, in shared memory.
+"""The status that the processes of a grasp exchange through shared memory.
 
-The slip signal is written by the detector at 1000 Hz and read by the controller at 500 Hz. Beside it stand the times by
-which the controller recognizes a detector that died and a camera that is silent, and knows how old the signal is.
+The detector writes the slip signal at 1000 Hz, and the controller reads it at 500 Hz. Time stamps next to it allow the
+controller to recognize a dead detector or a silent camera, and the age of the signal.
 
-Where a camera looks at each of two fingers, two detectors write, each a status of its own. The controller sees both,
-and a signal that is made of both (kernels/grip/two_fingers.py).
+If each of two fingers has a camera, two detectors write, each its own status. The controller reads both, and a signal
+combined from both (kernels/grip/two_fingers.py).
 
-A slice with slip that is new rings a bell, for a controller that sleeps until its next step (early_answer.py).
+A new slice with slip rings a bell, for a controller that sleeps until its next step (early_answer.py).
 
-The other way the controller tells where the gripper is and what it was told, for a detector that is given both.
+In the other direction, the controller publishes the gripper's position and its goal, for a detector that uses them.
 
-Recorder and controller leave a sign of life each, written by the loop that watches or commands, and by nothing else: a
-thread that did so would hide that the loop hangs.
+Recorder and controller each write a sign of life. Only the loop that watches or commands writes it: a separate thread
+would hide that the loop hangs.
 """
 
 import math
@@ -23,38 +23,38 @@ from evetac_cli.kernels.grip.control import SlipSignal
 from evetac_cli.realtime.bell import Bell
 from evetac_cli.realtime.shared_row import SharedRow
 
-REMEMBERED = 32  # slices with slip whose time is known
+REMEMBERED = 32  # latest slices with slip whose times are stored
 _SIZE = 1088
-_STATUS_AT = (0, 384)  # of each finger
+_STATUS_AT = (0, 384)  # offset of each finger's status
 _STOP_AT, _RECORDER_AT, _CONTROLLER_AT, _OPEN_AT, _GRIPPER_AT = 768, 832, 896, 960, 1024
 
 
 class DetectorStatus(NamedTuple):
-    """What the detector has seen so far; times in us of the host's clock, or of a virtual world's (shared_time.py).
+    """The state of the detector; times in us on the host's clock, or a virtual world's (shared_time.py).
 
-    second: what that of the second finger has seen, if there is one; it is published apart.
+    second: the state of the second finger's detector, if there is one; it is published separately.
     """
 
     signal: SlipSignal
-    slices: int  # that the detector has processed
-    at_us: float  # when this was published
-    heard_us: float  # when the camera last gave an event
-    zero_us: float  # when the recording's time was 0
+    slices: int  # processed by the detector
+    at_us: float  # time of publication
+    heard_us: float  # time of the camera's last event
+    zero_us: float  # time at which the recording's time was 0
     slip_us: tuple[float, ...]  # first events of the latest slices with slip, oldest first; up to REMEMBERED
     second: "DetectorStatus | None" = None
 
     @property
     def fingers(self) -> tuple["DetectorStatus", ...]:
-        """That of the first finger, and that of the second."""
+        """The status of the first finger, and of the second, if there is one."""
         return (self,) if self.second is None else (self, self.second)
 
     @property
     def told(self) -> SlipSignal:
-        """The signal that the law is told: of one finger, or made of those of both."""
+        """The input signal of the control law: that of one finger, or the combination of both."""
         return self.signal if self.second is None else two_fingers.both(self.signal, self.second.signal)
 
     def slip_began_us(self, seen: int) -> float:
-        """First event of the earliest slice with slip after the first `seen` ones, as far as remembered.
+        """Return the first event of the earliest remembered slice with slip after the first `seen` ones.
 
         NaN if there was none since.
         """
@@ -63,7 +63,7 @@ class DetectorStatus(NamedTuple):
 
 
 class SharedStatus:
-    """The shared memory; may be given to a process that is being spawned. fingers: how many have a detector."""
+    """The shared memory; may be passed to a process when it is spawned. fingers: number of fingers with a detector."""
 
     def __init__(self, fingers: int = 1) -> None:
         self._fingers = fingers
@@ -90,7 +90,7 @@ class SharedStatus:
         self._attach()
 
     def publish(self, status: DetectorStatus, finger: int = 0) -> None:
-        """For the detector of a finger: replace the status that the controller sees; new slip wakes it."""
+        """For the detector of a finger: replace the status that the controller reads; new slip wakes it."""
         known = status.slip_us[-REMEMBERED:]
         unknown = (float("nan"),) * (REMEMBERED - len(known))
         self._status[finger].write(*status.signal, *status[1:5], *unknown, *known)
@@ -99,7 +99,7 @@ class SharedStatus:
             self.slip_bell.ring()
 
     def latest(self) -> DetectorStatus | None:
-        """For the controller: the latest status; None before the first, of both fingers where there are two."""
+        """For the controller: return the latest status; None before the first (of both fingers, if there are two)."""
         first, *others = map(self._latest, self._status)
         if first is None or not others:
             return first
@@ -116,17 +116,17 @@ class SharedStatus:
         return DetectorStatus(SlipSignal(int(slips), *felt), int(slices), at_us, heard_us, zero_us, slip_us)
 
     def tell_gripper(self, position_ticks: float, goal_ticks: float) -> None:
-        """For the controller: where the fingers were read, and the goal that they were given."""
+        """For the controller: publish the measured position of the fingers and their goal."""
         self._gripper.write(position_ticks, goal_ticks)
 
     @property
     def gripper(self) -> tuple[float, float] | None:
-        """For the detector: position and goal of the gripper as last told; None before the first."""
+        """For the detector: the last published position and goal of the gripper; None before the first."""
         row = self._gripper.read()
         return None if row is None else (row[1][0], row[1][1])
 
     def stop(self) -> None:
-        """For whoever started both: end, as soon as possible."""
+        """For the parent process: request that both end as soon as possible."""
         self._stop.write(1)
 
     @property
@@ -135,7 +135,7 @@ class SharedStatus:
         return self._stop.read() is not None
 
     def open_gripper(self) -> None:
-        """For the recorder: the emergency key was pressed; open the gripper, and end."""
+        """For the recorder: the emergency key was pressed; request to open the gripper and end."""
         self._open.write(1)
 
     @property
@@ -144,21 +144,21 @@ class SharedStatus:
         return self._open.read() is not None
 
     def recorder_lives(self, now_us: float) -> None:
-        """For the loop of the recorder: it is alive."""
+        """For the loop of the recorder: give a sign of life."""
         self._recorder.write(now_us)
 
     @property
     def recorder_us(self) -> float:
-        """When the recorder last gave a sign of life; -inf before the first."""
+        """Time of the recorder's last sign of life; -inf before the first."""
         row = self._recorder.read()
         return -math.inf if row is None else row[1][0]
 
     def controller_lives(self, now_us: float) -> None:
-        """For the loop of the controller: it is alive."""
+        """For the loop of the controller: give a sign of life."""
         self._controller.write(now_us)
 
     @property
     def controller_us(self) -> float:
-        """When the controller last gave a sign of life; -inf before the first."""
+        """Time of the controller's last sign of life; -inf before the first."""
         row = self._controller.read()
         return -math.inf if row is None else row[1][0]

@@ -1,11 +1,11 @@
-"""The time by which devices and control loops run: the host's, or one that several processes share and that can wait.
+"""The clock of devices and control loops: the host's, or one that several processes share and that can pause.
 
-With real devices it is `HOST_TIME`, time.monotonic. A virtual world has a `SharedTime` that stands still while the
-world has not simulated what is due, or the reader of the camera's slices lags behind. So a busy machine makes such a
-trial slower, and changes nothing in it. Beside a real gripper it does not stand still.
+With real devices it is `HOST_TIME`, time.monotonic. A virtual world has a `SharedTime`, which pauses while the world is
+behind with its simulation, or while the reader of the camera's slices lags behind. So a busy machine makes such a trial
+slower but does not change its result. With a real gripper the clock does not pause.
 
-Why so: a world that is late on the host's clock misses the end of its own trial, and a controller that goes by the
-host's clock takes a late detector for a dead one. Both say something about the machine, not about the program.
+Reason: on the host's clock, a late world misses the end of its own trial, and a controller mistakes a late detector for
+a dead one. Both would be effects of the machine, not of the program.
 """
 
 import math
@@ -17,84 +17,84 @@ from typing import Protocol
 from evetac_cli.realtime.bell import Bell
 from evetac_cli.realtime.shared_row import SharedRow
 
-PATIENCE_S = 2.0  # time stands still for no longer than this: then who is late may as well be dead
-CREEP = 0.01  # how fast it goes while it waits: two steps of a control loop never happen at the same time
+PATIENCE_S = 2.0  # longest pause: a process that is later than this is considered dead
+CREEP = 0.01  # speed of the clock during a pause, so that two steps of a control loop never have the same time
 SHORTEST_SLEEP_S = 2e-4
-READER_S = 0.02  # how far it may be ahead of who reads the slices; a driver on a machine with time is behind by 5 ms
+READER_S = 0.02  # largest lead over the reader of the slices; a driver on an idle machine is 5 ms behind
 
 
 class TimeSource(Protocol):
-    """A clock in seconds that never goes back, and what waits by it."""
+    """A clock in seconds that never goes back, with a sleep on this clock."""
 
     def now_s(self) -> float:
-        """Time now, in s."""
+        """Return the current time, in s."""
 
     def sleep(self, seconds: float, bell: Bell | None = None) -> bool:
-        """Wait until so much of this time has passed, or until the bell rings; whether it did."""
+        """Wait until this time has passed on the clock, or the bell rings; return whether it rang."""
 
     def slices_read_until(self, now_s: float) -> None:
-        """For the reader of a camera's slices: all that ended before this time were read."""
+        """For the reader of a camera's slices: report that all slices that ended before this time were read."""
 
 
 class HostTime:
-    """The host's monotonic clock, which does not wait."""
+    """The host's monotonic clock, which never pauses."""
 
     def now_s(self) -> float:
-        """Time now, in s, as time.monotonic."""
+        """Return the current time of time.monotonic, in s."""
         return time.monotonic()
 
     def sleep(self, seconds: float, bell: Bell | None = None) -> bool:
-        """Sleep for so many seconds, as time.sleep, or until the bell rings; whether it did."""
+        """Sleep like time.sleep, or until the bell rings; return whether it rang."""
         if bell is not None:
             return bell.wait(seconds)
         time.sleep(seconds)
         return False
 
     def slices_read_until(self, now_s: float) -> None:
-        """Without effect: the host's clock does not wait for readers."""
+        """Do nothing: the host's clock does not wait for readers."""
 
 
 HOST_TIME = HostTime()
 
 
 class SharedTime:
-    """A clock in a file in shared memory, at `start` of it, where all is 0 before the first use; or without a file.
+    """A clock in a shared-memory file, at the offset `start`, where all bytes are 0 before the first use.
 
-    It runs as the host's until `limit` says how far it may go. One process limits it (a virtual world), one or two say
-    how far they have read (the drivers of the cameras), any may ask for the time. It may be pickled: the copy is the
-    same clock. Without a file it is the clock of one process.
+    It runs like the host's clock up to the time set by `limit`. One process limits it (a virtual world), one or two
+    report how far they have read (the drivers of the cameras), and any process may read the time. It may be pickled:
+    the copy is the same clock. Without a file it is the clock of one process.
     """
 
     SIZE = 192
     _READERS_AT = (64, 128)
 
     def __init__(self, path: Path | None = None, start: int = 0, reader: int = 0) -> None:
-        """reader: which of two cameras has its driver here, if any has."""
+        """reader: index of the camera whose driver runs in this process, if any."""
         self._path, self._start, self._number = path, start, reader
         memory: mmap.mmap | memoryview[int] = memoryview(bytearray(start + self.SIZE))
         if path is not None:
             with open(path, "r+b") as file:
                 memory = mmap.mmap(file.fileno(), start + self.SIZE)
-        self._limit = SharedRow(memory, start, "2d")  # how much later than the host's it is; how far it may go
+        self._limit = SharedRow(memory, start, "2d")  # delay relative to the host's clock; limit
         self._readers = [SharedRow(memory, start + at, "d") for at in self._READERS_AT]
-        self._until_s = -math.inf  # the last limit that was set here
+        self._until_s = -math.inf  # the last limit that this process set
 
     def __reduce__(self) -> tuple[type["SharedTime"], tuple[Path, int, int]]:
         if self._path is None:
-            raise TypeError("the clock of one process cannot be given to another: it has no file")
+            raise TypeError("a clock without a file cannot be passed to another process")
         return SharedTime, (self._path, self._start, self._number)
 
     def of_reader(self, number: int) -> "SharedTime":
-        """The same clock for the driver of another camera."""
+        """Return the same clock for the driver of another camera."""
         return SharedTime(self._path, self._start, number)
 
     def now_s(self) -> float:
-        """The host's time less what was waited so far; beyond the limit it all but stands still, for PATIENCE_S."""
+        """Return the host's time minus all pauses; beyond the limit it almost stops, for at most PATIENCE_S."""
         host_s = time.monotonic()
         return host_s - self._behind_s(host_s)
 
     def sleep(self, seconds: float, bell: Bell | None = None) -> bool:
-        """Wait until so much of this time has passed, or until the bell rings; whether it did."""
+        """Wait until this time has passed on the clock, or the bell rings; return whether it rang."""
         until_s = self.now_s() + seconds
         while (left_s := until_s - self.now_s()) > 0:
             if HOST_TIME.sleep(max(left_s, SHORTEST_SLEEP_S), bell):
@@ -102,9 +102,9 @@ class SharedTime:
         return False
 
     def limit(self, until_s: float) -> None:
-        """Let it run until then, inf: for good. It never goes back, and what was waited is not made up for.
+        """Let the clock run until this time; inf: without limit. It never goes back, and pauses are not caught up.
 
-        A limit that is no later than the last one changes nothing: so PATIENCE_S count from when time stood still.
+        A limit that is not later than the last one has no effect: so PATIENCE_S counts from the begin of the pause.
         """
         if until_s <= self._until_s:
             return
@@ -114,17 +114,17 @@ class SharedTime:
         self._limit.write(behind_s, max(until_s, host_s - behind_s))
 
     def slices_read_until(self, now_s: float) -> None:
-        """For the reader of a camera's slices: all that ended before this time were read; inf: there is no reader."""
+        """For the reader of a camera's slices: report that all slices before this time were read; inf: no reader."""
         self._readers[self._number].write(now_s)
 
     @property
     def reader_s(self) -> float:
-        """Time until which the slices were read, by whoever has read least; inf without a reader."""
+        """Time until which all readers have read the slices; inf without a reader."""
         rows = [reader.read() for reader in self._readers]
         return min((row[1][0] for row in rows if row is not None), default=math.inf)
 
     def _behind_s(self, host_s: float) -> float:
-        """How much later than the host's this clock is."""
+        """Return the delay of this clock relative to the host's."""
         row = self._limit.read()
         if row is None:
             return 0.0

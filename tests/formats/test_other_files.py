@@ -95,7 +95,7 @@ def test_five_bytes_an_event(tmp_path: Path) -> None:
     rows = zip(*(column.tolist() for column in EVENTS), strict=True)
     path.write_bytes(b"".join(struct.pack(">BBBH", x, y, p << 7 | t >> 16, t & 0xFFFF) for t, x, y, p in rows))
     hint = hint_of(path)
-    assert "if it is of N-MNIST or N-Caltech101" in hint
+    assert "N-MNIST or N-Caltech101" in hint
     follow(hint[hint.index("b = numpy") :], path)
     assert_read(path.with_suffix(".npz"), EVENTS)
     path.write_bytes(path.read_bytes() + b"\0")
@@ -111,4 +111,4 @@ def test_packed_files(tmp_path: Path) -> None:
     assert "gunzip" in hint_of(path)
     path = tmp_path / "a.db3.zstd"
     path.write_bytes(b"\x28\xb5\x2f\xfd" + bytes(40))
-    assert "zstd -d" in hint_of(path) and "folder of the bag" in hint_of(path)
+    assert "zstd -d" in hint_of(path) and "the bag's folder" in hint_of(path)

@@ -135,14 +135,14 @@ def test_rows_of_a_clock_stand_until_the_next(tmp_path: Path) -> None:
             assert np.isnan(shown).all()
         else:
             assert shown == (t_us[index], position[index])
-    assert "1 of 12 rows of gripper: 1 followed by a later one before the slice ends" in row["left_out"]
+    assert "1 of 12 rows of gripper: 1 because a later row of the same slice is shown" in row["left_out"]
     assert "after the end" not in row["left_out"]
     every = frame.drop_duplicates("control_t_us")
     assert every["control_goal_ticks"].tolist() == stored(path, "recording", "control/goal_ticks", ()).tolist()
 
 
 AFTER = "{} after the end of the last slice"
-LATER = "{} followed by a later one before the slice ends, which is shown"
+LATER = "{} because a later row of the same slice is shown"
 
 
 @pytest.mark.parametrize(
@@ -160,7 +160,7 @@ def test_rows_that_are_left_out_say_why(tmp_path: Path, t_us: Sequence[int], sai
     path = write_grasp(tmp_path, "a", gripper__t_us=np.array(t_us, np.int64))
     with open_recording(path) as recording:
         missing_rows = [each for each in slice_columns.not_in_tables(recording) if "gripper" in each]
-    missing = sum(int(number) for number in re.findall(r"(\d+) (?:after|followed)", said))
+    missing = sum(int(number) for number in re.findall(r"(\d+) (?:after|because)", said))
     assert missing_rows == ([f"{missing} of 12 rows of gripper: {said}"] if said else [])
 
 
@@ -191,7 +191,7 @@ def test_other_streams_stand_beside(tmp_path: Path) -> None:
     path = write_grasp(tmp_path, "a", **more, streams__probe__frames=np.zeros((4, 2, 3, 1), np.uint8))
     target = tmp_path / "a.parquet"
     row = export(path, "parquet", target, opened=trial_files)
-    why = "1 followed by a later one before the slice ends, which is shown, 1 after the end of the last slice"
+    why = "1 because a later row of the same slice is shown, 1 after the end of the last slice"
     assert f"2 of 4 rows of streams/probe: {why}" in row["left_out"]
     frame = pd.read_parquet(target)
     assert frame["streams_probe_height_mm"].tolist() == [0.0, 0.0, *[2.0] * (SLICES - 2)]
@@ -339,7 +339,7 @@ def test_a_folder_of_others_is_not_replaced(source: Path, tmp_path: Path) -> Non
     (out / "mine.txt").write_text("mine")
     assert "mine.txt" in refusal([source], "parquet", out, {}, opened=trial_files, force=True)
     twice = refusal([source, source], "parquet", tmp_path / "new", {}, opened=trial_files)
-    assert "same name" in twice
+    assert "same file" in twice
     assert "not a folder" in refusal([source], "parquet", out / "mine.txt", {}, opened=trial_files, force=True)
     assert sorted(path.name for path in tmp_path.iterdir()) == [".out.evetac-files.json", "out"]
 

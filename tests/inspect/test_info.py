@@ -74,7 +74,7 @@ def test_notes_of_an_import(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     output, _ = run_stage(record, [], chosen, tmp_path / "a.recording.h5")
     lines = shown(output, capsys)
     assert "source a.txt (text)" in lines and "events_dropped 1" in lines
-    assert any(line.startswith("notes 50% of the events lie outside 640x480") for line in lines)
+    assert any(line.startswith("notes 50% of the events are outside 640x480") for line in lines)
 
 
 def test_a_simulated_recording_has_neither(made: Made, capsys: pytest.CaptureFixture[str]) -> None:
@@ -87,7 +87,7 @@ def test_history_is_the_parents_and_a_count_of_the_rest(made: Made, capsys: pyte
     """Assert that a grasp names its model, a model its features and a count of what lies behind; JSON keeps all."""
     (model,) = info.run([made.grasp]).rows[0]["parents"]
     froms = [line for line in shown(made.grasp, capsys) if line.startswith(("from", "behind"))]
-    assert froms == [f"from model {model[:12]} method number {train.METHOD}"]
+    assert froms == [f"from model {model[:12]} method version {train.METHOD}"]
     (row,) = info.run([made.model]).rows
     lines = shown(made.model, capsys)
     assert sum(line.startswith("from features") for line in lines) == len(row["parents"])

@@ -90,7 +90,7 @@ def test_model_card(made: Made, tmp_path: Path) -> None:
     assert "model-index" not in given
     page = (out / "README.md").read_text()
     assert "**Simulated.**" in page
-    assert "No evaluation was added" in page
+    assert "This card has no evaluation" in page
     assert "No license" not in page
 
 
@@ -108,11 +108,11 @@ def test_model_card_with_a_report(made: Made, tmp_path: Path) -> None:
         kind: first[key] for key, kind in (("f1", "f1"), ("slip_correct", "accuracy")) if first[key] is not None
     }
     assert all("(simulated)" in one["name"] for one in (result["dataset"], *result["metrics"]))
-    assert "No evaluation was added" not in (tmp_path / "hub" / "README.md").read_text()
+    assert "This card has no evaluation" not in (tmp_path / "hub" / "README.md").read_text()
     other = tmp_path / "other.slip.report.h5"
     arrays = {"command": "evaluate slip", "rows": "[]", "summary": "{}"}
     write_stage(other, Recipe("report", 1, {}), arrays)
-    with pytest.raises(InputError, match="a report on something else"):
+    with pytest.raises(InputError, match="not on this model"):
         shared(made.model, other, out=tmp_path / "hub2")
     assert not (tmp_path / "hub2").exists()
 
@@ -235,7 +235,7 @@ def test_a_shared_folder_that_is_worked_on_is_kept(trials: Path, tmp_path: Path)
 
 def test_what_is_shared_is_not_replaced_by_it(trials: Path, tmp_path: Path) -> None:
     """Assert that a model or data set inside the output is refused."""
-    with pytest.raises(InputError, match="lies in the output"):
+    with pytest.raises(InputError, match="would replace the folder"):
         shared(trials, out=tmp_path, force=True)
     assert sorted(path.name for path in trials.glob("*.h5")) == ["a.recording.h5", "a.tracks.h5"]
 
@@ -247,7 +247,7 @@ def test_what_cannot_be_shared(trials: Path, tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
     with pytest.raises(InputError, match="nothing to share"):
         shared(tmp_path / "empty", out=tmp_path / "hub")
-    with pytest.raises(InputError, match="lies in the folder"):
+    with pytest.raises(InputError, match="inside the folder"):
         shared(trials, out=trials / "hub")
     (trials / "b.recording.h5").write_bytes(b"\x89HDF\r\n\x1a\n broken")
     with pytest.raises(InputError, match="cannot be shared"):

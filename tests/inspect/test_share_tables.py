@@ -149,7 +149,7 @@ def test_without_splits_all_is_train_and_events_are_left_out(folder: Path, tmp_p
     named = pd.read_parquet(tmp_path / "hub" / "tables" / "trials" / "train.parquet")
     assert sorted(named["trial"]) == ["x-a", "x/a"]
     assert all((tmp_path / "hub" / recording).is_file() for recording in named["recording"])
-    assert "There is no split into training and test data" in (tmp_path / "hub" / "README.md").read_text()
+    assert "not split into training and test data" in (tmp_path / "hub" / "README.md").read_text()
 
 
 def test_without_pyarrow_there_are_no_tables(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -174,7 +174,7 @@ def test_tables_of_nothing_are_refused(folder: Path, tmp_path: Path) -> None:
     alone = tmp_path / "alone"
     alone.mkdir()
     shutil.copy(folder / "learn" / "a.tracks.h5", alone)
-    with pytest.raises(InputError, match="has no effect"):
+    with pytest.raises(InputError, match="no recordings"):
         shared(alone, out=tmp_path / "hub", tables="events")
     shared(alone, out=tmp_path / "hub")
     assert fields(tmp_path / "hub")["viewer"] is False
@@ -212,7 +212,7 @@ def test_limitations_are_those_of_the_files(folder: Path, hub: Path, tmp_path: P
     page = (hub / "README.md").read_text()
     assert "All trials are simulated" in page
     assert "2 trials: 1 sensor, 2 objects, 1 scene. The data cannot show" in page
-    assert "`test` has objects that `train` lacks (3) and no sensor that `train` lacks." in page
+    assert "`test` has objects that are not in `train` (3) and only sensors that are also in `train`." in page
     assert "Estimated, not measured: `dot_*_px`" in page and "by method: truth 2)" in page
     assert "2 recordings lost slices" in page
     assert all(f"`{name}`" in page for name in NOT_LIKE)
@@ -221,13 +221,13 @@ def test_limitations_are_those_of_the_files(folder: Path, hub: Path, tmp_path: P
     for path in (copied / "learn").iterdir():
         shutil.copy(path, copied / "unseen")
     shared(copied, out=tmp_path / "hub")
-    assert "**1 recording lies in two splits.**" in (tmp_path / "hub" / "README.md").read_text()
+    assert "**1 recording is in two splits.**" in (tmp_path / "hub" / "README.md").read_text()
     real = tmp_path / "real"
     real.mkdir()
     small_files.recording_of(real / "a.recording.h5", [1, 2, 3])
     shared(real, out=tmp_path / "real-hub")
     page = (tmp_path / "real-hub" / "README.md").read_text()
-    assert "No trial is simulated" in page and "known to differ" not in page and "truth_" not in page
+    assert "no trial is simulated" in page and "known to differ" not in page and "truth_" not in page
     assert "dots" not in [one["config_name"] for one in fields(tmp_path / "real-hub")["configs"]]
 
 

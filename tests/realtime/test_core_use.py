@@ -39,12 +39,13 @@ def test_who_used_the_cores_and_who_waited(tmp_path: Path) -> None:
     for second in range(1, 5):
         counts.set(0.8 * second, 0.1 * second, 0.02 * second, 0.0)
         cores.sample(100.0 + second)
-    said = "the detector used 80% of a core, the recorder 10%, of 2"
+    said = "the detector used 80% of a core, the recorder 10% (2 cores in total)"
     assert cores.words(whole=True) == said
     assert cores.words() == f"in the last {LAST_S:.1f} s {said}"
     counts.set(3.5, 0.4, 1.28, 0.9)
     cores.sample(105.0)
-    said = "other programs used 120% of a core, the detector 30%, of 2; the recorder waited 90% of the time for one"
+    said = "other programs used 120% of a core, the detector 30% (2 cores in total)"
+    said += "; the recorder waited 90% of the time for a core"
     assert cores.words() == f"in the last 1.0 s {said}"
 
 

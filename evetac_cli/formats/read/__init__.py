@@ -1,1 +1,1 @@
-"""Readers of event formats, one module each, and the checks that all events pass."""
+"""Readers of event formats, one module each, and the checks that all imported events pass through."""

@@ -1,14 +1,14 @@
-"""Read the dot grid that the official software keeps as a pickle of two arrays: centres (n, 2) as (x, y), sizes (n, 1).
+"""Read the dot grid that the official software stores as a pickle: centres (n, 2) as (x, y), and sizes (n, 1).
 
-It calls the sizes radii, but they are what OpenCV's blob detector gives (cv::KeyPoint): diameters. With 20.6 px for a
-radius our tracker looks for the rims of its dots outside them, and stands still.
+The official software calls the sizes radii, but they are the sizes of OpenCV's blob detector (cv::KeyPoint): diameters.
+With a radius of 20.6 px, evetac's tracker would search for the rims of dots outside of them, and would not move.
 
-A pickle is a small program, and loading one from elsewhere is running it. Here every name that it asks for is looked up
-in one table, of stand-ins of our own: nothing of numpy, of builtins or of any other module can be called.
+A pickle is a small program, and loading one means running it. Here every name in the pickle is looked up in one table
+of substitutes defined in this module: nothing of numpy, builtins or any other module can be called.
 
-Why stand-ins, also for what is harmless: numpy's own `_reconstruct` makes an array of whatever shape the file says,
-before anybody has seen that the bytes for it are missing, and numpy's dtypes may hold objects. Of the opcodes only
-those are taken that numpy writes: a key that is tuples of tuples, sixty deep, takes 2^60 steps to be looked up.
+Why even harmless names have substitutes: numpy's own `_reconstruct` allocates an array of any shape that the file
+states, before the missing bytes are noticed, and numpy's dtypes may contain objects. Only the opcodes that numpy writes
+are accepted: a key of tuples nested sixty deep would take 2^60 steps to look up.
 """
 
 import io
@@ -29,9 +29,9 @@ from evetac_cli.text_files import read_bytes
 
 MOST_BYTES = 1 << 20  # the official file has 1,735
 MOST_MEMO = 10_000
-MOST_NUMBERS = 10_000  # in lists, which may hold each other: the official file has 168
-MOST_LATIN1 = 1 << 22  # characters in all: one text may be turned into bytes again and again
-# Of numpy's pickles of every protocol, and texts as Python 2 wrote them.
+MOST_NUMBERS = 10_000  # in lists, which may contain each other: the official file has 168
+MOST_LATIN1 = 1 << 22  # characters in total, because one text may be converted to bytes repeatedly
+# The opcodes of numpy's pickles of every protocol, and of texts that Python 2 wrote.
 OPCODES = """
     PROTO FRAME STOP MARK NONE NEWTRUE NEWFALSE INT BININT BININT1 BININT2 LONG1 FLOAT BINFLOAT
     STRING SHORT_BINSTRING UNICODE BINUNICODE SHORT_BINUNICODE BINBYTES SHORT_BINBYTES BYTEARRAY8
@@ -43,7 +43,7 @@ BYTE_ORDERS = ("<", ">", "=", "|")
 
 
 class _Type:
-    """In place of a dtype: one of NUMBERS."""
+    """Substitute for a dtype: one of NUMBERS."""
 
     def __init__(self, code: Any) -> None:
         if code not in NUMBERS:
@@ -52,25 +52,25 @@ class _Type:
 
     def __setstate__(self, state: Any) -> None:
         if not isinstance(state, tuple) or len(state) < 2 or state[1] not in BYTE_ORDERS:
-            raise pickle.UnpicklingError("a dtype without a byte order")
+            raise pickle.UnpicklingError("a number type has no byte order")
         self.dtype = self.dtype.newbyteorder(state[1])
 
 
 class _Array:
-    """In place of an array: empty until its state is known to have as many bytes as its shape needs."""
+    """Substitute for an array: empty until its state has been checked to have the bytes that its shape needs."""
 
     values: NDArray[Any] = np.empty(0)
 
     def __setstate__(self, state: Any) -> None:
         if not isinstance(state, tuple) or len(state) != 5:
-            raise pickle.UnpicklingError("an array without a state")
+            raise pickle.UnpicklingError("an array has no contents")
         _, shape, type_, columns_first, content = state
         if not isinstance(type_, _Type) or not isinstance(content, (bytes, bytearray)):
-            raise pickle.UnpicklingError("an array of something other than numbers")
+            raise pickle.UnpicklingError("an array has other contents than numbers")
         if not isinstance(shape, tuple) or len(shape) > 4 or not all(type(n) is int and n >= 0 for n in shape):
-            raise pickle.UnpicklingError("an array without a shape")
+            raise pickle.UnpicklingError("an array has no valid shape")
         if math.prod(shape) * type_.dtype.itemsize != len(content):
-            raise pickle.UnpicklingError(f"an array of shape {shape} in {len(content)} bytes")
+            raise pickle.UnpicklingError(f"an array of shape {shape} has {len(content)} bytes")
         self.values = np.frombuffer(content, type_.dtype).reshape(shape, order="F" if columns_first else "C")
 
 
@@ -80,8 +80,8 @@ def _array(content: Any, type_: Any, shape: Any, order: Any = "C") -> _Array:
     return array
 
 
-class _StandIn:
-    """A function that a pickle can call, and cannot change: pickles may set the state of what they can name."""
+class _Substitute:
+    """A function that a pickle can call but not change, although pickles may set the state of objects they can name."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
         self.function = function
@@ -90,15 +90,15 @@ class _StandIn:
         return self.function(*arguments)
 
     def __setstate__(self, state: Any) -> None:
-        raise pickle.UnpicklingError("it sets the state of a function")
+        raise pickle.UnpicklingError("the pickle sets the state of a function")
 
 
-_DTYPE = _StandIn(lambda code, *_: _Type(code))
-_RECONSTRUCT = _StandIn(lambda *_: _Array())
-_SCALAR = _StandIn(lambda type_, content: _array(content, type_, ()))
-_FROM_BUFFER = _StandIn(_array)
+_DTYPE = _Substitute(lambda code, *_: _Type(code))
+_RECONSTRUCT = _Substitute(lambda *_: _Array())
+_SCALAR = _Substitute(lambda type_, content: _array(content, type_, ()))
+_FROM_BUFFER = _Substitute(_array)
 _NAMES: dict[str, Any] = {
-    "numpy.ndarray": "ndarray",  # the class that _reconstruct is to make
+    "numpy.ndarray": "ndarray",  # the class that _reconstruct is called with
     "numpy.dtype": _DTYPE,
     "numpy.core.multiarray._reconstruct": _RECONSTRUCT,
     "numpy._core.multiarray._reconstruct": _RECONSTRUCT,
@@ -113,36 +113,39 @@ class _Reader(pickle.Unpickler):
     left = MOST_LATIN1
 
     def _latin1(self, text: Any, encoding: Any) -> bytes:
-        """How protocol 2 and older write bytes."""
+        """Convert text to bytes; protocol 2 and older store bytes this way."""
         if not isinstance(text, str) or encoding != "latin1":
-            raise pickle.UnpicklingError("text in another encoding than latin1")
+            raise pickle.UnpicklingError("text has another encoding than latin1")
         self.left -= len(text)
         if self.left < 0:
-            raise pickle.UnpicklingError("more text than a calibration holds")
+            raise pickle.UnpicklingError("more text than a calibration has")
         return text.encode("latin1")
 
     def find_class(self, module: str, name: str) -> Any:
-        """Look a name up in the table of stand-ins; nothing is ever imported."""
+        """Look a name up in the table of substitutes; nothing is ever imported."""
         if (module, name) == ("_codecs", "encode"):
-            return _StandIn(self._latin1)
+            return _Substitute(self._latin1)
         if f"{module}.{name}" not in _NAMES:
-            raise pickle.UnpicklingError(f"it asks for {module[:40]}.{name[:40]}, which a calibration does not need")
+            raise pickle.UnpicklingError(f"it uses {module[:40]}.{name[:40]}, which a calibration does not need")
         return _NAMES[f"{module}.{name}"]
 
 
 def read_pickle(path: Path) -> tuple[NDArray[np.float64], float]:
-    """Centres (n, 2) as (x, y), in the file's order, and half their mean size, in px; InputError for anything else."""
+    """Return centres (n, 2) as (x, y), in the file's order, and half the mean size, in px.
+
+    Raises InputError for any other pickle.
+    """
     expected = "a pickle of centres (n, 2) and radii (n, 1), as the official software writes it"
     try:
         content = read_bytes(path, MOST_BYTES)
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of escapes in damaged strings, which say nothing to the user
+            warnings.simplefilter("ignore")  # about escapes in damaged strings, which do not help the user
             _check_opcodes(content)
             value = _Reader(io.BytesIO(content)).load()
         if not isinstance(value, (tuple, list)) or len(value) != 2:
-            raise pickle.UnpicklingError("not two arrays")
+            raise pickle.UnpicklingError("the pickle does not contain two arrays")
         centres, radii = (_numbers(part) for part in value)
-    # A damaged or hostile pickle can make the unpickler raise any of these, and each means: refused.
+    # A damaged or malicious pickle can make the unpickler raise any of these.
     except (
         pickle.UnpicklingError, ValueError, TypeError, KeyError, IndexError, AttributeError, EOFError, OverflowError,
         RecursionError, MemoryError,
@@ -161,31 +164,31 @@ def read_pickle(path: Path) -> tuple[NDArray[np.float64], float]:
 
 
 def _check_opcodes(content: bytes) -> None:
-    """Refuse opcodes that numpy does not write, or that ask for more memory than the file has bytes.
+    """Refuse opcodes that numpy does not write, or that require more memory than the file has bytes.
 
-    genops reads only as far as the file goes.
+    genops does not read beyond the end of the file.
     """
     allowed = OPCODES.split()
     for opcode, argument, _ in pickletools.genops(content):
         if opcode.name not in allowed:
             raise pickle.UnpicklingError(f"it uses {opcode.name}, which a calibration does not need")
         if opcode.name in ("PUT", "BINPUT", "LONG_BINPUT") and int(argument or 0) > MOST_MEMO:
-            raise pickle.UnpicklingError(f"a memo of {argument} entries")
+            raise pickle.UnpicklingError(f"the memo has {argument} entries")
 
 
 def _numbers(value: Any) -> NDArray[np.float64]:
-    """An array, or nested lists of numbers, as float64."""
+    """Return an array, or nested lists of numbers, as float64."""
     array = np.array(_plain(value, [MOST_NUMBERS]))
     if not isinstance(value, (_Array, list)) or array.dtype.kind not in "iuf":
-        raise pickle.UnpicklingError("something other than arrays of numbers")
+        raise pickle.UnpicklingError("other contents than arrays of numbers")
     return array.astype(np.float64)
 
 
 def _plain(value: Any, left: list[int]) -> Any:
-    """Lists with the arrays themselves in place of their stand-ins, as long as there are any `left` to be taken."""
+    """Return lists in which substitutes are replaced by their arrays; raise UnpicklingError after `left` items."""
     left[0] -= 1
     if left[0] < 0:
-        raise pickle.UnpicklingError(f"lists of more than {MOST_NUMBERS} numbers")
+        raise pickle.UnpicklingError(f"lists have more than {MOST_NUMBERS} numbers")
     if isinstance(value, list):
         return [_plain(item, left) for item in value]
     return value.values if isinstance(value, _Array) else value

@@ -1,14 +1,14 @@
-"""The clock of a camera as a file holds it, made continuous: the one rule for wraps, for every format.
+"""Unwrap the camera clock of a file: the one rule for wraps, used for every format.
 
-A clock of few bits begins anew when it is full: 24 bits of microseconds in EVT3 (16.8 s), 31 or 32 bits in AEDAT, DAT,
-libcaer and in columns that a program saved as int32 or uint32 (35.8 or 71.6 min), 34 bits in EVT2. A file may also hold
-a clock that truly went back: the camera was restarted, files were joined, a packet was damaged. Size tells the two
-apart: a fall of more than three quarters of the clock's range is a wrap and is followed. Any smaller step back stays in
-the times, for time_order to judge.
+A clock with few bits wraps when it is full. EVT3 has 24 bits of microseconds (16.8 s), EVT2 has 34. AEDAT, DAT, libcaer
+and columns that a program saved as int32 or uint32 have 31 or 32 (35.8 or 71.6 min). The clock of a file may also
+really go back: the camera was restarted, files were joined, or a packet was damaged. The size of the step distinguishes
+the two: a step back by more than three quarters of the clock's range is a wrap and is unwrapped. Any smaller step back
+stays in the times, and time_order handles it.
 
-After a jump ahead by more than three quarters of the range, a fall as large stays in the times too: the jump may have
-been the fault, from which the clock only comes back. An event that is late by less than a millisecond over a wrap looks
-like such a jump: it belongs to the turn before.
+After a jump ahead by more than three quarters of the range, an equally large step back stays in the times too: the jump
+may have been the error, and the step back its end. An event that is less than a millisecond late after a wrap looks
+like such a jump: it belongs to the turn before the wrap.
 """
 
 from collections.abc import Callable, Sequence
@@ -21,30 +21,32 @@ from evetac_cli.events import SLICE_US
 
 BITS_31, BITS_32 = 1 << 31, 1 << 32
 NEVER = 1 << 62
-WRAP_SHARE = 0.75  # of the range: a larger fall is a wrap
-EDGE_SHARE = 1 / 64  # of the range: how near its two ends a fall has to lead where only the numbers suggest a range
+WRAP_SHARE = 0.75  # of the range: a larger step back is a wrap
+EDGE_SHARE = (
+    1 / 64
+)  # of the range: a wrap must begin and end this close to its ends if only the numbers suggest a range
 
 
 class Clock:
-    """Makes the times of a clock that wraps continuous, batch by batch."""
+    """Unwraps the times of a clock, batch by batch."""
 
     def __init__(self, spans: Sequence[int], edges: Sequence[int] = (), tick_us: float = 1.0) -> None:
-        """spans: ticks after which the clock begins anew, as the format says; of several the first that fits a fall.
+        """spans: ticks after which the clock wraps, by the format; if there are several, the first that fits.
 
-        edges: ranges that the format does not say: a fall has to lead from their very end to their very beginning.
+        edges: possible ranges that the format does not state: a wrap must lead from close to their end to close to 0.
         tick_us: length of a tick.
         """
         self._spans, self._edges = tuple(spans), tuple(edges)
         self._large = WRAP_SHARE * min((*spans, *edges), default=NEVER)  # ticks; smaller steps are no wraps
-        self._late = 1 + int(SLICE_US / tick_us)  # ticks that an event may be late over a wrap
-        self._last: int | None = None  # the tick that was seen last
-        self._turns: list[int] = []  # the range of each wrap that was followed
+        self._late = 1 + int(SLICE_US / tick_us)  # ticks that an event may be late after a wrap
+        self._last: int | None = None  # the last tick so far
+        self._turns: list[int] = []  # the range of each wrap so far
         self._jumped = False  # ahead by most of the range, since the last wrap
         self._wraps = 0
         self._first = ""
 
     def continuous(self, ticks: NDArray[np.int64], place: Callable[[int], str]) -> NDArray[np.int64]:
-        """The ticks of the next batch, without wraps; place: where the user finds row i of it in the file."""
+        """Return the unwrapped ticks of the next batch; place(i): a text on where row i is in the file."""
         if not len(ticks):
             return ticks
         last = int(ticks[0]) if self._last is None else self._last
@@ -60,7 +62,7 @@ class Clock:
         return ticks + offset + np.cumsum(offsets)
 
     def _turn(self, before: int, to: int, place: Callable[[], str]) -> int:
-        """Ticks to add to all times from a large step on."""
+        """Return the ticks to add to all times after a large step."""
         if to > before:
             if self._turns and self._turns[-1] - (to - before) <= self._late:
                 return -self._turns.pop()
@@ -72,13 +74,13 @@ class Clock:
         span = self._span(before, to)
         if span:
             self._turns.append(span)
-            if len(self._turns) > self._wraps:  # not the way back from an event that was late over a wrap
+            if len(self._turns) > self._wraps:  # not the return from an event that was late after a wrap
                 self._wraps += 1
                 self._first = self._first or place()
         return span
 
     def _span(self, before: int, to: int) -> int:
-        """The range that a fall is a wrap of; 0 for none."""
+        """Return the range whose wrap explains this jump back; 0 if none does."""
         for span in self._spans:
             if before - to > WRAP_SHARE * span and (to >= 0 or span == self._spans[0]):
                 return span
@@ -89,7 +91,7 @@ class Clock:
 
     @property
     def notes(self) -> list[str]:
-        """What was followed, in words; none without a wrap."""
+        """A note on the wraps; none if there was no wrap."""
         if not self._wraps:
             return []
         times = f"{self._wraps:,} times, first" if self._wraps > 1 else "once,"

@@ -1,8 +1,9 @@
-"""Which column of a table is t, x, y or p, where text, numpy and HDF5 leave it unsaid.
+"""Decide which column of a table is t, x, y or p, if text, numpy or HDF5 do not define it.
 
-Names decide where there are any: those that data sets use (NAMES), with a unit behind the name of the time (`t_us`).
-Four columns without names are in the order that the user says (`--columns`), or in the first of ORDERS that fits:
-polarities are a code, pixels are whole, and time does not go backwards. What was assumed is said.
+If the columns have names, the names decide: those that data sets use (NAMES), possibly with a unit after the name of
+the time (`t_us`). Four unnamed columns are in the order that the user gives (`--columns`), or in the first of ORDERS
+that fits: polarities have valid values, pixels are whole numbers, and time does not go backwards. The assumption is
+reported.
 """
 
 from collections.abc import Sequence
@@ -20,19 +21,19 @@ NAMES = {
     "y": ("y", "ys"),
     "p": ("p", "ps", "pol", "polarity", "polarities", "on"),
 }
-ORDERS = ("t x y p", "x y t p", "x y p t")  # of rpg and v2e, of MVSEC and most arrays, of Prophesee's CSV
+ORDERS = ("t x y p", "x y t p", "x y p t")  # rpg and v2e; MVSEC and most arrays; Prophesee's CSV
 POLARITY = "polarity 1 brighter, 0 or -1 darker"
 
 
 class Order(NamedTuple):
-    """Places of the columns t, x, y, p, and how many us the unit of t has; None: what the times look like decides."""
+    """Indices of the columns t, x, y, p, and the unit of t in us; None if the unit is not stated."""
 
     places: tuple[int, int, int, int]
     us_per_unit: float | None
 
 
 def by_name(names: Sequence[str]) -> Order | None:
-    """The order that names tell; None unless each of t, x, y, p is named just once."""
+    """Return the order that the names define; None unless each of t, x, y, p is named exactly once."""
     places: dict[str, int] = {}
     us_per_unit: float | None = None
     for place, given in enumerate(names):
@@ -49,8 +50,8 @@ def by_name(names: Sequence[str]) -> Order | None:
 
 
 def _column(given: str) -> tuple[str | None, float | None]:
-    """Which of t, x, y, p a name stands for, and how many us the unit has that it ends with; None where it does not."""
-    name = given.strip().strip("\"'").lower().partition("@")[0]  # faery: x@640, the frame behind the name
+    """Return which of t, x, y, p a name means, and the unit of time at its end, in us; each None if absent."""
+    name = given.strip().strip("\"'").lower().partition("@")[0]  # faery writes x@640: the frame width after the name
     base, _, unit = name.rpartition("_")
     if base in NAMES["t"] and unit in UNITS:
         return "t", UNITS[unit]
@@ -58,53 +59,63 @@ def _column(given: str) -> tuple[str | None, float | None]:
 
 
 def lacking_columns(names: Sequence[str]) -> list[str]:
-    """Which of t, x, y, p none of the names stands for."""
+    """Return those of t, x, y, p that no name means."""
     known = {_column(name)[0] for name in names}
     return [column for column in NAMES if column not in known]
 
 
 def said_order(text: str, where: str) -> str:
-    """The order that a user says, as in "t y x p"; InputError unless it names each of t, x, y, p once."""
+    """Parse the user's order, for example "t y x p"; raise InputError unless it has each of t, x, y, p once."""
     names = text.replace(",", " ").split()
     if sorted(names) != sorted(NAMES):
         raise InputError(
-            "--columns does not name four columns", where=where, expected='as in "x y t p"', found=text[:80]
+            "--columns must name t, x, y and p once each",
+            where=where,
+            expected='for example "x y t p"',
+            found=text[:80],
         )
     return " ".join(names)
 
 
 def refuse_columns(columns: str | None, where: str) -> None:
-    """InputError where a user names columns that have names."""
+    """Raise InputError if a user names columns that already have names."""
     if columns is not None:
         raise InputError(
-            "--columns is for files whose columns have no names", where=where, found=columns[:80], hint="leave it out"
+            "--columns is only for files whose columns have no names",
+            where=where,
+            found=columns[:80],
+            hint="leave out --columns",
         )
 
 
 def unit_said(time_unit: str | None, own: float | None, where: str) -> float | None:
-    """How many us the unit of time has that the user says or the file; None where neither does.
+    """Return the unit of time, in us, that the user or the file states; None if neither does.
 
-    InputError where they differ.
+    Raises InputError if they differ.
     """
     if time_unit is None:
         return own
     if time_unit not in UNITS:
-        raise InputError(f"{FLAG}: no such unit", where=where, expected=" or ".join(UNITS), found=time_unit[:20])
+        raise InputError(f"{FLAG}: unknown unit", where=where, expected=" or ".join(UNITS), found=time_unit[:20])
     if own is not None and own != UNITS[time_unit]:
         raise InputError(
-            "the file states another unit of time", where=where, expected=SPOKEN[own], found=f"{FLAG} {time_unit}"
+            f"the file states another unit of time than {FLAG}",
+            where=where,
+            expected=SPOKEN[own],
+            found=f"{FLAG} {time_unit}",
+            hint=f"leave out {FLAG}",
         )
     return UNITS[time_unit]
 
 
 def places_of(order: str) -> tuple[int, int, int, int]:
-    """Places of t, x, y, p in an order of their names."""
+    """Return the indices of t, x, y, p in an order given by their names."""
     names = order.split()
     return names.index("t"), names.index("x"), names.index("y"), names.index("p")
 
 
 def guess_order(rows: NDArray[Any]) -> str:
-    """The name, in ORDERS, of the first order that some rows of four columns fit; `t x y p` where none fits."""
+    """Return the first of ORDERS that some rows of four columns fit; `t x y p` if none fits."""
     values = rows.astype(np.float64)
     values = values[np.isfinite(values).all(axis=1)]
     return next((order for order in ORDERS if len(values) and _fits(values, places_of(order))), ORDERS[0])
@@ -114,12 +125,12 @@ def _fits(values: NDArray[np.float64], places: tuple[int, ...]) -> bool:
     t, x, y, p = (values[:, place] for place in places)
     if not np.isin(p, (-1, 0, 1)).all() or (x != np.rint(x)).any() or (y != np.rint(y)).any() or (t[1:] < t[:-1]).any():
         return False
-    # Of a few events, any column may rise by chance: whole times have to be larger than any pixel's place.
+    # With few events, any column may increase by chance: whole times must be larger than all pixel coordinates.
     return places[0] == 0 or bool((t != np.rint(t)).any()) or float(t[-1]) > float(max(x.max(), y.max()))
 
 
 def assumption(order: str, us_per_unit: float | None) -> str:
-    """What was assumed of a file, in words; no order or no unit where the file says it, nothing where it says both."""
+    """Return a text on the order and unit that were assumed; empty if the file states both."""
     if not order and us_per_unit is None:
         return ""
     parts = [f"columns {order}"] if order else []

@@ -1,8 +1,9 @@
-"""Times of text, numpy and HDF5 files, in microseconds: what their unit is, whether that makes sense, and their clock.
+"""Convert the times of text, numpy and HDF5 files to microseconds: find their unit, check it, and unwrap their clock.
 
-What the user says (`--time-unit`) or the file (`t_us`) decides. Without either, whole times are taken for microseconds
-and others for seconds. That guess is tested: a number type has to leave room for it, and the events have to be as many
-per second and pixel as a camera makes. Where another unit makes as much sense, the file is refused.
+The user (`--time-unit`) or the file (`t_us`) determines the unit. Without either, whole times are assumed to be
+microseconds and others seconds. This guess is checked: the number type must be precise enough for it, and the rate of
+events per second and pixel must be one that a camera can have. If another unit is equally plausible, the file is
+refused.
 """
 
 from collections.abc import Callable
@@ -16,48 +17,49 @@ from evetac_cli.events import SLICE_US
 from evetac_cli.formats.note import CLOCK_LIMIT_US
 from evetac_cli.formats.read.clock import BITS_31, BITS_32, Clock
 
-UNITS = {"s": 1e6, "ms": 1e3, "us": 1.0, "ns": 1e-3}  # us in one of them
+UNITS = {"s": 1e6, "ms": 1e3, "us": 1.0, "ns": 1e-3}  # length of the unit in us
 SPOKEN = {1e6: "seconds", 1e3: "milliseconds", 1.0: "microseconds", 1e-3: "nanoseconds"}
 FLAG = "--time-unit"
-# Events per second and pixel, over a recording. The noise of a DVXplorer alone makes 0.3, a busy street 30 to 60.
-MOST_HZ, USUAL_MOST_HZ = 200.0, 30.0  # of all pixels of the frame
-LEAST_HZ, USUAL_LEAST_HZ = 1e-3, 0.03  # of those that made an event
-USUAL_S = 0.1  # a recording is at least as long
-FEW_EVENTS = 100  # of so few, nothing can be said
+# Events per second and pixel, over a recording. The noise of a DVXplorer alone causes 0.3, a busy street 30 to 60.
+MOST_HZ, USUAL_MOST_HZ = 200.0, 30.0  # mean over all pixels of the frame
+LEAST_HZ, USUAL_LEAST_HZ = 1e-3, 0.03  # mean over those pixels that had an event
+USUAL_S = 0.1  # shortest length of a usual recording
+FEW_EVENTS = 100  # with fewer events the unit cannot be checked
 
 
 class ColumnTimes:
     """Turns a column of times into us, batch by batch."""
 
     def __init__(self, where: str, unit: float | None, *, guess: float | None = None, documented: bool = False) -> None:
-        """unit: us in one, if it is known. guess: what it is taken for otherwise; without it, what the numbers suggest.
+        """unit: its length in us, if it is known. guess: used otherwise; without it, the numbers decide.
 
-        documented: known from the layout of the file, which may be wrong.
+        documented: the unit is known from the layout of the file, which may be wrong.
         """
         self._where, self._unit, self._guess, self._documented = where, unit, guess, documented
         self._guessed = unit is None
         self._clock: Clock | None = None
-        self._step_us = 0.0  # the coarsest that the number type leaves
+        self._step_us = 0.0  # the coarsest resolution of the number type so far
         self._step_said = ""
         self._thousands = True  # all times are multiples of a thousand
         self._first: Any = None
 
     @property
     def assumed(self) -> float | None:
-        """The unit, as us in one, where neither the user nor the file itself says it."""
+        """The unit, as its length in us, if neither the user nor the file itself states it."""
         return self._unit if self._guessed or self._documented else None
 
     def us(self, t: NDArray[Any], place: Callable[[int], str]) -> NDArray[Any]:
-        """The times of the next batch, int64, or float64 where some are no numbers; place: where row i is in the file.
+        """Return the times of the next batch, int64, or float64 if some are not numbers.
 
-        InputError where the unit cannot be told, changes, or is finer than the numbers.
+        place(i): a text on where row i is in the file. Raises InputError if the unit is unclear, changes within the
+        file, or is finer than the numbers can represent.
         """
         if self._unit is None:
             self._unit = self._guess or self._by_numbers(t)
         if t.dtype.kind == "f":
             return self._of_floats(t, place)
         if t.dtype.kind == "u" and t.dtype.itemsize == 8 and len(t) and t.max() >= 1 << 63:
-            return t  # refused as too large where all times are checked
+            return t  # event_validation refuses them as too large
         ticks = t.astype(np.int64, copy=False)
         if self._clock is None:
             self._clock = _clock(t.dtype, self._unit)
@@ -84,7 +86,7 @@ class ColumnTimes:
             raise InputError(
                 "the unit of time changes within the file",
                 where=self._where,
-                expected="whole microseconds, as in the first rows",
+                expected="whole microseconds, like the first rows",
                 found=f"{values[row]:.9g} {place(row)}",
                 hint=f"give the unit with {FLAG}",
             )
@@ -109,12 +111,12 @@ class ColumnTimes:
                 "the unit of time is unclear",
                 where=self._where,
                 found=f"{t.dtype} times near {float(np.abs(finite).max()):.9g}, in steps of {step:.6g}",
-                hint=f"write them as float64 or as integers, or give the unit with {FLAG}",
+                hint=f"save the times as float64 or as integers, or give the unit with {FLAG}",
             )
         return 1.0
 
     def _check_steps(self, t: NDArray[Any], sound: NDArray[np.bool_]) -> None:
-        """InputError where the number type is too coarse to tell slices apart."""
+        """Raise InputError if the number type is too coarse to distinguish slices."""
         if t.dtype.itemsize >= 8 or not sound.any():
             return
         assert self._unit is not None
@@ -122,15 +124,17 @@ class ColumnTimes:
         step_us = float(np.spacing(most)) * self._unit
         said = f"{t.dtype} times near {float(most) * self._unit / 1e6:.9g} s have steps of {_in_us(step_us)}"
         if step_us > SLICE_US:
-            hint = "write them as float64 or as integers"
-            raise InputError("times are too coarse", where=self._where, expected="1 ms or finer", found=said, hint=hint)
+            hint = "save the times as float64 or as integers"
+            raise InputError(
+                "the times are too coarse", where=self._where, expected="1 ms or finer", found=said, hint=hint
+            )
         if step_us > max(1.0, self._step_us):
             self._step_us, self._step_said = step_us, said
 
     def check(self, events: int, span_us: float, frame_px: tuple[int, int], lit_hz_us: float) -> None:
-        """InputError where the unit is a guess that makes no sense, or another one makes more.
+        """Raise InputError if the unit is a guess that is implausible, or if another unit is more plausible.
 
-        span_us: length of the recording. lit_hz_us: events per us of those pixels that made one.
+        span_us: length of the recording. lit_hz_us: events per us and pixel, of those pixels that had an event.
         """
         if self.assumed is None or events < FEW_EVENTS:
             return
@@ -140,7 +144,7 @@ class ColumnTimes:
             for unit, us in UNITS.items()
         }
         own = next(unit for unit, us in UNITS.items() if us == self._unit)
-        coarse = self._thousands and self._first is not None  # a camera's clock is finer
+        coarse = self._thousands and self._first is not None  # all multiples of 1000: coarser than a camera's clock
         sound = readings[own].plausible
         if sound and (not self._guessed or (readings[own].usual and not coarse)):
             return
@@ -148,21 +152,21 @@ class ColumnTimes:
         if not others and (sound or not self._guessed):
             return
         raise InputError(
-            f"the unit of time {'is not certain' if sound else 'does not make sense'}",
+            f"the unit of time {'is not certain' if sound else 'is implausible'}",
             where=self._where,
             found="; ".join(f"in {SPOKEN[UNITS[unit]]}: {readings[unit]}" for unit in (own, *others)),
-            hint=f"give it with {FLAG} {' or '.join(UNITS)}",
+            hint=f"give the unit with {FLAG} {' or '.join(UNITS)}",
         )
 
     @property
     def notes(self) -> list[str]:
-        """What was followed, and how coarse the times are."""
+        """Notes on clock wraps, and on the resolution of the times if it is coarse."""
         coarse = [self._step_said] if self._step_said else []
         return [*coarse, *(self._clock.notes if self._clock else [])]
 
 
 class _Reading:
-    """What a recording would be if its times had some unit."""
+    """Length and event rate of a recording under the assumption of some unit of time."""
 
     def __init__(self, events: int, span_us: float, frame_px: tuple[int, int], lit_hz_us: float) -> None:
         self._span_s = span_us / 1e6
@@ -171,17 +175,17 @@ class _Reading:
 
     @property
     def plausible(self) -> bool:
-        """Whether a camera can make so many events per second and pixel."""
+        """Whether a camera can have this rate of events per second and pixel."""
         return self._hz <= MOST_HZ and self._lit_hz >= LEAST_HZ
 
     @property
     def usual(self) -> bool:
-        """Whether most recordings are as long, and have as many."""
+        """Whether length and event rate are those of a usual recording."""
         return self._span_s >= USUAL_S and self._hz <= USUAL_MOST_HZ and self._lit_hz >= USUAL_LEAST_HZ
 
     @property
     def typical(self) -> bool:
-        """Whether it is usual, and also pixels that made no event are few enough for a camera with noise."""
+        """Whether it is usual, and the rate over all pixels is high enough for a camera with noise."""
         return self.usual and self._hz >= USUAL_LEAST_HZ
 
     def __str__(self) -> str:
@@ -189,7 +193,7 @@ class _Reading:
 
 
 def _clock(dtype: np.dtype[Any], us_per_tick: float) -> Clock:
-    """The clock of a column: of 32 bits by its type, or of 31 or 32 bits of us by its numbers."""
+    """Return the clock of a column: 32 bits if its type has 32, otherwise possibly 31 or 32 bits of us by values."""
     spans = {"u4": (BITS_32,), "i4": (BITS_32, BITS_31)}.get(dtype.str[1:], ())
     edges = tuple(round(bits / us_per_tick) for bits in (BITS_31, BITS_32)) if us_per_tick <= 1 else ()
     return Clock(spans, tuple(edge for edge in edges if edge not in spans), us_per_tick)

@@ -1,7 +1,7 @@
-"""Checks that all imported events go through: columns of any number type in, our columns out, or an InputError.
+"""Validate all imported events: columns of any number type in, evetac's columns out, or an InputError.
 
-Readers differ in everything (unsigned times, polarity -1/+1, floats), so none of them checks what all files share: they
-hand over batches of raw columns, which are checked and converted here.
+Formats differ in their number types (unsigned times, polarity -1/+1, floats). Readers therefore only return batches of
+raw columns; the checks that apply to all formats, and the conversion, are done here.
 """
 
 import math
@@ -24,20 +24,20 @@ from evetac_cli.formats.read.events_on_disk import EventsOnDisk
 from evetac_cli.formats.read.time_order import IN_ORDER, OrderOptions, Placed, TimeOrder
 from evetac_cli.store.recordings.streams import Stream
 
-# Every millisecond costs a row of the slice index, so one broken time stamp must not make billions of empty slices.
+# Every millisecond takes a row of the slice index, so one wrong time stamp must not cause billions of empty slices.
 SPAN_LIMIT_US = (LONGEST_SLICES - 1) * SLICE_US
-# uint16 coordinates
+# Coordinates are uint16.
 FRAME_LIMIT_PX = 2**16
-MINUS_ONES = (2**8 - 1, 2**16 - 1, 2**32 - 1, 2**64 - 1)  # a polarity of -1 in a column without signs
-SMALL_BATCH = 1 << 16  # events
-LIT_EVENTS = 1 << 18  # of so many events, which pixels they came from is kept
-LIT_PIXELS = 1 << 24  # of larger frames, several pixels count as one
+MINUS_ONES = (2**8 - 1, 2**16 - 1, 2**32 - 1, 2**64 - 1)  # a polarity of -1 that was stored as an unsigned number
+SMALL_BATCH = 1 << 16  # events; smaller batches are joined
+LIT_EVENTS = 1 << 18  # the pixels of the first events are remembered, up to this number
+LIT_PIXELS = 1 << 24  # in larger frames, several pixels are counted as one
 
 
 class EventColumns(NamedTuple):
-    """A batch of raw events: t in us, x and y in px, p as in the file; `place` says where the user finds row i.
+    """A batch of raw events: t in us, x and y in px, p as in the file; place(i) is a text on where row i is.
 
-    t is on the clock of the file, without its wraps (clock.py), but may go back.
+    t is on the clock of the file, unwrapped (clock.py), but may go back.
     """
 
     t: NDArray[Any]
@@ -49,48 +49,48 @@ class EventColumns(NamedTuple):
 
 @dataclass
 class Foreign:
-    """What a reader hands over: raw batches, in file order, and what the file says about itself."""
+    """The result of a reader: raw batches in file order, and facts that the file states about itself."""
 
     format: str
     frame_px: tuple[int, int]
     batches: Iterable[EventColumns]
-    clock_us: int = 0  # to be added to every t, where a file keeps it apart
+    clock_us: int = 0  # to be added to every t, if a file stores an offset separately
     notes: list[str] = field(default_factory=list)
-    left_out: dict[str, int] = field(default_factory=dict)  # what the file holds beside the events, and how much of it
-    assumed: str = ""  # what the file does not say of its columns
-    note: Note | None = None  # if the file is an export of ours; its times are in the clock of t
+    left_out: dict[str, int] = field(default_factory=dict)  # amounts of other data in the file
+    assumed: str = ""  # an assumption about the columns that the file does not state
+    note: Note | None = None  # if evetac exported the file; its times are in the clock of t
     cut_short: bool = False  # its end is known to be missing
-    may_be_empty: bool = False  # the file is whole, also where it holds no event
+    may_be_empty: bool = False  # the file is complete even if it has no events
     streams: list[Stream] = field(default_factory=list)  # read with the events, on their clock
-    times: ColumnTimes | None = None  # of files whose times are a column of plain numbers
-    guessed_order: str = ""  # of columns without names
+    times: ColumnTimes | None = None  # for files whose times are a column of plain numbers
+    guessed_order: str = ""  # of unnamed columns
 
 
 def at_index(start: int, row: int) -> str:
-    """Where an event stands in a file that has no lines: its number, counted from 0."""
+    """Return a text on the position of an event in a file that has no lines: its index, counted from 0."""
     return f"at index {start + row}"
 
 
 class FrameUnknown(InputError):
-    """Neither the file nor the user says how large the frame is (exit code 2)."""
+    """Neither the file nor the user states the frame size (exit code 2)."""
 
 
 @dataclass
 class Normal:
-    """What was found of events that passed every check, and what became of the others."""
+    """Facts about the events that passed all checks, and about those that did not."""
 
     size: int = 0
-    first_us: int = 0  # where t = 0 is in the file's clock; 0 without events
+    first_us: int = 0  # t = 0 on the file's clock; 0 without events
     last_us: int = 0  # of the last event, in the file's clock; 0 without events
     dropped: dict[str, int] = field(default_factory=dict)  # events left out, by reason
-    sorted: int = 0  # events put back in order: those that came after a later one
-    notes: list[str] = field(default_factory=list)  # what was done about order and polarity, in words
+    sorted: int = 0  # events that came after a later one and were sorted
+    notes: list[str] = field(default_factory=list)  # on corrections of order and polarity
 
 
 def checked_frame(frame_px: tuple[int, int] | None, where: str, hint: str) -> tuple[int, int]:
-    """Width and height in px, or an InputError that asks for them."""
+    """Return width and height in px; raise FrameUnknown if they are None, InputError if they are impossible."""
     if frame_px is None:
-        raise FrameUnknown("the file does not say how large the frame is", where=where, hint=hint)
+        raise FrameUnknown("the file does not state its frame size", where=where, hint=hint)
     width, height = frame_px
     if not (1 <= width <= FRAME_LIMIT_PX and 1 <= height <= FRAME_LIMIT_PX):
         raise InputError(
@@ -105,34 +105,39 @@ def checked_frame(frame_px: tuple[int, int] | None, where: str, hint: str) -> tu
 def choose_frame(
     own: tuple[int, int] | None, asked: tuple[int, int] | None, where: str, hint: str = ""
 ) -> tuple[int, int]:
-    """The file's own frame, or else the one asked for; asking for another than the file says is refused.
+    """Return the file's own frame, or the requested one if the file states none.
 
-    It would have no effect. InputError with `hint` where neither is known.
+    Raises InputError if both are given and differ, because the requested one would have no effect, and with `hint` if
+    neither is known.
     """
     wanted = None if asked is None else checked_frame(asked, where, "")
     if wanted and own and wanted != tuple(own):
         raise InputError(
-            "the file says another frame size",
+            "the file states another frame size than --frame-size",
             where=where,
             expected="{}x{}".format(*own),
             found="{}x{}".format(*wanted),
             hint="leave out --frame-size",
         )
-    return checked_frame(own or wanted, where, hint or "say it: --frame-size WIDTHxHEIGHT")
+    return checked_frame(own or wanted, where, hint or "give it with --frame-size WIDTHxHEIGHT")
 
 
 def normalise(
     foreign: Foreign, normal: Normal, *, order: OrderOptions = IN_ORDER, where: str = "", folder: Path | None = None
 ) -> Iterator[Events]:
-    """Turn the batches of a file into one stream of events that starts at t = 0: the first event, or what a note says.
+    """Convert the batches of a file into one stream of events that starts at t = 0.
 
-    Events outside the frame and events that are no numbers are dropped and counted; at the end `normal` is filled. What
-    was given out counts only then: InputError comes as late as at the end, where columns differ in length, a
-    coordinate is no whole number, a polarity is none of {0, 1} or of {-1, 1}, a time lies beyond 2^53 us or before the
-    start of the recording, time goes backwards in a way that `order` does not say what to do about (time_order), the
-    unit of time was guessed and makes no sense, the events span more than 6 h, none of them can be used, or the file
-    holds none at all and that was not expected. With `order.sort` nothing is given out before the end, and events wait
-    on the disk of `folder`.
+    t = 0 is the first event, or the start that evetac's note in the file states. Events outside the frame and events
+    that are not numbers are dropped and counted; at the end `normal` is filled. The events are valid only then, because
+    InputError may be raised as late as at the end. It is raised if
+    - columns differ in length, or a coordinate is not a whole number,
+    - polarities are neither of {0, 1} nor of {-1, 1},
+    - a time is beyond 2^53 us or before the start of the recording,
+    - time goes backwards and `order` does not cover the case (time_order),
+    - the unit of time was guessed and is implausible,
+    - the events span more than 6 h, none of them can be used, or the file unexpectedly has none.
+
+    With `order.sort`, no event is yielded before all are read; they are stored temporarily in `folder`.
     """
     seen, in_order, first_us, last_us = _Seen(foreign.frame_px), TimeOrder(order), 0, 0
     start_us = foreign.note.start_us if foreign.note and not order.from_restart else None
@@ -167,7 +172,7 @@ def normalise(
 
 
 def _in_blocks(parts: Iterable[Events]) -> Iterator[Events]:
-    """The same events in blocks of some hundred thousand, so that what is done once a block costs little."""
+    """Yield the same events in blocks of some hundred thousand, so that the work per block costs little."""
     waiting: list[Events] = []
     count = 0
     for part in parts:
@@ -182,7 +187,7 @@ def _in_blocks(parts: Iterable[Events]) -> Iterator[Events]:
 
 
 def _refuse_all(seen: "_Seen", foreign: Foreign, where: str) -> None:
-    """InputError where all batches together are none that can be used."""
+    """Raise InputError if no event of all batches can be used, or if the polarities are invalid."""
     note = foreign.note
     if not seen.total and not (foreign.may_be_empty or (note is not None and not note.events)):
         raise no_events(where)
@@ -194,13 +199,13 @@ def _refuse_all(seen: "_Seen", foreign: Foreign, where: str) -> None:
             "none of the events can be used",
             where=where,
             expected=f"events inside the frame of {frame} px",
-            found=f"{dropped['out_of_frame']} outside, {dropped['not_a_number']} that are not numbers",
+            found=f"{dropped['out_of_frame']} events outside, {dropped['not_a_number']} that are not numbers",
             hint="check the frame size and the order of the columns" if dropped["out_of_frame"] else "",
         )
 
 
 class _Seen:
-    """What was noticed so far of a stream of batches."""
+    """Counts and values seen so far in a stream of batches."""
 
     def __init__(self, frame_px: tuple[int, int]) -> None:
         self.dropped = {"not_a_number": 0, "out_of_frame": 0}
@@ -212,7 +217,7 @@ class _Seen:
         self._lit_us = (0, 0)
 
     def pixels(self, part: Events) -> None:
-        """Remember, of the first events, which pixels they came from and from when to when they were."""
+        """Remember the pixels of the first events, and the time that they span."""
         if self._lit_events < LIT_EVENTS and part.size:
             self._lit[(part.y * np.int64(self._width) + part.x) % len(self._lit)] = True
             first_us, last_us = self._lit_us if self._lit_events else (int(part.t[0]), int(part.t[0]))
@@ -220,38 +225,40 @@ class _Seen:
             self._lit_events += part.size
 
     def lit_hz_us(self) -> float:
-        """Events per us of the pixels that made one."""
+        """Return events per us and pixel, of those pixels that had an event."""
         span_us = self._lit_us[1] - self._lit_us[0]
         lit = int(np.count_nonzero(self._lit))
         return self._lit_events / span_us / lit if span_us > 0 and lit else math.inf
 
     def polarities(self, p: NDArray[Any]) -> None:
-        """Remember which values stand for polarity; all of them are known ones."""
+        """Remember which polarity values occur; all of them have been checked to be valid."""
         if p.dtype.kind == "b" or not len(p):
             return
         codes = (0, 1) if (p.dtype.kind == "u" or p.min() >= 0) and p.max() <= 1 else (-1, 0, 1, *MINUS_ONES)
         self._polarities.update(code for code in codes if code not in self._polarities and (p == code).any())
 
     def check_polarities(self, where: str) -> None:
-        """InputError where the values are of more than one code, or may be."""
+        """Raise InputError if the values mix the conventions 0/1 and -1/1, or might do so."""
         codes = sorted(self._polarities)
         unsigned = [value for value in codes if value in MINUS_ONES]
         if (-1 in codes and 0 in codes) or (unsigned and codes != [1, unsigned[0]]):
             raise InputError(
-                "polarity mixes two codes" if len(codes) > 1 else "unknown polarity",
+                "the polarities mix two conventions" if len(codes) > 1 else "unknown polarity",
                 where=where,
                 expected="0 and 1, or -1 and 1",
                 found=" and ".join(map(str, codes)),
-                hint="write 1 where it got brighter and 0 where darker" if unsigned else "",
+                hint="save 1 for ON (brighter) and 0 for OFF (darker)" if unsigned else "",
             )
 
     def notes(self) -> list[str]:
-        """What was taken for a polarity of -1."""
-        return [f"polarity {value} is taken as -1, darker" for value in sorted(self._polarities) if value in MINUS_ONES]
+        """Return notes on values that were interpreted as a polarity of -1."""
+        return [
+            f"polarity {value} was read as -1 (darker)" for value in sorted(self._polarities) if value in MINUS_ONES
+        ]
 
 
 def _gathered(batches: Iterable[EventColumns], where: str) -> Iterator[EventColumns]:
-    """The same batches, small ones of the same types joined, so that what is done once a batch costs little."""
+    """Yield the same batches, small ones of the same types joined, so that the work per batch costs little."""
     waiting: list[EventColumns] = []
     count = 0
 
@@ -278,7 +285,7 @@ def _gathered(batches: Iterable[EventColumns], where: str) -> Iterator[EventColu
 
 
 def _checked(foreign: Foreign, seen: _Seen, where: str) -> Iterator[Placed]:
-    """The events of each batch that can be used, in our types, and where the user finds them."""
+    """Yield the usable events of each batch in evetac's types, and the function that locates them in the file."""
     width, height = foreign.frame_px
     for given in _gathered(foreign.batches, where):
         seen.total += len(given.t)
@@ -307,9 +314,9 @@ def _checked(foreign: Foreign, seen: _Seen, where: str) -> Iterator[Placed]:
 
 
 def _without_fault(batch: EventColumns, frame_px: tuple[int, int]) -> Events | None:
-    """The events of a batch, where they are whole numbers and all of them inside the frame: most are.
+    """Return the events of a batch if all are whole numbers inside the frame, which is usual; None otherwise.
 
-    These few comparisons take a tenth of what it takes to look at every number for itself. None for other batches.
+    These few comparisons take a tenth of the time of checking every number.
     """
     t, x, y, p, _ = batch
     fine = (
@@ -329,24 +336,24 @@ def _without_fault(batch: EventColumns, frame_px: tuple[int, int]) -> Events | N
     return Events(*(column.astype(type_, copy=False) for column, type_ in zip(batch[:4], types, strict=True)))
 
 
-# What to do about a file that holds frames, IMU samples or other messages, and nothing of events.
-NOT_RECORDED = "record again with the events switched on in the program that wrote this file, or name another file"
+# Hint for a file that has frames, IMU samples or other messages, but no events.
+NOT_RECORDED = "switch on events in the program that wrote this file and record again, or give another file"
 
 
 def no_events(where: str) -> InputError:
-    """The error for a file without any event."""
-    return InputError("holds no events", where=where, hint="was the recorder stopped before the camera began?")
+    """Return the error for a file without events."""
+    return InputError("the file has no events", where=where, hint="was the recorder stopped before the camera started?")
 
 
 def check_lengths(lengths: Sequence[int], where: str) -> None:
-    """InputError unless the columns t, x, y, p have one length."""
+    """Raise InputError unless the columns t, x, y, p have the same length."""
     if len(set(lengths)) != 1:
         each = ", ".join(f"{name} {length}" for name, length in zip("txyp", lengths, strict=True))
-        raise InputError("columns differ in length", where=where, expected="t, x, y, p of one length", found=each)
+        raise InputError("the columns differ in length", where=where, expected="t, x, y, p of one length", found=each)
 
 
 def _finite(batch: EventColumns) -> NDArray[np.bool_]:
-    """Which rows hold four numbers; NaN and infinity have no place in time or frame."""
+    """Return which rows have four finite numbers; NaN and infinity are neither times nor pixels."""
     finite = np.ones(len(batch.t), bool)
     for column in batch[:4]:
         if column.dtype.kind not in "iub":
@@ -355,13 +362,16 @@ def _finite(batch: EventColumns) -> NDArray[np.bool_]:
 
 
 def _at(batch: EventColumns, rows: NDArray[np.intp]) -> EventColumns:
-    """Some rows of a batch, which still know their place in the file."""
+    """Return some rows of a batch, which keep their positions in the file."""
     t, x, y, p = (column[rows] for column in batch[:4])
     return EventColumns(t, x, y, p, lambda row: batch.place(int(rows[row])))
 
 
 def _check_values(batch: EventColumns, where: str, foreign: Foreign) -> None:
-    """Refuse values that mean the columns are not what we take them for; comparisons only, so nothing can wrap."""
+    """Raise InputError for values that show that the columns were misinterpreted.
+
+    Only comparisons are used, so that no integer can overflow.
+    """
 
     def refuse(bad: NDArray[np.bool_], column: NDArray[Any], message: str, expected: str, hint: str = "") -> None:
         if bad.any():
@@ -376,39 +386,39 @@ def _check_values(batch: EventColumns, where: str, foreign: Foreign) -> None:
         for value in MINUS_ONES:
             known |= p == value
         other = next((name for name, column in (("t", t), ("x", x), ("y", y)) if np.isin(column, (-1, 0, 1)).all()), "")
-        hint = f"the column taken for {other} looks like polarities: name the columns with --columns" if other else ""
+        hint = f"the column read as {other} looks like polarities: name the columns with --columns" if other else ""
         refuse(~known, p, "unknown polarity", "0 and 1, or -1 and 1", hint if foreign.guessed_order else "")
     for name, column in (("x", x), ("y", y)):
         if column.dtype.kind == "f":
             refuse(
-                column != np.rint(column), column, f"{name} lies between pixels", "whole pixels, before undistortion"
+                column != np.rint(column), column, f"{name} is not a whole pixel", "whole pixels, before undistortion"
             )
     far = (t >= CLOCK_LIMIT_US) | (t <= -CLOCK_LIMIT_US)
-    refuse(far, t, "time out of range", "microseconds within 285 years of 0", _unit_hint(foreign))
+    refuse(far, t, "time out of range", "at most 285 years before or after 0", _unit_hint(foreign))
 
 
 def _unit_hint(foreign: Foreign) -> str:
-    """What to do about times that are too large, where a wrong unit may be the cause."""
-    return f"is the unit of time right? {FLAG} says another" if foreign.times is not None else ""
+    """Return a hint for times that are too large, if a wrong unit may be the cause."""
+    return f"is the unit of time right? {FLAG} sets another" if foreign.times is not None else ""
 
 
 def _start(earliest_us: int, last_us: int, start_us: int | None, where: str, foreign: Foreign) -> int:
-    """The time that becomes 0: the start of the recording, or without one the first event."""
+    """Return the time that becomes 0: the start of the recording, or the first event if no start is stated."""
     first_us = earliest_us if start_us is None else start_us
     if earliest_us < first_us:
         raise InputError(
-            "an event lies before the start of the recording that the file's own note says",
+            "an event is before the start of the recording that evetac's note in the file states",
             where=where,
-            expected=f"times from {first_us} us on",
+            expected=f"times from {first_us} us",
             found=f"{earliest_us} us",
         )
     span_us = last_us - first_us
     if span_us > SPAN_LIMIT_US:
         raise InputError(
-            "the events span too long a time",
+            "the events span too much time",
             where=where,
             expected=f"at most {SPAN_LIMIT_US // 3_600_000_000} h from first to last",
             found=f"{span_us / 3.6e9:.1f} h",
-            hint=_unit_hint(foreign) or "a broken time stamp?",
+            hint=_unit_hint(foreign) or "is a time stamp wrong?",
         )
     return first_us

@@ -1,7 +1,7 @@
-"""Events of an import that have to be put in order: on disk until the last has come, so that memory does not grow.
+"""Sort the events of an import on disk, so that memory use does not grow with the file.
 
-They are in a file without a name, which is gone with the process, whatever ends it. They are given out in the order of
-their time, those of one time as they came.
+The events are stored in an unnamed temporary file, which disappears with the process however it ends. They are returned
+in time order; events with the same time keep their order.
 """
 
 import mmap
@@ -17,13 +17,13 @@ from evetac_cli.errors import InputError
 from evetac_cli.events import Events, concatenate
 
 BLOCK_EVENTS = 1 << 18  # some 3 MB
-SAMPLED = 256  # of so many events of a block one time is kept in memory, to divide all events by time
+SAMPLED = 256  # one time per this many events of a block is kept in memory, to partition all events by time
 TYPES = (np.int64, np.uint16, np.uint16, np.uint8)
 EVENT_BYTES = sum(np.dtype(type_).itemsize for type_ in TYPES)
 
 
 class _Block(NamedTuple):
-    """Where a block of events is in the file, and from when to when they are."""
+    """The position of a block of events in the file, and the time that the events span."""
 
     at: int
     size: int
@@ -32,10 +32,10 @@ class _Block(NamedTuple):
 
 
 class EventsOnDisk:
-    """Events that are appended in any pieces, and given out in blocks, in the order of their time."""
+    """Events that are appended in pieces of any size and returned in blocks, in time order."""
 
     def __init__(self, folder: Path | None = None) -> None:
-        """folder: whose disk is used; the one for temporary files where that cannot be written to."""
+        """folder: where the file is created; the folder for temporary files if that is not writable."""
         self._file = _unnamed(folder)
         self._blocks: list[_Block] = []
         self._samples: list[NDArray[np.int64]] = []
@@ -43,7 +43,7 @@ class EventsOnDisk:
         self._waiting_events = 0
 
     def __del__(self) -> None:
-        """Close the file, and with that remove it."""
+        """Close the file, which removes it."""
         if hasattr(self, "_file"):
             self._file.close()
 
@@ -60,7 +60,7 @@ class EventsOnDisk:
         return max(block.last_us for block in self._blocks)
 
     def append(self, events: Events) -> None:
-        """Add events; InputError if the disk is full."""
+        """Add events; raise InputError if the disk is full."""
         for first in range(0, events.size, BLOCK_EVENTS):
             part = events.part(first, first + BLOCK_EVENTS)
             self._waiting.append(part)
@@ -69,9 +69,9 @@ class EventsOnDisk:
                 self._write()
 
     def blocks(self) -> Iterator[Events]:
-        """All events, some at a time: one part of time after the other, from the blocks that have some of it.
+        """Yield all events, one interval of time after another, collected from the blocks that have events in it.
 
-        A microsecond that has very many is a part of its own, whose events come block by block: they are in order.
+        A microsecond with very many events is an interval by itself, yielded block by block, which is already in order.
         """
         self._write()
         if not self._blocks:
@@ -89,7 +89,7 @@ class EventsOnDisk:
                 yield events.at(np.argsort(events.t, kind="stable"))
 
     def _between(self, from_us: int, to_us: int) -> Iterator[Events]:
-        """The events of a part of time, of each block that has some."""
+        """Yield the events of an interval of time, from each block that has some."""
         for block in self._blocks:
             if block.first_us < to_us and block.last_us >= from_us:
                 events = self._read(block)
@@ -106,23 +106,23 @@ class EventsOnDisk:
         return Events(*columns)
 
     def _write(self) -> None:
-        """Write what waits as a block."""
+        """Write the waiting events as a block."""
         if not self._waiting_events:
             return
         events = concatenate(self._waiting)
         self._waiting, self._waiting_events = [], 0
         try:
             end = self._file.seek(0, 2)
-            at = end + self._file.write(bytes(-end % 8))  # numbers that lie across words are slow to read
+            at = end + self._file.write(bytes(-end % 8))  # aligned, because unaligned numbers are slow to read
             for column in events:
                 self._file.write(np.ascontiguousarray(column).data)
             self._file.flush()
         except OSError as error:
             raise InputError(
-                f"the events cannot be kept while they are imported: {error.strerror or error}",
-                hint=f"an import needs {EVENT_BYTES} bytes an event beside its output until it ends",
+                f"the events cannot be stored on disk while they are imported: {error.strerror or error}",
+                hint=f"during an import, {EVENT_BYTES} bytes per event are needed in addition to its output",
             ) from error
-        # Most files are in order, and looking costs a twentieth of sorting.
+        # Most files are in order, and checking this takes a twentieth of the time of sorting.
         times = events.t if (events.t[1:] >= events.t[:-1]).all() else np.sort(events.t)
         self._blocks.append(_Block(at, events.size, int(times[0]), int(times[-1])))
         self._samples.append(times[::SAMPLED].copy())

@@ -1,8 +1,8 @@
-"""How many bytes the pages of a Parquet file unpack to: where its footer says that they are, from their own headers.
+"""Read the unpacked sizes of a Parquet file's pages from the pages' own headers; the footer gives their positions.
 
-Why so: the footer says sizes too, but says whatever its author wrote, and pyarrow takes what a page announces.
-The header of a page cannot lie about it: what unpacks to anything else than it says is refused. The footer is read here
-too, since pyarrow ends the program (terminate called) where it is asked for a column whose metadata it does not like.
+Reason: sizes in the footer may be wrong, and pyarrow allocates the size in a page's header. That header cannot be
+wrong unnoticed: a page that unpacks to another size is refused. The footer is read here too, because pyarrow terminates
+the process (`terminate called`) if the metadata of a requested column are invalid.
 
 Source: Apache Parquet's thrift file, FileMetaData and PageHeader, in Thrift's compact protocol.
 """
@@ -11,12 +11,13 @@ from collections.abc import Iterator, Mapping
 from typing import Any, BinaryIO, NamedTuple
 
 MAGIC = b"PAR1"
-MOST_HEADER_BYTES = 1 << 16  # with the least and the greatest value of the page; of numbers they take 100
+MOST_HEADER_BYTES = 1 << 16  # includes the page's minimum and maximum; with numbers a header has some 100 bytes
 MOST_DEPTH = 20
 TRUE, FALSE, BYTE, I16, I32, I64, DOUBLE, BINARY, LIST, SET, MAP, STRUCT = range(1, 13)
-UNPACKED, PACKED = 2, 3  # fields of a PageHeader, in bytes
-ROWS, GROUPS, COLUMNS, CHUNK = 3, 4, 1, 3  # of FileMetaData and of a RowGroup; of both; of a RowGroup; of a ColumnChunk
-VALUES, CHUNK_PACKED, DATA_AT, DICTIONARY_AT = 5, 7, 9, 11  # of its ColumnMetaData
+UNPACKED, PACKED = 2, 3  # fields of a PageHeader: sizes in bytes
+# Fields: rows of FileMetaData and RowGroup; groups of FileMetaData; columns of RowGroup; metadata of ColumnChunk.
+ROWS, GROUPS, COLUMNS, CHUNK = 3, 4, 1, 3
+VALUES, CHUNK_PACKED, DATA_AT, DICTIONARY_AT = 5, 7, 9, 11  # fields of ColumnMetaData
 NUMBER: Mapping[int, Any] = {}
 WANTED = {
     ROWS: NUMBER,
@@ -25,7 +26,7 @@ WANTED = {
 
 
 class ColumnChunk(NamedTuple):
-    """A column of a row group: its values, where its pages begin, and how many bytes they are."""
+    """A column of a row group: its number of values, the offset of its pages, and their size in bytes."""
 
     values: int
     first: int
@@ -33,30 +34,30 @@ class ColumnChunk(NamedTuple):
 
 
 class RowGroup(NamedTuple):
-    """The rows of a group, and its columns."""
+    """A row group: its number of rows, and its columns."""
 
     rows: int
     chunks: tuple[ColumnChunk, ...]
 
 
 def footer_bytes(file: BinaryIO) -> int:
-    """How large the footer is, as the file's end says; 0 where it does not end as Parquet does."""
+    """Return the size of the footer, which the end of the file states; 0 if the file does not end like Parquet."""
     file.seek(max(0, file.seek(0, 2) - 8))
     end = file.read(8)
     return int.from_bytes(end[:4], "little") if end[4:] == MAGIC else 0
 
 
 def row_groups(file: BinaryIO) -> list[RowGroup]:
-    """The row groups that the footer lists; ValueError for a footer that is none."""
+    """Return the row groups that the footer lists; raise ValueError if there is no valid footer."""
     size = footer_bytes(file)
     if not size or file.seek(0, 2) < size + 8:
-        raise ValueError("no footer")
+        raise ValueError("the file has no footer")
     file.seek(-size - 8, 2)
     try:
         listed, _ = _read(file.read(size), 0, STRUCT, WANTED, MOST_DEPTH)
         return [_group(group) for group in listed.get(GROUPS, [])]
     except (KeyError, TypeError) as error:
-        raise ValueError("a footer that lacks what every footer has") from error
+        raise ValueError("the footer lacks required fields") from error
 
 
 def _group(group: Mapping[int, Any]) -> RowGroup:
@@ -64,26 +65,26 @@ def _group(group: Mapping[int, Any]) -> RowGroup:
 
 
 def _chunk(numbers: Mapping[int, int]) -> ColumnChunk:
-    """Where a column has a table of its values, that is its first page."""
+    """Return a column's chunk; its first page is its dictionary, if it has one."""
     first = min(filter(None, (numbers.get(DICTIONARY_AT), numbers[DATA_AT])), default=0)
     return ColumnChunk(numbers[VALUES], first, numbers[CHUNK_PACKED])
 
 
 def unpacked_bytes(file: BinaryIO, first: int, packed: int) -> Iterator[int]:
-    """What each page unpacks to, of those in `packed` bytes from byte `first` on; ValueError for other bytes."""
+    """Yield the unpacked size of each page in `packed` bytes from offset `first`; raise ValueError for other bytes."""
     at, end = first, first + packed
     while at < end:
         file.seek(at)
         sizes, header = _page_header(file.read(MOST_HEADER_BYTES))
         unpacked, taken = sizes.get(UNPACKED, -1), sizes.get(PACKED, -1)
         if unpacked < 0 or taken < 0 or at + header + taken > end:
-            raise ValueError(f"no page at byte {at}")
+            raise ValueError(f"there is no valid page at byte {at}")
         yield unpacked
         at += header + taken
 
 
 def _page_header(data: bytes) -> tuple[dict[int, int], int]:
-    """Whole numbers of the header that data begins with, by their fields, and how many bytes it takes."""
+    """Return the integers of the page header at the beginning of data, by field, and the header's size."""
     fields: dict[int, int] = {}
     at = field = 0
     while True:
@@ -98,11 +99,11 @@ def _page_header(data: bytes) -> tuple[dict[int, int], int]:
 
 
 def _read(data: bytes, at: int, kind: int, wanted: Mapping[int, Any] | None, depth: int) -> tuple[Any, int]:
-    """A value and where it ends: a number, a list, or the wanted fields of a struct; None for what is not wanted."""
+    """Return a value (a number, a list, or the wanted fields of a struct; None if not wanted) and its end offset."""
     if wanted is None:
         return None, _skip(data, at, kind, depth)
     if not depth:
-        raise ValueError("a footer that is nested too deeply")
+        raise ValueError("the footer is nested too deeply")
     if kind in (I16, I32, I64):
         number, at = _varint(data, at)
         return (number >> 1) ^ -(number & 1), at
@@ -123,11 +124,11 @@ def _read(data: bytes, at: int, kind: int, wanted: Mapping[int, Any] | None, dep
             value, at = _read(data, at, inner, wanted, depth - 1)
             values.append(value)
         return values, at
-    raise ValueError(f"a value of kind {kind}")
+    raise ValueError(f"unknown type {kind} of a value")
 
 
 def _list(data: bytes, at: int) -> tuple[int, int, int]:
-    """How many values a list has, of which kind, and where they begin."""
+    """Return the number of values of a list, their type, and their offset."""
     head, at = _byte(data, at)
     count, kind = head >> 4, head & 15
     if count == 15:
@@ -136,7 +137,7 @@ def _list(data: bytes, at: int) -> tuple[int, int, int]:
 
 
 def _field(data: bytes, at: int, before: int) -> tuple[int, int, int]:
-    """Where the value of the next field begins, its number, and its kind; 0 where there is none."""
+    """Return the offset of the next field's value, the field's number, and its type; type 0 if there is none."""
     head, at = _byte(data, at)
     kind, step = head & 15, head >> 4
     if not kind or step:
@@ -146,9 +147,9 @@ def _field(data: bytes, at: int, before: int) -> tuple[int, int, int]:
 
 
 def _skip(data: bytes, at: int, kind: int, depth: int) -> int:
-    """Where a value ends."""
+    """Return the end offset of a value."""
     if not depth:
-        raise ValueError("a header that is nested too deeply")
+        raise ValueError("a header is nested too deeply")
     if kind in (TRUE, FALSE):
         return at
     if kind in (I16, I32, I64):
@@ -170,7 +171,7 @@ def _skip(data: bytes, at: int, kind: int, depth: int) -> int:
         for _ in range(count):
             at = _skip(data, at, BYTE if inner in (TRUE, FALSE) else inner, depth - 1)
         return at
-    raise ValueError(f"a value of kind {kind}")  # a page header has no map
+    raise ValueError(f"unknown type {kind} of a value")  # a page header has no map
 
 
 def _varint(data: bytes, at: int) -> tuple[int, int]:
@@ -182,7 +183,7 @@ def _varint(data: bytes, at: int) -> tuple[int, int]:
             return number, at
         shift += 7
         if shift > 63:
-            raise ValueError("a number of more than 64 bits")
+            raise ValueError("a number has more than 64 bits")
 
 
 def _byte(data: bytes, at: int) -> tuple[int, int]:
@@ -191,5 +192,5 @@ def _byte(data: bytes, at: int) -> tuple[int, int]:
 
 def _within(data: bytes, at: int) -> int:
     if at > len(data):
-        raise ValueError("a header that does not end")
+        raise ValueError("a header does not end")
     return at

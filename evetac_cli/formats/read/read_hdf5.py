@@ -1,8 +1,8 @@
-"""Read events from HDF5 files: of DSEC, rpg's e2vid, M3ED, MVSEC, v2e and Prophesee, each a row of one table.
+"""Read events from HDF5 files of DSEC, rpg's e2vid, M3ED, MVSEC, v2e and Prophesee; each layout is a row of one table.
 
-The layouts differ in names, in the unit of time, and in whether the columns lie apart, side by side in a table (N, 4),
-or as the fields of a compound. Indices from milliseconds to events are not read: they count on the file's own clock,
-and ours starts at the first event. Whatever else a file holds is named and counted.
+The layouts differ in names and in the unit of time. The columns are separate datasets, a table (N, 4), or the fields of
+a compound. Indices from milliseconds to events are not read, because they refer to the file's own clock, while evetac's
+clock starts at the first event. All other data in a file is named and counted.
 """
 
 import re
@@ -28,18 +28,18 @@ from evetac_cli.store.hdf5.packed_bytes import EVENT_FILE_FILTERS
 
 BATCH_ROWS = 1 << 20
 OFFSETS = ("t_offset", "events/t_offset")
-# Of events by time; they hold nothing that the events do not.
+# Indices from time to events, which contain no further information.
 INDICES = re.compile(r"(^|/)(ms_to_idx|ms_map_idx|indexes|t_offset|image_raw_event_inds)$")
 
 
 class Hdf5Layout(NamedTuple):
-    """Where a layout has its events; `order` of a table names its columns, () of a compound its fields by name."""
+    """The paths of a layout's events; `order` names the columns of a table, and is empty for a compound."""
 
     name: str
     paths: tuple[str, ...]  # columns t, x, y, p, or the one table
     order: str = ""
-    us_per_unit: float | None = 1.0  # None: by the numbers (column_times)
-    stream: str = ""  # where a file holds two cameras
+    us_per_unit: float | None = 1.0  # None: determined from the numbers (column_times)
+    stream: str = ""  # name of the camera, if files may have two
 
 
 LAYOUTS = (
@@ -62,7 +62,7 @@ def open_hdf5(
     columns: str | None = None,
     time_unit: str | None = None,
 ) -> Foreign:
-    """Events of an HDF5 file; FrameUnknown without frame_px where it does not say it, as few do."""
+    """Return the events of an HDF5 file; raise FrameUnknown without frame_px if the file does not state it."""
     where = str(path)
     with CheckedHdf5(path) as file:
         _refuse_own(file)
@@ -81,7 +81,7 @@ def open_hdf5(
             for name, length in file.lengths().items()
             if name not in layout.paths and not INDICES.search(name)
         }
-    hint = "say it: --frame-size WIDTHxHEIGHT (640x480 for the DSEC data set)"
+    hint = "give it with --frame-size WIDTHxHEIGHT (640x480 for the DSEC data set)"
     frame = choose_frame(own_px, frame_px, where, hint)
     foreign = Foreign("hdf5", frame, (), clock_us, note=note, may_be_empty=note is None, left_out=left_out)
     unit = unit_said(time_unit, None, where) or layout.us_per_unit
@@ -93,7 +93,9 @@ def open_hdf5(
         refuse_columns(columns, where)
     foreign.batches = _batches(path, layout, places, rows[0], foreign.times)
     if others:
-        foreign.notes.append(f"took the camera {layout.stream}; also there: {', '.join(others)} (choose with --stream)")
+        foreign.notes.append(
+            f"read the camera {layout.stream}; the file also has: {', '.join(others)} (choose with --stream)"
+        )
     if note is None:
         foreign.assumed = f"the layout of {layout.name}"
         foreign.guessed_order = "" if columns else layout.order
@@ -101,23 +103,23 @@ def open_hdf5(
 
 
 def _choose(file: CheckedHdf5, datasets: dict[str, Any], wanted: str | None) -> tuple[Hdf5Layout, list[str]]:
-    """The layout of the file, and the names of the other cameras in it."""
+    """Return the layout of the file, and the names of its other cameras."""
     present = [layout for layout in LAYOUTS if all(name in datasets for name in layout.paths)]
     if not present:
         started = [layout for layout in LAYOUTS if any(name in datasets for name in layout.paths)]
         missing = [name for layout in started[:1] for name in layout.paths if name not in datasets]
         held, hint = _what_there_is(file, missing)
-        raise InputError("holds no columns of events", where=file.where, expected=EXPECTED, found=held, hint=hint)
+        raise InputError("the file has no event columns", where=file.where, expected=EXPECTED, found=held, hint=hint)
     labels = {layout.stream: layout for layout in present if layout.name == present[0].name}
     if wanted is not None and wanted not in labels:
-        known = " or ".join(filter(None, labels)) or "no --stream: the file holds one stream"
-        raise InputError("no such event stream", where=file.where, expected=known, found=wanted[:80])
+        known = " or ".join(filter(None, labels)) or "no --stream: the file has only one stream"
+        raise InputError("the file has no such event stream", where=file.where, expected=known, found=wanted[:80])
     chosen = labels[wanted] if wanted is not None else present[0]
     return chosen, [label for label in labels if label != chosen.stream and wanted is None]
 
 
 def _frame(file: CheckedHdf5, layout: Hdf5Layout) -> tuple[Note | None, tuple[int, int] | None]:
-    """The note of an export of ours, and the frame that it or Prophesee's attribute `geometry` says."""
+    """Return the note of an evetac export, and the frame stated by it or by Prophesee's attribute `geometry`."""
     text = file.text_attribute(NAME)
     if text is not None:
         note = read_note(text, file.where)
@@ -130,7 +132,7 @@ def _frame(file: CheckedHdf5, layout: Hdf5Layout) -> tuple[Note | None, tuple[in
 def _batches(
     path: Path, layout: Hdf5Layout, order: tuple[int, int, int, int] | None, rows: int, times: ColumnTimes
 ) -> Iterator[EventColumns]:
-    """The events in blocks; order: places of t, x, y, p in a table."""
+    """Yield the events in blocks; order: indices of t, x, y, p in a table."""
     with CheckedHdf5(path) as file:
         datasets = file.datasets(layout.paths, EVENT_FILE_FILTERS)
         parts = [datasets[name] for name in layout.paths]
@@ -144,7 +146,7 @@ def _batches(
 
 
 def _columns(blocks: list[Any], order: tuple[int, int, int, int] | None) -> Any:
-    """The columns t, x, y, p of a block of rows."""
+    """Return the columns t, x, y, p of a block of rows."""
     if len(blocks) == 4:
         return blocks
     (table,) = blocks
@@ -154,7 +156,7 @@ def _columns(blocks: list[Any], order: tuple[int, int, int, int] | None) -> Any:
 
 
 def _fields(dtype: Any) -> tuple[int, ...]:
-    """Places of t, x, y, p among the fields of a compound; none unless they are there, and all fields are numbers."""
+    """Return the indices of t, x, y, p among a compound's fields; () if one is missing or a field is not a number."""
     order = by_name(dtype.names or ())
     plain = all(dtype[name].kind in "iubf" for name in dtype.names or ())
     return order.places if order is not None and plain else ()
@@ -163,26 +165,26 @@ def _fields(dtype: Any) -> tuple[int, ...]:
 def _unreadable(where: str, error: Exception) -> InputError:
     reason = (str(error).strip("'\"").splitlines() or [type(error).__name__])[0][:200]
     return InputError(
-        "cannot be read as HDF5",
+        "the file cannot be read as HDF5",
         where=where,
         found=reason,
-        hint="is it complete? compare its size with that of the original",
+        hint="is the file complete? compare its size with that of the original",
     )
 
 
 def _refuse_own(file: CheckedHdf5) -> None:
-    """Our own files carry a header; a recording needs no import, and the other kinds hold no events."""
+    """Raise InputError for evetac's own files, which have a header: recordings need no import."""
     header = file.text_attribute("header")
     if header is not None and '"kind"' in header:
         raise InputError(
-            "is a file of evetac's own, not a foreign one",
+            "this is already a file of evetac",
             where=file.where,
-            hint="a recording needs no import: give it to label or track as it is",
+            hint="a recording needs no import: use it directly, for example with label or track",
         )
 
 
 def _check_kind(file: CheckedHdf5, dataset: Any, layout: Hdf5Layout, name: str) -> None:
-    """What holds events is a list of numbers, a table of four columns, or a compound with the four fields."""
+    """Raise InputError unless a dataset of events is a list of numbers, a table of four columns, or a compound."""
     shape: tuple[int, ...] = dataset.shape or ()
     kind = dataset.dtype.kind
     if len(layout.paths) == 1:
@@ -190,14 +192,14 @@ def _check_kind(file: CheckedHdf5, dataset: Any, layout: Hdf5Layout, name: str) 
         good = len(shape) == 2 and shape[1] == 4 and kind in "iuf" if layout.order else _is_compound(dataset)
         held = f"`{name}` is one table of shape {shape}" if kind in "iuf" else f"{str(dataset.dtype)[:120]}"
         if not good:
-            raise InputError("holds no columns of events", where=file.where, expected=expected, found=held)
+            raise InputError("the file has no event columns", where=file.where, expected=expected, found=held)
         return
     timed = name == layout.paths[0]
     kinds = "iub" if name == layout.paths[3] else "iuf" if timed and layout.us_per_unit is None else "iu"
     if kind not in kinds or len(shape) != 1:
         expected = "a list of integers" + (" in microseconds" if timed and layout.us_per_unit == 1 else "")
         held = f"{dataset.dtype} of shape {shape}"
-        raise InputError(f"{name} is not a column", where=file.where, expected=expected, found=held)
+        raise InputError(f"{name} is not a column of numbers", where=file.where, expected=expected, found=held)
 
 
 def _is_compound(dataset: Any) -> bool:
@@ -205,7 +207,7 @@ def _is_compound(dataset: Any) -> bool:
 
 
 def _what_there_is(file: CheckedHdf5, missing: list[str]) -> tuple[str, str]:
-    """What the file holds in place of columns, and what to do with it."""
+    """Return a text on the file's contents if columns are missing, and a hint."""
     group = next((name for name in missing if name in file.h5), None)
     if group is not None:
         return f"a group `{group}`", ""
@@ -215,13 +217,13 @@ def _what_there_is(file: CheckedHdf5, missing: list[str]) -> tuple[str, str]:
 
 
 def _t_offset(datasets: dict[str, Any], where: str) -> int:
-    """Microseconds to add to every time, 0 where the file does not say."""
+    """Return the microseconds to add to every time; 0 if the file does not state them."""
     for offset in (datasets[name] for name in OFFSETS if name in datasets):
         if offset.dtype.kind not in "iu" or offset.size != 1:
-            raise InputError("`t_offset` is not a number", where=where, expected="one integer, microseconds")
+            raise InputError("`t_offset` is not one number", where=where, expected="one integer, microseconds")
         value = int(offset[()].reshape(()))
         if abs(value) >= CLOCK_LIMIT_US:
-            expected = "microseconds within 285 years of 0"
-            raise InputError("`t_offset` out of range", where=where, expected=expected, found=str(value))
+            expected = "at most 285 years before or after 0"
+            raise InputError("`t_offset` is out of range", where=where, expected=expected, found=f"{value} us")
         return value
     return 0

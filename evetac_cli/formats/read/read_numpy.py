@@ -1,11 +1,11 @@
-"""Read events from numpy's files: `.npy` with a structured array or a table (N, 4), `.npz` with one or with columns.
+"""Read events from numpy files: `.npy` with a structured array or a table (N, 4), `.npz` with one of these or columns.
 
-    structured    fields t, x, y, p by the names in column_order; what tonic, expelliarmus and faery make
-    (N, 4)        four columns, in the order that is said or fits (column_order)
-    columns       arrays t, x, y, p of one length in an npz; or of EVIMO, where x and y are one array (N, 2)
+    structured    fields t, x, y, p by the names in column_order; written by tonic, expelliarmus and faery
+    (N, 4)        four columns, in the user's order or the first that fits (column_order)
+    columns       arrays t, x, y, p of one length in an npz; in EVIMO, x and y are one array (N, 2)
 
-The bytes are read here in blocks and never given to numpy.load: objects, which a pickle would make, are refused, and
-of an archive no more is unpacked than a recording of its size can hold.
+The bytes are read here in blocks, not by numpy.load. Objects, which would require loading a pickle, are refused. From
+an archive, no more is unpacked than a recording of its size can contain.
 """
 
 import io
@@ -42,13 +42,13 @@ EVIMO = ("events_t", "events_xy", "events_p")
 NPY, ZIP = b"\x93NUMPY", b"PK\x03\x04"
 BATCH_ROWS = 1 << 18
 BATCH_BYTES = 1 << 22  # of one array
-MOST_HEADER_BYTES = 1 << 14  # numpy itself takes 10,000
+MOST_HEADER_BYTES = 1 << 14  # numpy itself accepts 10,000
 MOST_ITEM_BYTES = 1 << 10
 MOST_MEMBERS = 1000
 HEADERS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
 PIECE_BYTES = 1 << 20  # read at once
 EXPECTED = "t, x, y, p: as arrays of an npz, as fields of a structured array, or as the columns of an array (N, 4)"
-# What zipfile, zlib and numpy's parser raise on damaged bytes.
+# The exceptions that zipfile, zlib and numpy's parser raise for damaged bytes.
 DAMAGE = (
     zipfile.BadZipFile, ValueError, TypeError, KeyError, IndexError, EOFError, OSError, RuntimeError, SyntaxError,
     NotImplementedError, OverflowError, RecursionError, AttributeError, zlib.error, tokenize.TokenError,
@@ -56,7 +56,7 @@ DAMAGE = (
 
 
 class Array(NamedTuple):
-    """An array as it lies in a file: how to open its bytes, at which of them it begins, and what they are."""
+    """An array in a file: a function that opens its bytes, the offset of its first byte, its type and shape."""
 
     open: Callable[[], AbstractContextManager[IO[bytes]]]
     start: int
@@ -66,17 +66,17 @@ class Array(NamedTuple):
 
     @property
     def end(self) -> int:
-        """The byte after the last one."""
+        """The offset after the last byte."""
         return self.start + math.prod(self.shape) * self.dtype.itemsize
 
     @property
     def is_column(self) -> bool:
-        """Whether it is one row of plain numbers."""
+        """Whether it is a one-dimensional list of plain numbers, also if other axes have length 1."""
         return self.dtype.kind in "iubf" and bool(self.shape) and math.prod(self.shape) == max(self.shape)
 
     @property
     def is_table(self) -> bool:
-        """Whether it may hold all columns of events."""
+        """Whether it may contain all columns of events."""
         if self.dtype.names:
             plain = all(self.dtype[name].kind in "iubf" for name in self.dtype.names)
             small = len(self.shape) == 1 and self.dtype.itemsize <= MOST_ITEM_BYTES
@@ -89,7 +89,7 @@ class Array(NamedTuple):
 
 
 class StoredRun(NamedTuple):
-    """Items of one type that follow each other in an array's bytes."""
+    """Consecutive items of one type in an array's bytes."""
 
     array: Array
     dtype: np.dtype[Any]
@@ -104,7 +104,7 @@ def open_numpy(
     columns: str | None = None,
     time_unit: str | None = None,
 ) -> Foreign:
-    """Events of an npy or npz file; FrameUnknown without frame_px, as neither says it."""
+    """Return the events of an npy or npz file; raise FrameUnknown without frame_px, which these files do not store."""
     where = str(path)
     foreign = Foreign("numpy", (1, 1), (), may_be_empty=True)
     with _damage_in_words(where):
@@ -131,7 +131,7 @@ def open_numpy(
 def _choose(
     arrays: dict[str, Array], stream: str | None, foreign: Foreign, where: str
 ) -> tuple[list[Array], Order | None]:
-    """The arrays that hold the events, and the order of their columns where names tell it."""
+    """Return the arrays with the events, and the order of their columns if names define it."""
     columns = [name for name, array in arrays.items() if array.is_column]
     order = by_name(columns)
     tables = sorted(name for name, array in arrays.items() if array.is_table)
@@ -150,16 +150,20 @@ def _choose(
         chosen = [arrays[used[0]]]
         others = [name for name in tables if name not in used]
         if others and stream is None:
-            foreign.notes.append(f"took the array {used[0]}; also there: {', '.join(others)} (choose with --stream)")
+            foreign.notes.append(
+                f"read the array {used[0]}; the file also has: {', '.join(others)} (choose with --stream)"
+            )
         order = by_name(chosen[0].dtype.names) if chosen[0].dtype.names else None
     elif stream is not None:
-        expected = " or ".join(tables) or "no --stream: the file holds one stream"
-        raise InputError("no such array of events", where=where, expected=expected, found=stream[:80])
+        expected = " or ".join(tables) or "no --stream: the file has only one stream"
+        raise InputError("the file has no such array of events", where=where, expected=expected, found=stream[:80])
     else:
         held = ", ".join(f"{name} {array}".strip() for name, array in list(arrays.items())[:8]) or "nothing"
         objects = any(array.dtype.hasobject for array in arrays.values())
-        hint = "write Python objects again as numbers: they are never loaded, as they can run code" if objects else ""
-        raise InputError("holds no columns of events", where=where, expected=EXPECTED, found=held, hint=hint)
+        hint = "save the Python objects as numbers: evetac never loads objects, because they can run code"
+        raise InputError(
+            "the file has no event columns", where=where, expected=EXPECTED, found=held, hint=hint if objects else ""
+        )
     if chosen[0].dtype.names:
         places = by_name(chosen[0].dtype.names)
         unused = [name for i, name in enumerate(chosen[0].dtype.names) if places and i not in places.places]
@@ -169,7 +173,7 @@ def _choose(
 
 
 def _is_evimo(arrays: dict[str, Array]) -> bool:
-    """Whether there are the three arrays of EVIMO."""
+    """Whether the file has the three arrays of EVIMO."""
     if not all(name in arrays for name in EVIMO):
         return False
     t, xy, p = (arrays[name] for name in EVIMO)
@@ -178,7 +182,7 @@ def _is_evimo(arrays: dict[str, Array]) -> bool:
 
 
 def _stretches(chosen: list[Array]) -> list[StoredRun]:
-    """Where the values lie: four columns, those of EVIMO, or one stretch of rows."""
+    """Return the locations of the values: four columns, those of EVIMO, or one run of rows."""
     array = chosen[0]
     if len(chosen) == len(EVIMO):
         t, xy, p = chosen
@@ -195,7 +199,7 @@ def _stretches(chosen: list[Array]) -> list[StoredRun]:
 
 
 def _rows(stretches: list[StoredRun]) -> Generator[list[NDArray[Any]], None, None]:
-    """All columns as they lie in the file, some rows at a time; at least once, if only without a row."""
+    """Yield all columns in the file's order, in batches of rows; at least one batch, which may be empty."""
     count = stretches[0].items
     at_once = min(BATCH_ROWS, BATCH_BYTES // max(stretch.dtype.itemsize for stretch in stretches))
     with ExitStack() as opened:
@@ -230,7 +234,7 @@ def _batches(
 
 
 def _read(file: IO[bytes], size: int) -> bytes:
-    """So many bytes, fewer only at the end: a member of an archive may give less than it was asked for."""
+    """Read `size` bytes, fewer only at the end; one read of an archive member may return fewer than requested."""
     parts = []
     while size and (part := file.read(min(size, PIECE_BYTES))):
         parts.append(part)
@@ -243,7 +247,7 @@ def _skip(file: IO[bytes], size: int) -> None:
         size -= len(part)
 
 
-# How arrays lie in files
+# The location of arrays in files
 
 
 def _single(path: Path, foreign: Foreign, where: str) -> Array:
@@ -256,8 +260,8 @@ def _single(path: Path, foreign: Foreign, where: str) -> Array:
         raise InputError(
             "the array is cut short",
             where=where,
-            found=f"{-after} bytes too few",
-            hint="is it complete? compare its size with that of the original",
+            found=f"{-after} bytes are missing",
+            hint="is the file complete? compare its size with that of the original",
         )
     if after:
         foreign.left_out["bytes after the array"] = after
@@ -265,27 +269,35 @@ def _single(path: Path, foreign: Foreign, where: str) -> Array:
 
 
 def _archived(path: Path, where: str) -> dict[str, Array]:
-    """The arrays of an npz by their names; InputError where one cannot be what it says."""
+    """Return the arrays of an npz by name; raise InputError if one does not match its header."""
     arrays: dict[str, Array] = {}
     size, announced = path.stat().st_size, 0
     with _Bounded(path) as file, zipfile.ZipFile(file) as archive:
         members = archive.infolist()
         if len(members) > MOST_MEMBERS:
-            raise InputError("an archive of too many arrays", where=where, found=f"{len(members):,}")
+            raise InputError(
+                "the archive has too many arrays",
+                where=where,
+                expected=f"at most {MOST_MEMBERS:,}",
+                found=f"{len(members):,}",
+            )
         for member in members:
             if not member.filename.endswith(".npy"):
                 raise InputError(
-                    "not an archive of numpy arrays", where=where, found=member.filename[:80], hint="unpack it"
+                    "the archive contains other files than numpy arrays",
+                    where=where,
+                    found=member.filename[:80],
+                    hint="unpack it and import the event file in it",
                 )
             name = member.filename.removesuffix(".npy")
             if name in arrays:
-                raise InputError("an archive with two arrays of one name", where=where, found=name[:80])
+                raise InputError("the archive has two arrays of the same name", where=where, found=name[:80])
             if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) or member.flag_bits & 1:
                 raise InputError(
-                    f"{name[:80]} is packed in a way that is not read",
+                    f"{name[:80]} is compressed with a method that evetac does not read",
                     where=where,
                     expected="numpy.savez or numpy.savez_compressed",
-                    found="a password" if member.flag_bits & 1 else f"method {member.compress_type}",
+                    found="encryption" if member.flag_bits & 1 else f"zip method {member.compress_type}",
                 )
             announced += member.file_size
             refuse_too_much(announced, size, where)
@@ -294,16 +306,19 @@ def _archived(path: Path, where: str) -> dict[str, Array]:
             array = _array(head, partial(_member, path, member.filename), f"{where}: {name[:80]}")
             if array.end != member.file_size and not array.dtype.hasobject:
                 raise InputError(
-                    f"{name[:80]} is not as long as it says", where=where, expected=str(array), found="another length"
+                    f"{name[:80]} does not have the length that its header states",
+                    where=where,
+                    expected=str(array),
+                    found="another length",
                 )
             arrays[name] = array
     return arrays
 
 
 class _Bounded(io.FileIO):
-    """A file that gives no more bytes at once than are asked for here.
+    """A file that refuses to return more than PIECE_BYTES at once.
 
-    zipfile reads the table of contents of an archive at once, and takes a thousand bytes of memory for forty of it.
+    zipfile reads the table of contents of an archive at once and uses a thousand bytes of memory for forty of it.
     """
 
     def read(self, size: int | None = -1) -> bytes:
@@ -312,7 +327,7 @@ class _Bounded(io.FileIO):
             size = self.seek(0, io.SEEK_END) - at
             self.seek(at)
         if size > PIECE_BYTES:
-            raise ValueError(f"a table of contents of more than {PIECE_BYTES:,} bytes")
+            raise ValueError(f"the table of contents has more than {PIECE_BYTES:,} bytes")
         return super().read(size) or b""
 
 
@@ -323,16 +338,18 @@ def _member(path: Path, name: str) -> Iterator[IO[bytes]]:
 
 
 def _array(content: bytes, open_: Callable[[], Any], where: str) -> Array:
-    """What the header of an array says; `content` are its first bytes."""
+    """Parse the header of an array; `content` are its first bytes."""
     head = io.BytesIO(content)
     version = npy.read_magic(head)
     if version not in HEADERS:
-        raise InputError("an array of another version", where=where, expected="1.0 or 2.0", found=f"{version}")
+        raise InputError("unknown version of numpy's format", where=where, expected="1.0 or 2.0", found=f"{version}")
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of headers that Python 2 wrote
+        warnings.simplefilter("ignore")  # numpy warns about headers that Python 2 wrote
         shape, columns_first, dtype = HEADERS[version](head)
     if not all(0 <= length < 2**62 for length in shape):
-        raise InputError("no array of numbers", where=where, found=f"{str(dtype)[:80]} of shape {str(shape)[:80]}")
+        raise InputError(
+            "the array's shape is impossible", where=where, found=f"{str(dtype)[:80]} of shape {str(shape)[:80]}"
+        )
     return Array(open_, head.seek(0, io.SEEK_CUR), dtype, shape, bool(columns_first))
 
 
@@ -343,8 +360,8 @@ def _damage_in_words(where: str) -> Iterator[None]:
     except DAMAGE as error:
         reason = (str(error).strip().splitlines() or [type(error).__name__])[0][:200]
         raise InputError(
-            "cannot be read as numpy's",
+            "the file cannot be read as npy or npz",
             where=where,
             found=reason,
-            hint="is it complete? compare its size with that of the original",
+            hint="is the file complete? compare its size with that of the original",
         ) from None

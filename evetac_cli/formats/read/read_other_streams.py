@@ -1,8 +1,8 @@
-"""What event files hold beside events, as streams of the recording: IMU samples, triggers, and frames if asked for.
+"""Read other data of event files as streams of the recording: IMU samples, triggers, and frames if requested.
 
-Of AEDAT4 by aedat4_payloads, of AEDAT 3.1 by aedat3_streams, of bags by read_bag_stream. They are brought into the
-recording's clock; samples before its start or after its end are left out, and so is what cannot be read: whoever asks
-counts what did not come.
+aedat4_payloads reads them from AEDAT4, aedat3_streams from AEDAT 3.1, read_bag_stream from bags. They are converted to
+the recording's clock. Samples before its start or after its end, and data that cannot be read, are left out; the caller
+counts them.
 """
 
 from collections.abc import Iterator
@@ -42,15 +42,15 @@ from evetac_cli.store.recordings.streams import Stream, free_name
 
 IMU = "sensor_msgs/msg/Imu"
 NAMES = {"IMUS": "imu", "TRIG": "triggers", "FRME": "frames"}
-TRIGGERS = "triggers; source 1 to 3: a signal from outside rises, falls, is a pulse; 6 to 9: a frame, its exposure"
-IMU_OF_CAMERA, CAMERAS = "inertial measurement unit of the camera", "the camera's, as of the events"
-CHANNELS = {"L": 1, "RGB": 3, "RGBA": 3}  # that are kept of an image
+TRIGGERS = "triggers; source 1 to 3: external signal rises, falls, pulses; 6 to 9: start and end of frame and exposure"
+IMU_OF_CAMERA, CAMERAS = "inertial measurement unit of the camera", "the camera's, same as the events"
+CHANNELS = {"L": 1, "RGB": 3, "RGBA": 3}  # channels of an image that are kept
 
 
 class Other(NamedTuple):
-    """A stream beside the events, what its samples are called where they are counted, and packets that hold no such.
+    """A stream other than events, the name under which its samples are counted, and its unreadable packets.
 
-    note: on how it came to the clock of the events.
+    note: on the conversion to the clock of the events.
     """
 
     stream: Stream
@@ -60,7 +60,7 @@ class Other(NamedTuple):
 
 
 def aedat4_streams(path: Path, *, frames: bool, folder: Path | None, **_: Any) -> Iterator[Other]:
-    """IMU samples and triggers of an AEDAT4 file, and its frames if asked for, on the file's clock."""
+    """Yield IMU samples and triggers of an AEDAT4 file, and its frames if requested, on the file's clock."""
     with path.open("rb") as handle:
         header = read_header(handle, str(path))
     taken: list[str] = []
@@ -86,21 +86,21 @@ def aedat4_streams(path: Path, *, frames: bool, folder: Path | None, **_: Any) -
 
 
 def aedat3_streams(path: Path, *, folder: Path | None, **_: Any) -> Iterator[Other]:
-    """IMU samples and triggers of an AEDAT 3.1 file, on the file's clock."""
+    """Yield IMU samples and triggers of an AEDAT 3.1 file, on the file's clock."""
     for stream, counted_as, others in read_samples(path, folder):
         what = AEDAT3_TRIGGERS if stream.name == "triggers" else IMU_OF_CAMERA
         made = replace(_in_order(stream), what=what, clock=CAMERAS)
-        note = f"{others:,} {counted_as} are marked as invalid, or are of another kind than {stream.name}"
+        note = f"{others:,} {counted_as} were left out: they are marked as invalid or are not {stream.name}"
         yield Other(made, counted_as, note=note if others else "")
 
 
 def bag_streams(
     path: Path, *, frames: bool, folder: Path | None, topic: str | None = None, span_us: tuple[int, int] = (0, 0)
 ) -> Iterator[Other]:
-    """Triggers and IMU topics of a bag, and those of images if asked for, on the clock of its events.
+    """Yield the triggers and IMU topics of a bag, and its images if requested, on the clock of its events.
 
-    None that cannot be read. topic: of the events; the one that is read without being named otherwise. span_us: from
-    when to when the events are.
+    Topics that cannot be read are skipped. topic: of the events; by default the first one. span_us: begin and end of
+    the events.
     """
     kinds = {IMU, IMAGE, COMPRESSED} if frames else {IMU}
     bag = open_bag(path)
@@ -126,7 +126,7 @@ def bag_streams(
 
 
 def _in_order(stream: Stream) -> Stream:
-    """The samples in the order of their time, those of one time as they came."""
+    """Return the stream sorted by time; samples with the same time keep their order."""
     if (stream.t_us[1:] >= stream.t_us[:-1]).all():
         return stream
     order = np.argsort(stream.t_us, kind="stable")
@@ -139,19 +139,19 @@ def _in_order(stream: Stream) -> Stream:
 
 
 def _columns(kind: str) -> tuple[str, ...]:
-    """Names of the columns of a kind of AEDAT4's streams."""
+    """Return the column names of a kind of AEDAT4 stream."""
     return tuple(name for name, _ in FIELDS[kind][1:])
 
 
 class _Contents:
-    """What the packets of a stream hold, part by part; `unreadable` counts those that hold nothing of the kind."""
+    """The contents of a stream's packets, part by part; `unreadable` counts packets that could not be read."""
 
     def __init__(self, path: Path, header: Header, stream: Any) -> None:
         self._path, self._header, self._stream = path, header, stream
         self.unreadable = 0
 
     def parts(self) -> Iterator[tuple[NDArray[Any], ...]]:
-        """Times and columns, or times and images."""
+        """Yield times and columns, or times and images."""
         return self._images() if self._stream.kind == "FRME" else self._rows()
 
     def _packets(self) -> Iterator[Any]:
@@ -166,7 +166,7 @@ class _Contents:
                     yield content
 
     def _rows(self) -> Iterator[tuple[NDArray[Any], ...]]:
-        """Samples; what is no finite number is NaN."""
+        """Yield samples; values that are not finite are NaN."""
         for rows in self._packets():
             columns = [rows[name].astype(np.float64) for name in _columns(self._stream.kind)]
             finite = [np.where(np.isfinite(column), column, np.nan) for column in columns]
@@ -174,7 +174,7 @@ class _Contents:
                 yield (np.ascontiguousarray(rows["t"]), *finite)
 
     def _images(self) -> Iterator[tuple[NDArray[Any], ...]]:
-        """Frames of 8 bits, all of the size of the first one."""
+        """Yield frames of 8 bits that have the size of the first one."""
         first = None
         for frame in self._packets():
             image = np.asarray(frame.pixels)

@@ -1,8 +1,8 @@
-"""Tables of other programs, CSV or Parquet, as a stream of samples: a column of times, and columns of numbers.
+"""Read another program's table, CSV or Parquet, as a stream of samples: a column of times, and columns of numbers.
 
-pyarrow reads both, batch by batch; what was read waits on disk, so a table of hours takes no more memory than a short
-one. The column of times is found by its name, its unit by the name, the type, or the size of its numbers; `clock` says
-which. What is no number is left out, and named.
+pyarrow reads both, batch by batch. The rows are stored on disk temporarily, so a table of hours takes no more memory
+than a short one. The column of times is found by its name; its unit by the name, the type, or the size of its numbers.
+`clock` states which. Columns that are not numbers are left out, and a note names them.
 """
 
 import re
@@ -24,14 +24,14 @@ from evetac_cli.store.recordings.streams import Stream, free_name
 from evetac_cli.text_files import open_regular
 
 BATCH_ROWS = 1 << 16
-BLOCK_BYTES = 1 << 22  # of CSV, that are parsed together
+BLOCK_BYTES = 1 << 22  # of CSV that are parsed together
 MOST_COLUMNS = 512
-MOST_GROUP_BYTES = 1 << 29  # of rows that a Parquet file holds as one piece, unpacked
-MOST_GROUPS = 50_000  # of a Parquet file: so many take 400 MB and seconds by themselves
-MOST_FOOTER_BYTES = 1 << 23  # of a Parquet file, which take seconds; those of 500 columns and 100 groups are smaller
-NUMBER_BYTES = 8  # of a number or a time, as they wait on disk
+MOST_GROUP_BYTES = 1 << 29  # unpacked size of a row group of a Parquet file
+MOST_GROUPS = 50_000  # row groups of a Parquet file: this many alone take 400 MB and seconds
+MOST_FOOTER_BYTES = 1 << 23  # of a Parquet file; reading it takes seconds. 500 columns and 100 groups need less
+NUMBER_BYTES = 8  # of a number or a time in the temporary file
 MOST_HEAD_BYTES = 1 << 16  # of the line of names
-MOST_US = 1 << 60  # 36,000 years: two such times can be added
+MOST_US = 1 << 60  # 36,000 years: the sum of two such times does not overflow
 MOST_S = MOST_US // 10**6
 NAMED_LEFT_OUT = 5
 
@@ -40,18 +40,18 @@ TIME = re.compile(
 )
 PARTS = re.compile(r"(?:.*[._])?stamp[._](?P<part>secs?|nanosecs?|nsecs?)")
 BRACKETS = re.compile(r"(?P<name>.*?)\s*[\[(](?P<unit>[^\])]{1,20})[\])]")
-TICKS_S = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}  # of each unit of time in a second
-YEARS_S = (946_684_800, 4_102_444_800)  # 2000 to 2100, as Unix counts
-# Units that a name may end in, as in `force_n`.
+TICKS_S = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}  # ticks per second of each unit of time
+YEARS_S = (946_684_800, 4_102_444_800)  # the years 2000 to 2100 in Unix time
+# Units that a name may end in, for example `force_n`.
 ENDINGS = {"m": "m", "mm": "mm", "rad": "rad", "deg": "deg", "n": "N", "nm": "N m", "ma": "mA", "hz": "Hz", "pa": "Pa"}
 NAMES = "t_us, t_ms, t_s, t_ns, timestamp, time, stamp or header.stamp"
 
 
-Batches = Callable[[Sequence[int], str], Iterator[Any]]  # columns by their places, in this order; where it is
+Batches = Callable[[Sequence[int], str], Iterator[Any]]  # arguments: indices of the columns, in order; the file's path
 
 
 class _Times(NamedTuple):
-    """Where the times of a table are: one column, or two, seconds and nanoseconds; the unit, as far as it is known."""
+    """The columns of a table's times: one, or two for seconds and nanoseconds; and the unit, if it is known."""
 
     columns: tuple[int, ...]
     unit: str
@@ -59,15 +59,15 @@ class _Times(NamedTuple):
 
 
 def is_parquet(path: Path) -> bool:
-    """Whether a file begins as Parquet does."""
+    """Whether a file begins with Parquet's mark."""
     with open_regular(path) as file:
         return file.read(len(MAGIC)) == MAGIC
 
 
 def read_table(path: Path, folder: Path | None) -> tuple[Stream, list[str]]:
-    """A table as a stream in its own clock, without a name, and notes; InputError in words.
+    """Return a table as an unnamed stream in its own clock, and notes; raise InputError if it cannot be read.
 
-    folder: on whose disk the numbers wait; the one for temporary files otherwise.
+    folder: where the numbers are stored temporarily; by default the folder for temporary files.
     """
     where = str(path)
     try:
@@ -78,11 +78,13 @@ def read_table(path: Path, folder: Path | None) -> tuple[Stream, list[str]]:
         names, types, batches_of = _parquet(place) if is_parquet(path) else _csv(place, where)
         if len(names) > MOST_COLUMNS:
             width = f"{len(names)} columns"
-            raise InputError("too wide a table", where=where, expected=f"at most {MOST_COLUMNS} columns", found=width)
+            raise InputError(
+                "the table has too many columns", where=where, expected=f"at most {MOST_COLUMNS} columns", found=width
+            )
         times = _find_times(names, where)
         for at in times.columns:
             if not _is_time(types[at]):
-                what = f"{times.clock} holds {types[at]}"
+                what = f"{times.clock} of type {types[at]}"
                 raise InputError("the times are not numbers", where=where, found=what)
         numbers = [
             at
@@ -91,13 +93,15 @@ def read_table(path: Path, folder: Path | None) -> tuple[Stream, list[str]]:
             and (pyarrow.types.is_integer(kind) or pyarrow.types.is_floating(kind) or pyarrow.types.is_boolean(kind))
         ]
         if not numbers:
-            raise InputError("no column of numbers beside the times", where=where, found=", ".join(names)[:200])
-        # Only these are read: a text of a few bytes may stand for gigabytes of rows.
+            raise InputError(
+                "the table has no column of numbers other than the times", where=where, found=", ".join(names)[:200]
+            )
+        # Only these are read: a packed text column of a few bytes may unpack to gigabytes of rows.
         batches = batches_of([*times.columns, *numbers], where)
         read = _Rows(times, numbers, names, where)
         t_us, *values = joined_on_disk(folder, map(read.batch, batches)) or (np.empty(0, np.int64),)
     if not len(t_us):
-        raise InputError("the table has no row", where=where)
+        raise InputError("the table has no rows", where=where)
     columns: dict[str, NDArray[np.float64]] = {}
     units = {}
     for at, column in zip(numbers, values, strict=True):
@@ -105,12 +109,12 @@ def read_table(path: Path, folder: Path | None) -> tuple[Stream, list[str]]:
         name = free_name(plain, columns)
         columns[name], units[name] = column, unit
     others = [names[at] for at in range(len(names)) if at not in (*times.columns, *numbers)]
-    notes = [f"left out: {_some(others)}, which {'are' if len(others) > 1 else 'is'} not of numbers"] if others else []
+    notes = [f"left out: {_some(others)}, which {'are' if len(others) > 1 else 'is'} not numeric"] if others else []
     return Stream("", t_us, columns, units=units, source=path.name, clock=read.clock), notes
 
 
 class _Rows:
-    """Turns batches of a table into times and columns of floats; `clock` says how once the first has come."""
+    """Converts batches of a table to times and columns of floats; `clock` describes the times after the first batch."""
 
     def __init__(self, times: _Times, numbers: list[int], names: list[str], where: str) -> None:
         self._times, self._numbers, self._names, self._where = times, numbers, names, where
@@ -118,15 +122,15 @@ class _Rows:
         self._done = 0  # rows
 
     def batch(self, batch: Any) -> tuple[NDArray[Any], ...]:
-        """Times in us and the numbers of the next rows, whose columns are those of the times, then the others."""
+        """Return times in us and the numbers of the next rows; the batch has the columns of times first."""
         count = len(self._times.columns)
         t_us = self._t_us([batch.column(place) for place in range(count)])
-        self._refuse("an impossible time", (t_us < -MOST_US) | (t_us > MOST_US), t_us)
+        self._refuse("impossible time", (t_us < -MOST_US) | (t_us > MOST_US), t_us)
         columns = []
         for place, at in enumerate(self._numbers, count):
             values = to_numpy(batch.column(place).cast("float64", safe=False))
             if np.isinf(values).any():
-                self._refuse(f"an infinite value in the column {self._names[at]}", np.isinf(values), values)
+                self._refuse(f"infinite value in the column {self._names[at]}", np.isinf(values), values)
             columns.append(values)
         self._done += len(t_us)
         return t_us, *columns
@@ -137,32 +141,34 @@ class _Rows:
 
         for column in columns:
             if column.null_count:
-                self._refuse("a row without a time", ~is_known(column), np.full(len(column), "nothing"))
+                self._refuse("the row has no time", ~is_known(column), np.full(len(column), "nothing"))
         if pyarrow.types.is_timestamp(columns[0].type):
-            self.clock = f"{self._times.clock}, whose type says its unit"
+            self.clock = f"{self._times.clock}, whose type states its unit"
             us = pyarrow.timestamp("us", columns[0].type.tz)
             stamps = columns[0].cast(options=compute.CastOptions(us, allow_time_truncate=True))
             return to_numpy(stamps.cast("int64"))
         if len(columns) > 1:
             seconds, nanoseconds = (to_numpy(column.cast("int64")) for column in columns)
-            self._refuse("an impossible time", (seconds < -MOST_S) | (seconds > MOST_S), seconds)
-            self._refuse("nanoseconds beyond a second", (nanoseconds < 0) | (nanoseconds >= 10**9), nanoseconds)
+            self._refuse("impossible time", (seconds < -MOST_S) | (seconds > MOST_S), seconds)
+            self._refuse(
+                "nanoseconds outside 0 to 999,999,999", (nanoseconds < 0) | (nanoseconds >= 10**9), nanoseconds
+            )
             return np.asarray(seconds * 10**6 + nanoseconds // 1000)
         values = to_numpy(columns[0])
         if values.dtype.kind == "f":
-            self._refuse("a time that is no number", ~np.isfinite(values), values)
+            self._refuse("the time is not a number", ~np.isfinite(values), values)
         if not self._unit and len(values):
             self._unit = _guess(values, self._where, self._times.clock)
-            self.clock = f"{self._times.clock}, taken as {self._unit}"
+            self.clock = f"{self._times.clock}, assumed to be in {self._unit}"
         ticks = TICKS_S[self._unit or "s"]
-        self._refuse("an impossible time", np.abs(values.astype(np.float64)) * (1e6 / ticks) > MOST_US, values)
+        self._refuse("impossible time", np.abs(values.astype(np.float64)) * (1e6 / ticks) > MOST_US, values)
         if values.dtype.kind == "f":
             return np.asarray(np.rint(values * (1e6 / ticks)).astype(np.int64))
         whole = values.astype(np.int64)
         return np.asarray(whole * (10**6 // ticks) if ticks <= 10**6 else whole // (ticks // 10**6))
 
     def _refuse(self, message: str, wrong: NDArray[np.bool_], values: NDArray[Any]) -> None:
-        """InputError for the first row that is wrong, if any."""
+        """Raise InputError for the first row that is wrong, if there is one."""
         if wrong.any():
             row = int(np.argmax(wrong))
             raise InputError(message, where=f"{self._where}: row {self._done + row + 1}", found=str(values[row])[:60])
@@ -176,7 +182,7 @@ def _is_time(kind: Any) -> bool:
 
 
 def _find_times(names: list[str], where: str) -> _Times:
-    """The columns of times, by name: one that says its unit rather than one that does not."""
+    """Return the columns of times, found by name; a column whose name states its unit is preferred."""
     plain = [_unit(name) for name in names]
     parts = {match["part"][0]: at for at, (name, _) in enumerate(plain) if (match := PARTS.fullmatch(name.lower()))}
     candidates = []
@@ -190,14 +196,17 @@ def _find_times(names: list[str], where: str) -> _Times:
         return _Times(columns, "ns", " and ".join(f"column {names[at].strip()}" for at in columns))
     if not candidates:
         raise InputError(
-            "no column of times", where=where, expected=f"a column named {NAMES}", found=", ".join(names)[:200]
+            "the table has no column of times",
+            where=where,
+            expected=f"a column named {NAMES}",
+            found=", ".join(names)[:200],
         )
     unit, at = named or candidates[0]
     return _Times((at,), unit, f"column {plain[at][0]}" + (f", in {unit}" if unit else ""))
 
 
 def _guess(values: NDArray[Any], where: str, clock: str) -> str:
-    """The unit of times that nothing says: of dates by their size, of others seconds if there are fractions."""
+    """Guess the unit of times: for dates by their size, otherwise seconds if they have fractions; else InputError."""
     first = abs(float(values[0]))
     for unit, ticks in TICKS_S.items():
         if YEARS_S[0] * ticks <= first < YEARS_S[1] * ticks:
@@ -209,7 +218,7 @@ def _guess(values: NDArray[Any], where: str, clock: str) -> str:
 
 
 def _unit(name: str) -> tuple[str, str]:
-    """The name of a column without a unit in brackets, and its unit, as far as the name tells."""
+    """Return the name of a column without a unit in brackets, and its unit, if the name states it."""
     plain = name.strip().lstrip("%#").strip()
     match = BRACKETS.fullmatch(plain)
     if match:
@@ -218,7 +227,7 @@ def _unit(name: str) -> tuple[str, str]:
 
 
 def _csv(path: Path, where: str) -> tuple[list[str], list[Any], Batches]:
-    """Names and types of the columns, and what reads some of them in batches."""
+    """Return names and types of the columns, and a function that reads some of them in batches."""
     import pyarrow
     from pyarrow import csv
 
@@ -232,14 +241,18 @@ def _csv(path: Path, where: str) -> tuple[list[str], list[Any], Batches]:
     delimiter = delimiter if delimiter in line else " "
     names = line.split(delimiter)
     if not line or len(head) == MOST_HEAD_BYTES or not line.isprintable() and "\t" not in line:
-        raise InputError("neither a table nor a bag", where=where, expected="CSV, Parquet, or a bag of ROS 1 or ROS 2")
+        raise InputError(
+            "the file is neither a table nor a bag", where=where, expected="CSV, Parquet, or a bag of ROS 1 or ROS 2"
+        )
     if any(re.fullmatch(r"\s*[-+]?[.\d][\d.eE+-]*\s*", name) for name in names):
-        raise InputError("its first line does not name the columns", where=where, found=line[:80])
+        raise InputError(
+            "the first line does not name the columns", where=where, found=line[:80], hint="add a line with their names"
+        )
     how = csv.ReadOptions(use_threads=False, block_size=BLOCK_BYTES), csv.ParseOptions(delimiter=delimiter)
     with csv.open_csv(path, *how) as first:
         columns = first.schema
     times = _find_times(columns.names, where).columns
-    # A column may begin with whole numbers and go on with others, so all but the times are read as floats.
+    # A column may begin with whole numbers and continue with fractions, so all except the times are read as floats.
     as_floats = {
         name: pyarrow.float64()
         for at, (name, kind) in enumerate(zip(columns.names, columns.types, strict=True))
@@ -256,16 +269,16 @@ def _csv(path: Path, where: str) -> tuple[list[str], list[Any], Batches]:
 
 
 def _parquet(path: Path) -> tuple[list[str], list[Any], Batches]:
-    """Names and types of the columns, and what reads some of them, which are no lists and no tables, in batches."""
+    """Return names and types of the columns, and a function that reads some (no lists, no structs) in batches."""
     with _parquet_file(path, str(path)) as file:
         schema = file.schema_arrow
-    first = list(accumulate(map(_leaves, schema.types), initial=0))  # column in the file of each of the schema's
+    first = list(accumulate(map(_leaves, schema.types), initial=0))  # index in the file of each column of the schema
 
     def batches(wanted: Sequence[int], where: str) -> Iterator[Any]:
         columns = [first[at] for at in wanted]
         with _parquet_file(path, where) as file:
             _check_size(path, columns, where)
-            place = {at: number for number, at in enumerate(sorted(columns))}  # in a batch they stand as in the file
+            place = {at: number for number, at in enumerate(sorted(columns))}  # a batch has them in the file's order
             groups = range(file.metadata.num_row_groups)
             for batch in file.reader.iter_batches(BATCH_ROWS, groups, columns, use_threads=False):
                 yield batch.select([place[at] for at in columns])
@@ -274,31 +287,33 @@ def _parquet(path: Path) -> tuple[list[str], list[Any], Batches]:
 
 
 def _parquet_file(path: Path, where: str) -> Any:
-    """The file, whose footer is read; InputError where that lists so much that it alone would take all memory."""
+    """Open the file and read its footer; raise InputError if the footer alone would fill the memory."""
     from pyarrow import parquet
 
-    hint = "write it again in larger row groups, of fewer columns"
+    hint = "save the file again with larger row groups and fewer columns"
     with open_regular(path) as opened:
         footer = footer_bytes(opened)
     if footer > MOST_FOOTER_BYTES:
         expected, size_mb = f"a footer of at most {MOST_FOOTER_BYTES / 1e6:.0f} MB", f"{footer / 1e6:,.0f} MB"
-        raise InputError("too many row groups and columns", where=where, expected=expected, found=size_mb, hint=hint)
+        raise InputError(
+            "the file has too many row groups and columns", where=where, expected=expected, found=size_mb, hint=hint
+        )
     try:
         return parquet.ParquetFile(path, thrift_container_size_limit=MOST_GROUPS)
     except OSError as error:
         if "size limit" not in str(error):
             raise
         expected = f"at most {MOST_GROUPS:,} row groups, and as many columns"
-        raise InputError("too many row groups", where=where, expected=expected, hint=hint) from None
+        raise InputError("the file has too many row groups", where=where, expected=expected, hint=hint) from None
 
 
 def _leaves(kind: Any) -> int:
-    """How many columns of the file a column of the schema is: a table in a column is several."""
+    """Return how many columns of the file a column of the schema has; a struct has several."""
     return sum(_leaves(kind.field(at).type) for at in range(kind.num_fields)) if kind.num_fields else 1
 
 
 def _check_size(path: Path, columns: Sequence[int], where: str) -> None:
-    """InputError unless columns of a Parquet file unpack to what memory holds, and to what a file of its size may."""
+    """Raise InputError if columns of a Parquet file unpack to more than fits in memory, or than its size allows."""
     with open_regular(path) as file:
         try:
             groups = row_groups(file)
@@ -309,11 +324,17 @@ def _check_size(path: Path, columns: Sequence[int], where: str) -> None:
             raise InputError("the table cannot be read", where=where, found=str(error)) from None
     if pages > MOST_GROUP_BYTES:
         expected, size_mb = f"row groups of at most {MOST_GROUP_BYTES / 1e6:,.0f} MB", f"{pages / 1e6:,.0f} MB"
-        raise InputError("its row groups are too large", where=where, expected=expected, found=size_mb)
+        raise InputError(
+            "the row groups are too large",
+            where=where,
+            expected=expected,
+            found=size_mb,
+            hint="save the file again with smaller row groups",
+        )
 
 
 def _unpacked(file: BinaryIO, group: RowGroup, columns: Sequence[int]) -> int:
-    """What the pages of columns of a group unpack to."""
+    """Return the unpacked size, in bytes, of some columns of a row group."""
     return sum(sum(unpacked_bytes(file, group.chunks[at].first, group.chunks[at].packed)) for at in columns)
 
 

@@ -1,11 +1,11 @@
-"""Read events from text: one event a line, columns separated by blanks, commas or semicolons, `#` or `%` for comments.
+"""Read events from text: one event per line, columns separated by blanks, commas or semicolons, comments after # or %.
 
-The order of the columns is what the first line, or a comment before it, says (`x,y,polarity,timestamp`; columns with
-other names are left out), else what the user says or what fits the first lines (column_order). The unit of time is what
-the names say (`t_s`, `t_us`) or the user, else what the first time looks like: an integer is microseconds, with a point
-or an exponent it is seconds (column_times). Polarity may be True and False, as pandas writes it.
-The frame is known where the first line has only two numbers (rpg) or names like `x@640,y@480` (faery), or a comment
-says `%geometry:640,480` (Prophesee).
+The first line, or a comment before it, may define the order of the columns (`x,y,polarity,timestamp`); columns with
+other names are left out. Otherwise the user defines it, or the first order that fits (column_order). The unit of time
+is defined by the names (`t_s`, `t_us`) or the user. Otherwise it follows from the first time: an integer is in
+microseconds, a number with a point or exponent in seconds (column_times). Polarity may be True and False, as pandas
+writes it. The frame is known if the first line has only two numbers (rpg) or names like `x@640,y@480` (faery), or if a
+comment states `%geometry:640,480` (Prophesee).
 """
 
 import re
@@ -49,12 +49,12 @@ TWO_NUMBERS = re.compile(r"\s*(\d{1,5})[ \t]+(\d{1,5})\s*$")
 
 
 class TextLayout(NamedTuple):
-    """How a line is read: the order of its columns, how many it has, and the separator (None: blanks)."""
+    """The layout of a line: the order of its columns, their number, and the separator (None: blanks)."""
 
     order: Order
     columns: int
     separator: str | None
-    guessed: str = ""  # the order in words, where neither a name nor the user says it
+    guessed: str = ""  # the order as text, if neither names nor the user define it
     unused: tuple[str, ...] = ()  # names of the other columns
     truth: bool = False  # polarity is True or False
 
@@ -62,30 +62,30 @@ class TextLayout(NamedTuple):
 def open_text(
     path: Path, frame_px: tuple[int, int] | None, columns: str | None = None, time_unit: str | None = None
 ) -> Foreign:
-    """Events of a text file; FrameUnknown without frame_px where neither the text nor a note of ours says it."""
+    """Return the events of a text file; raise FrameUnknown without frame_px if the file does not state it."""
     where = str(path)
     note, own_px = _note_and_frame(path)
     foreign = Foreign("text", (1, 1), (), note=note)
     if note is None and own_px is None and frame_px is None:
         with closing(
             _batches(path, foreign, columns, time_unit)
-        ) as batches:  # what is no text of events has no frame either
+        ) as batches:  # first report a file that is not a text of events; the frame matters only for one that is
             if next(batches, None) is None:
                 raise no_events(where)
-    hint = "say it: --frame-size WIDTHxHEIGHT, for example 640x480"
+    hint = "give it with --frame-size WIDTHxHEIGHT, for example 640x480"
     foreign.frame_px = choose_frame(note.frame_px if note else own_px, frame_px, where, hint)
     foreign.batches = _batches(path, foreign, columns, time_unit)
     return foreign
 
 
 def is_text_of_events(line: str) -> bool:
-    """Whether a first line is one of events, of the names of their columns, or our own note."""
+    """Whether a first line is an event, names of event columns, or evetac's note."""
     words = _names(line.strip().lstrip("#% "))
     return line.startswith(f"# {NAME} ") or all(map(NUMBER.fullmatch, words)) or _order(words) is not None
 
 
 def _note_and_frame(path: Path) -> tuple[Note | None, tuple[int, int] | None]:
-    """What evetac wrote into the first line, and the frame that one of the first lines says."""
+    """Return evetac's note in the first line, and the frame that one of the first lines states; None if absent."""
     frame = None
     with path.open(encoding="utf-8-sig", errors="replace") as handle:
         line = handle.readline(LINE_LIMIT_CHARS)
@@ -103,14 +103,14 @@ def _note_and_frame(path: Path) -> tuple[Note | None, tuple[int, int] | None]:
 def _batches(
     path: Path, foreign: Foreign, columns: str | None, time_unit: str | None
 ) -> Generator[EventColumns, None, None]:
-    """One batch a block of lines; raises InputError with the number of the line that cannot be read.
+    """Yield one batch per block of lines; raise InputError with the number of a line that cannot be read.
 
-    `foreign` is told what was assumed, and what was left out.
+    Assumptions and left-out data are stored in `foreign`.
     """
     layout: TextLayout | None = None
     names: list[str] = []
     comment = ""
-    begun = False  # a line with content was met
+    begun = False  # whether a line with content has been read
     for number, lines in _blocks(path):
         if layout is None:
             for i, line in enumerate(lines):
@@ -125,7 +125,7 @@ def _batches(
                     layout = _layout(path, number, lines, data, names or _names(comment), columns)
                     break
                 begun = begun or bool(data)
-            if layout is None:  # no line with events so far
+            if layout is None:  # no line with an event yet
                 continue
             unit = unit_said(time_unit, layout.order.us_per_unit, str(path))
             foreign.times = ColumnTimes(str(path), unit, guess=_unit(lines, layout))
@@ -140,7 +140,7 @@ def _batches(
 
 
 def _blocks(path: Path) -> Iterator[tuple[int, list[str]]]:
-    """Lines in blocks, each with the number of its first line (from 1)."""
+    """Yield lines in blocks, each with the number of its first line (from 1)."""
     number = 1
     rest = ""
     with path.open(encoding="utf-8-sig", errors="replace") as handle:
@@ -149,7 +149,7 @@ def _blocks(path: Path) -> Iterator[tuple[int, list[str]]]:
             if len(rest) > LINE_LIMIT_CHARS:
                 odd_line = f"line {number + len(lines)} has more than {LINE_LIMIT_CHARS} characters"
                 raise InputError(
-                    "not a text file of events", where=str(path), expected="one event a line", found=odd_line
+                    "not a text file of events", where=str(path), expected="one event per line", found=odd_line
                 )
             yield number, lines
             number += len(lines)
@@ -158,7 +158,7 @@ def _blocks(path: Path) -> Iterator[tuple[int, list[str]]]:
 
 
 def _data(line: str) -> str:
-    """The line without its comment."""
+    """Return the line without its comment."""
     for sign in COMMENTS:
         line = line.partition(sign)[0]
     return line.strip()
@@ -169,7 +169,7 @@ def _fields(line: str, separator: str | None) -> list[str]:
 
 
 def _place(number: int, lines: list[str], row: int) -> str:
-    """Where the row-th event of a block stands in the file."""
+    """Return a text on the line number of the row-th event of a block."""
     data_lines = (i for i, line in enumerate(lines) if _data(line))
     for _ in range(row):
         next(data_lines)
@@ -177,40 +177,40 @@ def _place(number: int, lines: list[str], row: int) -> str:
 
 
 def _separator(text: str) -> str | None:
-    """What separates the fields of a line; None for blanks."""
+    """Return the separator of a line's fields; None for blanks."""
     return next((sign for sign in SEPARATORS if sign in text), None)
 
 
 def _names(text: str) -> list[str]:
-    """The words of a line, as names of columns."""
+    """Split a line into names of columns."""
     return text.split(_separator(text))
 
 
 def _order(names: list[str]) -> Order | None:
-    """The order that names tell; None where they do not, or are numbers."""
+    """Return the order that names define; None if they define none."""
     return by_name(names) if len(names) <= MOST_COLUMNS else None
 
 
 def _are_names(line: str, number: int, path: str) -> bool:
-    """Whether a line names columns; InputError where it does, but not those of events."""
+    """Whether a line names the columns of events; raise InputError if it names other columns."""
     words = _names(line)
     if _order(words):
         return True
     if len(words) < 4 or any(NUMBER.fullmatch(word.strip()) or TRUTH.fullmatch(word.strip()) for word in words):
         return False
     lacking = lacking_columns(words)
-    what = f"no column is named as {' or '.join(lacking)}" if lacking else "two columns are named alike"
+    what = f"no column has a name for {' or '.join(lacking)}" if lacking else "two columns have the same meaning"
     raise InputError(
-        f"the names of the columns are not clear: {what}",
+        f"the names of the columns are unclear: {what}",
         where=path,
-        expected="t, x, y, p, each once, under a name such as t_us, timestamp, polarity",
+        expected="t, x, y and p once each, with names such as t_us, timestamp or polarity",
         found=f"line {number}: {_clip(line)}",
         hint="rename the columns in this line",
     )
 
 
 def _layout(path: Path, number: int, lines: list[str], first: str, names: list[str], columns: str | None) -> TextLayout:
-    """How lines are read, by their names, by what the user says, or by what fits the block of the first of them."""
+    """Return the layout of lines: from the names, from the user's order, or the first order that fits a block."""
     separator = _separator(first)
     truth = bool(TRUTH.search(first))
     order = _order(names)
@@ -226,7 +226,7 @@ def _layout(path: Path, number: int, lines: list[str], first: str, names: list[s
 
 
 def _unit(lines: list[str], layout: TextLayout) -> float:
-    """How many us the unit of time has, by how the first finite time of some lines is written."""
+    """Return the unit of time in us, guessed from the notation of the first finite time of some lines."""
     at = layout.order.places[0]
     times = (fields[at] for line in lines if len(fields := _fields(line, layout.separator)) > at)
     sample = next((time for time in times if NUMBER.fullmatch(time) and time.lower().lstrip("+-")[0] not in "ni"), "0")
@@ -234,7 +234,7 @@ def _unit(lines: list[str], layout: TextLayout) -> float:
 
 
 def _table(path: Path, number: int, lines: list[str], layout: TextLayout) -> NDArray[np.float64]:
-    """The columns t, x, y, p of a block, shape (events, 4)."""
+    """Return the columns t, x, y, p of a block, shape (events, 4)."""
     count, separator, places = layout.columns, layout.separator, layout.order.places
     if not any(map(_data, lines)):
         return np.empty((0, 4))
@@ -242,7 +242,7 @@ def _table(path: Path, number: int, lines: list[str], layout: TextLayout) -> NDA
     plain = [line.partition("%")[0] for line in lines] if any("%" in line for line in lines) else lines
     if layout.truth:
         plain = [TRUTH.sub(lambda word: str(int(word[0].lower() == "true")), line) for line in plain]
-    used = None if count == 4 else places  # other columns may hold anything
+    used = None if count == 4 else places  # other columns may contain anything
     for _ in range(2):
         try:
             table = np.loadtxt(plain, dtype=np.float64, delimiter=separator, ndmin=2, usecols=used)
@@ -250,8 +250,8 @@ def _table(path: Path, number: int, lines: list[str], layout: TextLayout) -> NDA
                 return table if used else table[:, places]
         except ValueError as error:
             reason = str(error)
-        plain = [line if _data(line) else "" for line in plain]  # numpy takes blanks for a column
-    # numpy numbers rows without comments and from the block's start: find the line as the user counts it
+        plain = [line if _data(line) else "" for line in plain]  # numpy would read a line of blanks as a column
+    # numpy counts rows from the block's start and without comments; find the line number in the file
     for offset, line in enumerate(lines):
         fields = _fields(line, separator)
         numbers = [fields[place] for place in places] if len(fields) == count else []
@@ -263,7 +263,7 @@ def _table(path: Path, number: int, lines: list[str], layout: TextLayout) -> NDA
             expected += f": {names}" if count == 4 else ""
             bad_line = f"line {number + offset}: {_clip(line)}"
             cut = len(lines) == 1 and len(fields) < count and number > 1  # all other blocks have more lines
-            hint = "if the file was cut short in its last line, remove that line" if cut else ""
+            hint = "if the file ends within its last line, remove that line" if cut else ""
             raise InputError("a line cannot be read", where=str(path), expected=expected, found=bad_line, hint=hint)
     raise InputError(f"lines {number} to {number + len(lines) - 1} cannot be read", where=str(path), found=reason)
 

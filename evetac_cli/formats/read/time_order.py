@@ -1,10 +1,10 @@
-"""Events whose times go back: the one rule for all formats.
+"""Handle events whose times go back: the one rule for all formats.
 
-An event that comes less than 1 ms after a later one is put in order: sensors send such, and so do the drivers above
-them. A step back of 1 ms or more that is no wrap of the clock (clock.py) is a restart: the camera began anew, files
-were joined, or a packet was damaged. What the user wants then cannot be known from the numbers. So the file is refused,
-with the place and with what each option would keep: `from_restart` one part, `drop_late` all but the events that come
-after a later one, `sort` all of them, by time.
+An event that is less than 1 ms late is sorted: sensors and their drivers send such events. A step back of 1 ms or more
+that is not a wrap of the clock (clock.py) is a restart: the camera was restarted, files were joined, or a packet was
+damaged. The numbers do not show what the user wants then. So the file is refused with an error message, which states
+the position and the effect of each option. The options are `from_restart`, which keeps one part, `drop_late`, which
+drops late events, and `sort`, which sorts all events by time.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -17,20 +17,20 @@ from numpy.typing import NDArray
 from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US, Events, concatenate
 
-MOST_RESTARTS = 1000  # after which a file is taken as unsorted, and its parts are no longer counted
-FEW_LATE = 0.02  # share of all events, up to which dropping them is proposed first
-MOST_SHOWN = 4  # restarts in a message
-MOST_WAITING = 1 << 23  # events of less than 1 ms, in memory; the fastest camera makes 1 million
+MOST_RESTARTS = 1000  # with more, a file counts as unsorted, and its parts are no longer counted
+FEW_LATE = 0.02  # share of late events up to which the hint proposes dropping them first
+MOST_SHOWN = 4  # restarts listed in a message
+MOST_WAITING = 1 << 23  # events within 1 ms that are kept in memory; the fastest camera has 1 million
 
-Placed = tuple[Events, Callable[[int], str]]  # some events, and where the user finds row i of them
+Placed = tuple[Events, Callable[[int], str]]  # events, and a function that describes the position of row i in the file
 
 
 @dataclass(frozen=True)
 class OrderOptions:
-    """What becomes of events that come 1 ms or more after a later one; without an option their file is refused.
+    """How to handle events that come 1 ms or more after a later one; without an option their file is refused.
 
-    sort: put all events in the order of their time. drop_late: leave such events out. from_restart: keep only the part
-    that begins at this restart, counted from 1, up to the next; 0 is the part before the first.
+    sort: sort all events by time. drop_late: leave such events out. from_restart: keep only the part from this restart,
+    counted from 1, up to the next; 0 is the part before the first restart.
     """
 
     sort: bool = False
@@ -38,18 +38,18 @@ class OrderOptions:
     from_restart: int | None = None
 
     def __post_init__(self) -> None:
-        """InputError for two options, of which one would have no effect."""
+        """Raise InputError if two options are set, because one of them would have no effect."""
         chosen = {"--sort": self.sort, "--drop-late": self.drop_late, "--from-restart": self.from_restart is not None}
         flags = [flag for flag, given in chosen.items() if given]
         if len(flags) > 1:
-            raise InputError("these options exclude each other", found=" and ".join(flags), hint="give one of them")
+            raise InputError("these options exclude each other", found=" and ".join(flags), hint="give only one")
 
 
 IN_ORDER = OrderOptions()
 
 
 class Restart(NamedTuple):
-    """A step back in time: where it is in the file, from which time to which."""
+    """A step back in time: its position in the file, and the times before and after it."""
 
     place: str
     before_us: int
@@ -57,7 +57,7 @@ class Restart(NamedTuple):
 
 
 class TimeOrder:
-    """Gives events out in the order of their time, as far as the options allow, and counts what was not in order."""
+    """Yields events in time order, according to the options, and counts events that were out of order."""
 
     def __init__(self, options: OrderOptions) -> None:
         self._options = options
@@ -66,29 +66,29 @@ class TimeOrder:
         self._restarts: list[Restart] = []
         self._sizes = [0]  # events of each part
         self._total = 0
-        self._late = 0  # events at least 1 ms after a later one, of any part
-        self.small = 0  # events that came less than 1 ms after a later one, or with `sort` any time
-        self.back_us = 0  # the largest such step
-        self._crowded = False  # more events of one time than can wait
+        self._late = 0  # events at least 1 ms late, in any part
+        self.small = 0  # events less than 1 ms late, or with `sort` late by any time
+        self.back_us = 0  # the largest delay of these events
+        self._crowded = False  # more events within 1 ms than are kept in memory
 
     @property
     def unsorted(self) -> bool:
-        """Whether the file has more steps back than a camera that was restarted makes."""
+        """Whether the file has more steps back than restarts of a camera can explain."""
         return len(self._restarts) >= MOST_RESTARTS
 
     @property
     def refused(self) -> bool:
-        """Whether the events so far cannot be used as the options say."""
+        """Whether the events so far cannot be used with these options."""
         options = self._options
         return self._crowded or (bool(self._restarts) and (options.from_restart is None or self.unsorted))
 
     def ordered(self, parts: Iterable[Placed]) -> Iterator[Events]:
-        """The events that the options keep; in the order of their time, unless it is to be sorted or is refused."""
+        """Yield the events that the options keep; in time order, unless the caller sorts or refuses them."""
         judged = (piece for part, place in parts if part.size for piece in self._judged(part, place))
         return judged if self._options.sort else self._in_order(judged)
 
     def _judged(self, part: Events, place: Callable[[int], str]) -> Iterator[Events]:
-        """The pieces of a part that are kept, cut where the clock was restarted."""
+        """Yield the pieces of a part that are kept, split where the clock was restarted."""
         t = part.t
         self._total += part.size
         if self._latest_us is None:
@@ -126,7 +126,7 @@ class TimeOrder:
         self.back_us = max(self.back_us, int(back_us.max(initial=0)))
 
     def _piece(self, piece: Events) -> Iterator[Events]:
-        """Count the events of a piece, and give them out if they are kept."""
+        """Count the events of a piece, and yield them if they are kept."""
         if not piece.size:
             return
         assert self._latest_us is not None and self._top_us is not None
@@ -140,8 +140,8 @@ class TimeOrder:
             yield piece
 
     def _in_order(self, pieces: Iterable[Events]) -> Iterator[Events]:
-        """Put events in order that are less than 1 ms late; of one time as they came."""
-        waiting: list[Events] = []  # in order, each of them and one after the other; all that is yet to come is later
+        """Sort events that are less than 1 ms late; events with the same time keep their order."""
+        waiting: list[Events] = []  # pieces that are sorted, and follow each other in time
         count = 0
         for judged in pieces:
             piece = judged if (judged.t[1:] >= judged.t[:-1]).all() else _sorted(judged)
@@ -161,36 +161,38 @@ class TimeOrder:
         yield from waiting
 
     def refuse(self, where: str) -> None:
-        """InputError where the events cannot be used as the options say."""
+        """Raise InputError if the events cannot be used with these options."""
         wanted = self._options.from_restart
         if self._crowded:
             raise InputError(
-                "more events within 1 ms than a camera makes",
+                "more events within 1 ms than any camera has",
                 where=where,
                 expected=f"at most {MOST_WAITING:,}",
                 found=f"more than that near {(self._top_us or 0) / 1e6:.6f} s",
-                hint="are these their times? --sort takes them as they are",
+                hint="are these times right? --sort imports them as they are",
             )
         if self.refused:
             raise InputError(
                 "time goes backwards",
                 where=where,
-                expected="events in the order of their time, less than 1 ms late",
+                expected="events in time order, at most 1 ms late",
                 found=self._steps(),
                 hint=self._hint(),
             )
         if wanted is not None and not self._restarts:
             raise InputError(
-                "--from-restart has nothing to choose: time never goes back by 1 ms or more",
+                "--from-restart has no effect: time never goes back by 1 ms or more",
                 where=where,
                 found=str(wanted),
-                hint="leave it out",
+                hint="leave out --from-restart",
             )
         if wanted is not None and wanted >= len(self._sizes):
-            raise InputError("no such restart", where=where, expected=self._parts(), found=str(wanted))
+            raise InputError(
+                "--from-restart: there is no such part", where=where, expected=self._parts(), found=str(wanted)
+            )
 
     def _steps(self) -> str:
-        """The steps back in words."""
+        """Return a text on the steps back."""
         shown = [
             f"{one.place} from {one.before_us / 1e6:.6f} s to {one.after_us / 1e6:.6f} s"
             for one in self._restarts[:MOST_SHOWN]
@@ -201,9 +203,9 @@ class TimeOrder:
         return f"{count:,}{' or more' if self.unsorted else ''} times, first {', '.join(shown)}"
 
     def _hint(self) -> str:
-        """What each option would do."""
+        """Return a hint on the effect of each option."""
         if self.unsorted:
-            return "--sort sorts all events by time, which is right if all times are of one clock"
+            return "--sort sorts all events by time, which is right if all times are on one clock"
         events = f"{self._late:,} event{'s' if self._late > 1 else ''} ({100 * self._late / self._total:.2g}%)"
         drop = f"--drop-late leaves out the {events} that came 1 ms or more after a later one"
         cut = f"--from-restart N keeps one part ({self._parts()})"
@@ -211,7 +213,7 @@ class TimeOrder:
         return f"{drop}; {cut}" if few else f"{cut}; {drop}"
 
     def _parts(self) -> str:
-        """The parts between restarts, with their sizes, as in `part 0: 3 events, part 1: 1 event`."""
+        """Return the parts between restarts with their sizes, for example `part 0: 3 events, part 1: 1 event`."""
         shown = [
             f"part {number}: {size:,} event{'s' * (size != 1)}"
             for number, size in enumerate(self._sizes[: MOST_SHOWN + 1])
@@ -221,12 +223,12 @@ class TimeOrder:
 
     @property
     def notes(self) -> list[str]:
-        """What was put in order and what was kept, in words."""
+        """Notes on events that were sorted, kept or dropped."""
         notes = []
         if self.small:
             back = f"{self.back_us:,} us" if self.back_us < SLICE_US else f"{self.back_us / 1e6:.6g} s"
             came = "1 event came" if self.small == 1 else f"{self.small:,} events came"
-            notes.append(f"{came} up to {back} after a later one: put in order")
+            notes.append(f"{came} up to {back} after a later one: sorted")
         if self._options.from_restart is not None and self._restarts:
             kept = f"kept part {self._options.from_restart} ({self._parts()})"
             notes.append(f"time goes back {self._steps()}; {kept}")
@@ -237,7 +239,7 @@ class TimeOrder:
 
     @property
     def dropped(self) -> dict[str, int]:
-        """Events that the options leave out, by reason; none where there are none."""
+        """Numbers of events that the options leave out, by reason; only reasons that occur."""
         dropped = {"late": self._late} if self._options.drop_late else {}
         if self._options.from_restart is not None:
             dropped["other_parts"] = self._total - self._sizes[min(self._options.from_restart, len(self._sizes) - 1)]

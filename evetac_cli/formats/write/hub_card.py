@@ -1,6 +1,6 @@
-"""What cards of the Hugging Face Hub have alike: README.md, which begins with fields that the Hub reads, then Markdown.
+"""Common parts of cards for the Hugging Face Hub: README.md begins with fields that the Hub reads; Markdown follows.
 
-`share` lays out models and data sets with such a card, the export to LeRobot writes one.
+`share` writes such a card for models and data sets, the LeRobot export for its data set.
 """
 
 import json
@@ -14,47 +14,47 @@ from evetac_cli.text_files import as_utf8
 
 TAGS = ("tactile", "event-camera", "robotics", "evetac")
 NO_LICENSE = "**No license is chosen.** Before you upload this, write one into the field `license` above."
-SIMULATED = "**Simulated.** Data and figures on this page come from a simulation, all of them or some."
+SIMULATED = "**Simulated.** Some or all of the data and figures on this page come from a simulation."
 
 
 @dataclass(frozen=True)
 class Card:
-    """What a shared folder holds: fields for the Hub, the page below them, all of it as data, and the files."""
+    """The contents of a shared folder: fields for the Hub, the page below them, the same as JSON, and the files."""
 
     fields: dict[str, Any]  # of the front matter
     page: list[str]  # paragraphs of Markdown
     about: dict[str, Any]  # card.json
-    links: dict[str, Path]  # name in the folder -> file that lies elsewhere
+    links: dict[str, Path]  # name in the folder -> existing file outside the folder
     written: dict[str, bytes]  # name in the folder -> content
-    note: str = ""  # what whoever shares it has to know, in words
+    note: str = ""  # a note for the person who shares the folder
     more: Callable[[Path, Progress], object] | None = None  # writes further files into the folder
 
     def text(self) -> str:
-        """README.md."""
+        """Return the content of README.md."""
         return card_text(self.fields, self.page)
 
 
 def card_text(fields: Mapping[str, Any], paragraphs: Sequence[str]) -> str:
-    """README.md. JSON is YAML too, so values are written as JSON: nothing in a name can end a value."""
+    """Return the content of README.md. Values are JSON, which is also YAML, so no character in a name can end one."""
     lines = [f"{name}: {json.dumps(value, ensure_ascii=False)}" for name, value in fields.items()]
     return as_utf8("\n".join(["---", *lines, "---", "", "\n\n".join(paragraphs), ""]))
 
 
 def card_fields(simulated: bool, license_: str | None, *tags: str) -> dict[str, Any]:
-    """The fields that all cards have; `other` is the Hub's word for a license not in its list."""
+    """Return the fields that all cards have; `other` is the Hub's term for a license that is not in its list."""
     license_fields = {"license": license_} if license_ else {"license": "other", "license_name": "not-chosen"}
     return {**license_fields, "tags": [*tags, *TAGS, *(["simulated"] if simulated else [])]}
 
 
 def opening(title: str, *, simulated: bool, license_: str | None) -> list[str]:
-    """The first paragraphs of a page: its title, and the marks that must not be missed."""
+    """Return the first paragraphs of a page: its title, and the warnings about simulation and license."""
     return [f"# {inline(title)}", *([SIMULATED] if simulated else []), *([] if license_ else [NO_LICENSE])]
 
 
 def table(rows: Sequence[Mapping[str, Any]], text: Callable[[Any], str] | None = None) -> str:
-    """Rows as a table of Markdown, with the columns of the first; nothing where there are none.
+    """Return rows as a Markdown table with the columns of the first row; empty if there are no rows.
 
-    text: how a value is written; without it, cells are Markdown.
+    text: formats a value as plain text; without it, cells must already be Markdown.
     """
     if not rows:
         return ""
@@ -64,7 +64,7 @@ def table(rows: Sequence[Mapping[str, Any]], text: Callable[[Any], str] | None =
 
 
 def inline(text: str, longest: int = 300) -> str:
-    """A text from a file in one line, cut to so many characters, in which nothing is markup."""
+    """Return a text from a file on one line, cut to `longest` characters, with all markup escaped."""
     line = " ".join(text.split())[:longest]
     plain = (letter if letter.isprintable() else " " for letter in line)
     return "".join(f"\\{letter}" if letter in "\\`*_[]<>|#" else letter for letter in plain)

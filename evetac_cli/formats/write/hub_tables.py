@@ -1,16 +1,17 @@
-"""Trials as tables for the viewer of a hub, in Parquet: a row a trial, a slice, a slice with its dots, an event.
+"""Write trials as Parquet tables for the viewer of a hub: one row per trial, per slice, or per event.
 
-    tables/trials/SPLIT.parquet           a row a trial: what names it, how long it is, in which file it lies
-    tables/slices/SPLIT/TRIAL.parquet     a row a slice: gripper, forces, labels, touch; slice_columns.py without dots
-    tables/dots/SPLIT/TRIAL.parquet       a row a slice: the columns of each dot, where a trial has some
-    tables/events/SPLIT/TRIAL.parquet     a row an event, where they are asked for
+    tables/trials/SPLIT.parquet           one row per trial: its facts, its length, and the file of its recording
+    tables/slices/SPLIT/TRIAL.parquet     one row per slice: gripper, forces, labels, touch (slice_columns.py, no dots)
+    tables/dots/SPLIT/TRIAL.parquet       one row per slice: the columns of each dot, if a trial has some
+    tables/events/SPLIT/TRIAL.parquet     one row per event, if requested
 
-Each is a configuration of the card, and the splits are those of the card. All columns are plain numbers, truth values
-or text, all files of a table have the same, and what a trial lacks is null.
+Each table is a configuration of the card, and the splits are those of the card. All columns are plain numbers, booleans
+or text. All files of a table have the same columns, and data that a trial lacks is null.
 
-Why dots are apart: the Hub's viewer shows no table of more than 1,000 columns, and people look at some dozens. Trial
-and time join them. Why object and sensor are columns and no folders, as in write_table.py: the Hub makes no columns of
-folders. Why names of files are flat: what `**` in a pattern means differs between readers.
+Why dots are a separate table: the Hub's viewer shows no table with more than 1,000 columns, and people look at a few
+dozen. The tables can be joined on trial and time. Why object and sensor are columns and not folders as in
+write_table.py: the Hub does not turn folders into columns. Why file names are flat: readers interpret `**` in a pattern
+differently.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -27,14 +28,14 @@ from evetac_cli.store.recordings.read import Recording
 
 FOLDER = "tables"
 TRIALS, SLICES, DOTS, EVENTS = "trials", "slices", "dots", "events"
-MOST_COLUMNS = 1000  # that the Hub's viewer shows: huggingface/dataset-viewer issue 1143
+MOST_COLUMNS = 1000  # most that the Hub's viewer shows: huggingface/dataset-viewer issue 1143
 EVENTS_A_GROUP = 1_000_000  # written at once, as one row group: 13 bytes each
-# Columns of the trials, beside what names them: type, unit, meaning.
+# Columns of the trials in addition to the facts that identify them: type, unit, meaning.
 OF_TRIAL = {
     "split": ("string", "", "part of the data set: train, validation, test"),
     "slices": ("int64", "ms", "length of the trial"),
     "events": ("int64", "", "events of the trial"),
-    "recording": ("string", "", "file of the recording in this data set; what was computed of it lies beside it"),
+    "recording": ("string", "", "file of the recording in this data set; files computed from it are next to it"),
     "recipe_id": ("string", "", "recipe id of the recording"),
 }
 OF_EVENT = {
@@ -46,7 +47,7 @@ OF_EVENT = {
 
 
 class SharedTrial(NamedTuple):
-    """A recording to share: name (without ending) and file, both from the folder on; where it lies; its split."""
+    """A recording to share: its name (without ending) and its path in the folder, its file on disk, and its split."""
 
     name: str
     path: str
@@ -55,12 +56,12 @@ class SharedTrial(NamedTuple):
 
 
 class HubTables:
-    """The tables of trials: looked at first, for the card says what they hold, then written."""
+    """The tables of trials: examined first, because the card describes their contents, then written."""
 
     def __init__(
         self, trials: Sequence[SharedTrial], opened: Opener, *, events: bool, progress: Progress = silent
     ) -> None:
-        """Look at all trials; MissingLibrary where pyarrow is not installed, before any is opened."""
+        """Examine all trials; raise MissingLibrary before opening any if pyarrow is not installed."""
         self._arrow = load_pyarrow(FOLDER)
         self._trials, self._opened, self._files = trials, opened, _flat([trial.name for trial in trials])
         self._facts: list[dict[str, Any]] = []
@@ -95,16 +96,16 @@ class HubTables:
 
     @property
     def note(self) -> str:
-        """What the Hub's viewer does not show, in words; empty where it shows all."""
+        """A text on tables that the Hub's viewer does not show; empty if it shows all."""
         wide = [name for name, table in self._tables.items() if name in self.rows and len(table) > MOST_COLUMNS]
         return "; ".join(
             f"the Hub's viewer does not show the table {name}: it has {len(self._tables[name])} columns, and the viewer"
-            f" takes {MOST_COLUMNS} at most"
+            f" shows at most {MOST_COLUMNS}"
             for name in wide
         )
 
     def configs(self) -> list[dict[str, Any]]:
-        """The field `configs` of a card: which files are which split of which table."""
+        """Return the field `configs` of a card: the files of each split of each table."""
         return [
             {
                 "config_name": name,
@@ -118,12 +119,12 @@ class HubTables:
         ]
 
     def columns(self) -> dict[str, int]:
-        """How many columns each table has."""
+        """Return the number of columns of each table."""
         own = {TRIALS: len(self._trial_schema()), EVENTS: len(OF_EVENT) + 1}
         return {name: own[name] if name in own else len(self._tables[name]) for name in self.rows}
 
     def write(self, folder: Path, progress: Progress) -> int:
-        """Write all tables into a folder; their bytes."""
+        """Write all tables into a folder; return their size in bytes."""
         self._write_trials(folder)
         done, of = 0, sum(facts["slices"] for facts in self._facts)
         for trial, facts, file in zip(self._trials, self._facts, self._files, strict=True):
@@ -144,7 +145,7 @@ class HubTables:
 
     @staticmethod
     def _named(facts: Mapping[str, Any]) -> dict[str, Any]:
-        """What names a trial, without its length."""
+        """Return the facts that identify a trial, without the columns of OF_TRIAL."""
         return {name: value for name, value in facts.items() if name not in OF_TRIAL}
 
     def _trial_schema(self) -> Any:
@@ -169,7 +170,7 @@ class HubTables:
 
     def _write_events(self, recording: Recording, name: str, path: Path) -> None:
         arrow = self._arrow
-        fields = [field_of(arrow, "trial", arrow.string(), "", "trial of the trial")]
+        fields = [field_of(arrow, "trial", arrow.string(), "", "name of the trial")]
         fields += [
             field_of(arrow, column, arrow.from_numpy_dtype(type_), unit, meaning)
             for column, (_, type_, unit, meaning) in OF_EVENT.items()
@@ -205,7 +206,7 @@ def _blocks(events: int) -> Iterator[tuple[int, int]]:
 
 
 def _flat(names: Sequence[str]) -> list[str]:
-    """A name without folders for each trial, and none twice."""
+    """Return a unique name without folders for each trial."""
     taken: set[str] = set()
     flat = []
     for name in names:

@@ -1,4 +1,4 @@
-"""The ROS 2 messages of each topic that write_mcap writes, in the order of their times, made block by block."""
+"""Build the ROS 2 messages of each topic that write_mcap writes, in time order, block by block."""
 
 import math
 import re
@@ -18,14 +18,14 @@ from evetac_cli.text_files import as_utf8, parse_json
 
 PACKET = "event_camera_msgs/msg/EventPacket"
 US_NS = 1000
-TICK_RAD = math.radians(0.088)  # of the RH-P12-RN(A), by its manual
+TICK_RAD = math.radians(0.088)  # of the RH-P12-RN(A), from its manual
 JOINT = "rh_p12_rn"
 DOT = np.dtype([(name, "<f4") for name in ("x", "y", "z", "dx", "dy")] + [("events", "<i4"), ("lost", "u1")])
 CELL_PA = ("pressure", "pressure_sd", "shear_x", "shear_y", "shear_sd_x", "shear_sd_y")
 CELL = np.dtype([(name, "<f4") for name in ("x", "y", "z", *CELL_PA)] + [("patch", "u1")])
 TRUE_DOT = np.dtype([(name, "<f4") for name in ("x", "y", "z")])
 POINT_FIELDS = {"|u1": 2, "<i4": 5, "<f4": 7}  # of sensor_msgs/PointField
-NUMBERS = {  # a message of std_msgs for each row
+NUMBERS = {  # datasets whose rows each become one message of std_msgs
     "gripper/current_target_ma": "Float64",
     "control/slip": "Bool",
     "control/phase": "UInt8",
@@ -37,19 +37,19 @@ NUMBERS = {  # a message of std_msgs for each row
     "truth/visible_slip_share": "Float32",
 }
 M_PER_MM = 1e-3
-MOST_IMAGE_BYTES = 1 << 24  # of a stream, that are read at once
+MOST_IMAGE_BYTES = 1 << 24  # of a stream's images that are read at once
 
 Messages = Iterator[tuple[int, Any]]  # time in us since the start of the recording, message
 
 
 class TopicMessages:
-    """Makes the messages of each topic, in the order of their times, reading block by block."""
+    """Builds the messages of each topic in time order and reads the files block by block."""
 
     def __init__(self, types: Any, frame_id: str, offset_us: int) -> None:
         self._types, self._frame_id, self._offset_us = types, frame_id, offset_us
 
     def __call__(self, kind: str, **values: Any) -> Any:
-        """A message of a kind, such as `std_msgs/msg/String`."""
+        """Return a message of a type such as `std_msgs/msg/String`."""
         return self._types[kind](**values)
 
     def _header(self, t_us: int, *, gel: bool = False) -> Any:
@@ -59,7 +59,7 @@ class TopicMessages:
         return self("std_msgs/msg/Header", stamp=stamp, frame_id=frame_id)
 
     def packets(self, recording: Recording, progress: Progress) -> Messages:
-        """A packet of events for every slice, also for one without any: the clock is the slice."""
+        """Yield a packet of events for every slice, also for slices without events: packets mark every slice."""
         width, height = recording.frame_px
         done = 0
         progress(0, recording.event_count)
@@ -87,7 +87,7 @@ class TopicMessages:
                 progress(done, recording.event_count)
 
     def of_recording(self, recording: Recording) -> Iterator[tuple[str, str, Messages]]:
-        """Topics of gripper, control, marks and truth, as far as there are any."""
+        """Yield the topics of gripper, control, marks and truth that the recording has."""
         joint = "sensor_msgs/msg/JointState"
         if recording.has("gripper"):
             rows = _timed(recording, "gripper", "position_ticks", "current_ma")
@@ -110,7 +110,7 @@ class TopicMessages:
             yield "/evetac/truth/dots", "sensor_msgs/msg/PointCloud2", self._true_dots(recording)
 
     def of_streams(self, recording: Recording) -> Iterator[tuple[str, str, Messages]]:
-        """Topics of the other streams of the trial; without samples of times before the source's clock began."""
+        """Yield the topics of the trial's other streams, without samples before 0 on the source's clock."""
         paths = recording.contents()
         for name in streams.names(paths):
             group, topic = f"{streams.GROUP}/{name}", f"/evetac/streams/{re.sub('[^A-Za-z0-9_]', '_', name)}"
@@ -155,7 +155,7 @@ class TopicMessages:
                 )
 
     def of_files(self, files: TrialFiles) -> Iterator[tuple[str, str, Messages]]:
-        """Topics of tracks, touch and labels, as far as there are any."""
+        """Yield the topics of tracks, touch and labels that the trial has."""
         tracks, touch, labels = (files.by_kind.get(kind) for kind in ("tracks", "touch", "labels"))
         if tracks is not None:
             yield "/evetac/dots", "sensor_msgs/msg/PointCloud2", self._dots(tracks)
@@ -186,7 +186,7 @@ class TopicMessages:
         )
 
     def _numbers(self, file: StageFile, path: str, kind: str) -> Messages:
-        """A row a message; gripper and control have times of their own, but for the detector's output."""
+        """Yield one message per row; gripper and control have their own times, except the detector's output."""
         group, _, name = path.rpartition("/")
         timed = group in ("gripper", "control") and name != "probability"
         rows = _timed(file, group, name) if timed else _by_slice(file, path)
@@ -194,7 +194,7 @@ class TopicMessages:
             yield t_us, self(f"std_msgs/msg/{kind}", data=value.item())
 
     def _wrenches(self, file: StageFile, shear: str, normal: str, torsion: str = "") -> Messages:
-        """A force a slice, and its torque, which is in N mm in the file."""
+        """Yield one wrench per slice; the file's torque is in N mm."""
         for t_us, (x, y), z, *torque in _by_slice(file, shear, normal, *([torsion] if torsion else [])):
             turn = float(torque[0]) * M_PER_MM if torque else 0.0
             wrench = self(
@@ -205,14 +205,14 @@ class TopicMessages:
             yield t_us, self("geometry_msgs/msg/WrenchStamped", header=self._header(t_us), wrench=wrench)
 
     def _centres(self, touch: StageFile) -> Messages:
-        """The centre of pressure in every slice in which something touches."""
+        """Yield the centre of pressure of every slice with contact."""
         for t_us, (x, y) in _by_slice(touch, "centre_mm"):
             if np.isfinite(x + y):
                 point = self("geometry_msgs/msg/Point", x=float(x) * M_PER_MM, y=float(y) * M_PER_MM, z=0.0)
                 yield t_us, self("geometry_msgs/msg/PointStamped", header=self._header(t_us, gel=True), point=point)
 
     def _maps(self, touch: StageFile) -> Messages:
-        """A cloud for each map, in the rows and columns of its cells."""
+        """Yield one point cloud per map, with the rows and columns of its cells."""
         x_mm, y_mm = touch.read("map/x_mm"), touch.read("map/y_mm")
         cells, fields = np.zeros((len(y_mm), len(x_mm)), CELL), self._fields(CELL)
         cells["x"], cells["y"] = x_mm * M_PER_MM, y_mm[:, None] * M_PER_MM
@@ -268,7 +268,7 @@ class TopicMessages:
 
 
 def _by_slice(file: StageFile, *paths: str) -> Iterator[tuple[Any, ...]]:
-    """The time at which a slice ends, in us, and its row of each dataset."""
+    """Yield the end of each slice, in us, and its row of each dataset."""
     for first in range(0, file.length(paths[0]), BLOCK_SLICES):
         columns = [file.read(path, first, first + BLOCK_SLICES) for path in paths]
         ends = ((first + 1 + np.arange(len(columns[0]))) * SLICE_US).tolist()
@@ -276,7 +276,7 @@ def _by_slice(file: StageFile, *paths: str) -> Iterator[tuple[Any, ...]]:
 
 
 def _timed(file: StageFile, group: str, *names: str, at_once: int = BLOCK_SLICES) -> Iterator[tuple[Any, ...]]:
-    """The time of a row of a group that has its own clock, in us, and its value in each dataset."""
+    """Yield the time of each row of a group that has its own clock, in us, and its value in each dataset."""
     for first in range(0, file.length(f"{group}/t_us"), at_once):
         t_us, *columns = (file.read(f"{group}/{name}", first, first + at_once) for name in ("t_us", *names))
         yield from zip(t_us.tolist(), *columns, strict=True)

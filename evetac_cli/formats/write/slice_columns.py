@@ -1,13 +1,13 @@
-"""A trial as columns with one row a slice: what tables and data sets for policies are made of.
+"""Read a trial as columns with one row per slice, from which tables and data sets for policies are written.
 
-Every dataset that has a row for each slice is read as columns of plain numbers, one for each dot and for each of x and
-y. Their names are the path of the dataset, the dot, x or y, and the unit at the end: `displacement_17_x_px`. Columns of
-touch begin with `touch_`; its maps, of which there are fewer than slices, are a table of their own
-(touch_map_table.py). Rows that have a clock of their own (gripper, control, other streams of the trial) stand in every
-slice as the last of them before its end, and their time stands beside them. Images of a stream are left out.
+Each dataset with one row per slice is read as columns of plain numbers, one per dot and per coordinate x and y. A
+column's name consists of the dataset's path, the dot, x or y, and the unit: `displacement_17_x_px`. Columns of touch
+begin with `touch_`. Touch maps, which exist for fewer times than slices, are a separate table (touch_map_table.py).
+Data with its own clock (gripper, control, other streams of the trial) appears in each slice as the last row before the
+slice ends, together with the time of that row. Images of a stream are left out.
 
-Why no lists of dots: pandas keeps a list as an object with which nothing can be computed, and CSV has none. Plain
-columns are picked by a pattern in pandas, polars and duckdb alike, and Parquet reads only those that are asked for.
+Why dots are not lists: pandas stores a list as an object that it cannot compute with, and CSV has no lists. Plain
+columns are selected by a pattern in pandas, polars and duckdb, and Parquet reads only the selected ones.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -30,16 +30,16 @@ from evetac_cli.store.recordings.read import Recording
 from evetac_cli.text_files import as_utf8, parse_json
 
 Masked = np.ma.MaskedArray[Any, Any]
-KINDS = ("recording", "tracks", "labels", "touch", "features")  # of two columns of one name, the first stands
+KINDS = ("recording", "tracks", "labels", "touch", "features")  # of two columns with the same name, the first is kept
 PREFIX = {"touch": "touch_"}
-COPIED = ("visible_slip_share",)  # by features from the truth, where it has its own column
+COPIED = ("visible_slip_share",)  # copied from the truth into features; the truth has its own column
 
 
 class TrialFiles(NamedTuple):
-    """The open files of one trial by their kinds, its recording among them, and what was left out of them.
+    """The open files of one trial by kind, including its recording, and notes on what was left out.
 
-    slip_probability: of a detector for each slice, NaN before its first; where one was asked for. mm_per_px: tells
-    the scale of the touch file's maps.
+    slip_probability: a detector's output per slice, NaN before its first; None if no detector was requested.
+    mm_per_px: a function that returns the scale of the touch file's maps.
     """
 
     by_kind: Mapping[str, StageFile]
@@ -49,18 +49,18 @@ class TrialFiles(NamedTuple):
 
     @property
     def recording(self) -> Recording:
-        """The recording."""
+        """The recording of the trial."""
         recording = self.by_kind["recording"]
         assert isinstance(recording, Recording)
         return recording
 
     @property
     def simulated(self) -> bool:
-        """Whether anything of it comes from a simulation: the recording, or what a model learned from."""
+        """Whether any of the files is simulated: the recording, or the training data of a model that was used."""
         return any(bool(file.header["simulated"]) for file in self.by_kind.values())
 
     def facts(self) -> dict[str, Any]:
-        """What tells a trial from others: name, object, sensor, seed, outcome, None where unknown; and if simulated."""
+        """Return the facts that identify a trial: name, object, sensor, seed, outcome (None if unknown), simulated."""
         row = self._described("recording")
         outcome = row.outcome
         if outcome is None and "labels" in self.by_kind:
@@ -84,13 +84,13 @@ Opener = Callable[[Path], AbstractContextManager[TrialFiles]]
 
 @contextmanager
 def recording_alone(path: Path) -> Iterator[TrialFiles]:
-    """The recording without the files beside it."""
+    """Open a recording without the other files of its trial."""
     with Recording(path) as recording:
         yield TrialFiles({"recording": recording})
 
 
 class WrittenFolder(NamedTuple):
-    """What a data set of many trials holds: whether any is simulated, what was left out, and figures."""
+    """Facts about a data set that was written: whether any trial is simulated, what was left out, and figures."""
 
     simulated: bool
     left_out: list[str]
@@ -98,10 +98,10 @@ class WrittenFolder(NamedTuple):
 
 
 class SliceColumns(NamedTuple):
-    """The columns of one dataset; read(start, stop) gives the slices [start, stop), (rows, columns).
+    """The columns of one dataset; read(start, stop) returns the slices [start, stop) as (rows, columns).
 
-    Masked is what is not known: NaN, before the first row of a clock, after the end of a file. of_dots: whether there
-    is a column for each dot.
+    Unknown values are masked: NaN, slices before the first row of a clock, slices after the end of a file.
+    of_dots: whether there is a column for each dot.
     """
 
     names: tuple[str, ...]
@@ -113,7 +113,7 @@ class SliceColumns(NamedTuple):
 
 
 def columns_of(files: TrialFiles) -> list[SliceColumns]:
-    """All columns of a trial, without its time; features repeat some of tracks and labels, which then stand once."""
+    """Return all columns of a trial except its time; features repeat some of tracks and labels, which appear once."""
     made = [_event_counts(files.recording)]
     dots = _dot_words(files)
     for kind in KINDS:
@@ -131,7 +131,7 @@ def columns_of(files: TrialFiles) -> list[SliceColumns]:
 
 
 def read_columns(columns: Sequence[SliceColumns], names: Sequence[str], slices: int) -> Masked:
-    """All slices of the columns of these names, (slices, columns), as float32; KeyError for a name that is missing."""
+    """Return all slices of the named columns, (slices, columns), as float32; raise KeyError if a name is missing."""
     by_name: dict[str, Masked] = {}
     for group in columns:
         wanted = [name for name in group.names if name in names]
@@ -144,15 +144,15 @@ def read_columns(columns: Sequence[SliceColumns], names: Sequence[str], slices: 
 
 
 def not_in_tables(recording: Recording) -> list[str]:
-    """What no slice shows: rows of a clock that has several within a slice, and images of other streams; in words."""
+    """Return texts on data that no slice shows: earlier rows of a clock within a slice, and images of streams."""
     said = []
     for group in _clocks(recording):
         t_us = recording.read(f"{group}/t_us")
         shown = np.unique(_rows_at(t_us, 0, len(recording)))
         missing = len(t_us) - int((shown >= 0).sum())
-        within = int((t_us < len(recording) * SLICE_US).sum())  # later rows are in no slice
+        within = int((t_us < len(recording) * SLICE_US).sum())  # later rows are not in any slice
         after, several = len(t_us) - within, missing - (len(t_us) - within)
-        why = [f"{several} followed by a later one before the slice ends, which is shown"] if several else []
+        why = [f"{several} because a later row of the same slice is shown"] if several else []
         why += [f"{after} after the end of the last slice"] if after else []
         said += [f"{missing} of {len(t_us)} rows of {group}: {', '.join(why)}"] if missing else []
         said += [f"images of {group}"] if recording.has(f"{group}/frames") else []
@@ -160,7 +160,7 @@ def not_in_tables(recording: Recording) -> list[str]:
 
 
 def _clocks(file: StageFile) -> list[str]:
-    """Groups whose rows have a clock of their own."""
+    """Return the groups whose rows have their own clock."""
     return [path.removesuffix("/t_us") for path in file.contents() if path.endswith("/t_us")]
 
 
@@ -175,12 +175,12 @@ def _of_detector(probability: NDArray[np.float32]) -> SliceColumns:
     def read(start: int, stop: int) -> Masked:
         return _masked(probability[start:stop, None])
 
-    meaning = "slip probability by the detector whose header stands beside those of the files"
+    meaning = "slip probability by the detector whose header is stored with those of the files"
     return SliceColumns(("model_probability",), (meaning,), "", np.dtype(np.float32), read)
 
 
 def _dot_words(files: TrialFiles) -> Callable[[int], str]:
-    """Where a dot is in the grid, by its number."""
+    """Return a function that describes the position of a dot, by its number, in the grid."""
     grids = (file.contents().get("sensor/dot_xy_px") for file in files.by_kind.values())
     columns = next((shape[1] for _, shape in filter(None, grids) if shape[1]), None)
     if columns is None:
@@ -212,14 +212,14 @@ def _of_file(file: StageFile, dot: Callable[[int], str]) -> Iterator[SliceColumn
 
 
 def _unit_of_column(file: StageFile, group: str, column: str) -> str:
-    """The unit of a column of a stream, which the text of its group says; empty for all other datasets."""
+    """Return the unit of a stream's column, which the group's `about` states; empty for all other datasets."""
     if not group.startswith(f"{streams.GROUP}/"):
         return ""
     return as_utf8(str(parse_json(file.read(f"{group}/about")).get("units", {}).get(column, "")))
 
 
 def _named(row: Dataset, shape: Sequence[int], prefix: str, dot: Callable[[int], str]) -> list[tuple[str, str]]:
-    """Name and meaning of each column of a dataset, in the order in which its rows are flattened."""
+    """Return name and meaning of each column of a dataset, in the order in which its rows are flattened."""
     base = prefix + row.path.replace("/", "_")
     unit = f"_{row.unit.lower()}"
     ending = unit if row.unit and base.endswith(unit) else ""
@@ -255,7 +255,7 @@ def _by_slice(file: StageFile, path: str, shape: Sequence[int], start: int, stop
 
 
 def _rows_at(t_us: NDArray[np.int64], start: int, stop: int) -> NDArray[np.int64]:
-    """The last row before the end of each slice; -1 where there is none yet."""
+    """Return the index of the last row before the end of each slice; -1 if there is none yet."""
     ends = np.arange(start + 1, stop + 1, dtype=np.int64) * SLICE_US
     return np.asarray(np.searchsorted(t_us, ends) - 1)
 

@@ -1,12 +1,12 @@
-"""Write the touch maps of a trial as a Parquet table with a row for each cell of each map.
+"""Write the touch maps of a trial as a Parquet table with one row per cell of each map.
 
-The columns are `t_ms`, the start of the map's slice, what names the trial as in other tables, the middle of the cell
-(`x_mm`, `y_mm`), and what the map says of it. Cells that nothing touches are there too, so that every map has as many
-rows, and those of one map turn into a picture: `map.pivot(index="y_mm", columns="x_mm", values="pressure_pa")`.
+The columns are `t_ms`, the start of the map's slice, the facts that identify the trial as in other tables, the centre
+of the cell (`x_mm`, `y_mm`), and the map's values. Cells without contact are included, so that every map has the same
+number of rows. A map becomes an image with `map.pivot(index="y_mm", columns="x_mm", values="pressure_pa")`.
 
-Why no lists in the table of slices: maps come every few slices only, pandas keeps a list as an object with which
-nothing can be computed, and of nested lists every program makes something else. A row for each cell is filtered,
-grouped and joined on `t_ms` by pandas, polars and duckdb alike. Whoever wants arrays opens the touch file with xarray.
+Why maps are not lists in the table of slices: maps exist only every few slices, pandas stores a list as an object that
+it cannot compute with, and programs interpret nested lists differently. One row per cell can be filtered, grouped and
+joined on `t_ms` in pandas, polars and duckdb. To get arrays, open the touch file with xarray.
 """
 
 import json
@@ -33,7 +33,7 @@ PLACES = ("x", "y")
 
 
 class CellColumn(NamedTuple):
-    """A column of the table: its name, the dataset that it is from, and which of its two directions, if any."""
+    """A column of the table: its name, its dataset, and the index of its direction x or y, if the dataset has both."""
 
     name: str
     of: Dataset
@@ -41,12 +41,12 @@ class CellColumn(NamedTuple):
 
     @property
     def meaning(self) -> str:
-        """In words."""
+        """A text for the metadata of the column."""
         return self.of.meaning if self.direction is None else f"{self.of.meaning}, {PLACES[self.direction]}"
 
 
 def cell_columns() -> list[CellColumn]:
-    """What a touch file holds for each cell of each map, in the order of its schema."""
+    """Return the columns that a touch file has for each cell of each map, in the order of its schema."""
     columns = []
     for row in schema.load("touch").datasets:
         if row.dims is None or row.dims[0] != "maps" or row.path == MAPS:
@@ -62,20 +62,20 @@ def cell_columns() -> list[CellColumn]:
 
 
 def write(files: TrialFiles, path: Path, progress: Progress) -> list[str]:
-    """The maps of one trial; returns what was left out. InputError where the trial has no touch file with maps."""
+    """Write the maps of one trial; return what was left out. Raises InputError if the trial has no touch maps."""
     arrow = load_pyarrow(str(path.parent))
     touch = files.by_kind.get("touch")
     if touch is None or not touch.has(MAPS):
-        found = "no touch file beside it" if touch is None else f"{touch.path.name} without maps"
+        found = "no touch file next to it" if touch is None else f"{touch.path.name} without maps"
         where = str(files.recording.path)
-        raise InputError("there are no touch maps", where=where, found=found, hint=made_by("touch"))
+        raise InputError("the recording has no touch maps", where=where, found=found, hint=made_by("touch"))
     facts, columns, field = files.facts(), cell_columns(), partial(field_of, arrow)
     fields = [field("t_ms", arrow.int64(), "ms", "start of the map's slice, which lasts 1 ms")]
     fields += [
         field(name, arrow.type_for_alias(type_), "", f"{name} of the trial") for name, type_ in typed([facts]).items()
     ]
     fields += [
-        field(f"{place}_mm", arrow.float64(), "mm", f"{place} of the cell's middle, from the middle of the frame")
+        field(f"{place}_mm", arrow.float64(), "mm", f"{place} of the cell's centre, from the centre of the frame")
         for place in PLACES
     ]
     fields += [
@@ -92,12 +92,12 @@ def write(files: TrialFiles, path: Path, progress: Progress) -> list[str]:
 
 
 def _column(arrow: Any, values: NDArray[Any]) -> Any:
-    """What is not known is null, as in other tables."""
+    """Return an Arrow column in which unknown values (NaN) are null, as in other tables."""
     return to_arrow(arrow, values, np.isnan(values) if values.dtype.kind == "f" else None)
 
 
 def _blocks(touch: StageFile, columns: list[CellColumn], progress: Progress) -> Iterator[dict[str, NDArray[Any]]]:
-    """Rows of some maps at a time: one for each cell, map by map and row by row."""
+    """Yield rows in batches of several maps: one row per cell, ordered by map and row of the map."""
     x_mm, y_mm = touch.read("map/x_mm"), touch.read("map/y_mm")
     cells, maps = len(x_mm) * len(y_mm), touch.length(MAPS)
     at_once = max(1, BATCH_ROWS // max(cells, 1))

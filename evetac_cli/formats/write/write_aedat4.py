@@ -1,7 +1,7 @@
 """Write events as AEDAT4 with faery, the extra `convert`: one stream, compressed with LZ4, which dv-processing reads.
 
-The note goes among the stream's metadata. faery's encoder says nothing where a disk is full, so the file is looked at
-afterwards.
+The note is stored in the stream's metadata. faery's encoder reports no error when the disk is full, so the file is
+checked after writing.
 """
 
 from pathlib import Path
@@ -17,13 +17,13 @@ from evetac_cli.formats.write.pieces import note_for, pieces, t_offset_us
 from evetac_cli.jobs import Progress
 from evetac_cli.store.recordings.read import Recording
 
-PACKET_EVENTS = 8192  # some 10 ms of a busy sensor, as recorders cut them
-EVENT = np.dtype([("t", "<u8"), ("x", "<u2"), ("y", "<u2"), ("on", "?")])  # as faery takes them
+PACKET_EVENTS = 8192  # some 10 ms of a busy sensor, the packet length that recorders use
+EVENT = np.dtype([("t", "<u8"), ("x", "<u2"), ("y", "<u2"), ("on", "?")])  # the type that faery accepts
 LZ4 = ("lz4", 1)
 
 
 def write(recording: Recording, path: Path, progress: Progress) -> None:
-    """One stream of events, t on the source's clock; InputError with the library's words where it does not work."""
+    """Write one stream of events, t on the source's clock; raise InputError with faery's message if writing fails."""
     where = str(path.parent)
     try:
         import faery
@@ -32,10 +32,10 @@ def write(recording: Recording, path: Path, progress: Progress) -> None:
     offset_us = t_offset_us(recording)
     if recording.event_count and int(recording.events(0, 1).t[0]) + offset_us < 0:
         raise InputError(
-            "AEDAT4 has no times before 0",
+            "AEDAT4 cannot store times before 0",
             where=str(recording.path),
-            found=f"a first event at {int(recording.events(0, 1).t[0]) + offset_us} us of the source's clock",
-            hint="export it as text or dsec",
+            found=f"a first event at {int(recording.events(0, 1).t[0]) + offset_us} us on the source's clock",
+            hint="export the recording as text or dsec",
         )
     aedat = faery.extension.aedat
     header = description(aedat, recording.frame_px, note_for(recording, offset_us).text())
@@ -47,15 +47,15 @@ def write(recording: Recording, path: Path, progress: Progress) -> None:
                 rows["x"], rows["y"], rows["on"] = events.x, events.y, events.p
                 for first in range(0, len(rows), PACKET_EVENTS):
                     encoder.write(0, rows[first : first + PACKET_EVENTS])
-        trouble = "" if is_whole(path) else "the file is not complete"
-    except (RuntimeError, OSError) as error:  # faery raises RuntimeError for whatever the disk says
+        trouble = "" if is_whole(path) else "the file is incomplete"
+    except (RuntimeError, OSError) as error:  # faery raises RuntimeError for every error of the disk
         trouble = str(error)
     if trouble:
-        raise InputError("AEDAT4 cannot be written", where=where, found=trouble, hint="is the disk full?")
+        raise InputError("the AEDAT4 file could not be written", where=where, found=trouble, hint="is the disk full?")
 
 
 def description(aedat: Any, frame_px: tuple[int, int], note: str = "") -> list[Any]:
-    """What the header of a file with a stream of events says, as faery takes it (which writes texts as they are)."""
+    """Return the header of a file with one event stream, in faery's types, with texts escaped (faery does not)."""
 
     def node(path: str, attributes: dict[str, int | str], *nodes: Any) -> Any:
         types = {int: "int", str: "string"}

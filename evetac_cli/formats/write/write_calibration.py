@@ -1,8 +1,8 @@
-"""Write the dot grid of a recording: as JSON, which `--calibration` takes, or as the official software's pickle.
+"""Write the dot grid of a recording: as JSON, which `--calibration` accepts, or as the official software's pickle.
 
-The pickle is a tuple of two arrays, centres (n, 2) as (x, y) and sizes (n, 1), which are diameters. numpy 2 would write
-names into it that the numpy 1.24 of the official software does not know, so its older names are written, which all
-versions know.
+The pickle is a tuple of two arrays: centres (n, 2) as (x, y), and sizes (n, 1), which are diameters. With numpy 2, it
+would have module names that the official software's numpy 1.24 does not have. The older names are written instead,
+which all versions accept.
 """
 
 import pickle
@@ -18,11 +18,11 @@ from evetac_cli.store.calibration import stored_calibration, write_calibration
 from evetac_cli.store.layout.provenance import made
 from evetac_cli.store.recordings.read import Recording
 
-PROTOCOL = 3  # the newest in which names are lines of text
+PROTOCOL = 3  # the newest protocol that stores module names as lines of text
 
 
 def write(recording: Recording, path: Path, progress: Progress) -> None:
-    """The grid that is stored in the recording; InputError if there is none."""
+    """Write the grid that is stored in the recording; raise InputError if there is none."""
     if recording.dot_xy_px is None:
         raise InputError("the recording has no dot grid", where=str(recording.path), hint="evetac calibrate finds one")
     calibration = stored_calibration(recording)
@@ -43,7 +43,7 @@ def write(recording: Recording, path: Path, progress: Progress) -> None:
 
 
 def official(dot_xy_px: NDArray[np.float64], radius_px: float) -> bytes:
-    """The pickle of dots (n, 2); missing ones are left out, as it has no word for them."""
+    """Return the pickle of dots (n, 2); missing dots are left out, because the format cannot represent them."""
     present = dot_xy_px[np.isfinite(dot_xy_px).all(axis=1)].astype(np.float64)
     content = pickle.dumps((present, np.full((len(present), 1), 2.0 * radius_px)), protocol=PROTOCOL)
     return content.replace(b"cnumpy._core.", b"cnumpy.core.")

@@ -1,9 +1,9 @@
-"""Write events as the DSEC data set lays them out: events/{x,y,t,p}, ms_to_idx, t_offset.
+"""Write events in the layout of the DSEC data set: events/{x,y,t,p}, ms_to_idx, t_offset.
 
-t counts microseconds from t_offset on, and ms_to_idx[k] is the first event at k ms or later. The arrays
-are compressed with gzip, which every HDF5 tool reads, and not with DSEC's Blosc, which needs a plugin. t has 32 bits as
-in DSEC, which is 71 minutes; a longer recording gets 64. Units and long names are attributes, which disturb no reader.
-Dimension scales, as our own files have them, are left out: they would be datasets that DSEC does not have.
+t counts microseconds since t_offset, and ms_to_idx[k] is the first event at k ms or later. The arrays are compressed
+with gzip, which every HDF5 tool reads; DSEC's Blosc needs a plugin. t has 32 bits as in DSEC, enough for 71 minutes; a
+longer recording gets 64 bits. Units and long names are stored as attributes, which readers of DSEC ignore. Dimension
+scales, which evetac's own files have, are left out: they would be datasets that DSEC does not have.
 """
 
 from pathlib import Path
@@ -24,7 +24,7 @@ SHORT_MS = 2**32 // 1000
 
 
 def write(recording: Recording, path: Path, progress: Progress) -> None:
-    """All columns, piece by piece."""
+    """Write all columns in pieces."""
     types = {"t": np.uint32 if len(recording) <= SHORT_MS else np.int64, **TYPES}
     with new_file(path) as h5:
         h5.attrs[NAME] = note_for(recording, 0).text()
@@ -37,7 +37,7 @@ def write(recording: Recording, path: Path, progress: Progress) -> None:
             column.close()
         put(h5, "ms_to_idx", recording.starts.astype(np.uint64))
         put(h5, "t_offset", np.int64(t_offset_us(recording)))
-        table = schema.load("recording")  # which lays its events out as DSEC does
+        table = schema.load("recording")  # a recording stores its events in DSEC's layout
         for name in (*columns, "ms_to_idx", "t_offset"):
             dataset = f"events/{name}" if name in columns else name
             describe_dataset(h5[dataset], table.find(dataset))

@@ -1,7 +1,7 @@
 """Write the events of a recording as images for networks: npz, Parquet or a zarr store in one zip file.
 
-Whatever the file, it holds `images` (n, ...), `end_us` (n,), and as JSON, under `evetac`, what the images show and the
-recording's header. The images are those of `Recording.frames` and the like, bit for bit.
+Every file has `images` (n, ...) and `end_us` (n,), and under `evetac`, as JSON, the parameters of the images and the
+recording's header. The images are bit for bit those of `Recording.frames` and the similar methods.
 """
 
 import json
@@ -20,7 +20,7 @@ from evetac_cli.jobs import Progress
 from evetac_cli.kernels.event_representation import Kind, Representation
 from evetac_cli.store.recordings.read import RATE_HZ, Recording
 
-if TYPE_CHECKING:  # compiled code, which other exports do without
+if TYPE_CHECKING:  # compiled code, which other exports do not need
     from evetac_cli.kernels.event_drawing import ImageBlock
 
 SUFFIXES = (".npz", ".parquet", ".zarr.zip", ".zip")
@@ -29,7 +29,7 @@ NPZ_LEVEL = 1  # images are mostly zeros: higher levels gain little and take sev
 
 
 def writer(kind: Kind) -> Callable[..., list[str]]:
-    """Who writes images of a kind: write(recording, path, progress, **options), these as of the command."""
+    """Return the function write(recording, path, progress, **options) for images of a kind; options of the command."""
 
     def write(
         recording: Recording,
@@ -45,7 +45,9 @@ def writer(kind: Kind) -> Callable[..., list[str]]:
             most = "at most the sensor's {} x {} px".format(*recording.frame_px)
             hint = "images can be smaller than the sensor's frame, not larger"
             found = "{} x {} for {}".format(*size, recording.path.name)
-            raise InputError("larger than the sensor", where="--size", expected=most, found=found, hint=hint)
+            raise InputError(
+                "images would be larger than the sensor's frame", where="--size", expected=most, found=found, hint=hint
+            )
         of = recording.representation(kind, fps, size, window_ms, **more)
         files = TrialFiles({"recording": recording})
         shows = {name: getattr(of, name) for name in of.used}
@@ -53,7 +55,7 @@ def writer(kind: Kind) -> Callable[..., list[str]]:
         count = of.images(len(recording))
         by_suffix = {".npz": _npz, ".parquet": _parquet, ".zip": _zarr}
         by_suffix[path.suffix.lower()](path, of, count, said, _shown(recording.images(of), count, progress))
-        return [] if count else [f"all events: the recording ends before the first image, at {of.end(0)} ms"]
+        return [] if count else [f"all events: the recording ends before the first image would, at {of.end(0)} ms"]
 
     return write
 
@@ -68,7 +70,7 @@ def _shown(blocks: Iterator["ImageBlock"], count: int, progress: Progress) -> It
 
 
 def _npz(path: Path, of: Representation, count: int, said: str, blocks: Iterator["ImageBlock"]) -> None:
-    """What numpy.load reads. Written piece by piece: the images of a minute can be larger than memory."""
+    """Write a file for numpy.load, block by block, because the images of a minute can be larger than memory."""
     ends: list[NDArray[np.int64]] = []
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=NPZ_LEVEL) as archive:
         with archive.open("images.npy", "w", force_zip64=True) as member:
@@ -83,7 +85,7 @@ def _npz(path: Path, of: Representation, count: int, said: str, blocks: Iterator
 
 
 def _parquet(path: Path, of: Representation, count: int, said: str, blocks: Iterator["ImageBlock"]) -> None:
-    """A row for each image: a tensor of Arrow in pyarrow, a flat list elsewhere."""
+    """Write one row per image: pyarrow reads it as a tensor, other programs as a flat list."""
     arrow = load_pyarrow(str(path.parent))
     tensor = arrow.fixed_shape_tensor(arrow.from_numpy_dtype(of.dtype), of.shape)
     fields = arrow.field("end_us", arrow.int64(), metadata={"units": "us"}), arrow.field("images", tensor)
@@ -95,7 +97,7 @@ def _parquet(path: Path, of: Representation, count: int, said: str, blocks: Iter
 
 
 def _zarr(path: Path, of: Representation, count: int, said: str, blocks: Iterator["ImageBlock"]) -> None:
-    """A group in one zip file, in the second version of zarr's format, as replay buffers for policies have it."""
+    """Write a group in one zip file, in version 2 of zarr's format, which replay buffers for policies use."""
     try:
         import zarr
     except ImportError as error:
@@ -109,7 +111,7 @@ def _zarr(path: Path, of: Representation, count: int, said: str, blocks: Iterato
         for block in blocks:
             ends.append(block.end_us)
             kept = np.concatenate([kept, block.images])
-            whole = len(kept) // chunk * chunk  # a chunk written twice stands twice in a zip file
+            whole = len(kept) // chunk * chunk  # only whole chunks: a chunk written twice is stored twice in a zip file
             if whole:
                 images[first : first + whole] = kept[:whole]
                 first, kept = first + whole, kept[whole:]

@@ -1,32 +1,33 @@
-"""Write a recording, and what was computed from it, as an MCAP file of ROS 2 messages.
+"""Write a recording, and the data computed from it, as an MCAP file of ROS 2 messages.
 
-    /evetac/events            event_camera_msgs/EventPacket, encoding `mono`: one a slice, the empty ones too
+    /evetac/events            event_camera_msgs/EventPacket, encoding `mono`: one per slice, also for empty slices
     /evetac/note              std_msgs/String: the note (formats/note.py), on a topic because tools for bags keep topics
     /evetac/dots              sensor_msgs/PointCloud2 of the tracks: x, y, dx, dy in px, events, lost; z is 0
     /evetac/force             geometry_msgs/WrenchStamped of the estimated touch, in N and N m, about the centre of
-                              pressure: x right, y down, z into the gel, and the torsion; force/sd their deviations
+                              pressure: x right, y down, z into the gel, and the torsion; force/sd: their standard
+                              deviations
     /evetac/touch/centre      geometry_msgs/PointStamped: the centre of pressure, in m from the middle of the frame
-    /evetac/touch/map         sensor_msgs/PointCloud2 of each touch map, a point a cell in m: patch, and pressure and
-                              shear_x, shear_y with their deviations in Pa
+    /evetac/touch/map         sensor_msgs/PointCloud2 of each touch map, one point per cell, in m: patch, and pressure,
+                              shear_x, shear_y with their standard deviations in Pa
     /evetac/touch/sticking_share    std_msgs/Float32: the share of the contact that sticks
-    /evetac/label             std_msgs/Int8 of the labels: 1 slip, 0 none, -1 not examined
+    /evetac/label             std_msgs/Int8 of the labels: 1 slip, 0 no slip, -1 not examined
     /evetac/gripper           sensor_msgs/JointState: position in rad; effort is the measured current in mA
     /evetac/gripper/goal      sensor_msgs/JointState: the goal position of a grasp, in rad
-    /evetac/marks             std_msgs/String: what a robot's program marked while it was recorded
+    /evetac/marks             std_msgs/String: marks that a robot's program set during recording
     /evetac/streams/NAME      std_msgs/Float64MultiArray of another stream: its columns, named with their units in the
                               layout; NAME/about std_msgs/String, NAME/image sensor_msgs/Image
-    /evetac/gripper/*, control/*, truth/*      numbers of std_msgs; truth, which only a simulation knows, has dots and
-                                               force too
+    /evetac/gripper/*, control/*, truth/*      numbers of std_msgs; truth, which only simulated recordings have, also
+                                               has dots and force
 
-All messages but EventPacket are in every installation of ROS 2, so that RViz, Foxglove and PlotJuggler draw them; a
-cloud of points is the one among them that has named numbers for each of many dots or cells. No wrench among them has a
-covariance, so deviations are a wrench of their own. Tracks, touch and labels are those beside the recording that belong
-to it. Times are those of the source's clock. A packet of events says when its slice begins and is logged when it ends;
-what is computed from a slice has the time at which it ends. The frame of a simulated recording's messages is
-`evetac_simulated`; what is in m on the gel, and not in px, is in `evetac_gel` or `evetac_gel_simulated`.
+All messages except EventPacket are part of every ROS 2 installation, so RViz, Foxglove and PlotJuggler draw them. Of
+these, only a point cloud can store several named numbers for each of many dots or cells. No wrench message has a
+covariance, so standard deviations are a separate wrench. Tracks, touch and labels are read from the files next to the
+recording that belong to it. Times are on the source's clock. A packet of events is stamped with the begin of its slice
+and logged at its end; values computed from a slice have the time of its end. The frame id of a simulated recording's
+messages is `evetac_simulated`; messages in m on the gel, not in px, use `evetac_gel` or `evetac_gel_simulated`.
 
-The library mcap writes the file. rosbags makes messages and definitions: it copies arrays at once, where
-mcap-ros2-support packs them byte by byte; its own writer makes folders and not files.
+The library mcap writes the file. rosbags builds messages and definitions: it copies arrays as a whole, while
+mcap-ros2-support packs them byte by byte. rosbags' own writer produces folders, not files.
 """
 
 import heapq
@@ -55,7 +56,7 @@ uint8[] events
 """
 MOST_S = 2**31  # the seconds of a time of ROS are an int32
 MOST_ROWS_PX = 2**15  # `mono` has 15 bits for y
-# What of a recording is in the file, beside its events.
+# Groups and datasets of a recording that the file contains in addition to its events.
 HOLDS = (
     "marks",
     "sensor/dot_xy_px",
@@ -73,9 +74,9 @@ HOLDS = (
 
 
 def write(files: TrialFiles, path: Path, progress: Progress) -> list[str]:
-    """Write all topics in the order of their times; returns which files of the trial were left out.
+    """Write all topics in time order; return which files of the trial were left out.
 
-    InputError where times or frame need more bits than there are.
+    Raises InputError if times or frame do not fit into the messages.
     """
     Writer, types, definition_of, serialise = _libraries(str(path.parent))
     recording = files.recording
@@ -109,7 +110,7 @@ def write(files: TrialFiles, path: Path, progress: Progress) -> list[str]:
 
 
 def _libraries(where: str) -> tuple[Any, Any, Callable[[str], str], Callable[[Any, str], bytes]]:
-    """The writer of mcap; of rosbags the types by name, the definition of one, and how a message becomes bytes."""
+    """Return mcap's writer; of rosbags the types by name, a function for definitions, and the serializer."""
     try:
         from mcap.writer import Writer
         from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -128,21 +129,21 @@ def _libraries(where: str) -> tuple[Any, Any, Callable[[str], str], Callable[[An
 
 
 def _check(recording: Recording, offset_us: int) -> None:
-    """InputError where a time or a row has no place in the messages."""
+    """Raise InputError if a time or a row cannot be represented in the messages."""
     last_s = (offset_us + len(recording) * SLICE_US) / 1e6
     if offset_us < 0 or last_s >= MOST_S:
         raise InputError(
-            "ROS has no such times",
+            "the recording's times do not fit into ROS messages",
             where=str(recording.path),
-            expected=f"a source's clock from 0 to {MOST_S - 1} s",
+            expected=f"0 to {MOST_S - 1} s on the source's clock",
             found=f"{offset_us / 1e6:.6f} to {last_s:.6f} s",
-            hint="export it as text or dsec",
+            hint="export the recording as text or dsec",
         )
     if recording.frame_px[1] > MOST_ROWS_PX:
         raise InputError(
-            "the frame is too high for EventPacket",
+            "the frame has too many rows for an EventPacket",
             where=str(recording.path),
             expected=f"at most {MOST_ROWS_PX} rows",
             found=str(recording.frame_px[1]),
-            hint="export it as text or dsec",
+            hint="export the recording as text or dsec",
         )

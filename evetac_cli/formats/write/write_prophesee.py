@@ -1,13 +1,13 @@
 """Write events as Prophesee's RAW (EVT3 and EVT2) and DAT: text lines that begin with "% ", then words.
 
-    EVT3   16 bits, the upper four say what: 8 high bits of time, 6 low bits of time, 0 row, 2 column and polarity; only
-           what changes is written again
-    EVT2   32 bits, the upper four say what: 8 high bits of time, 0 and 1 an event, with the 6 low bits of its time
-    DAT    64 bits an event: time, then column, row and polarity
+    EVT3   16 bits, the upper four are the type: 8 high bits of time, 6 low bits of time, 0 row, 2 column and polarity;
+           only values that change are written again
+    EVT2   32 bits, the upper four are the type: 8 high bits of time, 0 and 1 an event, with the 6 low bits of its time
+    DAT    64 bits per event: time, then column, row and polarity
 
-Times count from the start of the recording, because the formats have few bits for them; where that is on the source's
-clock stands among the text lines, and so does the note. faery writes these files too, but no lines of ours: that is why
-the words are made here. Sources: Prophesee's documentation of EVT 2.0, EVT 3.0 and DAT.
+Times count from the start of the recording, because the formats have few bits for them. The start on the source's clock
+is stored in the text lines, and so is the note. faery writes these files too, but not evetac's text lines; therefore
+the words are encoded here. Sources: Prophesee's documentation of EVT 2.0, EVT 3.0 and DAT.
 """
 
 from collections.abc import Callable, Iterator
@@ -31,7 +31,7 @@ EVENT_OF_DAT = bytes((0x0C, 8))  # "contrast detection", of 8 bytes
 
 
 class PropheseeLayout(NamedTuple):
-    """The first text lines, what follows them, the limits, and the words of all events, piece by piece."""
+    """A format: its first text lines, the bytes after all text lines, its limits, and the encoder of its words."""
 
     name: str
     head: str
@@ -42,15 +42,15 @@ class PropheseeLayout(NamedTuple):
 
 
 def evt3_words(parts: Iterator[Events]) -> Iterator[NDArray[Any]]:
-    """Words of EVT3. The 24 bits of time begin anew every 16.8 s, so all their high bits are written, as sensors do."""
+    """Encode EVT3 words. The 24 bits of time wrap every 16.8 s, so all high bits are written, as sensors do."""
     high, t_us, row = -1, -1, -1
     for events in parts:
         y = events.y.astype(np.int64)
         steps = np.diff(events.t >> 12, prepend=high)
         later, moved = np.diff(events.t, prepend=t_us) != 0, np.diff(y, prepend=row) != 0
-        last = np.cumsum(steps + later + moved + 1) - 1  # the place of each event's column, its last word
+        last = np.cumsum(steps + later + moved + 1) - 1  # the index of each event's column word, which is its last
         words = np.empty(last[-1] + 1, np.uint16)
-        times = np.ones(len(words), bool)  # the places of high bits: those that nothing else takes
+        times = np.ones(len(words), bool)  # the indices of high bits: those that no other word occupies
         for place, word in (
             (last, COLUMN << 12 | events.p.astype(np.int64) << 11 | events.x),
             ((last - 1)[moved], (ROW << 12 | y)[moved]),
@@ -64,7 +64,7 @@ def evt3_words(parts: Iterator[Events]) -> Iterator[NDArray[Any]]:
 
 
 def evt2_words(parts: Iterator[Events]) -> Iterator[NDArray[Any]]:
-    """Words of EVT2: the high bits of time whenever they change, then the event."""
+    """Encode EVT2 words: the high bits of time whenever they change, then the event."""
     before = -1
     for events in parts:
         high = events.t >> 6
@@ -76,7 +76,7 @@ def evt2_words(parts: Iterator[Events]) -> Iterator[NDArray[Any]]:
 
 
 def dat_words(parts: Iterator[Events]) -> Iterator[NDArray[Any]]:
-    """Words of DAT, two of 32 bits an event."""
+    """Encode DAT words, two of 32 bits per event."""
     for events in parts:
         place = events.p.astype(np.int64) << 28 | events.y.astype(np.int64) << 14 | events.x
         yield np.stack([events.t, place], axis=1).astype("<u4")
@@ -90,7 +90,7 @@ DAT = PropheseeLayout("DAT", DAT_HEAD, EVENT_OF_DAT, 2**14, 2**32, dat_words)
 
 
 def _write(layout: PropheseeLayout, recording: Recording, path: Path, progress: Progress) -> None:
-    """All events in a layout; InputError, before anything is written, where frame or times need more bits."""
+    """Write all events in a layout; raise InputError before writing if frame or times need more bits."""
     width, height = recording.frame_px
     length_us = len(recording) * SLICE_US
     for fits, expected, there_is in (
@@ -99,11 +99,11 @@ def _write(layout: PropheseeLayout, recording: Recording, path: Path, progress: 
     ):
         if not fits:
             raise InputError(
-                f"does not fit into {layout.name}",
+                f"the recording does not fit into {layout.name}",
                 where=str(recording.path),
                 expected=expected,
                 found=there_is,
-                hint="export it as dsec or text, or a part of it: evetac trim",
+                hint="export the recording as dsec or text, or cut out a part with `evetac trim`",
             )
     lines = f"% {NAME} {note_for(recording, 0).text()}\n% {OFFSET} {t_offset_us(recording)}\n"
     with path.open("wb") as file:

@@ -1,15 +1,15 @@
-"""Write trials as tables with one row a slice: Parquet, CSV, or one Parquet data set of many trials.
+"""Write trials as tables with one row per slice: Parquet, CSV, or one Parquet data set of many trials.
 
-The columns are those of slice_columns.py; before them stand `t_ms`, the start of the slice, and what names the trial:
-`trial`, `object`, `sensor`, `seed`, `outcome`, `simulated`. What is not known is null, which pandas shows as NaN, and
-which sums in polars and duckdb leave out. In Parquet, units and meanings are metadata of the columns, and the headers
-of the files are the text `evetac` in the metadata of the table.
+The first columns are `t_ms`, the start of the slice, and the facts that identify the trial: `trial`, `object`,
+`sensor`, `seed`, `outcome`, `simulated`. The columns of slice_columns.py follow. Unknown values are null; pandas shows
+null as NaN, and sums in polars and duckdb skip it. In Parquet, units and meanings are metadata of the columns, and the
+headers of the files are stored as JSON under `evetac` in the metadata of the table.
 
-A data set has a file a trial in folders `object=8/sensor=evetac/`, as Hive names them: pandas, polars, duckdb, Spark
-and pyarrow make columns of them, and leave out the folders that a query does not ask for. Seed and outcome, of which
-there are many or which depend on the labels, are columns of the files. All files have the same columns; where a trial
-has nothing to put into one, it is null. Where the object or sensor of a trial is unknown, it is a column of the files
-too: pandas reads no folder that stands for null.
+A data set has one file per trial in Hive-style folders `object=8/sensor=evetac/`. pandas, polars, duckdb, Spark and
+pyarrow turn these folders into columns and skip folders that a query does not select. Seed and outcome are columns of
+the files, because seeds are many and the outcome depends on the labels. All files have the same columns; a column
+that a trial has no data for is null. If the object or sensor of any trial is unknown, that fact becomes a column of the
+files too, because pandas cannot read a folder name that means null.
 """
 
 import csv
@@ -37,14 +37,14 @@ from evetac_cli.store.hdf5.disk import utf8_path
 from evetac_cli.store.index.rows import LARGEST
 from evetac_cli.text_files import csv_text, open_regular, parse_json
 
-BATCH_BYTES = 32_000_000  # of slices that are written at once, as one row group
+BATCH_BYTES = 32_000_000  # slices written at once, as one row group
 PARTITIONS = ("object", "sensor")
 COMPRESSION = "zstd"
-MOST_LINE_BYTES = 1 << 20  # of CSV; ours have some 10 kB
+MOST_LINE_BYTES = 1 << 20  # longest line of CSV that is read; evetac's lines have some 10 kB
 
 
 def load_pyarrow(where: str) -> Any:
-    """The module pyarrow with all that is used of it; MissingLibrary where it is not installed."""
+    """Import pyarrow with the submodules that are used here; raise MissingLibrary if it is not installed."""
     try:
         import pyarrow
         import pyarrow.csv
@@ -55,7 +55,7 @@ def load_pyarrow(where: str) -> Any:
 
 
 def write_parquet(files: TrialFiles, path: Path, progress: Progress) -> list[str]:
-    """One trial as a Parquet file; returns what could not be shown."""
+    """Write one trial as a Parquet file; return what could not be shown."""
     arrow = load_pyarrow(str(path.parent))
     columns, facts = columns_of(files), files.facts()
     write_rows(arrow, table_schema(arrow, columns, typed([facts])), files, columns, facts, path, progress)
@@ -63,7 +63,10 @@ def write_parquet(files: TrialFiles, path: Path, progress: Progress) -> list[str
 
 
 def write_csv(files: TrialFiles, path: Path, progress: Progress) -> list[str]:
-    """One trial as CSV, whose first line has the names; returns what could not be shown. No text in it is a formula."""
+    """Write one trial as CSV with a header line; return what could not be shown.
+
+    Texts are escaped so that a spreadsheet does not evaluate them as formulas.
+    """
     arrow = load_pyarrow(str(path.parent))
     columns = columns_of(files)
     facts = {name: csv_text(value) if isinstance(value, str) else value for name, value in files.facts().items()}
@@ -75,9 +78,9 @@ def write_csv(files: TrialFiles, path: Path, progress: Progress) -> list[str]:
 
 
 def is_simulated(path: Path) -> bool:
-    """Whether a table, Parquet or CSV, was exported from a simulated trial; False of tables of others.
+    """Whether a table, Parquet or CSV, was exported from a simulated trial; False for tables of other programs.
 
-    InputError where a Parquet file cannot be read.
+    Raises InputError if a Parquet file cannot be read.
     """
     if path.suffix == ".csv":
         with open_regular(path) as file:
@@ -91,7 +94,7 @@ def is_simulated(path: Path) -> bool:
 
 
 def column_names(path: Path) -> tuple[str, ...]:
-    """The columns of a Parquet file with their types, `name: type`; InputError where it cannot be read."""
+    """Return the columns of a Parquet file with their types, `name: type`; raise InputError if it cannot be read."""
     return tuple(f"{field.name}: {field.type}" for field in _schema_of(path))
 
 
@@ -100,19 +103,16 @@ def _schema_of(path: Path) -> Any:
     try:
         with utf8_path(path) as plain:
             return arrow.parquet.read_schema(plain)
-    except (ValueError, OSError) as error:  # Arrow's errors are of both
+    except (ValueError, OSError) as error:  # Arrow's errors are subclasses of one or the other
         raise _unreadable(path, error) from None
 
 
 def _unreadable(path: Path, error: Exception) -> InputError:
-    return InputError("no Parquet that can be read", where=str(path), found=str(error)[:200])
+    return InputError("not a readable Parquet file", where=str(path), found=str(error)[:200])
 
 
 def write_data_set(sources: Sequence[Path], opened: Opener, folder: Path, progress: Progress) -> WrittenFolder:
-    """Many trials as one Parquet data set in a folder.
-
-    InputError if two trials would have the same file.
-    """
+    """Write many trials as one Parquet data set in a folder; raise InputError if two trials would get the same file."""
     arrow = load_pyarrow(str(folder.parent))
     schemas, facts, slices = [], [], []
     for source in sources:
@@ -127,7 +127,7 @@ def write_data_set(sources: Sequence[Path], opened: Opener, folder: Path, progre
     for source, named, rows in zip(sources, facts, slices, strict=True):
         path = folder.joinpath(*(_partition(name, named[name]) for name in partitions), f"{named['trial']}.parquet")
         if path.exists():
-            raise InputError("two recordings have the same name", where=str(source), found=path.name)
+            raise InputError("two recordings would be written to the same file", where=str(source), found=path.name)
         path.parent.mkdir(parents=True, exist_ok=True)
 
         with opened(source) as files:
@@ -144,7 +144,7 @@ def _further(progress: Progress, before: int, of: int, now: float, total: float,
 
 
 def typed(facts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """The type of each column that names a trial: whole numbers where all are, else text."""
+    """Return the types of the columns that identify trials: int64 if all values are integers, otherwise string."""
     types: dict[str, Any] = dict.fromkeys(facts[0], "string") | {"simulated": "bool"}
     for name in ("object", "seed"):
         values = [one[name] for one in facts if one[name] is not None]
@@ -158,7 +158,7 @@ def _partition(name: str, value: Any) -> str:
 
 
 def table_schema(arrow: Any, columns: Sequence[SliceColumns], types: Mapping[str, Any]) -> Any:
-    """Arrow's schema: time, what names the trial, the columns; units and meanings as metadata of each."""
+    """Return Arrow's schema: time, the trial's facts, the columns; each with its unit and meaning as metadata."""
     fields = [field_of(arrow, "t_ms", arrow.int64(), "ms", "start of the slice, which lasts 1 ms")]
     fields += [
         field_of(arrow, name, arrow.type_for_alias(type_), "", f"{name} of the trial") for name, type_ in types.items()
@@ -171,7 +171,7 @@ def table_schema(arrow: Any, columns: Sequence[SliceColumns], types: Mapping[str
 
 
 def field_of(arrow: Any, name: str, type_: Any, unit: str, meaning: str) -> Any:
-    """A column of Arrow's schema with its unit and meaning; `1` stands for no unit."""
+    """Return a field of Arrow's schema with its unit and meaning as metadata; `1` means no unit."""
     return arrow.field(name, type_, metadata={"units": unit or "1", "long_name": meaning})
 
 
@@ -184,7 +184,7 @@ def write_rows(
     path: Path,
     progress: Progress,
 ) -> None:
-    """Write the slices of a trial as a Parquet file with all columns of the schema; those that it lacks are null."""
+    """Write the slices of a trial as a Parquet file with all columns of the schema; missing columns are null."""
     described = table.with_metadata({"evetac": json.dumps(provenance(files, facts))})
     with arrow.parquet.ParquetWriter(path, described, compression=COMPRESSION) as writer:
         for batch in _batches(arrow, described, files, columns, facts, progress):
@@ -199,7 +199,7 @@ def _batches(
     facts: Mapping[str, Any],
     progress: Progress,
 ) -> Iterator[Any]:
-    """The slices of a trial, some at a time, with all columns of the schema."""
+    """Yield the slices of a trial in batches of about BATCH_BYTES, with all columns of the schema."""
     slices = len(files.recording)
     at_once = max(1, BATCH_BYTES // (8 * len(table)))
     for first in range(0, slices, at_once):
@@ -221,7 +221,7 @@ def _batches(
 
 
 def provenance(files: TrialFiles, facts: Mapping[str, Any]) -> dict[str, Any]:
-    """Where a trial comes from: the header of each of its files, and its sensor; ancestors are named by their ids."""
+    """Return the provenance of a trial: the header of each of its files, and its sensor; ancestors appear as ids."""
     recording = files.recording
     return {
         **facts,
@@ -235,7 +235,7 @@ def provenance(files: TrialFiles, facts: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """A dataset as JSON takes it; a dot that is missing has no numbers."""
+    """Return a dataset as JSON values; NaN, which marks a missing dot, becomes null."""
     if isinstance(value, str):
         return value
     array = np.asarray(value)

@@ -1,4 +1,4 @@
-"""Write events as text: `t x y p` a line, t in whole microseconds of the source's clock, which numpy.loadtxt reads."""
+"""Write events as text that numpy.loadtxt reads: one line `t x y p` per event, t in us on the source's clock."""
 
 from pathlib import Path
 
@@ -9,11 +9,11 @@ from evetac_cli.formats.write.pieces import note_for, pieces, t_offset_us
 from evetac_cli.jobs import Progress
 from evetac_cli.store.recordings.read import Recording
 
-LINES = 1 << 14  # at once: text of so many events is built in memory
+LINES = 1 << 14  # events whose text is built in memory at once
 
 
 def write(recording: Recording, path: Path, progress: Progress) -> None:
-    """Two lines of comment, then a line an event."""
+    """Write two comment lines, then one line per event."""
     offset_us = t_offset_us(recording)
     with path.open("w", encoding="ascii") as file:
         file.write(f"# {NAME} {note_for(recording, offset_us).text()}\n# t_us x y p\n")

@@ -1,7 +1,7 @@
-"""doctor: faults of cameras, grippers and this installation, and for each the command that mends it.
+"""doctor: find faults of cameras, grippers and this installation, and print the command that fixes each.
 
-It only reads: it writes no register, no setting and no file. A gripper's rate or an adapter's timer changes when the
-user runs the command that is printed.
+It only reads: it writes no register, no setting and no file. A gripper's baud rate or an adapter's timer changes only
+when the user runs the printed command.
 """
 
 import errno
@@ -31,9 +31,9 @@ MAY_USE = 'GROUP="dialout", MODE="0660", TAG+="uaccess"'
 JOIN = "sudo usermod -aG dialout $USER, and log in again"
 INSTALL_RULES = f"evetac doctor --print-udev | sudo tee {RULES} && {RELOAD}; then plug it in again"
 OLDEST_FIRMWARE = 8
-LEAST_BAUD = 1_000_000  # a cycle of 2 ms needs it
+LEAST_BAUD = 1_000_000  # required for a control cycle of 2 ms
 LATENCY_MS = 1
-FREE_BYTES = 1 << 30  # some 5 min of a million events a second, at 3.5 bytes each on disk
+FREE_BYTES = 1 << 30  # some 5 min at a million events per second, with 3.5 bytes per event on disk
 SPEEDS = {
     1: "USB 1, 1.5 Mbit/s",
     2: "USB 1, 12 Mbit/s",
@@ -43,44 +43,45 @@ SPEEDS = {
 }
 OPENCV = ("opencv-python", "opencv-python-headless", "opencv-contrib-python", "opencv-contrib-python-headless")
 
-# What is missing without the extra of that name.
+# The features that need each extra.
 SERVES = {
     "camera": "--camera dv",
     "convert": "AEDAT4, bags, Prophesee's files, tables, LeRobot",
-    "plot": "pictures beside reports, pages, films",
+    "plot": "pictures of reports, pages, films",
     "view": "view --rrd",
     "cluster": "--engine dask",
     "log": "train --log tensorboard",
     "robot": "evetac_cli.gym, examples",
 }
 
-NO_PORTS = ("virtual", "sim", "none")  # what else `--gripper` takes where a gripper is used
-NOT_ASKED = "not asked: no FTDI adapter"
+NO_PORTS = ("virtual", "sim", "none")  # other values of `--gripper` in commands that use a gripper
+NOT_ASKED = "not checked: not an FTDI adapter"
 WHICH_PORTS = "`ls /dev/ttyUSB* /dev/ttyACM*` lists the ports"
 
 
 def udev_rules() -> str:
-    """Rules that let some use the camera and the gripper's adapter, and make the adapter answer at once.
+    """Return udev rules that permit the use of the camera and the gripper's adapter, and set its latency to 1 ms.
 
-    Those are whoever sits at the computer and the group dialout: who can write to the adapter can move the gripper.
+    Permitted are the user who is logged in at the computer and the group dialout, not everybody, because write access
+    to the adapter can move the gripper.
     """
     return "\n".join(
         (
             f"# For {RULES}. Install with:",
             f"#   evetac doctor --print-udev | sudo tee {RULES}",
             f"#   {RELOAD}",
-            "# and plug the devices in again. Then whoever sits at the computer may use them, and the group dialout:",
+            "# and plug the devices in again. The user logged in at the computer and the group dialout may use them:",
             f"#   {JOIN}",
-            "# Cameras of iniVation, the DVXplorer Mini (152a:8419) among them.",
+            "# Cameras of iniVation, including the DVXplorer Mini (152a:8419).",
             'SUBSYSTEM=="usb", ATTR{idVendor}=="152a", ATTR{idProduct}=="84[0-1]?", ' + MAY_USE,
-            "# Serial adapters of FTDI, ROBOTIS' U2D2 among them: an answer is passed on after 1 ms, not after 16.",
+            "# Serial adapters of FTDI, including ROBOTIS' U2D2: an answer is passed on after 1 ms instead of 16 ms.",
             'SUBSYSTEM=="tty", KERNEL=="ttyUSB*", DRIVERS=="ftdi_sio", ATTR{device/latency_timer}="1", ' + MAY_USE,
         )
     )
 
 
 def run(params: Doctor, host: Host | None = None) -> Outcome:
-    """A row for every check of the installation, the disk, and every camera and gripper."""
+    """Return a row for every check of the installation, the disk, and every camera and gripper."""
     host = host or Host()
     rows = [*_software(host), *plugin_check.rows(), _disk(host, Path.cwd())]
     cameras = host.cameras() if host.has_libusb() else []
@@ -88,8 +89,8 @@ def run(params: Doctor, host: Host | None = None) -> Outcome:
         rows += _camera(host, camera)
     kind = (params.gripper or "").partition(":")[0]
     if kind in NO_PORTS:
-        reason = f"not: a {kind} gripper needs no doctor" if kind != "none" else "not: no gripper is named"
-        rows.append(check(f"gripper {kind}", "examined", None, reason, "", "name a port: --gripper /dev/ttyUSB0"))
+        reason = f"no: a {kind} gripper needs no check" if kind != "none" else "no: no gripper was given"
+        rows.append(check(f"gripper {kind}", "examined", None, reason, "", "give a port: --gripper /dev/ttyUSB0"))
     grippers = 0
     for port, named in _ports(host, params):
         if named is None and port.vendor != FTDI:
@@ -105,7 +106,7 @@ def run(params: Doctor, host: Host | None = None) -> Outcome:
 
 
 def show(result: Outcome) -> None:
-    """Print a block for each device: what is right, what is wrong, and how to mend it."""
+    """Print a block for each device: what is right, what is wrong, and how to fix it."""
     counts = result.summary
     for device, group in itertools.groupby(result.rows, key=lambda row: str(row["device"])):
         print_text(device)
@@ -117,18 +118,19 @@ def show(result: Outcome) -> None:
                 print_text(f"        {'':<16}try: {row['fix']}")
     if counts.get("cameras") == 0:
         print_text(
-            "no camera found on USB. One that is plugged in: another port, another cable (some only carry power);"
+            "no camera found on USB. If one is plugged in, try another port or cable (some cables only carry power);"
         )
-        print_text("`lsusb -d 152a:` shows whether the system sees it. Simulated and virtual devices need none.")
+        print_text("`lsusb -d 152a:` shows whether the system sees it. Simulated and virtual devices need no camera.")
     if counts.get("grippers") == 0:
         print_text(
-            "no gripper found. By itself doctor only asks FTDI adapters (U2D2): name another with --gripper PORT."
+            "no gripper found. By default doctor only checks FTDI adapters (U2D2): give another port with"
+            " --gripper PORT."
         )
-    print_text(f"{counts['wrong']} wrong" if counts["wrong"] else "all that was found is fine")
+    print_text(f"{counts['wrong']} wrong" if counts["wrong"] else "no faults found")
 
 
 def check(device: str, check: str, ok: bool | None, result: str, expected: str = "", fix: str = "") -> Row:
-    """The row of a check. ok: None where it is neither right nor wrong; fix: also a change that one may want."""
+    """Return the row of a check. ok: None if it is neither right nor wrong; fix: may also be an optional change."""
     return {
         "device": device,
         "check": check,
@@ -142,7 +144,7 @@ def check(device: str, check: str, ok: bool | None, result: str, expected: str =
 def _software(host: Host) -> Iterator[Row]:
     loads = host.has_libusb()
     fix = "" if loads else f"{pip('install')} --force-reinstall libusb-package"
-    yield check("software", "libusb", loads, "loads" if loads else "none that loads", "a library for USB", fix)
+    yield check("software", "libusb", loads, "loads" if loads else "does not load", "a USB library", fix)
     missing = host.missing_libraries()
     state = f"without {', '.join(missing)}" if missing else "installed"
     yield check("software", "libraries", not missing, state, "", install_hint() if missing else "")
@@ -157,7 +159,7 @@ def _software(host: Host) -> Iterator[Row]:
         "opencv",
         len(installed) == 1,
         ", ".join(installed) or "none",
-        "one alone: they overwrite each other",
+        "only one: several overwrite each other",
         ""
         if len(installed) == 1
         else f"{pip('uninstall')} {' '.join(name.split()[0] for name in installed)}; {pip('install')} {OPENCV[-1]}",
@@ -168,16 +170,21 @@ def _disk(host: Host, folder: Path) -> Row:
     free = host.free_bytes(folder)
     enough = free >= FREE_BYTES
     minutes = free / 3.5e6 / 60
-    room = f"{free / 1e9:.1f} GB free in {folder}: {minutes:.0f} min at 1,000,000 events a second"
+    room = f"{free / 1e9:.1f} GB free in {folder}: {minutes:.0f} min at 1,000,000 events per second"
     return check(
-        "disk", "free space", enough, room, f"{FREE_BYTES / 1e9:.1f} GB", "" if enough else "record elsewhere: -o"
+        "disk",
+        "free space",
+        enough,
+        room,
+        f"{FREE_BYTES / 1e9:.1f} GB",
+        "" if enough else "free some space, or record elsewhere with -o",
     )
 
 
 def _camera(host: Host, camera: FoundCamera) -> Iterator[Row]:
     name = f"camera {camera.serial or 'at ' + camera.where}"
     mini = camera.board == protocol.MINI_BOARD
-    fix = "" if mini else "record it with DV, and import: evetac record --from FILE.aedat4"
+    fix = "" if mini else "record with iniVation's DV, and import the file: evetac record --from FILE.aedat4"
     yield check(name, "model", mini, f"board {camera.board}", f"board {protocol.MINI_BOARD}, a DVXplorer Mini", fix)
     if mini:
         known = OLDEST_FIRMWARE <= camera.firmware <= protocol.NEWEST_FIRMWARE
@@ -188,7 +195,11 @@ def _camera(host: Host, camera: FoundCamera) -> Iterator[Row]:
             known,
             str(camera.firmware),
             f"{OLDEST_FIRMWARE} to {protocol.NEWEST_FIRMWARE}",
-            "" if known else "update it with the maker's DV" if old else "try a newer evetac; this one may work too",
+            ""
+            if known
+            else "update it with iniVation's DV"
+            if old
+            else "install a newer evetac; this version may work too",
         )
     if camera.speed is not None:
         fast = camera.speed >= SUPER_SPEED
@@ -198,12 +209,12 @@ def _camera(host: Host, camera: FoundCamera) -> Iterator[Row]:
     yield check(name, *_opened(host, camera, answer.errno, answer.message))
     if answer.frame_px is not None and mini:
         right = answer.frame_px == FRAME_PX
-        fix = "" if right else "this sensor is not that of a DVXplorer Mini: is it the right camera?"
+        fix = "" if right else "the sensor is not that of a DVXplorer Mini: is this the right camera?"
         yield check(name, "sensor", right, "{} x {} px".format(*answer.frame_px), "{} x {} px".format(*FRAME_PX), fix)
 
 
 def _opened(host: Host, camera: FoundCamera, number: int, message: str) -> tuple[str, bool, str, str, str]:
-    """The check of opening a camera and reading its sensor's size: check, ok, found, expected, fix."""
+    """Return the check of opening a camera and reading its sensor's size: check, ok, found, expected, fix."""
     if number == 0:
         return "access", True, "opens and answers", "", ""
     node = host.dev / "bus" / "usb" / f"{camera.device.bus or 0:03d}" / f"{camera.device.address or 0:03d}"
@@ -211,7 +222,7 @@ def _opened(host: Host, camera: FoundCamera, number: int, message: str) -> tuple
         return (
             "permission",
             False,
-            f"none, for you ({message})",
+            f"none for this user ({message})",
             "a udev rule",
             f"{INSTALL_RULES}; over ssh, also {JOIN}",
         )
@@ -219,26 +230,26 @@ def _opened(host: Host, camera: FoundCamera, number: int, message: str) -> tuple
         users = host.programs_using(node)
         by = f"used by {', '.join(users)}" if users else "used by another program"
         fix = (
-            f"end it, or: kill {' '.join(user.split('(')[-1].rstrip(')') for user in users)}"
+            f"end that program, or: kill {' '.join(user.split('(')[-1].rstrip(')') for user in users)}"
             if users
-            else f"sudo fuser {node}"
+            else f"sudo fuser {node} shows which"
         )
         return "busy", False, by, "free", fix
     if number in (errno.ENODEV, errno.ENOENT):
         return (
             "access",
             False,
-            f"it disappeared from the bus while it was read ({message})",
+            f"the camera disappeared from the bus while it was read ({message})",
             "",
-            "a firm cable, another port",
+            "check the cable, or try another port",
         )
     if number in (errno.EPIPE, errno.ETIMEDOUT, errno.EIO):
-        return "answers", False, f"no ({message})", "the size of its sensor", "unplug it and plug it in again"
-    return "access", False, message, "", "unplug it and plug it in again, without a hub"
+        return "answers", False, f"no ({message})", "the size of its sensor", "unplug the camera and plug it in again"
+    return "access", False, message, "", "unplug the camera and plug it in again, without a hub"
 
 
 def _ports(host: Host, params: Doctor) -> Iterator[tuple[SerialPort, Serial | None]]:
-    """The serial ports that there are, or that the user named, with the gripper that was named there."""
+    """Yield the existing serial ports and the one that the user gave, with the gripper given there."""
     given = params.gripper or ""
     named = parse_port(given) if given and given.partition(":")[0] not in NO_PORTS else None
     for port in host.serial_ports():
@@ -249,28 +260,28 @@ def _ports(host: Host, params: Doctor) -> Iterator[tuple[SerialPort, Serial | No
 
 
 def _port(host: Host, path: Path, named: Serial | None) -> tuple[list[Row], int]:
-    """Rows of one port and of the grippers on it, and the number of these."""
+    """Return rows of one port and of the grippers on it, and the number of grippers."""
     name = f"port {path}"
     if not path.exists():
         return [check(name, "exists", False, "no such port", "", f"plug the adapter in; {WHICH_PORTS}")], 0
     if not _is_serial(path):
-        fix = f"name the adapter's port; {WHICH_PORTS}"
-        return [check(name, "serial port", False, "not a serial port", "a port as /dev/ttyUSB0", fix)], 0
+        fix = f"give the adapter's port; {WHICH_PORTS}"
+        return [check(name, "serial port", False, "not a serial port", "a port such as /dev/ttyUSB0", fix)], 0
     rows: list[Row] = []
     if not os.access(path, os.R_OK | os.W_OK):
         fix = f"{JOIN}; or {INSTALL_RULES}"
-        return [check(name, "permission", False, "none, for you", "", fix)], 0
+        return [check(name, "permission", False, "none for this user", "", fix)], 0
     latency_ms = host.latency_ms(path)
     if latency_ms is not None:
         fine = latency_ms <= LATENCY_MS
         timer = f"/sys/bus/usb-serial/devices/{path.name}/latency_timer"
-        fix = "" if fine else f"echo 1 | sudo tee {timer}; for good: {INSTALL_RULES}"
+        fix = "" if fine else f"echo 1 | sudo tee {timer}; permanently: {INSTALL_RULES}"
         rows.append(
-            check(name, "latency timer", fine, f"{latency_ms} ms", f"{LATENCY_MS} ms, for 500 commands a second", fix)
+            check(name, "latency timer", fine, f"{latency_ms} ms", f"{LATENCY_MS} ms, for 500 commands per second", fix)
         )
     users = host.programs_using(path)
     if users:
-        fix = f"end it, or: kill {' '.join(user.split('(')[-1].rstrip(')') for user in users)}"
+        fix = f"end that program, or: kill {' '.join(user.split('(')[-1].rstrip(')') for user in users)}"
         return [*rows, check(name, "busy", False, f"used by {', '.join(users)}", "free", fix)], 0
     try:
         grippers = host.scan(path, ID if named is None else named.id)
@@ -278,8 +289,8 @@ def _port(host: Host, path: Path, named: Serial | None) -> tuple[list[Row], int]
         return [*rows, check(name, "opens", False, " ".join(str(error).split()), "", f"sudo fuser {path}")], 0
     if not grippers:
         rates = f"{host.rates[0]} to {host.rates[-1]} baud"
-        fix = "switch on its 24 V, check the cable between adapter and gripper"
-        # an adapter that the user did not name may well serve another device
+        fix = "switch on the gripper's 24 V, check the cable between adapter and gripper"
+        # an adapter that the user did not give may be connected to another device
         return [
             *rows,
             check(name, "gripper", None if named is None else False, "none answers", f"an answer at {rates}", fix),
@@ -288,7 +299,7 @@ def _port(host: Host, path: Path, named: Serial | None) -> tuple[list[Row], int]
         answers = " and ".join(f"gripper {each.id}" for each in grippers)
         fix = " or ".join(_flag(path, each) for each in grippers)
         answering = f"{answers} answer{'s' if len(grippers) == 1 else ''}"
-        rows.append(check(name, "id", False, answering, f"gripper {named.id}, as it was named", f"name it: {fix}"))
+        rows.append(check(name, "id", False, answering, f"gripper {named.id}, as given", f"give the right id: {fix}"))
     for gripper in grippers:
         try:
             rows += _gripper(host, path, gripper)
@@ -299,7 +310,7 @@ def _port(host: Host, path: Path, named: Serial | None) -> tuple[list[Row], int]
 
 
 def _is_serial(path: Path) -> bool:
-    """Whether a path is a terminal; one that cannot be opened counts as one, and a later check says why."""
+    """Whether a path is a terminal; one that cannot be opened counts as one, and a later check gives the reason."""
     if not stat.S_ISCHR(path.stat().st_mode):
         return False
     try:
@@ -313,7 +324,7 @@ def _is_serial(path: Path) -> bool:
 
 
 def _flag(path: Path, gripper: BusDevice) -> str:
-    """The flag by which commands reach a gripper, as short as can be."""
+    """Return the shortest flag that selects a gripper in a command."""
     return f"--gripper {Serial(str(path), gripper.baud, gripper.id).shortest}"
 
 
@@ -321,27 +332,27 @@ def _gripper(host: Host, path: Path, gripper: BusDevice) -> Iterator[Row]:
     name = f"gripper {gripper.id} at {path}"
     right = gripper.model == MODEL_NUMBER
     older = " (RH-P12-RN without A: another control table)" if gripper.model == OLD_MODEL_NUMBER else ""
-    fix = "" if right else "this driver serves the RH-P12-RN(A) only"
+    fix = "" if right else "use an RH-P12-RN(A): the driver supports no other gripper"
     yield check(name, "model", right, f"{gripper.model}{older}", f"{MODEL_NUMBER}, RH-P12-RN(A)", fix)
     fast = gripper.baud >= LEAST_BAUD
     change = f"change_baud('{path}', {gripper.baud}, {BAUD}, id_={gripper.id})"
-    slow_fix = f'python -c "from evetac_cli.devices.rh_p12_rn.driver import change_baud; {change}" (torque goes off)'
-    expected = f"{LEAST_BAUD} at least, for 500 commands a second"
+    slow_fix = f'python -c "from evetac_cli.devices.rh_p12_rn.driver import change_baud; {change}" (turns torque off)'
+    expected = f"at least {LEAST_BAUD}, for 500 commands per second"
     yield check(name, "baud", fast, str(gripper.baud), expected, "" if fast else slow_fix)
     if not right:
         return
     yield check(name, "flag", True, _flag(path, gripper))
     registers = host.registers(path, gripper)
     delay_us = registers["Return Delay Time"] * RETURN_DELAY_US
-    fix = "" if delay_us == 0 else f"evetac record {_flag(path, gripper)} sets it when it opens the gripper"
+    fix = "" if delay_us == 0 else f"evetac record {_flag(path, gripper)} sets it to 0 when it opens the gripper"
     yield check(name, "return delay", delay_us == 0, f"{delay_us} us", "0 us", fix)
     errors = hardware_errors(registers["Hardware Error Status"])
-    fix = "remove the cause, then switch its 24 V off and on" if errors else ""
+    fix = "remove the cause, then switch the gripper's 24 V off and on" if errors else ""
     yield check(name, "hardware error", not errors, ", ".join(errors) or "none", "none", fix)
     volts = [registers[f"{which} Voltage Limit"] / 10 for which in ("Min", "Max")]
     present = registers["Present Input Voltage"] / 10
     within = volts[0] <= present <= volts[1]
-    fix = "" if within else "check its 24 V supply"
+    fix = "" if within else "check the 24 V supply"
     yield check(name, "supply", within, f"{present:.1f} V", f"{volts[0]:.1f} to {volts[1]:.1f} V", fix)
     cool = registers["Present Temperature"] < registers["Temperature Limit"]
     limit = f"below {registers['Temperature Limit']} C"
@@ -350,10 +361,10 @@ def _gripper(host: Host, path: Path, gripper: BusDevice) -> Iterator[Row]:
     )
     ticks, low, high = (registers[which] for which in ("Present Position", "Min Position Limit", "Max Position Limit"))
     in_range = low - BEYOND_TICKS <= ticks <= high + BEYOND_TICKS
-    fix = "" if in_range else "switch its 24 V off and on; if it happens again, the gripper is damaged"
-    yield check(name, "position", in_range, f"{ticks:,} ticks", f"{low} to {high} ticks, or a little beyond", fix)
+    fix = "" if in_range else "switch the gripper's 24 V off and on; if it happens again, the gripper is damaged"
+    yield check(name, "position", in_range, f"{ticks:,} ticks", f"{low} to {high} ticks, or slightly beyond", fix)
     off = registers["Torque Enable"] == 0
-    fix = "" if off else "another program may drive it, or have left it so"
+    fix = "" if off else "end the program that drives the gripper, or it was left on by one that has ended"
     yield check(name, "torque", True if off else None, "off" if off else "on", "off while no program uses it", fix)
     yield check(
         name, "firmware", True, f"{registers['Firmware Version']}; current limit {registers['Current Limit']} mA"

@@ -1,10 +1,11 @@
-"""doctor --speed: a whole grasp in real time, to see how many events a second this computer can judge.
+"""doctor --speed: run a whole grasp in real time, to find how many events per second this computer can process.
 
-A virtual camera that plays random events at a given rate, a virtual gripper, detector, controller and recorder, each in
-its process as in a grasp with devices, for 10 s: parts that are fast enough one after the other may be too slow beside
-each other. First at a million events a second; where that is too much, at 300,000, and then at 600,000 or 100,000. What
-is said to be judged was tried. A rate is fine where the grasp lasts to its end, the recorder keeps up, and at most one
-of a hundred slices and of commands is late by this computer's fault. A grasp has a word for less, and goes on.
+A virtual camera that plays random events at a given rate, a virtual gripper, detector, controller and recorder run for
+10 s. Each has its own process, as in a grasp with devices: parts that are fast enough separately may be too slow
+together. The first rate is a million events per second; if that is too much, 300,000, and then 600,000 or 100,000.
+Every rate that is reported was tried. A rate is fine if the grasp reaches its end, the recorder keeps up, and at most
+1 % of slices and of commands are late because of this computer. In a real grasp, smaller faults cause a warning, and
+the grasp continues.
 """
 
 import json
@@ -21,7 +22,7 @@ from evetac_cli.jobs import Progress, Row
 from evetac_cli.trials.session import BEHIND_S
 
 WANTED_PER_S = 1_000_000
-NEXT_PER_S = {  # after a rate: which one, where it was too much, and where it was fine; 0: none
+NEXT_PER_S = {  # rate -> (next rate if it was too much, next rate if it was fine); 0: none
     1_000_000: (300_000, 0),
     300_000: (100_000, 600_000),
     600_000: (0, 0),
@@ -29,26 +30,26 @@ NEXT_PER_S = {  # after a rate: which one, where it was too much, and where it w
 }
 SECONDS = 10.0
 MOST_LATE = 0.01
-TOUCH_S = 1.5  # of the scene's contact, before the phases that have flags
-FEWER = "fewer events: evetac record --readout-rate, --threshold-on, --threshold-off; a smaller network: --model"
+TOUCH_S = 1.5  # duration of the scene's contact, before the phases that have flags
+FEWER = "reduce events with evetac record --readout-rate, --threshold-on, --threshold-off; use a smaller --model"
 
 
 class Tried(NamedTuple):
-    """A grasp at a rate, and what became of it."""
+    """The result of a grasp at a rate."""
 
     events_per_s: int
-    ended: str = ""  # why it ended before its time; "" if it did not
+    ended: str = ""  # why it ended early; "" if it did not
     slices: int = 0
     late_slices: int = 0
-    commands: int = 0  # missed ones among them
+    commands: int = 0  # including missed ones
     missed_by_us: int = 0
-    missed_by_gripper: int = 0  # by a pseudo terminal here, which says little of a real one
-    behind_s: float = 0.0  # the recorder, at most
+    missed_by_gripper: int = 0  # by the pseudo terminal, which is not representative of a real gripper
+    behind_s: float = 0.0  # largest delay of the recorder
     detector_share: float | None = None  # of a core
 
     @property
     def is_fine(self) -> bool:
-        """Whether this computer can judge so many events a second."""
+        """Whether this computer can process events at this rate."""
         in_time = self.late_slices <= MOST_LATE * self.slices and self.missed_by_us <= MOST_LATE * self.commands
         return not self.ended and in_time and self.behind_s <= BEHIND_S
 
@@ -56,9 +57,9 @@ class Tried(NamedTuple):
 def attempt(
     events_per_s: int, folder: Path, dots: dict[str, Any], progress: Callable[[float], None], seconds: float = SECONDS
 ) -> Tried:
-    """Grasp once at a rate; dots: a grid as `calibrate` writes it; progress: takes the seconds that have passed.
+    """Grasp once at a rate; dots: a grid as written by `calibrate`; progress: called with the seconds that have passed.
 
-    Writes in a temporary folder in this one, which is removed. InputError or OSError where that cannot be.
+    Files are written into a temporary folder in `folder`, which is removed. Raises InputError or OSError if that fails.
     """
     from evetac_cli.trials import grasp
     from evetac_cli.trials.grasp import real_time
@@ -105,9 +106,9 @@ def attempt(
 def rows(
     attempt_at: Callable[[int, Callable[[float], None]], Tried], progress: Progress, close: str
 ) -> tuple[list[Row], int]:
-    """A row for each rate that was tried and one for what is judged; how many events a second that are, 0 for none.
+    """Return a row for each rate that was tried and one for the result, and the highest fine rate (0: none).
 
-    attempt_at: tries a rate, and reports the seconds that have passed; close: advice for a computer that is busy.
+    attempt_at: tries a rate and reports the seconds that have passed. close: advice for a busy computer.
     """
     found: list[Row] = []
     judged, rate = 0, WANTED_PER_S
@@ -116,34 +117,34 @@ def rows(
         judged = max(judged, rate * tried.is_fine)
         found.append(_row(tried, close))
         rate = NEXT_PER_S[rate][tried.is_fine]
-    words = f"{judged:,} events a second; tried for {SECONDS:g} s each: {', '.join(row['check'] for row in found)}"
+    words = f"{judged:,} events per second; tried for {SECONDS:g} s each: {', '.join(row['check'] for row in found)}"
     if not judged:
-        words = f"not even {tried.events_per_s:,} events a second"
+        words = f"less than {tried.events_per_s:,} events per second"
     wanted = judged >= WANTED_PER_S
     fix = "" if wanted else f"{close}; {FEWER}"
-    found.append(check("grasp", "judges in time", wanted, words, f"{WANTED_PER_S:,} events a second", fix))
+    found.append(check("grasp", "judges in time", wanted, words, f"{WANTED_PER_S:,} events per second", fix))
     return found, judged
 
 
 def _reporting(progress: Progress, doing: str) -> Callable[[float], None]:
-    """What takes the seconds of a grasp."""
+    """Return a function that reports the elapsed seconds of a grasp as progress."""
     return lambda passed_s: progress(passed_s, SECONDS, doing)
 
 
 def _row(tried: Tried, close: str) -> Row:
-    """What became of a grasp at a rate."""
+    """Return the row with the result of a grasp at a rate."""
     parts = [f"{tried.late_slices:,} of {tried.slices:,} slices late"]
     parts.append(f"{tried.missed_by_us:,} of {tried.commands:,} commands missed")
     if tried.missed_by_gripper:
         parts.append(f"{tried.missed_by_gripper:,} more by the virtual gripper")
     if tried.behind_s > BEHIND_S:
-        parts.append(f"the recorder {tried.behind_s:.1f} s behind")
+        parts.append(f"the recorder is {tried.behind_s:.1f} s behind")
     if tried.detector_share is not None:
         parts.append(f"the detector takes {100 * tried.detector_share:.0f} % of a core")
     if tried.ended:
         parts.insert(0, tried.ended)
     verdict = "fine" if tried.is_fine else "not fine"
-    limit = f"it lasts, with at most {MOST_LATE:.0%} of slices late and of commands missed"
+    limit = f"a complete grasp, with at most {MOST_LATE:.0%} of slices late and of commands missed"
     found = f"{verdict}: {'; '.join(parts)}"
     fix = "" if tried.is_fine else close
     return check("grasp", f"at {tried.events_per_s:,}/s", tried.is_fine, found, limit, fix)

@@ -1,9 +1,9 @@
-"""doctor --compile: have numba compile what the commands need, so that none of them waits for it later.
+"""doctor --compile: let numba compile the functions that commands need, so that no command has to wait for it later.
 
-Why so: the commands themselves are run, on short trials in a folder that is thrown away. A list of functions and their
-types would have to be kept by hand, and be wrong with the next change of a kernel. Two processes share the work
-(compile_worker.py): camera and detector, which commands come to last, are compiled by one while the other is at the
-tracker and the gel.
+The commands themselves are run, on short trials in a temporary folder. A list of functions and their types would have
+to be maintained by hand and would be wrong after the next change of a kernel. Two processes share the work
+(compile_worker.py): one compiles camera and detector, which commands use last, while the other compiles the tracker and
+the gel.
 """
 
 import json
@@ -29,9 +29,10 @@ from evetac_cli.sim.setup.scene_file import changed
 
 EVENTS, GRID, SCENE = "events.txt", "grid.json", "short-slip.toml"
 Chain = Sequence[str]
-AGAIN_S = 15.0  # after which it is said what still runs: the longest takes half a minute or more
-# Chains of a step run side by side, each in a process; what one step makes and compiles, the next ones use. The chain
-# of the tracker begins with an import, which compiles nothing: so it need not wait until the simulator is compiled.
+AGAIN_S = 15.0  # period of messages on what is still running: the longest part takes half a minute or more
+
+# The chains of a step run in parallel, each in a process; later steps use the files and functions of earlier ones. The
+# tracker's chain begins with an import, which compiles nothing, so that it need not wait for the simulator.
 STEPS: tuple[tuple[Chain, ...], ...] = (
     (
         (
@@ -48,7 +49,7 @@ STEPS: tuple[tuple[Chain, ...], ...] = (
 
 
 class Course:
-    """Which parts have begun and ended, said line by line: a newcomer can tell work from a hang."""
+    """The parts that have begun and ended, printed line by line, so that a new user sees that the program works."""
 
     def __init__(self, parts: int, progress: Progress, say: Callable[[str], None]) -> None:
         self.parts, self.progress, self.say = parts, progress, say
@@ -58,12 +59,12 @@ class Course:
         self._lock = Lock()
         progress(0, parts)
         say(
-            f"compiling for this computer, once after installing: {parts} parts, half a minute on two quiet"
+            f"compiling for this computer, once after installation: {parts} parts, half a minute on two idle"
             " cores, several minutes on a slow or busy computer"
         )
 
     def run(self, line: str, worker: "Worker") -> None:
-        """Have a worker run a part, and say that it begins."""
+        """Let a worker run a part, and print its begin."""
         name = name_of(line)
         started = time.monotonic()
         with self._lock:
@@ -82,18 +83,20 @@ class Course:
             self.progress(len(self.rows), self.parts)
 
     def say_what_runs(self) -> None:
-        """Say which parts are at work, and for how long."""
+        """Print the parts that are running, and for how long."""
         with self._lock:
             now = time.monotonic()
             names = ", ".join(f"{name} for {now - began:.0f} s" for name, began in self.running.values())
-            self.say(f"{len(self.rows)} of {self.parts} are compiled, {self.functions} functions; at work: {names}")
+            self.say(
+                f"{len(self.rows)} of {self.parts} parts are compiled, {self.functions} functions; running: {names}"
+            )
 
 
 class Worker:
-    """A process of compile_worker.py in some folder."""
+    """A process of compile_worker.py in a folder."""
 
     def __init__(self, folder: Path) -> None:
-        # Of this very package, also where it is not the one that is installed.
+        # Import this package, even if another copy of it is installed.
         environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
         arguments = [sys.executable, "-P", "-m", "evetac_cli.inspect.doctor.compile_worker"]
         self._process = subprocess.Popen(
@@ -102,15 +105,15 @@ class Worker:
             env=environment,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,  # words of what ends the process itself; those of a command are in its answer
+            stderr=subprocess.PIPE,  # messages of the process itself; those of a command are in its answer
             text=True,
         )
         self._functions = 0
 
     def run(self, line: str) -> Iterator[int]:
-        """Run a part, and yield how many functions more are compiled; EvetacError with the words of one that fails."""
+        """Run a part and yield the numbers of newly compiled functions; raise EvetacError if the part fails."""
         assert self._process.stdin is not None and self._process.stdout is not None
-        with suppress(BrokenPipeError):  # why it has ended is said below
+        with suppress(BrokenPipeError):  # the process has ended, which is reported below
             self._process.stdin.write(f"{line}\n")
             self._process.stdin.flush()
         for answer in map(json.loads, self._process.stdout):
@@ -122,21 +125,21 @@ class Worker:
                 return
         assert self._process.stderr is not None
         words = self._process.stderr.read()
-        raise _failed(line, words or f"its process ended with exit code {self._process.wait()}")
+        raise _failed(line, words or f"the process ended with exit code {self._process.wait()}")
 
     def stop(self) -> None:
-        """Let the process do nothing more; whoever reads its answers is told that it has ended."""
+        """Kill the process; the reader of its answers then sees that it has ended."""
         self._process.kill()
 
     def end(self) -> None:
-        """Stop the process and let go of what it held."""
+        """Stop the process and release its resources."""
         self.stop()
-        with suppress(BrokenPipeError), self._process:  # a line may be left that it has not read
+        with suppress(BrokenPipeError), self._process:  # there may be a line that it has not read
             pass
 
 
 def _failed(line: str, words: str) -> EvetacError:
-    return EvetacError("a part that is compiled has failed", where=line, found=words.strip())
+    return EvetacError("compiling failed", where=line, found=words.strip())
 
 
 def run(
@@ -145,9 +148,9 @@ def run(
     say: Callable[[str], None] = console.say,
     again_s: float = AGAIN_S,
 ) -> Outcome:
-    """Compile all parts, a row each; EvetacError with the words of one that fails.
+    """Compile all parts and return a row for each; raise EvetacError with the message of one that fails.
 
-    say: takes a line where a part begins, and every again_s seconds while none ends.
+    say: called with a line when a part begins, and every again_s seconds while none ends.
     """
     course = Course(sum(len(chain) for step in steps for chain in step), progress, say)
     with TemporaryDirectory(prefix="evetac-compile-") as folder:
@@ -163,7 +166,7 @@ def run(
 
 
 def _run_steps(steps: Sequence[Sequence[Chain]], workers: Sequence[Worker], course: Course, again_s: float) -> None:
-    """Run the chains of each step side by side; where one fails, or Ctrl-C comes, no other is waited for."""
+    """Run the chains of each step in parallel; after a failure or Ctrl-C, do not wait for the others."""
     idle = deque(workers)
 
     def run_chain(chain: Chain) -> None:
@@ -190,13 +193,13 @@ def _run_steps(steps: Sequence[Sequence[Chain]], workers: Sequence[Worker], cour
 
 
 def name_of(line: str) -> str:
-    """What a part runs, as in `track`, `evaluate slip` and `camera`."""
+    """Return the name of a part, for example `track`, `evaluate slip` or `camera`."""
     first, *more = line.split()
     return f"{first} {more[0]}" if first == "evaluate" else first
 
 
 def _write_events(folder: Path) -> None:
-    """A second of events at random places, and a dot grid with a window."""
+    """Write a second of events at random pixels, and a dot grid with a window."""
     rng = np.random.default_rng(0)
     t = np.sort(rng.integers(0, 1_000_000, 50_000))
     events = np.stack(
@@ -209,7 +212,7 @@ def _write_events(folder: Path) -> None:
 
 
 def _write_scene(folder: Path) -> None:
-    """The scene slip with all its parts, as short as can be."""
+    """Write the scene slip with all its parts, as short as possible."""
     time = {"rest_s": 0.05, "load_s": 0.05, "hold_s": 0.05, "after_lost_s": 0.02, "longest_s": 0.3}
     gripper = {"start_factor": [1.05, 1.3], "friction_factor": [0.1, 0.12]}
     (folder / SCENE).write_text(changed("slip", {"time": time, "gripper": gripper}))

@@ -1,12 +1,13 @@
-"""A process that compiles for `doctor --compile`: it runs what it is told, one thing after the other.
+"""A process that compiles for `doctor --compile`: it runs the commands that it receives, one after the other.
 
-Why one process for many commands: each of its own would load numba, and compile what numba brings along, once more.
+One process runs many commands, because a separate process for each would import numba, and compile numba's own
+functions, again.
 
     python -P -m evetac_cli.inspect.doctor.compile_worker < lines
 
-Each line names a command with its flags, or, in FIRST, a part that is compiled ahead of the command that needs it.
-Answers are lines of JSON on stdout: `{"functions": 12}` while it works, `{"failed": "", "functions": 30}` at the end,
-where `failed` holds the words of a command that failed.
+Each line is a command with its flags, or the name of a part in FIRST, which is compiled before the command that needs
+it. Answers are lines of JSON on stdout: `{"functions": 12}` during the work, `{"failed": "", "functions": 30}` at the
+end; `failed` is the message of a command that failed.
 """
 
 import gc
@@ -36,12 +37,12 @@ from evetac_cli.sim.setup.sampling import sensor_with_gel
 from evetac_cli.store.files import StageFile
 from evetac_cli.trials.grasp.online_detector import OnlineSlipDetector
 
-SLICES = 200  # more than any network looks back on
-SAY_S = 0.5  # between two lines that say how far it is
+SLICES = 200  # more than the history of any network
+SAY_S = 0.5  # between two lines that report progress
 
 
 def _camera() -> None:
-    """What the camera of a slip scene runs in its first slice, without the gel, which another process compiles."""
+    """Run the camera's first slice of a slip scene, without the gel, which another process compiles."""
     plan = first_plan("slip", "3")
     sensor, texture = sensor_with_gel(plan.scene, plan.sensor), np.zeros(TEXTURE_PX, np.float32)
     rng = np.random.default_rng(0)
@@ -50,7 +51,7 @@ def _camera() -> None:
 
 
 def _detector() -> None:
-    """What the detector of a grasp runs in a slice, and training on slices that nobody may change."""
+    """Run the detector of a grasp for some slices, and the preparation of training data from read-only slices."""
     with StageFile(MODEL) as model:
         rows, columns = (int(size) for size in model.read("dot_shape"))
         dots_px = np.stack(np.meshgrid(60.0 * np.arange(columns) + 60.0, 60.0 * np.arange(rows) + 50.0), axis=-1)
@@ -69,20 +70,20 @@ FIRST: dict[str, Callable[[], None]] = {"camera": _camera, "detector": _detector
 
 
 class Counter(event.Listener):  # type: ignore[misc]
-    """Counts the functions that are compiled, and tells now and then; meanwhile no garbage is looked for."""
+    """Counts the compiled functions and reports the number every SAY_S; compilation runs without garbage collection."""
 
     def __init__(self, tell: Callable[[int], None]) -> None:
         self.functions = self._inside = 0
         self._tell, self._told_s = tell, time.monotonic()
 
     def on_start(self, happens: Any) -> None:
-        """A function begins to be compiled, maybe within another."""
+        """The compilation of a function begins, possibly within that of another."""
         if self._inside == 0:
             gc.disable()
         self._inside += 1
 
     def on_end(self, happens: Any) -> None:
-        """A function is compiled."""
+        """The compilation of a function has ended."""
         self._inside -= 1
         self.functions += 1
         if self._inside == 0:
@@ -93,7 +94,7 @@ class Counter(event.Listener):  # type: ignore[misc]
 
 
 def _failure(line: str) -> str:
-    """Run a command or a part; the words on stderr of a command that fails, empty otherwise."""
+    """Run a command or a part; return the text on stderr of a command that fails, empty otherwise."""
     with TemporaryFile() as words, _stderr_into(words):
         try:
             if line in FIRST:
@@ -107,14 +108,14 @@ def _failure(line: str) -> str:
             sys.stderr.flush()
             words.seek(0)
             return words.read().decode(errors="replace") or f"exit status {end.code}"
-        except Exception:  # a part has no command line that turns it into words
+        except Exception:  # a part of FIRST has no command line that turns exceptions into messages
             return traceback.format_exc()
     return ""
 
 
 @contextmanager
 def _stderr_into(file: IO[bytes]) -> Iterator[None]:
-    """By its number, because a command opens streams of its own on it."""
+    """Redirect the descriptor of stderr, because a command opens its own streams on it."""
     before = os.dup(2)
     os.dup2(file.fileno(), 2)
     try:
@@ -125,7 +126,7 @@ def _stderr_into(file: IO[bytes]) -> Iterator[None]:
 
 
 def work(lines: IO[str], answers: IO[str]) -> None:
-    """Run what each line names, and answer, until there are no more lines."""
+    """Run the command or part of each line, and answer, until there are no more lines."""
 
     def answer(**what: Any) -> None:
         answers.write(f"{json.dumps(what)}\n")
@@ -139,7 +140,7 @@ def work(lines: IO[str], answers: IO[str]) -> None:
 
 
 if __name__ == "__main__":
-    # What a command prints by whatever way is no answer.
+    # Redirect stdout, so that output of commands does not mix with answers.
     with os.fdopen(os.dup(1), "w") as answers, open(os.devnull, "w") as nothing:
         os.dup2(nothing.fileno(), 1)
         work(sys.stdin, answers)

@@ -1,11 +1,11 @@
-"""doctor --hardware: the first contact with a camera and a gripper, step by step at low current, and a report of it.
+"""doctor --hardware: the first test of a camera and a gripper, step by step at low current, with a report.
 
-Each step says what it expects before it is done and what it found after; the first that is not as expected ends the
-check, with torque off. Nothing moves before the line, the limits and the Bus Watchdog were tried. Then the fingers
-close and open by 20 mA, for 0.2 s each: in the simulated drive 10 mA are just more than the friction of the gear.
+Each step states its expectation first and its finding afterwards; the first unexpected finding ends the check, with
+torque off. Nothing moves before communication, limits and the Bus Watchdog have been tested. Then the fingers close and
+open with 20 mA for 0.2 s each: in the simulated drive, 10 mA just exceed the friction of the gear.
 
-Why so: our drivers have met virtual devices only. The report is what a maintainer needs to mend them from afar: every
-register, each expectation, and what the hardware did.
+Reason: evetac's drivers have only been tested with virtual devices. The report has everything that a maintainer needs
+to fix them remotely: all registers, all expectations, and the behaviour of the hardware.
 """
 
 import json
@@ -48,28 +48,28 @@ from evetac_cli.store.hdf5.disk import taking_the_place_of
 from evetac_cli.store.layout.provenance import made
 
 CURRENT_MA, MOVE_S, STEP_S, LEAST_COMMANDS = 20, 0.2, 0.005, 10
-REST_MA = 3  # what a motor without current may still measure
-READS = 200  # of the line, none of which may be lost
-SILENCE = 3  # times the watchdog's time
-ROOM_TICKS = range(60, 640)  # where the fingers can both close and open a little
+REST_MA = 3  # current that may be measured at a motor without current
+READS = 200  # reads of the position, none of which may be lost
+SILENCE = 3  # in units of the watchdog's time
+ROOM_TICKS = range(60, 640)  # positions from which the fingers can both close and open a little
 CAMERA_S = 1.0
 LIBRARIES = ("dynamixel-sdk", "pyserial", "pyusb", "libusb-package")
-LOOK_FOR_IT = "24 V on? evetac doctor --gripper PORT, without --hardware, says which id and rate answer"
-MOTION = "the fingers will move a little: nothing may be between them, and the 24 V switch within reach"
+LOOK_FOR_IT = "is 24 V on? evetac doctor --gripper PORT, without --hardware, shows the id and baud rate that answer"
+MOTION = "the fingers will move a little: keep the space between them empty, and the 24 V switch within reach"
 
 
 class NotAsExpected(Exception):
-    """A step found something else than it expected; its row says what."""
+    """A step had an unexpected finding; its row has the details."""
 
 
 class Steps:
-    """What was expected and found so far; the first surprise ends it."""
+    """The expectations and findings so far; the first unexpected finding ends the check."""
 
     def __init__(self) -> None:
         self.rows: list[dict[str, Any]] = []
 
     def do(self, device: str, check: str, expected: str, act: Callable[[], tuple[bool, str]], fix: str = "") -> None:
-        """Say what is expected, do it, and say what was found: NotAsExpected unless it was as expected."""
+        """Print the expectation, run the step, and print the finding; raise NotAsExpected if it is unexpected."""
         console.say(f"{len(self.rows) + 1:2d}. {device}, {check}: expected {expected}")
         try:
             ok, said = act()
@@ -83,23 +83,31 @@ class Steps:
 
 
 def run(params: Doctor, out: Path | None, ask: Callable[[str], bool] | None = None) -> Outcome:
-    """Try the camera and the gripper that are named; a row for every step, and a report file.
+    """Test the given camera and gripper; return a row for every step, and write a report file.
 
-    ask: puts a question to the person before the first motion. InputError without --arm, without a named gripper or
-    camera, where nobody can be asked (but for --yes), or where the report cannot be written.
+    ask: asks the user a question before the first motion. Raises InputError without --arm, without a gripper or camera,
+    if the user cannot be asked (unless --yes is given), or if the report cannot be written.
     """
     if params.gripper is None and params.camera is None:
-        raise InputError("nothing to try", where="--hardware", expected="--gripper PORT, --camera NAME, or both")
+        raise InputError(
+            "no device was given to test", where="--hardware", expected="--gripper PORT, --camera NAME, or both"
+        )
     camera = named_cameras.parse(params.camera) if params.camera is not None else None
     gripper = named_grippers.parse(params.gripper or "none")
     no_devices = {Capability.STEPPED, Capability.REPLAY}
     if no_devices & (gripper.capabilities | (frozenset() if camera is None else camera.capabilities)):
-        raise InputError("no device", where="--camera, --gripper", expected="a real or a virtual one", found="sim")
+        raise InputError(
+            "this is not a device", where="--camera, --gripper", expected="a real or virtual device", found="sim"
+        )
     plan = f"closes and opens with {CURRENT_MA} mA, {MOVE_S:g} s each"
     require_arm(gripper, armed=params.arm, plan=plan, hint="doctor without --hardware moves nothing")
     if gripper.has(Capability.HARDWARE) and not params.yes and ask is None:
         if not sys.stdin.isatty():
-            raise InputError("nobody can be asked before it moves", where="--hardware", expected="a terminal, or --yes")
+            raise InputError(
+                "the user cannot be asked before the gripper moves",
+                where="--hardware",
+                expected="a terminal, or --yes",
+            )
         ask = _ask
     path = out or Path(f"evetac-hardware-{datetime.now():%Y%m%d-%H%M%S}.json")
     try:
@@ -143,7 +151,7 @@ def run(params: Doctor, out: Path | None, ask: Callable[[str], bool] | None = No
 
 
 def show(result: Outcome) -> None:
-    """Say how it ended, what is wrong, and where the report is; the steps were said as they were done."""
+    """Print what is wrong, how the check ended, and the path of the report; the steps were printed before."""
     for row in result.rows:
         if not row["ok"]:
             print_text(f"{row['device']}, {row['check']}: expected {row['expected']}; found {row['found']}")
@@ -151,11 +159,11 @@ def show(result: Outcome) -> None:
                 print_text(f"  try: {row['fix']}")
     print_text(f"{result.summary['ended']}; {result.summary['steps']} steps; report: {result.summary['report']}")
     if result.summary["wrong"]:
-        print_text("the report is complete enough to send to the maintainers")
+        print_text("please send the report to the maintainers; it has all that they need")
 
 
 def _ask(question: str) -> bool:
-    console.say(f"{question}. Go on? Type yes and Enter:")
+    console.say(f"{question}. Continue? Type yes and press Enter:")
     return sys.stdin.readline().strip().lower() == "yes"
 
 
@@ -163,7 +171,7 @@ def _ask(question: str) -> bool:
 
 
 def _try_camera(steps: Steps, camera: NamedCamera) -> None:
-    """Open it, read a second of slices, and count what was lost."""
+    """Open the camera, read a second of slices, and count losses."""
     name = f"camera {camera}"
     with ExitStack() as opened:
         running: Any = None
@@ -179,7 +187,7 @@ def _try_camera(steps: Steps, camera: NamedCamera) -> None:
             for _ in range(round(CAMERA_S * SLICES_PER_S)):
                 slice_ = running.read()
                 if slice_ is None:
-                    return False, f"its stream ended after {len(sizes)} slices"
+                    return False, f"the stream ended after {len(sizes)} slices"
                 sizes.append(slice_.size)
             busy = sum(size > 0 for size in sizes)
             return busy > 0, f"{sum(sizes)} events in {len(sizes)} slices, {busy} of them not empty"
@@ -188,11 +196,15 @@ def _try_camera(steps: Steps, camera: NamedCamera) -> None:
             lost = {why: count for why, count in running.counted.items() if count}
             return not lost, ", ".join(f"{why} {count}" for why, count in lost.items()) or "none"
 
-        steps.do(name, "opens", "it opens and says what it is", open_, "evetac doctor says what keeps it")
+        steps.do(name, "opens", "it opens and identifies itself", open_, "evetac doctor shows the cause")
         steps.do(
-            name, "events", f"slices for {CAMERA_S:g} s, with events", events, "is the lens cap off, the cable firm?"
+            name,
+            "events",
+            f"slices for {CAMERA_S:g} s, with events",
+            events,
+            "remove the lens cap, check the cable",
         )
-        steps.do(name, "losses", "nothing lost", losses, "another USB 3 port, and no other load on this computer")
+        steps.do(name, "losses", "nothing lost", losses, "use another USB 3 port, and end other programs")
 
 
 # The gripper
@@ -201,7 +213,7 @@ def _try_camera(steps: Steps, camera: NamedCamera) -> None:
 def _try_gripper(
     steps: Steps, gripper: NamedGripper, ask: Callable[[str], bool] | None, registers: dict[str, int]
 ) -> None:
-    """All steps of the gripper; whatever ends them, torque is off and the operating mode as it was."""
+    """Run all steps of the gripper; however they end, torque is off and the operating mode restored."""
     name = f"gripper {gripper}"
     with ExitStack() as opened:
         servo = gripper.open_peer(None)
@@ -215,7 +227,7 @@ def _try_gripper(
             found_bus.append(opened.enter_context(Bus(port, gripper.baud, settings.id, answer_ms=settings.answer_ms)))
             return True, f"{port} at {gripper.baud} baud, id {settings.id}"
 
-        steps.do(name, "port", "the serial port opens", open_, "evetac doctor says what keeps it")
+        steps.do(name, "port", "the serial port opens", open_, "evetac doctor shows the cause")
         check = GripperCheck(found_bus[0], settings, steps, name, registers)
         try:
             check.read_all()
@@ -226,7 +238,7 @@ def _try_gripper(
 
 
 def _try_gripper_of_plugin(steps: Steps, gripper: NamedGripper) -> None:
-    """Open it, read it, and let go of it; its registers are unknown here, and nothing is moved."""
+    """Open, read and close the gripper of a plug-in; its registers are unknown, and nothing is moved."""
     name = f"gripper {gripper}"
     with ExitStack() as opened:
         running: Any = None
@@ -245,7 +257,7 @@ def _try_gripper_of_plugin(steps: Steps, gripper: NamedGripper) -> None:
             running.close()
             return True, running.release_words or "closed"
 
-        steps.do(name, "opens", "it opens and says what it is", open_)
+        steps.do(name, "opens", "it opens and identifies itself", open_)
         steps.do(name, "answers", "current and position", reads)
         steps.do(name, "closes", "torque is off", closes)
 
@@ -257,18 +269,18 @@ class GripperCheck:
         self._bus, self._settings, self._steps, self._name = bus, settings, steps, name
         self._registers = registers
         self._torque = Torque(bus, settings.watchdog_ms)
-        self._mode: int | None = None  # the operating mode to go back to
+        self._mode: int | None = None  # the operating mode to restore
         self._is_ours = False
 
     def _do(self, check: str, expected: str, act: Callable[[], tuple[bool, str]], fix: str = "") -> None:
         self._steps.do(self._name, check, expected, act, fix)
 
     def read_all(self) -> None:
-        """What it is and how it is; nothing is written but torque off."""
+        """Read the gripper's identity and state; nothing is written except torque off."""
         bus = self._bus
 
         def answers() -> tuple[bool, str]:
-            bus.tolerant = True  # a hardware error has a step of its own
+            bus.tolerant = True  # a hardware error has its own step
             model = bus.ping()
             check_model(model, self._name)
             self._is_ours = True
@@ -302,7 +314,7 @@ class GripperCheck:
         def torque() -> tuple[bool, str]:
             was = known("Torque Enable")[0]
             self._torque.clear()
-            return True, "0" if was == 0 else "1, as another program left it; now 0 (read back)"
+            return True, "0" if was == 0 else "was 1, left by another program; now 0 (read back)"
 
         def line() -> tuple[bool, str]:
             for _ in range(READS):
@@ -316,10 +328,10 @@ class GripperCheck:
         self._do("temperature", "below its limit", temperature, "let it cool down")
         self._do("hardware error", "none", errors, "remove the cause, then switch 24 V off and on")
         self._do("torque", "Torque Enable 0, read back", torque, "switch 24 V off and on")
-        self._do("line", f"{READS} questions answered, nothing lost so far", line, "check cable, ground, latency timer")
+        self._do("line", f"{READS} requests answered, nothing lost", line, "check cable, ground, latency timer")
 
     def try_watchdog(self, ask: Callable[[str], bool] | None) -> None:
-        """Arm it, be silent without any current, and see it trip; before, the person is asked."""
+        """Ask the user, arm the watchdog, send nothing at 0 mA, and check that it trips."""
         bus, silence_ms = self._bus, SILENCE * self._settings.watchdog_ms
 
         def position() -> tuple[bool, str]:
@@ -327,7 +339,7 @@ class GripperCheck:
             return ticks in ROOM_TICKS, f"{ticks} ticks"
 
         def agreed() -> tuple[bool, str]:
-            return ask is None or ask(MOTION), "asked" if ask is not None else "nobody was asked (--yes, or virtual)"
+            return ask is None or ask(MOTION), "asked" if ask is not None else "not asked (--yes, or a virtual device)"
 
         def trips() -> tuple[bool, str]:
             self._torque_on()
@@ -336,19 +348,19 @@ class GripperCheck:
             ok, said = self._tripped(f"before: Bus Watchdog {armed}, Torque Enable {torque}")
             return ok and armed > 0 and torque == 1, said
 
-        room = f"{ROOM_TICKS.start} to {ROOM_TICKS.stop - 1} ticks, so that there is room both ways"
+        room = f"{ROOM_TICKS.start} to {ROOM_TICKS.stop - 1} ticks, so that the fingers can close and open"
         self._do("position", room, position, "move the fingers half open by hand: torque is off")
-        self._do("agreed", "a person says yes", agreed, "run it again when all is ready")
+        self._do("agreed", "the user agrees", agreed, "run the command again when everything is ready")
         self._do(
             "watchdog",
             f"after {silence_ms} ms without an instruction, at 0 mA: Bus Watchdog {WATCHDOG_TRIPPED}, goals refused,"
             " Torque Enable 1",
             trips,
-            "do not use this gripper with evetac: nothing would stop it after a crash",
+            "do not use this gripper with evetac: it would not stop after a crash",
         )
 
     def move(self) -> None:
-        """Close, open, and lose the current to the watchdog; each with a little current for a short time."""
+        """Close, open, and let the watchdog switch off the current; each briefly with a low current."""
 
         def moved(current_ma: int) -> tuple[bool, str]:
             self._torque_on()
@@ -368,7 +380,7 @@ class GripperCheck:
             ok, said = self._tripped(f"{left_ma:+d} mA left")
             return ok and abs(left_ma) <= REST_MA, said
 
-        fix = "not at the end of the way? no object between the fingers? else please send the report"
+        fix = "are the fingers at a limit, or is an object between them? otherwise please send the report"
         for check, sign in (("closes", 1), ("opens", -1)):
             self._do(
                 check,
@@ -380,11 +392,11 @@ class GripperCheck:
             "watchdog with current",
             f"silence while closing with {CURRENT_MA} mA: tripped, at most {REST_MA} mA left",
             stopped,
-            "do not use this gripper with evetac: nothing would stop it after a crash",
+            "do not use this gripper with evetac: it would not stop after a crash",
         )
 
     def end(self) -> None:
-        """Torque off, read back, and the operating mode as it was; a row of its own says what was read."""
+        """Switch torque off, read it back, and restore the operating mode; add a row with the result."""
         if not self._is_ours:
             return
         off = self._torque.switch_off()
@@ -396,7 +408,7 @@ class GripperCheck:
             self._do("torque at the end", "torque is off (read back)", lambda: (off, self._torque.words), fix)
 
     def _torque_on(self) -> None:
-        """Current mode, watchdog, torque at 0 mA; what was left by the step before is cleared first."""
+        """Clear the state of the previous step, then set current mode, watchdog, and torque at 0 mA."""
         self._bus.settle_s = SETTLE_S
         self._torque.clear()
         mode = self._bus.read("Operating Mode")
@@ -406,10 +418,10 @@ class GripperCheck:
         self._torque.switch_on(None)
 
     def _hold(self, current_ma: int) -> int:
-        """Command a current for a while; the strongest current measured meanwhile (mA)."""
+        """Command a current for MOVE_S; return the strongest current measured in this time (mA)."""
         strongest = commands = 0
         until_s = time.monotonic() + MOVE_S
-        while time.monotonic() < until_s or commands < LEAST_COMMANDS:  # a busy computer may have slept meanwhile
+        while time.monotonic() < until_s or commands < LEAST_COMMANDS:  # a busy computer may send few commands
             self._bus.write("Goal Current", current_ma)
             measured = self._bus.read("Present Current")
             strongest = max(strongest, measured, key=abs)
@@ -418,7 +430,7 @@ class GripperCheck:
         return strongest
 
     def _tripped(self, also: str) -> tuple[bool, str]:
-        """Whether the watchdog has tripped as the manual says, and in words what was read."""
+        """Return whether the watchdog has tripped as the manual describes, and a text on what was read."""
         watchdog, torque = self._bus.read("Bus Watchdog"), self._bus.read("Torque Enable")
         try:
             self._bus.write("Goal Current", 0)

@@ -1,4 +1,4 @@
-"""doctor's part on plug-ins: all that are installed, each with its package, and why one cannot be used."""
+"""doctor's check of plug-ins: all installed plug-ins with their packages, and why one cannot be used."""
 
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -14,7 +14,7 @@ from evetac_cli.plugins import Plugin
 from evetac_cli.sim.setup import scene_file
 from evetac_cli.sim.setup.plan import named_objects, one_sensor
 
-# How the plug-ins of each group are loaded, as a command that asks for one does.
+# The function that loads the plug-ins of each group, as a command that uses one does.
 LOADED: dict[str, Callable[[Plugin], object]] = {
     plugins.CAMERAS: lambda plugin: plugin.load(NamedCamera),
     plugins.GRIPPERS: lambda plugin: plugin.load(NamedGripper),
@@ -29,7 +29,7 @@ LOADED: dict[str, Callable[[Plugin], object]] = {
 
 
 def rows() -> Iterator[dict[str, Any]]:
-    """A row for every plug-in, those of one package together: device, check, ok, found, expected, fix."""
+    """Yield a row for every plug-in, grouped by package: device, check, ok, found, expected, fix."""
     every = [plugin for group in LOADED for plugin in plugins.installed(group)]
     for plugin in sorted(every, key=lambda each: each.package):
         fault = why_not(plugin)
@@ -44,7 +44,7 @@ def rows() -> Iterator[dict[str, Any]]:
 
 
 def why_not(plugin: Plugin) -> str:
-    """Why a plug-in cannot be used, in words; empty if it can."""
+    """Return a text on why a plug-in cannot be used; empty if it can."""
     if fault := plugin.fault():
         return fault
     try:
@@ -52,6 +52,6 @@ def why_not(plugin: Plugin) -> str:
             LOADED[plugin.group](plugin)
     except InputError as error:
         return error.found or error.message
-    except Exception as error:  # code of somebody else's: the others are to be looked at
+    except Exception as error:  # the plug-in's code may raise anything, and the others must still be checked
         return f"{type(error).__name__}: {error}"
     return ""

@@ -1,10 +1,10 @@
-"""doctor --speed: is this computer fast enough to record and to grasp in real time? Measured in 20 to 50 s.
+"""doctor --speed: measure in 20 to 50 s whether this computer is fast enough to record and grasp in real time.
 
-Each part of what runs in real time is measured by itself, with the parts that `record` and `grasp` use: waking on time,
-the online step of the shipped detector, decoding of a camera's words, writing of segments. Then all of them at once,
-which is what a computer has to do: a grasp with virtual devices (chain.py).
+Each real-time part of `record` and `grasp` is measured separately: waking on time, the online step of the pretrained
+detector, decoding of a camera's words, writing of segments. Then all run at once in a grasp with virtual devices
+(chain.py), which is the actual load.
 
-Measuring goes through one object, so that tests put a computer of their own in the place of this one.
+All measurements are methods of one object, so that tests can replace this computer by another.
 """
 
 import os
@@ -37,41 +37,44 @@ from evetac_cli.trials.grasp.online_detector import open_detector
 from evetac_cli.trials.session import RECORDER_MS
 
 SLEEP_S = 1e-3
-WAKING_S = 3.0  # on all cores together
-LEAST_WAKING_S = 0.1  # on each
+WAKING_S = 3.0  # total time on all cores
+LEAST_WAKING_S = 0.1  # minimum per core
 WAKE_P99_US = 500.0  # a quarter of a control step
-WAKE_MOST_US = 2000.0  # a whole one: a command is missed
-USUAL_EVENTS, USUAL_P99_US = 500, 500.0  # events a slice, and half of a slice: decoding and writing need the rest
-BURST_EVENTS, BURST_MEDIAN_US = 5000, 1000.0  # slower than that, and it falls behind in a burst
-STEPS, FIRST_STEPS = 1000, 50  # measured, and before that to load all
+WAKE_MOST_US = 2000.0  # a whole control step: a command is missed
+USUAL_EVENTS, USUAL_P99_US = 500, 500.0  # events per slice; half of a slice, because decoding and writing need the rest
+BURST_EVENTS, BURST_MEDIAN_US = 5000, 1000.0  # a slower detector falls behind in a burst
+STEPS, FIRST_STEPS = 1000, 50  # measured steps, and steps before them that load everything
 DIFFERENT_SLICES = 100
-DECODED_PER_S = 10e6  # the most that a DVXplorer Mini sends
+DECODED_PER_S = 10e6  # the highest event rate that a DVXplorer Mini sends
 DECODING_S = 1.0
 WRITTEN_PER_S = 1e6
 SEGMENTS, SEGMENT_SLICES = 12, 250
 SLICE_EVENTS = 1000
 LEAST_CORES = 2
 GOVERNOR = "performance"
-PARTS = 4  # of what is measured
+PARTS = 4  # of the measurement
 DOT_RADIUS_PX = 11.0
 DOTS_PX = np.stack(np.meshgrid(60.0 * np.arange(8) + 60.0, 60.0 * np.arange(7) + 50.0), axis=-1)
-ELSEWHERE = "run it in a folder where recordings are to be"
-CLOSE = "close other programs; on a laptop, plug it in"
+ELSEWHERE = "run the command in a folder that is writable and intended for recordings"
+CLOSE = "close other programs; connect a laptop to power"
 SET_GOVERNOR = f"sudo cpupower frequency-set -g {GOVERNOR}"
-PERMIT = "for `ulimit -r` of 50: `@realtime - rtprio 50` in /etc/security/limits.d/, be in that group, log in again"
+PERMIT = (
+    "for `ulimit -r` of 50: put `@realtime - rtprio 50` into a file in /etc/security/limits.d/, join that group, and"
+    " log in again"
+)
 
 __all__ = ["run", "show"]
 
 
 class WakeUps(NamedTuple):
-    """How late sleeps ended, in us, and at which priority."""
+    """The delays of wake-ups, in us, and the priority."""
 
     late_us: NDArray[np.float64]
     scheduling: str
 
 
 class Written(NamedTuple):
-    """How many events a second the recorder writes, and how long its longest segment takes."""
+    """The recorder's rate of writing, and the time of its slowest segment."""
 
     events_per_s: float
     longest_ms: float
@@ -79,16 +82,16 @@ class Written(NamedTuple):
 
 @dataclass
 class Computer:
-    """The computer it runs on, or one that a test made up."""
+    """The computer that is measured; tests replace it."""
 
     sysfs: Path = Path("/sys")
 
     def cores(self) -> list[int]:
-        """Cores that this program may use; where Linux does not say which, one that stands for all."""
+        """Return the cores that this program may use; on other systems than Linux, one that represents all."""
         return sorted(os.sched_getaffinity(0)) if sys.platform == "linux" else [0]
 
     def wake_ups_us(self, core: int, seconds: float) -> WakeUps:
-        """Sleep for 1 ms again and again on this core, at the priority that the controller gets."""
+        """Sleep for 1 ms repeatedly on this core, at the controller's priority, and measure the delays."""
         pinned = sys.platform == "linux"
         before = os.sched_getaffinity(0) if pinned else set()
         late_us = []
@@ -106,14 +109,14 @@ class Computer:
         return WakeUps(np.array(late_us), scheduling)
 
     def governor(self) -> str | None:
-        """How the clock rate of the first core is chosen; None where the system does not say."""
+        """Return the frequency governor of the first core; None if the system does not state it."""
         try:
             return (self.sysfs / "devices/system/cpu/cpu0/cpufreq/scaling_governor").read_text().strip()
         except OSError:
             return None
 
     def steps_us(self, events: int) -> NDArray[np.float64]:
-        """Times of online steps of the shipped detector, on slices of so many events at the rims of the dots."""
+        """Measure online steps of the pretrained detector, on slices with this many events at the rims of the dots."""
         sensor = {"sensor/dot_xy_px": DOTS_PX, "sensor/dot_radius_px": DOT_RADIUS_PX}
         with StageFile(resources.MODEL, "model") as model:
             detector = open_detector(model, sensor, presets.PRESETS["stable"])
@@ -129,7 +132,7 @@ class Computer:
         return np.array(times_us[FIRST_STEPS:])
 
     def decoded_per_s(self) -> float:
-        """Events a second that come out of a camera's words, in transfers of the driver's size."""
+        """Measure the decoded events per second from a camera's words, in transfers of the driver's size."""
         words = random_event_words(DECODED_PER_S, 0.1, np.random.default_rng(0)).astype("<u4").tobytes()
         parts = [words[first : first + READ_BYTES] for first in range(0, len(words), READ_BYTES)]
         event_words.step(event_words.start(), parts[0])
@@ -140,7 +143,7 @@ class Computer:
         return events / passed_s
 
     def written(self, folder: Path) -> Written:
-        """What the recorder writes in the folder, a temporary recording of 3 s, which is removed."""
+        """Measure the recorder on a temporary recording of 3 s in the folder, which is removed."""
         rng = np.random.default_rng(0)
         x, y = (rng.integers(0, size, SLICE_EVENTS).astype(np.uint16) for size in FRAME_PX)
         p = rng.integers(0, 2, SLICE_EVENTS).astype(np.uint8)
@@ -161,13 +164,13 @@ class Computer:
         return Written(SEGMENTS * SEGMENT_SLICES * SLICE_EVENTS / sum(times_s), 1e3 * max(times_s))
 
     def grasped(self, events_per_s: int, folder: Path, progress: Callable[[float], None]) -> chain.Tried:
-        """What becomes of a grasp with virtual devices at so many events a second; progress: takes the seconds."""
+        """Run a grasp with virtual devices at this event rate; progress: called with the elapsed seconds."""
         dots = {"dot_xy_px": DOTS_PX.tolist(), "radius_px": DOT_RADIUS_PX}
         return chain.attempt(events_per_s, folder, dots, progress)
 
 
 def _rim_events(rng: np.random.Generator, count: int) -> Events:
-    """A slice of events near the rims of dots at rest."""
+    """Return a slice of events near the rims of dots at rest."""
     dots = DOTS_PX.reshape(-1, 2)[rng.integers(0, DOTS_PX.size // 2, count)]
     angle, radius = rng.uniform(0, 2 * np.pi, count), DOT_RADIUS_PX + rng.normal(0, 1, count)
     x, y = (dots + radius[:, np.newaxis] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)).T
@@ -178,18 +181,18 @@ def _rim_events(rng: np.random.Generator, count: int) -> Events:
 def run(
     params: Doctor, computer: Computer | None = None, folder: Path | None = None, progress: Progress = silent
 ) -> Outcome:
-    """A row for each part: what was measured, the limit that it has to keep, and what to do where it does not.
+    """Return a row for each part: the measurement, its limit, and what to do if it exceeds the limit.
 
-    folder: on the disk that is written to; None: the current one. The summary says how many events a second are judged
-    in time, 0 for none, and None where that cannot be tried.
+    folder: on the disk to test; None: the current folder. The summary has the events per second that are processed in
+    time, 0 for none, and None if this could not be tried.
     """
     computer = computer or Computer()
     folder = folder or Path.cwd()
-    progress(0, PARTS, "wakes in time?")
+    progress(0, PARTS, "measuring wake-ups")
     rows = _waking(computer)
-    progress(1, PARTS, "detects and decodes fast enough?")
+    progress(1, PARTS, "measuring detector and decoder")
     rows += _computing(computer)
-    progress(2, PARTS, "writes fast enough?")
+    progress(2, PARTS, "measuring the disk")
     rows += _writing(computer, folder)
     grasped, judged = _grasping(computer, folder, progress)
     rows += grasped
@@ -197,7 +200,7 @@ def run(
 
 
 def _grasping(computer: Computer, folder: Path, progress: Progress) -> tuple[list[Row], int | None]:
-    """All parts at once; how many events a second are judged, None where nothing can be written in the folder."""
+    """Run all parts at once; return rows and the events per second, None if the folder is not writable."""
     try:
         return chain.rows(lambda rate, passed: computer.grasped(rate, folder, passed), progress, CLOSE)
     except (InputError, OSError) as error:
@@ -208,8 +211,12 @@ def _grasping(computer: Computer, folder: Path, progress: Progress) -> tuple[lis
 def _waking(computer: Computer) -> list[Row]:
     cores = computer.cores()
     row = check
-    few = "" if len(cores) >= LEAST_CORES else "another computer, or let this program use more: `taskset -p $$`"
-    rows = [row("cores", "for this program", not few, str(len(cores)), f"{LEAST_CORES} at least", few)]
+    few = (
+        ""
+        if len(cores) >= LEAST_CORES
+        else "use another computer, or permit more cores (`taskset -p $$` shows the permitted ones)"
+    )
+    rows = [row("cores", "for this program", not few, str(len(cores)), f"at least {LEAST_CORES}", few)]
     each_s = max(WAKING_S / len(cores), LEAST_WAKING_S)
     woken = {core: computer.wake_ups_us(core, each_s) for core in cores}
     scheduling = woken[cores[0]].scheduling
@@ -220,7 +227,7 @@ def _waking(computer: Computer) -> list[Row]:
         p99, most = float(np.percentile(late_us, 99)), float(late_us.max())
         fine = p99 <= WAKE_P99_US and most <= WAKE_MOST_US
         ways = [CLOSE, *([] if first else [PERMIT]), *([SET_GOVERNOR] if slow else [])]
-        words = f"99 % of sleeps of 1 ms end at most {p99:.0f} us late, all at most {most:.0f} us"
+        words = f"99 % of sleeps of 1 ms end at most {p99:.0f} us late, all of them at most {most:.0f} us"
         limit = f"{WAKE_P99_US:.0f} us and {WAKE_MOST_US:.0f} us"
         rows.append(row("cores", f"core {core} wakes", fine, words, limit, "" if fine else "; ".join(ways)))
     rows.append(row("cores", "priority", first or None, scheduling, REALTIME, "" if first else PERMIT))
@@ -240,14 +247,14 @@ def _computing(computer: Computer) -> list[Row]:
         us = of(computer.steps_us(events))
         fine = us <= most_us
         words = f"{share} of steps take at most {us:.0f} us"
-        fix = "" if fine else f"{CLOSE}; or a smaller network: --model"
-        limit = f"{most_us:.0f} us, for 1000 slices a second"
+        fix = "" if fine else f"{CLOSE}; or use a smaller network: --model"
+        limit = f"{most_us:.0f} us, for 1000 slices per second"
         rows.append(check("slip detector", f"{events} events", fine, words, limit, fix))
     decoded = computer.decoded_per_s()
     fine = decoded >= DECODED_PER_S
-    words, limit = (f"{per_s * 1e-6:.1f} million events a second" for per_s in (decoded, DECODED_PER_S))
-    fix = "" if fine else f"{CLOSE}; fewer events: evetac record --readout-rate, --threshold-on, --threshold-off"
-    return [*rows, check("camera", "decoding", fine, words, f"{limit}, the most that a camera sends", fix)]
+    words, limit = (f"{per_s * 1e-6:.1f} million events per second" for per_s in (decoded, DECODED_PER_S))
+    fix = "" if fine else f"{CLOSE}; reduce events with evetac record --readout-rate, --threshold-on, --threshold-off"
+    return [*rows, check("camera", "decoding", fine, words, f"{limit}, the highest rate of a camera", fix)]
 
 
 def _writing(computer: Computer, folder: Path) -> list[Row]:
@@ -255,8 +262,8 @@ def _writing(computer: Computer, folder: Path) -> list[Row]:
         events_per_s, longest_ms = computer.written(folder)
     except (InputError, OSError) as error:
         return [check("disk", "writes", False, " ".join(str(error).split()), "a folder to write in", ELSEWHERE)]
-    elsewhere = "record to a disk in this computer: -o"
-    speed, limit = (f"{per_s * 1e-6:.1f} million events a second" for per_s in (events_per_s, WRITTEN_PER_S))
+    elsewhere = "record to an internal disk with -o"
+    speed, limit = (f"{per_s * 1e-6:.1f} million events per second" for per_s in (events_per_s, WRITTEN_PER_S))
     fine, quick = events_per_s >= WRITTEN_PER_S, longest_ms <= RECORDER_MS
     fix = f"{elsewhere}; {CLOSE}"
     longest = f"the longest of {SEGMENTS} segments takes {longest_ms:.0f} ms"

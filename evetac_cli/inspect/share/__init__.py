@@ -1,7 +1,7 @@
-"""share: lay out a model or a data set as a folder for the Hugging Face Hub, with a card; nothing is uploaded.
+"""share: prepare a model or a data set as a folder for the Hugging Face Hub, with a card; nothing is uploaded.
 
-The folder takes its place when it is complete. Files of a data set are linked where the disk can do that, so that a
-large one takes no room twice: evetac never changes a file that it has made, it writes another in its place.
+The folder appears only when it is complete. Files of a data set are hard links if the disk supports them, so that they
+take no space twice. Links are safe because evetac never changes files but replaces them by new ones.
 """
 
 import json
@@ -26,15 +26,20 @@ README = "README.md"
 def run(
     files: list[Path], params: Share, out: Path | None, *, force: bool = False, progress: Progress = silent
 ) -> Outcome:
-    """Write the folder of a model, or of a folder of files; InputError where it is there, unless `force`."""
+    """Write the folder of a model or a data set; raise InputError if it exists and `force` is not set."""
     first = files[0]
     if first.is_dir():
         if len(files) > 1:
-            raise InputError("one data set at a time", where=str(files[1]), expected="one folder")
+            raise InputError("only one data set can be shared at a time", where=str(files[1]), expected="one folder")
         card = data_card.describe(first, params, progress)
     else:
         if params.tables != Share.tables:
-            raise InputError("has no effect", where="--tables", expected="a folder of recordings", found=str(first))
+            raise InputError(
+                "has no effect on a model",
+                where="--tables",
+                expected="a folder of recordings",
+                found=str(first),
+            )
         card = model_card.describe(first, files[1:], params)
     name = first.resolve().name if first.is_dir() else stem(first)
     target = out if out is not None else first.resolve().with_name(f"{name}-hub")
@@ -53,17 +58,17 @@ def run(
 
 
 def _check_free(target: Path, source: Path, force: bool) -> None:
-    """InputError where the folder is there and may not be replaced, or where one of both lies in the other."""
+    """Raise InputError if the folder exists and may not be replaced, or if source or target contains the other."""
     require_possible_name(target)
     if source.is_dir() and source.resolve() in (target.resolve(), *target.resolve().parents):
-        raise InputError("the output lies in the folder that is shared", where=str(target))
+        raise InputError("the output is inside the folder to be shared", where=str(target))
     if target.resolve() in source.resolve().parents and target.exists():
-        raise InputError("what is shared lies in the output, which would be replaced", where=str(target))
+        raise InputError("the output would replace the folder that contains the shared files", where=str(target))
     require_replaceable(target, force=force)
 
 
 def _lay_out(target: Path, card: Card, progress: Progress, *, force: bool) -> tuple[int, int]:
-    """Write or link all files of the folder; how many, and their bytes."""
+    """Write or link all files of the folder; return their number and their size in bytes."""
     texts = {CARD: json.dumps(plain(card.about), indent=1, sort_keys=True) + "\n", README: card.text()}
     with new_folder(target, force=force) as folder:
         for name, content in {**card.written, **{name: text.encode() for name, text in texts.items()}}.items():
@@ -74,7 +79,7 @@ def _lay_out(target: Path, card: Card, progress: Progress, *, force: bool) -> tu
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             try:
                 os.link(source.resolve(), folder / name)
-            except OSError:  # another disk, or one that has no links
+            except OSError:  # another disk, or one without hard links
                 shutil.copyfile(source, folder / name)
         if card.more is not None:
             card.more(folder, progress)

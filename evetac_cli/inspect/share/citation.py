@@ -1,7 +1,7 @@
-"""What cards say of where a thing comes from: how it is cited, and which evetac and formats of files made it.
+"""The sections of cards on provenance: how to cite, and the versions of evetac and of the file formats.
 
-Nobody is invented: the authors of the paper are those of CITATION.cff, those of a data set or model are named by
-whoever shares it, or nobody is.
+No author is invented: the authors of the paper are those of CITATION.cff, and those of a data set or model are given by
+the person who shares it, or not named.
 """
 
 import re
@@ -13,7 +13,7 @@ from evetac_cli import __version__
 from evetac_cli.commands.share import Share
 from evetac_cli.resources import PACKAGE
 
-# As CITATION.cff has it, which does not come along with an installation.
+# Copied from CITATION.cff, which is not part of an installation.
 PAPER = """@article{funk2024evetac,
   title = {{Evetac: An Event-based Optical Tactile Sensor for Robotic Manipulation}},
   author = {Funk, Niklas and Helmut, Erik and Chalvatzaki, Georgia and Calandra, Roberto and Peters, Jan},
@@ -26,9 +26,9 @@ REFERENCE = re.compile(r"[0-9a-f]{40}(?:[0-9a-f]{24})?")
 
 
 def citation(params: Share, title: str, what: str, year: str | None) -> list[str]:
-    """The section Citation of a card: the paper of sensor and method, and the thing itself, where authors are named.
+    """Return the section Citation of a card: the paper on sensor and methods, and the data set or model itself.
 
-    year: in which the newest of its files was made, where that is known.
+    The latter only if authors are given. year: of the newest file, if it is known.
     """
     page = ["## Citation", "The paper on the sensor and the methods:", _block(PAPER)]
     if params.author is None:
@@ -45,38 +45,38 @@ def citation(params: Share, title: str, what: str, year: str | None) -> list[str
 
 
 def made_with(title: str, what: str, versions: Collection[str], formats: Mapping[str, Collection[str]]) -> list[str]:
-    """The section Version of a card: which evetac made card and files, the numbers of formats, and how to upload."""
+    """Return the section Version of a card: evetac versions of card and files, format numbers, how to upload."""
     at = commit()
     said = f"Card written by evetac {__version__}" + (f" (commit {at})" if at else "")
     made = f", files by evetac {', '.join(sorted(versions))}" if versions else ""
     kinds = ", ".join(f"{kind} {' and '.join(sorted(of))}" for kind, of in sorted(formats.items()))
     listed = f" Format numbers of the files (`schemas/` in evetac): {kinds}." if kinds else ""
-    how = f"To upload this folder, run `{upload(Path('.'), title, what)}` in it, with your account for NAME."
+    how = f"To upload this folder, run `{upload(Path('.'), title, what)}` in it; replace NAME by your account."
     return ["## Version", f"{said}{made}.{listed}", how]
 
 
 def upload(target: Path, title: str, what: str) -> str:
-    """The command of the Hub's own tool that uploads a folder; NAME is the account."""
+    """Return the command of the Hub's own tool that uploads a folder; NAME is the account."""
     kind = " --repo-type dataset" if what == "data set" else ""
     return f"hf upload NAME/{slug(title)} {shlex.quote(str(target))}{kind}"
 
 
 def slug(title: str) -> str:
-    """A title as a name of small letters, digits and dashes."""
+    """Return a title as a name of lower-case letters, digits and dashes."""
     return re.sub(r"[^a-z0-9]+", "-", title.lower()).strip("-")[:60] or "evetac"
 
 
 def commit() -> str | None:
-    """The commit of the clone that this program runs from, as git's own files say; None of any other installation.
+    """Return the commit of the clone that this program runs from, read from git's files; None without a clone.
 
-    No program is run for it: a folder is no reason to run the git that the path happens to name.
+    git itself is not run, because PATH might name any program as git.
     """
     root = PACKAGE.parent
     if not (root / "pyproject.toml").is_file():
         return None
     try:
         git = root / ".git"
-        if git.is_file():  # a work tree
+        if git.is_file():  # a linked work tree
             git = root / git.read_text().removeprefix("gitdir:").strip()
         head = (git / "HEAD").read_text().strip()
         if not head.startswith("ref:"):
@@ -96,7 +96,7 @@ def _reference(text: str) -> str | None:
 
 
 def _bibtex(text: str) -> str:
-    """A text from the command line as BibTeX takes it, in one line."""
+    """Return a text from the command line escaped for BibTeX, on one line."""
     line = "".join(letter if letter.isprintable() else " " for letter in " ".join(text.split())[:MOST_LETTERS])
     return "".join(SPECIAL.get(letter, f"\\{letter}" if letter in "{}$&#%_" else letter) for letter in line)
 

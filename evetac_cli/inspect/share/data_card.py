@@ -1,4 +1,4 @@
-"""The card of a data set: its trials, objects, sensors and seeds, its limits, and how to read and to cite it."""
+"""The card of a data set: trials, objects, sensors and seeds, limitations, and how to read and cite it."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -22,25 +22,25 @@ from evetac_cli.jobs import Progress
 from evetac_cli.store.hdf5.disk import utf8_path
 from evetac_cli.store.index import IndexRow, foreign_note
 
-# The Hub's words for how many examples there are, here rows of the largest table.
+# The Hub's categories for the number of examples, here the rows of the largest table.
 SIZES = (
     *((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (1_000_000, "100K<n<1M")),
     *((10_000_000, "1M<n<10M"), (100_000_000, "10M<n<100M"), (1_000_000_000, "100M<n<1B")),
 )
 LARGER = "1B<n<10B"
 PARQUET = ".parquet"
-OTHERS = (PARQUET, ".csv")  # what `export` writes for other programs: shared with the rest
+OTHERS = (PARQUET, ".csv")  # files that `export` writes for other programs, which are shared too
 LEROBOT = "meta/info.json"
 MOST_LISTED = 20  # objects or sensors
 HELD = {
-    TRIALS: "a row a trial: object, sensor, seed, outcome, length, file",
-    SLICES: "a row a slice of 1 ms: gripper, forces, labels, touch",
-    "dots": "a row a slice of 1 ms: what is known of each dot",
-    EVENTS: "a row an event",
+    TRIALS: "one row per trial: object, sensor, seed, outcome, length, file",
+    SLICES: "one row per slice of 1 ms: gripper, forces, labels, touch",
+    "dots": "one row per slice of 1 ms: position, displacement and events of each dot",
+    EVENTS: "one row per event",
 }
 
-READ = """Each trial is a set of HDF5 files of one name. `evetac info DATA` lists them, `evetac view` shows one. Without
-evetac:
+READ = """Each trial is a set of HDF5 files with the same name. `evetac info DATA` lists them, `evetac view` shows one.
+Without evetac:
 
 ```python
 import h5py
@@ -49,10 +49,11 @@ with h5py.File("data/NAME.recording.h5") as file:
     t_us, x, y, p = (file[f"events/{column}"][:] for column in "txyp")
 ```
 
-Every dataset has `units` and `long_name`, the attribute `header` of the root says how the file was made, and xarray
-opens it with `engine="h5netcdf"`. docs/read-without-evetac.md of evetac has a short reader of each kind of file."""
-READ_TABLES = """The tables are Parquet. The names of columns end in their units, what is not known is null, and
-each column says in its metadata what it is. `trial` and `t_ms` join them.
+Every dataset has `units` and `long_name`, and the root attribute `header` describes how the file was made. To open
+a file with xarray, use `engine="h5netcdf"`. A short reader of each kind of file is in docs/read-without-evetac.md of
+evetac."""
+READ_TABLES = """The tables are Parquet. Column names end in their units, unknown values are null, and the metadata of
+each column describe it. Join the tables on `trial` and `t_ms`.
 
 ```python
 import pandas
@@ -61,36 +62,40 @@ trials = pandas.read_parquet("tables/trials/SPLIT.parquet")
 slices = pandas.read_parquet("tables/slices/SPLIT")
 ```
 
-From the Hub, `datasets.load_dataset("NAME", "slices")` loads one, by the names above."""
+From the Hub, `datasets.load_dataset("NAME", "slices")` loads one of the tables listed above."""
 
 
 def describe(folder: Path, params: Share, progress: Progress) -> Card:
-    """The card of a folder of stage files, and of tables exported from them; InputError where one cannot be read."""
+    """Return the card of a folder of stage files, and of tables exported from them; InputError if one is unreadable."""
     for_lerobot = next((path.parent.parent for path in folder.rglob(LEROBOT) if path.is_file()), None)
-    if for_lerobot is not None:  # of its files only some are tables; laid out again they would be no data set any more
+    if for_lerobot is not None:  # only some of its files are tables; rearranged, they would not be a data set any more
         raise InputError(
-            "cannot share a LeRobot data set, which has a card of its own",
+            "a LeRobot data set has its own card and cannot be shared with this command",
             where=str(for_lerobot),
             expected="stage files, or tables",
-            hint=f"to upload it as it is: {upload(for_lerobot, for_lerobot.resolve().name, 'data set')}",
+            hint=f"upload it as it is: {upload(for_lerobot, for_lerobot.resolve().name, 'data set')}",
         )
     with indexed(folder, progress) as index:
         rows, passed_over = index.rows("kind IS NOT NULL OR error IS NOT NULL"), foreign_note(index)
     broken = next((row for row in rows if row.error is not None), None)
     if broken is not None:
-        hint = "move it away, or make it again"
-        raise InputError("cannot be shared", where=str(folder / broken.path), found=broken.error or "", hint=hint)
+        hint = "move the file out of the folder, or make it again"
+        raise InputError(
+            "a damaged file cannot be shared", where=str(folder / broken.path), found=broken.error or "", hint=hint
+        )
     others = sorted(
         path for path in folder.rglob("*") if path.suffix in OTHERS and path.is_file() and not path.name.startswith(".")
     )
     if not rows and not others:
-        raise InputError("nothing to share in this folder", where=str(folder), expected="stage files, or tables")
+        raise InputError("the folder has nothing to share", where=str(folder), expected="stage files, or tables")
     links = {f"data/{path}": folder / path for path in (row.path for row in rows)}
     links |= {f"data/{path.relative_to(folder)}": path for path in others}
     contents, tables, note = look(folder, rows, progress), None, ""
     recordings = [row for row in rows if row.kind == "recording"]
     if params.tables == EVENTS and not recordings:
-        raise InputError("has no effect", where="--tables events", expected="recordings", found=str(folder))
+        raise InputError(
+            "the folder has no recordings", where="--tables events", expected="recordings", found=str(folder)
+        )
     if params.tables != "none" and recordings:
         tables, note = _tables(folder, recordings, params, progress)
     simulated = any(row.simulated for row in rows) or any(is_simulated(path) for path in others)
@@ -120,7 +125,7 @@ def describe(folder: Path, params: Share, progress: Progress) -> Card:
         "pretty_name": title,
         "task_categories": ["robotics"],
         "size_categories": [next((name for most, name in SIZES if examples < most), LARGER)],
-        # What the Hub would else guess from files of HDF5 is an error on its page.
+        # Otherwise the Hub would guess from the HDF5 files, and show an error on its page.
         **({"configs": configs} if configs else {"viewer": False}),
     }
     page = _page(title, about, figures, tables, rows, params)
@@ -136,11 +141,11 @@ def describe(folder: Path, params: Share, progress: Progress) -> Card:
 def _tables(
     folder: Path, recordings: Sequence[IndexRow], params: Share, progress: Progress
 ) -> tuple[HubTables | None, str]:
-    """The tables of all recordings; none where pyarrow is missing, with why in words, unless events are asked for.
+    """Return the tables of all recordings; None and a note if pyarrow is missing, unless events are requested.
 
-    Why no error: all that was measured lies in the HDF5 files, and the card then tells the Hub to show no viewer.
+    This is not an error, because all measurements are in the HDF5 files, and the card then disables the Hub's viewer.
     """
-    from evetac_cli.inspect.export import trial_files  # here: it loads all formats
+    from evetac_cli.inspect.export import trial_files  # imported here because it loads all formats
 
     try:
         trials = trials_of(folder, recordings)
@@ -148,7 +153,7 @@ def _tables(
     except MissingLibrary as error:
         if params.tables == EVENTS:
             raise
-        return None, f"no tables, so the Hub's viewer shows nothing: {error.message}; {error.hint} installs it"
+        return None, f"no tables were written, so the Hub's viewer shows nothing: {error.message}; try: {error.hint}"
 
 
 def _write(tables: HubTables, folder: Path, progress: Progress) -> None:
@@ -160,7 +165,7 @@ def _left_out(tables: HubTables | None) -> list[str]:
     if tables is None or not tables.left_out:
         return []
     more = len(tables.left_out) - 1
-    return [f"not in the tables: {tables.left_out[0]}" + (f", and {more} more like it" if more else "")]
+    return [f"not in the tables: {tables.left_out[0]}" + (f", and {more} more" if more else "")]
 
 
 def _figures(trials: Sequence[IndexRow]) -> dict[str, Any]:
@@ -172,7 +177,7 @@ def _figures(trials: Sequence[IndexRow]) -> dict[str, Any]:
 
 
 def _kinds(rows: Sequence[IndexRow], others: Sequence[Path]) -> list[dict[str, Any]]:
-    """Files and bytes of each kind."""
+    """Return the number and size of files of each kind."""
     kinds = [
         {"kind": kind, "files": count, "size_bytes": sum(row.size_bytes for row in rows if row.kind == kind)}
         for kind, count in sorted(Counter(str(row.kind) for row in rows).items())
@@ -195,7 +200,7 @@ def _listed_tables(tables: HubTables | None) -> list[dict[str, Any]]:
 
 
 def _found_configs(others: Sequence[Path], folder: Path, name: str) -> list[dict[str, Any]]:
-    """Tables that lay in the folder: a configuration for those that have the same columns."""
+    """Return configurations for tables that were in the folder: one for all with the same columns."""
     groups: dict[tuple[str, ...], list[str]] = {}
     for path in others:
         if path.suffix == PARQUET:
@@ -218,8 +223,8 @@ def _page(
 ) -> list[str]:
     page = [
         *opening(title, simulated=about["simulated"], license_=params.license),
-        "Touch seen by an event camera behind a dotted gel (Evetac), made with evetac.",
-        "## What is in it",
+        "Tactile data of an event camera behind a dotted gel (Evetac), made with evetac.",
+        "## Contents",
         table([{"": name, "value": value} for name, value in figures.items() if value not in ("", 0)], format_value),
         table(about["files"], format_value),
     ]
@@ -230,11 +235,11 @@ def _page(
     return page if tables is None else [*page, READ_TABLES.replace("SPLIT", tables.splits[0])]
 
 
-ALONE = "Tables in Parquet or CSV, as `evetac export` writes them: each has the units in the names of its columns."
+ALONE = "Tables in Parquet or CSV, written by `evetac export`. Column names end in their units."
 
 
 def _listed(trials: Sequence[IndexRow], name: str) -> str:
-    """The values of a column, each with how many trials have it; numbers as a range where they are many."""
+    """Return the values of a column with their number of trials; many numbers as a range."""
     counts = Counter(value for trial in trials if (value := getattr(trial, name)) is not None)
     if len(counts) > MOST_LISTED and all(isinstance(value, int) for value in counts):
         return f"{min(counts)} to {max(counts)} ({len(counts)})"

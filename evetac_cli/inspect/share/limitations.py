@@ -1,4 +1,4 @@
-"""What the files of a data set say of its limits: how far it is simulated, what it covers, and what is estimated."""
+"""The limitations of a data set, from its files: how much is simulated, what it covers, what is estimated."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -11,37 +11,38 @@ from evetac_cli.jobs import Progress
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.index import IndexRow
 
-# Off, of the facts in docs/likeness.md that are counted: a test compares.
+# The facts in docs/likeness.md that the simulator does not match; a test compares the two lists.
 NOT_LIKE = ("official-2024", "official-2026", "paper-on-slip", "lost-regularised")
 UNLIKE = (
-    "The simulated sensor is known to differ from the real one: an object that rubs over the gel takes dots along that"
-    " the published trackers keep, and no dot radius suits both the paper's equations and the published code (facts"
-    f" {', '.join(f'`{name}`' for name in NOT_LIKE)} in docs/likeness.md of evetac, which lists every public fact and"
-    " how well it holds). `evetac evaluate likeness` compares recordings with the same facts."
+    "The simulated sensor is known to differ from the real one. In simulation, an object that slides over the gel drags"
+    " along dots that the published trackers keep. Also, no dot radius fits both the paper's equations and the"
+    f" published code. These are the facts {', '.join(f'`{name}`' for name in NOT_LIKE)} in docs/likeness.md of evetac,"
+    " which lists all public facts and how well the simulator matches them. `evetac evaluate likeness` compares"
+    " recordings with the same facts."
 )
-# What a kind of file estimates: its columns in the tables, and by what.
+# The estimates of each kind of file: its columns in the tables, and the estimator.
 ESTIMATED = {
     "tracks": "`dot_*_px`, `lost_*` and `events_per_dot_*`, by a dot tracker (files by preset: {how})",
     "labels": "`label` and with it the onset of slip (files by method: {how})",
     "features": "`displacement_*_px`, from such tracks",
     "touch": "`touch_*`, by a model of the gel, with standard deviations `_sd`",
 }
-HOW = {"tracks": "preset", "labels": "method"}  # the parameter that says by what
+HOW = {"tracks": "preset", "labels": "method"}  # the parameter that names the estimator
 
 
 @dataclass
 class DataSetFacts:
-    """What the headers and a few datasets of all files of a folder say."""
+    """Facts from the headers and a few datasets of all files of a folder."""
 
     formats: dict[str, set[str]] = field(default_factory=dict)  # kind -> numbers of its format
     versions: set[str] = field(default_factory=set)  # of evetac
-    year: str | None = None  # in which the newest file was made
-    how: dict[str, Counter[str]] = field(default_factory=dict)  # kind -> what estimated it -> files
-    abstained: int = 0  # labels that cannot tell an onset
-    with_losses: int = 0  # recordings of which slices were lost
+    year: str | None = None  # of the newest file
+    how: dict[str, Counter[str]] = field(default_factory=dict)  # kind -> estimator -> number of files
+    abstained: int = 0  # labels that could not identify an onset
+    with_losses: int = 0  # recordings with lost slices
 
     def add(self, file: StageFile) -> None:
-        """Take in a file."""
+        """Add the facts of a file."""
         header, made = file.header, file.header.get("made", {})
         self.formats.setdefault(file.kind, set()).add(str(header["version"]))
         if isinstance(made.get("evetac"), str):
@@ -57,7 +58,7 @@ class DataSetFacts:
 
 
 def look(folder: Path, rows: Sequence[IndexRow], progress: Progress) -> DataSetFacts:
-    """What all files of a folder say, each of which is opened."""
+    """Open all files of a folder and return their facts."""
     contents = DataSetFacts()
     for number, row in enumerate(rows):
         progress(number, len(rows), "files")
@@ -67,7 +68,7 @@ def look(folder: Path, rows: Sequence[IndexRow], progress: Progress) -> DataSetF
 
 
 def limitations(contents: DataSetFacts, trials: Sequence[IndexRow], split: Sequence[tuple[str, IndexRow]]) -> list[str]:
-    """The section Limitations of a card.
+    """Return the section Limitations of a card.
 
     trials: a row for each trial; split: each recording with its part of the data set.
     """
@@ -84,10 +85,10 @@ def limitations(contents: DataSetFacts, trials: Sequence[IndexRow], split: Seque
     if estimated:
         lines.append(f"Estimated, not measured: {'; '.join(estimated)}.")
     if contents.abstained:
-        lines.append(f"In {contents.abstained} trials the labels cannot tell the onset; `label` is -1 around it.")
+        lines.append(f"In {contents.abstained} trials the onset could not be labelled; `label` is -1 around it.")
     if contents.with_losses:
         lines.append(
-            f"{contents.with_losses} recordings lost slices: these are empty, and listed in `capture/lost_slices`."
+            f"{contents.with_losses} recordings lost slices, which are empty and listed in `capture/lost_slices`."
         )
     if simulated:
         lines.append(UNLIKE)
@@ -99,13 +100,13 @@ COVERED: Mapping[str, str] = {"sensor": "sensor", "object": "object", "scene": "
 
 def _simulated(simulated: int, trials: int) -> str:
     truth = (
-        "`truth_*` and `truth/` hold what only a simulator knows: do not use them as inputs of anything that has to"
-        " work on a real sensor."
+        "`truth_*` and `truth/` are ground truth, which only a simulator has: do not use them as inputs of a method for"
+        " a real sensor."
     )
     if not simulated:
-        return "No trial is simulated, as far as the files say."
+        return "According to the files, no trial is simulated."
     if simulated < trials:
-        return f"{simulated} of {trials} trials are simulated (column `simulated`), the others are not. {truth}"
+        return f"{simulated} of {trials} trials are simulated (column `simulated`); the others are not. {truth}"
     return f"All trials are simulated: no real sensor, object or gripper was involved. {truth}"
 
 
@@ -115,5 +116,5 @@ def _covered(covered: Mapping[str, set[Any]], trials: int) -> str:
         for what, values in covered.items()
     ]
     one = [COVERED[what] for what, values in covered.items() if len(values) == 1]
-    alone = f" The data cannot show how well anything carries over to another {' or '.join(one)}." if one else ""
+    alone = f" The data cannot show how well a method generalizes to another {' or '.join(one)}." if one else ""
     return f"{trials} trial{'' if trials == 1 else 's'}: {', '.join(parts)}.{alone}"

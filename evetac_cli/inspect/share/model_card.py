@@ -1,4 +1,4 @@
-"""The card of a model: what it is, what it was trained on with which seeds, how it did, and what that is worth."""
+"""The card of a model: its figures, its training data and seeds, its evaluations, and their limitations."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -21,21 +21,21 @@ from evetac_cli.text_files import parse_json
 KINDS = ("model", "force-model")
 ROLES = ("trained on", "validated on")
 WHAT = {"model": "slip detector", "force-model": "force model"}
-# Of `info`: what a card says elsewhere, or not at all.
+# Figures of `info` that a card states elsewhere, or not at all.
 NOT_SHOWN = ("file", "kind", "id", "simulated", "size_bytes", "parameters", "made", "parents", "history", "seed")
-# Of a report: figures that the Hub lists, by the names of its own metrics.
+# Figures of a report that the Hub lists, with the names of its own metrics.
 METRICS = {"f1": ("f1", "F1 over slices"), "slip_correct": ("accuracy", "share of slips with correct timing")}
 
 
 def describe(path: Path, reports: Sequence[Path], params: Share) -> Card:
-    """The card of a model file, with the figures of reports on it; InputError for other files."""
+    """Return the card of a model file, with the figures of reports on it; raise InputError for other files."""
     (row,) = info.run([path]).rows
     if row["kind"] not in KINDS:
         raise InputError("not a model", where=str(path), expected="a model, or a folder", found=row["kind"])
     (checked,) = validate.run([path]).rows
     if checked["faults"]:
-        hint = "`evetac validate` names all faults; train it again"
-        raise InputError("cannot be shared", where=str(path), found=checked["faults"], hint=hint)
+        hint = "`evetac validate` lists all faults; train the model again"
+        raise InputError("an invalid model cannot be shared", where=str(path), found=checked["faults"], hint=hint)
     with StageFile(path) as file:
         header, what = file.header, WHAT[file.kind]
         written = {"training.csv": course(file).encode()} if file.kind == "model" else {}
@@ -47,7 +47,7 @@ def describe(path: Path, reports: Sequence[Path], params: Share) -> Card:
             else None
         )
         why = why_useless(file) if file.kind == "model" else ""
-    note, made = f"{path} is no slip detector: {why}" if why else "", header.get("made", {})
+    note, made = f"{path} is not usable as a slip detector: {why}" if why else "", header.get("made", {})
     simulated = bool(header["simulated"])
     figures = {name: value for name, value in row.items() if name not in NOT_SHOWN and value is not None}
     if score is not None:
@@ -75,15 +75,15 @@ def describe(path: Path, reports: Sequence[Path], params: Share) -> Card:
     page = [
         *opening(title, simulated=simulated, license_=params.license),
         f"A {what} for an event camera behind a dotted gel, made with evetac. Recipe id `{header['id']}`.",
-        f"**No slip detector:** {why}." if why else "",
+        f"**Not usable as a slip detector:** {why}." if why else "",
         "## The model",
         table([{"": name, "value": value} for name, value in figures.items()], format_value),
         "## Data and seeds",
-        f"Seed of the training: {header['seed']}." if header["seed"] is not None else "",
+        f"Training seed: {header['seed']}." if header["seed"] is not None else "",
         table(data, format_value),
-        "## How it was trained",
+        "## Training parameters",
         table([{"parameter": name, "value": value} for name, value in _flat(header["parameters"])], format_value),
-        "## How well it does",
+        "## Evaluation",
         *([table([_shown(one) for one in judged], format_value)] if judged else [NOT_EVALUATED]),
         *([ON_VALIDATION] if score is not None else []),
         "## Limitations",
@@ -95,28 +95,30 @@ def describe(path: Path, reports: Sequence[Path], params: Share) -> Card:
             title, what, [str(made["evetac"])[:20]] if "evetac" in made else [], {row["kind"]: [str(header["version"])]}
         ),
     ]
-    written[path.name] = path.read_bytes()  # no link: a copy of a model costs little, and may be changed
+    written[path.name] = path.read_bytes()  # not a link: a copy of a model is small, and may be changed
     return Card(fields, [part for part in page if part], about, {}, written, note)
 
 
-NOT_EVALUATED = "No evaluation was added to this card. `evetac share MODEL REPORT` adds those of `evetac evaluate`."
+NOT_EVALUATED = "This card has no evaluation. `evetac share MODEL REPORT` adds reports of `evetac evaluate`."
 ON_VALIDATION = (
-    "`validation_score` is the mean of the share of slips with correct timing and F1, on the trajectories on which"
-    " checkpoint and threshold were chosen: data that the model never saw gives less."
+    "`validation_score` is the mean of F1 and the share of slips with correct timing. It was measured on the"
+    " trajectories that were used to choose checkpoint and threshold; on unseen data the score is lower."
 )
-LIMITS_SIMULATED = f"It has never seen a real sensor. How well it does on one has not been measured. {UNLIKE}"
-LIMITS = "Figures hold for the sensor, the objects and the motions of the data above."
+LIMITS_SIMULATED = (
+    f"The model was trained on simulated data only. Its performance on a real sensor has not been measured. {UNLIKE}"
+)
+LIMITS = "All figures apply to the sensor, the objects and the motions of the data above."
 FILES = (
     "- `{name}`: the model; `evetac info` shows it, `evetac grasp --model` and `evetac evaluate slip --model` use it"
 )
 OTHER_FILES = """
 - `model.onnx`: the same network for ONNX runtime
-- `training.csv`: loss and validation scores over the steps of the training
-- `card.json`: this page as data"""
+- `training.csv`: loss and validation scores over the training steps
+- `card.json`: this page as JSON"""
 
 
 def _data(header: Header) -> Iterator[dict[str, Any]]:
-    """A row for every scene and sensor, and for each of the two things that their recordings were used for."""
+    """Yield a row per use (training, validation), scene, sensor and labels of the recordings."""
     history = header["history"]
     parents = [history[id_] for id_ in header["parents"] if id_ in history]
     files = [parent for parent in parents if not parent["kind"].endswith("model")]
@@ -161,14 +163,14 @@ def _range(seeds: set[int]) -> str:
 
 
 def _judged(report: Path, header: Header) -> Iterator[dict[str, Any]]:
-    """The figures of each setting in a report; InputError if it is not on this model alone."""
+    """Yield the figures of each setting in a report; raise InputError if it is not a report on this model only."""
     with StageFile(report, "report") as file:
         history = file.header["history"]
         models = [id_ for id_ in file.header["parents"] if history.get(id_, {}).get("kind") in KINDS]
         if models != [header["id"]]:
             others = ", ".join(id_[:12] for id_ in models) or "no model"
-            expected = f"a report of `evetac evaluate slip` on the model {header['id'][:12]} alone"
-            raise InputError("a report on something else", where=str(report), expected=expected, found=others)
+            expected = f"a report of `evetac evaluate slip` on the model {header['id'][:12]} only"
+            raise InputError("the report is not on this model", where=str(report), expected=expected, found=others)
         command, simulated = str(file.read("command")), bool(file.header["simulated"])
         for row in parse_json(file.read("rows")):
             if "seeds" in row and "trajectories" in row:
@@ -186,7 +188,7 @@ def _shown(judged: dict[str, Any]) -> dict[str, Any]:
 
 
 def _result(judged: dict[str, Any]) -> dict[str, Any]:
-    """An evaluation as the Hub's `model-index` has it."""
+    """Return an evaluation as an entry of the Hub's `model-index`."""
     mark = " (simulated)" if judged["simulated"] else ""
     return {
         "task": {"type": "robotics", "name": "slip detection"},
@@ -200,7 +202,7 @@ def _result(judged: dict[str, Any]) -> dict[str, Any]:
 
 
 def _flat(parameters: dict[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
-    """Parameters and those inside them, by their path."""
+    """Yield parameters, also nested ones, by their path."""
     for name, value in parameters.items():
         if isinstance(value, dict):
             yield from _flat(value, f"{before}{name}.")

@@ -1,4 +1,4 @@
-"""Which trial of a folder is for training, choosing or testing, by the name of the folder that it lies in."""
+"""Assign trials to training, validation or test data, by the name of their folder."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -8,7 +8,7 @@ from evetac_cli.store.files import stem
 from evetac_cli.store.index import IndexRow
 from evetac_cli.text_files import as_utf8
 
-# The Hub's names of splits, and those of folders: what the Hub takes for one, and what our pages call them.
+# The Hub's names of splits, and the names of folders: those that the Hub recognizes, and those in evetac's docs.
 SPLITS = {
     "train": ("train", "training", "learn"),
     "validation": ("validation", "valid", "val", "dev", "choose"),
@@ -18,9 +18,9 @@ OTHER = "other"
 
 
 def trials_of(folder: Path, recordings: Sequence[IndexRow]) -> list[SharedTrial]:
-    """The recordings of a folder with their splits; all are `train`, the Hub's word for all, where no folder says so.
+    """Return the recordings of a folder with their splits; all are `train` if no folder names a split.
 
-    Where some lie in such folders, those that do not are `other`.
+    If some are in such folders, the others get the split `other`.
     """
     found = [split_of(row.path) for row in recordings]
     rest = OTHER if any(found) else "train"
@@ -36,18 +36,18 @@ def trials_of(folder: Path, recordings: Sequence[IndexRow]) -> list[SharedTrial]
 
 
 def split_of(path: str) -> str | None:
-    """The split that a folder of this path names; None where none does."""
+    """Return the split that a folder of this path names; None if none does."""
     named = {name: split for split, names in SPLITS.items() for name in names}
     return next((named[part.lower()] for part in Path(path).parts[:-1] if part.lower() in named), None)
 
 
 def held_out(rows: Sequence[tuple[str, IndexRow]]) -> str:
-    """What the splits of (split, recording) are worth, in words: which objects and sensors only a test has."""
+    """Return a text on the splits of (split, recording): the objects and sensors that training data lack."""
     splits = list(dict.fromkeys(split for split, _ in rows))
     if len(splits) < 2:
         return (
-            "There is no split into training and test data: all of it is `train`. To judge a method, hold out whole"
-            " objects, because trials of one object are alike."
+            "The data are not split into training and test data: all trials are `train`. To evaluate a method, hold out"
+            " whole objects, because trials of the same object are similar."
         )
     told = []
     for name in ("validation", "test"):
@@ -58,16 +58,16 @@ def held_out(rows: Sequence[tuple[str, IndexRow]]) -> str:
             mine, learned = (_known(rows, split, what) for split in (name, "train"))
             only = sorted(mine - learned, key=lambda value: (isinstance(value, str), value))
             if not mine:
-                parts.append(f"its {what}s are not known")
+                parts.append(f"unknown {what}s")
             elif only:
-                parts.append(f"{what}s that `train` lacks ({', '.join(map(str, only))})")
+                parts.append(f"{what}s that are not in `train` ({', '.join(map(str, only))})")
             else:
-                parts.append(f"no {what} that `train` lacks")
+                parts.append(f"only {what}s that are also in `train`")
         told.append(f"`{name}` has {' and '.join(parts)}.")
     ids = [{row.recipe_id for split, row in rows if split == one} for one in splits]
     twice = len(set().union(*(a & b for at, a in enumerate(ids) for b in ids[at + 1 :])))
     if twice:
-        told.append(f"**{twice} recording{' lies' if twice == 1 else 's lie'} in two splits.**")
+        told.append(f"**{twice} recording{' is' if twice == 1 else 's are'} in two splits.**")
     return " ".join(told) or f"The splits are {', '.join(splits)}."
 
 

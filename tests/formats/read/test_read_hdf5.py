@@ -111,7 +111,7 @@ def test_mvsec(tmp_path: Path) -> None:
     with h5py.File(path, "a") as file:
         mvsec(file, "right", 1_506_117_894.0)
     notes = read_events(path).notes
-    assert "took the camera left; also there: right (choose with --stream)" in notes
+    assert "read the camera left; the file also has: right (choose with --stream)" in notes
     assert read_events(path, stream="right").t_offset_us == 1_506_117_894_000_000
     assert "left or right" in refusal(path, stream="middle")
 
@@ -161,13 +161,13 @@ def test_known_values(tmp_path: Path) -> None:
     [
         ("events", np.zeros((3, 5)), "one table of shape (3, 5)"),
         ("events", np.zeros(3), "one table of shape (3,)"),
-        ("events", np.array([b"a", b"b"]), "holds no columns of events"),
+        ("events", np.array([b"a", b"b"]), "no event columns"),
         ("CD/events", np.zeros((3, 4)), "a compound with t, x, y, p"),
         ("CD/events", np.zeros(3, [("t", "i8"), ("x", "i2")]), "a compound with t, x, y, p"),
         ("CD/events", np.zeros(3, [("t", "i8"), ("x", "S4"), ("y", "i2"), ("p", "i2")]), "a compound with"),
         ("davis/left/events", np.array([[1, 2, np.inf, 1.0]]), "none of the events can be used"),
         ("davis/left/events", np.array([[1, 2, 1e300, 1.0]]), "time out of range"),
-        ("davis/left/events", np.array([[1, 2.5, 1, 1.0]]), "y lies between pixels"),
+        ("davis/left/events", np.array([[1, 2.5, 1, 1.0]]), "y is not a whole pixel"),
         ("davis/left/depth", np.zeros((3, 4)), "found:    davis"),
     ],
 )

@@ -43,7 +43,7 @@ def test_a_small_file_does_not_become_a_large_one(tmp_path: Path) -> None:
     """Assert that rows by runs are refused by what they would take, before one is read; a plain table is not."""
     path = written(tmp_path / "a.parquet", same_rows(8_000_000), compression="zstd")
     assert path.stat().st_size < 1e6
-    with pytest.raises(InputError, match=r"unpacks to too much(.|\n)*128 MB"):
+    with pytest.raises(InputError, match=r"unpack to too much(.|\n)*128 MB"):
         read(path)
     columns = {"t_ms": np.arange(ROWS), "x": X, **{f"c{at}": np.zeros(ROWS) for at in range(100)}}
     assert len(read(written(tmp_path / "b.parquet", columns)).columns) == 101
@@ -140,7 +140,7 @@ def test_a_footer_that_lies_about_its_pages(tmp_path: Path, monkeypatch: pytest.
     """Assert that what pages unpack to is asked of the pages: with a lower limit an honest file is too large."""
     path = written(tmp_path / "a.parquet", {"t_ms": np.arange(ROWS), "x": X}, compression="none", use_dictionary=False)
     monkeypatch.setattr(read_table, "MOST_GROUP_BYTES", 2 * ROWS * 8 - 1)
-    with pytest.raises(InputError, match="its row groups are too large"):
+    with pytest.raises(InputError, match="row groups are too large"):
         read(path)
     monkeypatch.setattr(read_table, "MOST_GROUP_BYTES", 2 * ROWS * 8 + 100)
     assert len(read(path).t_us) == ROWS
@@ -166,7 +166,7 @@ def test_columns_keep_their_names_and_order(tmp_path: Path) -> None:
         "x_2": [0.0, 10.0, 20.0, 30.0, 40.0],
         "flag": [1.0, 0.0, 1.0, 0.0, 1.0],
     }
-    assert notes == ["left out: columns struct, list, words, which are not of numbers"]
+    assert notes == ["left out: columns struct, list, words, which are not numeric"]
 
 
 def test_damaged_page_headers_end_in_words(tmp_path: Path) -> None:
@@ -212,7 +212,7 @@ def test_times_that_64_bits_do_not_hold(tmp_path: Path) -> None:
     """Assert that times are refused that would come out as others, of few microseconds, once they are numbers of us."""
     least = pa.array([-(2**63), 1])
     path = written(tmp_path / "a.parquet", {"stamp.sec": least, "stamp.nanosec": pa.array([0, 0]), "x": X[:2]})
-    with pytest.raises(InputError, match="an impossible time"):
+    with pytest.raises(InputError, match="impossible time"):
         read(path)
     stamps = pa.array([2**61, 2**61 + 1], pa.timestamp("ms"))
     with pytest.raises(InputError, match="the table cannot be read(.|\n)*out of bounds"):

@@ -97,7 +97,7 @@ def test_a_command_that_fails_is_named() -> None:
 def test_a_process_that_dies_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that a process that ends before it answers is an error that says so."""
     monkeypatch.setattr(compile_kernels.sys, "executable", "false")
-    with pytest.raises(EvetacError, match="camera: .*\n.*its process ended with exit code 1"):
+    with pytest.raises(EvetacError, match="camera: .*\n.*the process ended with exit code 1"):
         compile_kernels.run(steps=((("camera",),),), say=lambda line: None)
 
 
@@ -108,11 +108,11 @@ def test_each_command_is_said_as_it_begins() -> None:
     steps = (((importing.format("a"), importing.format("b")),), ((importing.format("c"),), (importing.format("d"),)))
     done: list[tuple[float, float]] = []
     outcome = compile_kernels.run(lambda *how: done.append(how[:2]), steps, said.append, again_s=0.01)
-    assert "once after installing: 4 parts" in said[0]
+    assert "once after installation: 4 parts" in said[0]
     begun = [line for line in said if line.startswith("compiling ") and line.endswith("...")]
     assert begun == [f"compiling {number} of 4: record ..." for number in (1, 2, 3, 4)]
     waiting = [line for line in said[1:] if line not in begun]
-    assert waiting and all(" of 4 are compiled, 0 functions; at work: record for " in line for line in waiting)
+    assert waiting and all(" of 4 parts are compiled, 0 functions; running: record for " in line for line in waiting)
     assert [(row["part"], row["functions"]) for row in outcome.rows] == [("record", 0)] * 4
     assert done == [(number, 4) for number in range(5)]
 

@@ -88,7 +88,7 @@ def test_nothing_plugged_in_is_no_fault(machine: Made, capsys: pytest.CaptureFix
     assert (result.summary["cameras"], result.summary["grippers"], result.simulated) == (0, 0, False)
     doctor.show(result)
     text = capsys.readouterr().out
-    assert "no camera found" in text and "no gripper found" in text and "all that was found is fine" in text
+    assert "no camera found" in text and "no gripper found" in text and "no faults found" in text
 
 
 @pytest.mark.parametrize("firmware", [8, 9, 10])
@@ -120,7 +120,7 @@ def test_a_good_camera_is_well(machine: Made, monkeypatch: pytest.MonkeyPatch, f
         (["usb2"], {}, "link", "USB 3 port"),
         (["no-permission"], {}, "permission", "doctor --print-udev | sudo tee"),
         (["busy"], {}, "busy", "fuser"),
-        ([], {"board": 2}, "model", "record it with DV"),
+        ([], {"board": 2}, "model", "record with iniVation"),
         ([], {"firmware": 5}, "firmware", "update it"),
         ([], {"firmware": 11}, "firmware", "newer evetac"),
     ],
@@ -352,7 +352,7 @@ def test_other_adapters_are_left_alone(machine: Made) -> None:
     """Assert that doctor sends nothing to what is no FTDI adapter, unless it is named."""
     port = adapter(machine, vendor="2341", name="ttyACM0")
     (row,) = rows_of_device(doctor.run(Doctor(), machine), f"port {port}").values()
-    assert (row["ok"], row["found"]) == (None, "not asked: no FTDI adapter")
+    assert (row["ok"], row["found"]) == (None, "not checked: not an FTDI adapter")
     assert row["fix"] == f"evetac doctor --gripper {port}"
     assert list(wrong(doctor.run(Doctor(gripper=str(port)), machine))) == ["exists"]
 
@@ -391,7 +391,7 @@ def test_a_virtual_gripper_needs_no_doctor(machine: Made, name: str) -> None:
     result = doctor.run(Doctor(gripper=name), machine)
     assert wrong(result) == {}
     (row,) = rows_of_device(result, "gripper").values()
-    assert row["found"] == f"not: a {name.partition(':')[0]} gripper needs no doctor"
+    assert row["found"] == f"no: a {name.partition(':')[0]} gripper needs no check"
 
 
 def test_from_the_command_line(monkeypatch: pytest.MonkeyPatch, machine: Made) -> None:

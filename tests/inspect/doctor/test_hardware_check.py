@@ -123,7 +123,7 @@ def test_a_person_is_asked_before_it_moves(tmp_path: Path) -> None:
         asked: list[str] = []
         made, _ = tried(tmp_path, gripper.port, lambda question: bool(asked.append(question)), arm=True)
         assert made.summary["ended"] == "stopped at: agreed"
-        assert "nothing may be between them" in asked[0]
+        assert "space between them empty" in asked[0]
         assert gripper.read_register("Operating Mode") == 5
         assert is_off(gripper)
         (tmp_path / "report.json").unlink()
@@ -149,9 +149,9 @@ def test_ctrl_c_leaves_a_report_and_no_torque(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("flags", "words"),
     [
-        ({}, "nothing to try"),
-        ({"gripper": "sim"}, "no device"),
-        ({"camera": "sim"}, "no device"),
+        ({}, "no device was given"),
+        ({"gripper": "sim"}, "not a device"),
+        ({"camera": "sim"}, "not a device"),
         ({"gripper": "/dev/ttyNothing"}, "--arm"),
         ({"gripper": "/dev/ttyNothing", "arm": True}, "a terminal, or --yes"),
     ],

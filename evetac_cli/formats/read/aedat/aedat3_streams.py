@@ -1,6 +1,6 @@
-"""IMU samples and external triggers of AEDAT 3.1 files, as libcaer defines their events.
+"""Read IMU samples and external triggers from AEDAT 3.1 files; libcaer defines their events.
 
-type 0    special: uint32 (bit 0 valid, 1-7 what it is), int32 time
+type 0    special: uint32 (bit 0 valid, 1-7 kind), int32 time
 type 3    IMU6: uint32 (bit 0 valid), int32 time, float32: acceleration x, y, z in g, rotation x, y, z in deg/s,
           temperature in degC; type 4, IMU9, has the magnetic field x, y, z in uT after that
 """
@@ -23,13 +23,13 @@ VALUES: dict[int, list[str]] = {
     IMU9: [*AXES, "temperature", *(f"magnetometer_{axis}" for axis in "xyz")],
 }
 UNITS = {"temperature": "degC", "accelerometer": "g", "gyroscope": "deg/s", "magnetometer": "uT"}
-# Special events that are triggers: which input, and what AEDAT4 calls it.
+# Special events that are triggers: the input, and the number of the source in AEDAT4.
 EDGES = {2: (0, 1), 3: (0, 2), 4: (0, 3), 6: (1, 1), 7: (1, 2), 8: (1, 3), 9: (2, 1), 10: (2, 2), 11: (2, 3)}
-TRIGGERS = "triggers; source: a signal from outside 1 rises, 2 falls, 3 is a pulse; input: which"
+TRIGGERS = "triggers; source: external signal 1 rises, 2 falls, 3 pulses; input: number of the input"
 
 
 class SampleStream(NamedTuple):
-    """A stream, what its samples are called where they are counted, and how many of them are none."""
+    """A stream, the name under which its samples are counted, and the number of samples that were left out."""
 
     stream: Stream
     counted_as: str
@@ -37,7 +37,7 @@ class SampleStream(NamedTuple):
 
 
 def read_samples(path: Path, folder: Path | None) -> Iterator[SampleStream]:
-    """Triggers and IMU samples of the camera whose events are read, on the file's clock, as far as there are some."""
+    """Yield triggers and IMU samples of the camera whose events are read, on the file's clock."""
     for kind, name in ((SPECIAL, "triggers"), (IMU6, "imu"), (IMU9, "imu9")):
         reader = _SampleReader(path, kind)
         t_us, *values = joined_on_disk(folder, reader.parts()) or (np.empty(0, np.int64),)
@@ -49,7 +49,7 @@ def read_samples(path: Path, folder: Path | None) -> Iterator[SampleStream]:
 
 
 class _SampleReader:
-    """The samples of one kind; `count` says how many events of the kind there were."""
+    """The samples of one kind; `count`: the number of events of this kind."""
 
     def __init__(self, path: Path, kind: int) -> None:
         self._path, self._kind = path, kind
@@ -57,7 +57,7 @@ class _SampleReader:
         self.count = 0
 
     def parts(self) -> Iterator[tuple[NDArray[Any], ...]]:
-        """Times and values of the samples of each packet that are marked as valid; what is no finite number is NaN."""
+        """Yield times and values of each packet's samples marked as valid; values that are not finite are NaN."""
         with self._path.open("rb") as handle:
             for packet in packets_beside(handle, str(self._path)):
                 if packet.kind != self._kind:

@@ -1,12 +1,12 @@
-"""The packets of AEDAT4 files (iniVation): where they lie.
+"""Locate the packets of AEDAT4 files (iniVation).
 
     "#!AER-DAT4.0\\r\\n", uint32 size, header: a flatbuffer of compression, position of the packet table, XML of streams
     packets, each: int32 stream, int32 size, payload (a compressed flatbuffer, aedat4_payloads)
     packet table, only in files that were closed
 
-Of a file that lost its table (a recorder that was killed, a copy that was cut) all packets are read, and where the
-headers of packets are damaged, the packet table leads past them. Cameras' packets carry no checksum: a damaged one may
-decode to other events, and where their times are impossible the whole file is refused.
+If a file has lost its packet table (its recorder was killed, or a copy was cut), all packets are still read. If headers
+of packets are damaged, the packet table leads past them. The packets have no checksum: a damaged one may decode to
+other events, and if their times are impossible the whole file is refused.
 """
 
 import struct
@@ -23,7 +23,7 @@ from evetac_cli.formats.read.unpacked_size import refuse_too_much
 
 MAGIC = b"#!AER-DAT4.0\r\n"
 HEADER_LIMIT_BYTES = 1 << 24
-TABLE_LIMIT_BYTES = 1 << 28  # 40 bytes a packet before compression, some 100 packets a second
+TABLE_LIMIT_BYTES = 1 << 28  # 40 bytes per packet before compression, some 100 packets per second
 KINDS = {"EVTS": "events", "FRME": "frames", "IMUS": "IMU samples", "TRIG": "triggers"}
 
 
@@ -36,12 +36,12 @@ class PacketStream:
     name: str
     camera: str
     frame_px: tuple[int, int] | None
-    note: str  # what evetac wrote into it, empty in files of other programs
+    note: str  # evetac's note, empty in files of other programs
 
 
 @dataclass(frozen=True)
 class Header:
-    """Streams, how packets are compressed, and the position of the packet table (-1: never written)."""
+    """Streams, the compression of packets, and the position of the packet table (-1: never written)."""
 
     size: int
     compression: int
@@ -58,16 +58,16 @@ class Span(NamedTuple):
 
 @dataclass(frozen=True)
 class Packets:
-    """The complete packets of one stream, and where the walk over all packets ended."""
+    """The complete packets of one stream, and the end of the walk over all packets."""
 
     spans: list[Span]
     end: int
-    whole: bool  # the walk ended where the packets of the file end
+    whole: bool  # the walk ended at the end of the file's packets
     counts: dict[int, int]  # packets of every stream, by its number
 
 
 def read_header(handle: BinaryIO, where: str) -> Header:
-    """Read the header; anything odd in it means that the file is damaged or no AEDAT4 file."""
+    """Read the header; raise InputError if it is damaged or not that of an AEDAT4 file."""
     start = handle.read(len(MAGIC) + 4)
     size = int.from_bytes(start[len(MAGIC) :], "little")
     body = handle.read(min(size, HEADER_LIMIT_BYTES))
@@ -75,7 +75,7 @@ def read_header(handle: BinaryIO, where: str) -> Header:
         raise InputError(
             "the AEDAT4 file ends inside its header",
             where=where,
-            hint="is it complete? compare its size with that of the original",
+            hint="is the file complete? compare its size with that of the original",
         )
     try:
         root = _unpack("<I", body, 0)
@@ -96,12 +96,12 @@ def read_header(handle: BinaryIO, where: str) -> Header:
 
 def _unpack(code: str, body: bytes, at: int) -> int:
     if at < 0:
-        raise ValueError("a position before the start of the header")
+        raise ValueError("a position is before the start of the header")
     return int(struct.unpack_from(code, body, at)[0])
 
 
 def _streams(xml: str) -> Iterator[PacketStream]:
-    """Streams from the tree of settings that the recorder left in the header."""
+    """Yield the streams from the tree of settings that the recorder wrote into the header."""
     for node in ElementTree.fromstring(xml).iter("node"):
         settings = {attr.get("key", ""): attr.text or "" for attr in node.findall("attr")}
         if "typeIdentifier" not in settings:
@@ -114,7 +114,7 @@ def _streams(xml: str) -> Iterator[PacketStream]:
 
 
 def walk(handle: BinaryIO, header: Header, number: int) -> Packets:
-    """Go from packet to packet until one is not complete or makes no sense."""
+    """Walk from packet to packet until one is incomplete or invalid."""
     size = handle.seek(0, 2)
     stop = header.table if header.table >= 0 else size
     known = {stream.number for stream in header.streams}
@@ -137,7 +137,7 @@ def walk(handle: BinaryIO, header: Header, number: int) -> Packets:
 
 
 def listed_spans(handle: BinaryIO, header: Header, number: int) -> list[Span] | None:
-    """The packets of one stream as the packet table lists them, None where there is no table or it is damaged."""
+    """Return the packets of one stream that the packet table lists; None if the table is missing or damaged."""
     rows = packet_table(handle, header)
     if rows is None:
         return None
@@ -152,7 +152,7 @@ def listed_spans(handle: BinaryIO, header: Header, number: int) -> list[Span] | 
 
 
 def packet_table(handle: BinaryIO, header: Header) -> Any | None:
-    """The rows of the packet table, None where there is no table or it is damaged."""
+    """Return the rows of the packet table; None if it is missing or damaged."""
     size = handle.seek(0, 2)
     if not header.size <= header.table < size:
         return None
@@ -165,7 +165,7 @@ def packet_table(handle: BinaryIO, header: Header) -> Any | None:
 
 
 def is_whole(path: Path) -> bool:
-    """Whether a file was closed, its packets are complete and its packet table lists them all (nothing is decoded)."""
+    """Whether a file was closed, its packets are complete and its table lists all (packets are not decoded)."""
     with path.open("rb") as handle:
         header = read_header(handle, str(path))
         if header.table < 0:
@@ -175,9 +175,10 @@ def is_whole(path: Path) -> bool:
 
 
 def decoded(handle: BinaryIO, spans: Iterable[Span], kind: str, compression: int) -> Iterator[Any]:
-    """What each packet holds (aedat4_payloads.content), or a text why it cannot be decoded.
+    """Yield the content of each packet (aedat4_payloads.content), or a text on why it cannot be decoded.
 
-    InputError where events or samples are more than a file of its size holds; a dark image may be packed so well.
+    Raises InputError if events or samples unpack to more than a file of this size can contain. Images are exempt,
+    because a dark image may compress that well.
     """
     size, unpacked = handle.seek(0, 2), 0
     for span in spans:

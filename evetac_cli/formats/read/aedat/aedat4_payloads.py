@@ -1,16 +1,16 @@
-"""What a packet of AEDAT4 holds: decompressed, and read from its flatbuffer by the schemas of dv-processing.
+"""Decompress packets of AEDAT4 and read their flatbuffers by the schemas of dv-processing.
 
     uint32 size, uint32 position of the root table, four letters (the kind), tables, vectors
     EVTS   a vector of structs of 16 bytes: int64 t, int16 x, int16 y, bool on
-    IMUS   a vector of tables: t, temperature, accelerometer, gyroscope, magnetometer, each of three floats
+    IMUS   a vector of tables: t, temperature, and three floats each of accelerometer, gyroscope, magnetometer
     TRIG   a vector of tables: t, int8 source
     FRME   a table: t, four more times, int8 format, int16 width and height, two offsets, a vector of bytes
     FTAB   the packet table: a vector of tables: position of the payload, (stream, size), elements, first and last t
 
-Why not faery or dv-processing: the one raises every time to the latest before it, so a clock that goes back stands
-still without a word, and refuses a whole packet for one event outside the frame; the other loops for ever on some
-damaged packets. A field that a table leaves out is zero. All positions come from the file, so each is checked against
-its end; a ValueError or IndexError says that a packet is damaged.
+Why not faery: it raises every time to the latest before it, so a clock that goes back stops without a message. It also
+refuses a whole packet for one event outside the frame. Why not dv-processing: it loops forever on some damaged packets.
+A field that a table leaves out is zero. All positions come from the file, so each is checked against its end; a
+ValueError or IndexError means that a packet is damaged.
 """
 
 import importlib
@@ -25,20 +25,20 @@ from evetac_cli.errors import missing_extra
 from evetac_cli.formats.read.unpacked_size import most_unpacked_bytes
 
 MOST_BYTES = 1 << 28  # of a packet, decompressed
-LEAST_TABLE_BYTES = 16  # of a vector's table, with where it is: two positions of 4 bytes, and its time or place
-PIECE_BYTES = 1 << 20  # that are decompressed at once: the library takes memory for as many
-PLAIN, LZ4, ZSTD = (0,), (1, 2), (3, 4)  # compressions
+LEAST_TABLE_BYTES = 16  # minimum per table of a vector: two positions of 4 bytes, and its time or position
+PIECE_BYTES = 1 << 20  # decompressed at once: the library allocates this much memory
+PLAIN, LZ4, ZSTD = (0,), (1, 2), (3, 4)  # numbers of the compressions
 EVENT = np.dtype(
     {"names": ["t", "x", "y", "on"], "formats": ["<i8", "<i2", "<i2", "u1"], "offsets": [0, 8, 10, 12], "itemsize": 16}
 )
 AXES = tuple(f"{part}_{axis}" for part in ("accelerometer", "gyroscope", "magnetometer") for axis in "xyz")
-# Fields of the tables in their order: name and type; None where a field is not read as a number.
+# Fields of the tables in order: name and type; None if a field is not read as a number.
 FIELDS: dict[str, tuple[tuple[str, str | None], ...]] = {
     "IMUS": (("t", "<i8"), *((name, "<f4") for name in ("temperature", *AXES))),
     "TRIG": (("t", "<i8"), ("source", "<i1")),
     "FTAB": (("byte_offset", "<i8"), ("packet", None), ("elements_count", "<i8"), ("start_t", "<i8"), ("end_t", "<i8")),
 }
-FORMATS = {0: ("L", 1), 16: ("RGB", 3), 24: ("RGBA", 4)}  # of images: their name, and bytes per pixel
+FORMATS = {0: ("L", 1), 16: ("RGB", 3), 24: ("RGBA", 4)}  # formats of images: name, and bytes per pixel
 # Slots of a frame's table.
 FRAME_T, FRAME_FORMAT, FRAME_WIDTH, FRAME_HEIGHT, FRAME_PIXELS = 0, 5, 6, 7, 10
 
@@ -52,7 +52,7 @@ class ImageFrame(NamedTuple):
 
 
 def check_libraries(where: str) -> None:
-    """MissingLibrary where the libraries are missing that decompress packets."""
+    """Raise MissingLibrary if a library that decompresses packets is not installed."""
     try:
         importlib.import_module("lz4.frame")
         importlib.import_module("zstandard")
@@ -61,11 +61,11 @@ def check_libraries(where: str) -> None:
 
 
 def content(kind: str, compression: int, payload: bytes) -> Any:
-    """The events, samples or rows of a packet as a structured array, or its frame; ValueError where it is damaged."""
+    """Return the events, samples or rows of a packet as a structured array, or its frame; ValueError if damaged."""
     try:
         body = _decompressed(compression, payload)
         if body[8:12] != kind.encode():
-            raise ValueError(f"a packet that does not hold {kind}")
+            raise ValueError(f"a packet does not contain {kind}")
         tables = _Tables(body)
         root = 4 + tables.number("I", 4)
         if kind == "FRME":
@@ -79,7 +79,7 @@ def content(kind: str, compression: int, payload: bytes) -> Any:
 
 
 def _decompressed(compression: int, payload: bytes) -> bytes:
-    """The bytes of a packet; ValueError where they cannot be decompressed, or are too many."""
+    """Return the decompressed bytes of a packet; raise ValueError if that fails or they are too many."""
     import lz4.frame
     import zstandard
 
@@ -93,36 +93,36 @@ def _decompressed(compression: int, payload: bytes) -> bytes:
             while parts[-1] and not decompressor.eof and len(parts) * PIECE_BYTES < most:
                 parts.append(decompressor.decompress(b"", max_length=PIECE_BYTES))
             if not decompressor.eof:
-                raise ValueError("a compressed packet that does not end, or is too large")
+                raise ValueError("a compressed packet does not end, or is too large")
             return b"".join(parts) if len(parts) > 1 else bytes(parts[0])
         body = zstandard.ZstdDecompressor().stream_reader(payload).read(most + 1)
     except (RuntimeError, zstandard.ZstdError, MemoryError) as error:
         raise ValueError(str(error)) from None
     if len(body) > most:
-        raise ValueError("a compressed packet that is too large")
+        raise ValueError("a compressed packet is too large")
     return body
 
 
 class _Tables:
-    """Reads numbers at any bytes of a flatbuffer, one or many at once; IndexError or struct.error outside it."""
+    """Reads numbers at any offset of a flatbuffer, one or many at once; IndexError or struct.error outside it."""
 
     def __init__(self, body: bytes) -> None:
         self.body = body
 
     def number(self, code: str, at: int) -> int:
-        """The number at a byte, by its struct code."""
+        """Return the number at an offset, given its struct code."""
         if at < 0:
-            raise IndexError("before its start")
+            raise IndexError("before the start")
         return int(struct.unpack_from(f"<{code}", self.body, at)[0])
 
     def place(self, table: int, slot: int) -> int:
-        """Where a table has a field; 0 where it leaves it out."""
+        """Return the offset of a table's field; 0 if the table leaves it out."""
         shared = table - self.number("i", table)
         offset = self.number("H", shared + 4 + 2 * slot) if 4 + 2 * slot < self.number("H", shared) else 0
         return table + offset if offset else 0
 
     def vector(self, table: int, slot: int) -> tuple[int, int]:
-        """Where the first element of a vector lies, and how many there are."""
+        """Return the offset of a vector's first element, and the number of elements."""
         at = self.place(table, slot)
         if not at:
             return 0, 0
@@ -130,14 +130,14 @@ class _Tables:
         return start + 4, self.number("I", start)
 
     def numbers(self, dtype: str, at: NDArray[np.int64]) -> NDArray[Any]:
-        """The numbers at many bytes."""
+        """Return the numbers at many offsets."""
         size = np.dtype(dtype).itemsize
         if len(at) and int(at.min()) < 0:
-            raise IndexError("before its start")
+            raise IndexError("before the start")
         return np.ndarray((max(0, len(self.body) - size + 1),), dtype, self.body, strides=(1,))[at]
 
     def places(self, tables: NDArray[np.int64], slot: int) -> NDArray[np.int64]:
-        """Where each of many tables has a field; 0 where it leaves it out."""
+        """Return the offset of a field in each of many tables; 0 if a table leaves it out."""
         shared = tables - self.numbers("<i4", tables)
         has = np.flatnonzero(4 + 2 * slot < self.numbers("<u2", shared))
         offsets = np.zeros(len(tables), np.int64)
@@ -145,7 +145,7 @@ class _Tables:
         return np.where(offsets > 0, tables + offsets, 0)
 
     def values(self, tables: NDArray[np.int64], slot: int, dtype: str) -> NDArray[Any]:
-        """A number of each of many tables; 0 where it leaves it out."""
+        """Return a number of each of many tables; 0 if a table leaves it out."""
         at = self.places(tables, slot)
         values = np.zeros(len(tables), dtype)
         values[at > 0] = self.numbers(dtype, at[at > 0])
@@ -153,9 +153,9 @@ class _Tables:
 
 
 def _rows(tables: _Tables, start: int, count: int, fields: Sequence[tuple[str, str | None]]) -> Any:
-    """A vector of tables as a structured array; ValueError where they are more than have a place of their own."""
+    """Return a vector of tables as a structured array; raise ValueError if the packet is too small for them."""
     if count * LEAST_TABLE_BYTES > len(tables.body):
-        raise ValueError(f"more tables than {len(tables.body):,} bytes hold")
+        raise ValueError(f"{count:,} tables do not fit into {len(tables.body):,} bytes")
     at = (
         np.frombuffer(tables.body, "<u4", count, start) + start + 4 * np.arange(count)
         if count
@@ -181,13 +181,13 @@ def _frame(tables: _Tables, root: int) -> ImageFrame:
         for code, slot in (("q", FRAME_T), ("b", FRAME_FORMAT), ("h", FRAME_WIDTH), ("h", FRAME_HEIGHT))
     )
     if format_ not in FORMATS or width < 0 or height < 0:
-        raise ValueError(f"a frame of {width} x {height} px in format {format_}")
+        raise ValueError(f"a frame has the impossible size or format {width} x {height} px, {format_}")
     name, channels = FORMATS[format_]
     start, count = tables.vector(root, FRAME_PIXELS)
     if count != width * height * channels:
-        raise ValueError(f"{count} bytes of pixels for {width} x {height} px of {channels}")
+        raise ValueError(f"a frame of {width} x {height} px of {channels} bytes has {count} bytes")
     pixels = np.frombuffer(tables.body, np.uint8, count, start) if count else np.empty(0, np.uint8)
     if channels == 1:
         return ImageFrame(t, name, pixels.reshape(height, width))
-    shown = [2, 1, 0, 3][:channels]  # they lie as blue, green, red
+    shown = [2, 1, 0, 3][:channels]  # they are stored as blue, green, red
     return ImageFrame(t, name, np.ascontiguousarray(pixels.reshape(height, width, channels)[:, :, shown]))

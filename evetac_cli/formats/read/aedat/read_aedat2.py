@@ -1,12 +1,12 @@
-"""Read events from AEDAT 2 files, of jAER and v2e: lines that begin with `#`, then words, big-endian.
+"""Read events from AEDAT 2 files of jAER and v2e: lines that begin with `#`, then words, big-endian.
 
     uint32 address, uint32 time in us
-    DVS128    address bits 1-7 column, 8-14 row, 0 polarity (0 is brighter); above that: no pixel
+    DVS128    address bits 1-7 column, 8-14 row, 0 polarity (0 is brighter); higher bits set: not a pixel
     DAVIS     12-21 column, 22-30 row, 11 polarity (1 is brighter), 10 external input; bit 31: frame or IMU
 
-Columns count from the right and rows from the bottom, as jAER's extractors and v2e's writer have it; here both are
-turned round, so that (0, 0) is at the top left. The chip is the one that the line `AEChip` names, or else the one whose
-addresses fit. iniVation's page says the opposite of the polarity of DVS128; jAER and dv-processing read it as here.
+Columns count from the right and rows from the bottom, as in jAER's extractors and v2e's writer. Here both are flipped,
+so that (0, 0) is at the top left. The chip is the one named in the line `AEChip`, otherwise the one whose addresses
+fit. iniVation's page states the opposite polarity for the DVS128; jAER and dv-processing read it as here.
 """
 
 import re
@@ -29,18 +29,18 @@ LINE_LIMIT_BYTES = 1 << 16
 HEAD_LIMIT_BYTES = 1 << 24  # jAER writes all its settings there
 NOT_TEXT = re.compile(rb"[^\t\r\n\x20-\xff]")
 LAST_LINE = b"#End Of ASCII Header"
-# DAVIS: words with bit 31 are samples of frames, or of the IMU where both of these bits are set
+# DAVIS: words with bit 31 are samples of frames, or of the IMU if both bits of IMU are set
 NO_PIXEL, EXTERNAL, IMU = 1 << 31, 1 << 10, 0b11 << 10
 
 
 class Chip(NamedTuple):
-    """How an address is read: shift and mask of column and row, shift of the polarity, and what it is when brighter."""
+    """The layout of an address: shift and mask of column and row, shift of the polarity and its value for ON."""
 
     name: str
     x: tuple[int, int]
     y: tuple[int, int]
     polarity: tuple[int, int]
-    no_pixel: int  # bits that say that a word is no pixel
+    no_pixel: int  # bits that are set if a word is not a pixel
 
 
 DVS128 = Chip("DVS128", (1, 0x7F), (8, 0x7F), (0, 0), 0xFFFF8000)
@@ -51,7 +51,7 @@ GUESSED_PX = (DAVIS_PX["240"], DAVIS_PX["346"], DAVIS_PX["640"])
 
 
 def open_aedat2(path: Path, frame_px: tuple[int, int] | None) -> Foreign:
-    """Events of an AEDAT 2 file; frame_px only for files that name no chip."""
+    """Return the events of an AEDAT 2 file; frame_px is only for files that name no chip."""
     where = str(path)
     with path.open("rb") as handle:
         named, start = _head(handle, where)
@@ -67,19 +67,19 @@ def open_aedat2(path: Path, frame_px: tuple[int, int] | None) -> Foreign:
         f"columns from the right, rows from the bottom, polarity bit {chip.polarity[1]} brighter, time in microseconds"
     )
     if rest:
-        foreign.notes.append(f"cut short: the last {rest} bytes are no whole event")
+        foreign.notes.append(f"cut short: the last {rest} bytes are an incomplete event")
         foreign.cut_short = True
     foreign.batches = _batches(path, start, count, chip, foreign)
     return foreign
 
 
 def _head(handle: BinaryIO, where: str) -> tuple[tuple[Chip, tuple[int, int]] | None, int]:
-    """The chip that the head names, and where the words begin."""
+    """Return the chip named in the head, and the position of the first word."""
     named = None
     start = 0
     while start <= HEAD_LIMIT_BYTES:
         line = handle.readline(LINE_LIMIT_BYTES)
-        # Words may begin with the byte of `#`; lines of text hold no control characters.
+        # Words may begin with the byte of `#`, but lines of text contain no control characters.
         if not line.startswith(b"#") or NOT_TEXT.search(line):
             return named, start
         start += len(line)
@@ -88,11 +88,11 @@ def _head(handle: BinaryIO, where: str) -> tuple[tuple[Chip, tuple[int, int]] | 
             named = _chip(value.strip(), where)
         if line.startswith(LAST_LINE):
             return named, start
-    raise InputError("the head of the file does not end", where=where, found=f"more than {HEAD_LIMIT_BYTES:,} bytes")
+    raise InputError("the header of the file does not end", where=where, found=f"more than {HEAD_LIMIT_BYTES:,} bytes")
 
 
 def _chip(name: str, where: str) -> tuple[Chip, tuple[int, int]]:
-    """The chip by the name of its Java class: `eu.seebetter.ini.chips.davis.DAVIS240C`."""
+    """Return the chip from the name of its Java class, for example `eu.seebetter.ini.chips.davis.DAVIS240C`."""
     last = name.rpartition(".")[2]
     davis = re.match("davis([0-9]{3})", last, re.IGNORECASE)
     if davis and davis[1] in DAVIS_PX:
@@ -100,11 +100,11 @@ def _chip(name: str, where: str) -> tuple[Chip, tuple[int, int]]:
     if re.match("dvs128|tmpdiff128", last, re.IGNORECASE):
         return DVS128, DVS128_PX
     known = ", ".join(["DVS128", *(f"DAVIS{size}" for size in DAVIS_PX)])
-    raise InputError("recorded with a chip that is not read here", where=where, expected=known, found=last[:60])
+    raise InputError("the file is from an unsupported chip", where=where, expected=known, found=last[:60])
 
 
 def _guess_chip(path: Path, start: int, frame_px: tuple[int, int] | None, where: str) -> tuple[Chip, tuple[int, int]]:
-    """The chip whose addresses are those of the file, and the frame that is asked for or the smallest that fits."""
+    """Return the chip whose addresses fit the file, and the requested frame or the smallest that fits."""
     most, width, height = 0, 0, 0
     for words in _words(path, start):
         address = words["address"]
@@ -119,11 +119,11 @@ def _guess_chip(path: Path, start: int, frame_px: tuple[int, int] | None, where:
     fitting = [frame for frame in GUESSED_PX if width <= frame[0] and height <= frame[1]]
     if not fitting:
         raise InputError(
-            "addresses that no chip has which is read here",
+            "the addresses do not fit any supported chip",
             where=where,
             expected="a DVS128, or a DAVIS of up to 640x480",
             found=f"columns up to {width - 1}, rows up to {height - 1}",
-            hint="--frame-size says the frame of another DAVIS",
+            hint="if it is another DAVIS, give its frame with --frame-size",
         )
     return DAVIS, fitting[0]
 
@@ -141,7 +141,7 @@ def _field(address: NDArray[Any], place: tuple[int, int]) -> NDArray[np.int32]:
 
 
 def _batches(path: Path, start: int, count: int, chip: Chip, foreign: Foreign) -> Iterator[EventColumns]:
-    """The events in blocks; at the end `foreign` says what was left out."""
+    """Yield the events in blocks; at the end add left-out data and notes to `foreign`."""
     width, height = foreign.frame_px
     clock, done = Clock((BITS_32,), edges=(BITS_31,)), 0
     left_out = dict.fromkeys(("frame samples", "IMU values", "external events"), 0)

@@ -1,10 +1,11 @@
-"""Read events from AEDAT 3.1 files, of cAER: lines that begin with `#`, then packets, little-endian.
+"""Read events from AEDAT 3.1 files of cAER: lines that begin with `#`, then packets, little-endian.
 
-    int16 type, int16 source, int32 size of an event, place of its time, overflows of the clock, capacity, events, valid
+    int16 type, int16 source, int32 size of an event, offset of its time, overflows of the clock, capacity, events,
+    valid
     type 1    polarity: uint32 (bit 0 valid, 1 polarity, 2-16 row, 17-31 column), int32 time in us of 31 bits
 
-(0, 0) is at the top left. The frame is that of the chip which the line `#Source N:` names. Of a file that was cut or is
-damaged come the events of the packets before that place.
+(0, 0) is at the top left. The frame is that of the chip named in the line `#Source N:`. From a cut or damaged file, the
+events of the packets before the damaged bytes are read.
 """
 
 import re
@@ -29,7 +30,7 @@ EVENT = np.dtype([("data", "<u4"), ("t", "<u4")])
 BATCH_EVENTS = 1 << 18
 SPECIAL, POLARITY, FRAME, IMU6, IMU9 = range(5)
 NAMES = {SPECIAL: "special events", FRAME: "frames", IMU6: "IMU samples", IMU9: "IMU samples"}
-LARGEST_TYPE = 200  # cAER's own are below 20, those of users from 100 on
+LARGEST_TYPE = 200  # cAER's own types are below 20, those of users start at 100
 OVERFLOW_BITS = 31
 FRAMES_PX = (
     ("DVS128", (128, 128)),
@@ -43,7 +44,7 @@ FRAMES_PX = (
 
 
 class PacketHead(NamedTuple):
-    """The head of a packet, and where its events begin in the file."""
+    """The head of a packet, and the position of its events in the file."""
 
     kind: int
     source: int
@@ -55,7 +56,7 @@ class PacketHead(NamedTuple):
 
 
 def open_aedat3(path: Path, frame_px: tuple[int, int] | None) -> Foreign:
-    """Events of the first source that has some; frame_px only for files that name no chip that is known."""
+    """Return the events of the first source that has some; frame_px is only for files that name no known chip."""
     where = str(path)
     with path.open("rb") as handle:
         sources, start = _head(handle, where)
@@ -67,8 +68,8 @@ def open_aedat3(path: Path, frame_px: tuple[int, int] | None) -> Foreign:
     source = min((source for source, kind in counts if kind == POLARITY), default=None)
     if source is None:
         held = ", ".join(f"{count} {NAMES.get(kind, f'events of type {kind}')}" for (_, kind), count in counts.items())
-        holds, hint = (held, NOT_RECORDED) if held else ("no packet that can be read", "")
-        raise InputError("holds no event stream", where=where, found=holds, hint=hint)
+        holds, hint = (held, NOT_RECORDED) if held else ("no readable packet", "")
+        raise InputError("the file has no event stream", where=where, found=holds, hint=hint)
     own_px = next((px for name, px in FRAMES_PX if sources.get(source, "").upper().startswith(name)), None)
     foreign = Foreign("aedat3", choose_frame(own_px, frame_px, where), ())
     foreign.assumed = "rows from the top, polarity bit 1 brighter, time in microseconds"
@@ -86,7 +87,7 @@ def open_aedat3(path: Path, frame_px: tuple[int, int] | None) -> Foreign:
 
 
 def packets_beside(handle: BinaryIO, where: str) -> Iterator[PacketHead]:
-    """The packets of the source whose events are read that hold something else."""
+    """Return the packets without events of the source whose events are read."""
     _, start = _head(handle, where)
     of_source = list(_packets(handle, start))
     source = min((packet.source for packet in of_source if packet.kind == POLARITY), default=None)
@@ -94,7 +95,7 @@ def packets_beside(handle: BinaryIO, where: str) -> Iterator[PacketHead]:
 
 
 def _head(handle: BinaryIO, where: str) -> tuple[dict[int, str], int]:
-    """The sources by their number, and where the packets begin."""
+    """Return the sources by number, and the position of the first packet."""
     sources: dict[int, str] = {}
     end = 0
     while end <= HEAD_LIMIT_BYTES:
@@ -108,14 +109,18 @@ def _head(handle: BinaryIO, where: str) -> tuple[dict[int, str], int]:
         if source := re.match(r"#Source ([0-9]{1,4}): *(\S+)", text):
             sources[int(source[1])] = source[2]
         if (coding := re.match(r"#Format: *(.+)", text)) and coding[1] != "RAW":
-            raise InputError("an AEDAT 3 file in another coding", where=where, expected="RAW", found=coding[1][:60])
+            raise InputError(
+                "this format of AEDAT 3 is not supported", where=where, expected="RAW", found=coding[1][:60]
+            )
         if (version := re.match(r"#!AER-DAT(\S+)", text)) and version[1] != "3.1":
-            raise InputError("an AEDAT 3 file of another version", where=where, expected="3.1", found=version[1][:20])
-    raise InputError("the head of the file does not end", where=where, expected=f"a line {END.decode()}")
+            raise InputError(
+                "this version of AEDAT 3 is not supported", where=where, expected="3.1", found=version[1][:20]
+            )
+    raise InputError("the header of the file does not end", where=where, expected=f"a line {END.decode()}")
 
 
 def _packets(handle: BinaryIO, start: int) -> Iterator[PacketHead]:
-    """Go from packet to packet until one is not complete or makes no sense."""
+    """Yield packet after packet until one is incomplete or invalid."""
     size = handle.seek(0, 2)
     at = start
     while at < size:
@@ -136,7 +141,7 @@ def _packets(handle: BinaryIO, start: int) -> Iterator[PacketHead]:
 
 
 def _batches(path: Path, start: int, source: int, foreign: Foreign) -> Iterator[EventColumns]:
-    """The events of each packet; at the end `foreign` says how many were marked as not valid."""
+    """Yield the events of each packet; at the end count those marked as invalid in `foreign.left_out`."""
     done = invalid = 0
     with path.open("rb") as handle:
         for packet in _packets(handle, start):

@@ -1,4 +1,4 @@
-"""Read events from AEDAT4 files (iniVation): the packets of one stream of events, as far as they are intact."""
+"""Read events from AEDAT4 files (iniVation): the intact packets of one event stream."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -25,11 +25,11 @@ from evetac_cli.formats.read.aedat.aedat4_packets import (
 from evetac_cli.formats.read.aedat.aedat4_payloads import check_libraries
 from evetac_cli.formats.read.event_validation import NOT_RECORDED, EventColumns, Foreign, at_index, choose_frame
 
-BATCH_EVENTS = 1 << 18  # packets hold some thousand each
+BATCH_EVENTS = 1 << 18  # a packet has some thousand events
 
 
 def open_aedat4(path: Path, frame_px: tuple[int, int] | None, stream: str | None = None) -> Foreign:
-    """Events of the stream with this name, or of the first by name; frame_px only for files that do not say theirs."""
+    """Return the events of the named stream, or the first by name; frame_px is only for files that do not state it."""
     where = str(path)
     with path.open("rb") as handle:
         header = read_header(handle, where)
@@ -39,7 +39,9 @@ def open_aedat4(path: Path, frame_px: tuple[int, int] | None, stream: str | None
     foreign = Foreign("aedat4", choose_frame(chosen.frame_px, frame_px, where), ())
     foreign.note = read_note(chosen.note, where) if chosen.note else None
     if others:
-        foreign.notes.append(f"took the event stream {label}; also there: {', '.join(others)} (choose with --stream)")
+        foreign.notes.append(
+            f"read the event stream {label}; the file also has: {', '.join(others)} (choose with --stream)"
+        )
     foreign.left_out |= left_out
     foreign.may_be_empty = packets.whole and header.table >= 0 and not packets.spans
     if not foreign.may_be_empty:
@@ -48,9 +50,9 @@ def open_aedat4(path: Path, frame_px: tuple[int, int] | None, stream: str | None
 
 
 def _left_out(handle: BinaryIO, header: Header, packets: Packets, events: dict[str, int]) -> dict[str, int]:
-    """How much there is of every other stream: by the packet table, else in packets.
+    """Return the amount of data in every other stream: samples if there is a packet table, otherwise packets.
 
-    events: numbers of the streams of events that were not chosen, by their labels.
+    events: numbers of the event streams that were not chosen, by their labels.
     """
     others = {one.number: KINDS.get(one.kind, f"samples of {one.kind}") for one in header.streams if one.kind != "EVTS"}
     others |= {number: f"events of {label}" for label, number in events.items()}
@@ -63,7 +65,7 @@ def _left_out(handle: BinaryIO, header: Header, packets: Packets, events: dict[s
         count = packets.counts.get(number, 0)
         if rows is not None:
             counts[name] += int(rows["elements_count"][rows["track_id"] == number].sum())
-        elif count:  # a packet holds one frame, but many samples
+        elif count:  # a packet has one frame, but many samples
             counts[name if name == KINDS["FRME"] else f"packets of {name}"] += count
     return {name: count for name, count in counts.items() if count > 0}
 
@@ -71,16 +73,16 @@ def _left_out(handle: BinaryIO, header: Header, packets: Packets, events: dict[s
 def _choose(
     handle: BinaryIO, header: Header, wanted: str | None, where: str
 ) -> tuple[str, PacketStream, dict[str, int]]:
-    """Label of the stream, the stream, and the numbers of the other event streams by their labels.
+    """Return the label of the stream, the stream, and the numbers of the other event streams by label.
 
-    A label is the stream's name, with the camera before it (`camera/name`) where the file has several cameras.
+    A label is the stream's name; if the file has several cameras, it is `camera/name`.
     """
     streams = [stream for stream in header.streams if stream.kind == "EVTS"]
     if not streams:
         kinds = dict.fromkeys(KINDS.get(stream.kind, stream.kind) for stream in header.streams)
         held = _left_out(handle, header, walk(handle, header, -1), {})
         raise InputError(
-            f"holds {' and '.join(kinds) or 'no stream at all'} but no event stream",
+            f"the file has {' and '.join(kinds) or 'no streams at all'} but no event stream",
             where=where,
             found=", ".join(f"{name} {count:,}" for name, count in held.items()),
             hint=NOT_RECORDED if held else "",
@@ -89,14 +91,16 @@ def _choose(
     labels = {f"{stream.camera}/{stream.name}" if several else stream.name: stream for stream in streams}
     label = min(labels) if wanted is None else wanted
     if label not in labels:
-        raise InputError("no such event stream", where=where, expected=" or ".join(sorted(labels)), found=label)
+        raise InputError(
+            "the file has no such event stream", where=where, expected=" or ".join(sorted(labels)), found=label
+        )
     return label, labels[label], {other: labels[other].number for other in sorted(set(labels) - {label})}
 
 
 def _batches(path: Path, header: Header, number: int, packets: Packets, foreign: Foreign) -> Iterator[EventColumns]:
-    """Decode as many packets of a stream as can be; at the end `foreign` says what is missing.
+    """Decode all intact packets of a stream; at the end add notes on losses to `foreign`.
 
-    InputError if no packet can be decoded.
+    Raises InputError if no packet can be decoded.
     """
     where = str(path)
     size = path.stat().st_size
@@ -124,13 +128,13 @@ def _batches(path: Path, header: Header, number: int, packets: Packets, foreign:
             total += count
     if not intact:
         lost = f"{size - packets.end} bytes after byte {packets.end}" if not packets.whole else trouble or "no packet"
-        raise InputError("no packet of events can be read: the file is broken", where=where, found=lost)
+        raise InputError("no packet of events can be read: the file is damaged", where=where, found=lost)
     foreign.notes += _damage(header, packets, size, (total, intact, len(spans)), trouble, listed, led_past=led_past)
     foreign.cut_short = intact < len(spans) or (not packets.whole and not led_past) or header.table < 0
 
 
 def _columns(packets: list[Any], first: int) -> EventColumns:
-    """The events of some packets; `first` is the place of the first in the file."""
+    """Return the events of some packets; `first` is the index of the first event in the file."""
     t, x, y, on = (np.concatenate([events[name] for events in packets]) for name in ("t", "x", "y", "on"))
     return EventColumns(t, x.view(np.uint16), y.view(np.uint16), on != 0, partial(at_index, first))
 
@@ -145,17 +149,17 @@ def _damage(
     *,
     led_past: bool,
 ) -> Iterator[str]:
-    """What is wrong with a file, in words; counts: events, packets decoded, packets."""
+    """Yield notes on damage to a file; counts: events, decoded packets, packets."""
     total, intact, count = counts
     if intact < count:
-        yield f"broken file: kept {total} events of {intact} of {count} packets; {trouble}"
+        yield f"damaged file: kept {total} events from {intact} of {count} packets; {trouble}"
     if led_past:
-        yield f"a packet at byte {packets.end} is damaged; the packet table led past it"
+        yield f"a packet at byte {packets.end} is damaged; the packet table gave the position of the next one"
     elif not packets.whole:
         lost = min(size, header.table if header.table >= 0 else size) - packets.end
         word = "damaged" if 0 <= header.table < size else "truncated"
-        yield f"{word} file: kept {total} events of {intact} complete packets; {lost} bytes are lost"
+        yield f"{word} file: kept {total} events from {intact} complete packets; {lost} bytes are lost"
     elif header.table < 0:
-        yield f"the recorder never closed the file: kept {total} events of {intact} packets"
+        yield f"the recorder never closed the file: kept {total} events from {intact} packets"
     elif listed is None and intact == count:
         yield f"the packet table is damaged: read all {intact} packets without it"

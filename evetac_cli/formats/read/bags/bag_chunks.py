@@ -1,9 +1,9 @@
-"""What ROS 1 bags and MCAP files have in common: connections, and chunks of messages that follow each other in a file.
+"""The common part of ROS 1 bags and MCAP files: connections, and consecutive chunks of messages.
 
-Why read here and not by rosbags or mcap: both go by the index at the end of a file, which a recorder that was killed
-never wrote, and leave out, or refuse, what it does not list; and they unpack at once whatever chunks claim the same
-time. So a table of the chunks is made by going from record to record, as it is of AEDAT4, and whatever lies in whole
-chunks is read. What is missing is said in the notes.
+Why this is not left to rosbags or mcap: both skip or refuse data that the index at the end of a file does not list, but
+a recorder that was killed wrote no index. They also unpack all chunks that claim the same time at once. Instead, a
+table of the chunks is built here by walking from record to record, as for AEDAT4, and all complete chunks are read. The
+notes report missing data.
 """
 
 import heapq
@@ -17,18 +17,20 @@ from typing import BinaryIO, NamedTuple
 from evetac_cli.errors import InputError
 from evetac_cli.formats.read.bags.rosbag_unpacking import TooLarge, unpack
 
-MOST_HELD_BYTES = 256 << 20  # of messages that wait for earlier ones of a later chunk
-MOST_RECORD_BYTES = 1 << 24  # of one that is no chunk and no message: a definition has some kB
-RUN_BYTES = 1 << 20  # of messages outside of chunks that are treated as one
+MOST_HELD_BYTES = 256 << 20  # of messages that wait for earlier messages of a later chunk
+MOST_RECORD_BYTES = 1 << 24  # of a record other than chunks and messages: a definition has some kB
+RUN_BYTES = 1 << 20  # of messages outside of chunks that are treated as one chunk
 
 Record = tuple[int, int, bytes | memoryview]  # number of the connection, time of reception in ns, message
 
 
 class Connection(NamedTuple):
-    """A topic with the type of its messages, as one file has it.
+    """A topic of one file with the type of its messages.
 
-    number: within the file. msgtype: as `package/msg/Name`. encoding: of the messages; cdr is that of ROS 2, ros1 that
-    of ROS 1. definition: of the type, as text, and digest: its checksum in ROS 1; each empty where it is not known.
+    - number: within the file
+    - msgtype: as `package/msg/Name`
+    - encoding: of the messages; cdr in ROS 2, ros1 in ROS 1
+    - definition, digest: of the type, as text, and its checksum in ROS 1; each empty if it is unknown
     """
 
     number: int
@@ -41,28 +43,28 @@ class Connection(NamedTuple):
 
     @property
     def ros2(self) -> bool:
-        """Whether its messages are packed as ROS 2 does."""
+        """Whether its messages have the encoding of ROS 2."""
         return self.encoding == "cdr"
 
 
 class BagChunk(NamedTuple):
-    """Where the content of a chunk is in the file, how it is packed, and which messages it holds.
+    """The position of a chunk's content in the file, its compression, and the messages in it.
 
-    counts: messages by the number of their connection; None where the file does not say it.
+    counts: messages by the number of their connection; None if the file does not state them.
     """
 
     at: int
     size: int
     packing: str
     unpacked: int
-    crc: int  # of what was unpacked; 0: not known
+    crc: int  # of the unpacked content; 0: unknown
     start_ns: int
     counts: dict[int, int] | None
 
 
 @dataclass
 class Table:
-    """What a file holds, and what is known to be missing: in notes, and whether its end is."""
+    """The contents of a file, notes on missing data, and whether data is known to be missing."""
 
     connections: dict[int, Connection] = field(default_factory=dict)
     chunks: list[BagChunk] = field(default_factory=list)
@@ -71,19 +73,19 @@ class Table:
 
 
 class ChunkedFile:
-    """A file of chunks: its table, and its messages. Formats say how records are found in a file and in a chunk."""
+    """A file of chunks: its table, and its messages. Subclasses find the records in a file and in a chunk."""
 
     def __init__(self, path: Path, where: str) -> None:
-        """Read the table; InputError where the file holds no message that can be read, though it is not whole.
+        """Read the table; raise InputError if the file is incomplete and has no readable message.
 
-        where: what the user calls the file.
+        where: the file's name in messages.
         """
         self.path, self.where = path, where
         self.table = Table()
-        self.stated: int | None = None  # messages, as the file says
+        self.stated: int | None = None  # number of messages that the file states
         self._run: BagChunk | None = None  # of messages outside of chunks
-        self._listed: list[int] | None = None  # where chunks begin, by the index of the file
-        self._damages: list[tuple[int, int]] = []  # from which byte on, and how many
+        self._listed: list[int] | None = None  # positions of chunks in the index of the file
+        self._damages: list[tuple[int, int]] = []  # position and number of damaged bytes
         with path.open("rb") as file:
             size = file.seek(0, 2)
             end, closed = self._walk(file, size)
@@ -98,9 +100,9 @@ class ChunkedFile:
         ]
 
     def messages(self, numbers: Collection[int], lost: Counter[str]) -> Iterator[Record]:
-        """All messages of some connections, in the order of their reception; what is broken is counted in `lost`.
+        """Yield all messages of some connections in order of reception; damaged chunks are counted in `lost`.
 
-        Chunks overlap in time. A message waits until no later chunk can hold an earlier one, or until too many wait.
+        Chunks overlap in time. A message waits until no later chunk can contain an earlier one, or too many wait.
         """
         waiting: list[tuple[int, int, int, bytes]] = []
         held = count = 0
@@ -128,22 +130,22 @@ class ChunkedFile:
             yield number, time_ns, message
 
     def _walk(self, file: BinaryIO, size: int) -> tuple[int, bool]:
-        """Fill the table from record to record; returns where the last whole one ends, and whether the file is closed.
+        """Fill the table record by record; return the end of the last complete one, and whether the file was closed.
 
-        InputError for what cannot be read at all.
+        Raises InputError for a file that cannot be read at all.
         """
         raise NotImplementedError
 
     def _records(self, content: bytes) -> Iterator[Connection | Record]:
-        """The connections and messages of a chunk that was unpacked; ValueError where it is damaged."""
+        """Yield the connections and messages of an unpacked chunk; raise ValueError if it is damaged."""
         raise NotImplementedError
 
     def _crc(self, content: bytes) -> int:
-        """The checksum of a chunk, as the format has it."""
+        """Return the checksum of a chunk's content as the format defines it."""
         raise NotImplementedError
 
     def _take_message(self, at: int, size: int, number: int, time_ns: int) -> None:
-        """A message outside of chunks: it joins those right before it, and they count as a chunk."""
+        """Add a message outside of chunks: it is joined with the messages right before it, as one chunk."""
         run = self._run
         if run is None or run.at + run.size != at or run.size + size > RUN_BYTES:
             self._end_run()
@@ -163,7 +165,7 @@ class ChunkedFile:
         self.table.chunks.append(chunk)
 
     def _take_index(self, number: int, count: int, start_ns: int | None = None) -> None:
-        """How many messages of a connection the last chunk holds, and when the first of them came."""
+        """Store the number of messages of a connection in the last chunk, and the time of the first."""
         if not self.table.chunks:
             return
         chunk = self.table.chunks[-1]
@@ -173,12 +175,12 @@ class ChunkedFile:
         self.table.chunks[-1] = chunk._replace(counts={**(chunk.counts or {}), number: count})
 
     def _distrust_last_index(self) -> None:
-        """Of the last chunk before a damage some indexes may be missing: it is looked into."""
+        """Mark the last chunk before damaged bytes to be counted: some of its indexes may be missing."""
         if self.table.chunks:
             self.table.chunks[-1] = self.table.chunks[-1]._replace(counts=None)
 
     def _past(self, at: int, listed: Callable[[], Iterable[int]]) -> int | None:
-        """Where the next chunk after a damage begins, by the index of the file; None where it names none."""
+        """Return the begin of the next chunk after damaged bytes, from the index of the file; None without an entry."""
         if self._listed is None:
             self._listed = sorted(set(listed()))
         following = bisect_right(self._listed, at)
@@ -196,11 +198,11 @@ class ChunkedFile:
             raise ValueError("the file has become shorter")
         content = unpack(chunk.packing, packed, chunk.unpacked)
         if chunk.crc and self._crc(content) != chunk.crc:
-            raise ValueError("its checksum is another one")
+            raise ValueError("the checksum does not match")
         return content
 
     def _count(self, file: BinaryIO) -> Counter[str]:
-        """Look into chunks of which the file does not say what they hold; what is broken is left out and counted."""
+        """Count the messages of chunks that the file does not index; damaged chunks are removed and counted."""
         broken: Counter[str] = Counter()
         whole: list[BagChunk] = []
         for chunk in self.table.chunks:
@@ -234,16 +236,18 @@ class ChunkedFile:
             raise InputError(message, where=self.where, found=held)
         if self._damages:
             sizes = f"{sum(size for _, size in self._damages):,} bytes, the first at byte {self._damages[0][0]:,}"
-            table.notes.append(f"damaged: lost {sizes}; the file's index led past the damage")
+            table.notes.append(f"damaged: lost {sizes}; reading continued after them with the file's index")
         if broken:
-            table.notes.append(f"chunks that are damaged and cannot be read: {broken.total():,} ({next(iter(broken))})")
+            table.notes.append(f"left out {broken.total():,} damaged chunks ({next(iter(broken))})")
         if not closed and lost_bytes:
             table.notes.append(
-                f"cut short or damaged: kept {count:,} messages, those in complete chunks;"
+                f"cut short or damaged: kept {count:,} messages of complete chunks;"
                 f" the last {lost_bytes:,} bytes are lost"
             )
         elif not closed:
-            table.notes.append(f"the bag was not closed, as if its recorder was killed: kept {count:,} messages")
+            table.notes.append(
+                f"the bag was not closed, probably because its recorder was killed: kept {count:,} messages"
+            )
         elif self.stated is not None and self.stated != count and not broken and not self._damages:
             table.notes.append(f"the file states {self.stated:,} messages but has {count:,}")
         table.cut_short = not closed or bool(broken) or bool(self._damages)

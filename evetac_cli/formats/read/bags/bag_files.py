@@ -1,8 +1,8 @@
-"""The files of a bag: which there are, and each in a form that can be read, without a change to any of them.
+"""Find the files of a bag, and make each readable without changing any of them.
 
-What lies beside a file may belong to it. A recorder of ROS 2 that was killed leaves messages in `NAME.db3-wal`, which
-SQLite joins to the file when it opens it for writing; so such a file is copied, and the copy joined. A bag in several
-files is read as one where its folder is named, and the notes name what lies beside a file that is named by itself.
+Files next to a bag's file may belong to it. A ROS 2 recorder that was killed leaves messages in `NAME.db3-wal`. SQLite
+merges them when it opens the file for writing; so such a file is copied, and they are merged into the copy. A bag of
+several files is read as one if its folder is given. If a single file is given, the notes list the files next to it.
 """
 
 import os
@@ -30,19 +30,19 @@ from evetac_cli.text_files import open_regular, read_bytes
 
 ZSTD = b"\x28\xb5\x2f\xfd"
 METADATA = "metadata.yaml"
-MOST_METADATA_BYTES = 1 << 20  # a topic takes a few hundred
+MOST_METADATA_BYTES = 1 << 20  # a topic takes a few hundred bytes
 BAGS: dict[bytes, Callable[[Path, str], ChunkedFile | Db3File]] = {
     db3_rows.MAGIC: Db3File,
     mcap_records.MAGIC: McapFile,
     rosbag1_records.MAGIC: Rosbag1File,
 }
-ENDINGS = (".db3", ".mcap")  # of the files of a folder, packed or not
+ENDINGS = (".db3", ".mcap")  # of the files in a bag's folder; `.zstd` may follow
 PART = re.compile(r"(.*?)(?:[-_]\d{4}(?:-\d\d){5})?_(\d+)(\.bag(?:\.active)?|\.db3|\.mcap)(\.zstd)?")
 MOST_NAMED = 8
 
 
 class Files(NamedTuple):
-    """The files of a bag in their order, notes on them, and how many messages the folder says that they hold."""
+    """The files of a bag in order, notes on them, and the number of messages that the folder's metadata state."""
 
     paths: list[Path]
     notes: list[str]
@@ -50,16 +50,16 @@ class Files(NamedTuple):
 
 
 def is_bag_folder(path: Path) -> bool:
-    """Whether this folder is a bag of ROS 2, with or without its metadata.yaml, which comes last."""
+    """Whether this folder is a ROS 2 bag; its metadata.yaml, which is written last, may be missing."""
     return (path / METADATA).is_file() or bool(_inside(path))
 
 
 def files_of(path: Path) -> Files:
-    """The files of a bag, named by its folder or by one of them; InputError where some are not there."""
+    """Return the files of a bag, given its folder or one of its files; raise InputError if some are missing."""
     if not path.is_dir():
         open_regular(path).close()
         others = _parts_beside(path)
-        more = f"beside it: {_named(others)}, which may be parts of the same recording" if others else ""
+        more = f"next to it: {_named(others)}, which may be parts of the same recording" if others else ""
         return Files([path], [more] if more else [])
     for inside in sorted(path.iterdir()):
         if not inside.is_dir():
@@ -70,17 +70,20 @@ def files_of(path: Path) -> Files:
             return listed
         note = f"{METADATA} cannot be used ({trouble})"
     else:
-        note = f"there is no {METADATA} (a recorder that was killed writes none)"
+        note = f"the folder has no {METADATA} (a recorder that was killed does not write it)"
     files = _inside(path)
     if not files:
-        raise InputError(
-            "the folder holds no file of a bag", where=str(path), expected=" or ".join(ENDINGS), found=note
-        )
+        raise InputError("the folder has no file of a bag", where=str(path), expected=" or ".join(ENDINGS), found=note)
     names = [name for file in files if (name := PART.fullmatch(file.name))]
     numbered = {int(name[2]): path / name[0] for name in names}
     if len(files) > 1 and (len(numbered) < len(files) or len({name[1] for name in names}) > 1):
-        hint = f"name one of them, as in {path / files[0].name}"
-        raise InputError("which file of the folder is the bag?", where=str(path), found=_named(files), hint=hint)
+        hint = f"give one of them, for example {path / files[0].name}"
+        raise InputError(
+            "the folder has several files that are not parts of one bag",
+            where=str(path),
+            found=_named(files),
+            hint=hint,
+        )
     if len(files) > 1:
         numbers = (number for number in range(min(numbered), max(numbered)) if number not in numbered)
         if lacking := list(islice(numbers, MOST_NAMED)):
@@ -90,14 +93,14 @@ def files_of(path: Path) -> Files:
 
 
 def opened(path: Path, where: str) -> tuple[ChunkedFile | Db3File, list[str], bool]:
-    """A file of a bag with its table, notes on how it came to be readable, and whether something of it is missing."""
+    """Return a file of a bag with its table, notes on how it was made readable, and whether data is missing."""
     stamps = tuple(_stamp(one) for one in (path, *_beside(path)))
     readable = _readable(path, stamps, where)
     return _table(readable.path, stamps, where), readable.notes, readable.cut_short
 
 
 class _Readable:
-    """A file that can be read as it is, or the copy of one, which is gone with this object."""
+    """A file that can be read as it is, or a copy of it that is removed with this object."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -105,7 +108,7 @@ class _Readable:
         self.cut_short = False
 
     def copy(self) -> Path:
-        """Where the copy is to be; those that processes left that no longer live are removed."""
+        """Return the path for the copy in a new temporary folder; remove folders left by processes that have ended."""
         name = temporary_name(Path(gettempdir()) / "evetac-bag").name
         folder = mkdtemp(prefix=name.removesuffix("tmp"), suffix=".tmp")
         weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
@@ -115,7 +118,7 @@ class _Readable:
 
 @lru_cache(maxsize=2)
 def _readable(path: Path, stamps: tuple[Any, ...], where: str) -> _Readable:
-    """The file, or what comes of unpacking it, of joining what waits beside it, or of leaving out half a page."""
+    """Return the file itself, or a copy: unpacked, merged with SQLite's files next to it, or without a half page."""
     readable = _Readable(path)
     size = stamps[0][1]
     with open_regular(path) as file:
@@ -124,7 +127,7 @@ def _readable(path: Path, stamps: tuple[Any, ...], where: str) -> _Readable:
         if head.startswith(ZSTD):
             with readable.copy().open("w+b") as target:
                 if not unpack_file(file, size, target):
-                    readable.notes.append("the packed file ends early")
+                    readable.notes.append("the compressed file is cut short")
                     readable.cut_short = True
                 target.flush()
                 size = os.fstat(target.fileno()).st_size
@@ -144,30 +147,30 @@ def _readable(path: Path, stamps: tuple[Any, ...], where: str) -> _Readable:
     for one in beside:
         shutil.copyfile(one, f"{readable.path}{one.name.removeprefix(path.name)}")
     if (path, *beside) != (path, *_beside(path)) or tuple(_stamp(one) for one in (path, *beside)) != stamps:
-        raise InputError("the bag is being written", where=where, hint="stop the recorder first")
+        raise InputError("the bag is still being written", where=where, hint="stop the recorder first")
     names = " and ".join(f"{one.name} ({one.stat().st_size:,} bytes)" for one in beside)
     if beside and (lost := joined(readable.path, where)):
         readable.notes.append(f"part of {names} is lost: {lost}")
         readable.cut_short = True
     elif beside:
-        readable.notes.append(f"read together with {names} beside it, as SQLite does")
+        readable.notes.append(f"read together with {names} next to it, as SQLite does")
     return readable
 
 
 def _half_page(head: bytes, size: int) -> int:
-    """Bytes at the end of a database that are an incomplete page: SQLite would take what is missing of it for zeros."""
+    """Return the size of an incomplete page at the end of a database; SQLite would read its missing bytes as zeros."""
     return size % db3_rows.page_bytes(head) if head.startswith(db3_rows.MAGIC) else 0
 
 
 @lru_cache(maxsize=16)
 def _table(path: Path, stamps: tuple[Any, ...], where: str) -> ChunkedFile | Db3File:
-    """The table of a file that the user calls `where`: made once, as long as the file stays the same."""
+    """Return the table of a file, cached as long as the file does not change; `where`: the name in messages."""
     del stamps
     with path.open("rb") as file:
         head = file.read(max(map(len, BAGS)))
     reader = next((reader for begins, reader in BAGS.items() if head.startswith(begins)), None)
     if reader is None:
-        expected = "a file of SQLite, MCAP or ROS 1"
+        expected = "SQLite (.db3), MCAP or a ROS 1 bag"
         raise InputError("not a file of a bag", where=where, expected=expected, found=f"begins with {head[:13]!r}")
     return reader(path, where)
 
@@ -178,7 +181,7 @@ def _stamp(path: Path) -> tuple[str, int, int, int]:
 
 
 def _beside(path: Path) -> list[Path]:
-    """What SQLite left beside a file, as far as something is in it."""
+    """Return the files that SQLite left next to a file, if they are not empty."""
     beside = [path.with_name(path.name + ending) for ending in (WAL, JOURNAL)]
     left = [one for one in beside if one.exists()]
     for one in left:
@@ -187,14 +190,14 @@ def _beside(path: Path) -> list[Path]:
 
 
 def _inside(folder: Path) -> list[Path]:
-    """The files of a folder that can be those of a bag, by their names."""
+    """Return the files of a folder whose names can be those of a bag's files."""
     names = sorted(one for one in folder.iterdir() if one.name.removesuffix(".zstd").endswith(ENDINGS))
-    # A recorder that was killed while it packed a file leaves both.
+    # A recorder that was killed while it compressed a file leaves both files.
     return [one for one in names if not one.is_dir() and not (one.suffix == ".zstd" and one.with_suffix("") in names)]
 
 
 def _parts_beside(path: Path) -> list[Path]:
-    """Files beside one that carry its name with another number, or that its folder's metadata list with it."""
+    """Return files next to one that have its name with another number, or that the folder's metadata list too."""
     part = PART.fullmatch(path.name)
     others: set[Path] = set()
     if part:
@@ -202,14 +205,14 @@ def _parts_beside(path: Path) -> list[Path]:
             other = PART.fullmatch(one.name)
             if other and other[1] == part[1] and other[3][:4] == part[3][:4]:
                 others.add(one)
-    with suppress(InputError):  # metadata that lie beside it are not those of its bag
+    with suppress(InputError):  # the metadata next to it may be those of another bag
         listed = _listed(path.parent)[0] if (path.parent / METADATA).exists() else None
         others |= set(listed.paths) if listed is not None and path in listed.paths else set()
     return sorted(others - {path})
 
 
 def _listed(folder: Path) -> tuple[Files | None, str]:
-    """The files that the folder's metadata list; None, and why, where these cannot be used."""
+    """Return the files that the folder's metadata list; None and the reason if the metadata cannot be used."""
     from ruamel.yaml import YAML
 
     text = read_bytes(folder / METADATA, MOST_METADATA_BYTES)
@@ -220,10 +223,10 @@ def _listed(folder: Path) -> tuple[Files | None, str]:
         stated = about.get("message_count")
     except RecursionError:
         return None, "nested too deeply"
-    except Exception as error:  # the parser of YAML and what it makes of a text raise anything
+    except Exception as error:  # the YAML parser, and access to what it returns, raise all kinds of exceptions
         return None, (str(error).strip().splitlines() or [type(error).__name__])[0][:100]
     if not names:
-        return None, "it lists no file"
+        return None, "it lists no files"
     if packed not in ("", "none", "zstd"):
         raise InputError(
             "the compression of the bag is not supported",
@@ -236,7 +239,7 @@ def _listed(folder: Path) -> tuple[Files | None, str]:
     if missing:
         raise _missing(folder, missing, inside)
     more = [one for one in inside if one.name not in names]
-    note = f"not read: {_named(more)}, which {METADATA} does not list; name it to read it" if more else ""
+    note = f"not read: {_named(more)}, which {METADATA} does not list; give the file itself to read it" if more else ""
     paths = [folder / name for name in dict.fromkeys(names)]
     return Files(paths, [note] if note else [], stated if type(stated) is int else None), ""
 
@@ -247,7 +250,7 @@ def _missing(folder: Path, missing: list[str], inside: list[Path]) -> InputError
         where=str(folder),
         expected=", ".join(missing[:MOST_NAMED]),
         found=_named(inside) or "no file of a bag",
-        hint=f"copy it into the folder; each part can be named by itself, as in {inside[0]}" if inside else "",
+        hint=f"copy it into the folder, or import each part separately, for example {inside[0]}" if inside else "",
     )
 
 

@@ -1,11 +1,11 @@
-"""What SQLite leaves beside a database that was not closed: joined to a copy of it, and what of it is lost.
+"""Merge the files that SQLite leaves next to an unclosed database into a copy of it, and report losses.
 
-    NAME-wal       pages that were written and not yet copied into the file: a head of 32 bytes, then frames, each of 24
+    NAME-wal       pages that were written but not yet copied into the file: a head of 32 bytes, then frames, each of 24
                    bytes and a page; https://www.sqlite.org/walformat.html
-    NAME-journal   pages as they were before a transaction that was not finished, to be put back
+    NAME-journal   pages as they were before an unfinished transaction, to be restored
 
-SQLite joins both when it opens a database for writing, so that is done with a copy. It takes what is whole and says
-nothing of the rest.
+SQLite merges both when it opens a database for writing, so this is done with a copy. SQLite uses the complete pages and
+does not report the rest.
 """
 
 import sqlite3
@@ -20,19 +20,19 @@ FRAMES_AT = 32
 PAGE_BYTES_AT, SALTS_AT = 8, 16  # in the head of -wal
 FRAME = struct.Struct(">IIQ")  # page, pages of the file if a transaction ends here, the salts of the head
 FRAME_HEAD_BYTES = 24
-OTHER_NAME = bytes.fromhex("d9d505f920a163d7")  # how a journal ends that names another file
+OTHER_NAME = bytes.fromhex("d9d505f920a163d7")  # end of a journal that names another file
 
 
 def joined(copy: Path, where: str) -> str:
-    """Join to the copy of a database what waits beside it; returns what of that is lost, in words.
+    """Merge the files next to the copy of a database into it; return a text on what is lost.
 
-    InputError for a journal that names another file, as those of several databases at once do, and no bag's: SQLite
-    would remove that file, whatever it is.
+    Raises InputError for a journal that names another file, because SQLite would delete that file. Journals of
+    transactions over several databases do so; a bag's journal does not.
     """
     journal, wal = (Path(f"{copy}{ending}") for ending in (JOURNAL, WAL))
     has_journal, has_wal = journal.exists(), wal.exists()
     if has_journal and _names_another(journal):
-        raise InputError("the journal beside the bag names another file", where=where, found=f"NAME{JOURNAL}")
+        raise InputError("the journal next to the bag names another file", where=where, found=f"NAME{JOURNAL}")
     try:
         with closing(sqlite3.connect(copy)) as database:
             database.execute("SELECT count(*) FROM sqlite_master").fetchone()
@@ -44,7 +44,7 @@ def joined(copy: Path, where: str) -> str:
                 lost = lost or ("" if check == "ok" else str(check).splitlines()[0][:100])
     except sqlite3.DatabaseError as error:
         return str(error)
-    return lost or ("" if mode == "delete" and frames == done else "SQLite does not join all of it")
+    return lost or ("" if mode == "delete" and frames == done else "SQLite could not merge all of it")
 
 
 def _names_another(journal: Path) -> bool:
@@ -56,9 +56,9 @@ def _names_another(journal: Path) -> bool:
 
 
 def _lost_frames(wal: Path, taken: int) -> str:
-    """What SQLite did not take of a `-wal` though it was finished, in words.
+    """Return a text on finished transactions of a `-wal` that SQLite did not use.
 
-    Frames of an earlier turn, which have other salts, and of a transaction that was not finished, are none of it.
+    Frames of an earlier use of the file, which have other salts, and of an unfinished transaction are not counted.
     """
     size = wal.stat().st_size
     with wal.open("rb") as file:
@@ -74,8 +74,8 @@ def _lost_frames(wal: Path, taken: int) -> str:
             page, pages, of = FRAME.unpack(file.read(FRAME.size))
             finished += (pages > 0 and of == salts) or not page
     if not taken and size > FRAMES_AT:
-        return "SQLite finds nothing complete in it"
+        return "SQLite finds no complete transaction in it"
     if finished:
-        return f"SQLite stops at a damage, with {finished:,} transactions or empty pages behind it"
+        return f"SQLite stops at damaged bytes, with {finished:,} transactions or empty pages after them"
     rest = (size - FRAMES_AT) % step
     return f"its last {rest:,} bytes are an incomplete page" if rest else ""

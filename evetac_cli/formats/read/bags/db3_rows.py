@@ -1,9 +1,9 @@
-"""Files of ROS 2 in SQLite (`.db3`), whole or cut: their rows, by the library of Python.
+"""Read the rows of ROS 2 bags in SQLite (`.db3`), complete or cut, with Python's sqlite3.
 
-Why not by rosbags: it opens them so that SQLite overlooks what waits beside a file, and reads them in the order of an
-index, which a recorder that was killed may have left without the last rows. Here the table itself is read, never an
-index; of a file that is cut or damaged, from both ends as far as its pages are there. A value of the file is taken only
-for what it must be, no function of the file's own is run, and the file is never written to.
+Why not with rosbags: it opens files in a mode in which SQLite ignores the files next to them. It also reads in the
+order of an index, in which a recorder that was killed may not have listed the last rows. Here the table itself is read,
+never an index; a cut or damaged file is read from both ends as far as its pages exist. The types of all values are
+checked, no function defined in the file is executed, and the file is never written to.
 """
 
 import sqlite3
@@ -22,7 +22,7 @@ from evetac_cli.formats.read.bags.bag_chunks import Connection, Record, Table
 
 MAGIC = b"SQLite format 3\x00"
 MOST_VALUE_BYTES = 512 << 20  # of a message
-HEAD_BYTES, PAGE_BYTES_AT, PAGES_AT = 100, 16, 28  # of the head of the file, and in it
+HEAD_BYTES, PAGE_BYTES_AT, PAGES_AT = 100, 16, 28  # size of the file's head, and offsets in it
 ROWS_AT_ONCE = 1 << 16
 MESSAGES_AT_ONCE = 16
 READS = {sqlite3.SQLITE_SELECT, sqlite3.SQLITE_READ}
@@ -34,7 +34,7 @@ class Db3File:
     """A file of SQLite: its connections, and its messages."""
 
     def __init__(self, path: Path, where: str) -> None:
-        """Read which messages there are; InputError where that cannot be read. where: what the user calls the file."""
+        """Read the list of messages; raise InputError if it cannot be read. where: the file's name in messages."""
         self.path, self.where = path, where
         self.table = Table()
         try:
@@ -48,7 +48,7 @@ class Db3File:
         self.connections = [one for _, one in sorted(self.table.connections.items())]
 
     def messages(self, numbers: Collection[int], lost: Counter[str]) -> Iterator[Record]:
-        """All messages of some connections, in the order of their reception; what is broken is counted in `lost`."""
+        """Yield all messages of some connections in order of reception; damaged ones are counted in `lost`."""
         rows = self._rows[np.isin(self._rows["topic"], list(numbers))]
         rows = rows[np.argsort(rows["time_ns"], kind="stable")]
         with closing(self._connected(salvage=self.table.cut_short)) as database:
@@ -61,19 +61,19 @@ class Db3File:
                         yield number, time_ns, content
 
     def _connected(self, *, salvage: bool) -> sqlite3.Connection:
-        """The file, open for reading alone; with `salvage` also where it is shorter than it says."""
+        """Open the file read-only; with `salvage` also if it is shorter than its head states."""
         uri = f"file:{quote(str(self.path.resolve()))}?mode=ro&immutable=1"
         database = sqlite3.connect(uri, uri=True)
         database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MOST_VALUE_BYTES)
         database.execute("PRAGMA trusted_schema = OFF")
         if salvage:
-            database.execute("PRAGMA writable_schema = ON")  # in memory alone: it lets SQLite open a file that was cut
+            database.execute("PRAGMA writable_schema = ON")  # only in memory: it lets SQLite open a file that was cut
         database.execute("SELECT count(*) FROM sqlite_master").fetchone()
         database.set_authorizer(_allowed)
         return database
 
     def _read(self, *, salvage: bool, trouble: str = "") -> None:
-        """Fill the table of what there is."""
+        """Fill the table with the connections and rows that can be read."""
         try:
             with closing(self._connected(salvage=salvage)) as database:
                 self._check_tables(database)
@@ -89,24 +89,24 @@ class Db3File:
             raise self._unreadable(trouble)
         missing = _missing_bytes(self.path)
         lost = f"; {missing:,} bytes at its end are missing" if missing > 0 else ""
-        kept = f"kept {len(self._rows):,} messages" + ("" if whole else ", those that can still be reached")
+        kept = f"kept {len(self._rows):,} messages" + ("" if whole else ", all that can still be read")
         self.table.notes.append(f"cut short or damaged ({trouble}): {kept}{lost}")
         self.table.cut_short = True
 
     def _unreadable(self, trouble: str) -> InputError:
         missing = _missing_bytes(self.path)
         said = trouble + (f"; {missing:,} bytes at its end are missing" if missing > 0 else "")
-        hint = "copy it again, if it is longer where it was recorded" if missing > 0 else ""
+        hint = "if the original is longer, copy it again" if missing > 0 else ""
         return InputError("no message of the database can be read", where=self.where, found=said, hint=hint)
 
     def _check_tables(self, database: sqlite3.Connection) -> None:
-        """InputError unless topics and messages are plain tables: a view or a virtual one could be anything."""
+        """Raise InputError unless topics and messages are plain tables; a view or virtual table could be anything."""
         rows = database.execute("SELECT name, type, rootpage FROM sqlite_master").fetchall()
         kinds = {str(name): (kind, page) for name, kind, page in rows if kind in ("table", "view")}
         tables = {name: kinds.get(name, ("", 0)) for name in ("topics", "messages")}
         if any(kind != "table" or not page for kind, page in tables.values()):
             names = ", ".join(sorted(kinds))[:200] or "no table"
-            raise InputError("not a bag of ROS 2", where=self.where, expected="tables topics, messages", found=names)
+            raise InputError("not a ROS 2 bag", where=self.where, expected="tables topics and messages", found=names)
         self._has_definitions = kinds.get("message_definitions", ("", 0))[0] == "table"
 
     def _topics(self, database: sqlite3.Connection) -> Iterator[Connection]:
@@ -116,7 +116,7 @@ class Db3File:
             definitions = {str(kind): str(text) for kind, how, text in database.execute(query) if how == DEFINED_AS}
         for number, name, kind, encoding in database.execute("SELECT id, name, type, serialization_format FROM topics"):
             if not isinstance(number, int):
-                raise InputError("a topic without a number", where=self.where, found=str(number)[:40])
+                raise InputError("the id of a topic is not a number", where=self.where, found=str(number)[:40])
             yield Connection(number, str(name), str(kind), str(encoding), definitions.get(str(kind), ""))
 
 
@@ -124,9 +124,9 @@ ROW = np.dtype([("row", "<i8"), ("topic", "<i8"), ("time_ns", "<i8")])
 
 
 def _rows(database: sqlite3.Connection, *, salvage: bool) -> tuple[NDArray[Any], bool]:
-    """Place, topic and time of every message, in the order of the file, and whether these are all.
+    """Return row id, topic and time of every message, in the file's order, and whether these are all.
 
-    With `salvage` from the first on as far as it goes, and then from the last one back.
+    With `salvage`, rows are read from the first as far as possible, and then from the last one backwards.
     """
     rows, error = _scanned(database, "ASC")
     if error is None:
@@ -140,7 +140,7 @@ def _rows(database: sqlite3.Connection, *, salvage: bool) -> tuple[NDArray[Any],
 
 
 def _scanned(database: sqlite3.Connection, order: str) -> tuple[NDArray[Any], sqlite3.DatabaseError | None]:
-    """Rows in the order of their place until one cannot be read; then that error too."""
+    """Return rows in order of their row id until one cannot be read, and that error, if any."""
     parts: list[NDArray[Any]] = [np.empty(0, ROW)]
     some: list[tuple[int, int, int]] = []
     trouble = None
@@ -158,13 +158,13 @@ def _scanned(database: sqlite3.Connection, order: str) -> tuple[NDArray[Any], sq
 
 
 def page_bytes(head: bytes) -> int:
-    """How large the pages of a file are, by its head; 1 where that makes no sense."""
+    """Return the page size that a file's head states; 1 if it is invalid."""
     size = int.from_bytes(head[PAGE_BYTES_AT : PAGE_BYTES_AT + 2])
     return 1 << 16 if size == 1 else max(1, size)
 
 
 def _contents(database: sqlite3.Connection, rows: list[int], lost: Counter[str]) -> dict[int, Any]:
-    """The messages in some rows; those that cannot be read are counted in `lost`."""
+    """Return the messages in some rows; those that cannot be read are counted in `lost`."""
     marks = ", ".join("?" * len(rows))
     try:
         contents = dict(database.execute(f"SELECT rowid, data FROM messages WHERE rowid IN ({marks})", rows))
@@ -175,12 +175,12 @@ def _contents(database: sqlite3.Connection, rows: list[int], lost: Counter[str])
         return {}
     odd = sum(not isinstance(contents.get(row), bytes) for row in rows)
     if odd:
-        lost["a row without a message"] += odd
+        lost["a row has no message"] += odd
     return contents
 
 
 def _missing_bytes(path: Path) -> int:
-    """By how much a file is shorter than its head says."""
+    """Return the bytes by which a file is shorter than its head states."""
     with path.open("rb") as file:
         head = file.read(HEAD_BYTES)
         size = file.seek(0, 2)
@@ -188,6 +188,6 @@ def _missing_bytes(path: Path) -> int:
 
 
 def _allowed(action: int, name: str | None, function: str | None, *_: str | None) -> int:
-    """Reading tables is all that a query may do."""
+    """Authorize only reading of tables."""
     fine = action in READS or (action == sqlite3.SQLITE_FUNCTION and function in FUNCTIONS)
     return sqlite3.SQLITE_OK if fine else sqlite3.SQLITE_DENY

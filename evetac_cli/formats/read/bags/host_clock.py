@@ -1,12 +1,13 @@
-"""The two clocks of a bag brought together: the sensor's, of its events, and the host's, of the headers of messages.
+"""Align the two clocks of a bag: the sensor's clock of its events, and the host's clock of its message headers.
 
-A driver may leave the times of events on the sensor's own clock, which began when it was plugged in, while IMU samples,
-images and poses of the same bag have the host's. Packets of events hold both: the host's time in their header, the
-sensor's in their first event. How far the host is ahead is the median of the difference, over pieces of the recording,
-as the two clocks drift apart. The spread of the differences says how well that is known. A header's time is when the
-driver had received the packet, so all are late by what that took: some ms, the same sign for all, and not corrected.
+A driver may leave the times of events on the sensor's own clock, which started when it was plugged in, while IMU
+samples, images and poses of the same bag are on the host's. Packets of events have both: the host's time in their
+header, the sensor's in their first event. The offset is the median of the difference, computed over pieces of the
+recording because the clocks drift. The spread of the differences shows how precise it is. A header's time is the time
+at which the driver had received the packet. So all headers are late by the transfer time of some ms, which is not
+corrected.
 
-Not every bag has two clocks: where the headers agree with the events, nothing is moved.
+Not every bag has two clocks: if the headers agree with the events, nothing is moved.
 """
 
 from collections.abc import Iterator
@@ -25,15 +26,15 @@ from evetac_cli.formats.read.bags.ros_messages import Fields, Packet, decoder
 from evetac_cli.formats.read.prophesee.prophesee_words import ENCODINGS, TIME_HIGH
 from evetac_cli.store.recordings.streams import Stream
 
-SAME_CLOCK_US = 1_000_000  # a header is this near to its events where both are on one clock
-ALIKE_US = 10_000  # two cameras whose clocks differ by no more are synchronized
-MOST_PACKETS = 2000  # of which the times are compared
-PIECE_US, PIECE_PACKETS = 10_000_000, 20  # of a piece of the recording, at least
-LOW_TYPES = {"evt2": (0x0, 0x1), "evt3": (0x6,)}  # of words that hold the low bits of time
+SAME_CLOCK_US = 1_000_000  # largest difference of a header and its events if both are on one clock
+ALIKE_US = 10_000  # largest difference of the clocks of two synchronized cameras
+MOST_PACKETS = 2000  # packets whose times are compared
+PIECE_US, PIECE_PACKETS = 10_000_000, 20  # minimum size of a piece of the recording
+LOW_TYPES = {"evt2": (0x0, 0x1), "evt3": (0x6,)}  # types of words with the low bits of time
 
 
 class Pair(NamedTuple):
-    """When a packet was received, on the host's clock, and when its first event was, on the sensor's."""
+    """The times of a packet: its reception on the host's clock, and its first event on the sensor's."""
 
     host_us: int
     sensor_us: int
@@ -41,28 +42,28 @@ class Pair(NamedTuple):
 
 @dataclass(frozen=True)
 class HostClock:
-    """How far the host's clock is ahead of the sensor's, at some times of the host."""
+    """The offset of the host's clock from the sensor's (positive: host ahead), at some times of the host."""
 
     topic: str
     host_us: NDArray[np.float64]
     ahead_us: NDArray[np.float64]
     sensor_span_us: tuple[int, int]
     packets: int
-    spread_us: float  # within which nine of ten packets lie, around the median
+    spread_us: float  # nine of ten packets are within this distance of the median
 
     def to_sensor(self, t_us: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Times of the host on the sensor's clock."""
+        """Convert times of the host to the sensor's clock."""
         more_us = np.interp(t_us.astype(np.float64), self.host_us, self.ahead_us - self.ahead_us[0])
         moved: NDArray[np.int64] = t_us - round(self.ahead_us[0]) - np.rint(more_us).astype(np.int64)
         return moved
 
     @property
     def ahead_s(self) -> float:
-        """The median over the recording."""
+        """The median offset over the recording."""
         return float(np.median(self.ahead_us)) / 1e6
 
     def text(self) -> str:
-        """What was found, in words."""
+        """Return a text on the offset and how it was measured."""
         drift_ms = (self.ahead_us.max() - self.ahead_us.min()) / 1000
         return (
             f"the host's clock is {self.ahead_s:.6f} s ahead of the sensor's on {self.topic}, by the times of"
@@ -71,7 +72,7 @@ class HostClock:
 
 
 def host_clock(path: Path, topic: str) -> HostClock | None:
-    """The clocks of the events on a topic and of their headers; None where these are one, or cannot be compared."""
+    """Compare the clocks of a topic's events and of their headers; None if they are the same or not comparable."""
     pairs = list(_pairs(path, topic))
     if not pairs:
         return None
@@ -96,13 +97,14 @@ def host_clock(path: Path, topic: str) -> HostClock | None:
 
 
 def clock_of_bag(path: Path, span_us: tuple[int, int]) -> HostClock | None:
-    """The two clocks of a bag whose events were at the time of a recording; None where there is one, or several do.
+    """Return the clock offset of a bag's event topic that overlaps a recording.
 
-    span_us: from when to when the recording is, on the clock of its events.
+    span_us: begin and end of the recording on the clock of its events. None if the bag has only one clock, or if
+    several topics overlap and their offsets differ.
     """
     try:
         topics = topics_of_events(open_bag(path), str(path))
-    except InputError:  # of a definition that is none of ours
+    except InputError:  # the message type of the events has an unknown definition
         return None
     clocks = [clock for topic in topics if (clock := host_clock(path, topic)) is not None]
     fitting = [clock for clock in clocks if _overlap(clock.sensor_span_us, span_us)]
@@ -111,9 +113,10 @@ def clock_of_bag(path: Path, span_us: tuple[int, int]) -> HostClock | None:
 
 
 def on_sensor_clock(stream: Stream, clock: HostClock, span_us: tuple[int, int]) -> tuple[Stream, str]:
-    """A stream with the host's times brought to the sensor's clock, and a note on it; the stream as it is otherwise.
+    """Convert a stream from the host's to the sensor's clock if it is on the host's; return it with a note.
 
-    span_us: from when to when the recording is, on the clock of its events. It tells which clock a stream is on.
+    span_us: begin and end of the recording on the clock of its events; it shows which clock the stream is on. A stream
+    that does not overlap is returned unchanged.
     """
     if not len(stream.t_us) or not _overlap(clock.sensor_span_us, span_us):
         return stream, ""
@@ -123,11 +126,11 @@ def on_sensor_clock(stream: Stream, clock: HostClock, span_us: tuple[int, int]) 
     if _overlap((int(stream.t_us[0]), int(stream.t_us[-1])), span_us):
         return (
             stream,
-            f"{clock.text()}; it is unclear which of the two {stream.name or 'the stream'} is on: left unchanged",
+            f"{clock.text()}; it is unclear which of the two clocks {stream.name or 'the stream'} uses: left unchanged",
         )
-    brought = f"{stream.clock}, brought to the sensor's clock"
+    brought = f"{stream.clock}, converted to the sensor's clock"
     moved = replace(stream, t_us=moved_us, clock=brought, offset_s=-clock.ahead_s)
-    return moved, f"{clock.text()}: moved {stream.name} to the sensor's clock"
+    return moved, f"{clock.text()}: converted {stream.name} to the sensor's clock"
 
 
 def _overlap(one: tuple[int, int], other: tuple[int, int]) -> bool:
@@ -135,7 +138,7 @@ def _overlap(one: tuple[int, int], other: tuple[int, int]) -> bool:
 
 
 def _pairs(path: Path, topic: str) -> Iterator[Pair]:
-    """The times of some packets, evenly over the bag; none where the first one shows that there is but one clock."""
+    """Yield the times of some packets, evenly spread over the bag; none if the first shows that there is one clock."""
     bag = open_bag(path)
     chosen = [one for one in bag.connections if one.topic == topic and layout(one) not in ("", IMAGE)]
     every = max(1, sum(one.msgcount for one in chosen) // MOST_PACKETS)
@@ -158,7 +161,7 @@ def _pairs(path: Path, topic: str) -> Iterator[Pair]:
 
 
 def _pair(connection: Connection, received_ns: int, message: bytes) -> tuple[Pair, int] | None:
-    """The times of a packet, and after which time the sensor's begins anew, 0 for never; None for an odd packet."""
+    """Return the times of a packet and the range of the sensor's clock (0: no wrap); None if it cannot be read."""
     try:
         stamp_us = Fields(message, ros2=connection.ros2).header() or received_ns // 1000
         content = LAYOUTS[layout(connection)](Fields(message, ros2=connection.ros2))
@@ -176,7 +179,7 @@ def _pair(connection: Connection, received_ns: int, message: bytes) -> tuple[Pai
 
 
 def _first_time_us(packet: Packet) -> int | None:
-    """The first time that words of EVT2 or EVT3 say in full."""
+    """Return the first time that words of EVT2 or EVT3 contain completely; None if there is none."""
     dtype = np.dtype(ENCODINGS[packet.encoding].dtype)
     whole = len(packet.content) // dtype.itemsize * dtype.itemsize
     words = np.frombuffer(packet.content[:whole], dtype).astype(np.int64)

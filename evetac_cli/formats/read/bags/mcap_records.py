@@ -1,8 +1,8 @@
-"""MCAP files, of ROS 2 (CDR) or ROS 1, closed or not, with and without an index: records, by the library mcap.
+"""Read MCAP files of ROS 2 (CDR) or ROS 1, closed or not, with or without an index, using records of the library mcap.
 
-A file is a magic number and then records, each of a type (1 byte), a length (8 bytes) and so many bytes. Messages lie
-in chunks, or by themselves. After a chunk come indexes, one for each of its channels; after the last one a summary, a
-footer that says where that begins, and the magic number again: https://mcap.dev/spec
+A file is a magic number followed by records, each with a type (1 byte), a length (8 bytes) and its content. Messages
+are in chunks or separate. Each chunk is followed by one index per channel. At the end there are a summary, a footer
+with the position of the summary, and the magic number again: https://mcap.dev/spec
 """
 
 import struct
@@ -19,19 +19,19 @@ from evetac_cli.formats.read.bags.message_definitions import full_name
 MAGIC = b"\x89MCAP0\r\n"
 FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX, STATISTICS = 2, 3, 4, 5, 6, 7, 8, 11
 HEAD = struct.Struct("<BQ")  # type and length
-CHUNK_HEAD = struct.Struct("<QQQII")  # first and last time, bytes unpacked, checksum, bytes of the name of the packing
-MESSAGE_HEAD = struct.Struct("<HIQQ")  # channel, sequence, time of the log, of the publisher
-INDEX_HEAD = struct.Struct("<HI")  # channel, bytes of what follows: 16 a message
+CHUNK_HEAD = struct.Struct("<QQQII")  # first and last time, unpacked size, checksum, length of the compression's name
+MESSAGE_HEAD = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
+INDEX_HEAD = struct.Struct("<HI")  # channel, size of the rest: 16 bytes per message
 SUMMARY_AT = struct.Struct("<Q")  # the first field of the footer
 COUNT = struct.Struct("<Q")  # the first field of the statistics
 FOOTER_BYTES = HEAD.size + 20 + len(MAGIC)
-CHUNK_AT_BYTE = 16  # of a chunk's entry in the summary
-MOST_PACKING_BYTES = 32  # of the name of a packing
-DEFINED_AS = ("ros1msg", "ros2msg")  # codings of definitions that message_definitions reads
+CHUNK_AT_BYTE = 16  # offset of the position in a chunk's entry in the summary
+MOST_PACKING_BYTES = 32  # of the name of a compression
+DEFINED_AS = ("ros1msg", "ros2msg")  # encodings of definitions that message_definitions reads
 
 
 class McapFile(ChunkedFile):
-    """A file of MCAP."""
+    """An MCAP file."""
 
     def __init__(self, path: Path, where: str) -> None:
         self._schemas: dict[int, tuple[str, str]] = {}  # name and definition
@@ -56,7 +56,7 @@ class McapFile(ChunkedFile):
         return at, False
 
     def _take(self, file: BinaryIO, kind: int, at: int, length: int) -> bool:
-        """Take a record into the table; False where it is not what it says it is."""
+        """Add a record to the table; return False if its content does not match its type."""
         if kind == CHUNK:
             return self._take_head(file, at + HEAD.size, length)
         if kind == MESSAGE:
@@ -110,14 +110,14 @@ class McapFile(ChunkedFile):
                 raise ValueError("a record ends early")
             if kind == MESSAGE:
                 if length < MESSAGE_HEAD.size:
-                    raise ValueError("a message without its head")
+                    raise ValueError("a message has no head")
                 number, _, time_ns, _ = MESSAGE_HEAD.unpack_from(content, at)
                 yield number, time_ns, view[at + MESSAGE_HEAD.size : end]
             elif kind in (SCHEMA, CHANNEL) and (connection := self._defined(kind, content[at:end])) is not None:
                 yield connection
 
     def _defined(self, kind: int, content: bytes) -> Connection | None:
-        """What a record of a schema or channel defines; ValueError where it is damaged."""
+        """Parse a schema or channel record; return a channel's connection; raise ValueError if it is damaged."""
         from mcap.data_stream import ReadDataStream
         from mcap.exceptions import McapError
         from mcap.records import Channel, Schema
@@ -139,7 +139,7 @@ class McapFile(ChunkedFile):
 
 
 def _listed(file: BinaryIO, size: int) -> Iterator[int]:
-    """Where the chunks begin, by the summary at the end of the file, as far as there is one."""
+    """Yield the positions of the chunks from the summary at the end of the file, if there is one."""
     file.seek(max(0, size - FOOTER_BYTES))
     footer = file.read(FOOTER_BYTES)
     if len(footer) < FOOTER_BYTES or footer[0] != FOOTER or not footer.endswith(MAGIC):

@@ -1,28 +1,29 @@
-"""Definitions of ROS messages: the checksum that tells two layouts apart, whatever their packages are called.
+"""Compute the checksum of a ROS message definition, which identifies a layout independently of its package's name.
 
-ROS 1 writes this checksum into its bags; here it is computed from the text of a definition too, that of ROS 2 included,
-so that one table of checksums knows a layout in every bag. It is the MD5 of constants and fields, with the checksum of
-an inner message in place of its name, and without comments: http://wiki.ros.org/ROS/Technical%20Overview
-What ROS 2 writes otherwise, times and headers, counts as in ROS 1. A text is only read, never run.
+ROS 1 writes this checksum into its bags. Here it is also computed from the text of a definition, including those of
+ROS 2, so that one table of checksums identifies a layout in every bag. It is the MD5 of constants and fields, without
+comments, and with the checksum of an inner message in place of its name. Times and headers, which ROS 2 writes
+differently, count as in ROS 1. A text is only parsed, never executed. Source:
+http://wiki.ros.org/ROS/Technical%20Overview
 """
 
 import re
 from hashlib import md5
 
-MOST_DEPTH = 16  # of messages in messages; those of ROS have four
+MOST_DEPTH = 16  # of nested messages; those of ROS have four levels
 MOST_BYTES = 1 << 20
 PLAIN = ("bool", "byte", "char", "float32", "float64", "string", "wstring", "time", "duration") + tuple(
     f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)
 )
-# What ROS 2 calls otherwise, or fills otherwise, with what it counts as.
+# Types that have another name in ROS 2, with the ROS 1 type that they count as.
 SAME = {"builtin_interfaces/Time": "time", "builtin_interfaces/Duration": "duration"}
-HEADER = "2176decaecbce78abc3b96ef049fabed"  # of std_msgs/Header, which has no sequence number any more
-BETWEEN = re.compile(r"^=+[ \t]*$", re.MULTILINE)  # the parts of a text
+HEADER = "2176decaecbce78abc3b96ef049fabed"  # ROS 1 checksum of std_msgs/Header; in ROS 2 it has no sequence number
+BETWEEN = re.compile(r"^=+[ \t]*$", re.MULTILINE)  # separates the parts of a text
 CONSTANT = re.compile(r"(\S+)\s+([A-Za-z]\w*)\s*=(.*)")
 
 
 def checksum(kind: str, text: str) -> str:
-    """The checksum of a message of this type; empty for a text that is none, or lacks an inner message."""
+    """Return the checksum of a message type; empty if the text is no definition or lacks an inner message."""
     if not text.strip() or len(text) > MOST_BYTES:
         return ""
     first, *others = BETWEEN.split(text)
@@ -38,7 +39,7 @@ def checksum(kind: str, text: str) -> str:
 
 
 def full_name(kind: str) -> str:
-    """A type as `package/msg/Name`: ROS 1 leaves out the middle."""
+    """Return a type as `package/msg/Name`; ROS 1 leaves out `msg`."""
     package, _, name = kind.partition("/")
     return f"{package}/msg/{name}" if name and "/" not in name else kind
 
@@ -48,11 +49,11 @@ def _short(kind: str) -> str:
 
 
 def _checksum(kind: str, parts: dict[str, str], depth: int) -> str:
-    """As above; KeyError where a message is not defined, ValueError for a line that is no field."""
+    """Return the checksum; raise KeyError if a message is not defined, ValueError for a line that is not a field."""
     if kind == "std_msgs/Header":
         return HEADER
     if not depth:
-        raise ValueError("messages in messages without end")
+        raise ValueError("messages are nested too deeply")
     package = kind.partition("/")[0]
     constants, fields = [], []
     for line in parts[kind].splitlines():

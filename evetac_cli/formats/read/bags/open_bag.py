@@ -1,8 +1,8 @@
-"""Bags of ROS 1 (`.bag`) and ROS 2 (a folder, `.db3`, `.mcap`), each as one: connections and messages of all its files.
+"""Open ROS 1 bags (`.bag`) and ROS 2 bags (a folder, `.db3`, `.mcap`): connections and messages of all their files.
 
-The content of the files decides, not their names and not what the folder's metadata say of them. Readers of the
-formats: rosbag1_records, mcap_records, db3_rows; rosbags, of the extra `convert`, has the types that ROS itself defines
-and what unpacks chunks.
+Formats are recognized by the content of the files, not by their names or the folder's metadata. The readers are
+rosbag1_records, mcap_records and db3_rows. rosbags, of the extra `convert`, provides the types that ROS itself defines
+and the modules that unpack chunks.
 """
 
 from collections import Counter
@@ -21,13 +21,13 @@ Message = tuple[Connection, int, bytes]  # and the time of its reception in ns
 
 
 class Bag:
-    """All files of a bag: its connections, its messages, and notes on what lies beside it or is missing.
+    """All files of a bag: its connections, its messages, and notes on files next to it and on missing data.
 
-    notes: after `messages` also what could not be read. cut_short: whether messages are known to be missing.
+    notes: after `messages` also on data that could not be read. cut_short: whether messages are known to be missing.
     """
 
     def __init__(self, path: Path) -> None:
-        """Read the tables of all files; InputError where they are not there or hold no message that can be read."""
+        """Read the tables of all files; raise InputError if files are missing or have no readable message."""
         self.path = path
         files = bag_files.files_of(path)
         self._files = files.paths
@@ -45,14 +45,14 @@ class Bag:
         ]
         held = counts.total()
         if files.stated is not None and files.stated != held:
-            self.notes.append(f"{bag_files.METADATA} states {files.stated:,} messages; the bag has {held:,}")
+            self.notes.append(f"{bag_files.METADATA} states {files.stated:,} messages, but the bag has {held:,}")
             self.cut_short |= files.stated > held
 
     def _where(self, file: Path) -> str:
         return str(file) if file == self.path else f"{self.path}: {file.name}"
 
     def messages(self, connections: Collection[Connection]) -> Iterator[Message]:
-        """All messages of some connections, file after file, in the order of their reception; InputError in words."""
+        """Yield all messages of some connections, file after file, in order of reception; InputError if damaged."""
         wanted = {_alike(one): one for one in connections}
         lost: Counter[str] = Counter()
         for file in self._files:
@@ -66,17 +66,17 @@ class Bag:
         if lost:
             self.cut_short = True
             reason, count = next(iter(lost)), lost.total()
-            note = f"chunks or messages that are damaged and cannot be read: {count:,} ({reason})"
+            note = f"left out {count:,} damaged chunks or messages ({reason})"
             self.notes += [note] if note not in self.notes else []
 
 
 def _alike(connection: Connection) -> Connection:
-    """What is the same of a connection in all files of a bag."""
+    """Return a connection reduced to the fields that are the same in all files of a bag."""
     return connection._replace(number=0, msgcount=0)
 
 
 def open_bag(path: Path) -> Bag:
-    """The bag, with the tables of its files; InputError in words."""
+    """Open a bag and read the tables of its files; raise InputError or MissingLibrary if that is not possible."""
     where = str(path)
     try:
         missing = [name for name in LIBRARIES if find_spec(name) is None]
@@ -91,7 +91,7 @@ def open_bag(path: Path) -> Bag:
 
 @contextmanager
 def bag_in_words(where: str, what: str) -> Iterator[None]:
-    """Damaged bags make libraries, and the parsers below them, raise anything."""
+    """Turn any exception into InputError, because libraries and parsers raise all kinds for damaged bags."""
     try:
         yield
     except (MemoryError, OSError, EvetacError):

@@ -1,15 +1,15 @@
-"""A topic of a ROS bag as a stream of samples: images, or the numbers of any message that ROS itself defines.
+"""Read a topic of a ROS bag as a stream of samples: images, or the numbers of any message that ROS itself defines.
 
-rosbags decodes the messages by its own definitions, never by those that a bag brings along: these would become code.
-Names are those of the fields, `pose.position.x`; units those that the definitions state (REP 103).
-Images and numbers wait on disk, so a bag of hours takes no more memory than a short one.
+rosbags decodes the messages with its own definitions, never with those in a bag, which would be turned into code.
+Columns have the names of the fields, such as `pose.position.x`, and the units that the definitions state (REP 103).
+Images and numbers are stored on disk temporarily, so a bag of hours takes no more memory than a short one.
 
-External triggers that bags keep apart from the events are streams too, of no type that ROS defines:
+External triggers that bags store separately from the events are streams too; ROS does not define their types:
 
     event_camera_msgs/EventPacket, encoding `trigger`   8 bytes each: 32 bits ns after time_base, 15 bits id, edge
-    dv_ros_msgs/Trigger (dv_ros2_msgs/Trigger)          int8 type, as AEDAT4 counts them, and time
+    dv_ros_msgs/Trigger (dv_ros2_msgs/Trigger)          int8 type, numbered as in AEDAT4, and time
 
-Triggers among the words of evt2 and evt3 come with the events.
+Triggers among the words of evt2 and evt3 are read with the events.
 """
 
 import io
@@ -31,12 +31,12 @@ from evetac_cli.formats.read.bags.ros_messages import NS, Fields, event_packet
 from evetac_cli.store.hdf5.disk import joined_on_disk
 from evetac_cli.store.recordings.streams import LARGEST_FRAME_PX, Stream, free_name
 
-MESSAGES_AT_ONCE = 1000  # of numbers
+MESSAGES_AT_ONCE = 1000  # messages of numbers that become one part of an array
 MOST_NUMBERS = 512  # of a message
-MOST_NAMED = 12  # topics
-MOST_PACKED_PX = 1 << 26  # of a JPEG or PNG: some kB may unpack to four bytes for each, and memory holds two copies
+MOST_NAMED = 12  # topics in a message
+MOST_PACKED_PX = 1 << 26  # of a JPEG or PNG: some kB may unpack to four bytes per pixel, in two copies
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
-# Encodings of images: channels, and which of them are shown, in our order: grey, or red, green, blue.
+# Encodings of images: the number of channels, and the indices of grey, or of red, green and blue.
 ENCODINGS = {
     "mono8": (1, (0,)),
     "8UC1": (1, (0,)),
@@ -46,7 +46,7 @@ ENCODINGS = {
     "rgba8": (4, (0, 1, 2)),
     "bgra8": (4, (2, 1, 0)),
 }
-# Units of fields, by the message that they are in.
+# Units of fields, by the type of their message.
 UNITS = {
     "geometry_msgs/msg/Pose": {"position": "m"},
     "geometry_msgs/msg/PointStamped": {"point": "m"},
@@ -62,9 +62,9 @@ READ = "images, and messages that ROS itself defines, such as geometry_msgs/Pose
 
 
 def read_bag_stream(path: Path, topic: str, folder: Path | None) -> tuple[Stream, list[str]]:
-    """A topic as a stream in its own clock, without a name, and notes; InputError in words.
+    """Return a topic as an unnamed stream in its own clock, and notes; raise InputError if it cannot be read.
 
-    topic: or, where it is empty, the only one that is not of events. folder: on whose disk it waits.
+    topic: if empty, the only topic without events. folder: where the samples are stored temporarily.
     """
     where = f"{path}: {topic}" if topic else str(path)
     bag = open_bag(path)
@@ -76,24 +76,31 @@ def read_bag_stream(path: Path, topic: str, folder: Path | None) -> tuple[Stream
     reader_of = _Images(where) if kind in (IMAGE, COMPRESSED) else _Numbers(where)
     t_us, *values = joined_on_disk(folder, reader_of.parts(messages)) or (np.empty(0, np.int64),)
     if not len(t_us):
-        raise InputError("no message on this topic", where=where)
-    clock = "header.stamp" if reader_of.stamped else "the time at which the bag was given the message"
+        raise InputError("the topic has no messages", where=where)
+    clock = "header.stamp" if reader_of.stamped else "the time at which the recorder received the message"
     stream = Stream("", t_us, what=kind.replace("/msg/", "/"), source=f"{path.name}: {topic}", clock=clock)
     return reader_of.filled(stream, values), bag.notes
 
 
 def _of_topic(connections: list[Connection], topic: str, where: str) -> list[Connection]:
-    """The connections of a topic; InputError where it is not there, of two types, or not the only one to choose."""
+    """Return the connections of a topic.
+
+    Raises InputError if it does not exist, has several types or an unsupported encoding, or if no topic is given and
+    there is not exactly one.
+    """
     others = sorted({one.topic for one in connections if not layout(one)})
     chosen = topic or (others[0] if len(others) == 1 else "")
     of_topic = [one for one in connections if one.topic == chosen]
     if not of_topic:
         named = ", ".join(others[:MOST_NAMED]) + (" ..." if len(others) > MOST_NAMED else "")
-        message = "no such topic" if topic else "which topic?"
-        hint = f"name it after the file, as in FILE:{others[0]}" if others else ""
+        message = "the bag has no such topic" if topic else "the bag has several topics, and none was chosen"
+        message = message if others or topic else "the bag has no topic other than events"
+        hint = f"give it after the file, for example FILE:{others[0]}" if others else ""
         raise InputError(message, where=where, expected=named or "a topic", found=topic, hint=hint)
     if len({one.msgtype for one in of_topic}) > 1:
-        raise InputError("messages of several types", where=where, found=", ".join(one.msgtype for one in of_topic))
+        raise InputError(
+            "the topic has messages of several types", where=where, found=", ".join(one.msgtype for one in of_topic)
+        )
     if len({one.encoding for one in of_topic}) > 1 or of_topic[0].encoding not in ("cdr", "ros1"):
         encodings = ", ".join(sorted({one.encoding for one in of_topic}))[:80]
         raise InputError(
@@ -103,25 +110,27 @@ def _of_topic(connections: list[Connection], topic: str, where: str) -> list[Con
 
 
 def _decoder(kind: str, connections: list[Connection], where: str) -> Callable[[bytes], Any]:
-    """What makes an object of the bytes of a message; InputError for a type that ROS does not define, or otherwise."""
+    """Return a function that decodes a message; raise InputError if ROS does not define its type in this way."""
     from rosbags.typesys import Stores, get_typestore
 
     ros2 = connections[0].ros2
     store = get_typestore(Stores.ROS2_HUMBLE if ros2 else Stores.ROS1_NOETIC)
     if kind not in store.fielddefs:
-        raise InputError("messages of a type that is not read here", where=where, expected=READ, found=kind)
+        raise InputError("the type of these messages is not supported", where=where, expected=READ, found=kind)
     if ros2:
         return lambda message: store.deserialize_cdr(message, kind)
     ours = store.generate_msgdef(kind)[1]
     digests = {one.digest or checksum(one.msgtype, one.definition) for one in connections}
     if digests - {ours, "*"}:
         theirs = ", ".join(sorted(digests))[:120]
-        raise InputError(f"{kind} has another definition here", where=where, expected=f"checksum {ours}", found=theirs)
+        raise InputError(
+            f"{kind} has another definition than in ROS 1", where=where, expected=f"checksum {ours}", found=theirs
+        )
     return lambda message: store.deserialize_ros1(message, kind)
 
 
 def _decoded(messages: Iterator[Any], decode: Callable[[bytes], Any], where: str) -> Iterator[tuple[int, Any]]:
-    """Time of reception in ns and content of each message."""
+    """Yield the time of reception in ns and the content of each message."""
     for number, (_, received_ns, message) in enumerate(messages):
         with bag_in_words(where, f"message {number}"):
             content = decode(message)
@@ -129,15 +138,15 @@ def _decoded(messages: Iterator[Any], decode: Callable[[bytes], Any], where: str
 
 
 class _MessageReader:
-    """Turns messages into parts of arrays; `stamped` says whether their own stamps are the times."""
+    """Converts messages to parts of arrays; `stamped`: whether times are the messages' own stamps."""
 
     def __init__(self, where: str) -> None:
         self.where = where
         self.stamped = False
-        self.number = -1  # of the message that came last
+        self.number = -1  # index of the last message
 
     def time_us(self, received_ns: int, message: Any) -> int:
-        """When a message was measured, as it says itself if the first one does, else when it was received."""
+        """Return a message's own time stamp if the first message has one, otherwise its time of reception; in us."""
         self.number += 1
         stamp = getattr(getattr(message, "header", None), "stamp", None)
         stamp_us = 0 if stamp is None else stamp.sec * 10**6 + stamp.nanosec // 1000
@@ -146,7 +155,7 @@ class _MessageReader:
         return stamp_us if self.stamped else received_ns // 1000
 
     def refuse(self, message: str, expected: str, what: str) -> None:
-        """InputError at the present message."""
+        """Raise InputError at the current message."""
         where = f"{self.where}: message {self.number}"
         raise InputError(message, where=where, expected=expected[:300], found=what[:300])
 
@@ -160,7 +169,7 @@ class _Numbers(_MessageReader):
         self._units: list[str] = []
 
     def parts(self, messages: Iterator[tuple[int, Any]]) -> Iterator[tuple[NDArray[Any], ...]]:
-        """Times and rows of numbers of the next messages."""
+        """Yield times and rows of numbers of the next messages."""
         times: list[int] = []
         rows: list[list[float]] = []
         for received_ns, message in messages:
@@ -170,12 +179,12 @@ class _Numbers(_MessageReader):
             if not self._names:
                 self._names, self._units = list(numbers), [unit for _, unit in numbers.values()]
             if list(numbers) != self._names or not numbers or len(numbers) > MOST_NUMBERS:
-                expected = f"1 to {MOST_NUMBERS} numbers, always the same: {', '.join(self._names)}"
-                self.refuse("no column can be made of its fields", expected, ", ".join(numbers) or "no number")
+                expected = f"1 to {MOST_NUMBERS} numbers, the same in each message: {', '.join(self._names)}"
+                self.refuse("the message's fields do not fit into columns", expected, ", ".join(numbers) or "no number")
             rows.append([value for value, _ in numbers.values()])
             infinite = next((name for name, value in zip(numbers, rows[-1], strict=True) if math.isinf(value)), None)
             if infinite is not None:
-                self.refuse("an infinite value", "finite values, or NaN", infinite)
+                self.refuse("a value is infinite", "finite values, or NaN", infinite)
             if len(rows) == MESSAGES_AT_ONCE:
                 yield np.array(times, np.int64), np.array(rows)
                 times, rows = [], []
@@ -183,7 +192,7 @@ class _Numbers(_MessageReader):
             yield np.array(times, np.int64), np.array(rows)
 
     def filled(self, stream: Stream, values: list[NDArray[Any]]) -> Stream:
-        """The stream with what was read."""
+        """Return the stream with the values that were read."""
         columns: dict[str, NDArray[np.float64]] = {}
         units: dict[str, str] = {}
         for at, (wanted, unit) in enumerate(zip(self._names, self._units, strict=True)):
@@ -193,11 +202,11 @@ class _Numbers(_MessageReader):
 
 
 def _numbers(value: Any, name: str, unit: str, numbers: dict[str, tuple[float, str]]) -> None:
-    """The numbers in a field and below it, with their units, by the path of each; texts and headers are passed over."""
+    """Collect the numbers in a field and its subfields, with their units, by path; skip texts and headers."""
     if len(numbers) > MOST_NUMBERS:
         return
     if is_dataclass(value):
-        labels = getattr(value, "name", None)  # of joints, as JointState has them
+        labels = getattr(value, "name", None)  # names of joints in a JointState
         units = UNITS.get(getattr(value, "__msgtype__", ""), {})
         for item in fields(value):
             inner = getattr(value, item.name)
@@ -218,33 +227,37 @@ class _Images(_MessageReader):
     """Images of one size."""
 
     def parts(self, messages: Iterator[tuple[int, Any]]) -> Iterator[tuple[NDArray[Any], ...]]:
-        """Time and image of the next message."""
+        """Yield time and image of each message."""
         shape: tuple[int, ...] | None = None
         for received_ns, message in messages:
             t_us = self.time_us(received_ns, message)
             image = self._plain(message) if hasattr(message, "step") else self._unpacked(message)
             shape = shape or image.shape
             if image.shape != shape:
-                self.refuse("the images change their size", "{1} x {0}, {2} channels".format(*shape), str(image.shape))
+                self.refuse(
+                    "the size of the images changes", "{1} x {0}, {2} channels".format(*shape), str(image.shape)
+                )
             yield np.array([t_us], np.int64), image[None]
 
     def filled(self, stream: Stream, values: list[NDArray[Any]]) -> Stream:
-        """The stream with what was read."""
+        """Return the stream with the images that were read."""
         return replace(stream, frames=values[0])
 
     def _check_size(self, width: int, height: int) -> None:
         if not (0 < width <= LARGEST_FRAME_PX and 0 < height <= LARGEST_FRAME_PX):
-            self.refuse("an image of an odd size", f"1 to {LARGEST_FRAME_PX} px a side", f"{width} x {height}")
+            self.refuse(
+                "an image has an impossible size", f"1 to {LARGEST_FRAME_PX} px per side", f"{width} x {height}"
+            )
 
     def _plain(self, message: Any) -> NDArray[np.uint8]:
         if message.encoding not in ENCODINGS:
-            self.refuse("an image in an encoding that is not read here", ", ".join(ENCODINGS), str(message.encoding))
+            self.refuse("the encoding of an image is not supported", ", ".join(ENCODINGS), str(message.encoding))
         stored, shown = ENCODINGS[message.encoding]
         width, height, step = int(message.width), int(message.height), int(message.step)
         self._check_size(width, height)
         if step < width * stored or len(message.data) != step * height:
             self.refuse(
-                "an image of another size than it says", f"{height} rows of {step} bytes", str(len(message.data))
+                "an image has another size than it states", f"{height} rows of {step} bytes", str(len(message.data))
             )
         rows = np.asarray(message.data, np.uint8).reshape(height, step)[:, : width * stored]
         return np.ascontiguousarray(rows.reshape(height, width, stored)[:, :, list(shown)])
@@ -266,18 +279,18 @@ class _Images(_MessageReader):
 
 
 def trigger_topics(bag: Bag) -> dict[str, str]:
-    """The topics of a bag that hold triggers, with the type of their messages."""
+    """Return the topics of a bag that have triggers, with the type of their messages."""
     topics = {one.topic: one.msgtype for one in bag.connections if one.msgtype in TRIGGERS_OF_DV and one.msgcount}
     packets = {one.topic: one.msgtype for one in bag.connections if layout(one) == PACKET and one.msgcount}
     return topics | {topic: kind for topic, kind in packets.items() if is_of_triggers(bag, topic)}
 
 
 def read_triggers(path: Path, topic: str, folder: Path | None) -> Stream:
-    """The triggers of a topic on the bag's clock; InputError for messages that are damaged."""
+    """Return the triggers of a topic on the bag's clock; raise InputError if messages are damaged."""
     t_us, *values = joined_on_disk(folder, _trigger_parts(path, topic)) or (np.empty(0, np.int64),)
     names = ("source",) if len(values) == 1 else ("id", "edge")
     columns = dict(zip(names, values, strict=False))
-    return Stream("", t_us, columns, source=f"{path.name}: {topic}", clock="the camera's, as of the events")
+    return Stream("", t_us, columns, source=f"{path.name}: {topic}", clock="the camera's, same as the events")
 
 
 def _trigger_parts(path: Path, topic: str) -> Iterator[tuple[NDArray[Any], ...]]:

@@ -1,10 +1,10 @@
 """Read events from bags of ROS 1 (`.bag`) and ROS 2 (a folder, `.db3`, `.mcap`), the extra `convert`.
 
-open_bag finds the messages; what is in them is decoded in ros_messages, from their bytes. So a bag needs no definitions
-of its messages, and those of other topics do not matter. A layout is known by the checksum of its definition, in bags
-of ROS 2 too where these have the definition, whatever the package is called: many makers have the same one under names
-of their own. Only where there is no definition the name decides. A known name with another layout is refused. An export
-of ours has its note on a topic.
+open_bag finds the messages; ros_messages decodes them from their bytes. So a bag needs no definitions of its messages,
+and the definitions of other topics do not matter. A layout is identified by the checksum of its definition, also in ROS
+2 bags that have the definition, independently of the package's name: several makers publish the same layout under their
+own names. Without a definition, the name of the type decides. A known name with another layout is refused. An export of
+evetac has its note on a topic.
 """
 
 from collections import Counter
@@ -37,7 +37,7 @@ from evetac_cli.formats.read.prophesee.prophesee_words import ENCODINGS
 from evetac_cli.formats.read.prophesee.read_prophesee import decoded
 
 SIGNS = (rosbag1_records.MAGIC, db3_rows.MAGIC, mcap_records.MAGIC)
-EVENTS_TOPIC, NOTE_TOPIC = "/evetac/events", "/evetac/note"  # of exports of ours
+EVENTS_TOPIC, NOTE_TOPIC = "/evetac/events", "/evetac/note"  # in exports of evetac
 NOTE_TYPE = "std_msgs/msg/String"
 PROPHESEE = ("evt2", "evt3")
 KNOWN_ENCODINGS = ("mono", "libcaer", "libcaer_cmp", *PROPHESEE)
@@ -46,9 +46,9 @@ TRIGGER = "trigger"  # the encoding of packets without events
 ARRAY = "5e8beee5a6c107e504c2e78903c224b8"
 PACKET = "8a6101b351a64529ac77bd8b71074e52"
 IMAGE = "2818627cc6bda2f17fa76bbb89741632"
-# Layouts by the checksum of their definition: how messages are decoded.
+# The decoder of each layout, by the checksum of its definition.
 LAYOUTS: dict[str, Callable[[Fields], Any]] = {ARRAY: event_array, PACKET: event_packet, IMAGE: evetac_image}
-# Names under which they are published, for bags without definitions, and to name a layout that has become another.
+# Names under which the layouts are published: for bags without definitions, and to detect a layout that has changed.
 TYPES = {
     "dvs_msgs/msg/EventArray": ARRAY,
     "dv_ros_msgs/msg/EventArray": ARRAY,
@@ -62,7 +62,7 @@ TYPES = {
 
 @lru_cache(maxsize=1024)
 def layout(connection: Connection) -> str:
-    """The checksum of the layout of a connection's messages, where it is one of events; empty otherwise."""
+    """Return the checksum of the layout of a connection's messages if it is one of events; empty otherwise."""
     if connection.encoding not in ("cdr", "ros1"):
         return ""
     known = connection.digest or checksum(connection.msgtype, connection.definition)
@@ -72,7 +72,7 @@ def layout(connection: Connection) -> str:
 
 
 def open_rosbag(path: Path, frame_px: tuple[int, int] | None, stream: str | None = None) -> Foreign:
-    """Events of one topic: the one named, or the first by name that holds events."""
+    """Return the events of one topic: the requested one, or the first by name that has events."""
     where = str(path)
     foreign = Foreign("rosbag", (1, 1), ())
     bag = open_bag(path)
@@ -81,7 +81,7 @@ def open_rosbag(path: Path, frame_px: tuple[int, int] | None, stream: str | None
     topic = _choose(topics, bag, stream, where)
     kind, others = topics[topic], sorted(set(topics) - {topic})
     if others:
-        foreign.notes.append(f"took the topic {topic}; also there: {', '.join(others)} (choose with --stream)")
+        foreign.notes.append(f"read the topic {topic}; the file also has: {', '.join(others)} (choose with --stream)")
     foreign.notes += bag.notes
     if topic == EVENTS_TOPIC:
         foreign.note = _note(bag, where)
@@ -92,7 +92,7 @@ def open_rosbag(path: Path, frame_px: tuple[int, int] | None, stream: str | None
         return foreign
     if first is None:
         raise InputError(
-            f"no message on the topic {topic}", where=where, hint="was the camera running when this was recorded?"
+            f"the topic {topic} has no messages", where=where, hint="was the camera running during the recording?"
         )
     frame, content = _read(*first, f"{where}: message 0")
     encoding = content.encoding if isinstance(content, Packet) else ""
@@ -103,7 +103,7 @@ def open_rosbag(path: Path, frame_px: tuple[int, int] | None, stream: str | None
         foreign.batches = _batches(path, topic, kind, foreign, encoding)
     else:
         raise InputError(
-            f"messages on {topic} are in an encoding that is not read here",
+            f"the encoding of the messages on {topic} is not supported",
             where=where,
             expected=", ".join(KNOWN_ENCODINGS),
             found=encoding[:40] or "none",
@@ -112,9 +112,10 @@ def open_rosbag(path: Path, frame_px: tuple[int, int] | None, stream: str | None
 
 
 def topics_of_events(bag: Bag, where: str) -> dict[str, str]:
-    """The layout of the messages of each topic that holds events, the one to take first; InputError for a changed one.
+    """Return the layout of each topic that has events, the default topic first.
 
-    A topic of packets that hold triggers is none of them, as long as there are others.
+    A topic whose packets contain triggers is left out if there are others. Raises InputError if the layout of a known
+    type has changed.
     """
     topics: dict[str, str] = {}
     for connection in bag.connections:
@@ -122,19 +123,19 @@ def topics_of_events(bag: Bag, where: str) -> dict[str, str]:
             topics[connection.topic] = known
         elif connection.msgtype in TYPES:
             raise InputError(
-                f"{connection.msgtype} has another definition here",
+                f"{connection.msgtype} has another definition than the supported one",
                 where=f"{where}: {connection.topic}",
                 expected=f"checksum {TYPES[connection.msgtype]}",
                 found=(connection.digest or checksum(connection.msgtype, connection.definition))[:40],
             )
-    by_name = sorted(topics, key=lambda topic: (topics[topic] == IMAGE, topic))  # rather events than images
+    by_name = sorted(topics, key=lambda topic: (topics[topic] == IMAGE, topic))  # prefer events to images
     if len(topics) > 1:
         by_name = [topic for topic in by_name if not is_of_triggers(bag, topic)] or by_name
     return {topic: topics[topic] for topic in by_name}
 
 
 def is_of_triggers(bag: Bag, topic: str) -> bool:
-    """Whether a topic has packets of triggers, by the first of its messages."""
+    """Whether a topic has packets of triggers, judging by its first message."""
     packets = [one for one in bag.connections if one.topic == topic and layout(one) == PACKET]
     for connection, _, message in bag.messages(packets):
         with suppress(ValueError):
@@ -144,24 +145,26 @@ def is_of_triggers(bag: Bag, topic: str) -> bool:
 
 
 def _choose(topics: dict[str, str], bag: Bag, wanted: str | None, where: str) -> str:
-    """The topic to read: the one that is wanted, or the first."""
+    """Return the topic to read: the requested one, or the first."""
     if not topics:
         kinds = sorted({connection.msgtype for connection in bag.connections})
         raise InputError(
-            "the bag holds no events",
+            "the bag has no events",
             where=where,
-            expected=f"{', '.join(TYPES)}, or another name for the same layout",
+            expected=f"{', '.join(TYPES)}, or a type of the same layout",
             found=", ".join(kinds)[:300] or "nothing",
             hint=NOT_RECORDED if kinds else "",
         )
     topic = next(iter(topics)) if wanted is None else wanted
     if topic not in topics:
-        raise InputError("no events on this topic", where=where, expected=" or ".join(sorted(topics)), found=topic)
+        raise InputError(
+            "this topic does not exist or has no events", where=where, expected=" or ".join(sorted(topics)), found=topic
+        )
     return topic
 
 
 def _note(bag: Bag, where: str) -> Note | None:
-    """The note of an export of ours; None where there is none."""
+    """Return the note of an evetac export; None if there is none."""
     message = next(_messages(bag, NOTE_TOPIC, of_type=NOTE_TYPE), None)
     if message is None:
         return None
@@ -171,7 +174,7 @@ def _note(bag: Bag, where: str) -> Note | None:
 
 
 def _left_out(connections: list[Connection], topic: str) -> dict[str, int]:
-    """How many messages there are of each other topic."""
+    """Return the number of messages of each other topic."""
     counts: Counter[str] = Counter()
     for one in connections:
         if one.topic not in (topic, NOTE_TOPIC) and one.msgcount:
@@ -180,7 +183,7 @@ def _left_out(connections: list[Connection], topic: str) -> dict[str, int]:
 
 
 def _batches(path: Path, topic: str, kind: str, foreign: Foreign, encoding: str) -> Iterator[EventColumns]:
-    """The events of each message of a topic as one batch; at the end `foreign` says what is missing."""
+    """Yield the events of each message of a topic as one batch; at the end add notes on losses to `foreign`."""
     decode = decoder(encoding)
     stamps = []
     with closing(_contents(path, topic, kind, foreign, encoding)) as contents:
@@ -197,8 +200,8 @@ def _batches(path: Path, topic: str, kind: str, foreign: Foreign, encoding: str)
     if kind == IMAGE:
         apart = f"every {(stamps[-1] - stamps[0]) / (len(stamps) - 1) / 1000:.3g} ms" if len(stamps) > 1 else "once"
         foreign.notes.append(
-            f"EvetacMsg holds images, not events: summed by pixel, {apart}, after the official software's noise filter;"
-            " all events of an image have its time"
+            f"EvetacMsg contains images, not events: per-pixel sums, {apart}, after the official software's noise"
+            " filter; all events of an image get its time"
         )
 
 
@@ -207,14 +210,14 @@ def _place(number: int, row: int) -> str:
 
 
 def _prophesee(path: Path, topic: str, kind: str, foreign: Foreign, encoding: str) -> Iterator[EventColumns]:
-    """The words of all messages as those of one RAW file."""
+    """Yield events from the words of all messages, decoded as one RAW file."""
     yield from decoded(encoding, _blocks(path, topic, kind, foreign, encoding), foreign, f"{path}: {topic}")
 
 
 def _blocks(
     path: Path, topic: str, kind: str, foreign: Foreign, encoding: str
 ) -> Iterator[tuple[NDArray[Any], Callable[[int], str]]]:
-    """The words of each message; a word that two messages share is counted to the second."""
+    """Yield the words of each message; a word split over two messages belongs to the second."""
     dtype = np.dtype(ENCODINGS[encoding].dtype)
     rest = b""
     with closing(_contents(path, topic, kind, foreign, encoding)) as packets:
@@ -224,7 +227,7 @@ def _blocks(
             rest = content[whole:]
             yield np.frombuffer(content[:whole], dtype), partial(_word_place, number)
     if rest:
-        foreign.notes.append(f"cut short: the last {len(rest)} bytes are no whole word")
+        foreign.notes.append(f"cut short: the last {len(rest)} bytes are an incomplete word")
 
 
 def _word_place(number: int, word: int) -> str:
@@ -234,7 +237,10 @@ def _word_place(number: int, word: int) -> str:
 def _contents(
     path: Path, topic: str, kind: str, foreign: Foreign, encoding: str
 ) -> Generator[tuple[str, Any], None, None]:
-    """What is in each message of a topic; all have one frame and one encoding. Lost messages are noted."""
+    """Yield the content of each message of a topic; add a note on lost messages to `foreign`.
+
+    Raises InputError if layout, frame size or encoding change.
+    """
     lost, expected = 0, None
     bag = open_bag(path)
     for number, (connection, message) in enumerate(_messages(bag, topic)):
@@ -258,11 +264,11 @@ def _contents(
     foreign.notes += [note for note in bag.notes if note not in foreign.notes]
     foreign.cut_short |= bag.cut_short
     if lost:
-        foreign.notes.append(f"{lost} messages were lost before they were recorded")
+        foreign.notes.append(f"{lost} messages are missing: they were lost before they were recorded")
 
 
 def _read(connection: Connection, message: bytes, where: str) -> tuple[tuple[int, int], Any]:
-    """Frame (width, height) and content of a message: its events, or a packet that is still encoded."""
+    """Return frame (width, height) and content of a message: its events, or a packet that is still encoded."""
     with _layout_in_words(where):
         content = LAYOUTS[layout(connection)](Fields(message, ros2=connection.ros2))
         return (content.frame_px, content) if isinstance(content, Packet) else content
@@ -277,7 +283,7 @@ def _layout_in_words(where: str) -> Iterator[None]:
 
 
 def _messages(bag: Bag, topic: str, *, of_type: str = "") -> Iterator[tuple[Connection, bytes]]:
-    """The messages of a topic that are of events, or of a type, in the order of their reception."""
+    """Yield the messages of a topic that have events, or a given type, in order of reception."""
     of_topic = (one for one in bag.connections if one.topic == topic)
     chosen = [one for one in of_topic if (one.msgtype == of_type if of_type else layout(one))]
     for connection, _, message in bag.messages(chosen):

@@ -1,10 +1,10 @@
-"""Bags of ROS 1, version 2.0, closed or not: records of a header and data.
+"""Read ROS 1 bags, version 2.0, closed or not: records of a header and data.
 
     length, header: fields `name=value`, each with its length; length, data
     op 3 bag header    5 chunk: connections (7) and messages (2)    4 index of one connection of the chunk before
-    op 7 connection    6 where a chunk is, and its times            http://wiki.ros.org/Bags/Format/2.0
+    op 7 connection    6 position of a chunk, and its times         http://wiki.ros.org/Bags/Format/2.0
 
-While a chunk is being written its record says that it is empty, so what was not packed follows it as records.
+While a chunk is being written, its record has length 0, so its content that was not packed follows as records.
 """
 
 import re
@@ -46,7 +46,7 @@ class Rosbag1File(ChunkedFile):
         return at, self._index_at > 0 and self._places == self._stated_places
 
     def _take(self, file: BinaryIO, at: int, header: Header, begin: int, end: int) -> bool:
-        """Take a record into the table; False where it is not what it says it is."""
+        """Add a record to the table; return False if its content does not match its type."""
         try:
             kind = _number(header, b"op")
             if kind == BAG:
@@ -100,7 +100,7 @@ class Rosbag1File(ChunkedFile):
 
 
 def _record(file: BinaryIO, at: int, size: int) -> tuple[Header, int, int] | None:
-    """The header of a record, and where its data begin and end; None where it is no whole record."""
+    """Return the header of a record, and begin and end of its data; None if the record is incomplete."""
     file.seek(at)
     start = file.read(LENGTH.size)
     length = LENGTH.unpack(start)[0] if len(start) == LENGTH.size else 0
@@ -119,7 +119,7 @@ def _record(file: BinaryIO, at: int, size: int) -> tuple[Header, int, int] | Non
 
 
 def _header(content: bytes, at: int) -> tuple[Header, int]:
-    """The fields of a header, and where it ends; ValueError or struct.error where it is damaged."""
+    """Return the fields of a header and its end; raise ValueError or struct.error if it is damaged."""
     (length,) = LENGTH.unpack_from(content, at)
     at += LENGTH.size
     stop = at + length
@@ -158,7 +158,7 @@ def _time_ns(value: bytes) -> int:
 
 
 def _listed(file: BinaryIO, at: int, size: int) -> Iterator[int]:
-    """Where the chunks begin, by the index at the end of the bag, as far as there is one."""
+    """Yield the positions of the chunks from the index at the end of the bag, if there is one."""
     while 0 < at < size and (record := _record(file, at, size)) is not None:
         header, _, at = record
         if header.get(b"op") == bytes([CHUNK_PLACE]) and len(header.get(b"chunk_pos", b"")) == PLACE.size:

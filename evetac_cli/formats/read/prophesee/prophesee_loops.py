@@ -1,7 +1,9 @@
-"""The loops of prophesee_words: words of a block into columns. Each returns how many events it found.
+"""The compiled loops of prophesee_words: decode the words of a block into columns. Each returns the number of events.
 
-highs: the high bits of time of the block, continuous, in the order of their words. state: one prophesee_words.STATE,
-what the block begins with, brought up to its end. columns: room for the events, edges: for the triggers.
+- highs: the unwrapped high bits of time of the block, in the order of their words
+- state: one prophesee_words.STATE, the values at the beginning of the block, updated to its end
+- columns: space for the events
+- edges: space for the triggers
 """
 
 from typing import Any
@@ -19,7 +21,7 @@ TriggerColumns = tuple[NDArray[np.int64], NDArray[np.uint8], NDArray[np.uint8]] 
 
 @njit(cache=True)
 def count_types(words: NDArray[Any], shift: int) -> NDArray[np.int64]:
-    """How many words there are of each type, the bits from `shift` on."""
+    """Return the number of words of each type; the type is the four bits above `shift`."""
     counts = np.zeros(TYPES, np.int64)
     for word in words:
         counts[np.int64(word >> type(word)(shift)) & 15] += 1
@@ -30,7 +32,7 @@ def count_types(words: NDArray[Any], shift: int) -> NDArray[np.int64]:
 def evt2(
     words: NDArray[np.uint32], highs: NDArray[np.int64], state: Any, columns: EventColumns, edges: TriggerColumns
 ) -> int:
-    """Words of EVT2."""
+    """Decode words of EVT2."""
     t, x, y, p = columns
     trigger_t, trigger_id, trigger_edge = edges
     events = triggers = times = 0
@@ -60,7 +62,7 @@ def evt2(
 def evt21(
     words: NDArray[np.uint64], highs: NDArray[np.int64], state: Any, columns: EventColumns, edges: TriggerColumns
 ) -> int:
-    """Words of EVT2.1: an event for each bit of the lower half."""
+    """Decode words of EVT2.1: an event for each set bit of the lower half."""
     t, x, y, p = columns
     trigger_t, trigger_id, trigger_edge = edges
     events = triggers = times = 0
@@ -96,7 +98,7 @@ def evt21(
 def evt3(
     words: NDArray[np.uint16], highs: NDArray[np.int64], state: Any, columns: EventColumns, edges: TriggerColumns
 ) -> int:
-    """Words of EVT3."""
+    """Decode words of EVT3."""
     t, x, y, p = columns
     trigger_t, trigger_id, trigger_edge = edges
     events = triggers = times = 0

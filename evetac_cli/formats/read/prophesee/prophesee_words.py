@@ -1,17 +1,17 @@
-"""Words of Prophesee's encodings EVT2, EVT2.1 and EVT3, block by block, into events and external triggers.
+"""Decode words of Prophesee's encodings EVT2, EVT2.1 and EVT3, block by block, into events and external triggers.
 
     EVT2    32 bits, the upper four the type: 0 and 1 an event (darker, brighter) with six bits of time, eleven of
             column, eleven of row; 8 the 28 high bits of time; A a trigger
-    EVT2.1  64 bits, the upper four the type: as EVT2, and one bit for each of the 32 columns from the word's own on
+    EVT2.1  64 bits, the upper four the type: as EVT2, and one bit for each of 32 columns, starting at the word's column
     EVT3    16 bits, the upper four the type: 0 row; 2 column and polarity, an event; 3 first column of a vector and its
-            polarity; 4 and 5 the next twelve and eight columns of it, a bit each; 6 and 8 the low and the high twelve
-            bits of time; A a trigger
+            polarity; 4 and 5 its next twelve and eight columns, one bit each; 6 and 8 the low and the high twelve bits
+            of time; A a trigger
 
-Other types that the maker documents hold no events and are passed over. Words before the first high bits of time have
-no time and are left out, as the maker's own software does. Source: Prophesee's pages on EVT 2.0, EVT 2.1 and EVT 3.0.
+Other types that Prophesee documents contain no events and are skipped. Words before the first high bits of time have no
+time and are left out, as in Prophesee's own software. Source: Prophesee's pages on EVT 2.0, EVT 2.1 and EVT 3.0.
 
-Why so: numpy alone takes ten times as long for EVT3, where the meaning of a word depends on those before it. So the
-high bits of a block are made continuous (clock.py) with numpy, and a compiled loop takes one after the other.
+The high bits of a block are unwrapped (clock.py) with numpy, and a compiled loop decodes word after word. With numpy
+alone, EVT3 takes ten times as long, because the meaning of a word depends on the words before it.
 """
 
 from collections import Counter
@@ -24,9 +24,10 @@ from numpy.typing import NDArray
 from evetac_cli.formats.read.clock import Clock
 
 TIME_HIGH, TRIGGER = 0x8, 0xA  # types of words
-MOST_UNDEFINED = 0.1  # share of words of undefined types, above which a file is of another kind
-# What a block begins with: high bits of time, continuous; of EVT3 the low bits, the row, and of a vector the next
-# column and the polarity.
+MOST_UNDEFINED = 0.1  # share of words of undefined types above which a file has another encoding
+
+# The state at the beginning of a block: unwrapped high bits of time; for EVT3 also the low bits, the row, and the next
+# column and the polarity of a vector.
 STATE = np.dtype([(name, np.int64) for name in ("high", "low", "y", "x", "p")])
 
 
@@ -43,8 +44,10 @@ class EventBlock(NamedTuple):
 
 
 class Encoding(NamedTuple):
-    """A kind of words: its name, the dtype, bits and ticks (us) of the high bits of time, where a word has them, its
-    types, and how many events one of a type makes at most.
+    """An encoding of words.
+
+    name, dtype; number and tick (us) of the high bits of time, and their shift in a word; the defined types; and the
+    largest number of events per word of a type.
     """
 
     name: str
@@ -76,15 +79,15 @@ class PropheseeDecoder:
         self._loop = {"evt2": prophesee_loops.evt2, "evt2.1": prophesee_loops.evt21, "evt3": prophesee_loops.evt3}[kind]
         self.encoding = ENCODINGS[kind]
         self.clock = Clock((1 << self.encoding.high_bits,), tick_us=self.encoding.tick_us)
-        self.untimed = 0  # words before the first that has the high bits of time
-        self.undefined = Counter[int]()  # words of types that the encoding does not have
+        self.untimed = 0  # words before the first with high bits of time
+        self.undefined = Counter[int]()  # words of types that the encoding does not define
         self.first_undefined = ""
         self.words = 0
         self._timed = False
         self._state = np.zeros(1, STATE)
 
     def part(self, words: NDArray[Any], place: Callable[[int], str]) -> EventBlock:
-        """The events and triggers of the next whole words; place: where the user finds word i."""
+        """Decode the events and triggers of the next complete words; place(i): a text on the position of word i."""
         encoding = self.encoding
         shift = 8 * words.dtype.itemsize - 4
         first = 0

@@ -1,13 +1,12 @@
 """Read events and external triggers from Prophesee's RAW (EVT2, EVT2.1, EVT3) and DAT files.
 
-The text at the head of a file, lines that begin with "% ", says which encoding and which frame. Exports of ours have
-two lines more: the note, and where the start of the recording is on the source's clock; faery's have the latter as
-`t0`. The words of RAW are read in prophesee_words; some sensors send the upper half of those of EVT2.1 first
-(`endianness=legacy`). DAT has two bytes, type and size of an event, and then for each event 32 bits of time and 32 of
-place and polarity:
+The text at the head of a file, lines that begin with "% ", states encoding and frame. Exports of evetac have two more
+lines: the note, and the start of the recording on the source's clock; files of faery have the latter as `t0`. The words
+of RAW are decoded in prophesee_words; some sensors send the upper half of EVT2.1 words first (`endianness=legacy`). DAT
+has two bytes, type and size of an event, and then for each event 32 bits of time and 32 bits of pixel and polarity:
 
     version 1   9 bits of column, 8 of row, 1 of polarity
-    version 2   14 bits of column, 14 of row, 4 of which the lowest is the polarity
+    version 2   14 bits of column, 14 of row, and 4, the lowest of which is the polarity
 
 Event types 0 (N-CARS, Gen1) and 12 have the same bits. Sources: Prophesee's pages on the formats, and its toolbox for
 DAT of type 0.
@@ -30,44 +29,44 @@ from evetac_cli.formats.read.prophesee.prophesee_words import ENCODINGS, MOST_UN
 from evetac_cli.store.recordings.streams import Stream
 
 SIGNS = (b"% evt", b"% format", b"% date", b"% camera", b"% integrator", b"% Data", b"% Version", b"% Width", b"% Date")
-OFFSET = "t_offset_us"  # the key of a line of ours
+OFFSET = "t_offset_us"  # the key of a line that evetac writes
 OFFSETS = (OFFSET, "t0")
 HEAD_LIMIT_BYTES = BLOCK_BYTES = 1 << 20
 KINDS = {"2.0": "evt2", "evt2": "evt2", "2.1": "evt2.1", "evt21": "evt2.1", "3.0": "evt3", "evt3": "evt3"}
-MOST_TRIGGERS = 1 << 22  # of a file; they are kept in memory
-# Of DAT, by its version: shift and mask of column, row and polarity.
+MOST_TRIGGERS = 1 << 22  # of a file, because they are kept in memory
+# Shift and mask of column, row and polarity, by the version of DAT.
 DAT_FIELDS = {"dat1": ((0, 0x1FF), (9, 0xFF), (17, 1)), "dat2": ((0, 0x3FFF), (14, 0x3FFF), (28, 1))}
 DAT_EVENTS, DAT_TRIGGERS, DAT_BYTES = (0x00, 0x0C), 0x0E, 8
 TRIGGERS = "external triggers; id: the input; edge: 1 rises, 0 falls"
 
 
 class Head(NamedTuple):
-    """What the text says, and where the words begin."""
+    """The facts that the text states, and its size in bytes."""
 
     kind: str  # evt2, evt2.1, evt3, dat1 or dat2
     frame_px: tuple[int, int] | None
     size: int
-    note: Note | None = None  # of an export of ours
+    note: Note | None = None  # of an evetac export
     clock_us: int = 0  # to be added to every time
-    swapped: bool = False  # of each word, the upper half comes first
+    swapped: bool = False  # the upper half of each word comes first
 
 
 def open_prophesee(path: Path, frame_px: tuple[int, int] | None) -> Foreign:
-    """Events of a RAW or DAT file; frame_px only for files that do not say theirs."""
+    """Return the events of a RAW or DAT file; frame_px is only for files that do not state it."""
     where = str(path)
     head = read_head(path)
     foreign = Foreign("prophesee", choose_frame(head.frame_px, frame_px, where), (), head.clock_us, note=head.note)
     raw = head.kind in ENCODINGS
     word_bytes = np.dtype(ENCODINGS[head.kind].dtype).itemsize if raw else DAT_BYTES
     if rest := (path.stat().st_size - head.size) % word_bytes:
-        foreign.notes.append(f"cut short: the last {rest} bytes are no whole word")
+        foreign.notes.append(f"cut short: the last {rest} bytes are an incomplete word")
     blocks = _words(path, head, ENCODINGS[head.kind].dtype if raw else "<u8")
     foreign.batches = decoded(head.kind, blocks, foreign, where) if raw else _dat(head.kind, blocks, foreign)
     return foreign
 
 
 def read_head(path: Path) -> Head:
-    """Encoding and frame from the lines at the head; InputError for encodings that are not read here."""
+    """Read encoding and frame from the lines at the head; raise InputError for unsupported encodings."""
     where = str(path)
     with path.open("rb") as file:
         content = file.read(HEAD_LIMIT_BYTES)
@@ -79,7 +78,7 @@ def read_head(path: Path) -> Head:
             raise InputError(
                 "the file ends inside its header",
                 where=where,
-                hint="is it complete? compare its size with that of the original",
+                hint="is the file complete? compare its size with that of the original",
             )
         key, _, value = content[size + 2 : end].decode(errors="replace").strip().partition(" ")
         fields[key.lower()] = value.strip()
@@ -100,15 +99,17 @@ def read_head(path: Path) -> Head:
 
 
 def _check_dat(type_and_size: bytes, where: str) -> None:
-    """InputError unless the two bytes after the head of DAT say that events follow, of a size that is read here."""
+    """Raise InputError unless the two bytes after the head of DAT announce events of a supported type and size."""
     if len(type_and_size) < 2:
-        raise InputError("holds no events", where=where, found="nothing after the header")
+        raise InputError("the file has no events", where=where, found="nothing after the header")
     kind, size = type_and_size
     if kind == DAT_TRIGGERS:
-        raise InputError("holds external triggers but no events", where=where, found=f"DAT of event type {kind:#x}")
+        raise InputError(
+            "the file has external triggers but no events", where=where, found=f"DAT of event type {kind:#x}"
+        )
     if kind not in DAT_EVENTS or size != DAT_BYTES:
         raise InputError(
-            "a DAT file of other events",
+            "this event type of DAT is not supported",
             where=where,
             expected=f"event type 0x0 or 0xc, of {DAT_BYTES} bytes",
             found=f"type {kind:#x}, of {size} bytes",
@@ -116,11 +117,11 @@ def _check_dat(type_and_size: bytes, where: str) -> None:
 
 
 def _clock_us(fields: dict[str, str], where: str) -> int:
-    """Where the times of an export begin on the source's clock; 0 in other files."""
+    """Return the begin of an export's times on the source's clock; 0 in other files."""
     key = next((key for key in OFFSETS if key in fields), OFFSET)
     text = fields.get(key, "0")
     if not re.fullmatch("-?[0-9]{1,16}", text) or abs(int(text)) >= CLOCK_LIMIT_US:
-        expected = "microseconds within 285 years of 0"
+        expected = "at most 285 years before or after 0"
         raise InputError(f"`{key}` is damaged", where=where, expected=expected, found=text[:40])
     return int(text)
 
@@ -130,21 +131,21 @@ def _kind(fields: dict[str, str], where: str) -> str:
         version = fields.get("version", "1")
         if version in ("1", "2"):
             return f"dat{version}"
-        raise InputError("a DAT file of another version", where=where, expected="1 or 2", found=version[:20])
+        raise InputError("this version of DAT is not supported", where=where, expected="1 or 2", found=version[:20])
     name = fields.get("evt") or fields.get("format", "").split(";")[0].lower()
     if name in KINDS:
         return KINDS[name]
     raise InputError(
-        "a RAW file in an encoding that is not read here",
+        "this encoding of RAW is not supported",
         where=where,
         expected="EVT2, EVT2.1 or EVT3",
         found=name[:20] or "no name",
-        hint="convert it to HDF5 or text with the maker's tools",
+        hint="convert the file to HDF5 or text with Prophesee's tools",
     )
 
 
 def _frame(fields: dict[str, str]) -> tuple[int, int] | None:
-    """`geometry 640x480`, `format EVT3;height=480;width=640`, or `Width 640` and `Height 480`."""
+    """Parse `geometry 640x480`, `format EVT3;height=480;width=640`, or `Width 640` and `Height 480`."""
     width, _, height = fields.get("geometry", "").partition("x")
     inside = dict(part.partition("=")[::2] for part in fields.get("format", "").split(";"))
     pairs = [(table.get("width"), table.get("height")) for table in (inside, fields)]
@@ -155,7 +156,7 @@ def _frame(fields: dict[str, str]) -> tuple[int, int] | None:
 
 
 def _words(path: Path, head: Head, dtype: str) -> Iterator[tuple[NDArray[Any], Callable[[int], str]]]:
-    """All whole words in blocks, the halves of each in order, and where the user finds word i of a block."""
+    """Yield all complete words in blocks, their halves in order, and a function that locates word i of a block."""
     size = np.dtype(dtype).itemsize
     at = head.size
     with path.open("rb") as file:
@@ -173,7 +174,7 @@ def _byte(start: int, size: int, word: int) -> str:
 def decoded(
     kind: str, blocks: Iterable[tuple[NDArray[Any], Callable[[int], str]]], foreign: Foreign, where: str
 ) -> Iterator[EventColumns]:
-    """The events of blocks of words of RAW; at the end `foreign` has the triggers and says what was left out."""
+    """Yield the events of blocks of RAW words; at the end add triggers and left-out data to `foreign`."""
     decoder = PropheseeDecoder(kind)
     triggers: list[tuple[NDArray[Any], ...]] = []
     kept = done = 0
@@ -190,13 +191,13 @@ def decoded(
             yield EventColumns(*part[:4], partial(at_index, done))
         done += len(part.t)
     undefined = decoder.undefined.total()
-    if undefined > MOST_UNDEFINED * decoder.words:  # of all: the first block may be a message of a few words
+    if undefined > MOST_UNDEFINED * decoder.words:  # of all words, because a block may have only a few
         raise InputError(
-            f"these are not {decoder.encoding.name} words",
+            f"the content is not {decoder.encoding.name}, which the header states",
             where=where,
-            expected="the encoding that the file's header names",
+            expected=f"words of {decoder.encoding.name}",
             found=f"{undefined:,} of {decoder.words:,} words are of undefined types, {decoder.first_undefined}",
-            hint="the file is damaged, or has another file's header",
+            hint="is the file damaged, or does it have the header of another file?",
         )
     if decoder.untimed:
         size = np.dtype(decoder.encoding.dtype).itemsize
@@ -209,14 +210,16 @@ def decoded(
         rows = np.argsort(t_us, kind="stable")
         t_us, columns = t_us[rows], {"id": number[rows].astype(np.float64), "edge": edge[rows].astype(np.float64)}
         foreign.streams.append(
-            Stream("triggers", t_us + foreign.clock_us, columns, what=TRIGGERS, clock="the camera's, as of the events")
+            Stream(
+                "triggers", t_us + foreign.clock_us, columns, what=TRIGGERS, clock="the camera's, same as the events"
+            )
         )
 
 
 def _dat(
     kind: str, blocks: Iterable[tuple[NDArray[Any], Callable[[int], str]]], foreign: Foreign
 ) -> Iterator[EventColumns]:
-    """The events of blocks of DAT; at the end `foreign` says whether the clock wrapped."""
+    """Yield the events of blocks of DAT; at the end add a note on clock wraps to `foreign`."""
     clock = Clock((BITS_32,))
     done = 0
     for words, _ in blocks:

@@ -1,1 +1,1 @@
-"""LeRobotDataset v3.0: trials as episodes, brought to a chosen rate, with statistics and a data card."""
+"""Export to LeRobotDataset v3.0: trials as episodes at a chosen frame rate, with statistics and a data card."""

@@ -1,4 +1,4 @@
-"""What a data set holds: the features of a frame, chosen from what all of its trials have."""
+"""Choose the features of a data set's frames from the data that all of its trials have."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -29,13 +29,13 @@ from evetac_cli.formats.write.lerobot.point_sets import PointSet
 RULES = {
     "mean": "the mean of the frame's slices",
     "last": "the last slice of the frame",
-    "stacked": "the last {stacked} slices of the frame, one after the other, the oldest first",
+    "stacked": "the last {stacked} slices of the frame, concatenated, oldest first",
 }
 
 
 @dataclass(frozen=True)
 class Choices:
-    """What was chosen of a data set; the defaults are those of the command."""
+    """The options of an export; their defaults are those of the command."""
 
     fps: int
     per_frame: str
@@ -47,12 +47,12 @@ class Choices:
 
     @property
     def rule(self) -> str:
-        """How the tactile vector of a frame comes from slices, in words."""
+        """A text that describes how the tactile vector of a frame is computed from its slices."""
         return RULES[self.per_frame].format(stacked=SLICES_PER_S // self.fps)
 
 
 class FrameContents(NamedTuple):
-    """The features, and the columns, points, event frames and images of streams that they are made of.
+    """The features, and their sources: columns, points, event frames and images of streams.
 
     stream_videos: name of the feature -> name of the stream.
     """
@@ -65,7 +65,7 @@ class FrameContents(NamedTuple):
     choices: Choices
 
     def rows(self, made: Episode, number: int, first: int, task: int) -> dict[str, NDArray[Any]]:
-        """The columns of an episode: arrays (frames, ...), and numbers (frames,)."""
+        """Return the columns of an episode: arrays (frames, ...), and numbers (frames,)."""
         frames = len(made.state)
         at = np.arange(frames, dtype=np.int64)
         if self.points is None:
@@ -86,14 +86,22 @@ class FrameContents(NamedTuple):
 
 
 def choose(outlines: Sequence[EpisodeOutline], choices: Choices) -> tuple[FrameContents, list[str]]:
-    """What a data set of these trials holds, and in words what is left out; InputError where they do not fit."""
+    """Return the contents of a data set of these trials, and texts on what is left out.
+
+    Raises InputError if the trials or options do not fit together.
+    """
     require_alike(outlines)
     as_points = choices.tactile_layout == "points"
     if as_points and choices.per_frame == "stacked":
-        raise InputError("points are not stacked", where="--per-frame", expected="mean or last", found="stacked")
+        raise InputError(
+            "points cannot be stacked",
+            where="--per-frame",
+            expected="mean or last, or --tactile-layout vector",
+            found="stacked",
+        )
     if as_points and choices.tactile_key == "observation.environment_state":
         expected = "--tactile-layout vector"
-        raise InputError("has no effect", where="--tactile-key", expected=expected, found="points")
+        raise InputError("has no effect on points", where="--tactile-key", expected=expected, found="points")
     frame_px = outlines[0].frame_px
     stacks = event_stacks.parse(choices.event_frames, choices.size, frame_px)
     vectors, left_out = choose_vectors(outlines, as_points=as_points, truth=choices.truth)
@@ -118,23 +126,23 @@ def _features(
     choices: Choices,
 ) -> dict[str, Feature]:
     width, height = (side + side % 2 for side in frame_px)
-    words = "all events of the frame: white brighter, black darker, grey none"
-    made = {STATE: vector(vectors.state, f"{', '.join(vectors.state)}: the last measured")}
+    words = "all events of the frame: white is brighter (ON), black is darker (OFF), grey is no event"
+    made = {STATE: vector(vectors.state, f"{', '.join(vectors.state)}: the last measured values")}
     if points is None:
         names = names_of(vectors.tactile, choices.per_frame, SLICES_PER_S // choices.fps)
-        made[choices.tactile_key] = vector(names, f"{len(vectors.tactile)} figures of touch, {choices.rule}")
+        made[choices.tactile_key] = vector(names, f"{len(vectors.tactile)} tactile values, {choices.rule}")
     else:
         made |= points.features(choices.rule)
     made[VIDEO] = video(height, width, choices.fps, words)
     made |= {} if stacks is None else stacks.features()
     for key, name in stream_names.items():
         rows, columns = streams.images[name]
-        words = f"the last image of the stream `{name}` before the end of the frame, black before its first"
+        words = f"the last image of the stream `{name}` before the end of the frame, black before its first image"
         made[key] = video(rows + rows % 2, columns + columns % 2, choices.fps, words)
     for key, columns_of in vectors.others.items():
         words = f"the last sample of the stream `{key.removeprefix(NUMBERS.format(''))}` before the end of the frame"
         if key == TRUTH:
-            words = "what only a simulation knows, and no sensor tells: no observation"
+            words = "ground truth of the simulation, which no sensor measures: do not use it as an observation"
         made[key] = vector(columns_of, words)
-    made[ACTION] = vector(vectors.action, f"{', '.join(vectors.action)}: the goal that stands one frame later")
+    made[ACTION] = vector(vectors.action, f"{', '.join(vectors.action)}: the goal one frame later")
     return {**made, **indices()}

@@ -1,6 +1,6 @@
-"""The data card of a data set of episodes; it says first what is simulated, and states no license.
+"""Write the data card of a data set of episodes: it states first what is simulated, and names no license.
 
-The license is up to whoever publishes the data.
+The publisher of the data chooses the license.
 """
 
 from collections import Counter
@@ -15,13 +15,13 @@ from evetac_cli.formats.write.lerobot.episodes import TRUTH, EpisodeOutline
 from evetac_cli.formats.write.lerobot.features import Feature
 from evetac_cli.store.layout.provenance import made
 
-LONGEST_CELL = 80  # of what stands in a file
+LONGEST_CELL = 80  # characters of a text that comes from a file
 
 
 def data_card(
     outlines: Sequence[EpisodeOutline], contents: FrameContents, info: Mapping[str, Any], left_out: Sequence[str]
 ) -> str:
-    """The card; info is what meta/info.json says."""
+    """Return the card; info is the content of meta/info.json."""
     simulated = sum(one.facts["simulated"] for one in outlines)
     fps = info["fps"]
     fields = {
@@ -30,16 +30,17 @@ def data_card(
         "configs": [{"config_name": "default", "data_files": "data/*/*.parquet"}],
     }
     page = [
-        "# Touch of an event camera behind a dotted gel" + (", simulated" if simulated == len(outlines) else ""),
+        "# Tactile data of an event camera behind a dotted gel" + (", simulated" if simulated == len(outlines) else ""),
         _origin(simulated, len(outlines)),
-        f"{len(outlines)} episodes, {info['total_frames']} frames at {fps} frames a second, as a LeRobotDataset"
-        f" {info['codebase_version']}. Written by evetac {made()['evetac']}; meta/evetac.json has the recipe of every"
-        " file that an episode comes from: parameters, seeds, ids.",
-        "## What a frame holds",
+        f"{len(outlines)} episodes, {info['total_frames']} frames at {fps} frames per second, as a LeRobotDataset"
+        f" {info['codebase_version']}. Written by evetac {made()['evetac']}; meta/evetac.json has the provenance of"
+        " each episode's files: parameters, seeds, ids.",
+        "## Contents of a frame",
         table(_frame(contents.features)),
-        f"The sensor gives {SLICES_PER_S} slices a second. Frame i is made of those from i * {SLICES_PER_S} / {fps} ms "
-        f"on, up to the start of the next, and its timestamp is i / {fps} s. What is not known holds its last value,"
-        " and is 0 before the first. Units end the names. Names of all figures are in meta/info.json.",
+        f"The sensor has {SLICES_PER_S} slices per second. Frame i has the slices from i * {SLICES_PER_S} / {fps} ms "
+        f"up to the start of the next frame, and its timestamp is i / {fps} s. A value that is unknown keeps its last"
+        " known value, and is 0 before the first. Names end with the unit. meta/info.json lists the names of all"
+        " values.",
         "## Episodes",
         table(_episodes(outlines, info["splits"])),
         "Tasks: " + "; ".join(dict.fromkeys(inline(one.task) for one in outlines)) + ".",
@@ -53,35 +54,37 @@ def data_card(
 
 
 def _frame(features: Mapping[str, Feature]) -> list[dict[str, str]]:
-    """A row for each feature that is described, one for those that follow each other and are described alike."""
+    """Return a row per described feature; consecutive features with the same description share a row."""
     rows = []
     described = [(name, feature) for name, feature in features.items() if feature.what]
     for what, alike in groupby(described, key=lambda pair: pair[1].what):
         names = [(name, feature.size) for name, feature in alike]
         shown = [name for name, _ in (names if len(names) == 1 else (names[0], names[-1]))]
         name = " ... ".join(f"`{name}`" for name in shown)
-        rows.append({"name": name, "values": names[0][1], "what it is": what})
+        rows.append({"name": name, "values": names[0][1], "meaning": what})
     return rows
 
 
 def _limitations(contents: FrameContents, simulated: bool) -> list[str]:
-    """What whoever trains on it has to know, as a list."""
-    said = ["Videos are H.264: near their values, not exact. The table is exact."]
+    """Return the limitations that a user of the data set needs to know, as list items."""
+    said = ["Videos are H.264, which is lossy: their values are close, not exact. The table is exact."]
     if simulated:
-        said.append("Nothing simulated here was compared with a real sensor.")
-    said.append("Splits are only named: lerobot trains on all episodes unless `--dataset.episodes` says which.")
+        said.append("The simulated data has not been compared with a real sensor.")
+    said.append(
+        "Splits are only labels: lerobot trains on all episodes unless `--dataset.episodes` selects some of them."
+    )
     if contents.points is not None:
-        said.append(
-            "Of points, dz is not measured: it is 0. Forces and the wrench are estimated from the dots' motion."
-        )
+        said.append("dz of the points is not measured: it is 0. Forces and the wrench are estimated from dot motion.")
     else:
-        said.append("Forces of touch are estimated from the dots' motion; nothing measured them.")
+        said.append("Contact forces are estimated from dot motion, not measured.")
     if contents.stacks is not None:
         said.append(
-            f"More than {contents.stacks.full_scale} events of one sign per pixel and frame are shown as so many."
+            f"More than {contents.stacks.full_scale} events of one sign per pixel and frame are clipped to this number."
         )
     if TRUTH in contents.features:
-        said.append(f"`{TRUTH}` is what no sensor tells: a policy that takes it in works in the simulator alone.")
+        said.append(
+            f"`{TRUTH}` is ground truth that no sensor measures: a policy with it as input works only in simulation."
+        )
     return [f"- {one}" for one in said]
 
 
@@ -91,12 +94,12 @@ def _origin(simulated: int, episodes: int) -> str:
     share = "All episodes are" if simulated == episodes else f"{simulated} of {episodes} episodes are"
     return (
         f"**Simulated.** {share} from evetac's simulator of gel, gripper and event camera, not from a real sensor. A"
-        " policy that is trained on them has seen no real touch."
+        " policy that is trained on them has not seen real tactile data."
     )
 
 
 def _episodes(outlines: Sequence[EpisodeOutline], splits: Mapping[str, str]) -> list[dict[str, str]]:
-    """A row for every object, sensor, outcome and split, with how many episodes it has."""
+    """Return a row per object, sensor, outcome and split, with its number of episodes."""
     counted: Counter[tuple[str, ...]] = Counter()
     facts = ("object", "sensor", "outcome")
     for number, one in enumerate(outlines):

@@ -1,4 +1,4 @@
-"""Files that take several episodes one after the other, and go on in the next file when they are large enough."""
+"""Files with several consecutive episodes; a new file is begun when the current one is large enough."""
 
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 CODEC = "libx264"
-CODEC_OPTIONS = {"crf": "18", "g": "2", "bf": "0"}  # every other picture stands alone, so that any is soon found
+CODEC_OPTIONS = {"crf": "18", "g": "2", "bf": "0"}  # every other picture is a key frame, so that seeking is fast
 
 
 class EpisodePlace(NamedTuple):
-    """Where an episode lies: the file by its numbers, and from which time on, in s."""
+    """The location of an episode: the numbers of its chunk and file, and its start time in the file, in s."""
 
     chunk: int
     file: int
@@ -22,9 +22,9 @@ class EpisodePlace(NamedTuple):
 
 
 class Numbered:
-    """The names of files that follow each other: `pattern` with chunk_index and file_index, so many in a chunk.
+    """The names of numbered files: `pattern` with chunk_index and file_index, `chunk_files` of them per chunk.
 
-    most_mb: when a file is large enough; None: never.
+    most_mb: size at which the next episode begins a new file; None: never.
     """
 
     def __init__(self, folder: Path, pattern: str, chunk_files: int, most_mb: int | None) -> None:
@@ -41,11 +41,11 @@ class Numbered:
 
     @property
     def place(self) -> EpisodePlace:
-        """The numbers of the present file."""
+        """The numbers of the current file."""
         return EpisodePlace(*divmod(self._number, self._chunk_files))
 
     def next(self) -> str:
-        """The path of the next file, whose folder is there."""
+        """Return the path of the next file; its folder is created."""
         self._number += 1
         place = self.place
         self._path = self._folder / self._pattern.format(chunk_index=place.chunk, file_index=place.file)
@@ -54,7 +54,7 @@ class Numbered:
 
 
 class Tables(AbstractContextManager["Tables"]):
-    """Parquet files with a row group an episode; rows: how many there are by now."""
+    """Parquet files with one row group per episode; `rows` is the number of rows so far."""
 
     def __init__(self, arrow: Any, files: Numbered) -> None:
         self.rows = 0
@@ -65,12 +65,12 @@ class Tables(AbstractContextManager["Tables"]):
         self.close()
 
     def close(self) -> None:
-        """End the present file."""
+        """Close the current file."""
         if self._writer is not None:
             self._writer.close()
 
     def append(self, table: Any) -> EpisodePlace:
-        """Write the rows of an episode; returns where."""
+        """Write the rows of an episode; return its location."""
         if self._files.is_over:
             self.close()
             self._writer = self._arrow.parquet.ParquetWriter(self._files.next(), table.schema, compression="snappy")
@@ -80,12 +80,12 @@ class Tables(AbstractContextManager["Tables"]):
 
 
 class Videos(AbstractContextManager["Videos"]):
-    """Videos of pictures, grey (height, width) or (height, width, 3), one episode after the other."""
+    """Video files of consecutive episodes; pictures are grey (height, width) or (height, width, 3)."""
 
     def __init__(self, av: Any, files: Numbered, fps: int, shape: Sequence[int]) -> None:
         self._av, self._files, self._fps = av, files, fps
         self._height, self._width = shape[:2]
-        self._frames = 0  # in the present file
+        self._frames = 0  # in the current file
         self._file: Any = None
         self._stream: Any = None
 
@@ -93,7 +93,7 @@ class Videos(AbstractContextManager["Videos"]):
         self.close(whole=type_ is None)
 
     def close(self, *, whole: bool = True) -> None:
-        """End the present file; without what the codec still holds where it is not wanted as a whole."""
+        """Close the current file; if not `whole`, without the pictures that the codec has not written yet."""
         if self._file is None:
             return
         if whole:
@@ -102,18 +102,18 @@ class Videos(AbstractContextManager["Videos"]):
 
     @property
     def now_s(self) -> float:
-        """Where the next picture will stand in the present file."""
+        """The time of the next picture in the current file."""
         return self._frames / self._fps
 
     def begin(self) -> EpisodePlace:
-        """Begin an episode; returns where."""
+        """Begin an episode; return its location."""
         if self._files.is_over:
             self.close()
             self._frames = 0
             self._file = self._av.open(self._files.next(), "w")
             self._stream = self._file.add_stream(CODEC, rate=self._fps, options=CODEC_OPTIONS)
             self._stream.width, self._stream.height, self._stream.pix_fmt = self._width, self._height, "yuv420p"
-            self._file.start_encoding()  # the file is there from now on
+            self._file.start_encoding()  # this creates the file, whose size `is_over` reads
         return self._files.place._replace(start_s=self.now_s)
 
     def add(self, picture: NDArray[np.uint8]) -> None:

@@ -1,12 +1,12 @@
-"""A trial as an episode of frames for a policy: which columns it sees, and how 1000 slices a second become frames.
+"""A trial as an episode of frames for a policy: the columns it has, and how 1000 slices per second become frames.
 
-Frame i is made of the slices from i * 1000 // fps to (i + 1) * 1000 // fps, the end excluded: all that is known at
-its end. State and action are the last values; the tactile vector is the mean of its slices, the last, or the last
-1000 // fps of them one after the other, the oldest first. The action of a frame is the goal that stands one frame
-later: what was commanded upon what the frame shows. So the last whole frame of a trial has none, and is left out.
+Frame i has the slices from i * 1000 // fps to (i + 1) * 1000 // fps, the end excluded: everything known at its end.
+State and action are the last values. The tactile vector is the mean of the slices, the last slice, or the last
+1000 // fps slices concatenated, oldest first. The action of a frame is the goal one frame later, which was commanded in
+response to the frame. The last whole frame of a trial therefore has no action and is left out.
 
-Other streams of the trial, and truth where it is asked for, are last values too. What is not known holds its last
-value, and is 0 before the first: policies cannot do with gaps.
+Other streams of the trial, and truth if requested, are last values too. An unknown value keeps its last known value,
+and is 0 before the first, because policies cannot handle gaps.
 """
 
 import re
@@ -29,9 +29,9 @@ from evetac_cli.store.index import scene_words
 from evetac_cli.store.recordings.read import Recording
 
 STATE = ("gripper_position_ticks", "gripper_current_ma")
-# Actions of a grasp, and of a trial without a controller. lerobot reads a vector of one number as a number, which its
-# policies cannot take for an action. So beside the goal, a whole number, stands the controller's correction, which is a
-# part of it; beside the wanted current the one that was written.
+# Actions of a grasp, and of a trial without a controller. lerobot reads a vector with one element as a scalar, which
+# its policies do not accept as an action. So each action has two elements: the goal (a whole number of ticks) and the
+# controller's feedforward part of it, or the target current and the current that was written.
 OF_GRASP = ("control_goal_ticks", "control_u_ff_ticks")
 OF_GRIPPER = ("gripper_current_target_ma", "gripper_current_written_ma")
 DISPLACEMENT = re.compile(r"displacement_\d+_[xy]_px")
@@ -39,16 +39,16 @@ TACTILE = re.compile(
     rf"{DISPLACEMENT.pattern}|events_per_dot_\d+|touch_(touches|shear_[xy]_n|normal_n|torsion_n_mm|centre_[xy]_mm)"
     "|touch_(area_mm2|sticking_share)|(control|model)_probability"
 )
-TRUTH = "simulated_truth"  # no observation: policies take in what begins with that word
+TRUTH = "simulated_truth"  # not `observation...`: lerobot's policies use every feature whose name begins so as input
 OF_POINTS = re.compile("|".join((DISPLACEMENT.pattern, *OF_WRENCH)))
-MOST_BYTES = 2_000_000_000  # of a trial's slices in memory
-MOST_EVENTS = 4_000_000  # drawn in one picture: the last ones
-LARGEST_PX = 4096  # side of a picture, which H.264 takes everywhere
-GREYS = np.array([0, 128, 255], np.uint8)  # darker, nothing, brighter, as in the paper's pictures
+MOST_BYTES = 2_000_000_000  # memory for a trial's slices
+MOST_EVENTS = 4_000_000  # drawn in one picture: the last events of the frame
+LARGEST_PX = 4096  # side of a picture that every H.264 codec supports
+GREYS = np.array([0, 128, 255], np.uint8)  # darker, no event, brighter, as in the paper's pictures
 
 
 class EpisodeOutline(NamedTuple):
-    """What a trial could give to an episode: its columns, how long it is, its frame and its names."""
+    """The facts about a trial that decide which data an episode can have: columns, length, frame and names."""
 
     path: Path
     facts: dict[str, Any]
@@ -61,7 +61,7 @@ class EpisodeOutline(NamedTuple):
     has_dot_forces: bool
 
     def truth(self) -> list[str]:
-        """The columns that only a simulation knows."""
+        """Return the columns of ground truth, which only simulated trials have."""
         return [name for name in self.names if name.startswith("truth_")]
 
 
@@ -75,12 +75,12 @@ class Vectors(NamedTuple):
 
     @property
     def width(self) -> int:
-        """How many columns."""
+        """The number of columns."""
         return sum(map(len, (self.state, self.tactile, self.action, *self.others.values())))
 
 
 def outline(files: TrialFiles, task: str | None) -> EpisodeOutline:
-    """What a trial could give; `task` in words, by default what its scene is about."""
+    """Return the outline of a trial; `task` is a text, by default the summary of its scene."""
     recording = files.recording
     names = tuple(name for columns in columns_of(files) for name in columns.names)
     words = task or scene_words(recording.header["parameters"], "summary") or "touch and hold an object"
@@ -98,35 +98,38 @@ def outline(files: TrialFiles, task: str | None) -> EpisodeOutline:
 
 
 def require_alike(outlines: Sequence[EpisodeOutline]) -> None:
-    """InputError if a trial has no gripper or no displacements, or the trials have other frames."""
+    """Raise InputError if a trial has no gripper or no displacements, or if the trials' frame sizes differ."""
     for one in outlines:
         if not set(one.names).issuperset((*STATE, *OF_GRIPPER)):
-            raise InputError("an episode needs an action, and there is no gripper", where=str(one.path))
+            raise InputError("the recording has no gripper, so an episode would have no action", where=str(one.path))
         if not any(map(DISPLACEMENT.fullmatch, one.names)):
             raise InputError(
-                "an episode needs the displacements of the dots, and there are no features",
+                "the trial has no features; an episode needs the displacements of the dots",
                 where=str(one.path),
-                expected="features beside the recording",
+                expected="features next to the recording",
                 hint="evetac track, then evetac featurize",
             )
         if one.frame_px != outlines[0].frame_px:
             raise InputError(
-                "episodes have pictures of one size", where=str(one.path), expected=_size(outlines[0]), found=_size(one)
+                "the trials have different frame sizes; all episodes of a data set need the same",
+                where=str(one.path),
+                expected=_size(outlines[0]),
+                found=_size(one),
             )
         if max(one.frame_px) > LARGEST_PX:
             raise InputError(
-                "its pictures are too large for a video",
+                "the frame is too large for a video",
                 where=str(one.path),
-                expected=f"at most {LARGEST_PX} px a side",
+                expected=f"at most {LARGEST_PX} px per side",
                 found=_size(one),
             )
 
 
 def choose_vectors(outlines: Sequence[EpisodeOutline], *, as_points: bool, truth: bool) -> tuple[Vectors, list[str]]:
-    """The columns that all trials have, and in words what only some have, which is left out.
+    """Return the columns that all trials have, and a text on those that only some have, which are left out.
 
-    as_points: those of a point set instead of the tactile vector. InputError if the trials have other dots or actions,
-    or truth is asked for and nothing was simulated.
+    as_points: use the columns of a point set instead of the tactile vector. Raises InputError if the trials have
+    different dots or actions, or if truth is requested but the trials have none.
     """
     common = set.intersection(*(set(one.names) for one in outlines))
     wanted = OF_POINTS if as_points else TACTILE
@@ -140,7 +143,7 @@ def choose_vectors(outlines: Sequence[EpisodeOutline], *, as_points: bool, truth
             where=str(outlines[0].path.parent),
             expected="trials of one gel, all grasps or none",
             found=f"{odd or OF_GRASP[0]} in some of them",
-            hint="export them to folders of their own",
+            hint="export them to separate folders",
         )
     tactile = tuple(name for name in tactile_of[0] if name in common)
     columns = other_streams.shared([one.streams for one in outlines], LARGEST_PX)[0].columns
@@ -150,14 +153,16 @@ def choose_vectors(outlines: Sequence[EpisodeOutline], *, as_points: bool, truth
         some |= set().union(*(one.truth() for one in outlines)) - common
         if not known:
             where = next(str(one.path) for one in outlines if not set(one.truth()) & common)
-            raise InputError("there is no truth, which only a simulation knows", where=where, hint="leave out --truth")
+            raise InputError(
+                "the trial has no ground truth; only simulated trials have", where=where, hint="leave out --truth"
+            )
         others[TRUTH] = known
     left_out = [f"not in all trials: {', '.join(sorted(some))}"] if some else []
     return Vectors(STATE, tactile, actions.pop(), others), left_out
 
 
 def choose_points(outlines: Sequence[EpisodeOutline], tactile: Sequence[str]) -> tuple[PointSet, list[str]]:
-    """The point set of these tactile columns, and in words what is left out of it."""
+    """Return the point set of these tactile columns, and texts on what is left out of it."""
     with_forces = [one.has_dot_forces for one in outlines]
     dots = sum(bool(DISPLACEMENT.fullmatch(name)) for name in tactile) // 2
     left_out = ["forces of dots: not all trials have touch maps"] if any(with_forces) and not all(with_forces) else []
@@ -169,12 +174,12 @@ def _size(one: EpisodeOutline) -> str:
 
 
 def frame_edges(slices: int, fps: int) -> NDArray[np.int64]:
-    """Where frames begin, and where the last one ends: frame i has the slices [edges[i], edges[i + 1])."""
+    """Return the edges of frames: frame i has the slices [edges[i], edges[i + 1])."""
     return np.arange(slices * fps // SLICES_PER_S + 1, dtype=np.int64) * SLICES_PER_S // fps
 
 
 class Episode(NamedTuple):
-    """The frames of a trial: (frames, values) each, and where the slices of each frame begin and end."""
+    """The frames of a trial: arrays (frames, values), and the slices at which each frame begins and ends."""
 
     state: Singles
     tactile: Singles
@@ -185,22 +190,22 @@ class Episode(NamedTuple):
 
 
 def episode(files: TrialFiles, vectors: Vectors, points: PointSet | None, fps: int, per_frame: str) -> Episode:
-    """The frames of a trial; InputError if it has fewer than two, or is too long for memory."""
+    """Return the frames of a trial; raise InputError if it has fewer than two or does not fit in memory."""
     recording = files.recording
     slices = len(recording)
     edges = frame_edges(slices, fps)
     if len(edges) < 3:
         raise InputError(
-            "too short for an episode",
+            "the recording is too short for an episode",
             where=str(recording.path),
-            expected=f"two frames of {SLICES_PER_S / fps:g} ms",
+            expected=f"at least two frames of {SLICES_PER_S / fps:g} ms",
             found=f"{slices} ms",
         )
     has_forces = points is not None and points.has_forces
     width = vectors.width + (3 * points.dots if points is not None and has_forces else 0)
     if 16 * width * slices > MOST_BYTES:
         raise InputError(
-            "too long for an episode",
+            "the recording is too long for an episode",
             where=str(recording.path),
             expected=f"at most {MOST_BYTES // (16 * width) // SLICES_PER_S} s",
             found=f"{slices / SLICES_PER_S:.0f} s",
@@ -224,7 +229,7 @@ def episode(files: TrialFiles, vectors: Vectors, points: PointSet | None, fps: i
 
 
 def known(values: Masked) -> Singles:
-    """The values with the last known one wherever none is known, 0 before the first; by columns of (slices, n)."""
+    """Replace unknown values by the last known value of the column, and by 0 before the first; (slices, n)."""
     missing = np.ma.getmaskarray(values)
     rows = np.where(missing, 0, np.arange(len(values))[:, None])
     latest = np.maximum.accumulate(rows, axis=0)
@@ -233,7 +238,7 @@ def known(values: Masked) -> Singles:
 
 
 def frames_of(values: Singles, edges: NDArray[np.int64], per_frame: str, stacked: int) -> Singles:
-    """One row a frame from the slices (slices, n) of each; of `stacked` that many slices, as (frames, stacked * n)."""
+    """Return one row per frame from slices (slices, n); for per_frame "stacked" of shape (frames, stacked * n)."""
     begins, ends = edges[:-1], edges[1:]
     if per_frame == "last":
         return values[ends - 1]
@@ -245,16 +250,17 @@ def frames_of(values: Singles, edges: NDArray[np.int64], per_frame: str, stacked
 
 
 def names_of(tactile: Sequence[str], per_frame: str, stacked: int) -> list[str]:
-    """The names of the tactile vector; of stacked slices also how many ms before the end of the frame each ends."""
+    """Return the names of the tactile vector; for stacked slices with their age in ms at the end of the frame."""
     if per_frame != "stacked":
         return list(tactile)
     return [f"{name}_{age}_ms_ago" for age in range(stacked - 1, -1, -1) for name in tactile]
 
 
 def pictures(recording: Recording, edges: NDArray[np.int64]) -> Iterator[NDArray[np.uint8]]:
-    """The events of each frame as the paper draws them, (height, width); a row or column is added to odd sides.
+    """Yield the events of each frame as the paper draws them, (height, width).
 
-    White is brighter, black darker, grey nothing. Codecs want even sides.
+    White is brighter, black is darker, grey is no event. Odd sides get one more row or column, because codecs require
+    even sides.
     """
     width, height = recording.frame_px
     for begin, end in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):

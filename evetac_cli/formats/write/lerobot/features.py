@@ -1,4 +1,4 @@
-"""The features of a data set for LeRobot: what meta/info.json says of each, and what the data card says of it."""
+"""The features of a data set for LeRobot, as described in meta/info.json and in the data card."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
@@ -8,7 +8,7 @@ INDICES = ("frame_index", "episode_index", "index", "task_index")
 
 
 class Feature(NamedTuple):
-    """A feature: its type, the shape of a frame of it, the names of its values, more of it, and what it is in words."""
+    """A feature: its type, its shape per frame, the names of its values, a text for the card, and further info."""
 
     dtype: str
     shape: tuple[int, ...]
@@ -17,25 +17,25 @@ class Feature(NamedTuple):
     info: Mapping[str, Any] | None = None
 
     def described(self) -> dict[str, Any]:
-        """As meta/info.json has it."""
+        """Return the feature as meta/info.json describes it."""
         names = None if self.names is None else list(self.names)
         made = {"dtype": self.dtype, "shape": list(self.shape), "names": names}
         return made if self.info is None else {**made, "info": dict(self.info)}
 
     @property
     def size(self) -> str:
-        """How many values a frame has, in words."""
+        """The number of values per frame, as text."""
         height, width = self.shape[:2] if len(self.shape) > 2 else (0, 0)
         return f"{width} x {height} px" if height else " x ".join(map(str, self.shape))
 
 
 def vector(names: Sequence[str], what: str) -> Feature:
-    """A vector of named numbers."""
+    """Return a feature that is a vector of named numbers."""
     return Feature("float32", (len(names),), names, what)
 
 
 def video(height: int, width: int, fps: int, what: str) -> Feature:
-    """Pictures of red, green and blue in a video, as `Videos` writes it."""
+    """Return a feature that is an RGB video, as `Videos` writes it."""
     info = {
         "video.height": height,
         "video.width": width,
@@ -50,6 +50,6 @@ def video(height: int, width: int, fps: int, what: str) -> Feature:
 
 
 def indices() -> dict[str, Feature]:
-    """What every data set has: the time of a frame, and the numbers that find it."""
+    """Return the features of every data set: the time of a frame and its indices."""
     numbers = {name: Feature("int64", (1,), None) for name in INDICES}
     return {"timestamp": Feature("float32", (1,), None), **numbers}

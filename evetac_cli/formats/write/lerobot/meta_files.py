@@ -1,4 +1,4 @@
-"""The files of a data set that describe it, as lerobot reads them: tasks, a row for each episode, and JSON."""
+"""Write the files of a data set that describe it for lerobot: tasks, one row per episode, and JSON."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -10,7 +10,7 @@ from evetac_cli.formats.write.lerobot.statistics import Figures, as_lists
 
 
 def place_columns(what: str, place: EpisodePlace) -> dict[str, int]:
-    """Where an episode lies, as columns of its row."""
+    """Return the location of an episode as columns of its row."""
     return {f"{what}/chunk_index": place.chunk, f"{what}/file_index": place.file}
 
 
@@ -21,7 +21,7 @@ def episode_table(
     facts: Mapping[str, Any],
     types: Mapping[str, Any],
 ) -> Any:
-    """The row of an episode: where its frames and pictures lie, its statistics, and which trial it is."""
+    """Return the row of an episode: the locations of its frames and pictures, its statistics, and its trial's facts."""
     row = dict(lies)
     for name, figures in as_lists(statistics).items():
         row |= {f"stats/{name}/{figure}": value for figure, value in figures.items()}
@@ -34,7 +34,7 @@ def episode_table(
 
 
 def write_tasks(arrow: Any, path: Path, tasks: Sequence[str]) -> None:
-    """The tasks as pandas writes a table whose index they are, which is how lerobot reads it."""
+    """Write the tasks in the form of a pandas table with the tasks as index, which lerobot expects."""
     text = {"pandas_type": "unicode", "numpy_type": "object", "metadata": None}
     index = {"name": "task", "field_name": "task", **text}
     number = {"name": "task_index", "field_name": "task_index", "pandas_type": "int64", "numpy_type": "int64"}
@@ -51,6 +51,6 @@ def write_tasks(arrow: Any, path: Path, tasks: Sequence[str]) -> None:
 
 
 def write_json(path: Path, content: Any) -> None:
-    """One of the files of JSON."""
+    """Write one of the JSON files."""
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(content, indent=4, ensure_ascii=False, allow_nan=False), encoding="utf-8")

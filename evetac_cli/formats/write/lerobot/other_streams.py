@@ -1,7 +1,7 @@
-"""Other streams of a trial as observations: what stands in a frame is the last sample before its end.
+"""Other streams of a trial as observations: a frame has the last sample before its end.
 
-The numbers of a stream are the vector `observation.streams.NAME`, its images the video `observation.images.NAME`. Of
-streams that only some trials have, or that are not alike, nothing is written, and that is said.
+The numbers of a stream become the vector `observation.streams.NAME`, its images the video `observation.images.NAME`.
+Streams that only some trials have, or whose columns or sizes differ, are left out, and the export reports this.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -16,18 +16,21 @@ from evetac_cli.store.recordings import streams
 from evetac_cli.store.recordings.read import Recording
 
 NUMBERS, IMAGES = "observation.streams.{}", "observation.images.{}"
-OURS = ("tactile", "stream_")  # how names of images begin that are not a stream's own
+OURS = (
+    "tactile",
+    "stream_",
+)  # prefixes that a stream's image feature must not have: the tactile sensor's, and `stream_`
 
 
 class StreamShapes(NamedTuple):
-    """What a trial's streams hold: columns of numbers by the stream's name, and (rows, columns) of its images."""
+    """The streams of a trial: columns of numbers by the stream's name, and (rows, columns) of its images."""
 
     columns: Mapping[str, tuple[str, ...]]
     images: Mapping[str, tuple[int, int]]
 
 
 def shapes(recording: Recording, columns: Sequence[str]) -> StreamShapes:
-    """Of a trial; columns: the names of all that its slices show."""
+    """Return the streams of a trial; columns: the names of all columns of its slices."""
     stored = recording.contents()
     named = streams.names(stored)
     of: dict[str, list[str]] = {name: [] for name in named}
@@ -44,30 +47,30 @@ def shapes(recording: Recording, columns: Sequence[str]) -> StreamShapes:
 
 
 def shared(trials: Sequence[StreamShapes], largest_px: int) -> tuple[StreamShapes, list[str]]:
-    """What all trials have alike, and in words what is left out."""
+    """Return the streams that are the same in all trials, and texts on what is left out."""
     left_out = []
     kept: list[dict[str, tuple]] = []
     for what in StreamShapes._fields:
         of_all = [getattr(one, what) for one in trials]
         every = sorted(set().union(*of_all))
         alike = {name: of_all[0].get(name) for name in every if len({one.get(name) for one in of_all}) == 1}
-        left_out += [f"{streams.GROUP}/{name}: other {what} in some trials" for name in every if name not in alike]
+        left_out += [f"{streams.GROUP}/{name}: its {what} differ between trials" for name in every if name not in alike]
         kept.append({name: shape for name, shape in alike.items() if shape is not None})
     too_large = [name for name, shape in kept[1].items() if max(shape) > largest_px]
-    left_out += [f"images of {streams.GROUP}/{name}: more than {largest_px} px a side" for name in too_large]
+    left_out += [f"images of {streams.GROUP}/{name}: more than {largest_px} px per side" for name in too_large]
     images = {name: shape for name, shape in kept[1].items() if name not in too_large}
     return StreamShapes(kept[0], images), left_out
 
 
 def image_key(name: str) -> str:
-    """The name of the feature with a stream's images, unlike those of the tactile sensor."""
+    """Return the name of the feature with a stream's images, distinct from those of the tactile sensor."""
     return IMAGES.format(f"stream_{name}" if name.startswith(OURS) else name)
 
 
 def pictures(recording: Recording, name: str, edges: Ints) -> Iterator[NDArray[np.uint8]]:
-    """The images of a stream at the end of each frame, (rows, columns, 3), black before the first.
+    """Yield the images of a stream at the end of each frame, (rows, columns, 3), black before the first.
 
-    A row or column is added to odd sides, as codecs want them even.
+    Odd sides get one more row or column, because codecs require even sides.
     """
     path = f"{streams.GROUP}/{name}"
     at = np.searchsorted(recording.read(f"{path}/t_us"), edges[1:] * SLICE_US) - 1

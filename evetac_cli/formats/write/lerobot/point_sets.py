@@ -1,14 +1,14 @@
-"""Touch as a set of points: six numbers for each dot, [dx dy dz Fx Fy Fz], and the wrench of the whole contact.
+"""Touch as a set of points: six numbers per dot, [dx dy dz Fx Fy Fz], and the wrench of the whole contact.
 
-It is the layout that LeRobot's roadmap for 0.7 discusses (huggingface/lerobot issue 3832, pull request 4469), with its
-words: `displacement` has dx, dy, dz, `full` the force too. dx and dy are the dot's displacement. A camera that looks at
-the gel from behind does not tell dz: it is 0, and is called `dz_unknown`. A dot's force is that of the touch map's
-cells that are nearer to it at rest than to any other dot, so that the forces of all dots add up to those of the map.
-Without touch maps no force of a dot is known, and the layout is `displacement`.
+The layout is the one discussed in LeRobot's roadmap for 0.7 (huggingface/lerobot issue 3832, pull request 4469). It has
+LeRobot's names: `displacement` has dx, dy, dz; `full` has the force too. The dot's displacement is (dx, dy). A camera
+behind the gel does not measure dz: it is 0 and named `dz_unknown`. A dot's force is the sum over those cells of the
+touch map that are nearest to this dot at rest, so the forces of all dots add up to the force of the map. Without touch
+maps the forces of dots are unknown, and the layout is `displacement`.
 
-The wrench is [Fx Fy Fz Tx Ty Tz] of the object on the gel about the centre of pressure, where pressure has no torque by
-definition, and shear, which lies in the gel's surface, none about x and y: Tx and Ty are 0. Fz is positive where the
-gel is pressed.
+The wrench [Fx Fy Fz Tx Ty Tz] is that of the object on the gel about the centre of pressure. Tx and Ty are 0: pressure
+has no torque about its centre by definition, and shear, which acts in the gel's surface, has none about x and y. Fz is
+positive when the gel is pressed.
 """
 
 from collections.abc import Sequence
@@ -26,11 +26,11 @@ FORCE = ("fx_n", "fy_n", "fz_n")
 TORQUE = ("tx_n_mm", "ty_n_mm", "tz_n_mm")
 OF_WRENCH = ("touch_shear_x_n", "touch_shear_y_n", "touch_normal_n", "touch_torsion_n_mm")
 M2_PER_MM2 = 1e-6
-ONE_CELL_MM = 1.0  # side of a cell of a map that has but one row or column
+ONE_CELL_MM = 1.0  # side of a cell in a map that has only one row or column
 
 
 class PointSet(NamedTuple):
-    """The points of a data set: how many dots, whether their forces and the wrench are known."""
+    """The points of a data set: the number of dots, and whether their forces and the wrench are known."""
 
     dots: int
     has_forces: bool
@@ -38,37 +38,40 @@ class PointSet(NamedTuple):
 
     @property
     def layout(self) -> str:
-        """Its name."""
+        """The name of the layout."""
         return "full" if self.has_forces else "displacement"
 
     @property
     def names(self) -> tuple[str, ...]:
-        """What each point has."""
+        """The names of a point's values."""
         return (*MOVED, *FORCE) if self.has_forces else MOVED
 
     def features(self, rule: str) -> dict[str, Feature]:
-        """Of the points and, where it is known, the wrench; rule: how a frame comes from slices."""
+        """Return the features of the points and, if it is known, of the wrench.
+
+        rule: a text on how a frame is computed from slices.
+        """
         force = (
-            "force by the touch map's cells that are nearest to it (estimated)"
+            "force from the touch map's cells nearest to the dot (estimated)"
             if self.has_forces
-            else "the force of a dot is not known without touch maps"
+            else "without touch maps the force of a dot is unknown"
         )
         what = (
             f"layout `{self.layout}`: {', '.join(self.names)} of each dot, {rule}; displacement as tracked; dz is not"
-            f" measured and 0; {force}"
+            f" measured and is 0; {force}"
         )
         info = {"tactile.layout": self.layout, "tactile.dz": "not measured, 0"}
         made = {POINTS: Feature("float32", (self.dots, len(self.names)), self.names, what, info)}
         if self.has_wrench:
-            about = "force and torque of the contact about its centre of pressure (estimated), where tx and ty are 0"
+            about = "force and torque of the contact about its centre of pressure (estimated); tx and ty are 0"
             wrench = vector((*FORCE, *TORQUE), f"layout `wrench`: {about}, {rule}")
             made[WRENCH] = wrench._replace(info={"tactile.layout": "wrench"})
         return made
 
     def rows(self, columns: Sequence[str], frames: Singles, forces: Singles | None) -> dict[str, Singles]:
-        """The points (frames, dots, 3 or 6) and the wrench (frames, 6).
+        """Return the points (frames, dots, 3 or 6) and the wrench (frames, 6).
 
-        columns: of `frames` (frames, n), in which displacements come dot by dot; forces: (frames, 3 * dots).
+        columns: names of the columns of `frames` (frames, n), displacements ordered by dot. forces: (frames, 3 * dots).
         """
         at = [number for number, name in enumerate(columns) if name not in OF_WRENCH]
         points = np.zeros((len(frames), self.dots, len(self.names)), np.float32)
@@ -83,13 +86,13 @@ class PointSet(NamedTuple):
 
 
 def tells_forces(files: TrialFiles) -> bool:
-    """Whether the trial has touch maps, and the scale that brings them to the dots."""
+    """Whether the trial has touch maps, and the scale that relates them to the dots."""
     touch = files.by_kind.get("touch")
     return touch is not None and touch.has("map/slice") and files.mm_per_px is not None and _rest_px(files) is not None
 
 
 def dot_forces(files: TrialFiles, slices: int) -> Masked:
-    """The force in N of each dot by the last map before the end of each slice, (slices, 3 * dots); masked: unknown."""
+    """Return each dot's force in N from the last map before each slice's end, (slices, 3 * dots); unknown is masked."""
     touch, rest_px = files.by_kind["touch"], _rest_px(files)
     assert rest_px is not None and files.mm_per_px is not None
     rest_mm = (rest_px - np.array(files.recording.frame_px) / 2) * files.mm_per_px()
@@ -105,14 +108,14 @@ def dot_forces(files: TrialFiles, slices: int) -> Masked:
 
 
 def _rest_px(files: TrialFiles) -> Floats | None:
-    """The dots at rest, (dots, 2), in the order of the displacements."""
+    """Return the dots at rest, (dots, 2), in the order of the displacements."""
     kinds = [files.by_kind[kind] for kind in ("tracks", "features", "recording") if kind in files.by_kind]
     grids = [file.read("sensor/dot_xy_px") for file in kinds if file.has("sensor/dot_xy_px")]
     return np.asarray(grids[0], np.float64).reshape(-1, 2) if grids else None
 
 
 def _nearest(rest_mm: Floats, x_mm: Floats, y_mm: Floats) -> Floats:
-    """1 where a cell is nearest to a dot, else 0: (rows * columns of cells, dots); a dot without a place has none."""
+    """Return which dot is nearest to each cell, as 0 and 1: (rows * columns of cells, dots); never a missing dot."""
     cells = np.stack(np.meshgrid(x_mm, y_mm), axis=-1).reshape(-1, 2)
     far = np.linalg.norm(cells[:, None] - rest_mm, axis=2)
     return np.asarray(np.eye(len(rest_mm))[np.argmin(np.where(np.isfinite(far), far, np.inf), axis=1)])

@@ -1,7 +1,7 @@
-"""Statistics of episodes, which policies scale their inputs by: of one, and of several together.
+"""Statistics of one or several episodes, which policies use to normalize their inputs.
 
-Source: compute_stats.py of lerobot 0.4.4. Ours are of all frames and pixels, exact; lerobot takes quantiles from
-histograms, and samples of the pictures.
+Source: compute_stats.py of lerobot 0.4.4. The statistics here are exact, over all frames and pixels; lerobot estimates
+quantiles from histograms and samples the pictures.
 """
 
 from collections.abc import Mapping
@@ -15,9 +15,9 @@ QUANTILES = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}
 
 
 def of_columns(values: NDArray[Any]) -> Figures:
-    """Of each column of (frames,) or (frames, n): least, greatest, mean, standard deviation, quantiles; how many.
+    """Return minimum, maximum, mean, standard deviation and quantiles per column, and the number of frames.
 
-    Of arrays (frames, rows, n) of the n columns of all rows, as in lerobot; `count` is that of frames.
+    values: (frames,), (frames, n), or (frames, rows, n), whose n columns are evaluated over all rows, as in lerobot.
     """
     table = values.reshape(-1, values.shape[-1] if values.ndim > 1 else 1).astype(np.float64)
     quantiles = np.quantile(table, list(QUANTILES.values()), axis=0)
@@ -32,9 +32,9 @@ def of_columns(values: NDArray[Any]) -> Figures:
 
 
 def of_pictures(levels: NDArray[np.float64], pixels: NDArray[np.int64], frames: int) -> Figures:
-    """The same of pictures in which so many pixels have each level, 0 to 1 and increasing; (3, 1, 1) each.
+    """Return the same statistics for pictures, of shape (3, 1, 1) each.
 
-    pixels: (levels,) of grey pictures, or (3, levels) of red, green and blue.
+    levels: 0 to 1, increasing. pixels: the number of pixels of each level, (levels,) for grey or (3, levels) for RGB.
     """
     channels = [_of_levels(levels, channel) for channel in np.atleast_2d(pixels)]
     figures = {name: np.array([one[name] for one in channels]).reshape(-1, 1, 1) for name in channels[0]}
@@ -57,7 +57,7 @@ def _of_levels(levels: NDArray[np.float64], pixels: NDArray[np.int64]) -> dict[s
 
 
 def together(a: Mapping[str, Figures], b: Mapping[str, Figures]) -> Mapping[str, Figures]:
-    """Of both, by the names of the columns; quantiles are means weighted by frames, as in lerobot, the others exact."""
+    """Combine statistics by column name; quantiles are means weighted by frames, as in lerobot, the rest is exact."""
     return {name: _both(a[name], b[name]) for name in b} if a else b
 
 
@@ -76,5 +76,5 @@ def _both(a: Figures, b: Figures) -> Figures:
 
 
 def as_lists(statistics: Mapping[str, Figures]) -> dict[str, dict[str, Any]]:
-    """The same as JSON and Parquet take it."""
+    """Convert the statistics to lists, for JSON and Parquet."""
     return {name: {figure: value.tolist() for figure, value in one.items()} for name, one in statistics.items()}

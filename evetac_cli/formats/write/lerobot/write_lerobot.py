@@ -4,11 +4,11 @@
     data/chunk-000/file-000.parquet  videos/observation.images.tactile/chunk-000/file-000.mp4 and those of other streams
     README.md  meta/evetac.json
 
-An episode is a trial, a row a frame (episodes.py says how frames come from slices). Many episodes lie in one file, of
-data and of video, up to the sizes that lerobot has. Episodes of the split `test` come last. README.md is the data card;
-meta/evetac.json has the header of every file that an episode comes from. lerobot needs neither.
+An episode is a trial, a row is a frame (episodes.py describes how frames are computed from slices). A data or video
+file contains many episodes, up to lerobot's size limits. Episodes of the split `test` come last. README.md is the data
+card; meta/evetac.json has the header of each file of each episode's trial. lerobot reads neither.
 
-Source: LeRobotDataset v3.0 as lerobot 0.4.4 and 0.6.1 write it (lerobot/datasets); both are tried in slow tests.
+Source: LeRobotDataset v3.0 as written by lerobot 0.4.4 and 0.6.1 (lerobot/datasets); slow tests run both.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -33,8 +33,8 @@ from evetac_cli.formats.write.write_table import load_pyarrow, provenance, typed
 from evetac_cli.jobs import Progress
 
 VERSION = "v3.0"
-CHUNK_FILES = 1000  # in a folder
-DATA_MB, VIDEO_MB = 100, 200  # after which the next episode begins a new file
+CHUNK_FILES = 1000  # files per folder
+DATA_MB, VIDEO_MB = 100, 200  # file size above which the next episode begins a new file
 DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 VIDEO_PATH = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
 EPISODES_PATH = "meta/episodes/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
@@ -57,18 +57,21 @@ def write(
     size: tuple[int, int] | None = None,
     truth: bool = False,
 ) -> WrittenFolder:
-    """Write all trials as one data set; InputError where they do not go together, MissingLibrary."""
+    """Write all trials as one data set.
+
+    Raises InputError if the trials do not fit together, and MissingLibrary if pyarrow or av is not installed.
+    """
     arrow, av = load_pyarrow(str(folder.parent)), _load_av(str(folder.parent))
     outlines = []
     for source in sources:
         with opened(source) as files:
             outlines.append(outline(files, task))
     contents, said = choose(outlines, Choices(fps, per_frame, tactile_key, tactile_layout, event_frames, size, truth))
-    outlines.sort(key=lambda one: one.facts["object"] in test_objects)  # stable: test comes last
+    outlines.sort(key=lambda one: one.facts["object"] in test_objects)  # a stable sort; test episodes come last
     train = sum(one.facts["object"] not in test_objects for one in outlines)
     if test_objects and train == len(outlines):
         objects = ", ".join(sorted({str(one.facts["object"]) for one in outlines}))
-        raise InputError("no trial has such an object", where="--test-objects", expected=f"of {objects}")
+        raise InputError("no trial has any of these objects", where="--test-objects", expected=f"some of {objects}")
     tasks = list(dict.fromkeys(one.task for one in outlines))
     headers: dict[str, Any] = {}
     total: Mapping[str, Figures] = {}
@@ -150,12 +153,12 @@ def _load_av(where: str) -> Any:
 
 @contextmanager
 def _video_errors(av: Any, folder: Path) -> Iterator[None]:
-    """Say in words what the library for video says, which is no OSError where the disk is full."""
+    """Turn errors of the video library into InputError; it does not raise OSError when the disk is full."""
     try:
         yield
     except av.FFmpegError as error:
         where, said = str(folder.parent), str(error)[:200]
-        raise InputError("the video cannot be written", where=where, found=said, hint="is the disk full?") from error
+        raise InputError("the video could not be written", where=where, found=said, hint="is the disk full?") from error
 
 
 def _videos(av: Any, folder: Path, key: str, feature: Feature, fps: int) -> Videos:
@@ -164,7 +167,7 @@ def _videos(av: Any, folder: Path, key: str, feature: Feature, fps: int) -> Vide
 
 
 def _film(files: TrialFiles, contents: FrameContents, key: str, edges: NDArray[np.int64], video: Videos) -> Figures:
-    """Write the pictures of an episode, of the tactile sensor or a stream; returns their statistics."""
+    """Write the pictures of an episode, of the tactile sensor or a stream; return their statistics."""
     frames = len(edges) - 1
     if key == VIDEO:
         levels = np.zeros(len(GREYS), np.int64)
@@ -181,9 +184,9 @@ def _film(files: TrialFiles, contents: FrameContents, key: str, edges: NDArray[n
 
 
 def _column(arrow: Any, values: NDArray[Any]) -> Any:
-    """A column of numbers (frames,), vectors (frames, n) or arrays (frames, rows, n), as lerobot writes them.
+    """Return an Arrow column of numbers (frames,), vectors (frames, n) or arrays (frames, rows, n), as lerobot does.
 
-    A vector of one number is a number to it.
+    lerobot stores a vector with one element as a number.
     """
     flat = arrow.array(values.ravel())
     if values.ndim == 1 or values.shape[1:] == (1,):

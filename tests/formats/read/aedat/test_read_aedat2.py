@@ -109,10 +109,10 @@ def test_the_head_ends_where_jaer_says(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        (HEAD, "holds no events"),
-        (HEAD + b"# AEChip: ch.unizh.ini.jaer.chip.cochlea.CochleaAMS1c\r\n" + bytes(8), "a chip that is not read"),
-        (HEAD + struct.pack(">II", 511 << 22 | 1023 << 12, 0), "addresses that no chip has"),
-        (HEAD + (b"#" + b"x" * 65000 + b"\r\n") * 300, "the head of the file does not end"),
+        (HEAD, "has no events"),
+        (HEAD + b"# AEChip: ch.unizh.ini.jaer.chip.cochlea.CochleaAMS1c\r\n" + bytes(8), "unsupported chip"),
+        (HEAD + struct.pack(">II", 511 << 22 | 1023 << 12, 0), "do not fit any supported chip"),
+        (HEAD + (b"#" + b"x" * 65000 + b"\r\n") * 300, "the header of the file does not end"),
         (b"#!AER-DAT1.0\r\n" + bytes(12), "AEDAT of another version"),
     ],
 )
@@ -129,7 +129,7 @@ def test_a_cut_file_keeps_whole_events(tmp_path: Path) -> None:
     path.write_bytes(path.read_bytes()[:-3])
     imported = read_events(path)
     assert imported.events.size == 49
-    assert "cut short: the last 5 bytes are no whole event" in imported.notes
+    assert "cut short: the last 5 bytes are an incomplete event" in imported.notes
 
 
 @pytest.mark.parametrize("chip", ["DVS128", "DAVIS346"])

@@ -125,7 +125,7 @@ def test_imu_samples_are_kept(tmp_path: Path, kind: int, name: str, count: int) 
         "degC",
     )
     assert imported.left_out == {"IMU samples of source 2": 1}
-    assert f"1 IMU samples are marked as invalid, or are of another kind than {name}" in imported.notes
+    assert f"1 IMU samples were left out: they are marked as invalid or are not {name}" in imported.notes
 
 
 def test_triggers_are_kept(tmp_path: Path) -> None:
@@ -139,7 +139,7 @@ def test_triggers_are_kept(tmp_path: Path) -> None:
     assert stream.columns["source"].tolist() == [1, 2, 3] * 3
     assert stream.columns["input"].tolist() == [0, 0, 0, 1, 1, 1, 2, 2, 2]
     assert imported.left_out == {}
-    assert "5 special events are marked as invalid, or are of another kind than triggers" in imported.notes
+    assert "5 special events were left out: they are marked as invalid or are not triggers" in imported.notes
 
 
 def test_samples_of_another_size_stay_counted(tmp_path: Path) -> None:
@@ -164,14 +164,14 @@ def test_of_a_cut_file_what_is_whole(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        (HEAD + END, "holds no event stream"),
+        (HEAD + END, "no event stream"),
         (HEAD + END + packet(2, [bytes(56)] * 3, size=56), "found:    3 frames"),
-        (HEAD + b"1234", "the head of the file does not end"),
+        (HEAD + b"1234", "the header of the file does not end"),
         (HEAD.replace(b"RAW", b"SerializedTS,PNGFrames") + END, "found:    SerializedTS,PNGFrames"),
-        (HEAD.replace(b"3.1", b"3.0") + END, "of another version"),
-        (HEAD + END + packet(1, []), "holds no events"),
-        (HEAD + END + struct.pack("<hhiiiiii", 1, 1, 8, 4, 0, 2**31 - 1, 1, 1), "no packet that can be read"),
-        (HEAD.replace(b"DAVIS240C", b"Unknown") + END + packet(1, [polarity(1, 9999, 1, 1)]), "how large the frame is"),
+        (HEAD.replace(b"3.1", b"3.0") + END, "version of AEDAT 3"),
+        (HEAD + END + packet(1, []), "has no events"),
+        (HEAD + END + struct.pack("<hhiiiiii", 1, 1, 8, 4, 0, 2**31 - 1, 1, 1), "no readable packet"),
+        (HEAD.replace(b"DAVIS240C", b"Unknown") + END + packet(1, [polarity(1, 9999, 1, 1)]), "frame size"),
     ],
 )
 def test_other_files_are_refused(tmp_path: Path, content: bytes, words: str) -> None:

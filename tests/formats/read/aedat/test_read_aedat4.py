@@ -80,7 +80,7 @@ def test_cut_aedat4_keeps_what_arrived(aedat4: tuple[Path, Events], spans: Any, 
         assert len(imported.notes) == 1
         if packets < 5:
             lost = length - spans[packets - 1][1]
-            assert f"kept {1000 * packets} events of {packets} complete packets; {lost} bytes" in imported.notes[0]
+            assert f"kept {1000 * packets} events from {packets} complete packets; {lost} bytes" in imported.notes[0]
     for length in (1, 11, 14, 17, 18, spans[0][0] // 2, spans[0][0] - 1, spans[0][0], spans[0][0] + 8, spans[0][1] - 1):
         cut.write_bytes(whole[:length])
         refusal(cut)
@@ -115,7 +115,7 @@ def test_aedat4_that_was_never_closed_is_read(aedat4: tuple[Path, Events], spans
     killed.write_bytes(data)
     imported = read_events(killed)
     assert same(imported.events, written.part(0, 4000))
-    assert imported.notes == ["the recorder never closed the file: kept 4000 events of 4 packets"]
+    assert imported.notes == ["the recorder never closed the file: kept 4000 events from 4 packets"]
 
 
 def test_a_damaged_packet_neither_hangs_nor_passes_unseen(
@@ -129,7 +129,7 @@ def test_a_damaged_packet_neither_hangs_nor_passes_unseen(
     broken.write_bytes(data)
     imported = read_events(broken)
     assert same(imported.events, concatenate([written.part(0, 2000), written.part(3000, 5000)]))
-    assert "broken file: kept 4000 events of 4 of 5 packets; LZ4F_decompress failed" in imported.notes[0]
+    assert "damaged file: kept 4000 events from 4 of 5 packets; LZ4F_decompress failed" in imported.notes[0]
 
 
 def test_damage_beside_the_packets_loses_nothing(aedat4: tuple[Path, Events], spans: Any, tmp_path: Path) -> None:
@@ -183,7 +183,7 @@ def test_packets_with_impossible_or_no_events_are_read(tmp_path: Path) -> None:
     path.write_bytes(data.replace(b">200<", b">050<"))  # a frame smaller than what the packets hold
     imported = read_events(path)
     assert (imported.events.size, imported.counts["out_of_frame"], imported.frame_px) == (9, 1, (50, 80))
-    assert imported.notes == ["10% of the events lie outside 50x80 and were dropped; is it the frame?"]
+    assert imported.notes == ["10% of the events are outside 50x80 and were dropped; is this frame size right?"]
 
 
 @pytest.mark.parametrize("compression", [None, ("lz4", 1), ("zstd", 3)])
@@ -250,7 +250,7 @@ def test_streams_are_chosen_by_name(tmp_path: Path) -> None:
     first = read_events(path)
     assert (first.events.size, first.frame_px) == (5, (60, 50))
     assert first.notes == [
-        "took the event stream cam_1/events; also there: cam_10/events (choose with --stream)",
+        "read the event stream cam_1/events; the file also has: cam_10/events (choose with --stream)",
         "left out: events of cam_10/events 3",
     ]
     other = read_events(path, stream="cam_10/events")
@@ -326,7 +326,7 @@ def test_real_aedat4_without_events() -> None:
     """Assert that a file of two streams without a packet is a recording without events."""
     imported = read_events(real("empty_stereo.aedat4"))
     assert (imported.events.size, imported.slices) == (0, 0)
-    assert imported.notes[-1] == "the file holds no events"
+    assert imported.notes[-1] == "the file has no events"
 
 
 def test_real_noise_is_the_noise_described() -> None:
@@ -344,7 +344,7 @@ def test_real_noise_is_the_noise_described() -> None:
 def test_real_frames_are_no_events() -> None:
     """Assert that a file of frames is refused in words."""
     words = refusal(real("frames_only.aedat4"))
-    assert "holds frames but no event stream" in words and "found:    frames 20" in words
+    assert "frames but no event stream" in words and "found:    frames 20" in words
     assert f"try:      {NOT_RECORDED}" in words
 
 
@@ -362,7 +362,7 @@ def test_a_small_packet_of_very_many_tables(kind: str) -> None:
     packet = zeros(kind.encode(), 1 << 24, 4)
     assert len(packet) < 1000
     tracemalloc.start()
-    with pytest.raises(ValueError, match="more tables than"):
+    with pytest.raises(ValueError, match="tables do not fit"):
         aedat4_payloads.content(kind, 3, packet)
     assert tracemalloc.get_traced_memory()[1] < 80 << 20
     tracemalloc.stop()
@@ -382,4 +382,4 @@ def test_a_small_file_does_not_become_a_large_one(tmp_path: Path) -> None:
     whole = path.read_bytes()[: header.size].replace(struct.pack("<q", header.table), struct.pack("<q", -1))
     path.write_bytes(whole + 40 * (struct.pack("<ii", 0, len(packet)) + packet))
     words = refusal(path)
-    assert "unpacks to too much" in words and "84 MB of" in words
+    assert "unpack to too much" in words and "84 MB from" in words

@@ -82,7 +82,7 @@ def test_another_layout_is_no_event_array(write: Write, bag: str, fields: str) -
             f"{package}/msg/EventArray", types.header(7), 480, 640, [event(*(values[name] for name in order))]
         )
         words = refusal(write(bag, types, {"/e": [message]}, package))
-        expected = "has another definition" if package == "dvs_msgs" else "the bag holds no events"
+        expected = "has another definition" if package == "dvs_msgs" else "the bag has no events"
         assert expected in words
 
 
@@ -98,7 +98,7 @@ def test_names_decide_where_there_is_no_definition(write: Write, tmp_path: Path)
         database.commit()
         database.close()
         if package in ("esvo_msgs",):
-            assert "the bag holds no events" in refusal(path)
+            assert "the bag has no events" in refusal(path)
         else:
             assert event_rows(read_events(path)) == shifted(EVENTS)
 

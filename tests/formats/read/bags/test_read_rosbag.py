@@ -81,7 +81,7 @@ def test_topics_are_chosen_by_name(write: Write, bag: str) -> None:
     path = write(bag, types, {"/b": [types.array(listed(left))], "/a": [types.array(listed(right))]})
     first = read_events(path)
     assert event_rows(first) == shifted(right)
-    assert first.notes[:1] == ["took the topic /a; also there: /b (choose with --stream)"]
+    assert first.notes[:1] == ["read the topic /a; the file also has: /b (choose with --stream)"]
     assert event_rows(read_events(path, stream="/b")) == shifted(left)
     assert "expected: /a or /b" in refusal(path, stream="/c")
 
@@ -133,7 +133,7 @@ def test_lost_packets_are_noted(write: Write) -> None:
     base_ns = 1000 * int(part.t[0])
     messages = [types.packet(mono(part, base_ns), "mono", seq, base_ns + 10**6 * seq) for seq in (4, 5, 9, 11)]
     assert read_events(write("db3", types, {"/events": messages})).notes == [
-        "4 messages were lost before they were recorded"
+        "4 messages are missing: they were lost before they were recorded"
     ]
 
 
@@ -198,7 +198,7 @@ def test_official_messages_are_read(write: Write, bag: str) -> None:
     assert (imported.frame_px, imported.t_offset_us) == (FRAME, at + 500)
     assert "every 20 ms" in imported.notes[0] and "images, not events" in imported.notes[0]
     second[0, 0] = 130
-    assert "greys other than 127 + 15 n" in refusal(
+    assert "grey levels other than 127 + 15 n" in refusal(
         write(bag, types, {"/e": [types.image(at, first), types.image(at, second)]}, "other")
     )
 
@@ -206,13 +206,13 @@ def test_official_messages_are_read(write: Write, bag: str) -> None:
 @pytest.mark.parametrize(
     ("packets", "words"),
     [
-        ([(bytes(8), "trigger")], "in an encoding that is not read here"),
+        ([(bytes(8), "trigger")], "not supported"),
         ([(bytes(8), "evt4")], "expected: mono, libcaer, libcaer_cmp, evt2, evt3"),
         ([(bytes(8), "mono"), (bytes(8), "libcaer")], "message 1 on /e: the encoding changes"),
-        ([(bytes(9), "mono")], "message 0 on /e: a message is damaged\n  found:    9 bytes in words of 8"),
+        ([(bytes(9), "mono")], "message 0 on /e: a message is damaged\n  found:    9 bytes"),
         ([(bytes(8), "libcaer"), (bytes(12), "libcaer")], "message 1 on /e: a message is damaged"),
-        ([(bytes(3), "libcaer_cmp")], "3 bytes in words of 2"),
-        ([(b"\0\xf0", "libcaer_cmp")], "a word of code 15"),
+        ([(bytes(3), "libcaer_cmp")], "3 bytes"),
+        ([(b"\0\xf0", "libcaer_cmp")], "code 15"),
     ],
 )
 def test_odd_packets_are_refused(write: Write, packets: list[tuple[bytes, str]], words: str) -> None:
@@ -229,7 +229,7 @@ def test_odd_bags_are_refused(write: Write) -> None:
     number = types.make("other_msgs/msg/Number", 5)
     assert "found:    other_msgs/msg/Number" in refusal(write("ros1", types, {"/n": [number]}, "none"))
     assert "found:    nothing" in refusal(write("ros1", types, {}, "empty"))
-    assert "no message on the topic /e" in refusal(write("ros1", types, {"/e": [], "/n": [number]}, "silent"))
+    assert "the topic /e has no messages" in refusal(write("ros1", types, {"/e": [], "/n": [number]}, "silent"))
     assert "leave out --frame-size" in refusal(write("ros1", types, {"/e": [array]}, "framed"), frame_px=(10, 10))
     big = types.packet(bytes(8), "mono", big=True)
     assert "big-endian" in refusal(write("ros1", types, {"/e": [big]}, "big"))

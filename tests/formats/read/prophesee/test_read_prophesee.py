@@ -300,7 +300,7 @@ def test_the_frame_is_found_or_guessed(tmp_path: Path, head: bytes, frame: tuple
     [
         (b"% evt 4.0\n% end\n", "expected: EVT2, EVT2.1 or EVT3"),
         (b"% format HISTO3D;height=480;width=640\n% end\n", "found:    histo3d"),
-        (b"% Data file\n% Version 7\n% Width 640\n% Height 480\n", "DAT file of another version"),
+        (b"% Data file\n% Version 7\n% Width 640\n% Height 480\n", "version of DAT"),
         (b"% evt 3.0\n% geometry 640x480", "ends inside its header"),
         (b"% evt 3.0\n% geometry 640x4\n% end\n", "none of the events can be used"),
     ],
@@ -312,9 +312,9 @@ def test_other_files_are_refused(tmp_path: Path, head: bytes, words: str) -> Non
 
 def test_files_without_events(tmp_path: Path) -> None:
     """Assert that a header alone is no recording, and half a word at the end is noted."""
-    assert "holds no events" in refusal(raw(tmp_path / "a.raw", []))
+    assert "has no events" in refusal(raw(tmp_path / "a.raw", []))
     imported = read_events(raw(tmp_path / "a.raw", evt3([0, 7]), rest=b"\1"))
-    assert (imported.events.size, imported.notes) == (2, ["cut short: the last 1 bytes are no whole word"])
+    assert (imported.events.size, imported.notes) == (2, ["cut short: the last 1 bytes are an incomplete word"])
 
 
 @pytest.mark.parametrize(("kind", "suffix"), KINDS)
