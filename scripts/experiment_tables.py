@@ -1,4 +1,4 @@
-"""The tables made of the experiments' reports: which rows, which columns, and what has to be said beside them."""
+"""Define the tables made from the experiments' reports: their rows, columns and notes."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -11,7 +11,10 @@ from evetac_cli.jobs import Row, Rows
 
 
 class Evaluation(NamedTuple):
-    """What an evaluation printed, and the header of its report; `about` has what no header says of a measurement."""
+    """What an evaluation printed, and the header of its report.
+
+    about: facts about a measurement that are in no header, such as its sizes.
+    """
 
     rows: Rows
     summary: Row
@@ -25,7 +28,7 @@ Evaluations = dict[str, Evaluation]
 
 @dataclass(frozen=True)
 class Column:
-    """A column of a table: heading and cell are format strings over a row, `paper` one over names of paper.SHOWN."""
+    """A column of a table. heading and cell: format strings over a row; paper: one over the names in paper.SHOWN."""
 
     heading: str
     cell: str
@@ -34,22 +37,22 @@ class Column:
 
 @dataclass(frozen=True)
 class Table:
-    """A table, kept as docs/results/NAME.json. Its title is filled with facts from the headers of the reports read."""
+    """A table stored as docs/results/NAME.json. Placeholders in its title are filled from the reports' headers."""
 
     name: str
     title: str
-    evaluations: tuple[str, ...]  # whose reports it is made of
+    evaluations: tuple[str, ...]  # names of the evaluations whose reports it uses
     rows: Callable[[Evaluations], Rows]
     columns: tuple[Column, ...]
     across: Column | None = None
     notes: tuple[str, ...] = ()
-    measured: bool = False  # all figures of rows and summaries are kept, and columns without a figure left out
-    # Without, no result of today's method is kept: `docs/` has no place for it before somebody has run it.
+    measured: bool = False  # if set, all figures of rows and summaries are stored, and columns without any are dropped
+    # False if docs/results has no result of the current method yet.
     kept: bool = True
 
 
 def demo_rows(evaluations: Evaluations) -> Rows:
-    """What the four reports of the demo say, a figure a line."""
+    """Return one row for each figure from the four reports of the demo."""
     labels, tracking, slip = (evaluations[name].summary for name in ("labels", "tracking", "slip"))
     still = f"{tracking['error_px_rms']:.3g} ({tracking['still_px_rms']:.3g})"
     figures = {
@@ -71,18 +74,18 @@ def demo_rows(evaluations: Evaluations) -> Rows:
 
 
 def having(evaluations: Evaluations, *columns: str) -> Rows:
-    """The rows of all evaluations that have these columns: each table of a report has its own."""
+    """Return the rows of all evaluations that have the given columns, which identify a table within a report."""
     return [row for each in evaluations.values() for row in each.rows if all(column in row for column in columns)]
 
 
 def slip_rows(evaluations: Evaluations) -> Rows:
-    """A row a setting, with the intervals in which its first detections lie."""
+    """Return one row per setting, with the shares of its first detections in each interval of time."""
     timing = {row["setting"]: row for row in having(evaluations, "setting", "10_to_0_ms_ahead")}
     return [{**timing.get(row["setting"], {}), **row} for row in having(evaluations, "setting", "seeds")]
 
 
 def recipe_rows(evaluations: Evaluations) -> Rows:
-    """Rows of `slip_rows`, with what was changed, and on which objects they were judged."""
+    """Return the rows of `slip_rows`, with the change to the recipe and the objects used for evaluation."""
     rows = []
     for name, evaluation in evaluations.items():
         _, change, role = name.split("-")
@@ -144,7 +147,10 @@ def summaries(evaluations: Evaluations) -> Rows:
 
 
 def window_rows(evaluations: Evaluations) -> Rows:
-    """Windows whose tone is right, by method, tone and length, over all recordings; the paper's beside its method."""
+    """Count the windows with a correct tone in all recordings, by method, tone and window length.
+
+    Rows of the paper's method also have the paper's share.
+    """
     sums: dict[tuple[str, float, float], Row] = {}
     for row in having(evaluations, "window_s", "correct"):
         key = (row["method"], row["expected_hz"], row["window_s"])
@@ -166,7 +172,7 @@ def interval_rows(evaluations: Evaluations) -> Rows:
 
 
 def force_rows(evaluations: Evaluations) -> Rows:
-    """Means over trajectories, by what was tracked, model and sensor."""
+    """Return mean errors over trajectories, by camera (events or frames), model and sensor."""
     names = {"regression": "linear regression", "network": "network", "events": "Evetac", "frames": "RGB sensor"}
     groups: dict[tuple[str, str, str], Rows] = {}
     for row in having(evaluations, "mae_n_x"):

@@ -1,10 +1,13 @@
-"""Tables and a picture of the grasps that grip_trials.py and grip_real_time.py played.
+"""Make the tables and the picture of the grasps run by grip_trials.py and grip_real_time.py.
 
     python scripts/grip_tables.py --rows rows/grip --seeds 50000-50999 --shared 200 --real-time rows/real-time.jsonl
 
-`grip-laws`: every law over the first --shared seeds, which all of them were played on, and over all that it has.
-`grip-by-mass`: force over what just holds, by class of mass. `grip-real-time`: grasps on virtual devices in real time
-beside the same grasps simulated. docs/grip-force.png: grip force against weight. All of it simulated.
+- `grip-laws`: each grip law, over the first --shared seeds, which all laws have, and over all of its seeds
+- `grip-by-mass`: grip force relative to the smallest force that holds the object, by class of mass
+- `grip-real-time`: grasps on virtual devices in real time, compared with the same grasps simulated
+- docs/grip-force.png: grip force against weight
+
+All results are simulated.
 """
 
 import argparse
@@ -24,12 +27,12 @@ SHOWN = 200  # grasps of each law in the picture
 
 
 def named(row: Row) -> str:
-    """A law with its margin, where one was asked for."""
+    """Return the name of a row's law, with its margin if one was set."""
     return str(row["law"]) if row["margin"] is None else f"{row['law']}, margin {row['margin']:g}"
 
 
 def by_law(rows: Rows) -> dict[str, Rows]:
-    """Rows of each law, in order of their seeds."""
+    """Return the rows of each law, ordered by seed."""
     laws: dict[str, Rows] = {}
     for row in sorted(rows, key=lambda row: int(row["seed"])):
         laws.setdefault(named(row), []).append(row)
@@ -37,7 +40,7 @@ def by_law(rows: Rows) -> dict[str, Rows]:
 
 
 def laws_table(laws: dict[str, Rows], shared: range, command: str, sizes: Row) -> Row:
-    """How many each law kept, and how firmly."""
+    """Return the table `grip-laws`: the share of objects kept by each law, and its grip forces."""
     shown = []
     for law, rows in laws.items():
         sets = [[row for row in rows if row["seed"] in shared]]
@@ -64,7 +67,7 @@ def laws_table(laws: dict[str, Rows], shared: range, command: str, sizes: Row) -
 
 
 def mass_table(laws: dict[str, Rows], command: str, sizes: Row) -> Row:
-    """Kept, lost and force over what just holds of each law, by class of mass."""
+    """Return the table `grip-by-mass`: objects kept and lost, and relative grip force, by law and class of mass."""
     shown = []
     for law, rows in laws.items():
         for low, high in CLASSES_G:
@@ -85,7 +88,7 @@ def mass_table(laws: dict[str, Rows], command: str, sizes: Row) -> Row:
 
 
 def real_time_table(rows: Rows) -> Row:
-    """How grasps in real time ended beside the same grasps simulated."""
+    """Return the table `grip-real-time`: results of grasps in real time and of the same grasps simulated."""
     made = [row for row in rows if not any("failed" in row[how] for how in ("real_time", "simulated"))]
 
     def median(how: str, name: str) -> float | None:
@@ -131,7 +134,7 @@ def real_time_table(rows: Rows) -> Row:
 
 
 def draw(laws: dict[str, Rows], path: Path) -> None:
-    """Grip force against weight, of the first grasps of each law."""
+    """Draw grip force against weight for the first SHOWN grasps of each law."""
     held = [[row for row in rows[:SHOWN] if row["over_holding_end"] is not None] for rows in laws.values()]
     settings = [(number, law, rows) for number, (law, rows) in enumerate(zip(laws, held, strict=True)) if rows]
     picture.write(path, lambda figure: grip_forces.draw(figure, settings), (7.5, 5.0))
@@ -140,10 +143,12 @@ def draw(laws: dict[str, Rows], path: Path) -> None:
 def main() -> None:
     """Write the tables and the picture."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--rows", type=Path, required=True, help="folder of the rows, one file per law")
-    parser.add_argument("--seeds", type=seeds_of, required=True, help="FIRST-LAST of the grasps to show")
-    parser.add_argument("--shared", type=int, default=200, help="first seeds, of which every law has grasps")
-    parser.add_argument("--real-time", type=Path, help="rows of grip_real_time.py")
+    parser.add_argument(
+        "--rows", type=Path, required=True, help="folder with the rows of grip_trials.py, one file per law"
+    )
+    parser.add_argument("--seeds", type=seeds_of, required=True, help="seeds of the grasps to show, as FIRST-LAST")
+    parser.add_argument("--shared", type=int, default=200, help="number of first seeds for which every law has a grasp")
+    parser.add_argument("--real-time", type=Path, help="file with the rows of grip_real_time.py")
     chosen = parser.parse_args()
     rows = [row for path in sorted(chosen.rows.glob("*.jsonl")) for row in rows_in(path) if row["seed"] in chosen.seeds]
     laws = by_law(rows)

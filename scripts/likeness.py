@@ -1,11 +1,12 @@
-"""Measure the simulator by the public facts, and keep our figures for docs/likeness.md.
+"""Measure how well the simulator reproduces published facts, and write the figures for docs/likeness.md.
 
     python scripts/likeness.py before|after [--seed 4000] [--each 1] [--rates 3] [--edges 5] [--jobs 2] [--folder NAME]
 
-Records slips of many objects, the data-rate scene, rubs, a rest, a press and a shear, has `evetac evaluate likeness`
-measure them, and writes docs/results/likeness/before.json or after.json: our figures, of how many recordings, where
-from, commands, seeds, methods and commit. What needs trainings or grasps comes from docs/results as it is. Files lie in
-the folder (likeness/ unless named), and a run goes on where it was stopped. `make results` puts them into the page.
+Records slips of many objects, the data-rate scene, rubs, a rest, a press and a shear. `evetac evaluate likeness`
+measures these recordings. The result is docs/results/likeness/before.json or after.json. It has evetac's figures, the
+number of recordings behind each, their origin, the commands, seeds, method versions and the commit. Figures that
+require training or grasps are taken from docs/results as they are. Recordings are stored in --folder (default:
+likeness/), and an interrupted run continues where it stopped. `make results` writes the figures into the page.
 """
 
 import argparse
@@ -35,9 +36,9 @@ OBJECTS = (
     17,
     18,
     19,
-)  # that the usual grid resolves, and 18
-RATE_OBJECT = 1  # the scene gives it the weight of an unknown one, fitted to data-rate-slip
-# What no table of docs/results has, but a page or a study says in words: figures, and where.
+)  # the objects that the default grid resolves, and object 18
+RATE_OBJECT = 1  # the scene replaces its weight by a fitted one, see data-rate-slip
+# Figures that are in no table of docs/results but in the text of a page or study, with their source.
 SAID: dict[str, dict[str, tuple[list[float | None], str]]] = {
     "before": {
         "force-by-papers-tracker": ([4.2, 2.1, None, None], "docs/results.md, in words: a smaller run, the regression"),
@@ -47,7 +48,7 @@ SAID: dict[str, dict[str, tuple[list[float | None], str]]] = {
 
 
 def commands(chosen: argparse.Namespace) -> list[list[str]]:
-    """What is recorded, and what measures it."""
+    """Return the commands that record, then the command that measures."""
     record = ["evetac", "record", "--seed", str(chosen.seed), "--jobs", str(chosen.jobs), "--scene"]
     objects = ",".join(map(str, OBJECTS))
     return [
@@ -60,7 +61,7 @@ def commands(chosen: argparse.Namespace) -> list[list[str]]:
 
 
 def kept(when: str, rows: list[Row], chosen: argparse.Namespace) -> Row:
-    """What is kept of the rows of the command."""
+    """Return the content of the result file, from the rows that `evetac evaluate likeness` printed."""
     head, changed = commit()
     header = report_header(chosen.folder / "all.report.h5")
     return {
@@ -77,7 +78,7 @@ def kept(when: str, rows: list[Row], chosen: argparse.Namespace) -> Row:
 
 
 def figures(row: Row, said: Mapping[str, tuple[list[float | None], str]]) -> Row:
-    """What is kept of a fact: as it was measured, or as it is said, or why there is nothing."""
+    """Return the stored row of a fact: figures measured, or taken from `said`, or the reason that there are none."""
     values = json.loads(row["simulated_values"])
     if not values and row["name"] in said:
         values, origin = said[row["name"]]
@@ -87,7 +88,7 @@ def figures(row: Row, said: Mapping[str, tuple[list[float | None], str]]) -> Row
 
 
 def main() -> None:
-    """Record, measure, and write our figures."""
+    """Record, measure and write the figures."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("when", choices=WHEN)
     for name, usual in (("seed", 4000), ("each", 1), ("rates", 3), ("edges", 5), ("jobs", 2)):

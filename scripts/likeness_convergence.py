@@ -1,11 +1,17 @@
-"""Do events before a slip converge? Ten slips on the default grid and steps, and on finer ones, slice by slice.
+"""Do the events before a slip converge? Compares ten slips on the default grid and steps with finer ones.
 
     python scripts/likeness_convergence.py [--out docs/results/likeness/convergence.json]
 
-The onset alone may converge while what detectors see before it does not. Compared with the default are half the pitch
-of nodes, half the tolerance of a step with a shortest step of half, fixed steps of 1/8 ms, and two straight pieces of a
-dot's path per slice. Rows go to the file as they come; a second run measures what is missing. Some two minutes of
-processor time. `make results` puts the tables into docs/simulator.md.
+The onset alone may converge although the events before it, which detectors use, do not. Four finer settings are
+compared with the default:
+
+- half the pitch of the nodes
+- half the tolerance of a step, which also halves the shortest step
+- fixed steps of 1/8 ms
+- two straight segments of a dot's path per slice
+
+Each row is written to the file as soon as it is measured; a second run measures only the missing rows. This takes about
+two minutes of processor time. `make results` writes the tables into docs/simulator.md.
 """
 
 from collections.abc import Callable
@@ -22,7 +28,8 @@ from evetac_cli.trials.trial import SimulatedTrial
 
 NAME = "convergence"
 COMMAND = "python scripts/likeness_convergence.py"
-OBJECTS = (3, 4, 8, 11, 12, 1, 7, 10, 15, 16)  # that the default grid resolves, and on which slip is stable
+# Objects that the default grid resolves, among them some on which slip is stable.
+OBJECTS = (3, 4, 8, 11, 12, 1, 7, 10, 15, 16)
 SEED = 1
 DEFAULT = "default"
 SETTINGS: dict[str, dict[str, Any]] = {
@@ -41,8 +48,9 @@ MEASURES = {
     "events_ms_30_after": "the onset to 30 ms",
     "loudest_slice_50_before": "loudest slice before -50 ms [events]",
 }
-PAUSE_MS = 20  # between loud slices: a longer one ends a burst
-# Bounds of a finer simulation's difference from the default, of each slip: absolute, and as a share of the default's.
+PAUSE_MS = 20  # longest pause between loud slices within a burst
+# Largest allowed difference of a finer simulation from the default, for each slip: an absolute part, plus a share of
+# the default's value.
 BOUNDS = {
     "onset_ms": (2.0, 0.0),
     "events_ms_500_to_100_before": (2.0, 0.2),
@@ -51,21 +59,21 @@ BOUNDS = {
     "events_ms_30_after": (2.0, 0.2),
     "loudest_slice_50_before": (15.0, 0.0),
 }
-BURST_MS = 2  # by which the ends of a burst may lie apart; the number of bursts is the same
+BURST_MS = 2  # largest allowed difference of the ends of a burst; the number of bursts must be equal
 
 
 def tasks() -> list[Task]:
-    """Ten slips for each setting."""
+    """Return ten slips for each setting."""
     return [Task(setting, SLIP, number, SEED) for setting in SETTINGS for number in OBJECTS]
 
 
 def plan(task: Task, folder: Path) -> SimulatedTrial:
-    """The trial of a task."""
+    """Return the trial of a task."""
     return planned(task, folder, **SETTINGS[task.setting])
 
 
 def as_page(results: Path, as_table: Callable[[list[str], list[list[str]]], str]) -> str:
-    """The tables of docs/simulator.md; as_table makes Markdown of heads and rows."""
+    """Return the tables of docs/simulator.md. `as_table` makes Markdown from headings and rows."""
     rows = kept(results / FOLDER.name / f"{NAME}.json")
     of = {setting: of_tasks([task for task in tasks() if task.setting == setting], rows) for setting in SETTINGS}
     finer = [setting for setting in SETTINGS if setting != DEFAULT]
@@ -97,18 +105,18 @@ def as_page(results: Path, as_table: Callable[[list[str], list[list[str]]], str]
 
 
 def apart(name: str, default: list[Row], finer: list[Row]) -> str:
-    """How far a measure lies from that on the default: rms over slips, and the worst of them."""
+    """Return a measure's difference from the default as text: rms over slips, then the largest."""
     off = differences(name, default, finer)
     return f"{np.sqrt(np.mean(np.square(off))):.2g}, {max(map(abs, off)):.2g}"
 
 
 def differences(name: str, default: list[Row], finer: list[Row]) -> list[float]:
-    """How much more of a measure a finer simulation has, slip by slip."""
+    """Return the measure in a finer simulation minus that in the default, for each slip."""
     return [float(row[name] - as_default[name]) for row, as_default in zip(finer, default, strict=True)]
 
 
 def bursts(loud_ms: list[int]) -> list[list[int]]:
-    """Loud slices, ms before the onset, in bursts: a pause of more than PAUSE_MS ends one."""
+    """Group loud slices (ms before the onset) into bursts; a pause of more than PAUSE_MS ends a burst."""
     found: list[list[int]] = []
     for at_ms in sorted(loud_ms, reverse=True):
         if found and found[-1][-1] - at_ms <= PAUSE_MS:
@@ -119,12 +127,15 @@ def bursts(loud_ms: list[int]) -> list[list[int]]:
 
 
 def bursts_in_words(loud_ms: list[int]) -> str:
-    """Each burst by its ends and the number of its loud slices."""
+    """Return a text with the two ends of each burst and the number of its loud slices."""
     return ", ".join(f"{burst[0]} to {burst[-1]} ({len(burst)})" for burst in bursts(loud_ms)) or "none"
 
 
 def beyond_bounds(default: list[Row], finer: list[Row]) -> list[str]:
-    """What of some slips, in the same order, does not converge within the bounds that docs/simulator.md states."""
+    """Return a line for each measure that does not converge within the bounds stated in docs/simulator.md.
+
+    Both lists have the same slips in the same order.
+    """
     found = [
         f"object {row['object']}, {row['setting']}: {name} {row[name]:.4g}, {as_default[name]:.4g} by default"
         for name, (absolute, share) in BOUNDS.items()
@@ -141,7 +152,7 @@ def beyond_bounds(default: list[Row], finer: list[Row]) -> list[str]:
 
 
 def main() -> None:
-    """Measure what is missing."""
+    """Measure the missing rows."""
     chosen = arguments(__doc__, NAME)
     measure_missing(chosen.out, tasks(), plan, COMMAND)
 

@@ -1,10 +1,10 @@
-"""Which objects does the default grid resolve? Half the wavelength of unstable slip, in nodes, of every object.
+"""Which objects does the default grid resolve? Gives half the wavelength of unstable slip in nodes for every object.
 
     python scripts/likeness_grid.py [--out docs/results/likeness/grid.json]
 
-At the slip limit, as `evetac record --scene slip --object 1-20 --seed N --dry-run` has it, over the draws of some
-seeds. An object that spans fewer than 4 nodes in one of them is not resolved, and gets the pitch that resolves it.
-Takes seconds. `make results` puts the table into docs/simulator.md.
+The value is that at the slip limit, as shown by `evetac record --scene slip --object 1-20 --seed N --dry-run`, for the
+random draws of five seeds. An object is not resolved if half its wavelength spans fewer than 4 nodes with any seed. The
+table then shows the pitch that resolves it. This takes seconds. `make results` writes the table into docs/simulator.md.
 """
 
 import math
@@ -27,7 +27,7 @@ OBJECTS, SEEDS = "1-20", range(1, 6)
 
 
 def measured() -> list[Row]:
-    """A row for each object and seed: nodes, None where slip is stable, and the pitch of the nodes."""
+    """Return a row for each object and seed, with the number of nodes (None if slip is stable) and their pitch."""
     made = commit_in_words()
     rows: list[Row] = []
     for seed in SEEDS:
@@ -41,7 +41,7 @@ def measured() -> list[Row]:
 
 
 def as_page(results: Path, as_table: Callable[[list[str], list[list[str]]], str]) -> str:
-    """The table of docs/simulator.md; as_table makes Markdown of heads and rows."""
+    """Return the table of docs/simulator.md. `as_table` makes Markdown from headings and rows."""
     rows = kept(results / FOLDER.name / f"{NAME}.json")
     lines = [line([row for row in rows if row["object"] == called]) for called in {row["object"]: None for row in rows}]
     heads = ["object", "nodes, fewest", "most", "pitch that resolves it [mm]"]
@@ -52,7 +52,7 @@ def as_page(results: Path, as_table: Callable[[list[str], list[list[str]]], str]
 
 
 def line(rows: list[Row]) -> list[str]:
-    """The cells of an object, by its rows."""
+    """Return the cells of an object from its rows."""
     nodes = [math.inf if row["nodes"] is None else row["nodes"] for row in rows]
     fewest = min(nodes)
     finer = f"{resolving_mm(fewest, rows[0]['pitch_mm']):.2f}" if is_unresolved(fewest) else "default"
@@ -60,12 +60,12 @@ def line(rows: list[Row]) -> list[str]:
 
 
 def in_words(nodes: float) -> str:
-    """A number of nodes; many are as good as none."""
+    """Return a number of nodes as text; beyond 20 the exact number does not matter."""
     return "stable" if math.isinf(nodes) else "above 20" if nodes > 20 else f"{nodes:.1f}"
 
 
 def main() -> None:
-    """Measure all objects anew."""
+    """Measure all objects and replace the file."""
     write(arguments(__doc__, NAME).out, measured(), COMMAND)
 
 

@@ -1,12 +1,18 @@
-"""Which predictions hang on what nobody knows? Each fitted constant 30 % up and down, and what it does to predictions.
+"""Which predictions depend on unknown constants? Varies each fitted constant by 30 % and measures the predictions.
 
     python scripts/likeness_sensitivity.py [--out docs/results/likeness/sensitivity.json]
 
-Changed one at a time: kinetic over static friction, the memory length and the pressure exponent of the scenes, the
-radius of the sensor's dots, and the weight of the data-rate scene's object. Measured are the predictions that a
-recording tells, on 24 slips of 18 objects and a recording of the data-rate scene for each setting, the same seeds in
-all. Rows go to the file as they come; a second run measures what is missing. Some six minutes of processor time.
-`make results` puts the table into docs/likeness.md.
+The constants are changed one at a time:
+
+- of the scenes: the ratio of kinetic to static friction, the memory length and the pressure exponent
+- of the sensor: the radius of the dots
+- of the data-rate scene: the weight of the object
+
+Only predictions that can be measured in a recording are included. Each setting has 24 slips of 18 objects and one
+recording of the data-rate scene, with the same seeds in all settings.
+
+Each row is written to the file as soon as it is measured; a second run measures only the missing rows. This takes about
+six minutes of processor time. `make results` writes the table into docs/likeness.md.
 """
 
 from collections.abc import Callable
@@ -37,7 +43,7 @@ from evetac_cli.trials.trial import SimulatedTrial
 
 NAME = "sensitivity"
 COMMAND = "python scripts/likeness_sensitivity.py"
-# Two halves, of 12 slips each: objects, and the seeds of each of them.
+# Two halves of 12 slips each: the objects, and the seeds used for each object.
 HALVES = (
     ((3, 4, 8, 11, 12, 18), (1, 2)),
     ((1, 2, 5, 6, 7, 9, 10, 13, 15, 16, 17, 19), (3,)),
@@ -52,17 +58,20 @@ WORDS = {
     "pressure_exponent": "pressure exponent",
     RADIUS: "dot radius",
     WEIGHT: "weight of the data-rate object",
-}  # of each constant that is changed
+}  # heading of each constant that is changed
 
 
 def changed(plan: Plan, constant: str, factor: float) -> Plan:
-    """The plan with one constant so many times what it is; ValueError where the plan has none of it."""
+    """Return the plan with one constant multiplied by `factor`.
+
+    Raises ValueError if the constant is the weight and the scene sets no weight of its object.
+    """
     if constant == RADIUS:
         return replace(plan, sensor=replace(plan.sensor, dot_radius_px=factor * plan.sensor.dot_radius_px))
     scene = plan.scene
     if constant == WEIGHT:
         if scene.object is None:
-            raise ValueError(f"expected a scene that names the weight of its object, found {scene.name}")
+            raise ValueError(f"expected a scene that sets the weight of its object, found {scene.name}")
         return replace(plan, scene=replace(scene, object=replace(scene.object, mass_g=factor * scene.object.mass_g)))
     low, high = getattr(scene.randomise, constant)
     return replace(
@@ -81,33 +90,34 @@ SETTINGS: dict[str, Callable[[Plan], Plan] | None] = {
 
 
 def slips_of(setting: str) -> list[Task]:
-    """The slips of a setting; none where it changes the data-rate scene alone."""
+    """Return the slips of a setting, or none if the setting changes only the data-rate scene."""
     if setting.startswith(WEIGHT):
         return []
     return [Task(setting, SLIP, number, seed) for objects, seeds in HALVES for seed in seeds for number in objects]
 
 
 def rates_of(setting: str) -> list[Task]:
-    """The recordings of the data-rate scene of a setting."""
+    """Return the recordings of the data-rate scene of a setting."""
     return [Task(setting, RATE, RATE_OBJECT, seed) for seed in RATE_SEEDS]
 
 
 def tasks() -> list[Task]:
-    """All trials: slips first, then the data rate seed by seed, so that a run that is stopped has told most."""
+    """Return all trials: slips first, then data rates by seed, so that an interrupted run has the most useful rows."""
     rates = sorted((task for setting in SETTINGS for task in rates_of(setting)), key=lambda task: task.seed)
     return [*(task for setting in SETTINGS for task in slips_of(setting)), *rates]
 
 
 def plan(task: Task, folder: Path) -> SimulatedTrial:
-    """The trial of a task."""
+    """Return the trial of a task."""
     return planned(task, folder, SETTINGS[task.setting])
 
 
 def predictions(setting: str, rows: list[Row]) -> Row:
-    """What the trials of a setting say of each prediction; no figure where no trial tells it.
+    """Return the prediction figures of a setting, each None or missing if no trial provides it.
 
-    Shares are of slips, judged by a threshold that was chosen on the other half of the objects, and (best_for_all) by
-    the one that is right most often on all, which is an upper bound; else medians over slips, and means of data rates.
+    The figures `one_threshold_...` are shares of slips, with a threshold chosen on the other half of the objects.
+    The figure `best_for_all` uses the single threshold that is correct most often on all slips: an upper bound.
+    The other figures are medians over slips and means over recordings of the data-rate scene.
     """
     slips = [row for row in of_tasks(slips_of(setting), rows) if row["onset_ms"] is not None]
     rates = of_tasks(rates_of(setting), rows)
@@ -127,7 +137,7 @@ def predictions(setting: str, rows: list[Row]) -> Row:
 
 
 def half_of(number: int) -> str:
-    """In which half of the objects one is."""
+    """Return the name of the half that contains an object."""
     return next(f"half {place}" for place, (objects, _) in enumerate(HALVES) if number in objects)
 
 
@@ -142,7 +152,7 @@ COLUMNS = (
     ("0 to 30", "{events_ms_30_after:.0f}"),
     ("loudest slice before -50", "{loudest_slice_50_before:.0f}"),
     ("slips under 4 nodes", "{unresolved}"),
-)  # of slips
+)  # columns on slips
 RATE_COLUMNS = (
     ("data rate, whole", "{share_whole:.4f}"),
     ("contact", "{share_contact:.4f}"),
@@ -151,7 +161,7 @@ RATE_COLUMNS = (
 
 
 def as_page(results: Path, as_table: Callable[[list[str], list[list[str]]], str]) -> str:
-    """The table of docs/likeness.md; as_table makes Markdown of heads and rows."""
+    """Return the table of docs/likeness.md. `as_table` makes Markdown from headings and rows."""
     rows = of_tasks(tasks(), kept(results / FOLDER.name / f"{NAME}.json"))
     found = [predictions(setting, rows) for setting in SETTINGS]
     heads = ["constant", "times", *(head for head, _ in (*COLUMNS, *RATE_COLUMNS))]
@@ -162,7 +172,7 @@ def as_page(results: Path, as_table: Callable[[list[str], list[list[str]]], str]
 
 
 def line(found: Row) -> list[str]:
-    """The cells of a setting; `-` for what its trials do not tell."""
+    """Return the cells of a setting, with `-` for figures that its trials do not provide."""
     constant, _, factor = found["setting"].partition(" x ")
     cells = [cell.format(**found) if "one_threshold_correct" in found else "-" for _, cell in COLUMNS]
     of_rates = ["-" if found["share_whole"] is None else cell.format(**found) for _, cell in RATE_COLUMNS]
@@ -170,7 +180,7 @@ def line(found: Row) -> list[str]:
 
 
 def main() -> None:
-    """Measure what is missing."""
+    """Measure the missing rows."""
     measure_missing(arguments(__doc__, NAME).out, tasks(), plan, COMMAND)
 
 

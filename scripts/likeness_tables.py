@@ -1,7 +1,8 @@
-"""The tables of docs/likeness.md: every public fact, and ours before and after, as scripts/likeness.py measured it.
+"""The tables of docs/likeness.md: every public fact, with evetac's figures before and after a change of the simulator.
 
-The facts come from evetac_cli/data/likeness.toml, our figures from docs/results/likeness/before.json and after.json, of
-which the second may be missing. How they compare is worked out anew, so that a page never says what its facts do not.
+The facts come from evetac_cli/data/likeness.toml. evetac's figures come from docs/results/likeness/before.json and
+after.json, which scripts/likeness.py writes; after.json may be missing. Each comparison is computed when the tables are
+made, so it always agrees with the facts shown.
 """
 
 import json
@@ -19,7 +20,7 @@ Measured = Mapping[str, Any]
 
 
 def read(results: Path) -> dict[str, Measured]:
-    """What was measured before and after, as far as it was."""
+    """Return the measurements before and after, without those that have no file."""
     paths = {when: results / FOLDER / f"{when}.json" for when in WHEN}
     known = {when: json.loads(path.read_text()) for when, path in paths.items() if path.is_file()}
     before, after = (known.get(when) for when in WHEN)
@@ -30,7 +31,7 @@ def read(results: Path) -> dict[str, Measured]:
 
 
 def as_of_now(row: Row, first: Row) -> Row:
-    """A row measured after, without figures where its table in docs/results is the one that was there before."""
+    """Return a row of `after`, without its figures if they come from the same table of docs/results as `before`."""
     source = row.get("from") or ""
     if not (row.get("values") and source.startswith("docs/results") and source == first.get("from")):
         return row
@@ -38,17 +39,17 @@ def as_of_now(row: Row, first: Row) -> Row:
 
 
 def row_of(fact: Fact, measured: Measured) -> Row:
-    """Our figures of a fact; empty where there are none."""
+    """Return the measured row of a fact, or an empty row if there is none."""
     return next((row for row in measured["rows"] if row["name"] == fact.name), {})
 
 
 def compared(fact: Fact, measured: Measured) -> Within | None:
-    """How ours compares with the public fact."""
+    """Return how the simulated figures compare with the public fact, or None if there are none."""
     return fact.compare(tuple(row_of(fact, measured).get("values") or ()))
 
 
 def ours(fact: Fact, measured: Measured) -> str:
-    """A cell: our figures, how they compare, of how many trials, from where; why there are none."""
+    """Return a cell with evetac's figures, comparison, number of trials and origin, or the reason for no figures."""
     row = row_of(fact, measured)
     if not row.get("values"):
         return f"not measured: {why}" if (why := row.get("not_told")) else "not measured"
@@ -57,7 +58,7 @@ def ours(fact: Fact, measured: Measured) -> str:
 
 
 def table(of: Iterable[Fact], known: Mapping[str, Measured]) -> list[list[str]]:
-    """Heads, then a row for each fact, as text."""
+    """Return the headings, then a row for each fact, as text."""
     heads = ["fact", "public (source)", "class", *known, "command"]
     rows = []
     for fact in of:
@@ -70,20 +71,20 @@ def table(of: Iterable[Fact], known: Mapping[str, Measured]) -> list[list[str]]:
 
 
 def as_code(command: str) -> str:
-    """A command as code, what is said of it behind; words as they are."""
+    """Return a command as Markdown code, followed by its remark in brackets; other text is returned unchanged."""
     line, space, about = command.partition(" (")
     return f"`{line}`{space}{about}" if line.startswith(("evetac", "make")) else command
 
 
 def counts(of: Iterable[Fact], measured: Measured) -> dict[str, int]:
-    """How many of some facts are known, within the published spread, and half to twice."""
+    """Count the facts measured, those within the published spread and those between half and twice the figure."""
     found = [compared(fact, measured) for fact in of]
     known = sum(one is not None for one in found)
     return {"facts": len(found), "known": known, WITHIN: found.count(WITHIN), NEAR: found.count(NEAR)}
 
 
 def said(of: list[Fact], known: Mapping[str, Measured]) -> list[str]:
-    """A sentence for each time, on how many hold."""
+    """Return a sentence on how many facts are reproduced, before and after."""
     lines = []
     for when, measured in known.items():
         found = counts(of, measured)
@@ -95,21 +96,21 @@ def said(of: list[Fact], known: Mapping[str, Measured]) -> list[str]:
 
 
 def misses(of: Iterable[Fact], known: Mapping[str, Measured]) -> list[str]:
-    """A line for each fact that is off by the latest figures, with the reason as far as it is known."""
+    """Return a line for each fact that the latest figures miss, with the reason if it has been investigated."""
     *_, latest = known.values()
     off = [fact for fact in of if compared(fact, latest) == OFF]
     return [f"- `{fact.name}`: {fact.miss or 'not investigated'}." for fact in off]
 
 
 def how_made(when: str, measured: Measured) -> str:
-    """By which commands, seeds and commit."""
+    """Return a sentence with the commit, commands and seeds of the measurements."""
     commands = ", ".join(f"`{command}`" for command in measured["commands"])
     seeds = ", ".join(map(str, measured["sizes"]["recording_seeds"]))
     return f"{when.capitalize()}: {measured['made']}, made by {commands}; seeds of recordings {seeds}."
 
 
 def as_pages(results: Path, as_table: Callable[[list[str], list[list[str]]], str]) -> dict[str, str]:
-    """The text of each of the two tables, by its name; as_table makes Markdown of heads and rows."""
+    """Return the text of the two tables by name. `as_table` makes Markdown from headings and rows."""
     known = read(results)
     listed = facts()
     counted = sorted((fact for fact in listed if fact.counts), key=lambda fact: fact.counts or 0)

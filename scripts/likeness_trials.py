@@ -1,8 +1,9 @@
-"""Simulated trials under a changed setting, what the public facts' measures say of each, and rows that are kept.
+"""Simulate trials under a changed setting, measure them as for the public facts, and store the rows.
 
-For likeness_sensitivity.py and likeness_convergence.py. A trial is that of `evetac record` with the same scene, object
-and seed, without the texture in the window, which changes no event of the columns that count. A row is written as soon
-as its trial is measured; one that is there, made by the record of today, is not measured again.
+Used by likeness_sensitivity.py and likeness_convergence.py. A trial equals that of `evetac record` with the same scene,
+object and seed, but without the texture in the window. The texture changes no event in the columns that are counted. A
+row is written as soon as its trial is measured. An existing row is not measured again if it has the current method
+version of `evetac record`.
 """
 
 import argparse
@@ -37,14 +38,14 @@ OF_EVENTS = (
     "events_ms_30_before",
     "events_ms_30_after",
     "loudest_slice_50_before",
-)  # of about_slip
-EARLY_MS = (-500, -100)  # about the onset
-DIGITS = 5  # of a figure that is kept
+)  # figures returned by about_slip
+EARLY_MS = (-500, -100)  # relative to the onset
+DIGITS = 5  # significant digits of a stored figure
 
 
 @dataclass(frozen=True)
 class Task:
-    """A trial to measure: its setting by name, scene, object and seed."""
+    """A trial to measure: the name of its setting, its scene, object and seed."""
 
     setting: str
     scene: str
@@ -53,12 +54,12 @@ class Task:
 
     @property
     def key(self) -> Row:
-        """What tells its row from others."""
+        """The columns that identify its row."""
         return {"setting": self.setting, "scene": self.scene, "object": self.object, "seed": self.seed}
 
 
 def planned(task: Task, folder: Path, change: Callable[[Plan], Plan] | None = None, **solver: Any) -> SimulatedTrial:
-    """The trial of a task with settings of the solver, its plan changed."""
+    """Return the trial of a task, with the given solver settings and its plan changed by `change`."""
     chosen: dict[str, Any] = {"scene": task.scene, "objects": str(task.object), "seed": task.seed, "texture": "off"}
     (trial,) = record.jobs([], Record(**chosen, **solver), folder)
     assert isinstance(trial, SimulatedTrial)
@@ -66,7 +67,10 @@ def planned(task: Task, folder: Path, change: Callable[[Plan], Plan] | None = No
 
 
 def measured(trial: SimulatedTrial) -> Row:
-    """Simulate a trial and measure it; us_a_slice is processor time, of which a first trial takes some to load code."""
+    """Simulate a trial and return its measurements.
+
+    us_a_slice is processor time, in us per slice; that of the first trial includes some time to load code.
+    """
     _, seconds = timed(lambda: simulated.run(trial, force=True, progress=silent))
     with open_recording(trial.output) as recording:
         counts = count(recording)
@@ -76,7 +80,10 @@ def measured(trial: SimulatedTrial) -> Row:
 
 
 def _of_slip(recording: Recording, counts: SliceCounts) -> Row:
-    """Onset since the current began to fall, events about it, first detections by each threshold; None without one."""
+    """Return the onset since the current began to fall, the events around the onset and each threshold's detections.
+
+    Without an onset, only onset_ms is returned, as None.
+    """
     if counts.onset is None:
         return {"onset_ms": None}
     about = about_slip(counts)
@@ -91,7 +98,7 @@ def _of_slip(recording: Recording, counts: SliceCounts) -> Row:
 
 
 def _of_rate(recording: Recording, counts: SliceCounts) -> Row:
-    """Bytes per second as a share of the paper's RGB sensor, of the columns that count."""
+    """Return bytes per second as a share of the paper's RGB sensor, over the columns that are counted."""
     found = shares(recording, counts)
     return {name: found.get(name) for name in ("share_whole", "share_contact", "share_slip")}
 
@@ -101,13 +108,13 @@ def _rounded(value: Any) -> Any:
 
 
 def kept(path: Path) -> list[Row]:
-    """The rows of a file; none without the file."""
+    """Return the rows of a file, or none if the file does not exist."""
     rows: list[Row] = json.loads(path.read_text())["rows"] if path.is_file() else []
     return rows
 
 
 def of_tasks(tasks: Iterable[Task], rows: list[Row]) -> list[Row]:
-    """The rows of some tasks that are there, in the order of the tasks."""
+    """Return the existing rows of some tasks, in the order of the tasks."""
     found = {_key(row): row for row in rows}
     return [found[key] for key in (_key(task.key) for task in tasks) if key in found]
 
@@ -117,9 +124,9 @@ def _key(row: Row) -> tuple[Any, ...]:
 
 
 def measure_missing(path: Path, tasks: list[Task], plan: Callable[[Task, Path], SimulatedTrial], command: str) -> None:
-    """Measure the tasks that a file has no row of, one after the other, and write each row as it comes.
+    """Measure one by one the tasks that have no row in a file, and write each row as soon as it is measured.
 
-    Rows by another method of record are of other arrays: they are measured again.
+    Rows by another method version of `evetac record` are measured again, because its arrays have changed.
     """
     rows = [row for row in kept(path) if row["record_method"] == simulated.METHOD]
     done = {_key(row) for row in rows}
@@ -137,7 +144,7 @@ def measure_missing(path: Path, tasks: list[Task], plan: Callable[[Task, Path], 
 
 
 def write(path: Path, rows: list[Row], command: str) -> None:
-    """Write rows, a line for each, in one go: a run that is stopped leaves the file as it was."""
+    """Write rows, one per line, and replace the file atomically, so that an interrupted run leaves it unchanged."""
     head = {"name": f"likeness-{path.stem}", "simulated": True, "commands": [command]}
     lines = ",\n".join(json.dumps(row) for row in rows)
     text = json.dumps(head, indent=1).removesuffix("\n}") + f',\n "rows": [\n{lines}\n]}}\n'
@@ -148,22 +155,22 @@ def write(path: Path, rows: list[Row], command: str) -> None:
 
 
 def commit_in_words() -> str:
-    """The commit, and whether the tree differs from it but for the tables."""
-    from reproduce import commit  # here, as it imports the tables that are made of these rows
+    """Return the commit, with a remark if files other than the tables have uncommitted changes."""
+    from reproduce import commit  # here, because reproduce imports the tables that are made from these rows
 
     head, changed = commit()
     return f"{head}, with uncommitted changes" if changed else head
 
 
 def arguments(about: str | None, name: str) -> argparse.Namespace:
-    """What was given on the command line; about: of --help, name: of the file of rows."""
+    """Parse the command line. about: the text of --help; name: the default name of the file of rows."""
     parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=FOLDER / f"{name}.json", help="file of rows")
     return parser.parse_args()
 
 
 def made_by(rows: list[Row], command: str) -> str:
-    """By which command, commits and seeds, as a sentence; by which method of record, where it is another now."""
+    """Return a sentence with the command, commits and seeds, and older method versions of `evetac record` if any."""
     commits, seeds, methods = (sorted({row[name] for row in rows}) for name in ("commit", "seed", "record_method"))
     older = "".join(f"; by an older method: record {method}" for method in methods if method != simulated.METHOD)
     return f"Made by `{command}` at {', '.join(map(str, commits))}{older}; seeds {', '.join(map(str, seeds))}."

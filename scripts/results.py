@@ -1,16 +1,16 @@
-"""Write the tables of docs/results/ as Markdown into the README and the pages of docs/, between their marks.
+"""Write the tables of docs/results/ as Markdown into the README and the pages of docs/.
 
     python scripts/results.py [--results docs/results] [README.md docs/...]
 
-A page says where a table belongs by two comments, `<!-- table NAME -->` and `<!-- end of NAME -->`; the text of
-docs/results/NAME.json is put between them. The table `summary`, of the README, has one cell of each of several tables;
-those of docs/likeness.md are made by likeness_tables.py.
+Two comments in a page mark the position of a table: `<!-- table NAME -->` and `<!-- end of NAME -->`. The text made
+from docs/results/NAME.json is written between them. The README's table `summary` takes one cell from each of several
+tables. likeness_tables.py makes the tables of docs/likeness.md.
 
-A file holds flat rows, and says how they are shown: `columns` (heading and cell, Python format strings over a row),
-and, where rows are spread over columns, `across` (one column for each heading). A figure of the paper stands in
-brackets with its mark: both are asked of evetac_cli/evaluate/paper.py, for a row and the `source` of its table.
-`methods` are the numbers of the methods by which its data were made; those that have changed since are named above the
-table.
+A result file has flat rows and describes how to show them. `columns` lists a heading and a cell for each column, as
+Python format strings over a row. If rows are spread over columns, `across` describes one column for each distinct
+heading. A figure from the paper is shown in brackets with its mark. Both come from evetac_cli/evaluate/paper.py, for
+the row and the `source` of its table. `methods` lists the method version of each command that made the data. Versions
+that have changed since are listed above the table.
 """
 
 import argparse
@@ -37,7 +37,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 class Figure(NamedTuple):
-    """A line of the summary: the cell of a table's row, by the row's values and the column's heading."""
+    """A line of the summary: one cell, identified by its table, values of its row and the heading of its column."""
 
     what: str
     table: str
@@ -110,50 +110,53 @@ SUMMARY = (
         "share (paper)",
     ),
 )
-LIKENESS = ("likeness-counted", "likeness-others")  # tables of public facts, see likeness_tables.py
-# Tables that a script of their own makes of its rows in docs/results/likeness.
+LIKENESS = ("likeness-counted", "likeness-others")  # tables of public facts, made by likeness_tables.py
+# Tables made by separate scripts, each from its own rows in docs/results/likeness.
 OF_SCRIPTS = {
     "likeness-sensitivity": likeness_sensitivity.as_page,
     "likeness-convergence": likeness_convergence.as_page,
     "likeness-grid": likeness_grid.as_page,
 }
 OF_COVARIATES = ("median", "p10", "p90")
-# Where each command has the number of its method.
+# The module that defines METHOD, the method version, of each command.
 MODULES = {name: command.module for name, command in WITH_CONFIG.items()}
 MODULES["train-force --method touch"] = "stages.force.adapt_touch"
 
 
 def keys(template: str) -> list[str]:
-    """The names that a format string asks for."""
+    """Return the names used in a format string."""
     return [name for _, name, _, _ in string.Formatter().parse(template) if name]
 
 
 def fill(template: str, row: Row) -> str:
-    """The parts of a format string, between commas, of which the row has every figure; yes or no for a bool."""
+    """Fill in a format string from a row.
+
+    A part between commas is dropped if the row lacks one of its figures. A bool is shown as yes or no.
+    """
     parts = template.split(", ")
     shown = {key: ("no", "yes")[value] if isinstance(value, bool) else value for key, value in row.items()}
     return ", ".join(part.format(**shown) for part in parts if all(row.get(key) is not None for key in keys(part)))
 
 
 def published(column: Row, row: Row, result: Result) -> tuple[str, str]:
-    """The paper's figures in a cell, and how they compare; empty where there are none."""
+    """Return the paper's figures for a cell and their comparison mark, both empty if the paper has none."""
     source = Source.from_json(result.get("source", {}))
     known = {key: beside for key in keys(column.get("paper", "")) if (beside := paper.beside(key, row, source))}
     if not known:
         return "", ""
-    (mark,) = {beside.mark for beside in known.values()}  # of figures of one row and column
+    (mark,) = {beside.mark for beside in known.values()}  # figures of one row and column share their mark
     return fill(column["paper"], {key: beside.value for key, beside in known.items()}), mark
 
 
 def cell(column: Row, row: Row, result: Result) -> str:
-    """Our figure, and the paper's in brackets with its mark."""
+    """Return evetac's figure, followed by the paper's figure and its mark in brackets."""
     ours = fill(column["cell"], row)
     figures, mark = published(column, row, result)
     return f"{ours} ({figures}, {mark})" if figures else ours
 
 
 def lines(result: Result) -> list[list[str]]:
-    """The heads of a table, then its rows, as text."""
+    """Return the headings of a table, then its rows, as text."""
     columns, across = result["columns"], result.get("across")
     heads = [column["heading"] for column in columns]
     if across is None:
@@ -170,12 +173,12 @@ def lines(result: Result) -> list[list[str]]:
 
 
 def method(command: str) -> int:
-    """The number of a command's method as it is today."""
+    """Return the current method version of a command."""
     return int(importlib.import_module(f"evetac_cli.{MODULES[command]}").METHOD)
 
 
 def changes(result: Result) -> list[str]:
-    """The methods behind a result that are others today, in words."""
+    """Return a text such as `label 5 (now 6)` for each command whose method has changed since the result was made."""
     return [
         f"{command} {number} (now {today})"
         for command, number in result["methods"].items()
@@ -184,7 +187,7 @@ def changes(result: Result) -> list[str]:
 
 
 def ranges(values: Iterable[int]) -> str:
-    """Numbers as in `1-3, 8`."""
+    """Return numbers as ranges, such as `1-3, 8`."""
     parts: list[list[int]] = []
     for value in sorted(set(values)):
         if parts and value == parts[-1][-1] + 1:
@@ -195,7 +198,7 @@ def ranges(values: Iterable[int]) -> str:
 
 
 def how_made(result: Result) -> str:
-    """The commands that a result was made by, and the seeds, as a sentence."""
+    """Return a sentence that lists the commands and seeds behind a result."""
     words = "Made by " + ", ".join(f"`{command}`" for command in result["commands"])
     sizes = result.get("sizes") or {}
     for what, name in (("recordings", "recording_seeds"), ("trainings", "training_seeds")):
@@ -205,12 +208,12 @@ def how_made(result: Result) -> str:
 
 
 def as_table(heads: list[str], rows: Iterable[list[str]]) -> str:
-    """A table in Markdown."""
+    """Return a table in Markdown."""
     return "\n".join("| " + " | ".join(line) + " |" for line in (heads, ["---"] * len(heads), *rows))
 
 
 def covariates(result: Result) -> list[str]:
-    """The covariates of the slips that a result is about, as a table with its sentence; nothing where it has none."""
+    """Return a sentence and a table on the covariates of a result's slips, or an empty list if it has none."""
     rows = result.get("covariates")
     if not rows:
         return []
@@ -221,7 +224,7 @@ def covariates(result: Result) -> list[str]:
 
 
 def text(result: Result) -> str:
-    """A result as Markdown: title, covariates of its slips, table, notes, how it was made."""
+    """Return a result as Markdown: covariates of its slips, title, table, notes, commands and seeds."""
     heads, *rows = lines(result)
     title = ("Simulated. " if result["simulated"] else "") + result["title"]
     made = result["made"]
@@ -233,7 +236,7 @@ def text(result: Result) -> str:
 
 
 def summary(results: Path) -> str:
-    """The chosen figures of several tables, each beside the paper's and with the commit that it was made at."""
+    """Return the table `summary`: figures chosen from several tables, the paper's figures and the commits."""
     rows = []
     for figure in SUMMARY:
         result = json.loads((results / f"{figure.table}.json").read_text())
@@ -246,7 +249,7 @@ def summary(results: Path) -> str:
 
 
 def fill_page(page: str, results: Path) -> str:
-    """The page with every table that it names as its file says."""
+    """Return the page with every table in it made anew from its file in `results`."""
 
     def replace(match: re.Match[str]) -> str:
         if match["name"] == "summary":
@@ -263,14 +266,17 @@ def fill_page(page: str, results: Path) -> str:
 
 
 def as_figure(value: Any) -> str:
-    """A value of a row as text; numbers with three digits."""
+    """Return a value of a row as text, with three significant digits for a float below 100."""
     if isinstance(value, float):
         return f"{value:,.0f}" if abs(value) >= 100 else f"{value:.3g}"
     return "" if value is None else f"{value:,}" if isinstance(value, int) else str(value)
 
 
 def put_measured(page: Path, name: str, rows: list[Row], said: str) -> None:
-    """Put run times into a page, between `<!-- measured NAME -->` and `<!-- end of NAME -->`: rows, and how made."""
+    """Write a table of run times into a page, between `<!-- measured NAME -->` and `<!-- end of NAME -->`.
+
+    said: the sentence above the table. Raises SystemExit if the page lacks one of the two marks.
+    """
     heads = list(dict.fromkeys(key for row in rows for key in row))
     words = [head.replace("_", " ") for head in heads]
     table = as_table(words, ([as_figure(row.get(key)).replace("_", " ") for key in heads] for row in rows))
@@ -283,7 +289,7 @@ def put_measured(page: Path, name: str, rows: list[Row], said: str) -> None:
 
 
 def main() -> None:
-    """Write the tables into the pages."""
+    """Write the tables into the pages given on the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("pages", nargs="*", type=Path, default=[ROOT / "README.md", *(ROOT / "docs").glob("*.md")])
     parser.add_argument("--results", type=Path, default=ROOT / "docs" / "results")

@@ -1,4 +1,4 @@
-"""What a step of the touch sensor costs, and what the examples came to: the tables of docs/robot-simulators.md."""
+"""The tables of docs/robot-simulators.md: the cost of a step of the touch sensor, and the results of the examples."""
 
 import json
 import statistics
@@ -18,9 +18,9 @@ from evetac_cli.jobs import Row
 BOX = {"shape": "flat", "static_friction": 0.8}
 BALL = {"shape": "sphere", "width_mm": 40, "static_friction": 0.8}
 
-Drive = Callable[[int], dict[str, Any]]  # what is asked for at the end of a millisecond
+Drive = Callable[[int], dict[str, Any]]  # returns the contact required at the end of a given millisecond
 
-# What is done to the sensor: the object, and the contact over time.
+# Contacts by name: the object that touches the sensor, and the contact over time.
 CASES: dict[str, tuple[Any, Drive]] = {
     "nothing touches": (BOX, lambda _: {"normal_n": 0.0}),
     "held still, 3 N": (BOX, lambda _: {"normal_n": 3.0}),
@@ -31,7 +31,10 @@ CASES: dict[str, tuple[Any, Drive]] = {
 
 
 def cost_rows(rounds: int, duration_ms: int) -> Iterator[Row]:
-    """Microseconds of CPU a simulated millisecond, median of rounds: the sensor alone, and with the slip detector."""
+    """Yield a row per contact with the CPU time in us per simulated ms, as the median over rounds.
+
+    Each row has the sensor alone, and the sensor with the slip detector.
+    """
     for case, (touching, drive) in CASES.items():
         row: Row = {"contact": case}
         for heading, detects in (("CPU_us_a_ms", False), ("with_slip_detector_CPU_us_a_ms", True)):
@@ -52,7 +55,7 @@ def cost_rows(rounds: int, duration_ms: int) -> Iterator[Row]:
 
 
 def mujoco_rows(trials: list[Row]) -> Iterator[Row]:
-    """One row a controller."""
+    """Yield one row per controller."""
     for controller in dict.fromkeys(row["controller"] for row in trials):
         of_one = [row for row in trials if row["controller"] == controller]
         grips = [row["grip_n"] for row in of_one if row["lifted"]]
@@ -66,7 +69,7 @@ def mujoco_rows(trials: list[Row]) -> Iterator[Row]:
 
 
 def lift_rows(policies: list[Row]) -> Iterator[Row]:
-    """One row a policy, and one of all runs of CMA-ES together."""
+    """Yield one row per policy, then one with the mean over all CMA-ES runs."""
     names = {"return": "return", "lifted": "lifted", "kept": "kept", "grip_n": "mean_grip_N"}
     for row in policies:
         yield {"policy": row["policy"], **{heading: row[name] for name, heading in names.items()}}
@@ -76,22 +79,22 @@ def lift_rows(policies: list[Row]) -> Iterator[Row]:
 
 
 def simulated(name: str, rows: Iterable[Row], trials: int) -> Evaluations:
-    """Rows of one table, of so many trials."""
+    """Return the rows of one table as simulated evaluations, with the number of trials behind them."""
     return {name: Evaluation(list(rows), {}, simulated=True, about={"sizes": {"trials": trials}})}
 
 
 def touch_cost(sizes: Sizes, folder: Path, jobs: int) -> Evaluations:
-    """Measure what a step costs."""
+    """Measure the cost of a step."""
     return simulated("touch-cost", cost_rows(sizes["rounds"], sizes["ms"]), sizes["rounds"] * len(CASES))
 
 
 def mujoco_grasps(sizes: Sizes, folder: Path, jobs: int) -> Evaluations:
-    """Sum up the trials of examples/mujoco_grasp.py."""
+    """Summarise the trials of examples/mujoco_grasp.py."""
     trials = json.loads((folder / trials_file(sizes)).read_text())
     return simulated("mujoco-grasps", mujoco_rows(trials), len(trials))
 
 
 def lift_baseline(sizes: Sizes, folder: Path, jobs: int) -> Evaluations:
-    """Sum up the policies of examples/cma_lift.py."""
+    """Summarise the policies of examples/cma_lift.py."""
     policies = json.loads((folder / trials_file(sizes)).read_text())
     return simulated("lift-baseline", lift_rows(policies), len(policies) * sizes["judged"])

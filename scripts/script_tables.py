@@ -1,4 +1,4 @@
-"""Tables that a script measures by itself, as results.py shows them, with the commit that they were made by."""
+"""Build and write the tables that scripts measure directly, in the format of results.py and with their commit."""
 
 import json
 import shlex
@@ -25,7 +25,11 @@ def table_of(
     across: dict[str, str] | None = None,
     notes: Sequence[str] = (),
 ) -> Row:
-    """A table of simulated rows: heading -> cell of each column, the command that makes it, and what it was made of."""
+    """Return a table of simulated rows, with the current commit.
+
+    columns: the cell (a format string over a row) of each heading; command: the command that makes the table; sizes:
+    seeds and numbers of trials.
+    """
     made = commit_in_words()
     return {
         "name": name,
@@ -46,13 +50,13 @@ def table_of(
 
 
 def models_in_words(given: Sequence[str]) -> str:
-    """What --model was given, NAME=FILE each, as a command that shows no folder."""
+    """Return the values of --model, NAME=FILE each, as part of a command, without the files' folders."""
     named = (each.partition("=") for each in given)
     return " ".join(shlex.quote(f"{name}={Path(path).name}") for name, _, path in named)
 
 
 def write(folder: Path, *tables: Row) -> None:
-    """Write tables as NAME.json into a folder, and say where they are."""
+    """Write tables as NAME.json into a folder, and print their paths."""
     for table in tables:
         path = folder / f"{table['name']}.json"
         path.write_text(json.dumps(table, indent=1) + "\n")

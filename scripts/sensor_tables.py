@@ -1,6 +1,7 @@
-"""The table of slip detectors from sensor to sensor: timing and F1 of each, and what adapting to a sensor is worth.
+"""The table of slip detectors by sensor: timing and F1 of each detector, and the gain from adapting it to a sensor.
 
-Rows of judged trials are those of slip_trials.py, in dicts by the sensor's name; a trial has an object of its own.
+The rows of evaluated trials come from slip_trials.py, as a dict by the sensor's name. Each trial has a different
+object.
 """
 
 import re
@@ -16,25 +17,28 @@ from evetac_cli.jobs import Row
 from evetac_cli.kernels.slip.metrics import Counts
 
 NAME = "slip-detectors-sensors"
-ADAPTED = "adapted"  # a score: what a model adapted to the sensor says
-RANDOMISED = "randomized:"  # begins the name of such a sensor
+ADAPTED = "adapted"  # name of the score of a model adapted to the sensor
+RANDOMISED = "randomized:"  # prefix of the name of a randomised sensor
 
 
 def key_of(score: str) -> str:
-    """A score's name as the beginning of a key of a row."""
+    """Return the prefix of a score's keys in a row."""
     return re.sub(r"\W+", "_", score)
 
 
 def told(score: str, right: NDArray[np.float64], clusters: Sequence[object], f1: float) -> Row:
-    """Timing of a score with its interval by clusters of slips (slips,), and F1, as values of a row."""
+    """Return a score's share of correct timing with its confidence interval, and F1, as values of a row.
+
+    right: 1 for each slip with correct timing, else 0, (slips,); clusters: the cluster of each slip, (slips,).
+    """
     correct, key = slip_tables.mean_of(right, list(map(str, clusters))), key_of(score)
     return {f"{key}_correct": correct.value, f"{key}_low": correct.low, f"{key}_high": correct.high, f"{key}_f1": f1}
 
 
 def sensor_rows(rows: dict[str, list[Row]], at: dict[str, dict[str, float]], before: str | None) -> list[Row]:
-    """Rows of the table from those of trials.
+    """Return the rows of the table from the rows of trials.
 
-    at: of each sensor the threshold of each score; before: the name of the model that was adapted, if one was.
+    at: for each sensor, the threshold of each score; before: the name of the model that was adapted, or None.
     """
     slips = {sensor: [row for row in of if "unloading_n_s" in row] for sensor, of in rows.items()}
 
@@ -59,7 +63,7 @@ def sensor_rows(rows: dict[str, list[Row]], at: dict[str, dict[str, float]], bef
             if all(score in at[one] for one in several):
                 row |= told(score, right(score, several), clusters, f1(score, several))
         shown.append(row)
-    if before and len(adapted) > 1:  # the last clusters are theirs
+    if before and len(adapted) > 1:  # `clusters` is still that of the adapted sensors, the last group
         gain, more = right(ADAPTED, adapted) - right(before, adapted), f1(ADAPTED, adapted) - f1(before, adapted)
         less: Row = {"sensor": f"adapted less {before}, paired", "slips": len(gain)}
         shown.append(less | told(ADAPTED, gain, clusters, more))
@@ -67,7 +71,10 @@ def sensor_rows(rows: dict[str, list[Row]], at: dict[str, dict[str, float]], bef
 
 
 def table(shown: list[Row], scores: Sequence[str], sensors: int, command: str, sizes: Row) -> Row:
-    """The table of all sensors, whose rows come first, with the worst of them in a note."""
+    """Return the table of all sensors, with the worst sensor of each score in a note.
+
+    shown: rows of `sensor_rows`; the first `sensors` of them are those of single sensors.
+    """
     columns, worst = {"sensor": "{sensor}", "slips": "{slips}"}, []
     for score in scores:
         key = key_of(score)

@@ -1,8 +1,12 @@
-"""Thresholds and tables from rows of judged trials (slip_trials.py): timing, warnings ahead, false alarms.
+"""Choose thresholds and make tables from rows of evaluated trials (slip_trials.py): timing, warnings and false alarms.
 
-Oracles are judged at thresholds that `choose_thresholds` wrote, models at those of their files: timing and F1 at the
-one that the paper's rule chose, warnings at the one that `grasp` uses, and at that of PER_MINUTE where an oracle is
-compared with. All are rounded to the nearest of THRESHOLDS.
+Oracles use the thresholds written by `choose_thresholds`; models use those in their files:
+
+- timing and F1: the threshold chosen by the paper's rule
+- warnings: the threshold that `grasp` uses
+- warnings compared with an oracle's: the threshold for PER_MINUTE
+
+All thresholds are rounded to the nearest of THRESHOLDS.
 """
 
 import json
@@ -27,25 +31,25 @@ from evetac_cli.store.files import StageFile
 
 HERE = Path(__file__).resolve().parent
 THRESHOLD_FILE = HERE / "slip-thresholds.json"
-PER_MINUTE = 1.0  # false alarms that a warning may cost, in the mean over motions
-WARNED_MS = 10
-SPEEDS_N_S = (1.5, 4.0)  # slower, between and faster: the paper's ramp makes 2.4 to 3.3 N/s
+PER_MINUTE = 1.0  # accepted false alarms per minute, averaged over motions
+WARNED_MS = 10  # least lead time of a warning when models are compared
+SPEEDS_N_S = (1.5, 4.0)  # limits of slow, usual and fast unloading: the paper's ramp unloads at 2.4 to 3.3 N/s
 Rows = dict[str, list[Row]]  # by motion
 
 
 def names_of(rows: Rows) -> list[str]:
-    """The scores that the rows are of."""
+    """Return the names of the scores in the rows."""
     first = next(row for of_motion in rows.values() for row in of_motion)
     return list(first["scores"])
 
 
 def slip_rows(rows: Rows) -> list[Row]:
-    """Trials with an onset that timing is judged by."""
+    """Return the trials that have an onset for the evaluation of timing."""
     return [row for motion in SLIPS for row in rows.get(motion, []) if "unloading_n_s" in row]
 
 
 def false_per_minute(of_motion: Sequence[Row], score: str, rule: str) -> NDArray[np.float64]:
-    """False alarms per minute of contact, by threshold."""
+    """Return false alarms per minute of contact, (thresholds,)."""
     minutes = sum(row["minutes"] for row in of_motion)
     counts = np.sum([row["scores"][score]["false"][rule] for row in of_motion], axis=0)
     rate: NDArray[np.float64] = counts / minutes
@@ -53,7 +57,10 @@ def false_per_minute(of_motion: Sequence[Row], score: str, rule: str) -> NDArray
 
 
 def mean_false(rows: Rows, score: str, rule: str) -> NDArray[np.float64]:
-    """The same, in the mean over motions; never rising with the threshold."""
+    """Return false alarms per minute of contact, averaged over motions, (thresholds,).
+
+    Each value is the maximum over its own and all higher thresholds, so the rate never rises with the threshold.
+    """
     every = [false_per_minute(of_motion, score, rule) for of_motion in rows.values() if of_motion]
     mean = np.mean(every, axis=0)
     lowest: NDArray[np.float64] = np.maximum.accumulate(mean[::-1])[::-1]
@@ -61,20 +68,24 @@ def mean_false(rows: Rows, score: str, rule: str) -> NDArray[np.float64]:
 
 
 def f1(of_slips: Iterable[Row], score: str, at: int) -> float:
-    """F1 over the slices of all trials, at a threshold's place."""
+    """Return F1 over the slices of all trials. at: index of the threshold."""
     return Counts(*np.sum([row["scores"][score]["counts"][at] for row in of_slips], axis=0).tolist()).f1
 
 
 def timings(of_slips: Sequence[Row], score: str, at: int) -> NDArray[np.str_]:
-    """Whether each first detection is early, correct or late, by the paper's rule."""
-    # a trial's onset is taken as far along as the earliest detection is ahead
+    """Return `early`, `correct` or `late` for each first detection, by the paper's rule. at: index of the threshold."""
+    # `timing` requires slice numbers; an onset at slice `ahead` leaves room for the earliest detection
     first = [row["scores"][score]["first_ms"][at] for row in of_slips]
     ahead = 100_000
     return np.array([timing(-1 if ms is None else ahead + ms, ahead) for ms in first])
 
 
 def choose_thresholds(rows: Rows, seed: int) -> None:
-    """Write for every oracle the threshold of its timing, by the paper's rule, and those of PER_MINUTE, by rule."""
+    """Write THRESHOLD_FILE: for every oracle, the threshold for timing and, by rule, that for warnings.
+
+    The threshold for timing has the highest sum of correct timing and F1, as in the paper. The threshold for warnings
+    is the lowest with at most PER_MINUTE false alarms per minute.
+    """
     of_slips = slip_rows(rows)
     known = {}
     for score in names_of(rows):
@@ -92,13 +103,13 @@ def choose_thresholds(rows: Rows, seed: int) -> None:
 
 
 def thresholds() -> dict[str, Row]:
-    """What `choose_thresholds` wrote."""
+    """Return the thresholds written by `choose_thresholds`."""
     loaded: dict[str, Row] = json.loads(THRESHOLD_FILE.read_text())
     return loaded
 
 
 def thresholds_of(path: Path) -> Row:
-    """The thresholds in a model's file, as `thresholds` has those of oracles."""
+    """Return the thresholds in a model's file, in the form that `thresholds` has for each oracle."""
     with StageFile(path, "model") as file:
         chosen = int(file.read("checkpoint/chosen"))
         timing_at, grasp_at = float(file.read("checkpoint/threshold")[chosen]), controller_threshold(file)
@@ -109,20 +120,20 @@ def thresholds_of(path: Path) -> Row:
 
 
 def nearest(threshold: float) -> float:
-    """The nearest of THRESHOLDS, by log odds."""
+    """Return the nearest of THRESHOLDS, by log odds."""
     grid, at = np.array(THRESHOLDS), np.clip(threshold, 1e-6, 1 - 1e-6)
     return THRESHOLDS[int(np.argmin(np.abs(np.log(grid / (1 - grid)) - np.log(at / (1 - at)))))]
 
 
 def mean_of(values: NDArray[np.floating], clusters: Sequence[str]) -> Estimate:
-    """A mean over trials, with its interval by drawing clusters again."""
+    """Return the mean over trials, with its confidence interval from resampled clusters."""
     mean = ratio_of_clusters(values.astype(float), np.ones(len(values)), cluster_weights(clusters))
     assert mean is not None  # there are trials
     return mean
 
 
 def clusters_of(of_slips: Sequence[Row]) -> list[str]:
-    """What trials share: their sensor where it is a random one, else their object, another in each."""
+    """Return each trial's cluster: its sensor if randomised, else its seed, since each trial has another object."""
     return [row["sensor"] if row["sensor"] != "evetac" else str(row["seed"]) for row in of_slips]
 
 
@@ -131,7 +142,7 @@ def _share(flags: NDArray[np.bool_]) -> float | None:
 
 
 def timing_table(name: str, rows: Rows, chosen: Row, command: str) -> Row:
-    """Timing and F1 of every score at its threshold, over all slips and by how fast the grip was unloaded."""
+    """Return the table of timing and F1 of every score at its threshold, for all slips and by unloading speed."""
     of_slips = slip_rows(rows)
     speed = np.array([row["unloading_n_s"] for row in of_slips])
     slow, fast = SPEEDS_N_S
@@ -180,7 +191,7 @@ def timing_table(name: str, rows: Rows, chosen: Row, command: str) -> Row:
 
 
 def calibration_error(rows: Rows, score: str) -> float | None:
-    """How far a score is from how often slip happens, as in a report on slip: `reliability.expected_error`."""
+    """Return a score's calibration error, `reliability.expected_error`, as in the report of `evetac evaluate slip`."""
     every = [row["scores"][score]["calibration"] for of_motion in rows.values() for row in of_motion]
     return expected_error(
         [
@@ -192,7 +203,10 @@ def calibration_error(rows: Rows, score: str) -> float | None:
 
 
 def paired_table(name: str, rows: Rows, chosen: Row, models: Sequence[str], command: str) -> Row:
-    """Difference of each model from the oracle `ahead` of its horizon, trial by trial, and its calibration."""
+    """Return the table of paired differences of each model from the oracle `ahead` with the same horizon.
+
+    It also has each model's worst sensor and its calibration error.
+    """
     of_slips = slip_rows(rows)
     clusters = clusters_of(of_slips)
     shown = []
@@ -227,13 +241,13 @@ def paired_table(name: str, rows: Rows, chosen: Row, models: Sequence[str], comm
 
 
 def _difference(key: str, oracle: NDArray[np.float64], model: NDArray[np.float64], clusters: Sequence[str]) -> Row:
-    """Mean of a model, and of the oracle less the model, with its interval."""
+    """Return the mean of a model, and the mean of the oracle minus the model with its confidence interval."""
     less = mean_of(oracle - model, clusters)
     return {key: float(model.mean()), f"{key}_less": less.value, f"{key}_low": less.low, f"{key}_high": less.high}
 
 
 def sizes_of(rows: Rows) -> Row:
-    """What tables were made of."""
+    """Return the seeds behind the tables, and the trials and minutes of contact by motion."""
     return {
         "seeds": f"{min(row['seed'] for of in rows.values() for row in of)}-"
         f"{max(row['seed'] for of in rows.values() for row in of)}",
@@ -243,26 +257,34 @@ def sizes_of(rows: Rows) -> Row:
 
 
 def leads(of_slips: Sequence[Row], score: str, rule: str, at: int, most: int | None = None) -> NDArray[np.float64]:
-    """How far ahead slips were warned of, in ms, of each trial the first so many; minus infinity where one was not."""
+    """Return the lead time of the warning of each slip, in ms, (slips,); minus infinity if there was no warning.
+
+    at: index of the threshold; most: the number of slips used from each trial, starting with the first (None: all).
+    """
     found = [ms for row in of_slips for ms in row["scores"][score]["leads_ms"][rule][at][:most]]
     return np.array([-math.inf if ms is None else ms for ms in found])
 
 
 def warned_at(rows: Rows, score: str, rule: str, per_minute: float, least_ms: int) -> float:
-    """Share of slips warned of at least so far ahead, where false alarms come so often, between thresholds."""
+    """Return the share of slips with a warning at least `least_ms` ahead, at `per_minute` false alarms per minute.
+
+    The share is interpolated linearly between thresholds.
+    """
     of_slips = slip_rows(rows)
-    rates = mean_false(rows, score, rule)  # never rising; of thresholds with as many, the lowest comes last below
+    # Rates never rise with the threshold, so they are reversed for np.interp. Among thresholds with equal rates, the
+    # lowest threshold is then the last.
+    rates = mean_false(rows, score, rule)
     shares = [float((leads(of_slips, score, rule, at) >= least_ms).mean()) for at in range(len(THRESHOLDS))]
     return float(np.interp(per_minute, rates[::-1], shares[::-1]))
 
 
 def shown_scores(rows: Rows) -> list[str]:
-    """Scores that warnings are shown of: what `share` knows is the same whatever the horizon."""
+    """Return the scores shown in tables of warnings; `share` has one, because it does not depend on the horizon."""
     return [score for score in names_of(rows) if not score.startswith("share") or score == "share 0 ms"]
 
 
 def alarm_threshold(chosen: Row, rule: str) -> float:
-    """The threshold of `grasp`, of an oracle that of PER_MINUTE."""
+    """Return the threshold for warnings: a model's threshold for `grasp`, or an oracle's for PER_MINUTE."""
     threshold: float = chosen.get("grasp", chosen[rule])
     return threshold
 
@@ -275,7 +297,7 @@ MEANS = {
 
 
 def warning_table(name: str, rows: Rows, chosen: Row, rule: str, command: str) -> Row:
-    """Share of slips warned of so far ahead, and false alarms per minute in the mean over motions."""
+    """Return the table of the share of slips with a warning, by lead time, and of false alarms per minute."""
     shown = []
     for score in shown_scores(rows):
         at = THRESHOLDS.index(alarm_threshold(chosen[score], rule))
@@ -301,7 +323,7 @@ def warning_table(name: str, rows: Rows, chosen: Row, rule: str, command: str) -
 
 
 def motions_table(name: str, rows: Rows, chosen: Row, scores: Sequence[str], command: str) -> Row:
-    """False alarms per minute of each motion, by both rules, of some scores."""
+    """Return the table of false alarms per minute in each motion, by both rules, for the given scores."""
     shown = []
     for motion, of_motion in rows.items():
         row: Row = {"motion": motion, "minutes": sum(one["minutes"] for one in of_motion)}
@@ -320,9 +342,9 @@ def motions_table(name: str, rows: Rows, chosen: Row, scores: Sequence[str], com
 
 
 def ideas_table(name: str, rows: Rows, chosen: Row, command: str) -> Row:
-    """What trainings of several seeds are worth: mean and standard deviation over seeds.
+    """Return the table of training choices: mean and standard deviation over training seeds.
 
-    Scores are called IDEA/SEED.
+    Scores are named IDEA/SEED.
     """
     of_slips = slip_rows(rows)
     by_idea: dict[str, list[str]] = {}
@@ -344,7 +366,7 @@ def ideas_table(name: str, rows: Rows, chosen: Row, command: str) -> Row:
         row: Row = {"idea": idea, "seeds": len(scores)}
         every = [figures(score) for score in scores]
         for key in every[0]:
-            values = np.array([one[key] for one in every if one[key] is not None])  # none where nothing is above 0.1
+            values = np.array([one[key] for one in every if one[key] is not None])  # none if no score exceeds 0.1
             row[key] = float(values.mean()) if len(values) else None
             row[f"{key}_sd"] = float(values.std(ddof=1)) if len(values) > 1 else None
         shown.append(row)

@@ -6,12 +6,17 @@
     python scripts/docs/wording.py --draw 10 --seed 43     # as many docs paragraphs, messages and docstrings at random
     python scripts/docs/wording.py --root OTHER_CHECKOUT   # the same of another checkout
 
-Five kinds of text: `docs` (paragraphs, list items and table cells of README, CONTRIBUTING and docs/), `help` (flags and
-commands), `messages` (any other text of four words or more in the package: errors, notes, pages), `docstrings` and
-`comments` (of the package, scripts and examples). Code, tables of results and quoted flags are not read as prose.
+There are five kinds of text:
 
-A pattern may be used rightly: "the onset lies between two slices". wording.toml beside this script lists such uses with
-the reason; what it lists is counted as `kept`. With --check the exit status is 1 where anything else is left.
+- `docs`: paragraphs, list items and table cells of README, CONTRIBUTING and docs/
+- `help`: help texts of flags and commands
+- `messages`: any other text of four words or more in the package, such as errors, notes and pages
+- `docstrings` and `comments`: those of the package, scripts and examples
+
+Code, tables of results and quoted flags are not read as prose.
+
+Some uses of a pattern are correct, such as "the onset lies between two slices". wording.toml next to this script lists
+them with the reason, and they are counted as `kept`. With --check the exit status is 1 if any other use is left.
 """
 
 import argparse

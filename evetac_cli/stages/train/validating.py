@@ -25,8 +25,8 @@ if TYPE_CHECKING:  # torch takes more than a second to import
 
 LEAST_MINUTES = 5.0  # without slip, to choose a threshold: with fewer, 1 alarm per minute is less than five alarms
 # Default rate. A false alarm costs a controller little, since it checks the load first; a late warning costs more.
-# It was chosen on one detector by the share of its validation slips with a warning 10 ms ahead (simulated, seeds 5600
-# to 5623): 0.22 with 1 per minute, 0.62 with 2, 0.74 with 4, 0.78 with 6.
+# The rate was chosen on one detector by the share of its validation slips with a warning 10 ms ahead. The share is
+# 0.22 with 1 per minute, 0.62 with 2, 0.74 with 4, 0.78 with 6 (simulated, seeds 5600 to 5623).
 FALSE_ALARMS_PER_MIN = 4.0
 
 
