@@ -84,7 +84,7 @@ def choose_thresholds(rows: Rows, seed: int) -> None:
     """Write THRESHOLD_FILE: for every oracle, the threshold for timing and, by rule, that for warnings.
 
     The threshold for timing has the highest sum of correct timing and F1, as in the paper. The threshold for warnings
-    is the lowest with at most PER_MINUTE false alarms per minute.
+    is the lowest with at most PER_MINUTE false alarms per minute, or the highest of all if none has so few.
     """
     of_slips = slip_rows(rows)
     known = {}
