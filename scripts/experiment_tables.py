@@ -47,7 +47,7 @@ class Table:
     across: Column | None = None
     notes: tuple[str, ...] = ()
     measured: bool = False  # if set, all figures of rows and summaries are stored, and columns without any are dropped
-    # False if docs/results has no result of the current method yet.
+    # False if docs/results has no result of the current method yet; then no page may have marks for the table.
     kept: bool = True
 
 
