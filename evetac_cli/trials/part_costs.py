@@ -171,13 +171,9 @@ def for_people(shown: Outcome) -> tuple[list[dict[str, Any]], list[str]]:
     ]
     left_out = [row for row in rows if row["left_out"] is not None]
     would_take = [f"{row['part']} {saved} us" for row in left_out if (saved := _in_words(row, "saves_us")) is not None]
-    sentences = [
-        "-: not measured separately, but within another part. The camera's time includes dots, window, edge and noise."
-    ]
+    sentences = ["-: measured within another part; camera includes dots, window, edge and noise."]
     if left_out:
-        sentences += [
-            f"{len(left_out)} parts are left out because scene and sensor do not name them; -v lists the reasons."
-        ]
+        sentences += [f"{len(left_out)} parts are left out: scene and sensor do not name them (-v: reasons)."]
     if would_take:
         sentences += [f"They would take: {', '.join(would_take)}."]
     if "time_us_a_slice" in summary:

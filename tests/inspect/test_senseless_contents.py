@@ -544,7 +544,7 @@ def test_m4_evaluate_tracking_with_the_truth_of_another_grid(small: dict[str, Pa
         h5["sensor/dot_xy_px"] = GRID_OF_TWO_ROWS
         small_files.remove_dimensions(h5)
     assert validate.run([small["tracks"]]).summary["invalid"] == 0
-    with pytest.raises(InputError, match="another number of dots"):
+    with pytest.raises(InputError, match="numbers of dots"):
         STAGES["evaluate tracking"][1](small["tracks"])
 
 

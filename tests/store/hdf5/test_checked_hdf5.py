@@ -81,7 +81,7 @@ try:
         file.read("command")
 except InputError as error:
     peak_kb = int(next(line for line in open("/proc/self/status") if line.startswith("VmHWM")).split()[1])
-    print(peak_kb < 500_000, "longer than" in str(error))
+    print(peak_kb < 500_000, "long text" in str(error))
 """
 
 
