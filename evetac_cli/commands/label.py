@@ -6,7 +6,7 @@ from evetac_cli.commands.command import Command
 from evetac_cli.commands.parameter import parameter
 
 REVIEW = "Manual labels"  # a panel of --help
-OTHERS, TRAINING = "Other methods than event-flow", "Training"  # panels of --help
+OTHERS, TRAINING = "Methods other than event-flow", "Training"  # panels of --help
 
 
 @dataclass(frozen=True)

@@ -86,7 +86,7 @@ def friction_factor(sensor: Sensor, node_xy_m: Floats, finger: int = 0) -> Float
     """
     spread, patch_mm = sensor.friction.patch_spread, sensor.friction.patch_mm
     if (spread is None) != (patch_mm is None):
-        raise ValueError("friction.patch_spread and friction.patch_mm of a sensor need each other")
+        raise ValueError("friction.patch_spread and friction.patch_mm of a sensor must be set together")
     if not spread or patch_mm is None:
         return None
     rng = np.random.default_rng([sensor.seed, FRICTION_SEED, finger])
