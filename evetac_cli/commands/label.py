@@ -52,7 +52,7 @@ class Label:
     )
     min_events: int = parameter(
         20,
-        "For flow methods: pairs in which a window image has fewer events are skipped.",
+        "For flow methods: skip pairs of images if one has fewer events in the window.",
         unit="events",
         low=1,
         panel=OTHERS,

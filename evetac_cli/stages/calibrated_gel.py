@@ -258,7 +258,7 @@ def _too_many(where: str, count: int) -> InputError:
 
 
 def _sizes() -> str:
-    return f"{ROWS} rows and {CLOSED_COLUMNS} columns, or {CUT_COLUMNS} beside the window of a cut gel"
+    return f"{ROWS} rows and {CLOSED_COLUMNS} columns, or {CUT_COLUMNS} next to the window of a cut gel"
 
 
 def _in_words(dots: Grid) -> str:

@@ -36,7 +36,7 @@ REST_STEPS = 4  # fewest steps at rest for a quartile of the noise
 QUARTILE_SD = 0.67  # standard deviations between quartile and mean of a normal distribution
 HOT_BLOCK_US = 100_000
 HOT_SHARE = 0.5  # a pixel with events in more than this share of the blocks is hot; an edge passes less often
-MOST_FADED = 6.0  # exponent beyond which the window is no measure: four hundred times fading_px
+MOST_FADED = 6.0  # exponent beyond which the window cannot measure motion: four hundred times fading_px
 
 
 class EventRate(NamedTuple):

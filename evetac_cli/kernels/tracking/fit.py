@@ -7,7 +7,7 @@ An event in a dot's ring, at distance d from the centre in direction n, is evide
 - The event is on the leading or the trailing rim. A moving dark dot makes OFF events (darker) on its leading rim and ON
   events (brighter) on its trailing rim. So the sum of +n and -n points along the motion and grows with it: each event
   counts as `event_px` of motion. This sum is called the motion seen. Both rims agree if the dot itself moves.
-- The event came late. A pixel makes an event after its level has changed by the contrast threshold, so either rim is
+- The event came late. A pixel has an event after its level has changed by the contrast threshold, so either rim is
   seen `rim_lag_px` behind the motion. Since the side is known, this lag is subtracted.
 
 Events are spread evenly over the slice, so the rims are seen where they were half way through. With H = sum w n n^T,

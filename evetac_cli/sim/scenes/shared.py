@@ -138,7 +138,7 @@ class GelSlices:
         second: gel.GelState | None = None,
         timer: Timer = untimed,
     ) -> None:
-        """Start with a pad, and the second finger's pad if it is no mirror image of the first (see `Stepper`)."""
+        """Start with a pad, and the second finger's pad if it does not mirror the first (see `Stepper`)."""
         self._gel = pad_state
         self._pads = (pad_state,) if second is None else (pad_state, second)
         self._advance = timer("gel and friction", Stepper(solver, second=second).advance)
