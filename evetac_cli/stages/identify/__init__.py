@@ -181,7 +181,7 @@ def _up_to_date(path: Path, recipe: Recipe, *, force: bool) -> bool:
     raise InputError(
         "the file exists and was made with another recipe, or by hand",
         where=str(path),
-        hint="--force replaces it, -o writes another file",
+        hint="--force replaces it, -o NAME writes to another file",
     )
 
 

@@ -20,7 +20,7 @@ from evetac_cli.trials.trial import DeviceTrial
 HOLDING_MA = 50.0  # default holding current
 SECONDS = 60.0  # duration for the disk space check, if no duration is known
 INSTEAD = ("closing_ma", "holding_ma", "hold_s", "lowest_ma")  # options that a followed current replaces
-TAKEN = "--resume continues a series, --force replaces it, -o NAME writes elsewhere"
+TAKEN = "--resume continues a series, --force replaces it, -o NAME writes to another file"
 NAME_TAKEN = "start a trial with another name; record --listen --force replaces this one"
 
 
