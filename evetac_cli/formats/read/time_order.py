@@ -175,7 +175,7 @@ class TimeOrder:
             raise InputError(
                 "time goes backwards",
                 where=where,
-                expected="events in time order, at most 1 ms late",
+                expected="events in order of time, at most 1 ms late",
                 found=self._steps(),
                 hint=self._hint(),
             )
