@@ -56,7 +56,7 @@ class EventFlowConstants:
     look_ahead_ms: int = 4  # slices over which relative flow is summed
     seen_slide_px: float = 10.0  # after a longer slide, the window's events measure nothing and relative flow is NaN
     events_per_px: float = 500.0  # of the window before it has moved, until the recording determines it
-    fading_px: float = 30.0  # travel after which the window makes half the events per px
+    fading_px: float = 30.0  # travel after which the window has half the events per px
     least_events_per_px: float = 20.0  # of the window: with fewer it shows no texture
     after_ms: int = 60  # slices labelled after the onset
 

@@ -1,11 +1,11 @@
 """Distance travelled by an object, from the events of the window through which its texture is visible.
 
-A moving texture makes a certain number of events per pixel of motion. This number is measured in the recording itself,
+A moving texture causes a certain number of events per pixel of motion. This number is measured in the recording itself,
 while the object still sticks to the gel and the dots next to it move as far as it does. The later motion then follows
 from counting events, at any speed.
 
 Reasons:
-- At rest the window makes noise events. Their rate comes from the steps in which no dot moves. It is taken from the
+- At rest the window has noise events. Their rate comes from the steps in which no dot moves. It is taken from the
   lower quartile, because the object may slide in half of these steps; noise counts have their lower quartile 0.67
   standard deviations below their mean. The minimum over all steps would be too low, and an object at rest would seem to
   move on for pixels.
