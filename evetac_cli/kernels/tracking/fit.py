@@ -4,7 +4,7 @@ An event in a dot's ring, at distance d from the centre in direction n, is evide
 - The rim is at the event. beyond = d - rim is the distance that the dot must move along n. This is a least-squares
   problem over all of the dot's events (Gauss-Newton on the paper's data term), damped by 1 / (2 step_size) so that few
   events move a dot as the paper's step would.
-- The event is on the leading or the trailing rim. A moving dark dot causes OFF events (darker) on its leading rim and ON
+- The event is on the leading or the trailing rim. A moving dark dot has OFF events (darker) on its leading rim and ON
   events (brighter) on its trailing rim. So the sum of +n and -n points along the motion and grows with it: each event
   counts as `event_px` of motion. This sum is called the motion seen. Both rims agree if the dot itself moves.
 - The event came late. A pixel has an event after its level has changed by the contrast threshold, so either rim is
