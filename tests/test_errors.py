@@ -67,7 +67,7 @@ ASKS = {  # what a message asks for, and the command that it has to name: the on
     r"--calibration\b": "evetac calibrate",
     r"have no labels": "evetac label",
     r"no dot grid|dots .* (are|is) unknown": "evetac calibrate",
-    r"dot grid than|for another dot grid": "evetac train",
+    r"different dot grid from the force|for another dot grid": "evetac train",
     r"but the features have none": "evetac featurize",
     r"tracks of this recording are missing": "evetac track",
     r"no (\w+ )?files? (are|is) (given|named)|no file is left": "evetac|made_by",

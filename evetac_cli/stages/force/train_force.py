@@ -214,7 +214,7 @@ def check_grid(model: ForceModel, model_path: Path, tracks: StageFile) -> None:
     shape = read_dot_shape(tracks)
     if shape != model.dot_shape:
         raise InputError(
-            "the force model is for another dot grid",
+            "the tracks have a different dot grid from the force model",
             where=str(tracks.path),
             expected=f"{in_words(*model.dot_shape)}, as in {model_path}",
             found=in_words(*shape),
