@@ -227,7 +227,7 @@ class SlipDetector:
         dot_xy_px, no_rows = _in_rows(dot_xy_px)
         with StageFile(resources.model_file(model, flag="model"), "model") as file:
             if why := why_useless(file):
-                warnings.warn(f"{file.path} is no slip detector: {why}", stacklevel=2)
+                warnings.warn(f"{file.path} is not a slip detector: {why}", stacklevel=2)
             try:
                 self._detector = OnlineSlipDetector.start(file, dot_xy_px, gel.window_px, constants, gel.sensitivity)
             except InputError as error:

@@ -78,7 +78,7 @@ def ignore_interrupts() -> None:
 
 
 def remember_signals() -> list[int]:
-    """Return a list to which signals that would end this process are added from now on; its loop must check the list.
+    """Return a list that will receive all further signals to end this process; its loop must check the list.
 
     A signal that is already ignored, such as SIGHUP under nohup, stays ignored.
     """

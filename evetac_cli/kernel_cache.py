@@ -172,7 +172,7 @@ def refuse_settings_in_the_working_folder() -> None:
         raise InputError(
             "this file in the working folder would change how numba compiles, so evetac does not start here",
             where=os.path.abspath(SETTINGS),
-            hint="move the file or start evetac in another folder; use variables NUMBA_... for your own settings",
+            hint="move the file or start evetac in another folder; use NUMBA_... variables for your own settings",
         )
 
 

@@ -65,7 +65,7 @@ def _is_read_by_others() -> bool:
     """Whether messages go to a file that other users can read."""
     try:
         mode = os.fstat(sys.stderr.fileno()).st_mode
-    except (AttributeError, OSError, ValueError):  # stderr is no file
+    except (AttributeError, OSError, ValueError):  # stderr is not a file
         return False
     return stat.S_ISREG(mode) and bool(mode & (stat.S_IRGRP | stat.S_IROTH))
 

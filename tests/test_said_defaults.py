@@ -80,7 +80,7 @@ SAID: dict[tuple[str, str], Callable[[], str]] = {
     ("identify", "pixel_mm"): lambda: f"that of --like, taken as known within {gripper_rows.SCALE_SHARE:.0%}",
     ("train", "model"): lambda: f"{train.USUAL.model}, or that of --adapt",
     ("train", "horizon_ms"): lambda: f"{train.USUAL.horizon_ms}, or that of --adapt",
-    ("train", "preset"): lambda: f"{train.USUAL.preset}, or with --adapt, which takes no other, adamw with small steps",
+    ("train", "preset"): lambda: f"{train.USUAL.preset}; with --adapt, always adamw with small steps",
     ("train", "max_steps"): lambda: f"{train.USUAL.max_steps}, or {train.ADAPT_STEPS} with --adapt",
     ("train", "false_alarms_per_min"): lambda: (
         f"{validating.FALSE_ALARMS_PER_MIN:g}; with preset paper, or with less than {validating.LEAST_MINUTES:g}"

@@ -91,10 +91,10 @@ def _in_worker(
 def _work(
     pipe: "Connection", module: str, chosen: Any, force: bool, quiet: bool, parts: tuple[plugins.Part, ...]
 ) -> None:
-    """What a worker process does: job after job from the pipe, until it closes; at once ended if the parent dies.
+    """Run jobs from the pipe, one after the other, until it closes; end at once if the parent dies.
 
-    Through the pipe come back, of each job, the part that is done and what came of it; in between what is to be said.
-    parts: plug-ins that headers are to name.
+    For each job, the worker sends its progress and its outcome through the pipe, and messages for the user in between.
+    parts: plug-ins that headers must name.
     """
     plugins.take_part(parts)
     threading.Thread(target=_end_with_parent, daemon=True).start()

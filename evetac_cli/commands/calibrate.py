@@ -24,7 +24,7 @@ class Calibrate:
     )
     gel: str | None = parameter(
         None,
-        "Type of gel; a cut gel has a window beside its dots. Default: that of the recording or the default grid, or"
+        "Type of gel; a cut gel has a window next to its dots. Default: that of the recording or the default grid, or"
         " closed if the dots leave no space for a window.",
         choices=("cut", "closed"),
     )

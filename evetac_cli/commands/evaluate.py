@@ -103,7 +103,7 @@ class EvaluateRealism:
 
 @dataclass(frozen=True)
 class EvaluateLikeness:
-    """Compare recordings, simulated or real, with the published facts about the sensor, and list what they lack."""
+    """Compare recordings, simulated or real, with published facts about the sensor, and list facts without figures."""
 
     results: Path | None = parameter(
         None, "Folder of result tables, for facts that need trained models or grasps; default: docs/results of the"

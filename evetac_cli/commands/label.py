@@ -6,7 +6,7 @@ from evetac_cli.commands.command import Command
 from evetac_cli.commands.parameter import parameter
 
 REVIEW = "Manual labels"  # a panel of --help
-OTHERS, TRAINING = "Other methods than event-flow", "Training"  # panels of --help
+OTHERS, TRAINING = "Methods other than event-flow", "Training"  # panels of --help
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Label:
     )
     min_events: int = parameter(
         20,
-        "For flow methods: pairs in which a window image has fewer events are skipped.",
+        "For flow methods: skip pairs of images if one has fewer events in the window.",
         unit="events",
         low=1,
         panel=OTHERS,

@@ -55,7 +55,7 @@ class PredictTouch:
     )
     lens_mm: float = parameter(
         25.0,
-        "Distance from the lens to the dots, to correct that pressed dots appear farther from the axis; not with"
+        "Distance from the lens to the dots, to correct for pressed dots that appear farther from the axis; not with"
         " --model, which stores it.",
         unit="mm",
         low=1.0,

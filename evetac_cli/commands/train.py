@@ -6,7 +6,7 @@ from evetac_cli import names, plugins
 from evetac_cli.commands.command import Command
 from evetac_cli.commands.parameter import parameter
 
-OTHERS, TRAINING = "Other methods than event-flow", "Training"  # panels of --help
+OTHERS, TRAINING = "Methods other than event-flow", "Training"  # panels of --help
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Train:
         "Training recipe. paper: SGD at 0.001 on plain features. adam: Adam at 0.001 on normalised features. adamw:"
         " AdamW from 0.002 down to 0 on normalised features, with samples scaled up and down and weights averaged over"
         " training. With adam and adamw, probabilities are calibrated on the validation files, to match how often slip"
-        " occurs. Default: paper, or with --adapt, which takes no other, adamw with small steps.",
+        " occurs. Default: paper; with --adapt, always adamw with small steps.",
         choices=("paper", "adam", "adamw"),
     )
     learn_true_slip_share: bool = parameter(

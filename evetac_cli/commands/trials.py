@@ -24,12 +24,12 @@ class Trials:
     sensor: str = parameter(
         "evetac",
         f"Sensor: {'; '.join(names.SENSORS)}: one per trial; randomized:N: the N-th; a TOML file"
-        " (`evetac identify`); A,B: two.",
+        " (`evetac identify`); A,B: two sensors.",
         needs=SIMULATED,
     )
     gel: str | None = parameter(
         None,
-        "Gel type: cut has a window beside its dots. Default: the scene's.",
+        "Gel type: cut has a window next to its dots. Default: the scene's.",
         choices=("cut", "closed"),
         panel=SCENE,
         needs=SIMULATED,

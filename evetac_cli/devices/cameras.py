@@ -73,7 +73,7 @@ class NamedCamera:
 
     @property
     def capabilities(self) -> frozenset[Capability]:
-        """What commands may expect of this camera.
+        """The capabilities of this camera on which commands can rely.
 
         SIMULATED: a simulation runs now; a replay may show an earlier one.
         """

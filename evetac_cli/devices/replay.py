@@ -69,7 +69,7 @@ class ReplayCamera:
             return self._slicer.push(packet)
         except ValueError as error:
             raise InputError(
-                "the events are not in the order of their times",
+                "the events are not in order of time",
                 where=str(self._recording.path),
                 found=str(error),
                 hint="evetac validate reports what is wrong with the file",

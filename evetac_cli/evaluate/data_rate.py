@@ -95,7 +95,7 @@ def for_people(rows: Rows, params: EvaluateDataRate) -> tuple[Rows, list[str]]:
     of_intervals = [row for row in rows if "interval" in row]
     lines = [
         f"{row['interval']}: {row['share_mean']:.1%} of the RGB sensor's bytes per second in {row['columns']} columns,"
-        f" {row['window_share_mean']:.1%} more in the columns beyond, where a cut gel has its window."
+        f" plus {row['window_share_mean']:.1%} in the columns beyond (the window of a cut gel)."
         for row in of_intervals
         if row["share_mean"] is not None
     ]

@@ -106,7 +106,7 @@ def cautions(jobs: Sequence[ModelsReportJob], params: EvaluateSlip) -> list[str]
     warnings = []
     for path in jobs[0].inputs[len(jobs[0].inputs) - jobs[0].models :] if params.threshold is None else ():
         with StageFile(path, "model") as file:
-            warnings += [f"{path} is no slip detector: {why}" for why in [why_useless(file)] if why]
+            warnings += [f"{path} is not a slip detector: {why}" for why in [why_useless(file)] if why]
     return warnings
 
 

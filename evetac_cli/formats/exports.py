@@ -150,7 +150,9 @@ def export(
     if target.is_dir():
         raise InputError("the output is a folder", where=str(target))
     if os.path.lexists(target) and not force:
-        raise InputError("the output exists", where=str(target), hint="--force replaces it, -o NAME writes elsewhere")
+        raise InputError(
+            "the output exists", where=str(target), hint="--force replaces it, -o NAME writes to another file"
+        )
     row = named_format(format_)
     assert row.write is not None
     with (opened if row.of_trial else recording_alone)(source) as files:

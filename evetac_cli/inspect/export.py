@@ -121,7 +121,7 @@ def trial_files(path: Path, model: Path | None = None) -> Iterator[TrialFiles]:
             yield TrialFiles(by_kind, notes, mm_per_px=scale)
             return
         if "features" not in by_kind:
-            hint = "evetac track, then evetac featurize"
+            hint = "run evetac track, then evetac featurize"
             raise InputError(
                 "the model needs features of this recording",
                 where=str(path),

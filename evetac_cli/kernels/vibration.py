@@ -1,7 +1,7 @@
 """Vibration in a stream of events: the frequency at which the gel vibrates, or that it does not.
 
 There are two methods. The paper's takes the strongest line in the spectrum of the number of events per slice. A rim
-that swings back and forth makes events in both directions, so this number also oscillates at twice the tone. A rattling
+that swings back and forth has events in both directions, so this number also oscillates at twice the tone. A rattling
 contact adds half the tone, and slices of a millisecond alias everything above 500 Hz. In short windows one of these
 lines is sometimes the strongest.
 
@@ -17,7 +17,7 @@ Reasons:
   the band, and a line above it is reported as such.
 - In each cell, power is divided by the noise there, the median around a frequency. Without a line the result is
   exponential with mean 1 in any cell, for any kind of noise (hot pixels, slow motion). The sum over cells is then a
-  gamma variate, which gives the threshold. No cell counts for more than LARGEST: one blinking pixel is no vibration.
+  gamma variate, which gives the threshold. No cell counts for more than LARGEST: one blinking pixel is not a vibration.
 - By speed alone, the second harmonic of a speaker would win (simulated: up to 1.1 times the tone). By displacement
   alone a subharmonic would, as the sensor sees large swings and misses small ones (up to 0.93 times the tone). Their
   product is off by the same factor on either side: in it no other line exceeded 0.83.

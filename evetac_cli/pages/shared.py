@@ -59,7 +59,9 @@ def check_free(path: Path, force: bool) -> None:
     if os.path.isdir(path):
         raise InputError("the output is a folder", where=str(path))
     if os.path.lexists(path) and not force:
-        raise InputError("the output exists", where=str(path), hint="--force replaces it, -o NAME writes elsewhere")
+        raise InputError(
+            "the output exists", where=str(path), hint="--force replaces it, -o NAME writes to another file"
+        )
 
 
 def write_page(path: Path, content: bytes) -> None:

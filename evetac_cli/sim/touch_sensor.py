@@ -288,7 +288,7 @@ class TouchSensor:
         return self._touch(tuple(slices))
 
     def _present(self, by: str) -> _Goal:
-        """Return the present state, expressed as another kind of goal than the last."""
+        """Return the present state, expressed as a goal of a kind other than the last."""
         x_m, y_m, turn = self._gel.pose.tolist()
         present = {
             "normal_n": (self._normal_n,),

@@ -20,10 +20,10 @@ MOST_MISSING = 0.25  # share of the dots; with more missing, a part of the gel w
 MANY_MISSING = f"more than {MOST_MISSING:.0%} of them are missing"
 LEAST_ON_GRID = 0.9  # share of dots in rows and columns with which dots count as a grid
 SIZES = {"closed": (ROWS, CLOSED_COLUMNS), "cut": (ROWS, CUT_COLUMNS)}
-REFINE = "--refine takes the others from a default grid"
+REFINE = "--refine takes the missing dots from a default grid"
 IRREGULAR = "--irregular accepts dots that form no grid"
 PRESS = "press on the whole gel, and lift off between strokes"
-BY_HAND = "or write window_px into the JSON by hand, see docs/recordings.md"
+NO_WINDOW = "--gel closed if there is no window, or write window_px into the JSON by hand, see docs/recordings.md"
 
 
 class FoundDots(NamedTuple):
@@ -154,11 +154,7 @@ def _window(dots: Grid, gel: str | None, seen: FoundDots) -> Window | None:
     try:
         side, window = gel_layout.window(dots, seen.radius_px, seen.frame_px)
     except ValueError as error:
-        if gel is None:
-            hint = f"--gel closed states that there is no window; {BY_HAND}"
-        else:
-            hint = f"--gel closed if there is no window, {BY_HAND}"
-        raise InputError(f"the position of the window is unclear: {error}", where=seen.where, hint=hint) from None
+        raise InputError(f"the position of the window is unclear: {error}", where=seen.where, hint=NO_WINDOW) from None
     if gel is None:
         raise _asked(dots, side, window, seen)
     return window
@@ -192,7 +188,7 @@ def _which_gel(dots: Grid, seen: FoundDots) -> InputError:
         return _turned(dots, seen)
     try:
         whole = gel_layout.completed(dots, SIZES["closed"], seen.frame_px)
-        worn = "" if _many_missing(whole) else "--gel closed if the others are worn"
+        worn = "" if _many_missing(whole) else "--gel closed if the missing dots are worn"
     except ValueError:
         worn = ""
     return InputError(
@@ -200,7 +196,7 @@ def _which_gel(dots: Grid, seen: FoundDots) -> InputError:
         where=seen.where,
         expected=_sizes(),
         found=_in_words(dots),
-        hint=_either(seen.remedy, worn, f"{as_it_is} if the gel has no more", REFINE),
+        hint=_either(seen.remedy, worn, f"{as_it_is} if the gel has no more dots", REFINE),
     )
 
 
@@ -246,7 +242,7 @@ def _another_size(dots: Grid, size: tuple[int, int], gel: str | None, seen: Foun
     elif gel == "cut" and shape == SIZES["closed"]:
         hint = "--gel closed if there is no window"
     else:
-        hint = f"--rows {rows} --columns {columns}{f' --gel {gel}' if gel else ''} if the gel has no other dots"
+        hint = f"--rows {rows} --columns {columns}{f' --gel {gel}' if gel else ''} if the gel has no more dots"
     return InputError(
         f"these are not the dots of the gel{f': {why}' if why else ''}",
         where=seen.where,
@@ -262,7 +258,7 @@ def _too_many(where: str, count: int) -> InputError:
 
 
 def _sizes() -> str:
-    return f"{ROWS} rows and {CLOSED_COLUMNS} columns, or {CUT_COLUMNS} beside the window of a cut gel"
+    return f"{ROWS} rows and {CLOSED_COLUMNS} columns, or {CUT_COLUMNS} next to the window of a cut gel"
 
 
 def _in_words(dots: Grid) -> str:

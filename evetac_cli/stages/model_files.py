@@ -41,7 +41,7 @@ def require_useful(model: StageFile) -> None:
     """Raise InputError for a model that detects nothing, before it controls a gripper."""
     why = why_useless(model)
     if why:
-        raise InputError("this model is no slip detector", where=str(model.path), found=why, hint=USELESS_HINT)
+        raise InputError("this model is not a slip detector", where=str(model.path), found=why, hint=USELESS_HINT)
 
 
 def read_horizon_ms(model: StageFile) -> int:

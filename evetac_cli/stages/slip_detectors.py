@@ -52,7 +52,9 @@ def read_pool_sizes(path: Path, architecture: Architecture, horizon_ms: int) -> 
 def _labelled(path: Path) -> Iterator[StageFile]:
     with StageFile(path, "features") as file:
         if not file.has("label"):
-            raise InputError("the features have no labels", where=str(path), hint="evetac label, then evetac featurize")
+            raise InputError(
+                "the features have no labels", where=str(path), hint="run evetac label, then evetac featurize"
+            )
         yield file
 
 
@@ -61,7 +63,7 @@ def read_series(file: StageFile, architecture: Architecture, start: int = 0, sto
     if isinstance(architecture, ImageArchitecture):
         if not file.has("image"):
             raise InputError(
-                f"{architecture.name} needs event images, and the features have none",
+                f"{architecture.name} needs event images, but the features have none",
                 where=str(file.path),
                 hint="evetac featurize --images",
             )
@@ -71,7 +73,7 @@ def read_series(file: StageFile, architecture: Architecture, start: int = 0, sto
     if isinstance(architecture, PluginImageArchitecture):
         if not file.has("gel_events"):
             raise InputError(
-                f"{architecture.name} needs images of events, but the features have no events",
+                f"{architecture.name} needs event images, but the features have no events",
                 where=str(file.path),
                 hint="evetac featurize --events",
             )
@@ -83,7 +85,7 @@ def read_series(file: StageFile, architecture: Architecture, start: int = 0, sto
     if architecture.sees_direction:
         if not file.has("displacement_xy_px"):
             raise InputError(
-                f"{architecture.name} needs displacements with their direction, and the features have none",
+                f"{architecture.name} needs displacements with their direction, but the features have none",
                 where=str(file.path),
                 hint="the file was made by an older evetac; run evetac featurize --force",
             )

@@ -42,7 +42,7 @@ def check_disjoint(learn: list[Header], held_out: list[Header], what: str, paths
             f"a recording is both trained on and {what}",
             where=str(path),
             found=f"{len(shared)} such files, this one from the recording {min(common)[:12]}",
-            hint="split by trajectory: use every recording on one side only",
+            hint="split by trajectory: use every recording in one set only",
         )
 
 

@@ -104,7 +104,7 @@ def read_calibrations(path: Path | None, frames_px: Sequence[tuple[int, int]]) -
     if len(named) not in (1, len(frames_px)):
         expected = f"one file for all cameras, or {len(frames_px)} with commas between them, one per camera"
         raise InputError(
-            "the number of calibrations differs from that of cameras",
+            "the number of calibrations differs from the number of cameras",
             where="--calibration",
             expected=expected,
             found=str(path),

@@ -121,7 +121,7 @@ def test_time_that_goes_backwards_is_counted_and_placed() -> None:
     events, normal = normalised(batches, (9, 9))
     assert events.t.tolist() == [0, 10, 2490, 2890, 2990, 2990, 3090]
     assert (normal.first_us, normal.sorted, normal.dropped["out_of_frame"]) == (10, 2, 1)
-    assert normal.notes == ["2 events came up to 500 us after a later one: sorted"]
+    assert normal.notes == ["2 events came up to 500 us late: sorted"]
     batches = [columns([10, 20, 3000]), columns([5, 3000, 2000, 2500, 3100], first=3)]
     with pytest.raises(InputError) as refused:
         normalised(batches, (9, 9))
@@ -462,7 +462,7 @@ def test_sorting_is_offered_and_noted(text: Callable[..., Path]) -> None:
     imported = read_events(path, frame_px=FRAME, order=OrderOptions(sort=True))
     assert imported.events.t.tolist() == list(range(0, 4_000_000, 1000))
     back = np.maximum.accumulate(jumbled) - jumbled
-    words = f"{np.count_nonzero(back):,} events came up to {back.max() / 1e6:.6g} s after a later one"
+    words = f"{np.count_nonzero(back):,} events came up to {back.max() / 1e6:.6g} s late"
     assert f"{words}: sorted" in imported.notes
 
 

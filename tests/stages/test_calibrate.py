@@ -144,7 +144,7 @@ def test_again_and_otherwise(seen: Show, tmp_path: Path) -> None:
     again, _ = calibrated(short)
     assert again == first | {"status": "up to date"}
     assert path.read_bytes() == before
-    with pytest.raises(InputError, match="irregular is false in the file, true wanted"):
+    with pytest.raises(InputError, match="irregular is false in the file, true"):
         calibrated(short, irregular=True)
     forced = Calibrate(irregular=True)
     assert run_stage(calibrate, [short], forced, path, force=True)[1].made

@@ -172,7 +172,7 @@ def test_up_to_date(tmp_path: Path) -> None:
     assert up_to_date(path, recipe)
     assert up_to_date(path, recipe, force=True)
     assert not up_to_date(path, other, force=True)
-    with pytest.raises(InputError, match="parameters.gel is cut in the file, closed wanted"):
+    with pytest.raises(InputError, match="parameters.gel is cut in the file, closed"):
         up_to_date(path, other)
     for content in ("", "{}", "[]", '{"provenance": {}}', '{"provenance": {"id": 3}}', json.dumps(GOOD)):
         path.write_text(content)

@@ -184,7 +184,7 @@ class DvxplorerCamera:
             self.notes += (f"{self.where} is connected by USB 2 and will lose events in fast motion: use a USB 3 port",)
         if camera.firmware > protocol.NEWEST_FIRMWARE:
             self.notes += (
-                f"{self.where} has firmware {camera.firmware}; supported are 8 to {protocol.NEWEST_FIRMWARE}",
+                f"{self.where} has firmware {camera.firmware}; versions 8 to {protocol.NEWEST_FIRMWARE} are supported",
             )
         self._ready: deque[Events] = deque()
         self._open = True

@@ -172,7 +172,7 @@ def encode(events: Events, first_ms: int = 1, frame_us: int = 1) -> NDArray[np.u
     check_range("frame_us", frame_us, 1, SLICE_US)
     check_range("first_ms", first_ms)
     if len({len(column) for column in events}) != 1:
-        raise ValueError(f"expected columns of one length, found {[len(column) for column in events]}")
+        raise ValueError(f"expected columns of equal length, found {[len(column) for column in events]}")
     if events.size == 0:
         return np.empty(0, np.uint32)
     if events.t.min() < 0 or events.t.max() >= loops.LONGEST_MS * SLICE_US:

@@ -24,7 +24,7 @@ _BY_ERRNO: dict[int | None, tuple[type[DeviceError], str, str]] = {
     ),
     errno.ETIMEDOUT: (DeviceTimeout, "did not answer in time", "unplug the camera and plug it in again"),
 }
-_OTHER = (DeviceError, "refused, or the link is bad", "plug it in again, without a hub")
+_OTHER = (DeviceError, "refused the request, or the USB connection is bad", "plug it in again, without a hub")
 _BOARDS = {0: "an FX2 board", 1: "a DVXplorer (FX3)", 2: "a DVXplorer (FX3)", 3: "a DVXplorer (FX3)", 5: "an FX3 gen2"}
 
 

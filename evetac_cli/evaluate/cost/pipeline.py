@@ -202,7 +202,7 @@ def tables(measured: Sequence[Measured], effort: Effort) -> Rows:
 
 
 def _shares(name: str, ours: Floats, theirs: Floats) -> tuple[Flags, Flags] | None:
-    """Return for an error that is a share the trials in which it occurs, ours and theirs, where both are known."""
+    """Return the trials in which an error occurs, ours and theirs, if both are known; None unless it is a share."""
     if not name.startswith("error_share"):
         return None
     both = np.isfinite(ours) & np.isfinite(theirs)

@@ -3,7 +3,7 @@
 The workloads move a whole grid of dots: a sine of 3 px at 5 Hz, one of 0.3 px at 200 Hz, and a slow shift at the speed
 of the paper's trials. Each is seen by an ideal camera without noise, and by a scanning camera with the noise, hot
 pixels and uneven thresholds of the sensor `evetac`. The dots' centres are known exactly. `standing still` is a tracker
-that never moves dots; a tracker that is no better is useless. Run time is that of a step on events of the dots' rims
+that never moves dots; a tracker that is not better is useless. Run time is that of a step on events of the dots' rims
 and depends on their number.
 """
 

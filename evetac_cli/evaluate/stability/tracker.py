@@ -46,7 +46,7 @@ EVENTS_PER_PX = 300.0  # per dot and pixel of its motion, as simulated
 DOT_RADIUS_PX = 15.0
 SLICES = Extent(quick=200, full=1000)
 OBJECT = 11  # number of the paper's object, in slips
-TOLD_RIGHT_PX = 0.5  # `calibrate` is this accurate: a smaller error of the grid is no explanation
+TOLD_RIGHT_PX = 0.5  # `calibrate` is this accurate: a smaller error of the grid explains nothing
 FOLLOWED_PX = 2.0 * TrackerConstants.trust_px  # per slice, by `stable`: half is seen, half is corrected
 
 
@@ -54,7 +54,7 @@ FOLLOWED_PX = 2.0 * TrackerConstants.trust_px  # per slice, by `stable`: half is
 class TrackerCase:
     """Events slice by slice for dots whose shift from rest in px is `shift(k)` at the end of slice k.
 
-    A dot's rim makes events while it moves; `more` adds others. `changes` are constants that differ from the preset's.
+    A dot's rim has events while it moves; `more` adds others. `changes` are constants that differ from the preset's.
     """
 
     name: str

@@ -66,7 +66,7 @@ class _Array:
             raise pickle.UnpicklingError("an array has no contents")
         _, shape, type_, columns_first, content = state
         if not isinstance(type_, _Type) or not isinstance(content, (bytes, bytearray)):
-            raise pickle.UnpicklingError("an array has other contents than numbers")
+            raise pickle.UnpicklingError("an array has contents other than numbers")
         if not isinstance(shape, tuple) or len(shape) > 4 or not all(type(n) is int and n >= 0 for n in shape):
             raise pickle.UnpicklingError("an array has no valid shape")
         if math.prod(shape) * type_.dtype.itemsize != len(content):
@@ -115,7 +115,7 @@ class _Reader(pickle.Unpickler):
     def _latin1(self, text: Any, encoding: Any) -> bytes:
         """Convert text to bytes; protocol 2 and older store bytes this way."""
         if not isinstance(text, str) or encoding != "latin1":
-            raise pickle.UnpicklingError("text has another encoding than latin1")
+            raise pickle.UnpicklingError("text is not encoded as latin1")
         self.left -= len(text)
         if self.left < 0:
             raise pickle.UnpicklingError("more text than a calibration has")
@@ -180,7 +180,7 @@ def _numbers(value: Any) -> NDArray[np.float64]:
     """Return an array, or nested lists of numbers, as float64."""
     array = np.array(_plain(value, [MOST_NUMBERS]))
     if not isinstance(value, (_Array, list)) or array.dtype.kind not in "iuf":
-        raise pickle.UnpicklingError("other contents than arrays of numbers")
+        raise pickle.UnpicklingError("contents other than arrays of numbers")
     return array.astype(np.float64)
 
 

@@ -37,7 +37,7 @@ class Clock:
         tick_us: length of a tick.
         """
         self._spans, self._edges = tuple(spans), tuple(edges)
-        self._large = WRAP_SHARE * min((*spans, *edges), default=NEVER)  # ticks; smaller steps are no wraps
+        self._large = WRAP_SHARE * min((*spans, *edges), default=NEVER)  # ticks; smaller steps are not wraps
         self._late = 1 + int(SLICE_US / tick_us)  # ticks that an event may be late after a wrap
         self._last: int | None = None  # the last tick so far
         self._turns: list[int] = []  # the range of each wrap so far

@@ -99,7 +99,7 @@ def unit_said(time_unit: str | None, own: float | None, where: str) -> float | N
         raise InputError(f"{FLAG}: unknown unit", where=where, expected=" or ".join(UNITS), found=time_unit[:20])
     if own is not None and own != UNITS[time_unit]:
         raise InputError(
-            f"the file states another unit of time than {FLAG}",
+            f"the file's unit of time differs from {FLAG}",
             where=where,
             expected=SPOKEN[own],
             found=f"{FLAG} {time_unit}",

@@ -113,7 +113,7 @@ def choose_frame(
     wanted = None if asked is None else checked_frame(asked, where, "")
     if wanted and own and wanted != tuple(own):
         raise InputError(
-            "the file states another frame size than --frame-size",
+            "the file's frame size differs from --frame-size",
             where=where,
             expected="{}x{}".format(*own),
             found="{}x{}".format(*wanted),

@@ -284,7 +284,7 @@ def _archived(path: Path, where: str) -> dict[str, Array]:
         for member in members:
             if not member.filename.endswith(".npy"):
                 raise InputError(
-                    "the archive contains other files than numpy arrays",
+                    "the archive contains files that are not numpy arrays",
                     where=where,
                     found=member.filename[:80],
                     hint="unpack it and import the event file in it",

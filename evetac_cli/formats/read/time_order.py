@@ -27,7 +27,7 @@ Placed = tuple[Events, Callable[[int], str]]  # events, and a function that desc
 
 @dataclass(frozen=True)
 class OrderOptions:
-    """How to handle events that come 1 ms or more after a later one; without an option their file is refused.
+    """How to handle events that are 1 ms or more older than an event before them; by default, the file is refused.
 
     sort: sort all events by time. drop_late: leave such events out. from_restart: keep only the part from this restart,
     counted from 1, up to the next; 0 is the part before the first restart.
@@ -42,7 +42,7 @@ class OrderOptions:
         chosen = {"--sort": self.sort, "--drop-late": self.drop_late, "--from-restart": self.from_restart is not None}
         flags = [flag for flag, given in chosen.items() if given]
         if len(flags) > 1:
-            raise InputError("these options exclude each other", found=" and ".join(flags), hint="give only one")
+            raise InputError("these options cannot be combined", found=" and ".join(flags), hint="give only one")
 
 
 IN_ORDER = OrderOptions()
@@ -165,7 +165,7 @@ class TimeOrder:
         wanted = self._options.from_restart
         if self._crowded:
             raise InputError(
-                "more events within 1 ms than any camera has",
+                "more events within 1 ms than any camera sends",
                 where=where,
                 expected=f"at most {MOST_WAITING:,}",
                 found=f"more than that near {(self._top_us or 0) / 1e6:.6f} s",
@@ -175,7 +175,7 @@ class TimeOrder:
             raise InputError(
                 "time goes backwards",
                 where=where,
-                expected="events in time order, at most 1 ms late",
+                expected="events in order of time, at most 1 ms late",
                 found=self._steps(),
                 hint=self._hint(),
             )
@@ -207,7 +207,7 @@ class TimeOrder:
         if self.unsorted:
             return "--sort sorts all events by time, which is right if all times are on one clock"
         events = f"{self._late:,} event{'s' if self._late > 1 else ''} ({100 * self._late / self._total:.2g}%)"
-        drop = f"--drop-late leaves out the {events} that came 1 ms or more after a later one"
+        drop = f"--drop-late leaves out the {events} that are 1 ms or more older than an event before them"
         cut = f"--from-restart N keeps one part ({self._parts()})"
         few = self._late <= FEW_LATE * self._total
         return f"{drop}; {cut}" if few else f"{cut}; {drop}"
@@ -228,13 +228,13 @@ class TimeOrder:
         if self.small:
             back = f"{self.back_us:,} us" if self.back_us < SLICE_US else f"{self.back_us / 1e6:.6g} s"
             came = "1 event came" if self.small == 1 else f"{self.small:,} events came"
-            notes.append(f"{came} up to {back} after a later one: sorted")
+            notes.append(f"{came} up to {back} late: sorted")
         if self._options.from_restart is not None and self._restarts:
             kept = f"kept part {self._options.from_restart} ({self._parts()})"
             notes.append(f"time goes back {self._steps()}; {kept}")
         if self._options.drop_late and self._late:
             events = "1 event" if self._late == 1 else f"{self._late:,} events"
-            notes.append(f"dropped {events} that came 1 ms or more after a later one")
+            notes.append(f"dropped {events} that came 1 ms or more late")
         return notes
 
     @property

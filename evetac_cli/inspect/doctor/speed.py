@@ -87,7 +87,7 @@ class Computer:
     sysfs: Path = Path("/sys")
 
     def cores(self) -> list[int]:
-        """Return the cores that this program may use; on other systems than Linux, one that represents all."""
+        """Return the cores that this program may use; on systems other than Linux, one that represents all."""
         return sorted(os.sched_getaffinity(0)) if sys.platform == "linux" else [0]
 
     def wake_ups_us(self, core: int, seconds: float) -> WakeUps:

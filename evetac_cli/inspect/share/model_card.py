@@ -47,7 +47,7 @@ def describe(path: Path, reports: Sequence[Path], params: Share) -> Card:
             else None
         )
         why = why_useless(file) if file.kind == "model" else ""
-    note, made = f"{path} is not usable as a slip detector: {why}" if why else "", header.get("made", {})
+    note, made = f"{path} is not a slip detector: {why}" if why else "", header.get("made", {})
     simulated = bool(header["simulated"])
     figures = {name: value for name, value in row.items() if name not in NOT_SHOWN and value is not None}
     if score is not None:
@@ -75,7 +75,7 @@ def describe(path: Path, reports: Sequence[Path], params: Share) -> Card:
     page = [
         *opening(title, simulated=simulated, license_=params.license),
         f"A {what} for an event camera behind a dotted gel, made with evetac. Recipe id `{header['id']}`.",
-        f"**Not usable as a slip detector:** {why}." if why else "",
+        f"**This model is not a slip detector:** {why}." if why else "",
         "## The model",
         table([{"": name, "value": value} for name, value in figures.items()], format_value),
         "## Data and seeds",

@@ -61,7 +61,7 @@ def lattice(places_xy_px: NDArray[np.float64], least: tuple[int, int] = (0, 0)) 
     farther apart than its columns. A plane through that piece gives the row and column of every position. Positions off
     the lattice are dropped, and so is a first or last row or column with less than half of its dots, as long as `least`
     rows and columns remain. ValueError if there are not two rows and two columns at about right angles: staggered rows
-    are no grid.
+    are not a grid.
     """
     places = np.asarray(places_xy_px, dtype=np.float64)
     if places.ndim != 2 or places.shape[1] != 2 or not np.isfinite(places).all():

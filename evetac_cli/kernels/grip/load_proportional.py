@@ -19,7 +19,7 @@ and friction, so each grasp finds the ratio again:
   its limit. Then the gripper carries the object, and the spare becomes part of the ratio.
 - Release: the grip on a carried object opens slowly, by the same share per second for every weight, as far as the
   fingers follow. It opens until a sign comes twice at about the same grip: slip, or a change of the load beyond what
-  the opening explains. Slip that lasts, or comes again at a firmer grip, is no false alarm and counts at once. From
+  the opening explains. Slip that lasts, or recurs at a firmer grip, is not a false alarm and counts at once. From
   then on the grip is `margin` times the grip at that sign.
 - Stopping a slide: an object that slides under its whole weight pulls no harder when it is gripped more firmly, and
   keeps sliding under a grip that would hold it at rest. So at the end of a release, after slip and when the load

@@ -73,7 +73,7 @@ def held(pad: Pad, dot_xy_m: Floats, displacement_m: Floats) -> HeldFit:
     low, high = nodes[0, 0], nodes[-1, -1]
     on_pad = np.all((dot_xy_m >= low) & (dot_xy_m <= high), axis=1) & np.isfinite(displacement_m)
     if on_pad.sum() < 12:
-        raise ValueError(f"{on_pad.sum()} dots on the pad, of 12 at least")
+        raise ValueError(f"expected at least 12 dots on the pad, found {on_pad.sum()}")
     largest_m = float(np.percentile(displacement_m[on_pad], 90))
     if not largest_m > 0:
         raise ValueError("the dots do not move along the weight")

@@ -54,9 +54,9 @@ class EventFlowConstants:
     widest_px: float = 1.2  # the label abstains if the object slides farther within the interval,
     least_confidence: float = 0.5  # ... or if a smaller share of the slices after the onset slips
     look_ahead_ms: int = 4  # slices over which relative flow is summed
-    seen_slide_px: float = 10.0  # after a longer slide, the window's events are no measure and relative flow is NaN
+    seen_slide_px: float = 10.0  # after a longer slide, the window's events measure nothing and relative flow is NaN
     events_per_px: float = 500.0  # of the window before it has moved, until the recording determines it
-    fading_px: float = 30.0  # travel after which the window makes half the events per px
+    fading_px: float = 30.0  # travel after which the window has half the events per px
     least_events_per_px: float = 20.0  # of the window: with fewer it shows no texture
     after_ms: int = 60  # slices labelled after the onset
 
@@ -86,8 +86,8 @@ def label(
     """Label every slice, searching for the onset from slice `start`; `dot_xy_px` (dots, 2) at rest, NaN if missing.
 
     Slices before `start`, and more than `after_ms` after the onset, are not examined. `relative_flow_px` is the motion
-    of the object relative to the gel in contact over the look-ahead, NaN from where the window is no measure.
-    `confidence` is the share of slices that slide among those labelled from the onset on. ValueError if the gel was
+    of the object relative to the gel in contact over the look-ahead, NaN once the window cannot measure it.
+    `confidence` is the share of sliding slices among those labelled after the onset. ValueError if the gel was
     dragged along but the window showed nothing, or if the dots cannot be followed.
     """
     dots = np.ascontiguousarray(dot_xy_px[np.isfinite(dot_xy_px).all(axis=1)], np.float64)

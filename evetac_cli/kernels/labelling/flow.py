@@ -10,8 +10,8 @@ Choices where the paper gives no detail:
 - An image sums `accumulate_ms` slices. A single slice at the onset of slip has a few dozen events in the window, and
   the next slice shows different ones, so single slices have no common pattern.
 - The flow of a region is its mean over the pixels with events. Elsewhere the image is uniform, and the flow is 0.
-- For slip, the window's own flow must exceed the threshold, too: gel that snaps back under an object at rest is no slip
-  of the object. The flow of the gel costs five times as much. It is skipped if the window's own flow is too small, and
+- For slip, the window's own flow must exceed the threshold, too: if gel snaps back under an object at rest, the object
+  does not slip. The flow of the gel costs five times as much. It is skipped if the window's own flow is too small, and
   if the window has hardly any events. With `plain`, all flows are computed; the result is the same.
 - Once the object falls, the flow is far above the threshold, and the flow of smaller images is sufficient, at a tenth
   of the cost. It decides if the window alone, and relative to the gel, exceeds the threshold by `clear_px`. In 47
@@ -130,8 +130,8 @@ def label(
 
     `between(start, stop)` returns the events of slices. The search tests every `coarse_ms`-th slice. If one is slip, it
     goes back to the previous one and tests all slices from there, up to the first from which slip lasts for
-    `confirm_ms`. Slices before the onset are no slip; those before `start`, or more than `after_ms` after the onset,
-    are not examined. ValueError if the gel moved but the window never had enough events: no texture.
+    `confirm_ms`. Slices before the onset are labelled no slip; those before `start`, or more than `after_ms` after the
+    onset, are not examined. ValueError if the gel moved but the window never had enough events: no texture.
     """
     search = _Search(between, slices, window, gel, constants)
     onset = search.onset(start)
@@ -191,7 +191,7 @@ class _Search:
         """
         constants = self._constants
         unseen_ms = constants.look_ahead_ms
-        if constants.method != "event-count":  # its threshold is no distance
+        if constants.method != "event-count":  # its threshold is not a distance
             unseen_ms = math.ceil(constants.look_ahead_ms * SLIP_PX / max(constants.threshold_px, 1e-3))
         later_ms = constants.look_ahead_ms + constants.accumulate_ms - 1
         return max(onset - unseen_ms, start), min(onset + later_ms, self.slices - 1)

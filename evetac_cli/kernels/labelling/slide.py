@@ -3,11 +3,11 @@
 The evidence of a slice is two numbers: how far the dot that follows the object best moves per pixel of the object, and
 how fast the object moves relative to the gel. Their weighted sum is the log odds that the object slides as one body.
 Slides that begin in different slices and last are compared with each other: the score of a beginning in slice k is the
-sum of all log odds from k on. Slices of the slide thus count, and earlier slices do not.
+sum of all log odds starting at k. Slices of the slide thus count, and earlier slices do not.
 
 Reasons:
 - Only a slide that lasts is slip: a slide that ends before `lasting_px` is discarded.
-- Time is no measure of evidence. If the object moves slowly, a millisecond contains a dozen events; if dots snap back,
+- Time does not measure evidence. If the object moves slowly, a millisecond contains a dozen events; if dots snap back,
   the whole slip may take one. So following is measured over `seen_px` of motion of object or gel, half of it before the
   slice and half after, within at most HALF_MS slices either way.
 - The object slides relative to the gel in contact. This gel snaps back when it is released, so an object may slide by 5

@@ -1,11 +1,11 @@
 """Distance travelled by an object, from the events of the window through which its texture is visible.
 
-A moving texture makes a certain number of events per pixel of motion. This number is measured in the recording itself,
+A moving texture causes a certain number of events per pixel of motion. This number is measured in the recording itself,
 while the object still sticks to the gel and the dots next to it move as far as it does. The later motion then follows
 from counting events, at any speed.
 
 Reasons:
-- At rest the window makes noise events. Their rate comes from the steps in which no dot moves. It is taken from the
+- At rest the window has noise events. Their rate comes from the steps in which no dot moves. It is taken from the
   lower quartile, because the object may slide in half of these steps; noise counts have their lower quartile 0.67
   standard deviations below their mean. The minimum over all steps would be too low, and an object at rest would seem to
   move on for pixels.
@@ -36,7 +36,7 @@ REST_STEPS = 4  # fewest steps at rest for a quartile of the noise
 QUARTILE_SD = 0.67  # standard deviations between quartile and mean of a normal distribution
 HOT_BLOCK_US = 100_000
 HOT_SHARE = 0.5  # a pixel with events in more than this share of the blocks is hot; an edge passes less often
-MOST_FADED = 6.0  # exponent beyond which the window is no measure: four hundred times fading_px
+MOST_FADED = 6.0  # exponent beyond which the window cannot measure motion: four hundred times fading_px
 
 
 class EventRate(NamedTuple):

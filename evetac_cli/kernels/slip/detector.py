@@ -36,7 +36,7 @@ class Detector:
     """A trained detector, from the ONNX graph of its model file."""
 
     def __init__(self, graph: bytes, architecture: Architecture) -> None:
-        """Load the graph; ValueError for bytes that are no graph, and for dots unless `onnx_graphs.build` wrote it."""
+        """Load the graph; ValueError for invalid bytes, and for dots unless `onnx_graphs.build` wrote the graph."""
         self.architecture = architecture
         self.networks: dot_network.DotNetworks | None = None  # for networks over dots
         if isinstance(architecture, DotArchitecture) and not isinstance(architecture, PluginArchitecture):
@@ -191,7 +191,7 @@ class Live:
         self._blank = np.zeros(GEL_PX[::-1], np.int8)
 
     def tell(self, position_ticks: float, command_ticks: float, sticking_share: float = float("nan")) -> None:
-        """Set the extras from the next slice on, until they are set again; NaN for unknown ones.
+        """Set the extras, starting with the next slice, until they are set again; NaN for unknown ones.
 
         command_ticks: as from `extras.command_ticks`. A network without extras ignores them.
         """

@@ -221,7 +221,8 @@ def from_weights(
         if array.shape != tuple(tensor.shape):
             raise ValueError(f"{name}: expected shape {tuple(tensor.shape)}, found {array.shape}")
         if not np.isfinite(array).all():
-            raise ValueError(f"{name}: expected finite weights, found {np.count_nonzero(~np.isfinite(array))} others")
+            found = np.count_nonzero(~np.isfinite(array))
+            raise ValueError(f"{name}: expected finite weights, found {found} that are not finite")
         tensor.copy_(torch.from_numpy(array))
     return network
 

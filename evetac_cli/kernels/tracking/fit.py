@@ -4,10 +4,10 @@ An event in a dot's ring, at distance d from the centre in direction n, is evide
 - The rim is at the event. beyond = d - rim is the distance that the dot must move along n. This is a least-squares
   problem over all of the dot's events (Gauss-Newton on the paper's data term), damped by 1 / (2 step_size) so that few
   events move a dot as the paper's step would.
-- The event is on the leading or the trailing rim. A moving dark dot makes OFF events (darker) on its leading rim and ON
+- The event is on the leading or the trailing rim. A moving dark dot has OFF events (darker) on its leading rim and ON
   events (brighter) on its trailing rim. So the sum of +n and -n points along the motion and grows with it: each event
   counts as `event_px` of motion. This sum is called the motion seen. Both rims agree if the dot itself moves.
-- The event came late. A pixel makes an event after its level has changed by the contrast threshold, so either rim is
+- The event came late. A pixel has an event after its level has changed by the contrast threshold, so either rim is
   seen `rim_lag_px` behind the motion. Since the side is known, this lag is subtracted.
 
 Events are spread evenly over the slice, so the rims are seen where they were half way through. With H = sum w n n^T,
@@ -17,11 +17,11 @@ Reasons:
 - Neighbours share the correction, not the motion. Next to a gel that slips, a dot without events stays in place because
   it has seen no motion; still, eight dots together find what the few events of one leave undetermined.
 - H and s are scaled down to `most_events`, so that neighbours that have seen nothing outvote a flood of 10,000 events
-  on one dot. A dot that moves 2 px in a slice makes 600 events, and all of them must count: f underestimates such a
+  on one dot. A dot that moves 2 px in a slice causes 600 events, and all of them must count: f underestimates such a
   jump, because a pixel has one event per scan. (With a limit of 200, dots that swing at 498 Hz, 2 px per slice, were
   off by 2 px.)
 - An object's edge that slides over the gel is brighter or darker than what it covers, so its events have one polarity.
-  A moving dot makes as many events of both. So the part that one rim shows beyond the other, and beyond chance, is not
+  A moving dot causes as many events of both. So the part that one rim shows beyond the other, and beyond chance, is not
   motion of the dot. The more a dot's events have one polarity, the less they show of its rim, and H and s are scaled
   down accordingly. Otherwise every edge that rubs over a dot would drag it along by some tenths of a pixel. (This does
   not work for a camera that has sent only one polarity so far.)

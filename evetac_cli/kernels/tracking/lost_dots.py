@@ -4,11 +4,11 @@ A dot is lost if it is far from where its neighbours predict it. With `fit` ther
 appears long before a dot is far off:
 - Hidden: its neighbours move on and it stays, and only one of its rims shows the motion. The other rim is hidden behind
   the edge of the window or of the frame.
-- Vanished: it stays in the middle of eight neighbours that all move on. At the edge of the grid this is no sign,
-  because gel next to a contact does stay.
+- Vanished: it stays in the middle of eight neighbours that all move on. At the edge of the grid this proves
+  nothing, because gel next to a contact does stay.
 - Jumped: both rims show more motion than may be followed in a slice, or most of many events are inside the dot. The dot
   and its rims have then moved faster than the tracker.
-- Flicker: flickering light makes events at every rim, and all dots drift by 1 to 2 px per second. This flag ends with
+- Flicker: flickering light causes events at every rim, and all dots drift by 1 to 2 px per second. This flag ends with
   the flicker.
 
 Putting back: a dot that has lost track cannot find its own rim again. When few events have come for a while and its

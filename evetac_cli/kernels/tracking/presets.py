@@ -73,7 +73,7 @@ class TrackerConstants:
     def for_dots(self, dot_radius_px: float) -> "TrackerConstants":
         """Return the constants for dots of this radius: with `fit` the ring changes with it; otherwise nothing does.
 
-        The widths of ring and count stay the same. A rim makes events in proportion to its length, so each event on a
+        The widths of ring and count stay the same. A rim has events in proportion to its length, so each event on a
         longer rim represents less motion. The radii of the paper's presets are part of their definition. ValueError if
         the radius is not above half the width of the ring, or the ring is too large.
         """

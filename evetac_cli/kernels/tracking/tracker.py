@@ -67,7 +67,7 @@ STATE = np.dtype(
         ("bucket_dots", np.uint32, buckets.most_entries(CAPACITY, MAX_REACH_PX)),
         ("pixel_events", np.uint16, hot_pixels.COUNTS_SHAPE),  # recent events of every pixel, see hot_pixels.py
         ("lost", np.uint8, CAPACITY),  # 1: not to be trusted, see lost_dots.py
-        ("left_behind", np.uint8, CAPACITY),  # 1: lost for another reason than its distance
+        ("left_behind", np.uint8, CAPACITY),  # 1: lost for a reason other than its distance
         ("too_far", np.uint8, CAPACITY),  # 1: in this slice both rims show more motion than may be followed
         *((item.name, np.uint8) for item in fields(TrackerConstants) if item.type is bool),
         ("_end", np.uint8, 2),  # padding to a multiple of 8 bytes
@@ -114,7 +114,7 @@ def start(
     """Start tracking dots from their centres at rest.
 
     dot_xy_px: (n, 2) in any order, n up to CAPACITY, inside the frame and all different. A row of NaN is a missing dot,
-    which never moves, never has events and is no dot's neighbour. neighbours: (n, 8) indices filled up with -1; by
+    which never moves, has no events and is not a neighbour of any dot. neighbours: (n, 8) indices filled up with -1; by
     default from `grid.neighbours`. ValueError if the dots or the neighbours are not valid, or if the constants
     overshoot or stall on these dots (`require_followable`).
     """
@@ -210,7 +210,7 @@ def checked_polarities(
 
 
 def place(state: TrackerState, dot_xy_px: NDArray[np.float64], share: float = 1.0) -> None:
-    """Move dots to positions from another source than their events, or by a share of the way; updates `state`.
+    """Move dots to positions from a source other than their events, or by a share of the way; updates `state`.
 
     dot_xy_px: (n, 2) in px. Dots with NaN stay as they are; the others are followed from the new position and are no
     longer lost. ValueError for another shape or share, an infinite position, or a position for a missing dot.

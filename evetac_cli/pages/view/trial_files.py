@@ -153,7 +153,7 @@ def _one_recording(named: list[StageFile]) -> str:
 
 def _check_model(trial: OpenTrial) -> None:
     if trial.model is not None and (why := why_useless(trial.model)):
-        trial.notes.append(f"{trial.model.path.name} is no slip detector: {why}.")
+        trial.notes.append(f"{trial.model.path.name} is not a slip detector: {why}.")
     if trial.model is None or trial.features is None:
         return
     of_features, of_model = (file.read("dot_shape").tolist() for file in (trial.features, trial.model))

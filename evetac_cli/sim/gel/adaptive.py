@@ -58,7 +58,7 @@ class Slice(NamedTuple):
 class Stepper:
     """Divides slices into steps, and keeps the length of the last step for the next slice.
 
-    second: the second finger's pad, if it is no mirror image of the first: a GelState that holds the same object, of
+    second: the second finger's pad, if it does not mirror the first: a GelState that holds the same object, of
     which only the pad is used; both have `pads` 1.
     """
 

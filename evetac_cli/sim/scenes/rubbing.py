@@ -1,4 +1,4 @@
-"""Scenes of kind `rub`: an object is pressed on the gel, sheared and rubbed over it; its edges make most events.
+"""Scenes of kind `rub`: an object is pressed on the gel, sheared and rubbed over it; its edges cause most events.
 
 The contact area is the inside of the outline that the camera sees: an ellipse (a finger) or a ring (the handle of a
 pair of scissors). The outline moves with the object. In all else it is a scene of pressing.

@@ -1,4 +1,4 @@
-"""The pad of the second finger, if it is no mirror image of the first or has its own camera.
+"""The pad of the second finger, if it does not mirror the first or has its own camera.
 
 Both fingers press with the same force and hold the same rigid object. The second pad has its own friction and
 stiffness, and so its own indentation, contact and shear. Two effects are not simulated. The object does not tip when

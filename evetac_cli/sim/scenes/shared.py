@@ -86,7 +86,7 @@ def friction_factor(sensor: Sensor, node_xy_m: Floats, finger: int = 0) -> Float
     """
     spread, patch_mm = sensor.friction.patch_spread, sensor.friction.patch_mm
     if (spread is None) != (patch_mm is None):
-        raise ValueError("friction.patch_spread and friction.patch_mm of a sensor need each other")
+        raise ValueError("friction.patch_spread and friction.patch_mm of a sensor must be set together")
     if not spread or patch_mm is None:
         return None
     rng = np.random.default_rng([sensor.seed, FRICTION_SEED, finger])
@@ -138,7 +138,7 @@ class GelSlices:
         second: gel.GelState | None = None,
         timer: Timer = untimed,
     ) -> None:
-        """Start with a pad, and the second finger's pad if it is no mirror image of the first (see `Stepper`)."""
+        """Start with a pad, and the second finger's pad if it does not mirror the first (see `Stepper`)."""
         self._gel = pad_state
         self._pads = (pad_state,) if second is None else (pad_state, second)
         self._advance = timer("gel and friction", Stepper(solver, second=second).advance)

@@ -185,7 +185,7 @@ def plans(
 
     `second` names the sensor of a second finger that also has a camera. `gel` (cut or closed), `texture` (on or off)
     and settings of the `solver` override the scene's. `tones` replaces the scene's tones, for example 200,300.
-    InputError if they contradict the scene, or the scene is of another kind than `kinds`.
+    InputError if they contradict the scene, or the scene is not of one of `kinds`.
     """
     scene = scene_file.load_of_kind(scene_name, kinds)
     scene = replace(scene, solver=with_given(scene.solver, solver, scene_name))

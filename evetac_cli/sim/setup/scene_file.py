@@ -47,7 +47,7 @@ def _named(name: str) -> Path:
 
 
 def load_of_kind(name_or_path: str, kinds: tuple[str, ...]) -> Scene:
-    """Read a scene, as `load` does; SceneError if it is of another kind than these."""
+    """Read a scene, as `load` does; SceneError if it is of a different kind."""
     scene = load(name_or_path)
     if scene.kind not in kinds:
         expected, found = f"kind {' or '.join(kinds)}", f"kind {scene.kind}"
@@ -62,7 +62,7 @@ def load_of_kind(name_or_path: str, kinds: tuple[str, ...]) -> Scene:
 
 
 def of_table(table: Mapping[str, Any], where: str) -> Scene:
-    """Build a scene from its table; SceneError if it is no scene or its values contradict each other."""
+    """Build a scene from its table; SceneError if it is not a scene or its values contradict each other."""
     check(Scene, table, where, error=SceneError)
     try:
         scene = build(Scene, table)

@@ -85,12 +85,12 @@ def of_row(row: Mapping[str, Any], where: str) -> Sensor:
 
 
 def _check_gripper_and_friction(sensor: Sensor, where: str) -> None:
-    """Raise InputError if one of two keys that need each other is missing, or a property is given twice."""
+    """Raise InputError if only one of two keys that belong together is set, or a property is given twice."""
     gripper, friction = sensor.gripper, sensor.friction
     if (gripper.servo_n_tick is None) != (gripper.two_ticks_n is None):
-        raise InputError("gripper: servo_n_tick and two_ticks_n need each other", where=where)
+        raise InputError("gripper: servo_n_tick and two_ticks_n must be set together", where=where)
     if (friction.patch_spread is None) != (friction.patch_mm is None):
-        raise InputError("friction: patch_spread and patch_mm need each other", where=where)
+        raise InputError("friction: patch_spread and patch_mm must be set together", where=where)
     unused = [key for key in ("gain_ma_tick", "friction_n") if getattr(gripper, key) is not None]
     if unused and gripper.servo_n_tick is not None:
         expected = "servo_n_tick and two_ticks_n, or gain_ma_tick and friction_n"

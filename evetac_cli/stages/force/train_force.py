@@ -210,11 +210,11 @@ def read_model(path: Path) -> tuple[Header, ForceModel]:
 
 
 def check_grid(model: ForceModel, model_path: Path, tracks: StageFile) -> None:
-    """Raise InputError for tracks of another dot grid than the model's."""
+    """Raise InputError if the tracks do not have the dot grid of the model."""
     shape = read_dot_shape(tracks)
     if shape != model.dot_shape:
         raise InputError(
-            "the tracks have another dot grid than the force model",
+            "the tracks have a different dot grid from the force model",
             where=str(tracks.path),
             expected=f"{in_words(*model.dot_shape)}, as in {model_path}",
             found=in_words(*shape),

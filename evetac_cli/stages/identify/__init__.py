@@ -59,7 +59,7 @@ def run(job: Job, params: Identify, *, force: bool = False, progress: Progress =
     for number, path in enumerate(job.inputs):
         noise_rng, press_rng, servo_rng = np.random.default_rng([params.seed, number]).spawn(3)
         with open_recording(path) as recording:
-            if recording.has("gripper/t_us"):  # while the gripper holds still, the gel creeps, so that is no rest
+            if recording.has("gripper/t_us"):  # while the gripper holds still, the gel creeps, so it is not at rest
                 grips.append(gripped.find(recording, mm_per_px, servo_rng))
             else:
                 rests.append(at_rest.longest(recording, noise_rng))
@@ -181,7 +181,7 @@ def _up_to_date(path: Path, recipe: Recipe, *, force: bool) -> bool:
     raise InputError(
         "the file exists and was made with another recipe, or by hand",
         where=str(path),
-        hint="--force replaces it, -o writes another file",
+        hint="--force replaces it, -o NAME writes to another file",
     )
 
 

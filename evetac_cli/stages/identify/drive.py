@@ -116,7 +116,7 @@ def _start(rows: GripperRows, place: Floats) -> dict[str, float]:
         raise ValueError("the gripper never closes")
     friction_ma = float(rows.measured_ma[moved[0]])
     if friction_ma <= 0.5:
-        raise ValueError("the gripper does not close by its current")
+        raise ValueError("the current does not close the gripper")
     # The position at rest under the largest current, and the time when the current is so low that it opens.
     top = int(np.argmax(rows.measured_ma))
     tops = np.flatnonzero(rows.measured_ma >= rows.measured_ma[top] - 0.5)

@@ -30,12 +30,12 @@ from evetac_cli.store.recordings.read import Recording
 STEP_MS = 1.0  # a simulated command takes effect in the next ms
 PAD_NODES = (36, 27)  # columns and rows
 LONGEST_MS = 120_000  # time that is used
-SHORTEST_HOLD_MS = 3000  # at one current, during which the weight comes on
-AROUND_MS = 300  # before and after the weight comes on
+SHORTEST_HOLD_MS = 3000  # at one current, during which the weight is applied
+AROUND_MS = 300  # before and after the weight is applied
 LEAST_STEP_PX = 0.3
 BLOCK_SLICES = 10  # during which dots are assumed not to move
 RIM_PX = 5.0  # width on either side of a dot's rim in which its events are counted
-QUIET_MS, BUSY_EVENTS = 400, 5  # a pixel with more events before the weight comes on is hot
+QUIET_MS, BUSY_EVENTS = 400, 5  # a pixel with more events before the weight is applied is hot
 GONE = 0.8  # share of the largest displacement below which the object has slipped
 SLIPS_AT = (0.98, 0.95)  # shares of the largest displacement; the times when they were last reached are used
 PADS = 2
@@ -144,7 +144,7 @@ def _gain(recording: Recording, rows: GripperRows, rng: np.random.Generator) -> 
 def _weight(
     recording: Recording, rows: GripperRows, fitted: DriveFit | None, mm_per_px: float
 ) -> tuple[Weight | None, dict[str, str]]:
-    """Return the gel's response to the weight of the held object, None if no weight comes on, and the reasons."""
+    """Return the gel's response to the weight of the held object, None if no weight is applied, and the reasons."""
     source = recording.path.name
     first_ms, last_ms = _longest_hold(rows)
     last_ms = min(last_ms, len(recording))
@@ -236,13 +236,13 @@ def _loading(place_px: NDArray[np.float32]) -> tuple[int, int, int]:
     middle, axis = (int(place) for place in np.unravel_index(np.argmax(np.abs(step)), step.shape))
     rises = float(step[middle, axis])
     if abs(rises) < LEAST_STEP_PX:
-        raise ValueError("no weight comes on")
+        raise ValueError("no weight is applied")
     first = max(middle - AROUND_MS // 2, 0)
     path = (mean_px[first : first + 3 * AROUND_MS, axis] - smooth[middle, axis]) / rises
     came = int(np.argmax(path > 0.03))
     full = came + int(np.argmax(path[came:] > 0.95))
     if first + came < 210 or full <= came:
-        raise ValueError("the weight was there before the hold began")
+        raise ValueError("the weight was applied before the hold began")
     return (axis + 1) * (1 if rises > 0 else -1), first + came, max(round((full - came) / 0.92), 1)
 
 
@@ -297,7 +297,7 @@ def _pad(recording: Recording, mm_per_px: float, axis: int) -> held_gel.Pad:
 
 
 def _thinned(displacement_m: Floats) -> tuple[Floats, Floats]:
-    """Return times in s since the weight came on, evenly spaced in their logarithm, and means of the displacement."""
+    """Return times in s since the weight was applied, evenly spaced in the logarithm, and mean displacements."""
     if len(displacement_m) < 1000:
         raise ValueError("the weight does not hang long enough")
     edges = np.unique(np.round(np.geomspace(20, len(displacement_m), 40)).astype(int))

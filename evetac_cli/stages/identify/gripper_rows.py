@@ -27,7 +27,9 @@ MAKE_GRASP = "cannot be estimated from these recordings: make one with evetac gr
 MAKE_SLIP = "cannot be estimated from these recordings: make one in which the current falls until the object slips"
 NO_MASS = "cannot be estimated without --object-mass-g, the mass of the object that was held"
 NO_SCALE = "cannot be estimated without a known normal force: measure it between the fingers for --force-per-current"
-NO_CREEP = "cannot be estimated from these recordings: make one in which the weight comes on at once and hangs for 10 s"
+NO_CREEP = (
+    "cannot be estimated from these recordings: make one in which the weight is applied at once and hangs for 10 s"
+)
 BENDS = "cannot be estimated with a gripper: its fingers bend ten times as much as the gel"
 QUIET = "cannot be estimated from a quiet hold: nothing moves the gel at 100 Hz"
 # Smallest half widths of intervals, as a share of the value (drive, gel) or in the row's unit.
@@ -98,9 +100,9 @@ def rows(grips: Sequence[Gripped], known: Priors, like: Sensor) -> tuple[list[Es
     listed += gel_rows
     listed += [EstimateRow("normal_modulus_pa", "Pa", None, BENDS), EstimateRow("loss_tangent", "", None, QUIET)]
     if keys or given is not None:
-        scale_from = "as given" if given is not None else "not estimated: that of the sensor `like`"
+        scale_from = "as given" if given is not None else "not estimated: the value of the sensor `like`"
         keys["force_per_current_n_ma"] = Entry(scale_n_ma, None, scale_from)
-        values["gripper"] = Entry(keys, None, "forces are for the force per current below")
+        values["gripper"] = Entry(keys, None, "forces are valid only for the force per current below")
     return listed, values
 
 

@@ -46,8 +46,8 @@ def name_of(by: str) -> str:
 def keep(recording: Recording, labels: Path, verdict: Verdict, by: str, after_ms: int) -> dict[str, Any]:
     """Write the labels of a verdict, replacing existing ones, and return its row.
 
-    Slices before the onset are no slip, those of the next after_ms are slip. InputError for an onset before the ramp,
-    outside the recording, or outside its own interval.
+    Slices before the onset are labelled no slip, those of the next after_ms slip. InputError for an onset before the
+    ramp, outside the recording, or outside its own interval.
     """
     slices, start = len(recording), ramp_start(recording)
     _check(verdict, start, slices)

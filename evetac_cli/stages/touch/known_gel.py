@@ -155,7 +155,7 @@ def _typed_edges(text: str) -> tuple[float, float, float, float]:
 def at_window(
     shape: GelShape, window_px: Sequence[int] | None, frame_px: Sequence[int], mm_per_px: float, dot_mm: Floats
 ) -> GelShape:
-    """Return the shape of a cut gel: it ends at its window (x0, y0, x1, y1) if that is a strip beside its dots."""
+    """Return the shape of a cut gel: it ends at its window (x0, y0, x1, y1) if that is a strip next to its dots."""
     if window_px is None:
         return shape
     middle = np.array(frame_px) / 2
@@ -171,7 +171,7 @@ def at_window(
 
 
 def check_scale(tracks: StageFile, known: KnownGel) -> None:
-    """Raise InputError for tracks with another frame than an Evetac's, unless the size of a pixel on the gel is known.
+    """Raise InputError if the frame is not that of an Evetac, unless the size of a pixel on the gel is known.
 
     Otherwise displacements in mm would be wrong by the ratio of the scales, and forces by its third power.
     """

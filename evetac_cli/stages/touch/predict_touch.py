@@ -80,7 +80,7 @@ def _recipe(params: PredictTouch, known: KnownGel, tracks: Header, own: Header |
 
 
 def _check_sensor(tracks: StageFile, adapted_to: str, model: Path) -> None:
-    """Raise InputError for tracks of another sensor than that to which the model was adapted."""
+    """Raise InputError if the tracks are not from the sensor to which the model was adapted."""
     name = str(tracks.read("sensor/name"))
     if len({name, adapted_to} - {UNKNOWN_SENSOR}) > 1:
         raise InputError(

@@ -141,7 +141,7 @@ def cautions(jobs: Sequence[TrainJob], params: Train) -> list[str]:
 
 def for_people(rows: list[dict[str, Any]], params: Train) -> tuple[list[dict[str, Any]], list[str]]:
     """Return all rows, with notes on models that detect nothing and on unreliable thresholds."""
-    useless = [f"{row['output']} is no slip detector: {row['warning']}" for row in rows if row.get("warning")]
+    useless = [f"{row['output']} is not a slip detector: {row['warning']}" for row in rows if row.get("warning")]
     useless += [f"`grasp` refuses it. Try: {USELESS_HINT}."] if useless else []
     few = {_few(row["validated_on"]) for row in rows if "validated_on" in row}
     few |= {_short(row["minutes_without_slip"]) for row in rows if row.get("calibrated")}
@@ -200,7 +200,7 @@ def _settings(params: Train) -> tuple[Settings, TrainedModel | None]:
         for name, value in fixed.items():
             if getattr(params, name) not in (value, None):
                 raise InputError(
-                    "does not go with --adapt",
+                    "cannot be combined with --adapt",
                     where=f"--{name.replace('_', '-')}",
                     expected=f"{value}, as in the model, or left out" if value else "left out",
                     found=str(getattr(params, name)),

@@ -73,7 +73,7 @@ def read_header(file: CheckedHdf5) -> Header:
 
 
 def check_kind(path: Path, header: Header, wanted: tuple[str, ...] | None) -> None:
-    """Raise InputError if a header is of another kind than wanted, or of an unknown kind."""
+    """Raise InputError if a header is not of the expected kind, or of an unknown kind."""
     if wanted and header["kind"] not in wanted:
         raise InputError(
             "wrong kind of file",

@@ -197,7 +197,7 @@ def first_difference(wanted: Recipe, existing: Header) -> str:
     for key in ("kind", "method", "seed", "content"):
         ours = wanted.identity[key]
         if ours != existing[key]:
-            return f"{key} is {_short(existing[key])} in the file, {_short(ours)} wanted"
+            return f"{key} is {_short(existing[key])} in the file, {_short(ours)} requested"
     difference = _difference(wanted.parameters, existing["parameters"], "parameters")
     if difference:
         return difference
@@ -224,7 +224,7 @@ def _difference(ours: Any, theirs: Any, where: str) -> str:
     if isinstance(ours, dict) and isinstance(theirs, dict):
         for key in sorted(ours.keys() | theirs.keys()):
             if key not in theirs or key not in ours:
-                side = "wanted, but not in the file" if key in ours else "in the file, but not wanted"
+                side = "requested, but not in the file" if key in ours else "in the file, but not requested"
                 return f"{where}.{key} is {side}"
             inner = _difference(ours[key], theirs[key], f"{where}.{key}")
             if inner:
@@ -233,7 +233,7 @@ def _difference(ours: Any, theirs: Any, where: str) -> str:
     return (
         ""
         if canonical(ours) == canonical(theirs)
-        else f"{where} is {_short(theirs)} in the file, {_short(ours)} wanted"
+        else f"{where} is {_short(theirs)} in the file, {_short(ours)} requested"
     )
 
 

@@ -72,7 +72,9 @@ class SlipWindows:
     def _windows_of(self, number: int, file: StageFile) -> NDArray[np.int32]:
         """Return the rows of the index for a file, and store its span."""
         if not file.has("label"):
-            raise InputError("these features have no labels", where=str(file.path), hint="evetac label, then featurize")
+            raise InputError(
+                "the features have no labels", where=str(file.path), hint="run evetac label, then evetac featurize"
+            )
         label, onset = file.read("label"), int(file.read("onset_slice"))
         stop = len(label) if onset < 0 else min(len(label), onset + self.after_onset)
         usable = np.flatnonzero(label[:stop] >= 0)

@@ -140,7 +140,7 @@ def _driver(params: Grasp, gripper: NamedGripper, watchdog_ms: int) -> RhP12RnSe
 
 def check(trial: DeviceGrasp, *, force: bool) -> None:
     """Raise InputError for every fault of a grasp that can be found before a device is touched."""
-    again, hint = "a grasp in real time", "--force replaces it, -o NAME writes elsewhere"
+    again, hint = "a grasp in real time", "--force replaces it, -o NAME writes to another file"
     session.refuse_taken(trial, again=again, hint=hint, force=force)
     session.check_room(trial, EVENTS_S, trial.timing.end_ms * 1e-3, "a shorter --balance-s")
     if trial.plan is not None and not trial.calibrations:

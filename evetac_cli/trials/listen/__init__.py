@@ -1,6 +1,6 @@
 """--listen: a robot's program starts, marks and stops the recordings of a series, and names each of them.
 
-The recording thread asks the desk (desk.py) once per slice what is wanted. Requests arrive through the door (door.py),
+The recording thread queries the desk (desk.py) for commands once per slice. Requests arrive through the door (door.py),
 whose address and token are stored in a file (address.py). A program that closes its connection changes nothing: the
 trial continues, and any program with the token may query, mark and stop it. A trial that no program stops ends after
 --seconds.

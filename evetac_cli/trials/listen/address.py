@@ -68,7 +68,7 @@ class AddressFile:
                     return
                 if self._replace(temporary):
                     return
-        raise InputError("another evetac listens here", where=str(self.path), hint="-o FOLDER listens elsewhere")
+        raise InputError("another evetac is listening here", where=str(self.path), hint="-o FOLDER listens elsewhere")
 
     def _replace(self, temporary: Path) -> bool:
         """Replace an unlocked file; return whether that succeeded. InputError for a file that evetac did not write."""
@@ -90,7 +90,7 @@ class AddressFile:
                 fcntl.flock(old, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
                 hint = "end it first, or -o FOLDER listens elsewhere"
-                raise InputError("another evetac listens here", where=str(self.path), hint=hint) from None
+                raise InputError("another evetac is listening here", where=str(self.path), hint=hint) from None
             if not os.path.samestat(status, self.path.lstat()):
                 return False
             temporary.replace(self.path)

@@ -20,8 +20,8 @@ from evetac_cli.trials.trial import DeviceTrial
 HOLDING_MA = 50.0  # default holding current
 SECONDS = 60.0  # duration for the disk space check, if no duration is known
 INSTEAD = ("closing_ma", "holding_ma", "hold_s", "lowest_ma")  # options that a followed current replaces
-TAKEN = "--resume continues a series, --force replaces it, -o NAME writes elsewhere"
-NAME_TAKEN = "start another name; record --listen --force replaces it"
+TAKEN = "--resume continues a series, --force replaces it, -o NAME writes to another file"
+NAME_TAKEN = "start a trial with another name; record --listen --force replaces this one"
 
 
 @dataclass(frozen=True)
@@ -128,7 +128,7 @@ def _course(params: Record, plan: Plan | None) -> GripperCurrent | None:
         course = scene_file.load(params.current_of).gripper.current
         if course is None:
             raise InputError(
-                "this scene names no current for the gripper",
+                "this scene defines no current for the gripper",
                 where="--current-of",
                 expected="a scene with gripper.current, for example grip-steps",
                 found=params.current_of,

@@ -66,7 +66,7 @@ def test_nothing_is_held() -> None:
     dots = np.random.default_rng(0).uniform(-7e-3, 7e-3, (40, 2))
     with pytest.raises(ValueError, match="do not move"):
         held_gel.held(one, dots, -np.ones(40) * 1e-4)
-    with pytest.raises(ValueError, match="of 12 at least"):
+    with pytest.raises(ValueError, match="at least 12 dots"):
         held_gel.held(one, dots, np.full(40, np.nan))
 
 

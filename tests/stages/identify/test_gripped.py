@@ -189,7 +189,7 @@ def test_why_a_grip_tells_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     recording.dot_xy_px, recording.dot_radius_px = np.zeros((7, 9, 2)), 15.0
     monkeypatch.setattr(gripped, "_tracked", lambda _: np.zeros((6000, 63, 2), np.float32))
     weight, why = gripped._weight(recording, rows, None, 0.0329)  # type: ignore[arg-type]
-    assert weight is None and "grip.recording.h5: no weight comes on" in why["weight"]
+    assert weight is None and "grip.recording.h5: no weight" in why["weight"]
     why["drive"] = "cannot be estimated from grip.recording.h5: the gripper never closes"
     by_name = {row.parameter: row for row in gripper_rows.rows([Gripped("", misfits=why)], known, LIKE)[0]}
     assert by_name["gripper: damping"].source == why["drive"]
@@ -310,7 +310,7 @@ def test_a_recording_without_a_gripper(tmp_path: Path) -> None:
 def test_a_scene_without_a_current_to_follow(tmp_path: Path) -> None:
     """Assert that --current-of refuses a scene that names no current for the gripper."""
     asked = Record(camera="virtual", gripper="virtual", current_of="slip", dry_run=True)
-    with pytest.raises(InputError, match="names no current"):
+    with pytest.raises(InputError, match="no current for the gripper"):
         record.jobs([], asked, tmp_path)
     both = Record(camera="virtual", gripper="virtual", current_of="grip-steps", hold_s=3.0, dry_run=True)
     with pytest.raises(InputError, match="no effect with --current-of"):

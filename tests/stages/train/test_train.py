@@ -610,11 +610,11 @@ def test_settings_are_what_was_said(given: dict[str, Any], wanted: tuple[str, in
 @pytest.mark.parametrize(
     ("given", "says"),
     [
-        ({"model": "hist10"}, "--model: does not go with --adapt"),
-        ({"horizon_ms": 0}, "--horizon-ms: does not go with --adapt"),
-        ({"preset": "paper"}, "--preset: does not go with --adapt"),
-        ({"folds": 2}, "--folds: does not go with --adapt"),
-        ({"networks": 32}, "--networks: does not go with --adapt"),
+        ({"model": "hist10"}, "--model: cannot be combined with --adapt"),
+        ({"horizon_ms": 0}, "--horizon-ms: cannot be combined with --adapt"),
+        ({"preset": "paper"}, "--preset: cannot be combined with --adapt"),
+        ({"folds": 2}, "--folds: cannot be combined with --adapt"),
+        ({"networks": 32}, "--networks: cannot be combined with --adapt"),
         ({"adapt": "missing.model.h5"}, "missing.model.h5"),
     ],
 )

@@ -48,7 +48,7 @@ def test_training_on_two_trials_says_what_came_of_it(natural_first_try: tuple[li
         run = CliRunner().invoke(app, words)
         assert run.exit_code == 0, run.stderr
         said = " ".join(run.stdout.split())
-        assert f"{out} is no slip detector: at its threshold, 0, it calls every slice" in said
+        assert f"{out} is not a slip detector: at its threshold, 0, it calls every slice" in said
         assert "`grasp` refuses it. Try: train for more steps" in said
     with StageFile(out, "model") as file:
         assert float(file.read("threshold")) == 0.0
@@ -61,12 +61,12 @@ def test_grasp_refuses_it(natural_first_try: tuple[list[str], Path], tmp_path: P
     """Assert that no gripper is moved by it, simulated or virtual, and that the reason and the way out are said."""
     words, out = natural_first_try
     CliRunner().invoke(app, words)
-    with pytest.raises(InputError, match="this model is no slip detector") as refused:
+    with pytest.raises(InputError, match="this model is not a slip detector") as refused:
         grasp.jobs([], Grasp(model=out), tmp_path / "a.recording.h5")
     assert "calls every slice" in str(refused.value) and "--validate" in str(refused.value)
     for more in (["--dry-run"], ["--camera", "virtual", "--gripper", "virtual", "--dry-run"], []):
         run = CliRunner().invoke(app, ["grasp", "--model", str(out), "-o", str(tmp_path / "b.recording.h5"), *more])
-        assert (run.exit_code, "no slip detector" in run.stderr) == (2, True), run.stderr
+        assert (run.exit_code, "not a slip detector" in run.stderr) == (2, True), run.stderr
     assert not list(tmp_path.glob("*.recording*"))
 
 
@@ -75,7 +75,7 @@ def test_whoever_reads_it_is_told(natural_first_try: tuple[list[str], Path], mad
     words, out = natural_first_try
     CliRunner().invoke(app, words)
     with evetac.open_recording(made.recordings[0]) as recording:
-        with pytest.warns(UserWarning, match="is no slip detector"):
+        with pytest.warns(UserWarning, match="is not a slip detector"):
             evetac.SlipDetector(recording, out)
         with warnings.catch_warnings():
             warnings.simplefilter("error")
@@ -85,10 +85,10 @@ def test_whoever_reads_it_is_told(natural_first_try: tuple[list[str], Path], mad
         app, ["evaluate", "slip", str(features), "--model", str(out), "-o", str(tmp_path / "r.h5")]
     )
     assert run.exit_code == 0, run.stderr
-    assert f"note: {out} is no slip detector" in run.stderr
+    assert f"note: {out} is not a slip detector" in run.stderr
     shutil.copy(features, tmp_path / "a.features.h5")
     run = CliRunner().invoke(app, ["view", str(tmp_path / "a.features.h5"), str(out), "--images", "1"])
-    assert "is no slip detector" in run.stdout
+    assert "is not a slip detector" in run.stdout
     run = CliRunner().invoke(app, ["share", str(out), "-o", str(tmp_path / "hub"), "--json"])
     assert "slip detector: at its threshold" in json.loads(run.stdout)["summary"]["notes"]
     page = (tmp_path / "hub" / "README.md").read_text()

@@ -73,7 +73,7 @@ def files_of(path: Path) -> Files:
         note = f"the folder has no {METADATA} (a recorder that was killed does not write it)"
     files = _inside(path)
     if not files:
-        raise InputError("the folder has no file of a bag", where=str(path), expected=" or ".join(ENDINGS), found=note)
+        raise InputError("the folder has no bag file", where=str(path), expected=" or ".join(ENDINGS), found=note)
     names = [name for file in files if (name := PART.fullmatch(file.name))]
     numbered = {int(name[2]): path / name[0] for name in names}
     if len(files) > 1 and (len(numbered) < len(files) or len({name[1] for name in names}) > 1):
@@ -171,7 +171,7 @@ def _table(path: Path, stamps: tuple[Any, ...], where: str) -> ChunkedFile | Db3
     reader = next((reader for begins, reader in BAGS.items() if head.startswith(begins)), None)
     if reader is None:
         expected = "SQLite (.db3), MCAP or a ROS 1 bag"
-        raise InputError("not a file of a bag", where=where, expected=expected, found=f"begins with {head[:13]!r}")
+        raise InputError("not a bag file", where=where, expected=expected, found=f"begins with {head[:13]!r}")
     return reader(path, where)
 
 
@@ -249,7 +249,7 @@ def _missing(folder: Path, missing: list[str], inside: list[Path]) -> InputError
         "a part of the bag is missing",
         where=str(folder),
         expected=", ".join(missing[:MOST_NAMED]),
-        found=_named(inside) or "no file of a bag",
+        found=_named(inside) or "no bag file",
         hint=f"copy it into the folder, or import each part separately, for example {inside[0]}" if inside else "",
     )
 

@@ -110,7 +110,7 @@ class McapFile(ChunkedFile):
                 raise ValueError("a record ends early")
             if kind == MESSAGE:
                 if length < MESSAGE_HEAD.size:
-                    raise ValueError("a message has no head")
+                    raise ValueError("a message has no header")
                 number, _, time_ns, _ = MESSAGE_HEAD.unpack_from(content, at)
                 yield number, time_ns, view[at + MESSAGE_HEAD.size : end]
             elif kind in (SCHEMA, CHANNEL) and (connection := self._defined(kind, content[at:end])) is not None:

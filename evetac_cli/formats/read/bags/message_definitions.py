@@ -23,7 +23,7 @@ CONSTANT = re.compile(r"(\S+)\s+([A-Za-z]\w*)\s*=(.*)")
 
 
 def checksum(kind: str, text: str) -> str:
-    """Return the checksum of a message type; empty if the text is no definition or lacks an inner message."""
+    """Return the checksum of a message type; empty if the text is not a definition or lacks an inner message."""
     if not text.strip() or len(text) > MOST_BYTES:
         return ""
     first, *others = BETWEEN.split(text)

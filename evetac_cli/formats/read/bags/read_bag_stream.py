@@ -124,7 +124,7 @@ def _decoder(kind: str, connections: list[Connection], where: str) -> Callable[[
     if digests - {ours, "*"}:
         theirs = ", ".join(sorted(digests))[:120]
         raise InputError(
-            f"{kind} has another definition than in ROS 1", where=where, expected=f"checksum {ours}", found=theirs
+            f"the definition of {kind} is not that of ROS 1", where=where, expected=f"checksum {ours}", found=theirs
         )
     return lambda message: store.deserialize_ros1(message, kind)
 
@@ -257,7 +257,9 @@ class _Images(_MessageReader):
         self._check_size(width, height)
         if step < width * stored or len(message.data) != step * height:
             self.refuse(
-                "an image has another size than it states", f"{height} rows of {step} bytes", str(len(message.data))
+                "an image does not have the size that it states",
+                f"{height} rows of {step} bytes",
+                str(len(message.data)),
             )
         rows = np.asarray(message.data, np.uint8).reshape(height, step)[:, : width * stored]
         return np.ascontiguousarray(rows.reshape(height, width, stored)[:, :, list(shown)])

@@ -123,7 +123,7 @@ def topics_of_events(bag: Bag, where: str) -> dict[str, str]:
             topics[connection.topic] = known
         elif connection.msgtype in TYPES:
             raise InputError(
-                f"{connection.msgtype} has another definition than the supported one",
+                f"this definition of {connection.msgtype} is not supported",
                 where=f"{where}: {connection.topic}",
                 expected=f"checksum {TYPES[connection.msgtype]}",
                 found=(connection.digest or checksum(connection.msgtype, connection.definition))[:40],

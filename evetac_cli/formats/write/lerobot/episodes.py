@@ -107,7 +107,7 @@ def require_alike(outlines: Sequence[EpisodeOutline]) -> None:
                 "the trial has no features; an episode needs the displacements of the dots",
                 where=str(one.path),
                 expected="features next to the recording",
-                hint="evetac track, then evetac featurize",
+                hint="run evetac track, then evetac featurize",
             )
         if one.frame_px != outlines[0].frame_px:
             raise InputError(

@@ -53,7 +53,7 @@ ROUNDING = 1e-5
 class LightChange:
     """Change of the light; ValueError if a value is out of range.
 
-    Flicker: brightness = mean * (1 + depth sin(2 pi frequency t)); a depth of 0 is no flicker. Step: brightness is
+    Flicker: brightness = mean * (1 + depth sin(2 pi frequency t)); a depth of 0 means no flicker. Step: brightness is
     multiplied by `step_factor` at `step_at_s`. Both apply to the light that shows the print.
 
     Additional light does not pass the print, and is given relative to the first light on bare gel at the start. `floor`

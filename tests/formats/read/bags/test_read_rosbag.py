@@ -236,7 +236,7 @@ def test_odd_bags_are_refused(write: Write) -> None:
     old = Types("ros1", **{"dvs_msgs/msg/Event": "uint16 x\nuint16 y\nuint64 time\nbool polarity\n"})
     event = old.make("dvs_msgs/msg/Event", 1, 2, 3, True)
     past = old.make("dvs_msgs/msg/EventArray", old.header(0), 480, 640, [event])
-    assert "has another definition" in refusal(write("ros1", old, {"/e": [past]}, "old"))
+    assert "definition of " in refusal(write("ros1", old, {"/e": [past]}, "old"))
 
 
 def test_time_that_goes_backwards_is_placed(write: Write) -> None:
