@@ -152,7 +152,7 @@ def prose(words: str) -> str:
 
 def long_sentences(words: str) -> list[str]:
     """Sentences of more than MOST_WORDS words; a colon or semicolon does not end one."""
-    parts = re.split(r"(?<=[.!?])\s+(?=[A-Z`\[\"(])|\n\s*\n|\n\s*(?=[-*|] )", prose(words))
+    parts = re.split(r"(?<=[.!?])(?:\*\*)?\s+(?=[A-Z`\[\"(*])|\n\s*\n|\n\s*(?=[-*|] )", prose(words))
     return [" ".join(part.split()) for part in parts if len(re.findall(r"[\w'.-]+", part)) > MOST_WORDS]
 
 
