@@ -50,9 +50,9 @@ def to_numpy(column: Any) -> NDArray[Any]:
         values = np.frombuffer(data, column.type.to_pandas_dtype(), stop)[first:] if stop else np.empty(0)
     if not column.null_count:
         return values
-    known = is_known(column)
+    valid = is_known(column)
     floats = values.astype(values.dtype if values.dtype.kind == "f" else np.float64)
-    floats[~known] = np.nan
+    floats[~valid] = np.nan
     return floats
 
 

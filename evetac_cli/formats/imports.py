@@ -188,13 +188,13 @@ class EventFile:
         self._order = order
         self._frames, self._folder, self._progress = frames, folder, progress
         options = {"stream": stream, "columns": columns, "time_unit": time_unit}
-        said = {name: value for name, value in options.items() if value is not None}
+        user_options = {name: value for name, value in options.items() if value is not None}
         self._stream = stream
         with _reading(self._path, self._steady):
             try:
-                self._foreign = _open(self._path, frame_px, said)
+                self._foreign = _open(self._path, frame_px, user_options)
             except FrameUnknown as unknown:
-                self._foreign = _open_with_guessed_frame(self._path, said, unknown)
+                self._foreign = _open_with_guessed_frame(self._path, user_options, unknown)
         self.frame_px = self._foreign.frame_px
 
     def blocks(self) -> Iterator[Events]:
@@ -234,11 +234,11 @@ class EventFile:
         with _reading(self._path, self._steady):
             if self._order.from_restart is None:
                 options = {"frames": self._frames, "folder": self._folder, "topic": self._stream}
-                streams, said = _kept(self._path, foreign, t_offset_us, slices, options)
+                streams, stream_notes = _kept(self._path, foreign, t_offset_us, slices, options)
             else:  # their times do not show which part they belong to
-                streams, said = [], []
+                streams, stream_notes = [], []
                 foreign.left_out |= {stream.name: len(stream.t_us) for stream in foreign.streams}
-        notes += [*said, *_unsaid(foreign, streams)]
+        notes += [*stream_notes, *_unsaid(foreign, streams)]
         return Facts(
             size=normal.size,
             frame_px=foreign.frame_px,
@@ -320,9 +320,9 @@ def _unsaid(foreign: Foreign, streams: list[Stream]) -> Iterator[str]:
 
 def left_out_text(left_out: dict[str, int]) -> str:
     """Return names and counts on one line: the first MOST_NAMED, and the number of further kinds."""
-    named = [f"{name} {count:,}" for name, count in left_out.items()]
-    more = [f"and {len(named) - MOST_NAMED} more kinds"] if len(named) > MOST_NAMED else []
-    return ", ".join([*named[:MOST_NAMED], *more])
+    kinds = [f"{name} {count:,}" for name, count in left_out.items()]
+    more = [f"and {len(kinds) - MOST_NAMED} more kinds"] if len(kinds) > MOST_NAMED else []
+    return ", ".join([*kinds[:MOST_NAMED], *more])
 
 
 def _counted(batches: Iterable[EventColumns], progress: Progress) -> Iterator[EventColumns]:
@@ -355,19 +355,19 @@ def _losses(foreign: Foreign, normal: Normal) -> Iterator[str]:
         yield f"{dropped['not_a_number'] / read:.0%} of the events were dropped: t, x, y or p is not a number"
 
 
-def _open(path: Path, frame_px: tuple[int, int] | None, said: Mapping[str, str]) -> Foreign:
+def _open(path: Path, frame_px: tuple[int, int] | None, options: Mapping[str, str]) -> Foreign:
     """Recognize the format by the first bytes and call its reader with the user's options."""
     format_ = BAG if path.is_dir() and is_bag_folder(path) else _format(path)
-    for name in said.keys() - set(format_.said):  # an option that would do nothing is an error
+    for name in options.keys() - set(format_.said):  # an option that would do nothing is an error
         flag, files = SAID[name]
-        raise InputError(f"{flag} is for {files}", where=str(path), found=said[name], hint="leave it out")
-    return format_.read(path, frame_px, **said)
+        raise InputError(f"{flag} is for {files}", where=str(path), found=options[name], hint="leave it out")
+    return format_.read(path, frame_px, **options)
 
 
-def _open_with_guessed_frame(path: Path, said: Mapping[str, str], unknown: FrameUnknown) -> Foreign:
+def _open_with_guessed_frame(path: Path, options: Mapping[str, str], unknown: FrameUnknown) -> Foreign:
     """Open the file with the frame of the smallest known sensor that fits all events; raise `unknown` if none does."""
     width = height = 0
-    batches = _open(path, ANY_FRAME_PX, said).batches
+    batches = _open(path, ANY_FRAME_PX, options).batches
     try:
         for batch in batches:
             x, y = batch.x.astype(np.float64), batch.y.astype(np.float64)
@@ -380,7 +380,7 @@ def _open_with_guessed_frame(path: Path, said: Mapping[str, str], unknown: Frame
     fitting = [frame for frame in FRAMES_PX if 0 < width <= frame[0] and 0 < height <= frame[1]]
     if not fitting:
         raise unknown
-    foreign = _open(path, fitting[0], said)
+    foreign = _open(path, fitting[0], options)
     frame = "{}x{}".format(*fitting[0])
     foreign.notes.append(
         f"the file does not state its frame size: assumed {frame}, the smallest known sensor that fits all events"
@@ -459,15 +459,15 @@ def _format_of_plugin(head: bytes, unusable: list[str]) -> ImportFormat | None:
 def format_of_plugin(plugin: plugins.Plugin) -> ImportFormat:
     """Return the row of a plug-in; raise InputError if it cannot be used."""
     format_ = plugin.load(ImportFormat)
-    begins, said = format_.begins, format_.said
+    begins, options = format_.begins, format_.said
     if not isinstance(begins, tuple) or not all(isinstance(mark, bytes) for mark in begins):
         raise plugin.error(f"its `begins` must be a tuple of bytes, but is {begins!r}")
     if not any(len(mark) >= LEAST_MARK for mark in begins):
         raise plugin.error(f"its `begins` must have a mark of at least {LEAST_MARK} bytes, but is {begins!r}")
     if not callable(format_.read):
         raise plugin.error(f"its `read` must be a function, but is {format_.read!r}")
-    if not isinstance(said, tuple) or not all(name in SAID for name in said):
-        raise plugin.error(f"its `said` must be a tuple of {', '.join(SAID)}, but is {said!r}")
+    if not isinstance(options, tuple) or not all(name in SAID for name in options):
+        raise plugin.error(f"its `said` must be a tuple of {', '.join(SAID)}, but is {options!r}")
     return format_
 
 

@@ -65,10 +65,10 @@ def _model(params: Export) -> Path | None:
 
 def _options(params: Export) -> dict[str, Any]:
     """Return the chosen options for the format's writer; raise InputError for options that the format does not use."""
-    chosen = {item.name: getattr(params, item.name) for item in fields(Export) if item.name != "format"}
-    given = {name: value for name, value in chosen.items() if value is not None and value is not False}
+    values = {item.name: getattr(params, item.name) for item in fields(Export) if item.name != "format"}
+    options = {name: value for name, value in values.items() if value is not None and value is not False}
     takes = named_format(params.format).takes
-    for name in given:
+    for name in options:
         if name not in takes:
             others = ", ".join(other for other, row in FORMATS.items() if name in row.takes)
             flag = flag_of(Export.__dataclass_fields__[name])
@@ -78,14 +78,14 @@ def _options(params: Export) -> dict[str, Any]:
                 expected=f"--format {others}",
                 found=params.format,
             )
-    if "task" in given:
-        given["task"] = as_utf8(given["task"])
-    if "test_objects" in given:
-        given["test_objects"] = numbers(given["test_objects"])
-    if "size" in given:
-        given["size"] = _size(given["size"])
-    given.pop("model", None)
-    return given
+    if "task" in options:
+        options["task"] = as_utf8(options["task"])
+    if "test_objects" in options:
+        options["test_objects"] = numbers(options["test_objects"])
+    if "size" in options:
+        options["size"] = _size(options["size"])
+    options.pop("model", None)
+    return options
 
 
 def _size(text: str) -> tuple[int, int]:

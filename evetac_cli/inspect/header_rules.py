@@ -21,11 +21,15 @@ def follows(value: Any, rules: Rules) -> bool:
         return False
 
 
-def _follows(value: Any, rules: Rules, named: Rules) -> bool:
-    """Whether a value follows the rules; NotImplementedError for other keywords. named: rules that others refer to."""
+def _follows(value: Any, rules: Rules, definitions: Rules) -> bool:
+    """Whether a value follows the rules; NotImplementedError for other keywords. definitions: rules referred to."""
     if unknown := rules.keys() - _KEYWORDS.keys() - {*NOTES}:
         raise NotImplementedError(f"keywords {', '.join(unknown)}")
-    return all(_KEYWORDS[word](value, asked, rules, named) for word, asked in rules.items() if word not in NOTES)
+    return all(
+        _KEYWORDS[word](value, requirement, rules, definitions)
+        for word, requirement in rules.items()
+        if word not in NOTES
+    )
 
 
 def _is_of(value: Any, kind: str) -> bool:
@@ -36,51 +40,51 @@ def _is_of(value: Any, kind: str) -> bool:
     return isinstance(value, int) and not isinstance(value, bool)
 
 
-def _type(value: Any, asked: str | list[str], rules: Rules, named: Rules) -> bool:
-    return any(_is_of(value, kind) for kind in ([asked] if isinstance(asked, str) else asked))
+def _type(value: Any, requirement: str | list[str], rules: Rules, definitions: Rules) -> bool:
+    return any(_is_of(value, kind) for kind in ([requirement] if isinstance(requirement, str) else requirement))
 
 
-def _enum(value: Any, asked: list[Any], rules: Rules, named: Rules) -> bool:
-    return any(type(value) is type(one) and value == one for one in asked)
+def _enum(value: Any, requirement: list[Any], rules: Rules, definitions: Rules) -> bool:
+    return any(type(value) is type(one) and value == one for one in requirement)
 
 
-def _required(value: Any, asked: list[str], rules: Rules, named: Rules) -> bool:
-    return not isinstance(value, dict) or all(name in value for name in asked)
+def _required(value: Any, requirement: list[str], rules: Rules, definitions: Rules) -> bool:
+    return not isinstance(value, dict) or all(name in value for name in requirement)
 
 
-def _properties(value: Any, asked: Rules, rules: Rules, named: Rules) -> bool:
+def _properties(value: Any, requirement: Rules, rules: Rules, definitions: Rules) -> bool:
     return not isinstance(value, dict) or all(
-        _follows(value[name], each, named) for name, each in asked.items() if name in value
+        _follows(value[name], each, definitions) for name, each in requirement.items() if name in value
     )
 
 
-def _additional(value: Any, asked: Any, rules: Rules, named: Rules) -> bool:
-    if asked is not False:
+def _additional(value: Any, requirement: Any, rules: Rules, definitions: Rules) -> bool:
+    if requirement is not False:
         raise NotImplementedError("additionalProperties with rules")
     return not isinstance(value, dict) or value.keys() <= rules.get("properties", {}).keys()
 
 
-def _items(value: Any, asked: Rules, rules: Rules, named: Rules) -> bool:
-    return not isinstance(value, list) or all(_follows(one, asked, named) for one in value)
+def _items(value: Any, requirement: Rules, rules: Rules, definitions: Rules) -> bool:
+    return not isinstance(value, list) or all(_follows(one, requirement, definitions) for one in value)
 
 
-def _pattern(value: Any, asked: str, rules: Rules, named: Rules) -> bool:
-    return not isinstance(value, str) or re.search(asked, value) is not None
+def _pattern(value: Any, requirement: str, rules: Rules, definitions: Rules) -> bool:
+    return not isinstance(value, str) or re.search(requirement, value) is not None
 
 
-def _minimum(value: Any, asked: float, rules: Rules, named: Rules) -> bool:
-    return isinstance(value, bool) or not isinstance(value, (int, float)) or bool(value >= asked)
+def _minimum(value: Any, requirement: float, rules: Rules, definitions: Rules) -> bool:
+    return isinstance(value, bool) or not isinstance(value, (int, float)) or bool(value >= requirement)
 
 
-def _ref(value: Any, asked: str, rules: Rules, named: Rules) -> bool:
+def _ref(value: Any, requirement: str, rules: Rules, definitions: Rules) -> bool:
     start = "#/$defs/"
-    if not asked.startswith(start) or asked.removeprefix(start) not in named:
-        raise NotImplementedError(asked)
-    return _follows(value, named[asked.removeprefix(start)], named)
+    if not requirement.startswith(start) or requirement.removeprefix(start) not in definitions:
+        raise NotImplementedError(requirement)
+    return _follows(value, definitions[requirement.removeprefix(start)], definitions)
 
 
-def _one_of(value: Any, asked: list[Rules], rules: Rules, named: Rules) -> bool:
-    return sum(_follows(value, each, named) for each in asked) == 1
+def _one_of(value: Any, requirement: list[Rules], rules: Rules, definitions: Rules) -> bool:
+    return sum(_follows(value, each, definitions) for each in requirement) == 1
 
 
 _KEYWORDS: dict[str, Callable[[Any, Any, Rules, Rules], bool]] = {

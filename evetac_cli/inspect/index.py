@@ -69,8 +69,8 @@ def answer(folder: Path, conditions: Sequence[str], progress: Progress = silent)
         simulated = _one(index, f"SELECT MAX(simulated) FROM files WHERE {where}", values)[0]
         summary = {"folder": str(folder), "files": files, "unreadable": unreadable, "foreign": _foreign(index)}
         if not conditions:
-            covariates, said = _covariates(index, folder, progress)
-            rows, summary = rows + covariates, summary | said
+            covariates, covariate_summary = _covariates(index, folder, progress)
+            rows, summary = rows + covariates, summary | covariate_summary
     if conditions:
         summary["fit"] = len(rows)
     return Outcome(rows, bool(simulated), summary)

@@ -90,7 +90,7 @@ def _describe(path: Path) -> dict[str, Any]:
     with _opened(path) as file, _contents_in_words(path):
         file.check()  # all of it, because the figures describe the whole file
         header = file.header
-        known: dict[str, Any] = {
+        common: dict[str, Any] = {
             "file": str(path),
             "kind": file.kind,
             "version": header["version"],
@@ -99,7 +99,7 @@ def _describe(path: Path) -> dict[str, Any]:
             "seed": header["seed"],
             "simulated": header["simulated"],
         }
-        row = known | _FIGURES[file.kind](file) | known  # a report's own figures never replace these
+        row = common | _FIGURES[file.kind](file) | common  # a report's own figures never replace these
         row["size_bytes"] = path.stat().st_size
         row["parameters"] = header["parameters"]
         row["made"] = dict(header.get("made", {}))
@@ -193,15 +193,15 @@ def _capture(file: StageFile) -> dict[str, Any]:
     """Return how a recording from devices ended, its losses, and the rates and delays that were recorded."""
     from evetac_cli.devices import losses  # imported here because most recordings are not from devices
 
-    known = file.contents()
-    counted = {name.removeprefix(LOST): int(file.read(name)) for name in known if name.startswith(LOST)}
-    gaps = file.read("capture/lost_slices") if "capture/lost_slices" in known else np.zeros((0, 2))
+    contents = file.contents()
+    counted = {name.removeprefix(LOST): int(file.read(name)) for name in contents if name.startswith(LOST)}
+    gaps = file.read("capture/lost_slices") if "capture/lost_slices" in contents else np.zeros((0, 2))
 
     def figure(name: str) -> Any:
-        return file.read(f"capture/{name}").item() if f"capture/{name}" in known else None
+        return file.read(f"capture/{name}").item() if f"capture/{name}" in contents else None
 
     def late_us(name: str) -> float | None:
-        return float(file.read(f"capture/{name}")[1]) if f"capture/{name}" in known else None
+        return float(file.read(f"capture/{name}")[1]) if f"capture/{name}" in contents else None
 
     figures = {
         "ended": file.read("capture/ended"),
@@ -317,19 +317,19 @@ def _force_model(file: StageFile) -> dict[str, Any]:
             "adapted_shear_modulus_pa": modulus,
         }
     rows, columns = file.read("dot_shape").tolist()
-    chosen = int(file.read("curve/chosen"))
+    epoch = int(file.read("curve/chosen"))
     return {
         "sensor": file.read("sensor"),
         "sensor_name": file.read("sensor_name"),
         "dots": in_words(rows, columns),
-        "epoch": chosen + 1,
-        "held_out_n_rms": float(file.read("curve/held_out_n")[chosen]),
+        "epoch": epoch + 1,
+        "held_out_n_rms": float(file.read("curve/held_out_n")[epoch]),
     }
 
 
 def _touch(file: StageFile) -> dict[str, Any]:
     """Return contacts, largest forces, smallest sticking share, standard deviations, touch maps, and stiffness."""
-    touches, known = file.read("touches"), file.read("known")
+    touches, is_known = file.read("touches"), file.read("known")
     begun = np.flatnonzero(np.diff(touches, prepend=np.uint8(0)) == 1)
     shear_sd_n = file.read("shear_sd_n").max(axis=1)  # of the less certain axis, as in the output of predict-touch
     most = {
@@ -339,8 +339,8 @@ def _touch(file: StageFile) -> dict[str, Any]:
         "area_mm2": (file.read("area_mm2"), file.read("area_sd_mm2")),
     }
     return {
-        "slices": len(known),
-        "slices_unknown": int(np.sum(known == 0)),
+        "slices": len(is_known),
+        "slices_unknown": int(np.sum(is_known == 0)),
         "contacts": len(begun),
         "contact_s": float(touches.sum() / SLICES_PER_S),
         "first_contact_ms": int(begun[0]) if len(begun) else None,
@@ -360,8 +360,8 @@ def _touch(file: StageFile) -> dict[str, Any]:
 
 def _extreme(values: Floats, sd: Floats, *, lowest: bool = False) -> Iterator[tuple[str, float | None]]:
     """Yield the highest or lowest value and its standard deviation; None if no slice has one."""
-    known = np.flatnonzero(np.isfinite(values))
-    at = None if not len(known) else known[(np.argmin if lowest else np.argmax)(values[known])]
+    finite = np.flatnonzero(np.isfinite(values))
+    at = None if not len(finite) else finite[(np.argmin if lowest else np.argmax)(values[finite])]
     yield "", None if at is None else float(values[at])
     yield "_sd", None if at is None or not np.isfinite(sd[at]) else float(sd[at])
 

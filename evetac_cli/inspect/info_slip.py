@@ -49,15 +49,15 @@ def figures(recording: Recording) -> dict[str, Any]:
 def of_folder(folder: Path, names: Sequence[str], progress: Callable[[int, int], None]) -> tuple[Rows, dict[str, Any]]:
     """Return rows of covariates over recordings of a folder that slip, and their number; empty if none are known."""
     count = min(len(names), MOST_SLIPS)
-    chosen = [names[number * len(names) // count] for number in range(count)]
+    sample = [names[number * len(names) // count] for number in range(count)]
     slips = []
-    for number, name in enumerate(chosen):
-        progress(number, len(chosen))
+    for number, name in enumerate(sample):
+        progress(number, len(sample))
         with suppress(EvetacError), Recording(folder / name) as recording:  # the index counts unreadable ones
             _, slip = slip_of(recording)
             slips += [slip] if slip is not None else []
     if not slips:
         return [], {}
     missing = not_told(slips)
-    said = {"covariates_not_told": ", ".join(missing)} if missing else {}
-    return summary(slips), {"covariates_of": f"{len(slips)} of {len(names)} recordings that slip", **said}
+    more = {"covariates_not_told": ", ".join(missing)} if missing else {}
+    return summary(slips), {"covariates_of": f"{len(slips)} of {len(names)} recordings that slip", **more}

@@ -202,7 +202,7 @@ def test_rules_bring_slices_to_frames() -> None:
 def test_what_is_not_known_holds_its_last_value() -> None:
     """Assert 0 before the first known value of a column, and then the last known one."""
     values = np.ma.masked_invalid([[np.nan, 1.0], [2.0, np.nan], [np.nan, np.nan], [5.0, 7.0]]).astype(np.float32)
-    assert episodes.known(values).tolist() == [[0, 1], [2, 1], [2, 1], [5, 7]]
+    assert episodes.last_known(values).tolist() == [[0, 1], [2, 1], [2, 1], [5, 7]]
 
 
 def test_statistics_of_parts_are_those_of_the_whole() -> None:

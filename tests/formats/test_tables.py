@@ -430,7 +430,7 @@ def test_dots_have_numbers_of_one_width() -> None:
     row = load("tracks").find("dot_xy_px")
     assert row is not None
     for dots, first in ((DOTS, "dot_00_x_px"), (130, "dot_000_x_px")):
-        names = [name for name, _ in slice_columns._named(row, (9, dots, 2), "", str)]
+        names = [name for name, _ in slice_columns._names_and_meanings(row, (9, dots, 2), "", str)]
         assert names[0] == first and names == sorted(names)
 
 

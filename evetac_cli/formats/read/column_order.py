@@ -36,8 +36,8 @@ def by_name(names: Sequence[str]) -> Order | None:
     """Return the order that the names define; None unless each of t, x, y, p is named exactly once."""
     places: dict[str, int] = {}
     us_per_unit: float | None = None
-    for place, given in enumerate(names):
-        column, unit = _column(given)
+    for place, name in enumerate(names):
+        column, unit = _column(name)
         if column is None:
             continue
         if column in places:
@@ -49,19 +49,21 @@ def by_name(names: Sequence[str]) -> Order | None:
     return Order((places["t"], places["x"], places["y"], places["p"]), us_per_unit)
 
 
-def _column(given: str) -> tuple[str | None, float | None]:
+def _column(column_name: str) -> tuple[str | None, float | None]:
     """Return which of t, x, y, p a name means, and the unit of time at its end, in us; each None if absent."""
-    name = given.strip().strip("\"'").lower().partition("@")[0]  # faery writes x@640: the frame width after the name
+    name = (
+        column_name.strip().strip("\"'").lower().partition("@")[0]
+    )  # faery writes x@640: the frame width after the name
     base, _, unit = name.rpartition("_")
     if base in NAMES["t"] and unit in UNITS:
         return "t", UNITS[unit]
-    return next((column for column, known in NAMES.items() if name in known), None), None
+    return next((column for column, synonyms in NAMES.items() if name in synonyms), None), None
 
 
 def lacking_columns(names: Sequence[str]) -> list[str]:
     """Return those of t, x, y, p that no name means."""
-    known = {_column(name)[0] for name in names}
-    return [column for column in NAMES if column not in known]
+    columns = {_column(name)[0] for name in names}
+    return [column for column in NAMES if column not in columns]
 
 
 def said_order(text: str, where: str) -> str:

@@ -122,14 +122,14 @@ class ColumnTimes:
         assert self._unit is not None
         most = np.abs(t[sound]).max()
         step_us = float(np.spacing(most)) * self._unit
-        said = f"{t.dtype} times near {float(most) * self._unit / 1e6:.9g} s have steps of {_in_us(step_us)}"
+        note = f"{t.dtype} times near {float(most) * self._unit / 1e6:.9g} s have steps of {_in_us(step_us)}"
         if step_us > SLICE_US:
             hint = "save the times as float64 or as integers"
             raise InputError(
-                "the times are too coarse", where=self._where, expected="1 ms or finer", found=said, hint=hint
+                "the times are too coarse", where=self._where, expected="1 ms or finer", found=note, hint=hint
             )
         if step_us > max(1.0, self._step_us):
-            self._step_us, self._step_said = step_us, said
+            self._step_us, self._step_said = step_us, note
 
     def check(self, events: int, span_us: float, frame_px: tuple[int, int], lit_hz_us: float) -> None:
         """Raise InputError if the unit is a guess that is implausible, or if another unit is more plausible.

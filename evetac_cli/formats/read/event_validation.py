@@ -103,14 +103,14 @@ def checked_frame(frame_px: tuple[int, int] | None, where: str, hint: str) -> tu
 
 
 def choose_frame(
-    own: tuple[int, int] | None, asked: tuple[int, int] | None, where: str, hint: str = ""
+    own: tuple[int, int] | None, requested: tuple[int, int] | None, where: str, hint: str = ""
 ) -> tuple[int, int]:
     """Return the file's own frame, or the requested one if the file states none.
 
     Raises InputError if both are given and differ, because the requested one would have no effect, and with `hint` if
     neither is known.
     """
-    wanted = None if asked is None else checked_frame(asked, where, "")
+    wanted = None if requested is None else checked_frame(requested, where, "")
     if wanted and own and wanted != tuple(own):
         raise InputError(
             "the file's frame size differs from --frame-size",
@@ -287,16 +287,16 @@ def _gathered(batches: Iterable[EventColumns], where: str) -> Iterator[EventColu
 def _checked(foreign: Foreign, seen: _Seen, where: str) -> Iterator[Placed]:
     """Yield the usable events of each batch in evetac's types, and the function that locates them in the file."""
     width, height = foreign.frame_px
-    for given in _gathered(foreign.batches, where):
-        seen.total += len(given.t)
-        if (events := _without_fault(given, foreign.frame_px)) is not None:
-            seen.polarities(given.p)
-            yield events, given.place
+    for raw_batch in _gathered(foreign.batches, where):
+        seen.total += len(raw_batch.t)
+        if (events := _without_fault(raw_batch, foreign.frame_px)) is not None:
+            seen.polarities(raw_batch.p)
+            yield events, raw_batch.place
             continue
-        finite = _finite(given)
+        finite = _finite(raw_batch)
         numbers = int(np.count_nonzero(finite))
-        seen.dropped["not_a_number"] += len(given.t) - numbers
-        batch = _at(given, np.flatnonzero(finite)) if numbers < len(given.t) else given
+        seen.dropped["not_a_number"] += len(raw_batch.t) - numbers
+        batch = _at(raw_batch, np.flatnonzero(finite)) if numbers < len(raw_batch.t) else raw_batch
         _check_values(batch, where, foreign)
         seen.polarities(batch.p)
         inside = (batch.x >= 0) & (batch.x < width) & (batch.y >= 0) & (batch.y < height)
@@ -381,13 +381,13 @@ def _check_values(batch: EventColumns, where: str, foreign: Foreign) -> None:
             )
 
     t, x, y, p, _ = batch
-    known = np.ones(len(p), bool) if p.dtype.kind == "b" else (p == 0) | (p == 1) | (p == -1)
-    if not known.all():
+    is_polarity = np.ones(len(p), bool) if p.dtype.kind == "b" else (p == 0) | (p == 1) | (p == -1)
+    if not is_polarity.all():
         for value in MINUS_ONES:
-            known |= p == value
+            is_polarity |= p == value
         other = next((name for name, column in (("t", t), ("x", x), ("y", y)) if np.isin(column, (-1, 0, 1)).all()), "")
         hint = f"the column read as {other} looks like polarities: name the columns with --columns" if other else ""
-        refuse(~known, p, "unknown polarity", "0 and 1, or -1 and 1", hint if foreign.guessed_order else "")
+        refuse(~is_polarity, p, "unknown polarity", "0 and 1, or -1 and 1", hint if foreign.guessed_order else "")
     for name, column in (("x", x), ("y", y)):
         if column.dtype.kind == "f":
             refuse(

@@ -108,14 +108,14 @@ def _choose(file: CheckedHdf5, datasets: dict[str, Any], wanted: str | None) -> 
     if not present:
         started = [layout for layout in LAYOUTS if any(name in datasets for name in layout.paths)]
         missing = [name for layout in started[:1] for name in layout.paths if name not in datasets]
-        held, hint = _what_there_is(file, missing)
-        raise InputError("the file has no event columns", where=file.where, expected=EXPECTED, found=held, hint=hint)
+        found, hint = _what_there_is(file, missing)
+        raise InputError("the file has no event columns", where=file.where, expected=EXPECTED, found=found, hint=hint)
     labels = {layout.stream: layout for layout in present if layout.name == present[0].name}
     if wanted is not None and wanted not in labels:
-        known = " or ".join(filter(None, labels)) or "no --stream: the file has only one stream"
-        raise InputError("the file has no such event stream", where=file.where, expected=known, found=wanted[:80])
-    chosen = labels[wanted] if wanted is not None else present[0]
-    return chosen, [label for label in labels if label != chosen.stream and wanted is None]
+        expected = " or ".join(filter(None, labels)) or "no --stream: the file has only one stream"
+        raise InputError("the file has no such event stream", where=file.where, expected=expected, found=wanted[:80])
+    chosen_layout = labels[wanted] if wanted is not None else present[0]
+    return chosen_layout, [label for label in labels if label != chosen_layout.stream and wanted is None]
 
 
 def _frame(file: CheckedHdf5, layout: Hdf5Layout) -> tuple[Note | None, tuple[int, int] | None]:
@@ -190,16 +190,16 @@ def _check_kind(file: CheckedHdf5, dataset: Any, layout: Hdf5Layout, name: str) 
     if len(layout.paths) == 1:
         expected = f"a table of {layout.order}, shape (N, 4)" if layout.order else "a compound with t, x, y, p"
         good = len(shape) == 2 and shape[1] == 4 and kind in "iuf" if layout.order else _is_compound(dataset)
-        held = f"`{name}` is one table of shape {shape}" if kind in "iuf" else f"{str(dataset.dtype)[:120]}"
+        found = f"`{name}` is one table of shape {shape}" if kind in "iuf" else f"{str(dataset.dtype)[:120]}"
         if not good:
-            raise InputError("the file has no event columns", where=file.where, expected=expected, found=held)
+            raise InputError("the file has no event columns", where=file.where, expected=expected, found=found)
         return
     timed = name == layout.paths[0]
     kinds = "iub" if name == layout.paths[3] else "iuf" if timed and layout.us_per_unit is None else "iu"
     if kind not in kinds or len(shape) != 1:
         expected = "a list of integers" + (" in microseconds" if timed and layout.us_per_unit == 1 else "")
-        held = f"{dataset.dtype} of shape {shape}"
-        raise InputError(f"{name} is not a column of numbers", where=file.where, expected=expected, found=held)
+        found = f"{dataset.dtype} of shape {shape}"
+        raise InputError(f"{name} is not a column of numbers", where=file.where, expected=expected, found=found)
 
 
 def _is_compound(dataset: Any) -> bool:

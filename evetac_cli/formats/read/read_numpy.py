@@ -111,8 +111,8 @@ def open_numpy(
         with path.open("rb") as handle:
             archive = handle.read(len(ZIP)) == ZIP
         arrays = _archived(path, where) if archive else {"": _single(path, foreign, where)}
-        chosen, order = _choose(arrays, stream, foreign, where)
-        stretches = _stretches(chosen)
+        event_arrays, order = _choose(arrays, stream, foreign, where)
+        stretches = _stretches(event_arrays)
         with closing(_rows(stretches)) as rows:
             sample = next(rows)
     guessed = ""
@@ -137,39 +137,39 @@ def _choose(
     tables = sorted(name for name, array in arrays.items() if array.is_table)
     if stream is None and order is not None:
         used = [columns[place] for place in order.places]
-        chosen = [arrays[name] for name in used]
-        check_lengths([math.prod(array.shape) for array in chosen], where)
+        event_arrays = [arrays[name] for name in used]
+        check_lengths([math.prod(array.shape) for array in event_arrays], where)
         order = Order((0, 1, 2, 3), order.us_per_unit)
     elif stream is None and _is_evimo(arrays):
         used = list(EVIMO)
-        chosen = [arrays[name] for name in used]
-        check_lengths([chosen[at].shape[0] for at in (0, 1, 1, 2)], where)
+        event_arrays = [arrays[name] for name in used]
+        check_lengths([event_arrays[at].shape[0] for at in (0, 1, 1, 2)], where)
         order = Order((0, 1, 2, 3), None)
     elif tables and (stream is None or stream in tables):
         used = [tables[0] if stream is None else stream]
-        chosen = [arrays[used[0]]]
+        event_arrays = [arrays[used[0]]]
         others = [name for name in tables if name not in used]
         if others and stream is None:
             foreign.notes.append(
                 f"read the array {used[0]}; the file also has: {', '.join(others)} (choose with --stream)"
             )
-        order = by_name(chosen[0].dtype.names) if chosen[0].dtype.names else None
+        order = by_name(event_arrays[0].dtype.names) if event_arrays[0].dtype.names else None
     elif stream is not None:
         expected = " or ".join(tables) or "no --stream: the file has only one stream"
         raise InputError("the file has no such array of events", where=where, expected=expected, found=stream[:80])
     else:
-        held = ", ".join(f"{name} {array}".strip() for name, array in list(arrays.items())[:8]) or "nothing"
+        found = ", ".join(f"{name} {array}".strip() for name, array in list(arrays.items())[:8]) or "nothing"
         objects = any(array.dtype.hasobject for array in arrays.values())
         hint = "save the Python objects as numbers: evetac never loads objects, because they can run code"
         raise InputError(
-            "the file has no event columns", where=where, expected=EXPECTED, found=held, hint=hint if objects else ""
+            "the file has no event columns", where=where, expected=EXPECTED, found=found, hint=hint if objects else ""
         )
-    if chosen[0].dtype.names:
-        places = by_name(chosen[0].dtype.names)
-        unused = [name for i, name in enumerate(chosen[0].dtype.names) if places and i not in places.places]
-        foreign.left_out |= {f"values of {name}": chosen[0].shape[0] for name in unused}
+    if event_arrays[0].dtype.names:
+        places = by_name(event_arrays[0].dtype.names)
+        unused = [name for i, name in enumerate(event_arrays[0].dtype.names) if places and i not in places.places]
+        foreign.left_out |= {f"values of {name}": event_arrays[0].shape[0] for name in unused}
     foreign.left_out |= {f"values of {name}": math.prod(arrays[name].shape) for name in arrays if name not in used}
-    return chosen, order
+    return event_arrays, order
 
 
 def _is_evimo(arrays: dict[str, Array]) -> bool:
@@ -181,15 +181,15 @@ def _is_evimo(arrays: dict[str, Array]) -> bool:
     return t.is_column and pairs and p.is_column
 
 
-def _stretches(chosen: list[Array]) -> list[StoredRun]:
+def _stretches(event_arrays: list[Array]) -> list[StoredRun]:
     """Return the locations of the values: four columns, those of EVIMO, or one run of rows."""
-    array = chosen[0]
-    if len(chosen) == len(EVIMO):
-        t, xy, p = chosen
+    array = event_arrays[0]
+    if len(event_arrays) == len(EVIMO):
+        t, xy, p = event_arrays
         pairs = StoredRun(xy, np.dtype((xy.dtype, (2,))), 0, xy.shape[0])
         return [StoredRun(t, t.dtype, 0, t.shape[0]), pairs, StoredRun(p, p.dtype, 0, p.shape[0])]
-    if len(chosen) == 4:
-        return [StoredRun(one, one.dtype, 0, math.prod(one.shape)) for one in chosen]
+    if len(event_arrays) == 4:
+        return [StoredRun(one, one.dtype, 0, math.prod(one.shape)) for one in event_arrays]
     if array.dtype.names:
         return [StoredRun(array, array.dtype, 0, array.shape[0])]
     rows = array.shape[0]

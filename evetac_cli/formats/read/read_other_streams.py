@@ -74,24 +74,24 @@ def aedat4_streams(path: Path, *, frames: bool, folder: Path | None, **_: Any) -
                 yield Other(Stream(NAMES[stream.kind], t_us), KINDS[stream.kind], contents.unreadable)
             continue
         taken.append(free_name(NAMES[stream.kind], taken) if NAMES[stream.kind] in taken else NAMES[stream.kind])
-        made = Stream(taken[-1], t_us, source=f"{path.name}: {stream.name}", clock=CAMERAS)
+        kept_stream = Stream(taken[-1], t_us, source=f"{path.name}: {stream.name}", clock=CAMERAS)
         if stream.kind == "FRME":
-            made = replace(made, frames=values[0], what="frames of the camera")
+            kept_stream = replace(kept_stream, frames=values[0], what="frames of the camera")
         else:
             columns = dict(zip(_columns(stream.kind), values, strict=True))
             units = {name: UNITS.get(name.partition("_")[0], "") for name in columns}
             what = TRIGGERS if stream.kind == "TRIG" else IMU_OF_CAMERA
-            made = replace(made, columns=columns, units=units, what=what)
-        yield Other(_in_order(made), KINDS[stream.kind], contents.unreadable)
+            kept_stream = replace(kept_stream, columns=columns, units=units, what=what)
+        yield Other(_in_order(kept_stream), KINDS[stream.kind], contents.unreadable)
 
 
 def aedat3_streams(path: Path, *, folder: Path | None, **_: Any) -> Iterator[Other]:
     """Yield IMU samples and triggers of an AEDAT 3.1 file, on the file's clock."""
     for stream, counted_as, others in read_samples(path, folder):
         what = AEDAT3_TRIGGERS if stream.name == "triggers" else IMU_OF_CAMERA
-        made = replace(_in_order(stream), what=what, clock=CAMERAS)
+        kept_stream = replace(_in_order(stream), what=what, clock=CAMERAS)
         note = f"{others:,} {counted_as} were left out: they are marked as invalid or are not {stream.name}"
-        yield Other(made, counted_as, note=note if others else "")
+        yield Other(kept_stream, counted_as, note=note if others else "")
 
 
 def bag_streams(
@@ -158,8 +158,8 @@ class _Contents:
         header, number = self._header, self._stream.number
         with self._path.open("rb") as handle:
             spans, listed = walk(handle, header, number).spans, listed_spans(handle, header, number)
-            chosen = listed if listed is not None and len(listed) > len(spans) else spans
-            for content in decoded(handle, chosen, self._stream.kind, header.compression):
+            used_spans = listed if listed is not None and len(listed) > len(spans) else spans
+            for content in decoded(handle, used_spans, self._stream.kind, header.compression):
                 if isinstance(content, str):
                     self.unreadable += 1
                 else:

@@ -190,8 +190,8 @@ def _find_times(names: list[str], where: str) -> _Times:
         match = TIME.fullmatch(name.lower())
         if match:
             candidates.append((match["unit"] or (unit if unit in TICKS_S else ""), at))
-    named = next((pair for pair in candidates if pair[0]), None)
-    if named is None and len(parts) == 2:
+    with_unit = next((pair for pair in candidates if pair[0]), None)
+    if with_unit is None and len(parts) == 2:
         columns = parts["s"], parts["n"]
         return _Times(columns, "ns", " and ".join(f"column {names[at].strip()}" for at in columns))
     if not candidates:
@@ -201,7 +201,7 @@ def _find_times(names: list[str], where: str) -> _Times:
             expected=f"a column named {NAMES}",
             found=", ".join(names)[:200],
         )
-    unit, at = named or candidates[0]
+    unit, at = with_unit or candidates[0]
     return _Times((at,), unit, f"column {plain[at][0]}" + (f", in {unit}" if unit else ""))
 
 

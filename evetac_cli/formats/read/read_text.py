@@ -92,11 +92,11 @@ def _note_and_frame(path: Path) -> tuple[Note | None, tuple[int, int] | None]:
         sign, name, text = [*line.strip().split(" ", 2), "", ""][:3]
         note = read_note(text, str(path)) if (sign, name) == ("#", NAME) else None
         while frame is None and line.lstrip().startswith(COMMENTS):
-            if said := GEOMETRY.match(line.strip()):
-                frame = int(said[1]), int(said[2])
+            if match := GEOMETRY.match(line.strip()):
+                frame = int(match[1]), int(match[2])
             line = handle.readline(LINE_LIMIT_CHARS)
-    if frame is None and (said := TWO_NUMBERS.match(line) or IN_NAMES.search(line)):
-        frame = int(said[1]), int(said[2])
+    if frame is None and (match := TWO_NUMBERS.match(line) or IN_NAMES.search(line)):
+        frame = int(match[1]), int(match[2])
     return note, frame
 
 

@@ -39,8 +39,8 @@ class OrderOptions:
 
     def __post_init__(self) -> None:
         """Raise InputError if two options are set, because one of them would have no effect."""
-        chosen = {"--sort": self.sort, "--drop-late": self.drop_late, "--from-restart": self.from_restart is not None}
-        flags = [flag for flag, given in chosen.items() if given]
+        options = {"--sort": self.sort, "--drop-late": self.drop_late, "--from-restart": self.from_restart is not None}
+        flags = [flag for flag, is_set in options.items() if is_set]
         if len(flags) > 1:
             raise InputError("these options cannot be combined", found=" and ".join(flags), hint="give only one")
 

@@ -76,7 +76,7 @@ class HubTables:
                 dots.append(table_schema(self._arrow, parts[DOTS], {}))
                 self.left_out += [f"{trial.name}: {one}" for one in (*files.notes, *not_in_tables(files.recording))]
                 self._facts.append({**facts, **_length(files.recording, trial)})
-        self._types = typed([self._named(facts) for facts in self._facts])
+        self._types = typed([self._trial_facts(facts) for facts in self._facts])
         head = table_schema(self._arrow, [], self._types)
         self._tables = {
             SLICES: self._arrow.unify_schemas([head, *plain]),
@@ -133,35 +133,35 @@ class HubTables:
             del paths[TRIALS]
             for path in paths.values():
                 path.parent.mkdir(parents=True, exist_ok=True)
-            named = self._named(facts)
+            trial_facts = self._trial_facts(facts)
             with self._opened(trial.source) as files:
                 for name, columns in _parted(files).items():
                     if name in paths:
-                        write_rows(self._arrow, self._tables[name], files, columns, named, paths[name], silent)
+                        write_rows(self._arrow, self._tables[name], files, columns, trial_facts, paths[name], silent)
                 if EVENTS in paths:
                     self._write_events(files.recording, trial.name, paths[EVENTS])
             done += facts["slices"]
         return sum(path.stat().st_size for path in (folder / FOLDER).rglob("*.parquet"))
 
     @staticmethod
-    def _named(facts: Mapping[str, Any]) -> dict[str, Any]:
+    def _trial_facts(facts: Mapping[str, Any]) -> dict[str, Any]:
         """Return the facts that identify a trial, without the columns of OF_TRIAL."""
         return {name: value for name, value in facts.items() if name not in OF_TRIAL}
 
     def _trial_schema(self) -> Any:
         arrow = self._arrow
-        named = {name: (type_, "", f"{name} of the trial") for name, type_ in self._types.items()}
-        fields = {name: arrow.type_for_alias(type_) for name, (type_, _, _) in (named | OF_TRIAL).items()}
-        said = {name: (unit, meaning) for name, (_, unit, meaning) in (named | OF_TRIAL).items()}
-        return arrow.schema([field_of(arrow, name, type_, *said[name]) for name, type_ in fields.items()])
+        fact_columns = {name: (type_, "", f"{name} of the trial") for name, type_ in self._types.items()}
+        fields = {name: arrow.type_for_alias(type_) for name, (type_, _, _) in (fact_columns | OF_TRIAL).items()}
+        unit_and_meaning = {name: (unit, meaning) for name, (_, unit, meaning) in (fact_columns | OF_TRIAL).items()}
+        return arrow.schema([field_of(arrow, name, type_, *unit_and_meaning[name]) for name, type_ in fields.items()])
 
     def _write_trials(self, folder: Path) -> None:
         arrow, schema = self._arrow, self._trial_schema()
         (folder / FOLDER / TRIALS).mkdir(parents=True, exist_ok=True)
         for split in self.splits:
-            chosen = [facts for facts in self._facts if facts["split"] == split]
+            split_facts = [facts for facts in self._facts if facts["split"] == split]
             columns = [
-                arrow.concat_arrays([repeated(arrow, facts[field.name], field.type, 1) for facts in chosen])
+                arrow.concat_arrays([repeated(arrow, facts[field.name], field.type, 1) for facts in split_facts])
                 for field in schema
             ]
             path = folder / FOLDER / TRIALS / f"{split}.parquet"

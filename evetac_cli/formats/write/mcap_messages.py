@@ -121,8 +121,8 @@ class TopicMessages:
             if columns:
                 units = dict(parse_json(about)).get("units")
                 units = units if isinstance(units, dict) else {}
-                named = (f"{column} [{units[column]}]" if column in units else column for column in columns)
-                label = as_utf8(", ".join(named))
+                labels = (f"{column} [{units[column]}]" if column in units else column for column in columns)
+                label = as_utf8(", ".join(labels))
                 yield topic, "std_msgs/msg/Float64MultiArray", self._columns(recording, group, columns, label)
             if f"{group}/frames" in paths:
                 yield f"{topic}/image", "sensor_msgs/msg/Image", self._images(recording, group)

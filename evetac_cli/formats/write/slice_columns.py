@@ -114,16 +114,16 @@ class SliceColumns(NamedTuple):
 
 def columns_of(files: TrialFiles) -> list[SliceColumns]:
     """Return all columns of a trial except its time; features repeat some of tracks and labels, which appear once."""
-    made = [_event_counts(files.recording)]
+    groups = [_event_counts(files.recording)]
     dots = _dot_words(files)
     for kind in KINDS:
         if kind in files.by_kind:
-            made += _of_file(files.by_kind[kind], dots)
+            groups += _of_file(files.by_kind[kind], dots)
     if files.slip_probability is not None:
-        made.append(_of_detector(files.slip_probability))
+        groups.append(_of_detector(files.slip_probability))
     seen: set[str] = set()
     kept = []
-    for columns in made:
+    for columns in groups:
         if seen.isdisjoint(columns.names):
             kept.append(columns)
             seen.update(columns.names)
@@ -137,15 +137,15 @@ def read_columns(columns: Sequence[SliceColumns], names: Sequence[str], slices: 
         wanted = [name for name in group.names if name in names]
         values = group.read(0, slices) if wanted else None
         by_name |= {name: values[:, group.names.index(name)] for name in wanted if values is not None}
-    chosen = _none_known(slices, len(names), np.dtype(np.float32))
+    table = _none_known(slices, len(names), np.dtype(np.float32))
     for at, name in enumerate(names):
-        chosen[:, at] = by_name[name]
-    return chosen
+        table[:, at] = by_name[name]
+    return table
 
 
 def not_in_tables(recording: Recording) -> list[str]:
     """Return texts on data that no slice shows: earlier rows of a clock within a slice, and images of streams."""
-    said = []
+    texts = []
     for group in _clocks(recording):
         t_us = recording.read(f"{group}/t_us")
         shown = np.unique(_rows_at(t_us, 0, len(recording)))
@@ -154,9 +154,9 @@ def not_in_tables(recording: Recording) -> list[str]:
         after, several = len(t_us) - within, missing - (len(t_us) - within)
         why = [f"{several} because a later row of the same slice is shown"] if several else []
         why += [f"{after} after the end of the last slice"] if after else []
-        said += [f"{missing} of {len(t_us)} rows of {group}: {', '.join(why)}"] if missing else []
-        said += [f"images of {group}"] if recording.has(f"{group}/frames") else []
-    return said
+        texts += [f"{missing} of {len(t_us)} rows of {group}: {', '.join(why)}"] if missing else []
+        texts += [f"images of {group}"] if recording.has(f"{group}/frames") else []
+    return texts
 
 
 def _clocks(file: StageFile) -> list[str]:
@@ -206,8 +206,8 @@ def _of_file(file: StageFile, dot: Callable[[int], str]) -> Iterator[SliceColumn
         else:
             continue
         unit = row.unit or _unit_of_column(file, group, path.rpartition("/")[2])
-        named = _named(replace(row, path=path, unit=unit), stored[path][1], PREFIX.get(file.kind, ""), dot)
-        names, meanings = tuple(name for name, _ in named), tuple(words for _, words in named)
+        pairs = _names_and_meanings(replace(row, path=path, unit=unit), stored[path][1], PREFIX.get(file.kind, ""), dot)
+        names, meanings = tuple(name for name, _ in pairs), tuple(words for _, words in pairs)
         yield SliceColumns(names, meanings, unit, np.dtype(row.dtype), read, "dots" in across)
 
 
@@ -218,7 +218,9 @@ def _unit_of_column(file: StageFile, group: str, column: str) -> str:
     return as_utf8(str(parse_json(file.read(f"{group}/about")).get("units", {}).get(column, "")))
 
 
-def _named(row: Dataset, shape: Sequence[int], prefix: str, dot: Callable[[int], str]) -> list[tuple[str, str]]:
+def _names_and_meanings(
+    row: Dataset, shape: Sequence[int], prefix: str, dot: Callable[[int], str]
+) -> list[tuple[str, str]]:
     """Return name and meaning of each column of a dataset, in the order in which its rows are flattened."""
     base = prefix + row.path.replace("/", "_")
     unit = f"_{row.unit.lower()}"
@@ -275,6 +277,6 @@ def _by_clock(
         return _none_known(len(at), columns, dtype)
     first = max(int(at[0]), 0)
     values = file.read(path, first, int(at[-1]) + 1).reshape(-1, columns)
-    made = _none_known(len(at), columns, dtype)
-    made[at >= 0] = _masked(values[at[at >= 0] - first])
-    return made
+    rows = _none_known(len(at), columns, dtype)
+    rows[at >= 0] = _masked(values[at[at >= 0] - first])
+    return rows

@@ -84,10 +84,10 @@ def write(files: TrialFiles, path: Path, progress: Progress) -> list[str]:
     table = arrow.schema(fields, metadata={"evetac": json.dumps(provenance(files, facts))})
     with arrow.parquet.ParquetWriter(path, table, compression=COMPRESSION) as writer:
         for values in _blocks(touch, columns, progress):
-            made = {name: _column(arrow, column) for name, column in values.items()}
+            arrays = {name: _column(arrow, column) for name, column in values.items()}
             rows = len(values["t_ms"])
-            made |= {name: repeated(arrow, facts[name], table.field(name).type, rows) for name in facts}
-            writer.write_batch(arrow.record_batch([made[one.name] for one in table], schema=table))
+            arrays |= {name: repeated(arrow, facts[name], table.field(name).type, rows) for name in facts}
+            writer.write_batch(arrow.record_batch([arrays[one.name] for one in table], schema=table))
     return list(files.notes)
 
 

@@ -41,7 +41,7 @@ def writer(kind: Kind) -> Callable[..., list[str]]:
         window_ms: int | None = None,
         **more: Any,
     ) -> list[str]:
-        if size is not None and any(chosen > most for chosen, most in zip(size, recording.frame_px, strict=True)):
+        if size is not None and any(side > most for side, most in zip(size, recording.frame_px, strict=True)):
             most = "at most the sensor's {} x {} px".format(*recording.frame_px)
             hint = "images can be smaller than the sensor's frame, not larger"
             found = "{} x {} for {}".format(*size, recording.path.name)
@@ -51,10 +51,10 @@ def writer(kind: Kind) -> Callable[..., list[str]]:
         of = recording.representation(kind, fps, size, window_ms, **more)
         files = TrialFiles({"recording": recording})
         shows = {name: getattr(of, name) for name in of.used}
-        said = json.dumps({"representation": shows, **provenance(files, files.facts())})
+        description = json.dumps({"representation": shows, **provenance(files, files.facts())})
         count = of.images(len(recording))
         by_suffix = {".npz": _npz, ".parquet": _parquet, ".zip": _zarr}
-        by_suffix[path.suffix.lower()](path, of, count, said, _shown(recording.images(of), count, progress))
+        by_suffix[path.suffix.lower()](path, of, count, description, _shown(recording.images(of), count, progress))
         return [] if count else [f"all events: the recording ends before the first image would, at {of.end(0)} ms"]
 
     return write
@@ -69,7 +69,7 @@ def _shown(blocks: Iterator["ImageBlock"], count: int, progress: Progress) -> It
     progress(count, count, "images")
 
 
-def _npz(path: Path, of: Representation, count: int, said: str, blocks: Iterator["ImageBlock"]) -> None:
+def _npz(path: Path, of: Representation, count: int, description: str, blocks: Iterator["ImageBlock"]) -> None:
     """Write a file for numpy.load, block by block, because the images of a minute can be larger than memory."""
     ends: list[NDArray[np.int64]] = []
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=NPZ_LEVEL) as archive:
@@ -79,24 +79,27 @@ def _npz(path: Path, of: Representation, count: int, said: str, blocks: Iterator
             for block in blocks:
                 member.write(block.images.data)
                 ends.append(block.end_us)
-        for name, array in (("end_us", np.concatenate([np.empty(0, np.int64), *ends])), ("evetac", np.array(said))):
+        for name, array in (
+            ("end_us", np.concatenate([np.empty(0, np.int64), *ends])),
+            ("evetac", np.array(description)),
+        ):
             with archive.open(f"{name}.npy", "w") as member:
                 np.lib.format.write_array(cast(BinaryIO, member), array, allow_pickle=False)
 
 
-def _parquet(path: Path, of: Representation, count: int, said: str, blocks: Iterator["ImageBlock"]) -> None:
+def _parquet(path: Path, of: Representation, count: int, description: str, blocks: Iterator["ImageBlock"]) -> None:
     """Write one row per image: pyarrow reads it as a tensor, other programs as a flat list."""
     arrow = load_pyarrow(str(path.parent))
     tensor = arrow.fixed_shape_tensor(arrow.from_numpy_dtype(of.dtype), of.shape)
     fields = arrow.field("end_us", arrow.int64(), metadata={"units": "us"}), arrow.field("images", tensor)
-    schema = arrow.schema(fields, metadata={"evetac": said})
+    schema = arrow.schema(fields, metadata={"evetac": description})
     with arrow.parquet.ParquetWriter(path, schema, compression=COMPRESSION) as writer:
         for block in blocks:
             images = arrow.FixedShapeTensorArray.from_numpy_ndarray(block.images)
             writer.write_batch(arrow.record_batch([arrow.array(block.end_us), images], schema=schema))
 
 
-def _zarr(path: Path, of: Representation, count: int, said: str, blocks: Iterator["ImageBlock"]) -> None:
+def _zarr(path: Path, of: Representation, count: int, description: str, blocks: Iterator["ImageBlock"]) -> None:
     """Write a group in one zip file, in version 2 of zarr's format, which replay buffers for policies use."""
     try:
         import zarr
@@ -105,7 +108,7 @@ def _zarr(path: Path, of: Representation, count: int, said: str, blocks: Iterato
     image_bytes = int(np.prod(of.shape)) * np.dtype(of.dtype).itemsize
     chunk = min(max(1, CHUNK_BYTES // image_bytes), max(1, count))
     with zarr.storage.ZipStore(path, mode="w") as store:
-        group = zarr.create_group(store, zarr_format=2, attributes={"evetac": json.loads(said)})
+        group = zarr.create_group(store, zarr_format=2, attributes={"evetac": json.loads(description)})
         images = group.create_array("images", shape=(count, *of.shape), chunks=(chunk, *of.shape), dtype=of.dtype)
         ends, kept, first = [np.empty(0, np.int64)], np.empty((0, *of.shape), of.dtype), 0
         for block in blocks:

@@ -87,10 +87,10 @@ def is_simulated(path: Path) -> bool:
             lines = [file.readline(MOST_LINE_BYTES).decode(errors="replace") for _ in range(2)]
         return next(csv.DictReader(lines), {}).get("simulated") == "true"
     try:
-        said = parse_json((_schema_of(path).metadata or {}).get(b"evetac", b"{}").decode())
+        metadata = parse_json((_schema_of(path).metadata or {}).get(b"evetac", b"{}").decode())
     except ValueError as error:
         raise _unreadable(path, error) from None
-    return isinstance(said, dict) and said.get("simulated") is True
+    return isinstance(metadata, dict) and metadata.get("simulated") is True
 
 
 def column_names(path: Path) -> tuple[str, ...]:
@@ -120,23 +120,25 @@ def write_data_set(sources: Sequence[Path], opened: Opener, folder: Path, progre
             facts.append(files.facts())
             schemas.append(table_schema(arrow, columns_of(files), {}))
             slices.append(len(files.recording))
-    partitions = [name for name in PARTITIONS if all(named[name] is not None for named in facts)]
+    partitions = [name for name in PARTITIONS if all(trial_facts[name] is not None for trial_facts in facts)]
     types = {name: type_ for name, type_ in typed(facts).items() if name not in partitions}
     table = arrow.unify_schemas([table_schema(arrow, [], types), *schemas])
-    said, done = [], 0
-    for source, named, rows in zip(sources, facts, slices, strict=True):
-        path = folder.joinpath(*(_partition(name, named[name]) for name in partitions), f"{named['trial']}.parquet")
+    notes, done = [], 0
+    for source, trial_facts, rows in zip(sources, facts, slices, strict=True):
+        path = folder.joinpath(
+            *(_partition(name, trial_facts[name]) for name in partitions), f"{trial_facts['trial']}.parquet"
+        )
         if path.exists():
             raise InputError("two recordings would be written to the same file", where=str(source), found=path.name)
         path.parent.mkdir(parents=True, exist_ok=True)
 
         with opened(source) as files:
             shown = partial(_further, progress, done, sum(slices))
-            write_rows(arrow, table, files, columns_of(files), named, path, shown)
-            said += [f"{named['trial']}: {note}" for note in (*files.notes, *not_in_tables(files.recording))]
+            write_rows(arrow, table, files, columns_of(files), trial_facts, path, shown)
+            notes += [f"{trial_facts['trial']}: {note}" for note in (*files.notes, *not_in_tables(files.recording))]
         done += rows
-    simulated = any(named["simulated"] for named in facts)
-    return WrittenFolder(simulated, said, {"slices": sum(slices), "columns": len(table) + len(partitions)})
+    simulated = any(trial_facts["simulated"] for trial_facts in facts)
+    return WrittenFolder(simulated, notes, {"slices": sum(slices), "columns": len(table) + len(partitions)})
 
 
 def _further(progress: Progress, before: int, of: int, now: float, total: float, doing: str = "") -> None:
@@ -165,8 +167,8 @@ def table_schema(arrow: Any, columns: Sequence[SliceColumns], types: Mapping[str
     ]
     for group in columns:
         type_ = arrow.from_numpy_dtype(group.dtype)
-        named = zip(group.names, group.meanings, strict=True)
-        fields += [field_of(arrow, name, type_, group.unit, meaning) for name, meaning in named]
+        pairs = zip(group.names, group.meanings, strict=True)
+        fields += [field_of(arrow, name, type_, group.unit, meaning) for name, meaning in pairs]
     return arrow.schema(fields)
 
 
@@ -205,17 +207,19 @@ def _batches(
     for first in range(0, slices, at_once):
         stop = min(first + at_once, slices)
         progress(first, slices, "slices")
-        made = {"t_ms": to_arrow(arrow, np.arange(first, stop))}
+        arrays = {"t_ms": to_arrow(arrow, np.arange(first, stop))}
         for group in columns:
             values = group.read(first, stop)
             mask = np.ma.getmaskarray(values)
             for at, name in enumerate(group.names):
-                made[name] = to_arrow(arrow, values.data[:, at], mask[:, at])
+                arrays[name] = to_arrow(arrow, values.data[:, at], mask[:, at])
         for name in facts:
             if name in table.names:
                 type_ = table.field(name).type
-                made[name] = repeated(arrow, facts[name], type_, stop - first)
-        rows = [made[field.name] if field.name in made else arrow.nulls(stop - first, field.type) for field in table]
+                arrays[name] = repeated(arrow, facts[name], type_, stop - first)
+        rows = [
+            arrays[field.name] if field.name in arrays else arrow.nulls(stop - first, field.type) for field in table
+        ]
         yield arrow.record_batch(rows, schema=table)
     progress(slices, slices, "slices")
 

@@ -92,13 +92,13 @@ def run(params: Doctor, host: Host | None = None) -> Outcome:
         reason = f"no: a {kind} gripper needs no check" if kind != "none" else "no: no gripper was given"
         rows.append(check(f"gripper {kind}", "examined", None, reason, "", "give a port: --gripper /dev/ttyUSB0"))
     grippers = 0
-    for port, named in _ports(host, params):
-        if named is None and port.vendor != FTDI:
+    for port, user_gripper in _ports(host, params):
+        if user_gripper is None and port.vendor != FTDI:
             rows.append(
                 check(f"port {port.path}", "gripper", None, NOT_ASKED, "", f"evetac doctor --gripper {port.path}")
             )
             continue
-        port_rows, count = _port(host, port.path, named)
+        port_rows, count = _port(host, port.path, user_gripper)
         rows += port_rows
         grippers += count
     wrong = sum(row["ok"] is False for row in rows)
@@ -187,16 +187,16 @@ def _camera(host: Host, camera: FoundCamera) -> Iterator[Row]:
     fix = "" if mini else "record with iniVation's DV, and import the file: evetac record --from FILE.aedat4"
     yield check(name, "model", mini, f"board {camera.board}", f"board {protocol.MINI_BOARD}, a DVXplorer Mini", fix)
     if mini:
-        known = OLDEST_FIRMWARE <= camera.firmware <= protocol.NEWEST_FIRMWARE
+        is_supported = OLDEST_FIRMWARE <= camera.firmware <= protocol.NEWEST_FIRMWARE
         old = camera.firmware < OLDEST_FIRMWARE
         yield check(
             name,
             "firmware",
-            known,
+            is_supported,
             str(camera.firmware),
             f"{OLDEST_FIRMWARE} to {protocol.NEWEST_FIRMWARE}",
             ""
-            if known
+            if is_supported
             else "update it with iniVation's DV"
             if old
             else "install a newer evetac; this version may work too",
@@ -250,16 +250,16 @@ def _opened(host: Host, camera: FoundCamera, number: int, message: str) -> tuple
 
 def _ports(host: Host, params: Doctor) -> Iterator[tuple[SerialPort, Serial | None]]:
     """Yield the existing serial ports and the one that the user gave, with the gripper given there."""
-    given = params.gripper or ""
-    named = parse_port(given) if given and given.partition(":")[0] not in NO_PORTS else None
+    option = params.gripper or ""
+    user_gripper = parse_port(option) if option and option.partition(":")[0] not in NO_PORTS else None
     for port in host.serial_ports():
-        if named is None or port.path.resolve() != Path(named.port).resolve():
+        if user_gripper is None or port.path.resolve() != Path(user_gripper.port).resolve():
             yield port, None
-    if named is not None:
-        yield SerialPort(Path(named.port), "", ""), named
+    if user_gripper is not None:
+        yield SerialPort(Path(user_gripper.port), "", ""), user_gripper
 
 
-def _port(host: Host, path: Path, named: Serial | None) -> tuple[list[Row], int]:
+def _port(host: Host, path: Path, user_gripper: Serial | None) -> tuple[list[Row], int]:
     """Return rows of one port and of the grippers on it, and the number of grippers."""
     name = f"port {path}"
     if not path.exists():
@@ -284,7 +284,7 @@ def _port(host: Host, path: Path, named: Serial | None) -> tuple[list[Row], int]
         fix = f"end that program, or: kill {' '.join(user.split('(')[-1].rstrip(')') for user in users)}"
         return [*rows, check(name, "busy", False, f"used by {', '.join(users)}", "free", fix)], 0
     try:
-        grippers = host.scan(path, ID if named is None else named.id)
+        grippers = host.scan(path, ID if user_gripper is None else user_gripper.id)
     except DeviceError as error:
         return [*rows, check(name, "opens", False, " ".join(str(error).split()), "", f"sudo fuser {path}")], 0
     if not grippers:
@@ -293,13 +293,17 @@ def _port(host: Host, path: Path, named: Serial | None) -> tuple[list[Row], int]
         # an adapter that the user did not give may be connected to another device
         return [
             *rows,
-            check(name, "gripper", None if named is None else False, "none answers", f"an answer at {rates}", fix),
+            check(
+                name, "gripper", None if user_gripper is None else False, "none answers", f"an answer at {rates}", fix
+            ),
         ], 0
-    if named is not None and named.id != ID and named.id not in [each.id for each in grippers]:
+    if user_gripper is not None and user_gripper.id != ID and user_gripper.id not in [each.id for each in grippers]:
         answers = " and ".join(f"gripper {each.id}" for each in grippers)
         fix = " or ".join(_flag(path, each) for each in grippers)
         answering = f"{answers} answer{'s' if len(grippers) == 1 else ''}"
-        rows.append(check(name, "id", False, answering, f"gripper {named.id}, as given", f"give the right id: {fix}"))
+        rows.append(
+            check(name, "id", False, answering, f"gripper {user_gripper.id}, as given", f"give the right id: {fix}")
+        )
     for gripper in grippers:
         try:
             rows += _gripper(host, path, gripper)

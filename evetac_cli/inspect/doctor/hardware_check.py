@@ -72,12 +72,12 @@ class Steps:
         """Print the expectation, run the step, and print the finding; raise NotAsExpected if it is unexpected."""
         console.say(f"{len(self.rows) + 1:2d}. {device}, {check}: expected {expected}")
         try:
-            ok, said = act()
+            ok, found = act()
         except EvetacError as error:
-            ok, said = False, " ".join(str(error).split())
-        row = {"device": device, "check": check, "ok": ok, "found": said, "expected": expected}
+            ok, found = False, " ".join(str(error).split())
+        row = {"device": device, "check": check, "ok": ok, "found": found, "expected": expected}
         self.rows.append({**row, "fix": fix or None if not ok else None})
-        console.say(f"    {'ok' if ok else 'NOT AS EXPECTED'}: {said}")
+        console.say(f"    {'ok' if ok else 'NOT AS EXPECTED'}: {found}")
         if not ok:
             raise NotAsExpected
 
@@ -286,33 +286,33 @@ class GripperCheck:
             self._is_ours = True
             return True, f"model number {model}"
 
-        def known(*names: str) -> list[int]:
+        def read_registers(*names: str) -> list[int]:
             for each in names:
                 self._registers[each] = bus.read(each)
             return [self._registers[each] for each in names]
 
         def everything() -> tuple[bool, str]:
-            known(*(each.name for each in TABLE if not each.name.startswith("Indirect")))
+            read_registers(*(each.name for each in TABLE if not each.name.startswith("Indirect")))
             return True, f"{len(self._registers)} registers, in the report"
 
         def within(value: float, low: float, high: float, unit: str) -> tuple[bool, str]:
             return low <= value <= high, f"{value:g} {unit}, limits {low:g} to {high:g}"
 
         def supply() -> tuple[bool, str]:
-            now, low, high = known("Present Input Voltage", "Min Voltage Limit", "Max Voltage Limit")
+            now, low, high = read_registers("Present Input Voltage", "Min Voltage Limit", "Max Voltage Limit")
             return within(now / 10, low / 10, high / 10, "V")
 
         def temperature() -> tuple[bool, str]:
-            now, high = known("Present Temperature", "Temperature Limit")
+            now, high = read_registers("Present Temperature", "Temperature Limit")
             return now < high, f"{now} C, limit {high} C"
 
         def errors() -> tuple[bool, str]:
-            errors_now = hardware_errors(*known("Hardware Error Status"))
+            errors_now = hardware_errors(*read_registers("Hardware Error Status"))
             bus.tolerant = False
             return not errors_now, ", ".join(errors_now) or "none"
 
         def torque() -> tuple[bool, str]:
-            was = known("Torque Enable")[0]
+            was = read_registers("Torque Enable")[0]
             self._torque.clear()
             return True, "0" if was == 0 else "was 1, left by another program; now 0 (read back)"
 
@@ -345,8 +345,8 @@ class GripperCheck:
             self._torque_on()
             armed, torque = bus.read("Bus Watchdog"), bus.read("Torque Enable")
             time.sleep(silence_ms * 1e-3)
-            ok, said = self._tripped(f"before: Bus Watchdog {armed}, Torque Enable {torque}")
-            return ok and armed > 0 and torque == 1, said
+            ok, text = self._tripped(f"before: Bus Watchdog {armed}, Torque Enable {torque}")
+            return ok and armed > 0 and torque == 1, text
 
         room = f"{ROOM_TICKS.start} to {ROOM_TICKS.stop - 1} ticks, so that the fingers can close and open"
         self._do("position", room, position, "move the fingers half open by hand: torque is off")
@@ -377,8 +377,8 @@ class GripperCheck:
             self._hold(CURRENT_MA)
             time.sleep(SILENCE * self._settings.watchdog_ms * 1e-3)
             left_ma = self._bus.read("Present Current")
-            ok, said = self._tripped(f"{left_ma:+d} mA left")
-            return ok and abs(left_ma) <= REST_MA, said
+            ok, text = self._tripped(f"{left_ma:+d} mA left")
+            return ok and abs(left_ma) <= REST_MA, text
 
         fix = "are the fingers at a limit, or is an object between them? otherwise please send the report"
         for check, sign in (("closes", 1), ("opens", -1)):
@@ -438,5 +438,5 @@ class GripperCheck:
         except InstructionRefused as error:
             refused = error.fault == RANGE_FAULT
         goals = "refused" if refused else "accepted"
-        said = f"Bus Watchdog {watchdog}, goals {goals}, Torque Enable {torque}; {also}"
-        return watchdog == WATCHDOG_TRIPPED and refused and torque == 1, said
+        text = f"Bus Watchdog {watchdog}, goals {goals}, Torque Enable {torque}; {also}"
+        return watchdog == WATCHDOG_TRIPPED and refused and torque == 1, text

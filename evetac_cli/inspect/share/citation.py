@@ -47,12 +47,12 @@ def citation(params: Share, title: str, what: str, year: str | None) -> list[str
 def made_with(title: str, what: str, versions: Collection[str], formats: Mapping[str, Collection[str]]) -> list[str]:
     """Return the section Version of a card: evetac versions of card and files, format numbers, how to upload."""
     at = commit()
-    said = f"Card written by evetac {__version__}" + (f" (commit {at})" if at else "")
-    made = f", files by evetac {', '.join(sorted(versions))}" if versions else ""
+    card_version = f"Card written by evetac {__version__}" + (f" (commit {at})" if at else "")
+    file_versions = f", files by evetac {', '.join(sorted(versions))}" if versions else ""
     kinds = ", ".join(f"{kind} {' and '.join(sorted(of))}" for kind, of in sorted(formats.items()))
     listed = f" Format numbers of the files (`schemas/` in evetac): {kinds}." if kinds else ""
     how = f"To upload this folder, run `{upload(Path('.'), title, what)}` in it; replace NAME by your account."
-    return ["## Version", f"{said}{made}.{listed}", how]
+    return ["## Version", f"{card_version}{file_versions}.{listed}", how]
 
 
 def upload(target: Path, title: str, what: str) -> str:

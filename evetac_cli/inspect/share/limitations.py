@@ -43,11 +43,11 @@ class DataSetFacts:
 
     def add(self, file: StageFile) -> None:
         """Add the facts of a file."""
-        header, made = file.header, file.header.get("made", {})
+        header, creation = file.header, file.header.get("made", {})
         self.formats.setdefault(file.kind, set()).add(str(header["version"]))
-        if isinstance(made.get("evetac"), str):
-            self.versions.add(made["evetac"][:20])
-        year = str(made.get("at", ""))[:4]
+        if isinstance(creation.get("evetac"), str):
+            self.versions.add(creation["evetac"][:20])
+        year = str(creation.get("at", ""))[:4]
         if year.isdigit():
             self.year = max(self.year or year, year)
         if file.kind in ESTIMATED:

@@ -47,7 +47,7 @@ def describe(path: Path, reports: Sequence[Path], params: Share) -> Card:
             else None
         )
         why = why_useless(file) if file.kind == "model" else ""
-    note, made = f"{path} is not a slip detector: {why}" if why else "", header.get("made", {})
+    note, creation = f"{path} is not a slip detector: {why}" if why else "", header.get("made", {})
     simulated = bool(header["simulated"])
     figures = {name: value for name, value in row.items() if name not in NOT_SHOWN and value is not None}
     if score is not None:
@@ -67,7 +67,7 @@ def describe(path: Path, reports: Sequence[Path], params: Share) -> Card:
         "figures": figures,
         "data": data,
         "evaluations": judged,
-        "made": made,
+        "made": creation,
     }
     fields = card_fields(simulated, params.license) | {"library_name": "evetac", "pipeline_tag": "robotics"}
     if judged:
@@ -90,9 +90,12 @@ def describe(path: Path, reports: Sequence[Path], params: Share) -> Card:
         LIMITS if any(row.get("simulated") == "no" for row in data) else LIMITS_SIMULATED,
         "## Files",
         FILES.format(name=inline(path.name)) + (OTHER_FILES if row["kind"] == "model" else ""),
-        *citation(params, title, what, year if (year := str(made.get("at", ""))[:4]).isdigit() else None),
+        *citation(params, title, what, year if (year := str(creation.get("at", ""))[:4]).isdigit() else None),
         *made_with(
-            title, what, [str(made["evetac"])[:20]] if "evetac" in made else [], {row["kind"]: [str(header["version"])]}
+            title,
+            what,
+            [str(creation["evetac"])[:20]] if "evetac" in creation else [],
+            {row["kind"]: [str(header["version"])]},
         ),
     ]
     written[path.name] = path.read_bytes()  # not a link: a copy of a model is small, and may be changed
@@ -126,11 +129,11 @@ def _data(header: Header) -> Iterator[dict[str, Any]]:
     groups: dict[tuple[Any, ...], list[Header]] = {}
     for number, file in enumerate(files):
         recording: Header = recording_of(file, history) or file
-        made = recording["parameters"]
-        name = scene_words(made, "name") or (made.get("source") and "imported")
+        parameters = recording["parameters"]
+        name = scene_words(parameters, "name") or (parameters.get("source") and "imported")
         labels = next((history[id_] for id_ in file["parents"] if history.get(id_, {}).get("kind") == "labels"), None)
         labelled = str(labels["parameters"].get("method", "farneback")) if labels is not None else "none"
-        key = (ROLES[number >= learned], str(name or "unknown"), str(made.get("sensor") or "unknown"), labelled)
+        key = (ROLES[number >= learned], str(name or "unknown"), str(parameters.get("sensor") or "unknown"), labelled)
         groups.setdefault(key, []).append(recording)
     for (role, scene_name, sensor, labelled), recordings in groups.items():
         objects = {one["parameters"].get("object") for one in recordings} - {None}
@@ -183,8 +186,8 @@ def _judged(report: Path, header: Header) -> Iterator[dict[str, Any]]:
 def _shown(judged: dict[str, Any]) -> dict[str, Any]:
     figures = judged["figures"]
     names = ("trajectories", "slip_correct", "slip_early", "slip_late", "f1")
-    known = {name: figures.get(name) for name in names}
-    return {"evaluation": judged["command"], **known, "simulated": "yes" if judged["simulated"] else "no"}
+    main_figures = {name: figures.get(name) for name in names}
+    return {"evaluation": judged["command"], **main_figures, "simulated": "yes" if judged["simulated"] else "no"}
 
 
 def _result(judged: dict[str, Any]) -> dict[str, Any]:

@@ -37,8 +37,8 @@ def trials_of(folder: Path, recordings: Sequence[IndexRow]) -> list[SharedTrial]
 
 def split_of(path: str) -> str | None:
     """Return the split that a folder of this path names; None if none does."""
-    named = {name: split for split, names in SPLITS.items() for name in names}
-    return next((named[part.lower()] for part in Path(path).parts[:-1] if part.lower() in named), None)
+    split_by_name = {name: split for split, names in SPLITS.items() for name in names}
+    return next((split_by_name[part.lower()] for part in Path(path).parts[:-1] if part.lower() in split_by_name), None)
 
 
 def held_out(rows: Sequence[tuple[str, IndexRow]]) -> str:
@@ -49,13 +49,13 @@ def held_out(rows: Sequence[tuple[str, IndexRow]]) -> str:
             "The data are not split into training and test data: all trials are `train`. To evaluate a method, hold out"
             " whole objects, because trials of the same object are similar."
         )
-    told = []
+    sentences = []
     for name in ("validation", "test"):
         if name not in splits or "train" not in splits:
             continue
         parts = []
         for what in ("object", "sensor"):
-            mine, learned = (_known(rows, split, what) for split in (name, "train"))
+            mine, learned = (_known_values(rows, split, what) for split in (name, "train"))
             only = sorted(mine - learned, key=lambda value: (isinstance(value, str), value))
             if not mine:
                 parts.append(f"unknown {what}s")
@@ -63,13 +63,13 @@ def held_out(rows: Sequence[tuple[str, IndexRow]]) -> str:
                 parts.append(f"{what}s that are not in `train` ({', '.join(map(str, only))})")
             else:
                 parts.append(f"only {what}s that are also in `train`")
-        told.append(f"`{name}` has {' and '.join(parts)}.")
+        sentences.append(f"`{name}` has {' and '.join(parts)}.")
     ids = [{row.recipe_id for split, row in rows if split == one} for one in splits]
     twice = len(set().union(*(a & b for at, a in enumerate(ids) for b in ids[at + 1 :])))
     if twice:
-        told.append(f"**{twice} recording{' is' if twice == 1 else 's are'} in two splits.**")
-    return " ".join(told) or f"The splits are {', '.join(splits)}."
+        sentences.append(f"**{twice} recording{' is' if twice == 1 else 's are'} in two splits.**")
+    return " ".join(sentences) or f"The splits are {', '.join(splits)}."
 
 
-def _known(rows: Sequence[tuple[str, IndexRow]], split: str, what: str) -> set[int | str]:
+def _known_values(rows: Sequence[tuple[str, IndexRow]], split: str, what: str) -> set[int | str]:
     return {value for one, row in rows if one == split and (value := getattr(row, what)) is not None}

@@ -117,9 +117,9 @@ def walk(handle: BinaryIO, header: Header, number: int) -> Packets:
     """Walk from packet to packet until one is incomplete or invalid."""
     size = handle.seek(0, 2)
     stop = header.table if header.table >= 0 else size
-    known = {stream.number for stream in header.streams}
+    numbers = {stream.number for stream in header.streams}
     spans: list[Span] = []
-    counts = dict.fromkeys(known, 0)
+    counts = dict.fromkeys(numbers, 0)
     at = header.size
     while at < min(stop, size):
         handle.seek(at)
@@ -127,7 +127,7 @@ def walk(handle: BinaryIO, header: Header, number: int) -> Packets:
         if len(head) < 8:
             break
         stream, length = struct.unpack("<ii", head)
-        if stream not in known or length <= 0 or at + 8 + length > min(stop, size):
+        if stream not in numbers or length <= 0 or at + 8 + length > min(stop, size):
             break
         counts[stream] += 1
         if stream == number:
@@ -185,11 +185,11 @@ def decoded(handle: BinaryIO, spans: Iterable[Span], kind: str, compression: int
         handle.seek(span.start)
         payload = handle.read(span.stop - span.start)
         try:
-            held = content(kind, compression, payload)
+            packet_content = content(kind, compression, payload)
         except ValueError as error:
             yield str(error)
             continue
         if kind != "FRME":
-            unpacked += held.nbytes
+            unpacked += packet_content.nbytes
             refuse_too_much(unpacked, size, handle.name)
-        yield held
+        yield packet_content

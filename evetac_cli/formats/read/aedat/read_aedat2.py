@@ -54,16 +54,16 @@ def open_aedat2(path: Path, frame_px: tuple[int, int] | None) -> Foreign:
     """Return the events of an AEDAT 2 file; frame_px is only for files that name no chip."""
     where = str(path)
     with path.open("rb") as handle:
-        named, start = _head(handle, where)
+        header_chip, start = _head(handle, where)
     size = path.stat().st_size
     count, rest = divmod(size - start, WORD.itemsize)
-    if named is None:
+    if header_chip is None:
         chip, own_px = _guess_chip(path, start, frame_px, where)
     else:
-        chip, own_px = named
-    frame = choose_frame(own_px if named else None, frame_px or own_px, where)
+        chip, own_px = header_chip
+    frame = choose_frame(own_px if header_chip else None, frame_px or own_px, where)
     foreign = Foreign("aedat2", frame, ())
-    foreign.assumed = ("" if named else f"a {chip.name} of {frame[0]}x{frame[1]}, by its addresses; ") + (
+    foreign.assumed = ("" if header_chip else f"a {chip.name} of {frame[0]}x{frame[1]}, by its addresses; ") + (
         f"columns from the right, rows from the bottom, polarity bit {chip.polarity[1]} brighter, time in microseconds"
     )
     if rest:
@@ -75,19 +75,19 @@ def open_aedat2(path: Path, frame_px: tuple[int, int] | None) -> Foreign:
 
 def _head(handle: BinaryIO, where: str) -> tuple[tuple[Chip, tuple[int, int]] | None, int]:
     """Return the chip named in the head, and the position of the first word."""
-    named = None
+    chip = None
     start = 0
     while start <= HEAD_LIMIT_BYTES:
         line = handle.readline(LINE_LIMIT_BYTES)
         # Words may begin with the byte of `#`, but lines of text contain no control characters.
         if not line.startswith(b"#") or NOT_TEXT.search(line):
-            return named, start
+            return chip, start
         start += len(line)
         key, _, value = line.decode("latin-1").strip("# \t\r\n").partition(":")
         if key.strip() == "AEChip":
-            named = _chip(value.strip(), where)
+            chip = _chip(value.strip(), where)
         if line.startswith(LAST_LINE):
-            return named, start
+            return chip, start
     raise InputError("the header of the file does not end", where=where, found=f"more than {HEAD_LIMIT_BYTES:,} bytes")
 
 
@@ -99,8 +99,8 @@ def _chip(name: str, where: str) -> tuple[Chip, tuple[int, int]]:
         return DAVIS, DAVIS_PX[davis[1]]
     if re.match("dvs128|tmpdiff128", last, re.IGNORECASE):
         return DVS128, DVS128_PX
-    known = ", ".join(["DVS128", *(f"DAVIS{size}" for size in DAVIS_PX)])
-    raise InputError("the file is from an unsupported chip", where=where, expected=known, found=last[:60])
+    supported_chips = ", ".join(["DVS128", *(f"DAVIS{size}" for size in DAVIS_PX)])
+    raise InputError("the file is from an unsupported chip", where=where, expected=supported_chips, found=last[:60])
 
 
 def _guess_chip(path: Path, start: int, frame_px: tuple[int, int] | None, where: str) -> tuple[Chip, tuple[int, int]]:

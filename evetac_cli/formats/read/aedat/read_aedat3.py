@@ -67,8 +67,10 @@ def open_aedat3(path: Path, frame_px: tuple[int, int] | None) -> Foreign:
             end = packet.end
     source = min((source for source, kind in counts if kind == POLARITY), default=None)
     if source is None:
-        held = ", ".join(f"{count} {NAMES.get(kind, f'events of type {kind}')}" for (_, kind), count in counts.items())
-        holds, hint = (held, NOT_RECORDED) if held else ("no readable packet", "")
+        contents = ", ".join(
+            f"{count} {NAMES.get(kind, f'events of type {kind}')}" for (_, kind), count in counts.items()
+        )
+        holds, hint = (contents, NOT_RECORDED) if contents else ("no readable packet", "")
         raise InputError("the file has no event stream", where=where, found=holds, hint=hint)
     own_px = next((px for name, px in FRAMES_PX if sources.get(source, "").upper().startswith(name)), None)
     foreign = Foreign("aedat3", choose_frame(own_px, frame_px, where), ())

@@ -33,11 +33,11 @@ def open_aedat4(path: Path, frame_px: tuple[int, int] | None, stream: str | None
     where = str(path)
     with path.open("rb") as handle:
         header = read_header(handle, where)
-        label, chosen, others = _choose(handle, header, stream, where)
-        packets = walk(handle, header, chosen.number)
+        label, event_stream, others = _choose(handle, header, stream, where)
+        packets = walk(handle, header, event_stream.number)
         left_out = _left_out(handle, header, packets, others)
-    foreign = Foreign("aedat4", choose_frame(chosen.frame_px, frame_px, where), ())
-    foreign.note = read_note(chosen.note, where) if chosen.note else None
+    foreign = Foreign("aedat4", choose_frame(event_stream.frame_px, frame_px, where), ())
+    foreign.note = read_note(event_stream.note, where) if event_stream.note else None
     if others:
         foreign.notes.append(
             f"read the event stream {label}; the file also has: {', '.join(others)} (choose with --stream)"
@@ -45,7 +45,7 @@ def open_aedat4(path: Path, frame_px: tuple[int, int] | None, stream: str | None
     foreign.left_out |= left_out
     foreign.may_be_empty = packets.whole and header.table >= 0 and not packets.spans
     if not foreign.may_be_empty:
-        foreign.batches = _batches(path, header, chosen.number, packets, foreign)
+        foreign.batches = _batches(path, header, event_stream.number, packets, foreign)
     return foreign
 
 
@@ -80,12 +80,12 @@ def _choose(
     streams = [stream for stream in header.streams if stream.kind == "EVTS"]
     if not streams:
         kinds = dict.fromkeys(KINDS.get(stream.kind, stream.kind) for stream in header.streams)
-        held = _left_out(handle, header, walk(handle, header, -1), {})
+        counts = _left_out(handle, header, walk(handle, header, -1), {})
         raise InputError(
             f"the file has {' and '.join(kinds) or 'no streams at all'} but no event stream",
             where=where,
-            found=", ".join(f"{name} {count:,}" for name, count in held.items()),
-            hint=NOT_RECORDED if held else "",
+            found=", ".join(f"{name} {count:,}" for name, count in counts.items()),
+            hint=NOT_RECORDED if counts else "",
         )
     several = len({stream.camera for stream in streams}) > 1
     labels = {f"{stream.camera}/{stream.name}" if several else stream.name: stream for stream in streams}

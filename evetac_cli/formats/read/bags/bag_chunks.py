@@ -105,13 +105,13 @@ class ChunkedFile:
         Chunks overlap in time. A message waits until no later chunk can contain an earlier one, or too many wait.
         """
         waiting: list[tuple[int, int, int, bytes]] = []
-        held = count = 0
+        waiting_bytes = count = 0
         wanted = (chunk for chunk in self.table.chunks if any((chunk.counts or {}).get(one) for one in numbers))
         with self.path.open("rb") as file:
             for chunk in sorted(wanted, key=lambda chunk: chunk.start_ns):
-                while waiting and (waiting[0][0] < chunk.start_ns or held > MOST_HELD_BYTES):
+                while waiting and (waiting[0][0] < chunk.start_ns or waiting_bytes > MOST_HELD_BYTES):
                     time_ns, _, number, message = heapq.heappop(waiting)
-                    held -= len(message)
+                    waiting_bytes -= len(message)
                     yield number, time_ns, message
                 try:
                     records = list(self._records(self._content(file, chunk)))
@@ -124,7 +124,7 @@ class ChunkedFile:
                     if not isinstance(record, Connection) and record[0] in numbers:
                         message = bytes(record[2])
                         heapq.heappush(waiting, (record[1], count, record[0], message))
-                        count, held = count + 1, held + len(message)
+                        count, waiting_bytes = count + 1, waiting_bytes + len(message)
         while waiting:
             time_ns, _, number, message = heapq.heappop(waiting)
             yield number, time_ns, message
@@ -231,9 +231,9 @@ class ChunkedFile:
         table = self.table
         count = sum(sum((chunk.counts or {}).values()) for chunk in table.chunks)
         if (not closed or broken) and not count:
-            held = next(iter(broken), f"{lost_bytes:,} bytes that are not a complete chunk")
+            found = next(iter(broken), f"{lost_bytes:,} bytes that are not a complete chunk")
             message = "no message can be read: the bag is cut short or damaged"
-            raise InputError(message, where=self.where, found=held)
+            raise InputError(message, where=self.where, found=found)
         if self._damages:
             sizes = f"{sum(size for _, size in self._damages):,} bytes, the first at byte {self._damages[0][0]:,}"
             table.notes.append(f"damaged: lost {sizes}; reading continued after them with the file's index")

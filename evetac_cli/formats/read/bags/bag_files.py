@@ -59,7 +59,7 @@ def files_of(path: Path) -> Files:
     if not path.is_dir():
         open_regular(path).close()
         others = _parts_beside(path)
-        more = f"next to it: {_named(others)}, which may be parts of the same recording" if others else ""
+        more = f"next to it: {_file_names(others)}, which may be parts of the same recording" if others else ""
         return Files([path], [more] if more else [])
     for inside in sorted(path.iterdir()):
         if not inside.is_dir():
@@ -81,7 +81,7 @@ def files_of(path: Path) -> Files:
         raise InputError(
             "the folder has several files that are not parts of one bag",
             where=str(path),
-            found=_named(files),
+            found=_file_names(files),
             hint=hint,
         )
     if len(files) > 1:
@@ -89,7 +89,7 @@ def files_of(path: Path) -> Files:
         if lacking := list(islice(numbers, MOST_NAMED)):
             raise _missing(path, [f"number {number}" for number in lacking], files)
         files = [file for _, file in sorted(numbered.items())]
-    return Files(files, [f"{note}; read {_named(files)}"])
+    return Files(files, [f"{note}; read {_file_names(files)}"])
 
 
 def opened(path: Path, where: str) -> tuple[ChunkedFile | Db3File, list[str], bool]:
@@ -239,7 +239,11 @@ def _listed(folder: Path) -> tuple[Files | None, str]:
     if missing:
         raise _missing(folder, missing, inside)
     more = [one for one in inside if one.name not in names]
-    note = f"not read: {_named(more)}, which {METADATA} does not list; give the file itself to read it" if more else ""
+    note = (
+        f"not read: {_file_names(more)}, which {METADATA} does not list; give the file itself to read it"
+        if more
+        else ""
+    )
     paths = [folder / name for name in dict.fromkeys(names)]
     return Files(paths, [note] if note else [], stated if type(stated) is int else None), ""
 
@@ -249,11 +253,11 @@ def _missing(folder: Path, missing: list[str], inside: list[Path]) -> InputError
         "a part of the bag is missing",
         where=str(folder),
         expected=", ".join(missing[:MOST_NAMED]),
-        found=_named(inside) or "no bag file",
+        found=_file_names(inside) or "no bag file",
         hint=f"copy it into the folder, or import each part separately, for example {inside[0]}" if inside else "",
     )
 
 
-def _named(files: list[Path]) -> str:
+def _file_names(files: list[Path]) -> str:
     names = [file.name for file in files]
     return ", ".join(names[:MOST_NAMED]) + (f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else "")

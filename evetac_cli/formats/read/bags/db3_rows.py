@@ -95,9 +95,9 @@ class Db3File:
 
     def _unreadable(self, trouble: str) -> InputError:
         missing = _missing_bytes(self.path)
-        said = trouble + (f"; {missing:,} bytes at its end are missing" if missing > 0 else "")
+        found = trouble + (f"; {missing:,} bytes at its end are missing" if missing > 0 else "")
         hint = "if the original is longer, copy it again" if missing > 0 else ""
-        return InputError("no message of the database can be read", where=self.where, found=said, hint=hint)
+        return InputError("no message of the database can be read", where=self.where, found=found, hint=hint)
 
     def _check_tables(self, database: sqlite3.Connection) -> None:
         """Raise InputError unless topics and messages are plain tables; a view or virtual table could be anything."""

@@ -140,10 +140,10 @@ def _overlap(one: tuple[int, int], other: tuple[int, int]) -> bool:
 def _pairs(path: Path, topic: str) -> Iterator[Pair]:
     """Yield the times of some packets, evenly spread over the bag; none if the first shows that there is one clock."""
     bag = open_bag(path)
-    chosen = [one for one in bag.connections if one.topic == topic and layout(one) not in ("", IMAGE)]
-    every = max(1, sum(one.msgcount for one in chosen) // MOST_PACKETS)
+    connections = [one for one in bag.connections if one.topic == topic and layout(one) not in ("", IMAGE)]
+    every = max(1, sum(one.msgcount for one in connections) // MOST_PACKETS)
     first: Pair | None = None
-    for number, (connection, received_ns, message) in enumerate(bag.messages(chosen)):
+    for number, (connection, received_ns, message) in enumerate(bag.messages(connections)):
         if number % every and first is not None:
             continue
         pair_and_turn = _pair(connection, received_ns, message)

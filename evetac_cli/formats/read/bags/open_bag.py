@@ -43,10 +43,12 @@ class Bag:
         self.connections = [
             one._replace(number=number, msgcount=count) for number, (one, count) in enumerate(counts.items())
         ]
-        held = counts.total()
-        if files.stated is not None and files.stated != held:
-            self.notes.append(f"{bag_files.METADATA} states {files.stated:,} messages, but the bag has {held:,}")
-            self.cut_short |= files.stated > held
+        message_count = counts.total()
+        if files.stated is not None and files.stated != message_count:
+            self.notes.append(
+                f"{bag_files.METADATA} states {files.stated:,} messages, but the bag has {message_count:,}"
+            )
+            self.cut_short |= files.stated > message_count
 
     def _where(self, file: Path) -> str:
         return str(file) if file == self.path else f"{self.path}: {file.name}"

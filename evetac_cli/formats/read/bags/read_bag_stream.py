@@ -89,14 +89,14 @@ def _of_topic(connections: list[Connection], topic: str, where: str) -> list[Con
     there is not exactly one.
     """
     others = sorted({one.topic for one in connections if not layout(one)})
-    chosen = topic or (others[0] if len(others) == 1 else "")
-    of_topic = [one for one in connections if one.topic == chosen]
+    topic_name = topic or (others[0] if len(others) == 1 else "")
+    of_topic = [one for one in connections if one.topic == topic_name]
     if not of_topic:
-        named = ", ".join(others[:MOST_NAMED]) + (" ..." if len(others) > MOST_NAMED else "")
+        topics = ", ".join(others[:MOST_NAMED]) + (" ..." if len(others) > MOST_NAMED else "")
         message = "the bag has no such topic" if topic else "the bag has several topics, and none was chosen"
         message = message if others or topic else "the bag has no topic other than events"
         hint = f"give it after the file, for example FILE:{others[0]}" if others else ""
-        raise InputError(message, where=where, expected=named or "a topic", found=topic, hint=hint)
+        raise InputError(message, where=where, expected=topics or "a topic", found=topic, hint=hint)
     if len({one.msgtype for one in of_topic}) > 1:
         raise InputError(
             "the topic has messages of several types", where=where, found=", ".join(one.msgtype for one in of_topic)

@@ -65,10 +65,10 @@ def layout(connection: Connection) -> str:
     """Return the checksum of the layout of a connection's messages if it is one of events; empty otherwise."""
     if connection.encoding not in ("cdr", "ros1"):
         return ""
-    known = connection.digest or checksum(connection.msgtype, connection.definition)
-    if known in ("", "*"):
+    digest = connection.digest or checksum(connection.msgtype, connection.definition)
+    if digest in ("", "*"):
         return TYPES.get(connection.msgtype, "")
-    return known if known in LAYOUTS else ""
+    return digest if digest in LAYOUTS else ""
 
 
 def open_rosbag(path: Path, frame_px: tuple[int, int] | None, stream: str | None = None) -> Foreign:
@@ -119,8 +119,8 @@ def topics_of_events(bag: Bag, where: str) -> dict[str, str]:
     """
     topics: dict[str, str] = {}
     for connection in bag.connections:
-        if known := layout(connection):
-            topics[connection.topic] = known
+        if digest := layout(connection):
+            topics[connection.topic] = digest
         elif connection.msgtype in TYPES:
             raise InputError(
                 f"this definition of {connection.msgtype} is not supported",
@@ -285,6 +285,6 @@ def _layout_in_words(where: str) -> Iterator[None]:
 def _messages(bag: Bag, topic: str, *, of_type: str = "") -> Iterator[tuple[Connection, bytes]]:
     """Yield the messages of a topic that have events, or a given type, in order of reception."""
     of_topic = (one for one in bag.connections if one.topic == topic)
-    chosen = [one for one in of_topic if (one.msgtype == of_type if of_type else layout(one))]
-    for connection, _, message in bag.messages(chosen):
+    connections = [one for one in of_topic if (one.msgtype == of_type if of_type else layout(one))]
+    for connection, _, message in bag.messages(connections):
         yield connection, message

@@ -64,19 +64,19 @@ class FrameContents(NamedTuple):
     stream_videos: Mapping[str, str]
     choices: Choices
 
-    def rows(self, made: Episode, number: int, first: int, task: int) -> dict[str, NDArray[Any]]:
+    def rows(self, episode: Episode, number: int, first: int, task: int) -> dict[str, NDArray[Any]]:
         """Return the columns of an episode: arrays (frames, ...), and numbers (frames,)."""
-        frames = len(made.state)
+        frames = len(episode.state)
         at = np.arange(frames, dtype=np.int64)
         if self.points is None:
-            tactile = {self.choices.tactile_key: made.tactile}
+            tactile = {self.choices.tactile_key: episode.tactile}
         else:
-            tactile = self.points.rows(self.vectors.tactile, made.tactile, made.dot_forces)
+            tactile = self.points.rows(self.vectors.tactile, episode.tactile, episode.dot_forces)
         return {
-            STATE: made.state,
+            STATE: episode.state,
             **tactile,
-            **made.others,
-            ACTION: made.action,
+            **episode.others,
+            ACTION: episode.action,
             "timestamp": (at / self.choices.fps).astype(np.float32),
             "frame_index": at,
             "episode_index": np.full(frames, number),
@@ -127,22 +127,22 @@ def _features(
 ) -> dict[str, Feature]:
     width, height = (side + side % 2 for side in frame_px)
     words = "all events of the frame: white is brighter (ON), black is darker (OFF), grey is no event"
-    made = {STATE: vector(vectors.state, f"{', '.join(vectors.state)}: the last measured values")}
+    features = {STATE: vector(vectors.state, f"{', '.join(vectors.state)}: the last measured values")}
     if points is None:
         names = names_of(vectors.tactile, choices.per_frame, SLICES_PER_S // choices.fps)
-        made[choices.tactile_key] = vector(names, f"{len(vectors.tactile)} tactile values, {choices.rule}")
+        features[choices.tactile_key] = vector(names, f"{len(vectors.tactile)} tactile values, {choices.rule}")
     else:
-        made |= points.features(choices.rule)
-    made[VIDEO] = video(height, width, choices.fps, words)
-    made |= {} if stacks is None else stacks.features()
+        features |= points.features(choices.rule)
+    features[VIDEO] = video(height, width, choices.fps, words)
+    features |= {} if stacks is None else stacks.features()
     for key, name in stream_names.items():
         rows, columns = streams.images[name]
         words = f"the last image of the stream `{name}` before the end of the frame, black before its first image"
-        made[key] = video(rows + rows % 2, columns + columns % 2, choices.fps, words)
+        features[key] = video(rows + rows % 2, columns + columns % 2, choices.fps, words)
     for key, columns_of in vectors.others.items():
         words = f"the last sample of the stream `{key.removeprefix(NUMBERS.format(''))}` before the end of the frame"
         if key == TRUTH:
             words = "ground truth of the simulation, which no sensor measures: do not use it as an observation"
-        made[key] = vector(columns_of, words)
-    made[ACTION] = vector(vectors.action, f"{', '.join(vectors.action)}: the goal one frame later")
-    return {**made, **indices()}
+        features[key] = vector(columns_of, words)
+    features[ACTION] = vector(vectors.action, f"{', '.join(vectors.action)}: the goal one frame later")
+    return {**features, **indices()}

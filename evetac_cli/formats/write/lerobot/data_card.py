@@ -67,25 +67,25 @@ def _frame(features: Mapping[str, Feature]) -> list[dict[str, str]]:
 
 def _limitations(contents: FrameContents, simulated: bool) -> list[str]:
     """Return the limitations that a user of the data set needs to know, as list items."""
-    said = ["Videos are H.264, which is lossy: their values are close, not exact. The table is exact."]
+    lines = ["Videos are H.264, which is lossy: their values are close, not exact. The table is exact."]
     if simulated:
-        said.append("The simulated data has not been compared with a real sensor.")
-    said.append(
+        lines.append("The simulated data has not been compared with a real sensor.")
+    lines.append(
         "Splits are only labels: lerobot trains on all episodes unless `--dataset.episodes` selects some of them."
     )
     if contents.points is not None:
-        said.append("dz of the points is not measured: it is 0. Forces and the wrench are estimated from dot motion.")
+        lines.append("dz of the points is not measured: it is 0. Forces and the wrench are estimated from dot motion.")
     else:
-        said.append("Contact forces are estimated from dot motion, not measured.")
+        lines.append("Contact forces are estimated from dot motion, not measured.")
     if contents.stacks is not None:
-        said.append(
+        lines.append(
             f"More than {contents.stacks.full_scale} events of one sign per pixel and frame are clipped to this number."
         )
     if TRUTH in contents.features:
-        said.append(
+        lines.append(
             f"`{TRUTH}` is ground truth that no sensor measures: a policy with it as input works only in simulation."
         )
-    return [f"- {one}" for one in said]
+    return [f"- {one}" for one in lines]
 
 
 def _origin(simulated: int, episodes: int) -> str:

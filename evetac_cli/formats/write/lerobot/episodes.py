@@ -149,14 +149,14 @@ def choose_vectors(outlines: Sequence[EpisodeOutline], *, as_points: bool, truth
     columns = other_streams.shared([one.streams for one in outlines], LARGEST_PX)[0].columns
     others = {NUMBERS.format(name): of for name, of in columns.items()}
     if truth:
-        known = tuple(name for name in outlines[0].truth() if name in common)
+        truth_names = tuple(name for name in outlines[0].truth() if name in common)
         some |= set().union(*(one.truth() for one in outlines)) - common
-        if not known:
+        if not truth_names:
             where = next(str(one.path) for one in outlines if not set(one.truth()) & common)
             raise InputError(
                 "the trial has no ground truth; only simulated trials have", where=where, hint="leave out --truth"
             )
-        others[TRUTH] = known
+        others[TRUTH] = truth_names
     left_out = [f"not in all trials: {', '.join(sorted(some))}"] if some else []
     return Vectors(STATE, tactile, actions.pop(), others), left_out
 
@@ -214,10 +214,10 @@ def episode(files: TrialFiles, vectors: Vectors, points: PointSet | None, fps: i
     columns = columns_of(files)
 
     def of(names: Sequence[str]) -> Singles:
-        return known(read_columns(columns, names, slices))
+        return last_known(read_columns(columns, names, slices))
 
     stacked, ends = SLICES_PER_S // fps, edges[1:] - 1
-    forces = known(point_sets.dot_forces(files, slices)) if has_forces else None
+    forces = last_known(point_sets.dot_forces(files, slices)) if has_forces else None
     return Episode(
         of(vectors.state)[ends[:-1]],
         frames_of(of(vectors.tactile), edges[:-1], per_frame, stacked),
@@ -228,7 +228,7 @@ def episode(files: TrialFiles, vectors: Vectors, points: PointSet | None, fps: i
     )
 
 
-def known(values: Masked) -> Singles:
+def last_known(values: Masked) -> Singles:
     """Replace unknown values by the last known value of the column, and by 0 before the first; (slices, n)."""
     missing = np.ma.getmaskarray(values)
     rows = np.where(missing, 0, np.arange(len(values))[:, None])
@@ -266,5 +266,5 @@ def pictures(recording: Recording, edges: NDArray[np.int64]) -> Iterator[NDArray
     for begin, end in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
         first, last = int(recording.starts[begin]), int(recording.starts[end])
         events = recording.events(max(first, last - MOST_EVENTS), last)
-        drawn = event_image(events.x, events.y, events.p, (width, height))
-        yield GREYS[np.pad(drawn, ((0, height % 2), (0, width % 2))) + 1]
+        picture = event_image(events.x, events.y, events.p, (width, height))
+        yield GREYS[np.pad(picture, ((0, height % 2), (0, width % 2))) + 1]

@@ -63,13 +63,13 @@ class EventStacks(NamedTuple):
         width, height = self.size_px
         info = {"events.rate_hz": self.rate_hz, "events.no_event": NO_EVENT, "events.full_scale": self.full_scale}
         axes = ("height", "width", "channels")
-        named = self.keys()
+        keys = self.keys()
         words = (
             f"event frames of {1e3 / self.rate_hz:g} ms, ON minus OFF: of the last {self.depth} frames, the oldest is"
-            f" `{named[0]}`, the youngest `{named[-1]}`. (level - {NO_EVENT}) / {2 * FULL} is 0 without events, and"
+            f" `{keys[0]}`, the youngest `{keys[-1]}`. (level - {NO_EVENT}) / {2 * FULL} is 0 without events, and"
             f" 0.5 or -0.5 for {self.full_scale} or more"
         )
-        return {key: Feature("image", (height, width, 3), axes, words, info) for key in named}
+        return {key: Feature("image", (height, width, 3), axes, words, info) for key in keys}
 
     def grey(self, counts: NDArray[np.int16]) -> NDArray[np.uint8]:
         """Convert counts, ON minus OFF, to grey levels."""

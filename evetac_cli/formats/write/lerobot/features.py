@@ -19,8 +19,8 @@ class Feature(NamedTuple):
     def described(self) -> dict[str, Any]:
         """Return the feature as meta/info.json describes it."""
         names = None if self.names is None else list(self.names)
-        made = {"dtype": self.dtype, "shape": list(self.shape), "names": names}
-        return made if self.info is None else {**made, "info": dict(self.info)}
+        description = {"dtype": self.dtype, "shape": list(self.shape), "names": names}
+        return description if self.info is None else {**description, "info": dict(self.info)}
 
     @property
     def size(self) -> str:

@@ -32,14 +32,14 @@ class StreamShapes(NamedTuple):
 def shapes(recording: Recording, columns: Sequence[str]) -> StreamShapes:
     """Return the streams of a trial; columns: the names of all columns of its slices."""
     stored = recording.contents()
-    named = streams.names(stored)
-    of: dict[str, list[str]] = {name: [] for name in named}
-    longest_first = sorted(named, key=len, reverse=True)
+    names = streams.names(stored)
+    of: dict[str, list[str]] = {name: [] for name in names}
+    longest_first = sorted(names, key=len, reverse=True)
     for column in columns:
         name = next((name for name in longest_first if column.startswith(f"{streams.GROUP}_{name}_")), None)
         if name is not None and column != f"{streams.GROUP}_{name}_t_us":
             of[name].append(column)
-    images = {name: path for name in named if (path := f"{streams.GROUP}/{name}/frames") in stored}
+    images = {name: path for name in names if (path := f"{streams.GROUP}/{name}/frames") in stored}
     return StreamShapes(
         {name: tuple(found) for name, found in of.items() if found},
         {name: (stored[path][1][1], stored[path][1][2]) for name, path in images.items()},

@@ -61,12 +61,12 @@ class PointSet(NamedTuple):
             f" measured and is 0; {force}"
         )
         info = {"tactile.layout": self.layout, "tactile.dz": "not measured, 0"}
-        made = {POINTS: Feature("float32", (self.dots, len(self.names)), self.names, what, info)}
+        features = {POINTS: Feature("float32", (self.dots, len(self.names)), self.names, what, info)}
         if self.has_wrench:
             about = "force and torque of the contact about its centre of pressure (estimated); tx and ty are 0"
             wrench = vector((*FORCE, *TORQUE), f"layout `wrench`: {about}, {rule}")
-            made[WRENCH] = wrench._replace(info={"tactile.layout": "wrench"})
-        return made
+            features[WRENCH] = wrench._replace(info={"tactile.layout": "wrench"})
+        return features
 
     def rows(self, columns: Sequence[str], frames: Singles, forces: Singles | None) -> dict[str, Singles]:
         """Return the points (frames, dots, 3 or 6) and the wrench (frames, 6).
@@ -78,11 +78,11 @@ class PointSet(NamedTuple):
         points[:, :, :2] = frames[:, at].reshape(len(frames), self.dots, 2)
         if forces is not None:
             points[:, :, 3:] = forces.reshape(len(frames), self.dots, 3)
-        made = {POINTS: points}
+        output = {POINTS: points}
         if self.has_wrench:
-            made[WRENCH] = np.zeros((len(frames), 6), np.float32)
-            made[WRENCH][:, [0, 1, 2, 5]] = frames[:, [columns.index(name) for name in OF_WRENCH]]
-        return made
+            output[WRENCH] = np.zeros((len(frames), 6), np.float32)
+            output[WRENCH][:, [0, 1, 2, 5]] = frames[:, [columns.index(name) for name in OF_WRENCH]]
+        return output
 
 
 def tells_forces(files: TrialFiles) -> bool:
@@ -102,9 +102,9 @@ def dot_forces(files: TrialFiles, slices: int) -> Masked:
     traction = np.concatenate([shear, pressure[:, None]], axis=1).reshape(len(shear), 3, -1)
     forces = (traction @ to_dots).transpose(0, 2, 1).reshape(len(shear), -1)  # (maps, 3 * dots)
     at = np.searchsorted(touch.read("map/slice"), np.arange(slices), side="right") - 1
-    made = np.full((slices, forces.shape[1]), np.nan, np.float32)
-    made[at >= 0] = forces[at[at >= 0]]
-    return np.ma.masked_invalid(made)
+    slice_forces = np.full((slices, forces.shape[1]), np.nan, np.float32)
+    slice_forces[at >= 0] = forces[at[at >= 0]]
+    return np.ma.masked_invalid(slice_forces)
 
 
 def _rest_px(files: TrialFiles) -> Floats | None:

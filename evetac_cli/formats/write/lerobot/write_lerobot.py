@@ -66,7 +66,7 @@ def write(
     for source in sources:
         with opened(source) as files:
             outlines.append(outline(files, task))
-    contents, said = choose(outlines, Choices(fps, per_frame, tactile_key, tactile_layout, event_frames, size, truth))
+    contents, notes = choose(outlines, Choices(fps, per_frame, tactile_key, tactile_layout, event_frames, size, truth))
     outlines.sort(key=lambda one: one.facts["object"] in test_objects)  # a stable sort; test episodes come last
     train = sum(one.facts["object"] not in test_objects for one in outlines)
     if test_objects and train == len(outlines):
@@ -87,28 +87,32 @@ def write(
         for number, one in enumerate(outlines):
             progress(done, slices, "slices")
             with opened(one.path) as files:
-                made = episode(files, contents.vectors, contents.points, fps, per_frame)
+                episode_frames = episode(files, contents.vectors, contents.points, fps, per_frame)
                 headers[str(number)] = provenance(files, one.facts)
                 places = {key: each.begin() for key, each in videos.items()}
-                statistics = {key: _film(files, contents, key, made.edges, each) for key, each in videos.items()}
+                statistics = {
+                    key: _film(files, contents, key, episode_frames.edges, each) for key, each in videos.items()
+                }
                 stacks = contents.stacks
-                stills = None if stacks is None else stacks.stills(files.recording, made.edges)
-                said += [f"{one.facts['trial']}: {note}" for note in files.notes]
-            rows = contents.rows(made, number, data.rows, tasks.index(one.task))
+                stills = None if stacks is None else stacks.stills(files.recording, episode_frames.edges)
+                notes += [f"{one.facts['trial']}: {note}" for note in files.notes]
+            rows = contents.rows(episode_frames, number, data.rows, tasks.index(one.task))
             statistics |= {name: of_columns(values) for name, values in rows.items()}
             columns = {name: _column(arrow, values) for name, values in rows.items()}
             if stacks is not None and stills is not None:
                 of_places = zip(stacks.keys(), event_stacks.pixels_of(stills), strict=True)
-                statistics |= {key: of_pictures(LEVELS / 255, pixels, len(made.state)) for key, pixels in of_places}
+                statistics |= {
+                    key: of_pictures(LEVELS / 255, pixels, len(episode_frames.state)) for key, pixels in of_places
+                }
                 columns |= {key: event_stacks.column(arrow, stills, at) for at, key in enumerate(stacks.keys())}
             total = together(total, statistics)
             table = arrow.table({key: columns[key] for key in contents.features if key in columns})
             lies = {
                 "episode_index": number,
                 "tasks": [one.task],
-                "length": len(made.state),
+                "length": len(episode_frames.state),
                 "dataset_from_index": data.rows,
-                "dataset_to_index": data.rows + len(made.state),
+                "dataset_to_index": data.rows + len(episode_frames.state),
                 **place_columns("data", data.append(table)),
                 **place_columns("meta/episodes", EpisodePlace(0, 0)),
             }
@@ -138,9 +142,9 @@ def write(
     write_json(folder / "meta" / "info.json", info)
     write_json(folder / "meta" / "stats.json", as_lists(total))
     write_json(folder / "meta" / "evetac.json", {"per_frame": per_frame, "fps": fps, "episodes": headers})
-    (folder / "README.md").write_text(data_card(outlines, contents, info, said), encoding="utf-8")
+    (folder / "README.md").write_text(data_card(outlines, contents, info, notes), encoding="utf-8")
     simulated = any(one.facts["simulated"] for one in outlines)
-    return WrittenFolder(simulated, said, {"episodes": len(outlines), "frames": data.rows, "fps": fps, **splits})
+    return WrittenFolder(simulated, notes, {"episodes": len(outlines), "frames": data.rows, "fps": fps, **splits})
 
 
 def _load_av(where: str) -> Any:
@@ -157,8 +161,10 @@ def _video_errors(av: Any, folder: Path) -> Iterator[None]:
     try:
         yield
     except av.FFmpegError as error:
-        where, said = str(folder.parent), str(error)[:200]
-        raise InputError("the video could not be written", where=where, found=said, hint="is the disk full?") from error
+        where, message = str(folder.parent), str(error)[:200]
+        raise InputError(
+            "the video could not be written", where=where, found=message, hint="is the disk full?"
+        ) from error
 
 
 def _videos(av: Any, folder: Path, key: str, feature: Feature, fps: int) -> Videos:
