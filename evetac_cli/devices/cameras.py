@@ -40,7 +40,7 @@ class CameraSettings:
     readout_rate: str | None = None
     flush_us: int | None = None
 
-    def given(self) -> dict[str, Any]:
+    def explicit_values(self) -> dict[str, Any]:
         """Return the settings that differ from None, by name."""
         return {name: value for name, value in asdict(self).items() if value is not None}
 
@@ -226,7 +226,7 @@ class Dv(Dvxplorer):
         from evetac_cli.devices.dv import DvCamera
         from evetac_cli.devices.dvxplorer.protocol import DvxplorerSettings
 
-        driver_settings = DvxplorerSettings(**settings.given())
+        driver_settings = DvxplorerSettings(**settings.explicit_values())
         camera = DvCamera(self.serial, driver_settings)
         sensor = str(camera.sensor["sensor/name"])
         return OpenedCamera(camera, {"name": self.name, "sensor": sensor, "settings": asdict(driver_settings)})
@@ -345,7 +345,7 @@ def _open_dvxplorer(name: str, serial: str | None, settings: CameraSettings, bac
     from evetac_cli.devices.dvxplorer.camera import DvxplorerCamera
     from evetac_cli.devices.dvxplorer.protocol import DvxplorerSettings
 
-    driver_settings = DvxplorerSettings(**settings.given())
+    driver_settings = DvxplorerSettings(**settings.explicit_values())
     camera = DvxplorerCamera(serial, driver_settings, backend=backend)
     about = {"serial": camera.serial, "firmware": camera.firmware, "settings": asdict(driver_settings)}
     return OpenedCamera(camera, {"name": name, **about})

@@ -75,7 +75,7 @@ class NamedGripper:
     def __str__(self) -> str:
         return self.name
 
-    def settings(self, **asked: Any) -> "RhP12RnSettings":
+    def settings(self, **requested: Any) -> "RhP12RnSettings":
         """Return settings with the requested values, adapted to this gripper: a virtual one gets more time.
 
         A driver of another gripper ignores settings that it does not use. ValueError for values that no gripper can
@@ -84,7 +84,7 @@ class NamedGripper:
         from evetac_cli.devices.rh_p12_rn.driver import RhP12RnSettings
 
         watchdog = {} if self.watchdog_ms is None else {"watchdog_ms": self.watchdog_ms}
-        return RhP12RnSettings(id=self.id, **watchdog | asked)
+        return RhP12RnSettings(id=self.id, **watchdog | requested)
 
     def open_peer(self, plant: "SharedPlant | None") -> "VirtualGripper | None":
         """Start the virtual servo behind the port; None if the servo is real or there is none."""
@@ -159,11 +159,11 @@ class Virtual(RhP12RnGripper):
             gripper_fault(each)
         return cls(faults)
 
-    def settings(self, **asked: Any) -> "RhP12RnSettings":
+    def settings(self, **requested: Any) -> "RhP12RnSettings":
         """Return settings with longer times, because the computer that simulates the servo pauses it now and then."""
-        kept = super().settings(**asked)
-        is_asked = "watchdog_ms" in asked or self.watchdog_ms is not None
-        watchdog_ms = VIRTUAL_WATCHDOG_FACTOR * kept.watchdog_ms if is_asked else VIRTUAL_WATCHDOG_MS
+        kept = super().settings(**requested)
+        is_requested = "watchdog_ms" in requested or self.watchdog_ms is not None
+        watchdog_ms = VIRTUAL_WATCHDOG_FACTOR * kept.watchdog_ms if is_requested else VIRTUAL_WATCHDOG_MS
         return replace(kept, answer_ms=VIRTUAL_ANSWER_MS, watchdog_ms=watchdog_ms)
 
     def open_peer(self, plant: "SharedPlant | None") -> "VirtualGripper | None":

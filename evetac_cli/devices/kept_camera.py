@@ -109,37 +109,37 @@ class KeptCamera(NamedCamera):
     settings: the settings with which it is opened.
     """
 
-    named: NamedCamera
+    camera: NamedCamera
     settings: CameraSettings
     _state: "_OpenState" = field(default_factory=_OpenState, compare=False)
 
     @property
     def capabilities(self) -> frozenset[Capability]:
         """The capabilities of the camera."""
-        return self.named.capabilities
+        return self.camera.capabilities
 
     @property
     def file_stem(self) -> str:
         """The file stem of the camera."""
-        return self.named.file_stem
+        return self.camera.file_stem
 
     def __str__(self) -> str:
-        return str(self.named)
+        return str(self.camera)
 
     def frame_px(self) -> tuple[int, int]:
         """Return the frame size of the camera."""
-        return self.named.frame_px()
+        return self.camera.frame_px()
 
     def known_sensor(self) -> dict[str, Any]:
         """Return the sensor datasets of the camera."""
-        return self.named.known_sensor()
+        return self.camera.known_sensor()
 
     def open(self, settings: CameraSettings, world: Any, seeds: np.random.SeedSequence) -> OpenedCamera:
         """Return the part that begins now, opening the camera if necessary; DeviceError if that fails."""
         state = self._state
         if not self._is_current():
             self.close()
-            state.opened, state.read = self.named.open(settings, world, seeds), 0
+            state.opened, state.read = self.camera.open(settings, world, seeds), 0
         assert state.opened is not None
         state.part = CameraPart(state.opened.camera, state.read)
         return OpenedCamera(state.part, state.opened.setup, state.opened.parents)

@@ -41,8 +41,8 @@ def parse_number(text: str, low: int, high: int, where: str, name: str, *, whole
     raise InputError(wrong, where=where, expected=f"{kind}, {low:,} to {high:,}", found=name)
 
 
-def no_such_device(what: str, expected: str, name: str, known: tuple[str, ...]) -> InputError:
-    """Return the error for a name that no camera or gripper has; known: names for the suggestion."""
-    guess = get_close_matches(name, known, n=1)
+def no_such_device(what: str, expected: str, name: str, known_names: tuple[str, ...]) -> InputError:
+    """Return the error for a name that no camera or gripper has; known_names: for the suggestion."""
+    guess = get_close_matches(name, known_names, n=1)
     hint = f"did you mean {guess[0]}?" if guess else ""
     return InputError(f"no such {what}", where=f"--{what}", expected=expected, found=name, hint=hint)

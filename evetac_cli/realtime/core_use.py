@@ -72,9 +72,9 @@ class CoreUse:
         last = self._latest[-1]
         used = _shares(first.used_s, last.used_s, passed_s)
         waited = _shares(first.waited_s, last.waited_s, passed_s)
-        said = "" if whole else f"in the last {passed_s:.1f} s "
-        said += f"{_in_words(used, 'used', 'of a core')} ({self._cores} cores in total)"
-        return f"{said}; {_in_words(waited, 'waited', 'of the time for a core')}" if waited else said if used else ""
+        text = "" if whole else f"in the last {passed_s:.1f} s "
+        text += f"{_in_words(used, 'used', 'of a core')} ({self._cores} cores in total)"
+        return f"{text}; {_in_words(waited, 'waited', 'of the time for a core')}" if waited else text if used else ""
 
 
 def _in_words(shares: list[tuple[str, float]], verb: str, of: str) -> str:

@@ -48,11 +48,11 @@ def error_words(error: BaseException) -> str:
     """Return an error on one line: its type, its message, and where in the code it was raised."""
     if isinstance(error, EvetacError):
         return str(error)
-    said = shortened(str(error).partition("\n")[0])
+    message = shortened(str(error).partition("\n")[0])
     place = ""
     if frames := traceback.extract_tb(error.__traceback__):
         place = f", in {Path(frames[-1].filename).name}, line {frames[-1].lineno}"
-    return f"{type(error).__name__}{': ' if said else ''}{said[: MOST_BYTES // 2]}{place}"
+    return f"{type(error).__name__}{': ' if message else ''}{message[: MOST_BYTES // 2]}{place}"
 
 
 def with_reason(sentence: str, how: str) -> str:

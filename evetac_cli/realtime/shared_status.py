@@ -49,7 +49,7 @@ class DetectorStatus(NamedTuple):
         return (self,) if self.second is None else (self, self.second)
 
     @property
-    def told(self) -> SlipSignal:
+    def control_signal(self) -> SlipSignal:
         """The input signal of the control law: that of one finger, or the combination of both."""
         return self.signal if self.second is None else two_fingers.both(self.signal, self.second.signal)
 
@@ -91,9 +91,9 @@ class SharedStatus:
 
     def publish(self, status: DetectorStatus, finger: int = 0) -> None:
         """For the detector of a finger: replace the status that the controller reads; new slip wakes it."""
-        known = status.slip_us[-REMEMBERED:]
-        unknown = (float("nan"),) * (REMEMBERED - len(known))
-        self._status[finger].write(*status.signal, *status[1:5], *unknown, *known)
+        slip_us = status.slip_us[-REMEMBERED:]
+        padding = (float("nan"),) * (REMEMBERED - len(slip_us))
+        self._status[finger].write(*status.signal, *status[1:5], *padding, *slip_us)
         if status.signal.slips > self._rung_slips:
             self._rung_slips = status.signal.slips
             self.slip_bell.ring()
@@ -111,8 +111,8 @@ class SharedStatus:
             return None
         single = len(SlipSignal._fields) + 4
         slips, *felt, slices, at_us, heard_us, zero_us = row[1][:single]
-        known = min(int(slips), REMEMBERED)
-        slip_us = row[1][single + REMEMBERED - known :]
+        remembered_slips = min(int(slips), REMEMBERED)
+        slip_us = row[1][single + REMEMBERED - remembered_slips :]
         return DetectorStatus(SlipSignal(int(slips), *felt), int(slices), at_us, heard_us, zero_us, slip_us)
 
     def tell_gripper(self, position_ticks: float, goal_ticks: float) -> None:

@@ -210,9 +210,9 @@ class CallTimer:
         """Wrap the call so that its seconds are counted; earlier counts stay."""
         self.seconds.setdefault(part, 0.0)
 
-        def timed(*arguments: Any, **named: Any) -> Any:
+        def timed(*arguments: Any, **keywords: Any) -> Any:
             started = thread_time()
-            result = call(*arguments, **named)
+            result = call(*arguments, **keywords)
             self.seconds[part] += thread_time() - started
             return result
 

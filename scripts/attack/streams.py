@@ -92,7 +92,7 @@ def attacked(attack: Attack, seconds: float, events_s: float, memory_mb: float) 
         "peak_mb": round(known["peak_mb"]),
         "slices": ending.slices,
         "host_ms": round(ending.host_ms),
-        "lost_said": ending.said,
+        "lost_said": ending.reported_lost,
         "lost_true": ending.lost,
         "ok": not wrong,
         "wrong": "; ".join(wrong),

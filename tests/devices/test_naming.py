@@ -224,8 +224,8 @@ def test_gripper_follows_the_camera() -> None:
 
 def test_settings_left_open_are_the_drivers() -> None:
     """Assert that only what is set is passed on."""
-    assert CameraSettings().given() == {}
-    assert CameraSettings(threshold_off=3).given() == {"threshold_off": 3}
+    assert CameraSettings().explicit_values() == {}
+    assert CameraSettings(threshold_off=3).explicit_values() == {"threshold_off": 3}
 
 
 @pytest.mark.parametrize(

@@ -87,7 +87,7 @@ def test_two_fingers() -> None:
     shared.publish(statuses[1], finger=1)
     latest = shared.latest()
     assert latest == statuses[0]._replace(second=statuses[1])
-    assert latest is not None and latest.told.slips == 1
+    assert latest is not None and latest.control_signal.slips == 1
     assert [each.slices for each in latest.fingers] == [7, 8]
     assert math.isnan(latest.slip_began_us(0)) and latest.fingers[1].slip_began_us(0) == 4.0
     assert shared.slip_bell.wait(PATIENCE_S)

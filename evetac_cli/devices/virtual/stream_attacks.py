@@ -58,7 +58,7 @@ class Ending:
     host_ms: float  # from just before the camera is opened to its last slice
     events: int  # events in the slices
     seen: int  # events of the camera's sensor until then
-    said: int | str  # number of lost events reported by the driver
+    reported_lost: int | str  # number of lost events reported by the driver
     waiting: int | None = None  # events on the way to a later slice when it ended; None if they cannot be counted
 
     @property
@@ -76,8 +76,8 @@ class Ending:
         tolerance = SHARE * self.seen
         if self.waiting is None:  # events after the last slice are on the way
             tolerance += (IN_FLIGHT_S + max(0.0, self.host_ms - self.slices) * 1e-3) * events_s
-        reported = int(str(self.said).rpartition(" ")[2].replace(",", ""))
-        is_number = isinstance(self.said, int)
+        reported = int(str(self.reported_lost).rpartition(" ")[2].replace(",", ""))
+        is_number = isinstance(self.reported_lost, int)
         if reported > self.lost + tolerance:
             wrong.append(f"{reported} events reported as lost, at most {self.lost} were")
         if is_number and abs(reported - self.lost) > tolerance:

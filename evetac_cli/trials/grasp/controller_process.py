@@ -334,7 +334,7 @@ def _command(
             if ended:
                 break
             phase = timing.phase(slice_)
-            slip_signal = status.told
+            slip_signal = status.control_signal
             goal = control.step(phase, slip_signal, reading.position_ticks)
             decided_s = clock()
             silent_ms = (decided_s - last_s) * 1e3
@@ -383,7 +383,7 @@ def _slip_began_us(status: DetectorStatus, seen: Sequence[int]) -> float:
 
     seen: number of known slices with slip per finger.
     """
-    began_us = [each.slip_began_us(known) for each, known in zip(status.fingers, seen, strict=False)]
+    began_us = [each.slip_began_us(slips) for each, slips in zip(status.fingers, seen, strict=False)]
     return min((each for each in began_us if not math.isnan(each)), default=math.nan)
 
 

@@ -93,7 +93,12 @@ class EarlyAnswer:
         """Send the command of the next step now, if there is slip that the last step did not know, and enough time."""
         status = self._shared.latest()
         ahead, began_s = self._ahead, self._clock()
-        if ahead is None or status is None or status.told.slips <= self._slips or began_s + self._room_s > due_s:
+        if (
+            ahead is None
+            or status is None
+            or status.control_signal.slips <= self._slips
+            or began_s + self._room_s > due_s
+        ):
             return
         t_us = began_s * 1e6 - status.zero_us
         slice_ = max(int(t_us) // SLICE_US, 0)
@@ -101,7 +106,7 @@ class EarlyAnswer:
         if is_last or self._timing.phase(slice_) is not self._phase or not self._may_write():
             return
         self._ahead = None
-        goal = ahead.step(self._phase, status.told, self._position)
+        goal = ahead.step(self._phase, status.control_signal, self._position)
         self._gripper.write_position(goal)
         self._written = EarlyCommand(goal, tuple(each.slices for each in status.fingers), t_us, self._clock())
 

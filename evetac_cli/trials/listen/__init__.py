@@ -87,7 +87,7 @@ def listen(job: Listening, record: Callable[[Any, Desk], Outcome]) -> Outcome:
             number = 0
             while True:
                 name = _next(desk, kept)
-                trial = _named(first, job.folder, name, number)
+                trial = _trial_like(first, job.folder, name, number)
                 rows += _one(trial, desk, record)
                 number += 1
                 if desk.interrupted:
@@ -110,7 +110,7 @@ def _next(desk: Desk, kept: list[KeptCamera]) -> str:
     return name
 
 
-def _named(first: AnyTrial, folder: Path, name: str, number: int) -> AnyTrial:
+def _trial_like(first: AnyTrial, folder: Path, name: str, number: int) -> AnyTrial:
     """Return a trial like the first, with this name and number."""
     stems = [f"-{camera.file_stem}" if len(first.cameras) > 1 else "" for camera in first.cameras]
     same = [stems[:place].count(stem) for place, stem in enumerate(stems)]

@@ -38,9 +38,9 @@ class ViewState:
     def __init__(self, title: Title, follower: Follower, inbox: MessageReader, open_detector: OpenDetector) -> None:
         self.title, self.follower = title, follower
         self._inbox, self._open_detector = inbox, open_detector
-        self.version = 0  # version of `known`
+        self.version = 0  # version of `description`
         self.lost = Lost("0", "")
-        self.said: list[str] = []
+        self.messages: list[str] = []
         self.ended = ""
 
     def listen(self) -> None:
@@ -53,14 +53,14 @@ class ViewState:
                 case Lost():
                     self.lost = message
                 case Said():
-                    self.said = [*self.said, message.text][-MOST_SAID:]
+                    self.messages = [*self.messages, message.text][-MOST_SAID:]
                     self.version += 1
                 case Ended():
                     self.ended = message.why
         if self._inbox.ended and not self.ended:
             self.ended = "the recording program has ended"
 
-    def known(self) -> dict[str, Any]:
+    def description(self) -> dict[str, Any]:
         """Return the data that a page needs before its first picture."""
         follower = self.follower
         return {
@@ -69,7 +69,7 @@ class ViewState:
                 "frame_px": follower.frame_px,
                 "threshold": follower.threshold,
                 "notes": follower.notes,
-                "said": self.said,
+                "said": self.messages,
                 "samples": list(follower.samples),
             }
         }
@@ -116,7 +116,7 @@ async def _serve(state: ViewState, shared: SharedView, ready: Connection) -> Non
     for began_s, sample in _samples(state):
         if server.is_asked:
             news = {**state.news(sample), "let_go": shared.is_asked_to_let_go}
-            server.send(news, state.follower.image(), state.known, state.version)
+            server.send(news, state.follower.image(), state.description, state.version)
         await asyncio.sleep(_left_s(began_s, PERIOD_S))
     await server.end({"ended": state.ended})
 
@@ -124,7 +124,7 @@ async def _serve(state: ViewState, shared: SharedView, ready: Connection) -> Non
 def _draw(state: ViewState) -> None:
     with console.live() as show:
         for began_s, sample in _samples(state):
-            show(terminal.screen(state.follower, sample, state.lost.events, state.said))
+            show(terminal.screen(state.follower, sample, state.lost.events, state.messages))
             time.sleep(_left_s(began_s, TERMINAL_PERIOD_S))
 
 

@@ -43,16 +43,18 @@ class PageServer(OwnServer):
         """Whether a client waits for a picture."""
         return any(client.waits for client in self.clients)
 
-    def send(self, news: Mapping[str, Any], image: bytes, known: Callable[[], Mapping[str, Any]], version: int) -> None:
+    def send(
+        self, news: Mapping[str, Any], image: bytes, description: Callable[[], Mapping[str, Any]], version: int
+    ) -> None:
         """Send a picture to every client that waits for one.
 
-        image: one byte per pixel; known: data that a client needs before its first picture, and again when its version
-        changes.
+        image: one byte per pixel; description: data that a client needs before its first picture, and again when its
+        version changes.
         """
         for client in list(self.clients):
             if client.waits:
                 client.waits = False
-                more = {} if client.version == version else dict(known())
+                more = {} if client.version == version else dict(description())
                 client.version = version
                 client.say({**news, **more}, image)
 

@@ -15,12 +15,12 @@ LEAST_EVENTS = 6  # fewest events of a displayed character: noise events are sca
 NOISE_SPREADS = 4.0  # a displayed character has more events than the noise level by this many standard deviations
 
 
-def screen(follower: Follower, sample: Mapping[str, Any], lost: str, said: Sequence[str]) -> str:
+def screen(follower: Follower, sample: Mapping[str, Any], lost: str, messages: Sequence[str]) -> str:
     """Return the whole view: figures, events, and the last message."""
     x, y, _ = follower.latest()
     events = picture(x, y, follower.frame_px)
     lines = [headline(sample, lost), with_dots(events, follower.dots(), follower.frame_px)]
-    return "\n".join([*lines, *follower.notes, *said[-1:]])
+    return "\n".join([*lines, *follower.notes, *messages[-1:]])
 
 
 def headline(sample: Mapping[str, Any], lost: str) -> str:

@@ -169,7 +169,7 @@ def dry_run(trials: Sequence[DeviceRecording], *, force: bool, writes: bool) -> 
         if writes and not is_done(trial, force=force):
             check(trial, force=force)
     first = trials[0]
-    settings = ", ".join(f"{name} {value}" for name, value in first.settings.given().items())
+    settings = ", ".join(f"{name} {value}" for name, value in first.settings.explicit_values().items())
     room_mb = session.needed_bytes(first.events_per_s, first.expected_s) / 1e6
     rate = f"{first.events_per_s:,.0f} events/s for {first.expected_s:g} s"
     parts = [

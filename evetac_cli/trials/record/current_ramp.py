@@ -71,7 +71,7 @@ class HoldState:
     phase: RampPhase = RampPhase.CLOSING
     target_ma: float = math.nan
     touch_ticks: int = 0
-    held: int = 0
+    held_commands: int = 0  # number of commands while holding; with a course, since its start
     ended: str = ""  # why the sequence is over; "" before
 
 
@@ -87,8 +87,8 @@ def step(state: HoldState, hold: Hold, reading: GripperReading, rng: np.random.G
     nearest to it is written to the gripper. DeviceError if the fingers close without contact.
     """
     if hold.course is not None:
-        time_s = state.held * COMMAND_MS * 1e-3
-        state.held += 1
+        time_s = state.held_commands * COMMAND_MS * 1e-3
+        state.held_commands += 1
         state.target_ma = hold.course.at(time_s)
         state.ended = "the gripper has followed its current to the end" if time_s >= hold.course.ends_s else ""
         return state.target_ma
@@ -99,8 +99,8 @@ def step(state: HoldState, hold: Hold, reading: GripperReading, rng: np.random.G
     if state.phase is RampPhase.HOLDING:
         state.target_ma = hold.holding_ma
         state.touch_ticks = reading.position_ticks
-        state.held += 1
-        if state.held * COMMAND_MS > 1000 * hold.hold_s:
+        state.held_commands += 1
+        if state.held_commands * COMMAND_MS > 1000 * hold.hold_s:
             state.phase = RampPhase.FALLING
     elif state.phase is RampPhase.FALLING:
         state.target_ma += hold.fall_factor * rng.uniform(*RAMP_MA)

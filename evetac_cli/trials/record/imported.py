@@ -58,7 +58,7 @@ def run(job: ImportJob, params: Record, *, force: bool, progress: Progress) -> O
     if params.calibration is not None:
         datasets |= read_calibration(params.calibration, file.frame_px).recorded()
     digest, starts = ContentDigest(), SliceStarts()
-    made, folders = False, missing_folders(job.output.parent)
+    is_made, folders = False, missing_folders(job.output.parent)
     with _removed_if_refused(folders), writing(job.output, OUTPUT, datasets) as recording:
         for block in _blocks(file):
             recording.append(block)
@@ -81,11 +81,11 @@ def run(job: ImportJob, params: Record, *, force: bool, progress: Progress) -> O
             "notes": list(facts.notes),
         }
         recipe = Recipe(OUTPUT, METHOD, parameters, content=digest.hexdigest(), simulated_source=facts.simulated)
-        if made := not up_to_date(job.output, recipe, force=force):
+        if is_made := not up_to_date(job.output, recipe, force=force):
             recording.finish(recipe, late)
     return outcome(
         job,
-        made=made,
+        made=is_made,
         simulated=facts.simulated,
         slices=facts.slices,
         events=facts.size,
