@@ -37,7 +37,7 @@ from evetac_cli.arrays import Flags
 from evetac_cli.console import show
 from evetac_cli.evaluate.cost.chain import ChainTrial, run_chain, run_grasp, slip_trial
 from evetac_cli.evaluate.labels import EARLIEST_MS, LATEST_MS, true_onsets
-from evetac_cli.evaluate.paired import ConfidenceInterval, known, share, share_difference
+from evetac_cli.evaluate.paired import ConfidenceInterval, finite_or_none, share, share_difference
 from evetac_cli.evaluate.rows import SolverSetting
 from evetac_cli.jobs import Row
 from evetac_cli.kernels.slip import metrics
@@ -154,18 +154,18 @@ def _shares(what: str, holds: dict[str, Flags]) -> Row:
     shares["more_by_default"] = share_difference(holds[DEFAULT], holds[FINE])
     row: Row = {"what": what, "trials": len(holds[DEFAULT])}
     for name, interval in shares.items():
-        row[name] = known(interval.mean)
+        row[name] = finite_or_none(interval.mean)
         row |= {f"{name}_{end}": value for end, value in _ends(interval).items()}
     return row
 
 
 def _ends(interval: ConfidenceInterval) -> Row:
-    return {"low": known(interval.low), "high": known(interval.high)}
+    return {"low": finite_or_none(interval.low), "high": finite_or_none(interval.high)}
 
 
 def _trial(row: Row) -> Row:
     """Return a slip by default, and how much later each onset is than with the fine step."""
-    later = {f"{name.removesuffix('_ms')}_later_ms": known(_apart(row, name)) for name in ONSETS}
+    later = {f"{name.removesuffix('_ms')}_later_ms": finite_or_none(_apart(row, name)) for name in ONSETS}
     return {"object": row["object"], "trial": row["number"], "t_s_ms": row[DEFAULT]["t_s_ms"], **later}
 
 

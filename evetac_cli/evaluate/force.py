@@ -170,14 +170,18 @@ def _models_for(tracks: StageFile, models: Models) -> list[tuple[Path, Header, F
 
 def _predict(path: Path, models: Models, params: EvaluateForce, noise: np.random.Generator) -> TrialForce:
     with StageFile(path, "tracks") as tracks:
-        chosen = [model for _, _, model in _models_for(tracks, models)]
+        selected_models = [model for _, _, model in _models_for(tracks, models)]
         sensor, sensor_name = sensor_sort(tracks.header), str(tracks.read("sensor/name"))
     samples = read_samples(path, params, noise)
     predicted_n = {
-        "regression": np.stack([forces.apply_regression(model.regression, samples.moved_px) for model in chosen]),
-        "network": np.stack([forces.apply_network(model.network, samples.moved_px) for model in chosen]),
+        "regression": np.stack(
+            [forces.apply_regression(model.regression, samples.moved_px) for model in selected_models]
+        ),
+        "network": np.stack([forces.apply_network(model.network, samples.moved_px) for model in selected_models]),
     }
-    return TrialForce(path, sensor, sensor_name, sensor_name in chosen[0].sensor_name.split(", "), samples, predicted_n)
+    return TrialForce(
+        path, sensor, sensor_name, sensor_name in selected_models[0].sensor_name.split(", "), samples, predicted_n
+    )
 
 
 def _row(trial: TrialForce, name: str) -> dict[str, Any]:
@@ -206,13 +210,13 @@ def _row(trial: TrialForce, name: str) -> dict[str, Any]:
 
 def _summary(trials: list[TrialForce], rows: Rows, params: EvaluateForce) -> dict[str, Any]:
     """Return the range of the true forces, and mean errors over trajectories of sensors that models were fitted on."""
-    known = [row for row in rows if row["fitted"]]
+    fitted_rows = [row for row in rows if row["fitted"]]
     means = {
-        f"{sensor}_{model}_mae_n_{letter}": float(np.mean([row[f"mae_n_{letter}"] for row in chosen]))
+        f"{sensor}_{model}_mae_n_{letter}": float(np.mean([row[f"mae_n_{letter}"] for row in selected_rows]))
         for sensor in SENSORS
         for model in STYLES
         for letter in forces.AXES
-        if (chosen := [row for row in known if (row["sensor"], row["model"]) == (sensor, model)])
+        if (selected_rows := [row for row in fitted_rows if (row["sensor"], row["model"]) == (sensor, model)])
     }
     force = np.concatenate([one.samples.force_n for one in trials])
     return {

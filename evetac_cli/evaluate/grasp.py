@@ -105,8 +105,8 @@ def for_people(rows: Rows, params: EvaluateGrasp) -> tuple[Rows, list[str]]:
         if "columns" in row:
             published = row.get("paper_success")
             beside = "" if published is None else f" (paper, on its own objects: {published:.2f})"
-            held = round(row["success"] * row["trials"])
-            lines.append(f"{row['setting']}: lifted and held to the end in {held} of {row['trials']}{beside}.")
+            held_count = round(row["success"] * row["trials"])
+            lines.append(f"{row['setting']}: lifted and held to the end in {held_count} of {row['trials']}{beside}.")
     return rows, lines + slip_grid.resting_on(rows)
 
 
@@ -115,8 +115,8 @@ def trial_row(path: Path, header: Header) -> dict[str, Any]:
     planned = header["parameters"]
     plan = read_plan(planned, str(path))
     with StageFile(path, "recording") as recording:
-        known = [name for name in (*grasp_outcome.NEEDED, grasp_outcome.HOLDING) if recording.has(name)]
-        rows = {name: recording.read(name) for name in known}
+        stored_names = [name for name in (*grasp_outcome.NEEDED, grasp_outcome.HOLDING) if recording.has(name)]
+        rows = {name: recording.read(name) for name in stored_names}
         mass_g = 1e3 * json.loads(recording.read("truth/sampled_parameters"))["mass_kg"]
         nodes = slip_grid.nodes_of(recording)
         stored = "{}"
@@ -137,9 +137,9 @@ def trial_row(path: Path, header: Header) -> dict[str, Any]:
 def describe_setting(plan: Plan, planned: dict[str, Any]) -> str:
     """Return the words for a setting: its controller and all non-default choices, without object and trial."""
     words = [planned["controller"]]
-    chosen = {name: planned.get(name, usual) for name, usual in USUAL.items()}
-    if chosen["gain"] != 1.0:
-        words.append(f"gain {chosen['gain']:g}")
+    options = {name: planned.get(name, usual) for name, usual in USUAL.items()}
+    if options["gain"] != 1.0:
+        words.append(f"gain {options['gain']:g}")
     margin = planned.get("law", {}).get("margin", MARGIN) if planned["controller"] == "load-proportional" else MARGIN
     if margin != MARGIN:
         words.append(f"margin {margin:g}")
@@ -151,10 +151,10 @@ def describe_setting(plan: Plan, planned: dict[str, Any]) -> str:
         words.append("two fingers" if plan.second.name == plan.sensor_name else f"two fingers, {plan.second.name}")
     if not plan.scene.gel.cut:
         words.append("closed gel")
-    if chosen["latency_ms"]:
-        words.append(f"{chosen['latency_ms']} ms late")
-    if chosen["control_hz"] != USUAL["control_hz"]:
-        words.append(f"{chosen['control_hz']:g} Hz")
+    if options["latency_ms"]:
+        words.append(f"{options['latency_ms']} ms late")
+    if options["control_hz"] != USUAL["control_hz"]:
+        words.append(f"{options['control_hz']:g} Hz")
     return ", ".join(words)
 
 
@@ -189,17 +189,17 @@ def without_gain(setting: str) -> str:
 def figures(trials: Rows) -> dict[str, Any]:
     """Return success rates over all trials, and figures over those that held their object to the end."""
     lifted = [row for row in trials if row["lifted"]]
-    held = [row for row in trials if row["balanced"]]
-    moved = [row["moved_mm"] for row in held]
+    held_trials = [row for row in trials if row["balanced"]]
+    moved = [row["moved_mm"] for row in held_trials]
     return {
         "trials": len(trials),
-        "success": len(held) / len(trials),
+        "success": len(held_trials) / len(trials),
         "lifted": len(lifted) / len(trials),
-        "balanced": len(held) / len(lifted) if lifted else None,
-        **{name: _mean([row[name] for row in held]) for name in MEANS},
-        "opening_after_balance_ticks_sd": _sd([row["opening_after_balance_ticks"] for row in held]),
-        "force_end_n": _mean([row["force_end_n"] for row in held]),
-        "moved_lift_mm_median": _quantile([row["moved_lift_mm"] for row in held], 0.5),
+        "balanced": len(held_trials) / len(lifted) if lifted else None,
+        **{name: _mean([row[name] for row in held_trials]) for name in MEANS},
+        "opening_after_balance_ticks_sd": _sd([row["opening_after_balance_ticks"] for row in held_trials]),
+        "force_end_n": _mean([row["force_end_n"] for row in held_trials]),
+        "moved_lift_mm_median": _quantile([row["moved_lift_mm"] for row in held_trials], 0.5),
         "moved_mm_median": _quantile(moved, 0.5),
         "moved_mm_mean": _mean(moved),
         "moved_mm_p90": _quantile(moved, 0.9),
@@ -209,8 +209,8 @@ def figures(trials: Rows) -> dict[str, Any]:
 
 
 def _mean(values: Sequence[float | None]) -> float | None:
-    known = [value for value in values if value is not None]
-    return float(np.mean(known)) if known else None
+    known_values = [value for value in values if value is not None]
+    return float(np.mean(known_values)) if known_values else None
 
 
 def _sd(values: Sequence[float]) -> float | None:
@@ -254,8 +254,8 @@ def _lines(by_object: Rows) -> tuple[Lines, list[str]]:
 def _weighed(rows: Rows, shown: Sequence[str]) -> dict[str, Rows]:
     """Return the held trials of each drawn setting that have both force and weight; {} if there are none."""
     trials = [row for row in rows if "file" in row and row["balanced"] and row.get("holding_end_n")]
-    named = {name: [row for row in trials if without_gain(row["setting"]) == without_gain(name)] for name in shown}
-    return {name: members for name, members in named.items() if members}
+    by_name = {name: [row for row in trials if without_gain(row["setting"]) == without_gain(name)] for name in shown}
+    return {name: members for name, members in by_name.items() if members}
 
 
 def _draw(figure: Any, rows: Rows, source: Source) -> None:
@@ -282,7 +282,7 @@ def _draw_lines(figure: Any, rows: Rows, source: Source) -> None:
             number = shown.index(row["setting"])
             style = {**picture.series(number), "linestyle": "none"}
             if of_trial:
-                values = [one[of_trial] for one in _held(rows, row)]
+                values = [one[of_trial] for one in _held_trials(rows, row)]
                 axes.plot(values, np.full(len(values), place), **{**style, "markersize": 3.5, "alpha": 0.35})
             else:
                 reach = picture.wilson(row[name], row["trials"])
@@ -301,7 +301,7 @@ def _draw_lines(figure: Any, rows: Rows, source: Source) -> None:
     picture.legend(figure, panels)
 
 
-def _held(rows: Rows, of: dict[str, Any]) -> Rows:
+def _held_trials(rows: Rows, of: dict[str, Any]) -> Rows:
     """Return the trials of an object and setting that held it to the end."""
     trials = (row for row in rows if "file" in row and row["balanced"])
     return [row for row in trials if (row["setting"], row["object"]) == (of["setting"], of["object"])]

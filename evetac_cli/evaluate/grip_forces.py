@@ -24,27 +24,27 @@ def firmness(trials: Rows) -> Row:
 
     Excess force is relative to the least force that holds the object.
     """
-    held = [row for row in trials if row["balanced"]]
-    known = [row for row in held if row.get("over_holding_end") is not None]
+    held_trials = [row for row in trials if row["balanced"]]
+    with_excess = [row for row in held_trials if row.get("over_holding_end") is not None]
     row: Row = {
         "grasps": len(trials),
-        "kept": len(held) / len(trials),
+        "kept": len(held_trials) / len(trials),
         "lost": ", ".join(f"{count} {how}" for how, count in Counter(_losses(trials)).most_common()),
     }
     for name in ("end", "mean", "peak"):
-        values = [one[f"over_holding_{name}"] for one in known]
+        values = [one[f"over_holding_{name}"] for one in with_excess]
         row |= {
             f"over_holding_{name}_median": _quantile(values, 0.5),
             f"over_holding_{name}_p95": _quantile(values, 0.95),
         }
     for low, high in CLASSES_G:
-        values = [one["over_holding_end"] for one in known if low <= one["carried_g"] < high]
+        values = [one["over_holding_end"] for one in with_excess if low <= one["carried_g"] < high]
         row[f"over_holding_end_p95_{low:g}_{high:g}_g"] = _quantile(values, 0.95)
     row["force_follows_weight"] = rank_correlation(
-        [one["carried_g"] for one in known], [one["force_end_n"] for one in known]
+        [one["carried_g"] for one in with_excess], [one["force_end_n"] for one in with_excess]
     )
-    row["stayed_share"] = float(np.mean([one["moved_mm"] < STAYED_MM for one in held])) if held else None
-    row["motor_work_j_median"] = _quantile([one["motor_work_j"] for one in held], 0.5)
+    row["stayed_share"] = float(np.mean([one["moved_mm"] < STAYED_MM for one in held_trials])) if held_trials else None
+    row["motor_work_j_median"] = _quantile([one["motor_work_j"] for one in held_trials], 0.5)
     reactions, false = (sum(one[name] for one in trials) for name in ("slip_events", "false_slip_events"))
     return {**row, "reactions_mean": reactions / len(trials), "false_share": false / reactions if reactions else None}
 

@@ -63,26 +63,26 @@ def run(job: Job, params: EvaluateLabels, *, force: bool = False, progress: Prog
     return report(job, "evaluate labels", METHOD, recipe_of(params), headers, measure, force=force)
 
 
-def judged(told: LabelledOnset, true: dict[str, int | None], slid_px: NDArray[np.float32]) -> Row:
+def judged(estimate: LabelledOnset, true: dict[str, int | None], slid_px: NDArray[np.float32]) -> Row:
     """Return the row of a labelled onset against truth: errors in ms and px, coverage and width of its interval.
 
     true: from `true_onsets`; slid_px (slices,): from the truth. Negative errors are early.
     """
-    t_c, t_s, gross = told.slice_, true["t_s_ms"], true["gross_slip_start_ms"]
+    t_c, t_s, gross = estimate.slice_, true["t_s_ms"], true["gross_slip_start_ms"]
     slid = slid_so_far(slid_px)
     row: Row = {"t_c_ms": t_c, **true, "onset_error_ms": None, "onset_error_px": None}
     if t_c is not None and t_s is not None:
         row |= {"onset_error_ms": t_c - t_s, "onset_error_px": float(slid[t_c] - slid[t_s])}
     row["onset_before_gross_slip_ms"] = gross - t_c if t_c is not None and gross is not None else None
-    row |= {"earliest_ms": told.earliest, "latest_ms": told.latest}
+    row |= {"earliest_ms": estimate.earliest, "latest_ms": estimate.latest}
     row |= dict.fromkeys(("interval_covers", "interval_width_px", "interval_width_ms"))
-    if told.earliest is not None and told.latest is not None and t_s is not None:
+    if estimate.earliest is not None and estimate.latest is not None and t_s is not None:
         row |= {
-            "interval_covers": told.earliest <= t_s <= told.latest,
-            "interval_width_px": float(slid[told.latest] - slid[told.earliest]),
-            "interval_width_ms": told.latest - told.earliest,
+            "interval_covers": estimate.earliest <= t_s <= estimate.latest,
+            "interval_width_px": float(slid[estimate.latest] - slid[estimate.earliest]),
+            "interval_width_ms": estimate.latest - estimate.earliest,
         }
-    return row | {"confidence": told.confidence, "abstained": told.abstained, "doubt": told.doubt or None}
+    return row | {"confidence": estimate.confidence, "abstained": estimate.abstained, "doubt": estimate.doubt or None}
 
 
 def slid_so_far(slid_px: NDArray[np.float32]) -> Floats:
@@ -138,13 +138,13 @@ def _in_time(row: Row) -> bool:
 
 
 def _share(flags: Any) -> float | None:
-    known = list(flags)
-    return sum(known) / len(known) if known else None
+    flag_list = list(flags)
+    return sum(flag_list) / len(flag_list) if flag_list else None
 
 
 def _median(values: Any) -> float | None:
-    known = list(values)
-    return float(np.median(known)) if known else None
+    numbers = list(values)
+    return float(np.median(numbers)) if numbers else None
 
 
 def for_people(rows: Rows, params: EvaluateLabels) -> tuple[Rows, list[str]]:

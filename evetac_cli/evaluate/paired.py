@@ -47,12 +47,12 @@ def difference(ours: Floats, theirs: Floats, resolution: float = 0.0) -> Confide
     return ConfidenceInterval(mean, mean - half, mean + half, count)
 
 
-def share(held: Flags) -> ConfidenceInterval:
+def share(flags: Flags) -> ConfidenceInterval:
     """Return the share of trials in which a condition holds, with Wilson's interval."""
-    count = len(held)
+    count = len(flags)
     if count == 0:
         return ConfidenceInterval(math.nan, math.nan, math.nan, 0)
-    return ConfidenceInterval(*wilson(int(np.count_nonzero(held)), count), count)
+    return ConfidenceInterval(*wilson(int(np.count_nonzero(flags)), count), count)
 
 
 def share_difference(ours: Flags, theirs: Flags) -> ConfidenceInterval:
@@ -72,7 +72,7 @@ def share_difference(ours: Flags, theirs: Flags) -> ConfidenceInterval:
     return ConfidenceInterval((gained - lost) / count, max(middle - half, -1.0), min(middle + half, 1.0), count)
 
 
-def known(value: float) -> float | None:
+def finite_or_none(value: float) -> float | None:
     """Return the value for a table: None instead of NaN."""
     return value if math.isfinite(value) else None
 

@@ -69,11 +69,11 @@ def _slip(value: float, unit: str, where: str, model: str, trajectories: int) ->
 
 
 def _slip_figures() -> Iterator[tuple[Key, PaperFigure]]:
-    known = {  # timing correct, F1
+    published = {  # timing correct, F1
         "no-hist": (0.87, 0.59), "no-hist-img": (0.93, 0.64), "hist10": (0.895, 0.73), "hist10-img": (0.95, 0.79),
         "hist20": (0.925, 0.815), "down5": (0.882, None), "fast-slow": (0.926, 0.816),
     }  # fmt: skip
-    for model, (correct, f1) in known.items():
+    for model, (correct, f1) in published.items():
         yield ("correct", "known", model, 0), _slip(correct, "share", TIMING, model, 90)
         if f1 is not None:
             yield ("f1", "known", model, 0), _slip(f1, "F1", TIMING, model, 90)
@@ -365,10 +365,10 @@ def beside(column: str, row: Row, source: Source) -> Beside | None:
 
     None if the evaluation stored no figure of the paper, and for rows of older reports that lack the needed columns.
     """
-    named = SHOWN[column]
-    if row.get(column) is None or any(row.get(name) is None for name in named.needs):
+    paper_column = SHOWN[column]
+    if row.get(column) is None or any(row.get(name) is None for name in paper_column.needs):
         return None
-    figure = FIGURES.get(named.key(row))
+    figure = FIGURES.get(paper_column.key(row))
     if figure is None:
         return None
-    return Beside(figure.value, mark(figure, named.ours(row, source), simulated=source.simulated))
+    return Beside(figure.value, mark(figure, paper_column.ours(row, source), simulated=source.simulated))

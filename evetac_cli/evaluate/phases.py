@@ -85,9 +85,9 @@ def _phase(recording: Recording, pieces: list[tuple[int, int]]) -> ContactPhase 
     """Return pieces of a recording joined end to end, up to MOST_EVENTS; None if the first slice already has more."""
     parts: list[Events] = []
     counts: list[Counts] = []
-    slices, held = 0, 0
+    slices, event_count = 0, 0
     for first, end in pieces:
-        room = recording.starts[first] + MOST_EVENTS - held
+        room = recording.starts[first] + MOST_EVENTS - event_count
         stop = min(end, int(np.searchsorted(recording.starts, room, side="right")) - 1)
         if stop <= first:
             break
@@ -95,5 +95,5 @@ def _phase(recording: Recording, pieces: list[tuple[int, int]]) -> ContactPhase 
         parts.append(events._replace(t=events.t + (slices - first) * SLICE_US))
         counts.append(np.diff(recording.starts[first : stop + 1]))
         slices += stop - first
-        held += events.size
+        event_count += events.size
     return ContactPhase(concatenate(parts), np.concatenate(counts).astype(np.int64)) if parts else None

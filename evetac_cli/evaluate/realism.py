@@ -81,14 +81,14 @@ def run(job: Job, params: EvaluateRealism, *, force: bool = False, progress: Pro
                 where=f"{job.inputs[0]}, {job.inputs[1]}",
                 expected=f"{SHORTEST_REST} ms at rest, or {SHORTEST_MOTION} ms of motion, in both",
             )
-        known = [row for row in rows if row["distance"] is not None]
-        as_halves = [row for row in known if row["distance"] <= (row["distance_of_halves"] or 0.0)]
+        compared = [row for row in rows if row["distance"] is not None]
+        as_halves = [row for row in compared if row["distance"] <= (row["distance_of_halves"] or 0.0)]
         apart = _told_apart(job.inputs, progress)
         beside = "auc_of_halves" if params.same is None else "auc_of_same"
         of_auc = {"auc": "distance", beside: "distance_of_halves", "windows": "real"}
         return [*rows, *apart], {
-            "figures": len(known),
-            f"figures_within_{100 * NEAR:.0f}_percent": sum(row["distance"] <= NEAR for row in known),
+            "figures": len(compared),
+            f"figures_within_{100 * NEAR:.0f}_percent": sum(row["distance"] <= NEAR for row in compared),
             "figures_as_near_as_halves": len(as_halves),
             **{name: apart[0][key] if apart else None for name, key in of_auc.items()},
         }
@@ -99,11 +99,11 @@ def run(job: Job, params: EvaluateRealism, *, force: bool = False, progress: Pro
 
 def for_people(rows: Rows, params: EvaluateRealism) -> tuple[Rows, list[str]]:
     """Return all rows, the number of figures that are near, and how well a classifier distinguishes the recordings."""
-    known = [row for row in rows if row["distance"] is not None and row["measure"] != HELD_OUT]
-    near = sum(row["distance"] <= NEAR for row in known)
-    as_halves = sum(row["distance"] <= (row["distance_of_halves"] or 0.0) for row in known)
+    compared = [row for row in rows if row["distance"] is not None and row["measure"] != HELD_OUT]
+    near = sum(row["distance"] <= NEAR for row in compared)
+    as_halves = sum(row["distance"] <= (row["distance_of_halves"] or 0.0) for row in compared)
     lines = [
-        f"{near} of {len(known)} figures are within {NEAR:.0%} of the real recording's;"
+        f"{near} of {len(compared)} figures are within {NEAR:.0%} of the real recording's;"
         f" {as_halves} differ no more than its own halves do."
     ]
     for row in rows:
@@ -268,8 +268,8 @@ def _row(
     phase: str, figure: str, real: float, simulated: float, distance: float, of_halves: float, measure: str
 ) -> dict[str, Any]:
     values = {"real": real, "simulated": simulated, "distance": distance, "distance_of_halves": of_halves}
-    known = {key: float(value) if np.isfinite(value) else None for key, value in values.items()}
-    return {"phase": phase, "figure": figure, **known, "measure": measure}
+    finite = {key: float(value) if np.isfinite(value) else None for key, value in values.items()}
+    return {"phase": phase, "figure": figure, **finite, "measure": measure}
 
 
 def _relative(first: float, second: float) -> float:
@@ -287,8 +287,8 @@ def _draw(figure: Any, real: Side, simulated: Side, frame_px: tuple[int, int]) -
             seconds = side.rest.duration_us * 1e-6
             hot, _, _ = figures.split_hot(*side.rest.events, frame_px, seconds)
             for polarity, line in ((None, "-"), (1, "--"), (0, ":")):
-                named = {**style, "label": f"{label}{'' if polarity is None else (', OFF', ', ON')[polarity]}"}
-                _cumulative(panels[0], figures.times_between(hot, polarity)[0], linestyle=line, **named)
+                line_style = {**style, "label": f"{label}{'' if polarity is None else (', OFF', ', ON')[polarity]}"}
+                _cumulative(panels[0], figures.times_between(hot, polarity)[0], linestyle=line, **line_style)
             pixel = side.rest.events.y.astype(np.int64) * frame_px[0] + side.rest.events.x
             busiest = np.sort(np.bincount(pixel))[::-1] / seconds
             if busiest.any():

@@ -125,16 +125,16 @@ def _kept(job: Job) -> Path:
     return job.output.with_name(job.output.name.removesuffix(".h5").removesuffix(".report") + ".judged")
 
 
-def split_models(files: list[Path], given: Path | None) -> tuple[list[Path], list[Path]]:
+def split_models(files: list[Path], model_path: Path | None) -> tuple[list[Path], list[Path]]:
     """Separate models from other files: a shell puts all but the first of `--model models/*.model.h5` among the files.
 
-    `given` is a model file, a folder of them, a glob or `shipped`. A model that is given twice, even as two files,
+    `model_path` is a model file, a folder of them, a glob or `shipped`. A model that is given twice, even as two files,
     counts once. Raises InputError if there is no model.
     """
-    named = named_files(given, "model", "--model") if given is not None else []
+    model_files = named_files(model_path, "model", "--model") if model_path is not None else []
     models: dict[str, Path] = {}
     others: list[Path] = []
-    for path, kind in [*((path, "model") for path in named), *((path, None) for path in with_shipped(files))]:
+    for path, kind in [*((path, "model") for path in model_files), *((path, None) for path in with_shipped(files))]:
         with StageFile(path, kind) as file:
             if file.kind == "model":
                 models.setdefault(file.header["id"], path)
@@ -158,13 +158,13 @@ def run(job: ModelsReportJob, params: EvaluateSlip, *, force: bool = False, prog
         return Outcome([], simulated=False)
     thresholds = [model.threshold_for(params.threshold, params.false_alarms_per_min) for model in models]
     # A report that has the truth of more or fewer recordings is a different report.
-    known = sum(slip_covariates.with_truth(paths, params.recordings))
-    parameters: dict[str, Any] = {**recipe_of(params), "thresholds": thresholds, "with_truth": known}
+    truth_count = sum(slip_covariates.with_truth(paths, params.recordings))
+    parameters: dict[str, Any] = {**recipe_of(params), "thresholds": thresholds, "with_truth": truth_count}
 
     def measure() -> tuple[Rows, dict[str, Any]]:
         predictions = predict_all(models, paths, headers, progress, _kept(job))
         rows, summary = tables(models, thresholds, predictions, paths)
-        return [*slip_covariates.rows(paths, params.recordings), *rows], {**summary, "with_truth": known}
+        return [*slip_covariates.rows(paths, params.recordings), *rows], {**summary, "with_truth": truth_count}
 
     parents = [*(model.header for model in models), *headers]
     outcome = report(job, "evaluate slip", METHOD, parameters, parents, measure, force=force)
@@ -190,9 +190,9 @@ def for_people(rows: Rows, params: EvaluateSlip) -> tuple[Rows, list[str]]:
     verdict.append("--all prints every table; --json prints every row.")
     few = len(trajectories) <= FEW_TRAJECTORIES
     shown, names = (trajectories, OF_TRAJECTORIES) if few else (settings, OF_SETTINGS)
-    known = [name for name in names if any(row[name] is not None for row in shown) or not name.startswith("paper_")]
+    columns = [name for name in names if any(row[name] is not None for row in shown) or not name.startswith("paper_")]
     covariates = [row for row in rows if "covariate" in row]
-    return [*covariates, *({names[name]: row[name] for name in known} for row in shown)], verdict
+    return [*covariates, *({names[name]: row[name] for name in columns} for row in shown)], verdict
 
 
 def _verdict(row: dict[str, Any]) -> str:
@@ -286,7 +286,7 @@ def _reach(row: dict[str, Any], name: str) -> list[list[float]]:
 
 def _draw_warnings(figure: Any, settings: Rows, steps: Rows) -> None:
     """Plot the share of slips with at least a given warning time, and predicted probability against slip frequency."""
-    warned, said = figure.subplots(1, 2, width_ratios=[3, 2])
+    warned, calibration = figure.subplots(1, 2, width_ratios=[3, 2])
     for number, row in enumerate(settings):
         style, false = picture.series(number), row["false_alarms_per_min"]
         price = "no slice without slip" if false is None else f"{false:.2g} false alarms per min"
@@ -298,13 +298,13 @@ def _draw_warnings(figure: Any, settings: Rows, steps: Rows) -> None:
             interval = {**picture.INTERVAL, "ecolor": style["color"]}
             warned.errorbar(10, row["warned_10_ms"], yerr=reach, **interval)
         of_setting = [step for step in steps if step["setting"] == row["setting"]]
-        said.plot([step["said"] for step in of_setting], [step["happened"] for step in of_setting], **style)
-    said.plot([0, 1], [0, 1], color="0.5", linewidth=0.8, label="perfectly calibrated")
+        calibration.plot([step["said"] for step in of_setting], [step["happened"] for step in of_setting], **style)
+    calibration.plot([0, 1], [0, 1], color="0.5", linewidth=0.8, label="perfectly calibrated")
     warned.set(xlabel="minimum warning time [ms]", ylabel="share of slips", xticks=[*slip_warnings.WARNED])
-    said.set(xlabel="predicted probability of slip", ylabel="share that slips")
-    for axis in (warned.yaxis, said.xaxis, said.yaxis):
+    calibration.set(xlabel="predicted probability of slip", ylabel="share that slips")
+    for axis in (warned.yaxis, calibration.xaxis, calibration.yaxis):
         picture.share_axis(axis)
-    picture.legend(figure, (warned, said))
+    picture.legend(figure, (warned, calibration))
 
 
 def _draw_f1(axes: Any, place: int, row: dict[str, Any], objects: Rows) -> None:

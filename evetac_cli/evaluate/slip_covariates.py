@@ -23,11 +23,11 @@ from evetac_cli.store.recordings.slip_covariates import covariates_of_truth
 
 def with_truth(paths: Sequence[Path], folder: Path | None) -> list[bool]:
     """Return for each features file whether its simulated recording exists; raise InputError if missing in `folder`."""
-    known = []
+    has_truth = []
     for path in paths:
         with StageFile(path, "features") as features, _truth(features, folder) as recording:
-            known.append(recording is not None)
-    return known
+            has_truth.append(recording is not None)
+    return has_truth
 
 
 def rows(paths: Sequence[Path], folder: Path | None) -> Rows:

@@ -120,8 +120,8 @@ class Model:
     @property
     def setting(self) -> str:
         """A text that is equal for models that differ only in their seed."""
-        chosen = {key: value for key, value in self.header["parameters"].items() if key != "seed"}
-        return json.dumps([chosen, self.header["parents"]], sort_keys=True)
+        parameters = {key: value for key, value in self.header["parameters"].items() if key != "seed"}
+        return json.dumps([parameters, self.header["parents"]], sort_keys=True)
 
 
 def check(models: Sequence[Model], paths: Sequence[Path]) -> list[Header]:
@@ -184,11 +184,11 @@ def _judge(
     A trajectory is read once per architecture that has not been evaluated on it.
     """
     places = [None if folder is None else folder / f"{header['id']}.zip" for header in headers]
-    known = [{} if place is None else _read_kept(place) for place in places]
+    stored = [{} if place is None else _read_kept(place) for place in places]
     spans: list[tuple[int, int]] = []
     by_path: list[list[NDArray[np.float32]]] = []
     missing: list[set[int]] = []
-    for file, kept in zip(files, known, strict=True):
+    for file, kept in zip(files, stored, strict=True):
         label = file.read("label")
         kept_values = [_probabilities(kept.get(model.key), len(label)) for model in models]
         missing.append({index for index, one in enumerate(kept_values) if one is None})
@@ -208,7 +208,7 @@ def _judge(
                     detector = models[index].detector()
                 for number, first, stop, part in waiting:
                     (by_path[number][index][first:stop],) = probabilities([detector], part, first)
-    for place, kept, of_path, gaps in zip(places, known, by_path, missing, strict=True):
+    for place, kept, of_path, gaps in zip(places, stored, by_path, missing, strict=True):
         if place is not None and gaps:
             kept |= {models[index].key: of_path[index].tobytes() for index in sorted(gaps)}
             with taking_the_place_of(place) as temporary, ZipFile(temporary, "w") as archive:

@@ -35,28 +35,28 @@ def group_by_setting(models: Sequence[Model]) -> dict[str, list[int]]:
         groups.setdefault(model.setting, []).append(index)
     traits = [_traits(models[members[0]]) for members in groups.values()]
     varying = [key for key in traits[0] if len({trait[key] for trait in traits}) > 1]
-    named: dict[str, list[int]] = {}
+    by_name: dict[str, list[int]] = {}
     for trait, members in zip(traits, groups.values(), strict=True):
         name = ", ".join(trait[key] for key in trait if (key in varying or key in ALWAYS) and trait[key])
-        while name in named:
+        while name in by_name:
             name += "'"  # differs only in its training files
-        named[name] = members
-    return named
+        by_name[name] = members
+    return by_name
 
 
 def _traits(model: Model) -> dict[str, str]:
-    chosen = model.header["parameters"]
+    parameters = model.header["parameters"]
     return {
         "model": model.architecture.name,
         "horizon": f"{model.horizon_ms} ms ahead" if model.horizon_ms else "",
-        "preset": str(chosen.get("preset", "")),
+        "preset": str(parameters.get("preset", "")),
         "truth": TRUE_SLIP_SHARE if model.learned_true_slip_share else "",
         "labels": f"labels {model.labels}",
-        "steps": f"up to {chosen.get('max_steps')} steps",
-        "epochs": f"{chosen.get('epochs')} epochs",
-        "trained_on": f"{chosen.get('trained_on')} trajectories",
+        "steps": f"up to {parameters.get('max_steps')} steps",
+        "epochs": f"{parameters.get('epochs')} epochs",
+        "trained_on": f"{parameters.get('trained_on')} trajectories",
         "scenes": f"scenes {model.scenes}",
-        "folds": f"{chosen['folds']} folds" if chosen.get("folds") else "",
+        "folds": f"{parameters['folds']} folds" if parameters.get("folds") else "",
     }
 
 
@@ -130,13 +130,13 @@ def _papers_object(model: Model, name: str, models: int) -> dict[str, Any]:
 
     The paper's detector often fails on these two. None where it has no figure, and for objects seen in training.
     """
-    chosen = model.header["parameters"]
+    parameters = model.header["parameters"]
     architecture = model.architecture.name
     seen = name in model.objects
     return {
         "model": architecture,
         "horizon_ms": model.horizon_ms,
-        "preset": chosen.get("preset"),
+        "preset": parameters.get("preset"),
         "models": models,
         "paper_slip_correct_of_object": None
         if seen
@@ -174,17 +174,17 @@ def setting_row(setting: str, model: Model, cells: list[dict[str, Any]]) -> dict
     over objects of each seed.
     """
     every = [score for cell in cells for score in cell.values()]
-    chosen = model.header["parameters"]
+    parameters = model.header["parameters"]
     row: dict[str, Any] = {
         "setting": setting,
         "model": model.architecture.name,
         "horizon_ms": model.horizon_ms,
-        "preset": chosen.get("preset"),
+        "preset": parameters.get("preset"),
         "labels": model.labels,
         "true_slip_share": model.learned_true_slip_share,
         "scenes": model.scenes,
-        "max_steps": chosen.get("max_steps"),
-        "folds": chosen.get("folds", 0),
+        "max_steps": parameters.get("max_steps"),
+        "folds": parameters.get("folds", 0),
         "seeds": len(cells),
         "trajectories": sum(score["trajectories"] for score in cells[0].values()),
         "slip_early": _mean(_values(every, "slip_early")),
@@ -208,8 +208,8 @@ def _paper(model: Model, objects: set[str]) -> dict[str, Any]:
     if "unknown" in objects:
         return figures
     if objects <= model.objects:
-        known = ("known", name, model.horizon_ms)
-        figures = {"paper_slip_correct": paper.value("correct", *known), "paper_f1": paper.value("f1", *known)}
+        seen_key = ("known", name, model.horizon_ms)
+        figures = {"paper_slip_correct": paper.value("correct", *seen_key), "paper_f1": paper.value("f1", *seen_key)}
     elif not objects & model.objects:
         figures["paper_slip_correct"] = paper.value("correct", "unseen", name, model.horizon_ms)
     return figures
@@ -254,8 +254,8 @@ def _summary(scores: Rows, settings: Rows) -> dict[str, Any]:
         return scores[0]
     best: dict[str, Any] = {}
     for figure in ("slip_correct", "f1"):
-        known = [row for row in settings if row[figure] is not None]
-        top = max(known, key=lambda row: row[figure], default=None)
+        scored = [row for row in settings if row[figure] is not None]
+        top = max(scored, key=lambda row: row[figure], default=None)
         best |= {f"best_{figure}_setting": top and top["setting"], f"best_{figure}": top and top[figure]}
     return {"models": len(scores), "settings": len(settings), "trajectories": scores[0]["trajectories"], **best}
 

@@ -159,14 +159,14 @@ def sensor_rows(setting: str, judged: Seeds) -> Rows:
 
 def group(judged: Seeds, factor: str, name: str) -> dict[str, Any]:
     """Return plain shares over the trials of one object or one sensor, and all seeds."""
-    chosen = [one for seed in judged for one in seed if getattr(one, factor) == name]
-    slips = [one for one in chosen if one.slips]
-    minutes = sum(one.quiet_slices for one in chosen) / warning_curve.SLICES_PER_MIN
+    members = [one for seed in judged for one in seed if getattr(one, factor) == name]
+    slips = [one for one in members if one.slips]
+    minutes = sum(one.quiet_slices for one in members) / warning_curve.SLICES_PER_MIN
     return {
         "slip_correct": float(np.mean([one.is_correct for one in slips])) if slips else None,
         "warned_10_ms": float(np.mean([one.warned(10) for one in slips])) if slips else None,
-        "false_alarms_per_min": sum(one.false_alarms for one in chosen) / minutes if minutes else None,
-        "trials": len(chosen) // len(judged),
+        "false_alarms_per_min": sum(one.false_alarms for one in members) / minutes if minutes else None,
+        "trials": len(members) // len(judged),
     }
 
 

@@ -49,9 +49,9 @@ class Source:
         )
 
     @classmethod
-    def from_json(cls, known: Row) -> "Source":
+    def from_json(cls, stored: Row) -> "Source":
         """Restore a source that was stored as JSON from dataclasses.asdict."""
-        entries: dict[str, Any] = {name: tuple(one) if isinstance(one, list) else one for name, one in known.items()}
+        entries: dict[str, Any] = {name: tuple(one) if isinstance(one, list) else one for name, one in stored.items()}
         return cls(**entries)
 
 
@@ -60,8 +60,8 @@ def _texts(values: Iterable[Any]) -> tuple[str, ...]:
 
 
 def _scene(parameters: Row) -> str | None:
-    named = parameters.get("scene")
-    return named if isinstance(named, str) else scene_words(parameters, "name")
+    scene = parameters.get("scene")
+    return scene if isinstance(scene, str) else scene_words(parameters, "name")
 
 
 def _detector(parameters: Row) -> str:

@@ -137,9 +137,9 @@ class ContactMaker:
         self._at_dots = at_dots.at(dot_mm, FIRST_MM, COUNT).reshape(len(dot_mm), 3, 3, -1)
         self._between = answer.between_cells(COUNT)
 
-    def cell_answer(self, chosen: Flags) -> Floats:
+    def cell_answer(self, mask: Flags) -> Floats:
         """Return the response of some cells (n of all) to tractions on them: (3, 3, n, n) in mm per Pa."""
-        row, column = np.divmod(np.nonzero(chosen)[0], COUNT)
+        row, column = np.divmod(np.nonzero(mask)[0], COUNT)
         apart = (row[:, None] - row + COUNT - 1, column[:, None] - column + COUNT - 1)
         between: Floats = self._between[:, :, apart[0], apart[1]]
         return between
@@ -157,11 +157,11 @@ class ContactMaker:
             loaded = rng.uniform(*NEARLY_SLIPPING)
         if load_n is not None:
             normal_n, loaded = load_n[0], min(load_n[1] / (friction * load_n[0]), NEARLY_SLIPPING[1])
-        chosen = profile > 0
-        cells, pressure = self.cell_mm[chosen], profile[chosen]
+        is_pressed = profile > 0
+        cells, pressure = self.cell_mm[is_pressed], profile[is_pressed]
         pressure *= normal_n / (pressure.sum() * N_PER_PA)
         count = len(cells)
-        between = self.cell_answer(chosen)
+        between = self.cell_answer(is_pressed)
         answer = np.block([[between[0, 0], between[0, 1]], [between[1, 0], between[1, 1]]])
         answer = (answer + answer.T) / 2
         squeeze = np.concatenate([between[0, 2], between[1, 2]]) @ pressure
@@ -169,19 +169,21 @@ class ContactMaker:
         arm = cells - pressure @ cells / pressure.sum()
         along = np.repeat([np.cos(way), np.sin(way)], count)
         turn = np.concatenate([-arm[:, 1], arm[:, 0]])
-        held = np.linalg.solve(answer, np.stack([along, turn], axis=1)) * N_PER_PA  # N and N mm, per mm and per rad
+        rigid_load = (
+            np.linalg.solve(answer, np.stack([along, turn], axis=1)) * N_PER_PA
+        )  # N and N mm, per mm and per rad
         most_n = loaded * friction * normal_n
-        path = most_n / (along @ held[:, 0]) * along
+        path = most_n / (along @ rigid_load[:, 0]) * along
         if shape == "twisted":
             lever_mm = pressure @ np.hypot(*arm.T) / pressure.sum()
-            path = 0.3 * path + rng.choice([-1, 1]) * most_n * lever_mm / (turn @ held[:, 1]) * turn
+            path = 0.3 * path + rng.choice([-1, 1]) * most_n * lever_mm / (turn @ rigid_load[:, 1]) * turn
         steps = [share * path for share in np.linspace(0.0, 1.0, STEPS + 1)]
         shears, converged = frictional_shear(answer, squeeze, pressure, friction, steps)
         if not converged:
             raise RuntimeError(f"friction did not converge for contact {shape}, seed {seed}")
         shear, pressed = (each.reshape(2, count) for each in (shears[-1], shears[0]))
         seen, seen_pressed = (
-            np.einsum("doic,ic->do", self._at_dots[..., chosen], np.stack([*each, pressure]))
+            np.einsum("doic,ic->do", self._at_dots[..., is_pressed], np.stack([*each, pressure]))
             for each in (shear, pressed)
         )
         sticks = np.hypot(*shear) < STICKS * friction * pressure

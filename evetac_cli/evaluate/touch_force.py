@@ -104,7 +104,7 @@ def run(job: ForceReportJob, params: EvaluateForce, *, force: bool, progress: Pr
 
     parents = [*headers, *own_headers]
     recipe = recipe_of(params) | (
-        {"identified": {name: known.named() for name, known in identified.items()}} if identified else {}
+        {"identified": {name: gel.named() for name, gel in identified.items()}} if identified else {}
     )
     outcome = report(job, "evaluate force", METHOD, recipe, parents, measure, force=force)
     if not trials:
@@ -155,17 +155,17 @@ def _headers(
 
 def _identified(folder: str, files: tuple[Path, ...]) -> dict[str, KnownGel]:
     """Return the gel data in a folder's sensor files, for each sensor that has one; raise InputError if none has."""
-    known: dict[str, KnownGel] = {}
+    gel_by_sensor: dict[str, KnownGel] = {}
     for path in files:
         with StageFile(path, "tracks") as tracks:
             name = str(tracks.read("sensor/name"))
         file = Path(folder) / f"{name.rpartition(':')[2]}.sensor.toml"
         if file.exists():
-            known[name] = known_gel.known_of(str(file))
-    if not known:
+            gel_by_sensor[name] = known_gel.known_of(str(file))
+    if not gel_by_sensor:
         expected = "files such as 7.sensor.toml for randomized:7"
         raise InputError("no file of any evaluated sensor", where=f"--identified {folder}", expected=expected)
-    return known
+    return gel_by_sensor
 
 
 def known_sensor(recording: Recording) -> Sensor:
@@ -190,10 +190,10 @@ def _gels(
     rng = np.random.default_rng([params.seed, zlib.crc32(name.encode())])
     moduli, noise = rng.spawn(2)
     off = float(np.exp(params.stiffness_error * moduli.standard_normal()))
-    known = {"unknown": KnownGel(), "known": _true_gel(sensor, off)}
+    known_gels = {"unknown": KnownGel(), "known": _true_gel(sensor, off)}
     if identified is not None:
-        known["identified"] = identified
-    gels = {state: known_gel.gel_of(gel, params.stiffness_error) for state, gel in known.items()}
+        known_gels["identified"] = identified
+    gels = {state: known_gel.gel_of(gel, params.stiffness_error) for state, gel in known_gels.items()}
     if own:
         for before in list(gels):
             after = "adapted" if before == "unknown" else f"{before}, adapted"
@@ -219,10 +219,10 @@ def _predict(
             gels[name] = _gels(name, known_sensor(recording), folds, own, identified.get(name), params)
         at = slice(None, None, readings.EVERY)
         predicted, touches = {}, {}
-        for known, gel in gels[name].items():
+        for state, gel in gels[name].items():
             over = folds.of(gel, tracks)
-            predicted[known] = Forces(*(values[at] for values in touch_fold.forces_of(gel, over)))
-            touches[known] = over.touches[at]
+            predicted[state] = Forces(*(values[at] for values in touch_fold.forces_of(gel, over)))
+            touches[state] = over.touches[at]
         shear_n = recording.read("truth/shear_force_n")[at].astype(float)
         normal_n = recording.read("truth/normal_force_n")[at].astype(float)
         return ForceTrial(path, name, shear_n, normal_n, predicted, touches)
@@ -264,14 +264,14 @@ def _summary(trials: list[ForceTrial], rows: Rows, range_n: float, params: Evalu
         "normal_range_n": range_n,
     }
     for name in dict.fromkeys(name for one in trials for name in one.predicted):
-        chosen = [row for row in rows if row["stiffness"] == name]
+        selected_rows = [row for row in rows if row["stiffness"] == name]
         word = name.replace(", ", "_and_")
         for key in ("mae_n", "normal_mae_n", "normal_mae_of_range", "shear_within_sd", "normal_within_sd"):
-            summary[f"{word}_{key}"] = float(np.nanmean([row[key] for row in chosen]))
+            summary[f"{word}_{key}"] = float(np.nanmean([row[key] for row in selected_rows]))
         by_sensor: dict[str, list[float]] = {}
-        for row in chosen:
+        for row in selected_rows:
             by_sensor.setdefault(row["sensor_name"], []).append(row["mae_n"])
-        summary[f"{word}_sensors"] = len({row["sensor_name"] for row in chosen})
+        summary[f"{word}_sensors"] = len({row["sensor_name"] for row in selected_rows})
         summary[f"{word}_worst_sensor_mae_n"] = float(max(np.nanmean(values) for values in by_sensor.values()))
     summary["contact_right"] = float(np.mean([row["contact_right"] for row in rows if row["stiffness"] == "unknown"]))
     return summary

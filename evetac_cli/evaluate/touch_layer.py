@@ -108,9 +108,9 @@ class SurfaceAnswer:
         self._waves = 2 * math.pi * np.fft.fftfreq(points, box_mm / points)
         kx, ky = np.meshgrid(self._waves, self._waves)
         k = np.hypot(kx, ky)
-        known = np.concatenate([[0.0], np.geomspace(self._waves[1] / 2, k.max(), WAVE_STEPS)])
-        exact = depth_answer(layer, known, depth_mm)
-        across, along, aside, down, dip = (CubicSpline(known, part)(k) for part in exact)
+        wave_numbers = np.concatenate([[0.0], np.geomspace(self._waves[1] / 2, k.max(), WAVE_STEPS)])
+        exact = depth_answer(layer, wave_numbers, depth_mm)
+        across, along, aside, down, dip = (CubicSpline(wave_numbers, part)(k) for part in exact)
         k[0, 0] = 1.0
         x, y = kx / k, ky / k
         answer = np.empty((3, 3, *k.shape), np.complex128)  # x, y and into the layer; per shear x, y and pressure

@@ -49,14 +49,14 @@ def run(job: Job, params: EvaluateTracking, *, force: bool = False, progress: Pr
     that never moves dots, for comparison.
     """
     headers = []
-    known = 0
+    truth_count = 0
     for path in job.inputs:
         with StageFile(path, "tracks") as tracks:
             if not tracks.length(DOTS):
                 raise InputError("the tracks have no slices", where=str(path))
             _check_preset(path, tracks.header["parameters"])
             with _truth(tracks, params.recordings) as truth:
-                known += truth is not None
+                truth_count += truth is not None
             headers.append(tracks.header)
     names = _preset_names([header["parameters"] for header in headers])
     over_time: dict[str, list[Floats]] = {}
@@ -72,14 +72,14 @@ def run(job: Job, params: EvaluateTracking, *, force: bool = False, progress: Pr
         presets = [_preset(name, [row for row in rows if row["preset"] == name]) for name in dict.fromkeys(names)]
         summary = {
             "trajectories": len(rows),
-            "with_truth": known,
+            "with_truth": truth_count,
             **_lengths(rows),
             "dots_lost": sum(row["dots_lost"] or 0 for row in rows),
         }
         return [*presets, *rows], summary
 
     # A report that has the truth of more or fewer recordings is a different report.
-    parameters = {**recipe_of(params), "with_truth": known}
+    parameters = {**recipe_of(params), "with_truth": truth_count}
     outcome = report(job, "evaluate tracking", METHOD, parameters, headers, measure, force=force)
     if not outcome.made:  # errors over time are not stored in rows: plot them only when measured
         return outcome
@@ -95,8 +95,8 @@ def for_people(rows: Rows, params: EvaluateTracking) -> tuple[Rows, list[str]]:
     lines = []
     for row in rows:
         if "file" not in row and row["consistent"] is not None:
-            known = [one for one in rows if one.get("file") and one["preset"] == row["preset"]]
-            decided = sum(one["consistent"] is not None for one in known)
+            trajectories = [one for one in rows if one.get("file") and one["preset"] == row["preset"]]
+            decided = sum(one["consistent"] is not None for one in trajectories)
             published = row["paper_consistent_share"]
             beside = "" if published is None else f" (paper, on its own recordings: {published:.0%})"
             lines.append(
@@ -210,13 +210,13 @@ def _mean_events(tracks: StageFile, present: NDArray[np.bool_]) -> float:
 
 def _lengths(rows: Rows) -> dict[str, Any]:
     """Return errors over trajectories with equal weights; None without truth."""
-    known = [row for row in rows if row["error_px_rms"] is not None]
-    if not known:
+    with_truth = [row for row in rows if row["error_px_rms"] is not None]
+    if not with_truth:
         return dict.fromkeys(("error_px_rms", "error_px_worst", "still_px_rms"))
     return {
-        "error_px_rms": float(np.sqrt(np.mean([row["error_px_rms"] ** 2 for row in known]))),
-        "error_px_worst": max(row["error_px_worst"] for row in known),
-        "still_px_rms": float(np.sqrt(np.mean([row["still_px_rms"] ** 2 for row in known]))),
+        "error_px_rms": float(np.sqrt(np.mean([row["error_px_rms"] ** 2 for row in with_truth]))),
+        "error_px_worst": max(row["error_px_worst"] for row in with_truth),
+        "still_px_rms": float(np.sqrt(np.mean([row["still_px_rms"] ** 2 for row in with_truth]))),
     }
 
 

@@ -107,10 +107,12 @@ def for_people(rows: Rows, params: EvaluateVibration) -> tuple[Rows, list[str]]:
     whole = [row for row in rows if "seconds" in row]
     for method in dict.fromkeys(row["method"] for row in whole):
         of_method = [row for row in whole if row["method"] == method]
-        known = [row for row in of_method if row["correct"] is not None]
+        with_tone = [row for row in of_method if row["correct"] is not None]
         vibrating = sum(row["frequency_hz"] is not None for row in of_method)
-        right = f"; correct, within {params.tolerance_hz:g} Hz of the tone, in {sum(row['correct'] for row in known)}"
-        tones = f"{right} of {len(known)} with a known tone" if known else ""
+        right = (
+            f"; correct, within {params.tolerance_hz:g} Hz of the tone, in {sum(row['correct'] for row in with_tone)}"
+        )
+        tones = f"{right} of {len(with_tone)} with a known tone" if with_tone else ""
         lines.append(f"{method}: a vibration in {vibrating} of {len(of_method)} recordings{tones}.")
     return rows, lines
 

@@ -153,8 +153,8 @@ def embed(figures: Iterable[Any]) -> tuple[str, str, list[str]]:
     from bokeh.embed import components
     from bokeh.resources import Resources
 
-    drawn = tuple(figures)
-    if not drawn:
+    all_figures = tuple(figures)
+    if not all_figures:
         return "", "", []
-    script, places = components(drawn)
+    script, places = components(all_figures)
     return script, Resources(mode="inline", components=["bokeh"]).render_js(), list(places)

@@ -50,7 +50,7 @@ def reference_events(state: CameraState, path_px: NDArray[np.float64], step_us: 
     The path is sampled every `step_us`. `state` provides reference levels and thresholds at the start and is not
     changed. A level is the erf edge of the nearest dot, linear between samples. Events are ordered pixel by pixel.
     """
-    given = (
+    arguments = (
         path_px,
         float(step_us),
         state.reference,
@@ -59,8 +59,8 @@ def reference_events(state: CameraState, path_px: NDArray[np.float64], step_us: 
         state.model.edge_sigma_px,
         state.model.log_contrast,
     )
-    columns = _empty_columns(_crossings(*given, _empty_columns(0)))  # first count
-    _crossings(*given, columns)
+    columns = _empty_columns(_crossings(*arguments, _empty_columns(0)))  # first count
+    _crossings(*arguments, columns)
     return FineEvents(*columns)
 
 
@@ -69,7 +69,7 @@ def window_events(state: CameraState, object_px: NDArray[np.float64], step_us: f
 
     As `reference_events`; a level is the texture, bilinear and periodic, at full contrast, linear between samples.
     """
-    given = (
+    arguments = (
         np.ascontiguousarray(object_px),
         float(step_us),
         state.texture,
@@ -77,8 +77,8 @@ def window_events(state: CameraState, object_px: NDArray[np.float64], step_us: f
         state.window_reference,
         state.window_threshold,
     )
-    columns = _empty_columns(_window_crossings(*given, _empty_columns(0)))  # first count
-    _window_crossings(*given, columns)
+    columns = _empty_columns(_window_crossings(*arguments, _empty_columns(0)))  # first count
+    _window_crossings(*arguments, columns)
     return FineEvents(*columns)
 
 
@@ -94,7 +94,7 @@ def _cross(
     piece: tuple[int, float],
     pixel: tuple[int, int],
     events: Columns,
-    made: int,
+    event_count: int,
 ) -> tuple[float, int]:
     """Write the events of a pixel while its light changes linearly; return its new level and the event count.
 
@@ -106,12 +106,12 @@ def _cross(
     while abs(after - level) >= step:
         brighter = after > level
         level += step if brighter else -step
-        if made < len(times):
-            times[made] = (sample - 1 + (level - before) / (after - before)) * step_us
-            columns[made], rows[made] = pixel
-            polarities[made] = int(brighter)
-        made += 1
-    return level, made
+        if event_count < len(times):
+            times[event_count] = (sample - 1 + (level - before) / (after - before)) * step_us
+            columns[event_count], rows[event_count] = pixel
+            polarities[event_count] = int(brighter)
+        event_count += 1
+    return level, event_count
 
 
 @njit(cache=True)
@@ -130,7 +130,7 @@ def _crossings(
     height, width = reference.shape
     reach = radius + EDGE_SIGMAS * sigma
     near = np.empty(dots, np.int64)
-    made = 0
+    event_count = 0
     low = np.empty((dots, 2))
     high = np.empty((dots, 2))
     for dot in range(dots):
@@ -151,9 +151,11 @@ def _crossings(
             before = _edge_level(x, y, path[0], near[:count], radius, sigma, contrast)
             for sample in range(1, samples):
                 after = _edge_level(x, y, path[sample], near[:count], radius, sigma, contrast)
-                level, made = _cross(level, step, (before, after), (sample, step_us), (x, y), events, made)
+                level, event_count = _cross(
+                    level, step, (before, after), (sample, step_us), (x, y), events, event_count
+                )
                 before = after
-    return made
+    return event_count
 
 
 @njit(cache=True)
@@ -170,7 +172,7 @@ def _window_crossings(
 
     phase: offset of each reference level from the first level, as in a camera before its first slice.
     """
-    made = 0
+    event_count = 0
     for row in range(phase.shape[0]):
         for column in range(phase.shape[1]):
             x, y = corner[0] + column, corner[1] + row
@@ -179,9 +181,11 @@ def _window_crossings(
             step = np.float64(threshold[row, column])
             for sample in range(1, len(path)):
                 after = _texture_level(texture, x - path[sample, 0], y - path[sample, 1])
-                level, made = _cross(level, step, (before, after), (sample, step_us), (x, y), events, made)
+                level, event_count = _cross(
+                    level, step, (before, after), (sample, step_us), (x, y), events, event_count
+                )
                 before = after
-    return made
+    return event_count
 
 
 @njit(cache=True)

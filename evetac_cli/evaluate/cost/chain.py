@@ -87,8 +87,8 @@ class Lifted(NamedTuple):
 
 def slip_trial(trial: ChainTrial, setting: SolverSetting, folder: Path, scene: str = "slip") -> SimulatedTrial:
     """Return the trial of `evetac record --scene slip --object N --seed N` with the flags of a setting."""
-    chosen: dict[str, Any] = dict(setting.solver)
-    params = Record(scene=scene, objects=str(trial.object), seed=trial.seed, count=trial.number + 1, **chosen)
+    options: dict[str, Any] = dict(setting.solver)
+    params = Record(scene=scene, objects=str(trial.object), seed=trial.seed, count=trial.number + 1, **options)
     planned = record.jobs([], params, folder)[trial.number]
     assert isinstance(planned, SimulatedTrial)
     return planned
@@ -99,10 +99,10 @@ def run_chain(trial: ChainTrial, setting: SolverSetting, folder: Path, scene: st
     return chain_of(slip_trial(trial, setting, folder, scene))
 
 
-def chain_of(made: SimulatedTrial) -> Chain:
+def chain_of(trial: SimulatedTrial) -> Chain:
     """Record a trial, and compute everything that follows from it, next to it."""
-    _, record_s = timed(lambda: simulated_record.run(made, force=False, progress=silent))
-    path = made.output
+    _, record_s = timed(lambda: simulated_record.run(trial, force=False, progress=silent))
+    path = trial.output
 
     def further() -> int | None:
         for stage, params in ((label, Label()), (track, Track()), (featurize, Featurize())):
@@ -153,12 +153,12 @@ def package_model() -> Model:
 
 def run_grasp(trial: ChainTrial, setting: SolverSetting, folder: Path) -> Lifted:
     """Run the grasp of `evetac grasp --object N --seed N --lift-s 3.5 --balance-s 0.5` with the flags of a setting."""
-    chosen: dict[str, Any] = dict(setting.solver)
+    options: dict[str, Any] = dict(setting.solver)
     times: dict[str, Any] = {"count": trial.number + 1, "lift_s": LIFT_S, "balance_s": BALANCE_S}
-    params = Grasp(objects=str(trial.grasped), seed=trial.seed, **times, **chosen)
-    made = grasp.jobs([], params, folder)[trial.number]
-    assert isinstance(made, SimulatedGrasp)
-    outcome, seconds = timed(lambda: simulated_grasp.run(made, force=False, progress=silent))
+    params = Grasp(objects=str(trial.grasped), seed=trial.seed, **times, **options)
+    job = grasp.jobs([], params, folder)[trial.number]
+    assert isinstance(job, SimulatedGrasp)
+    outcome, seconds = timed(lambda: simulated_grasp.run(job, force=False, progress=silent))
     (row,) = outcome.rows
     return Lifted(bool(row["balanced"]), float(row["moved_mm"]), 1e6 * seconds / row["slices"])
 

@@ -140,11 +140,11 @@ def for_people(rows: Rows, params: EvaluateCost) -> tuple[Rows, list[str]]:
     """Return all rows, and for each error the settings with the smallest error and with the shortest run time."""
     lines = []
     for error in PARTS[params.part].errors:
-        known = [row for row in rows if row.get(error) is not None and row.get("time_us_median") is not None]
-        known = [row for row in known if not row["setting"].startswith("reference")]
-        if known:
-            least = min(known, key=lambda row: (row[error], row["time_us_median"]))
-            fastest = min(known, key=lambda row: (row["time_us_median"], row[error]))
+        measured = [row for row in rows if row.get(error) is not None and row.get("time_us_median") is not None]
+        measured = [row for row in measured if not row["setting"].startswith("reference")]
+        if measured:
+            least = min(measured, key=lambda row: (row[error], row["time_us_median"]))
+            fastest = min(measured, key=lambda row: (row["time_us_median"], row[error]))
             words = [
                 f"{row['setting']}, {row[error]:.3g} in {row['time_us_median']:.4g} us" for row in (least, fastest)
             ]

@@ -43,7 +43,7 @@ def simulate_explicit(trial: GelTrial, dt_s: float) -> GelMotion:
     rate_n_s = (trial.last_n - trial.first_n) / trial.seconds
 
     def advance(first: int, steps: int) -> tuple[int, bool]:
-        made, blown_up = _explicit_steps(
+        steps_done, blown_up = _explicit_steps(
             state.displacement_m,
             state.velocity_m_s,
             state.maxwell_n,
@@ -64,7 +64,7 @@ def simulate_explicit(trial: GelTrial, dt_s: float) -> GelMotion:
             steps,
             layer,
         )
-        return int(made), bool(blown_up)
+        return int(steps_done), bool(blown_up)
 
     def sample() -> tuple[Floats, Floats]:
         return state.pose.copy(), state.displacement_m.reshape(-1, 2).copy()

@@ -105,9 +105,9 @@ def follow(trial: GelTrial, dt_s: float, advance: Advance, sample: Callable[[], 
         for first in range(0, steps_a_sample, steps_a_block):
             steps = min(steps_a_block, steps_a_sample - first)
             started = time.thread_time()
-            made, blown_up = advance(done, steps)
-            blocks.append((time.thread_time() - started) / (made * dt_s) * 1e3)
-            done += made
+            steps_done, blown_up = advance(done, steps)
+            blocks.append((time.thread_time() - started) / (steps_done * dt_s) * 1e3)
+            done += steps_done
             if blown_up:
                 return GelMotion(np.empty((0, 3)), np.empty((0, 0, 2)), np.array(blocks), done * dt_s)
         pose, field = sample()

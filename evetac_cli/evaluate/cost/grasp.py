@@ -27,7 +27,7 @@ from evetac_cli.errors import InputError
 from evetac_cli.evaluate import picture
 from evetac_cli.evaluate.cost.deciding import Effort
 from evetac_cli.evaluate.cost.short_grasps import GraspResult, ShortGrasp, ground_truth_detector, run_short_grasp
-from evetac_cli.evaluate.paired import difference, known
+from evetac_cli.evaluate.paired import difference, finite_or_none
 from evetac_cli.evaluate.rows import Extent, collect, run_times
 from evetac_cli.jobs import Progress, Row, Rows
 from evetac_cli.stages.related_files import named_files
@@ -68,19 +68,21 @@ def inputs(files: list[Path], model: Path | None) -> tuple[Path, ...]:
             expected="no files; give detectors for comparison with --model",
             found=f"{len(files)} files",
         )
-    named = [] if model is None else named_files(model, "model", "--model")
-    return tuple(dict.fromkeys((resources.MODEL, *named)))
+    model_files = [] if model is None else named_files(model, "model", "--model")
+    return tuple(dict.fromkeys((resources.MODEL, *model_files)))
 
 
 def measure(params: EvaluateCost, inputs: Sequence[Path], progress: Progress) -> Rows:
     """Return rows of every setting with every controller."""
-    chosen = settings(params.full, inputs[1:])
+    selected_settings = settings(params.full, inputs[1:])
     started = time.process_time()
-    rows = collect(_rows(chosen, params), len(CONTROLLERS.pick(params.full)) * len(chosen), progress)
+    rows = collect(
+        _rows(selected_settings, params), len(CONTROLLERS.pick(params.full)) * len(selected_settings), progress
+    )
     tried = params.trials or TRIALS.pick(params.full)
     effort = Effort(params, tried, (time.process_time() - started) / 60.0 / tried)
     compared = ("more_mm_moved", "interval_low_mm", "interval_high_mm", "trials_compared")
-    return [effort.beside(row, chosen[0].name, *compared) for row in rows]
+    return [effort.beside(row, selected_settings[0].name, *compared) for row in rows]
 
 
 def summary(rows: Rows) -> dict[str, Any]:
@@ -125,17 +127,17 @@ def _unchanged(detector: SliceDetector, devices: Rig) -> SliceDetector:
 
 def _figures(results: Sequence[GraspResult], usual: Sequence[GraspResult]) -> Row:
     """Return errors over the trials of a setting; distance and force over those that held their object."""
-    held = [result.figures for result in results if result.figures["balanced"]]
+    held_figures = [result.figures for result in results if result.figures["balanced"]]
     apart = difference(_moved_mm(results), _moved_mm(usual))
     return {
         "trials": len(results),
-        "error_share_lost": 1 - len(held) / len(results),
-        "error_mm_moved": float(np.mean([figures["moved_mm"] for figures in held])) if held else None,
-        "more_mm_moved": known(apart.mean),
-        "interval_low_mm": known(apart.low),
-        "interval_high_mm": known(apart.high),
+        "error_share_lost": 1 - len(held_figures) / len(results),
+        "error_mm_moved": float(np.mean([figures["moved_mm"] for figures in held_figures])) if held_figures else None,
+        "more_mm_moved": finite_or_none(apart.mean),
+        "interval_low_mm": finite_or_none(apart.low),
+        "interval_high_mm": finite_or_none(apart.high),
         "trials_compared": apart.trials,
-        "force_n": float(np.mean([figures["force_end_n"] for figures in held])) if held else None,
+        "force_n": float(np.mean([figures["force_end_n"] for figures in held_figures])) if held_figures else None,
         **run_times(np.concatenate([result.detector_us for result in results])),
     }
 
@@ -153,16 +155,18 @@ def draw(figure: Any, rows: Rows, errors: Sequence[str]) -> None:
     panels = picture.panels(figure, len(TITLES), len(TITLES), sharey=True)
     for axes, (name, title) in zip(panels, TITLES.items(), strict=True):
         for number, controller in enumerate(controllers):
-            known = [row for row in rows if row["setting"].startswith(f"{controller}, ") and row[name] is not None]
+            controller_rows = [
+                row for row in rows if row["setting"].startswith(f"{controller}, ") and row[name] is not None
+            ]
             apart = 0.5 * ((number + 0.5) / len(controllers) - 0.5)
-            heights = [settings.index(row["setting"].partition(", ")[2]) + apart for row in known]
+            heights = [settings.index(row["setting"].partition(", ")[2]) + apart for row in controller_rows]
             if name == "error_share_lost":
-                for row, height in zip(known, heights, strict=True):
+                for row, height in zip(controller_rows, heights, strict=True):
                     reach = picture.wilson(row[name], row["trials"])
                     label = "95 % interval by the number of trials (Wilson)"
                     axes.errorbar(row[name], height, xerr=reach, label=label, **picture.INTERVAL)
             style = {**picture.series(number), "markersize": 7, "linestyle": "none"}
-            axes.plot([row[name] for row in known], heights, label=f"controller {controller}", **style)
+            axes.plot([row[name] for row in controller_rows], heights, label=f"controller {controller}", **style)
         axes.set_xlabel(title)
     picture.share_axis(panels[0].xaxis)
     panels[0].set_yticks(range(len(settings)), settings)

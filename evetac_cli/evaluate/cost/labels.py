@@ -21,7 +21,7 @@ from evetac_cli.commands.label import Label
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.commands.record import Record
 from evetac_cli.evaluate.cost.deciding import Effort
-from evetac_cli.evaluate.paired import difference, known
+from evetac_cli.evaluate.paired import difference, finite_or_none
 from evetac_cli.evaluate.rows import Extent, collect, run_times
 from evetac_cli.jobs import Progress, Row, Rows
 from evetac_cli.kernels.labelling import event_flow, flow
@@ -51,17 +51,17 @@ def measure(params: EvaluateCost, inputs: Sequence[Path], progress: Progress) ->
     if undecided, the command that would decide it (see deciding). Run times are over the trials. `speedup` is the
     reference's run time over that of the setting.
     """
-    asked = params.trials or OBJECTS.count(",") + 1
+    requested = params.trials or OBJECTS.count(",") + 1
     with TemporaryDirectory() as folder:
         started = time.process_time()
         recordings = _record(Record(scene="slip", objects=OBJECTS, seed=params.seed), Path(folder), params.trials)
-        minutes = [(time.process_time() - started) / 60.0 / asked]  # per trial: of recording, then of each setting
+        minutes = [(time.process_time() - started) / 60.0 / requested]  # per trial: of recording, then of each setting
         every = EVERY.pick(params.full) if params.trials is None else 1
         rows = collect(_rows(recordings, every, minutes), len(methods()), progress)
     reference, compared = rows[0]["setting"], ("more_ms_onset", "interval_low_ms", "interval_high_ms", "trials")
     for row in rows:
         row["speedup"] = rows[0]["time_us_median"] / row["time_us_median"] if row["time_us_median"] else None
-    tried = [asked if number < ROUND_ONSET else max(asked // every, 1) for number in range(len(rows))]
+    tried = [requested if number < ROUND_ONSET else max(requested // every, 1) for number in range(len(rows))]
     efforts = (Effort(params, trials, sum(minutes)) for trials in tried)
     return [effort.beside(row, reference, *compared) for effort, row in zip(efforts, rows, strict=True)]
 
@@ -74,7 +74,7 @@ def summary(rows: Rows) -> dict[str, Any]:
 def methods() -> list[tuple[str, Method]]:
     """Return the settings to compare; the first is the reference."""
     default = Label()
-    chosen = [
+    variants = [
         *((f"farneback, steps of {step} ms", replace(default, method="farneback", coarse_ms=step)) for step in (5, 20)),
         *((f"dis, steps of {step} ms", replace(default, method="dis", coarse_ms=step)) for step in (5, 20)),
         ("event-count, steps of 5 ms", replace(default, method="event-count")),
@@ -82,7 +82,7 @@ def methods() -> list[tuple[str, Method]]:
     return [
         ("farneback of both regions, every slice", _every_slice),
         ("farneback in the same slices, searched", _searched),
-        *((setting, _stage(params)) for setting, params in chosen),
+        *((setting, _stage(params)) for setting, params in variants),
         *((f"farneback in steps of 5 ms, {times} x smaller", _smaller_frames(times)) for times in (2, 4)),
         *((f"event-flow, motion seen over {px:g} px", _seen_over(px)) for px in (0.3, 0.6, 1.2)),
     ]
@@ -105,13 +105,13 @@ def _rows(recordings: Sequence[Path], every: int, minutes: list[float]) -> Itera
         yield _row(setting, np.array(onsets), np.array(true), np.array(reference[::step]), np.array(took_us))
 
 
-def _record(chosen: Record, folder: Path, trials: int | None) -> list[Path]:
+def _record(params: Record, folder: Path, trials: int | None) -> list[Path]:
     """Record the trials and return those that slip; run the default method once on each, so that it is compiled.
 
     trials: their number, object after object, starting again after the last; None is one per object.
     """
-    objects = chosen.objects.count(",") + 1
-    rounds = replace(chosen, count=-(-(trials or objects) // objects))
+    objects = params.objects.count(",") + 1
+    rounds = replace(params, count=-(-(trials or objects) // objects))
     jobs = sorted(
         simulated_trials(("ramp",), rounds, folder), key=lambda trial: trial.number
     )  # objects keep their order
@@ -138,9 +138,9 @@ def _row(setting: str, onset: Any, true: Any, reference: Any, took_us: Any) -> R
         "trials": len(onset),
         "error_ms_onset": float(np.median(np.abs(onset - true)[has_onset])) if has_onset.any() else None,
         "error_ms_reference": float(np.abs(onset - reference)[both].max()) if both.any() else None,
-        "more_ms_onset": known(apart.mean),
-        "interval_low_ms": known(apart.low),
-        "interval_high_ms": known(apart.high),
+        "more_ms_onset": finite_or_none(apart.mean),
+        "interval_low_ms": finite_or_none(apart.low),
+        "interval_high_ms": finite_or_none(apart.high),
         "onset_share": float(has_onset.mean()) if len(onset) else None,
         **run_times(took_us),
     }
@@ -194,8 +194,8 @@ def _smaller_frames(times: int) -> Method:
     """Return the stage's search for the onset, with frames smaller by a factor."""
 
     def method(recording: Recording) -> tuple[int, float]:
-        given = (*label.regions(recording), flow_constants(shrink=times), ramp_start(recording))
-        return _time(recording, lambda: flow.label(recording.between, len(recording), *given))
+        arguments = (*label.regions(recording), flow_constants(shrink=times), ramp_start(recording))
+        return _time(recording, lambda: flow.label(recording.between, len(recording), *arguments))
 
     return method
 
@@ -208,8 +208,8 @@ def _seen_over(seen_px: float) -> Method:
         assert dots is not None  # a simulated recording
         constants = event_flow.EventFlowConstants(seen_px=seen_px)
         window, _ = label.regions(recording)
-        given = window, recording.frame_px, dots.reshape(-1, 2), radius, constants, ramp_start(recording)
-        return _time(recording, lambda: event_flow.label(recording.between, len(recording), *given))
+        arguments = window, recording.frame_px, dots.reshape(-1, 2), radius, constants, ramp_start(recording)
+        return _time(recording, lambda: event_flow.label(recording.between, len(recording), *arguments))
 
     return method
 

@@ -107,14 +107,14 @@ def _report_rows(path: Path, models: Sequence[Model]) -> dict[str, Row]:
         header, rows = file.header, json.loads(file.read("rows"))
     reported = {id_ for id_ in header["parents"] if header["history"][id_]["kind"] == "model"}
     by_setting = {row["setting"]: row for row in rows if "seeds" in row}
-    given = {model.header["id"] for model in models}
+    model_ids = {model.header["id"] for model in models}
     command = header["parameters"].get("command")
-    if command != "evaluate slip" or given != reported or {*group_by_setting(models)} != {*by_setting}:
+    if command != "evaluate slip" or model_ids != reported or {*group_by_setting(models)} != {*by_setting}:
         raise InputError(
             "this is not the report of `evaluate slip` on the given models",
             where=str(path),
-            expected=f"a report on these {len(given)} models",
-            found=f"{command}, on {len(reported)} models, {len(reported & given)} of these",
+            expected=f"a report on these {len(model_ids)} models",
+            found=f"{command}, on {len(reported)} models, {len(reported & model_ids)} of these",
         )
     return by_setting
 
@@ -229,10 +229,10 @@ def front(rows: Rows, error: str) -> list[bool]:
     On the front, no other row is as good in both and better in one. A row without that error is not on the front.
     """
     points = [(row["horizon_ms"], row[error], row["time_us_median"]) for row in rows]
-    known = [point for point in points if point[1] is not None]
+    measured = [point for point in points if point[1] is not None]
 
     def beaten(point: tuple[int, float, float]) -> bool:
-        same_task = (other for other in known if other[0] == point[0] and other != point)
+        same_task = (other for other in measured if other[0] == point[0] and other != point)
         return any(error <= point[1] and time_us <= point[2] for _, error, time_us in same_task)
 
     return [point[1] is not None and not beaten(point) for point in points]

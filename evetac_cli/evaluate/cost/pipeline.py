@@ -50,7 +50,7 @@ from evetac_cli.evaluate.cost.chain import (
     slip_errors,
 )
 from evetac_cli.evaluate.cost.deciding import Effort
-from evetac_cli.evaluate.paired import difference, known, on_front, share_difference
+from evetac_cli.evaluate.paired import difference, finite_or_none, on_front, share_difference
 from evetac_cli.evaluate.rows import Extent, SolverSetting, line, run_times
 from evetac_cli.jobs import Progress, Row, Rows
 
@@ -110,12 +110,12 @@ class Measured:
     def add(
         self,
         trial: ChainTrial,
-        made: tuple[Chain, Lifted],
+        results: tuple[Chain, Lifted],
         slip_errors: dict[str, float],
         reference: tuple[Chain, Lifted],
     ) -> None:
         """Append the results of a trial, compared with those of the reference."""
-        chain, lifted = made
+        chain, lifted = results
         both_held = lifted.held and reference[1].held
         moved = abs(lifted.moved_mm - reference[1].moved_mm) if both_held else float("nan")
         errors = {**slip_errors, "error_share_lost": float(not lifted.held), "error_mm_moved": moved}
@@ -128,8 +128,8 @@ class Measured:
                 "gross_slip_ms": chain.gross_slip_ms,
                 "label_ms": chain.label_ms,
                 "detection_ms": chain.detection_ms,
-                "detection_moved_ms": known(self.detection_moved_ms[-1]),
-                **{name: known(errors[name]) for name in SLIP_ERRORS},
+                "detection_moved_ms": finite_or_none(self.detection_moved_ms[-1]),
+                **{name: finite_or_none(errors[name]) for name in SLIP_ERRORS},
                 "grasped_object": trial.grasped,
                 "held": lifted.held,
                 "moved_mm": lifted.moved_mm,
@@ -151,10 +151,10 @@ def trials(count: int, seed: int) -> list[ChainTrial]:
 
 def measure(params: EvaluateCost, inputs: Sequence[Path], progress: Progress) -> Rows:
     """Return a row per setting including the reference, per paired difference from the defaults, and per trial."""
-    chosen = [FINEST if params.full else REFERENCE, DEFAULTS, *CHOICES.pick(params.full)]
+    settings = [FINEST if params.full else REFERENCE, DEFAULTS, *CHOICES.pick(params.full)]
     tried = trials(params.trials or TRIALS.pick(params.full), params.seed)
-    measured = [Measured(setting) for setting in chosen]
-    done, total = 0, len(CALIBRATION) + len(chosen) * len(tried)
+    measured = [Measured(setting) for setting in settings]
+    done, total = 0, len(CALIBRATION) + len(settings) * len(tried)
     calibration = []
     for trial in CALIBRATION:
         with TemporaryDirectory() as folder:
@@ -167,9 +167,9 @@ def measure(params: EvaluateCost, inputs: Sequence[Path], progress: Progress) ->
         reference: tuple[Chain, Lifted] | None = None
         for entry in measured:
             with TemporaryDirectory() as folder:  # files of all settings have the same names
-                made = run_chain(trial, entry.setting, Path(folder)), run_grasp(trial, entry.setting, Path(folder))
-            reference = reference or made
-            entry.add(trial, made, slip_errors(made[0], reference[0], force), reference)
+                results = run_chain(trial, entry.setting, Path(folder)), run_grasp(trial, entry.setting, Path(folder))
+            reference = reference or results
+            entry.add(trial, results, slip_errors(results[0], reference[0], force), reference)
             done += 1
             progress(done, total)
     minutes_a_trial = (time.process_time() - started) / 60.0 / len(tried)
@@ -191,9 +191,9 @@ def tables(measured: Sequence[Measured], effort: Effort) -> Rows:
                 {
                     "error": name.removeprefix("error_"),
                     "setting": entry.setting.name,
-                    "more_than_defaults": known(apart.mean),
-                    "interval_low": known(apart.low),
-                    "interval_high": known(apart.high),
+                    "more_than_defaults": finite_or_none(apart.mean),
+                    "interval_low": finite_or_none(apart.low),
+                    "interval_high": finite_or_none(apart.high),
                     "trials": apart.trials,
                     **effort.deciding(apart, shares),
                 }
@@ -279,14 +279,14 @@ def draw(figure: Any, rows: Rows, errors: Sequence[str]) -> None:
     for axes, name in zip(panels, names, strict=True):
         time = "grasp_us_median" if name in GRASP_ERRORS else "time_us_median"
         for number, (line_name, members) in enumerate(lines.items()):
-            drawn = sorted((row for row in members if row[name] is not None), key=lambda row: float(row[time]))
+            points = sorted((row for row in members if row[name] is not None), key=lambda row: float(row[time]))
             style = {**picture.series(number), "linestyle": "none"}
-            around = [row for row in (settings[1], *drawn) if row[name] is not None]
+            around = [row for row in (settings[1], *points) if row[name] is not None]
             around.sort(key=lambda row: float(row[time]))
             axes.plot([row[time] for row in around], [row[name] for row in around], color=style["color"], linewidth=0.8)
             own = {"label": line_name, "mfc": "white", **style}
-            axes.plot([row[time] for row in drawn], [row[name] for row in drawn], **own)
-            best = [row for row in drawn if name.removeprefix("error_") in row["pareto"].split(", ")]
+            axes.plot([row[time] for row in points], [row[name] for row in points], **own)
+            best = [row for row in points if name.removeprefix("error_") in row["pareto"].split(", ")]
             axes.plot([row[time] for row in best], [row[name] for row in best], **style)
         if settings[0][name] is not None:
             axes.axhline(settings[0][name], color="0.5", linewidth=1, linestyle=":", label="reference")

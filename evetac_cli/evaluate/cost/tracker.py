@@ -157,10 +157,10 @@ def _errors(scenario: Scenario, constants: TrackerConstants, share: float, seed:
     error_px = np.empty(scenario.truth_px.shape[:2])
     events = 0
     for k, slice_ in enumerate(scenario.slices):
-        chosen = rng.random(slice_.size) < share
-        tracker.step(state, slice_.x[chosen], slice_.y[chosen], slice_.p[chosen])
+        sample = rng.random(slice_.size) < share
+        tracker.step(state, slice_.x[sample], slice_.y[sample], slice_.p[sample])
         error_px[k] = np.linalg.norm(state.dot_xy_px - scenario.truth_px[k], axis=1)
-        events += int(chosen.sum())
+        events += int(sample.sum())
     still_px = np.linalg.norm(DOTS_PX - scenario.truth_px, axis=2)
     return {
         "error_px_rms": math.sqrt(np.mean(error_px**2)),

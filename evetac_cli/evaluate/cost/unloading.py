@@ -135,12 +135,12 @@ def row_count(full: bool) -> int:
 
 def unloading_rows(seed: int, full: bool, trials: int | None = None) -> Iterator[Row]:
     """Yield the rows of every unloading and friction."""
-    drawn = [draw_trial(seed + number) for number in range(trials or TRIALS.pick(full))]
-    solve(replace(drawn[0], seconds=0.01), Solver())  # compiles
+    random_trials = [draw_trial(seed + number) for number in range(trials or TRIALS.pick(full))]
+    solve(replace(random_trials[0], seconds=0.01), Solver())  # compiles
     for unloading, unload in unloadings().items():
         for law, friction in frictions().items():
             part = f"mechanics, {unloading} unloading, {law}"
-            cases = [replace(unload(trial), friction=friction) for trial in drawn]
+            cases = [replace(unload(trial), friction=friction) for trial in random_trials]
             yield from _part_rows(part, cases, full)
 
 
@@ -151,9 +151,9 @@ def _part_rows(part: str, cases: Sequence[GelTrial], full: bool) -> Iterator[Row
     finer_grid = Solver(step_ms=PITCH_STEP_MS, node_pitch_mm=REFERENCE_PITCH_MM.pick(full))
     in_space = [solve(trial, finer_grid) for trial in cases]
     for setting in choices(full):
-        chosen: dict[str, Any] = dict(setting.solver)
-        solved = [solve(trial, Solver(**chosen)) for trial in cases]
-        yield _row(part, setting, solved, in_space if "node_pitch_mm" in chosen else in_time)
+        options: dict[str, Any] = dict(setting.solver)
+        solved = [solve(trial, Solver(**options)) for trial in cases]
+        yield _row(part, setting, solved, in_space if "node_pitch_mm" in options else in_time)
 
 
 def _row(part: str, setting: SolverSetting, solved: Sequence[Slide], references: Sequence[Slide]) -> Row:
@@ -194,5 +194,5 @@ def _errors(one: Slide, reference: Slide) -> tuple[float, float, float, float, f
 
 def _rms(values: Floats) -> float | None:
     """Return the root mean square of finite values; None if there are none."""
-    known = values[np.isfinite(values)]
-    return float(np.sqrt((known**2).mean())) if len(known) else None
+    finite = values[np.isfinite(values)]
+    return float(np.sqrt((finite**2).mean())) if len(finite) else None

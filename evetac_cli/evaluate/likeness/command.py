@@ -45,7 +45,7 @@ SHARES = "share_"  # prefix of measures that are averaged, as in the paper
 
 
 @dataclass(frozen=True)
-class Told:
+class MeasuredRecording:
     """The measures of a recording, its scene, None if unknown, and its slip, if any."""
 
     row: Row
@@ -71,12 +71,12 @@ def run(job: Job, params: EvaluateLikeness, *, force: bool = False, progress: Pr
     parameters = {**recipe_of(params), "facts": listed, "tables": tables.digests(named_tables())}
 
     def measured() -> tuple[Rows, dict[str, Any]]:
-        told = []
+        recordings = []
         for number, path in enumerate(job.inputs):
-            told.append(_told(path))
+            recordings.append(_measured_recording(path))
             progress(number + 1, len(job.inputs))
-        rows = [_fact_row(fact, told, tables) for fact in facts()]
-        return [*rows, *(one.row for one in told)], _summary(rows, told)
+        rows = [_fact_row(fact, recordings, tables) for fact in facts()]
+        return [*rows, *(one.row for one in recordings)], _summary(rows, recordings)
 
     return report(job, "evaluate likeness", METHOD, parameters, parents, measured, force=force)
 
@@ -87,7 +87,7 @@ def for_people(rows: Rows, params: EvaluateLikeness) -> tuple[Rows, list[str]]:
     The sentences state how many of the counted facts are known and agree, and why the others are unknown.
     """
     of_facts = [row for row in rows if "fact" in row]
-    told = [row for row in of_facts if row["simulated_from"] == HERE or row["real"] is not None]
+    checkable = [row for row in of_facts if row["simulated_from"] == HERE or row["real"] is not None]
     shown = [
         {
             "fact": row["name"],
@@ -98,19 +98,19 @@ def for_people(rows: Rows, params: EvaluateLikeness) -> tuple[Rows, list[str]]:
             "real_compared": row["real_compared"],
             "class": row["class"],
         }
-        for row in told
+        for row in checkable
     ]
     counted = [row for row in of_facts if row["counts"] is not None]
     within, near = (sum(row["compared"] == one for row in counted) for one in (WITHIN, NEAR))
-    known = sum(row["compared"] is not None for row in counted)
-    elsewhere = sum(row["not_told"] is None for row in of_facts) - len(told)
+    known_count = sum(row["compared"] is not None for row in counted)
+    elsewhere = sum(row["not_told"] is None for row in of_facts) - len(checkable)
     lines = [
-        f"These recordings provide {len(told)} facts, docs/results and constants {elsewhere} more (--json lists all);"
-        " docs/likeness.md explains each.",
-        f"Of the {len(counted)} counted facts, {known} are known in simulation: {within} within the published spread,"
-        f" {near} more of the same sign and between half and twice the published figure.",
+        f"These recordings provide {len(checkable)} facts, docs/results and constants {elsewhere} more"
+        " (--json lists all); docs/likeness.md explains each.",
+        f"Of the {len(counted)} counted facts, {known_count} are known in simulation: {within} within the published"
+        f" spread, {near} more of the same sign and between half and twice the published figure.",
     ]
-    if any(row["real"] is not None for row in told):
+    if any(row["real"] is not None for row in checkable):
         lines.append("Real recordings are assumed to show the motions of each fact; only their author can check this.")
     reasons: dict[str, list[str]] = defaultdict(list)
     for row in of_facts:
@@ -119,7 +119,7 @@ def for_people(rows: Rows, params: EvaluateLikeness) -> tuple[Rows, list[str]]:
     return shown, [*lines, *(f"Unknown, because {why}: {', '.join(names)}." for why, names in reasons.items())]
 
 
-def _told(path: Path) -> Told:
+def _measured_recording(path: Path) -> MeasuredRecording:
     from evetac_cli.evaluate.likeness import single_slice
     from evetac_cli.evaluate.likeness.counts import count
     from evetac_cli.evaluate.likeness.measures import measure
@@ -133,12 +133,14 @@ def _told(path: Path) -> Told:
         judged = counts.onset is not None and (scene is None or scene in SLIPS)
         about = {"file": path.name, "scene": scene, "object": called, "onset_ms": counts.onset}
         row = {**about, "real": not simulated, **measure(recording, counts)}
-        return Told(row, simulated, scene, single_slice.slip(str(called or path.name), counts) if judged else None)
+        return MeasuredRecording(
+            row, simulated, scene, single_slice.slip(str(called or path.name), counts) if judged else None
+        )
 
 
-def _fact_row(fact: Fact, measured: Iterable[Told], tables: ResultTables) -> Row:
+def _fact_row(fact: Fact, measured: Iterable[MeasuredRecording], tables: ResultTables) -> Row:
     """Return the row of a fact: figures of simulated recordings, or else of results or a constant; and of real ones."""
-    by_source: dict[bool, list[Told]] = defaultdict(list)
+    by_source: dict[bool, list[MeasuredRecording]] = defaultdict(list)
     for one in measured:
         by_source[one.simulated].append(one)
     simulated, real = (_of_recordings(fact, by_source[source]) for source in (True, False))
@@ -171,15 +173,15 @@ def _fact_row(fact: Fact, measured: Iterable[Told], tables: ResultTables) -> Row
     }
 
 
-def _of_recordings(fact: Fact, measured: list[Told]) -> Ours:
+def _of_recordings(fact: Fact, measured: list[MeasuredRecording]) -> Ours:
     """Return the figures of a fact from recordings of one kind, simulated or real."""
     if not fact.measures:
         return Ours(untold=fact.needs)
     judged = _judged(measured)
     values: list[float | None] = []
     numbers: list[int] = []
-    for named in fact.measures:
-        name, _, scene = named.partition("@")
+    for entry in fact.measures:
+        name, _, scene = entry.partition("@")
         if name in judged:
             values.append(judged[name])
             numbers.append(sum(one.slip is not None for one in measured))
@@ -188,7 +190,7 @@ def _of_recordings(fact: Fact, measured: list[Told]) -> Ours:
         values.append(None if not fitting else _middle(name, fitting))
         numbers.append(len(fitting))
     if all(value is None for value in values):
-        pairs = [named.partition("@")[::2] for named in fact.measures]
+        pairs = [entry.partition("@")[::2] for entry in fact.measures]
         scenes = sorted({scene for name, scene in pairs if scene and any(name in one.row for one in measured)})
         if scenes:  # measured, but only in simulations of other scenes
             return Ours(untold=f"no simulated recording here is of the scene {' or '.join(scenes)}")
@@ -196,7 +198,7 @@ def _of_recordings(fact: Fact, measured: list[Told]) -> Ours:
     return Ours(tuple(values), min(number for number in numbers if number), HERE)
 
 
-def _judged(measured: list[Told]) -> Row:
+def _judged(measured: list[MeasuredRecording]) -> Row:
     """Return how well one threshold detects the slips of recordings; empty if they are of one object."""
     from evetac_cli.evaluate.likeness.single_slice import judge
 
@@ -207,7 +209,7 @@ def _middle(name: str, values: list[float]) -> float:
     return float(np.mean(values) if name.startswith(SHARES) else np.median(values))
 
 
-def _summary(rows: Rows, measured: list[Told]) -> Row:
+def _summary(rows: Rows, measured: list[MeasuredRecording]) -> Row:
     """Return the number of recordings and known facts, and how many of the counted facts compare in each way."""
     counted = [row for row in rows if row["counts"] is not None]
     return {

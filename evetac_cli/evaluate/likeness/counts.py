@@ -66,7 +66,7 @@ def about_slip(counts: SliceCounts) -> Row:
     about = slice(max(onset - ABOUT_MS, 0), onset + ABOUT_MS)
     after = slice(onset, onset + ABOUT_MS)
     rate_before, rate_after = rate(counts, *BEFORE_MS), rate(counts, *AFTER_MS)
-    held = sensing[: max(onset - HELD_UNTIL_MS, 0)]
+    held_counts = sensing[: max(onset - HELD_UNTIL_MS, 0)]
     all_after = float(sensing[after].sum() + window[after].sum())
     earlier = sensing[counts.start : max(onset - 50, counts.start)]
     return {
@@ -78,7 +78,7 @@ def about_slip(counts: SliceCounts) -> Row:
         "before_over_after": (rate_before - floor) / (rate_after - floor) if rate_after > floor else math.nan,
         "loudest_slice": float(sensing[about].max()) if len(sensing[about]) else math.nan,
         "loudest_slice_50_before": float(earlier.max()) if len(earlier) else math.nan,
-        "held_above_25_share": _mean((held > BUSY).astype(np.float64)),
+        "held_above_25_share": _mean((held_counts > BUSY).astype(np.float64)),
         "window_share_after_slip": float(window[after].sum()) / all_after if all_after else math.nan,
     }
 

@@ -82,14 +82,14 @@ class Fact:
         within: all in the published spread; half to twice: all of the same sign and between half and twice the public
         figures; off: neither. If no spread is published, no figure is within it.
         """
-        known = [(place, one) for place, one in enumerate(ours) if one is not None]
-        if not known or not (self.value or self.low):
+        known_figures = [(place, one) for place, one in enumerate(ours) if one is not None]
+        if not known_figures or not (self.value or self.low):
             return None
-        within = all(_between(one, _at(self.low, place), _at(self.high, place)) for place, one in known)
-        near = all(_near(one, _at(self.value, place)) for place, one in known)
+        within = all(_between(one, _at(self.low, place), _at(self.high, place)) for place, one in known_figures)
+        near = all(_near(one, _at(self.value, place)) for place, one in known_figures)
         if not within and not near:
             return OFF
-        if len(known) < len(ours):
+        if len(known_figures) < len(ours):
             return None
         return WITHIN if within else NEAR
 
@@ -136,24 +136,24 @@ def _fact(entry: Mapping[str, Any]) -> Fact:
     Raise ValueError if it is invalid.
     """
     where = f"likeness.toml, {entry.get('name', 'a fact without a name')}"
-    given: dict[str, Any] = {key: tuple(one) if isinstance(one, list) else one for key, one in entry.items()}
-    keys, sds, trials = given.pop("paper", ()), given.pop("sd", ()), given.pop("trials", None)
-    given["kind"] = given.pop("class", None)
-    if isinstance(given.get("value_of"), str):
-        given["value_of"] = (given["value_of"],)
+    arguments: dict[str, Any] = {key: tuple(one) if isinstance(one, list) else one for key, one in entry.items()}
+    keys, sds, trials = arguments.pop("paper", ()), arguments.pop("sd", ()), arguments.pop("trials", None)
+    arguments["kind"] = arguments.pop("class", None)
+    if isinstance(arguments.get("value_of"), str):
+        arguments["value_of"] = (arguments["value_of"],)
     if keys:
-        given["value"] = tuple(_published(key, where) for key in keys)
+        arguments["value"] = tuple(_published(key, where) for key in keys)
     if sds:
         spread = [_published(key, where) for key in sds]
-        given["low"] = tuple(mean - sd for mean, sd in zip(given["value"], spread, strict=True))
-        given["high"] = tuple(mean + sd for mean, sd in zip(given["value"], spread, strict=True))
+        arguments["low"] = tuple(mean - sd for mean, sd in zip(arguments["value"], spread, strict=True))
+        arguments["high"] = tuple(mean + sd for mean, sd in zip(arguments["value"], spread, strict=True))
     if trials is not None:
-        ends = [estimates.share(round(share * trials), trials)[1:] for share in given["value"]]
-        given["low"], given["high"] = (tuple(float(end[side]) for end in ends) for side in (0, 1))
-    unknown = set(given) - {item.name for item in fields(Fact)}
-    if unknown or given["kind"] not in CLASSES:
-        raise ValueError(f"{where}: expected a class of {CLASSES} and known keys, found {given['kind']}, {unknown}")
-    fact = Fact(**given)
+        ends = [estimates.share(round(share * trials), trials)[1:] for share in arguments["value"]]
+        arguments["low"], arguments["high"] = (tuple(float(end[side]) for end in ends) for side in (0, 1))
+    unknown = set(arguments) - {item.name for item in fields(Fact)}
+    if unknown or arguments["kind"] not in CLASSES:
+        raise ValueError(f"{where}: expected a class of {CLASSES} and known keys, found {arguments['kind']}, {unknown}")
+    fact = Fact(**arguments)
     if len(fact.low) != len(fact.high) or (fact.low and fact.value and len(fact.low) != len(fact.value)):
         raise ValueError(
             f"{where}: expected as many interval ends as figures, found {fact.value}, {fact.low}, {fact.high}"
@@ -172,10 +172,10 @@ def _published(key: Iterable[str | float], where: str) -> float:
 
 def as_text(values: Iterable[float | None]) -> str:
     """Return figures as text: three digits each, `unknown` for a missing one; empty if all are missing."""
-    known = list(values)
-    if all(value is None for value in known):
+    figures = list(values)
+    if all(value is None for value in figures):
         return ""
-    return "; ".join("unknown" if value is None else _shown(value) for value in known)
+    return "; ".join("unknown" if value is None else _shown(value) for value in figures)
 
 
 def _shown(value: float) -> str:

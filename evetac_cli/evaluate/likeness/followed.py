@@ -63,8 +63,8 @@ def _follow(
 def _distances(places: NDArray[np.float32], true: NDArray[np.float32]) -> Floats:
     """Return the distances of existing dots from their true positions, in px."""
     off_px = np.linalg.norm(places.astype(np.float64) - true, axis=2)
-    known: Floats = off_px[np.isfinite(off_px)]
-    return known
+    finite_px: Floats = off_px[np.isfinite(off_px)]
+    return finite_px
 
 
 def _rms(off_px: Floats) -> float:

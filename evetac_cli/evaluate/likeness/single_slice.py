@@ -42,8 +42,10 @@ def judge(slips: Sequence[Slip]) -> Row:
     """
     if len({one.object for one in slips}) < 2:
         return {}
-    chosen = {name: _best(one for one in slips if one.object != name) for name in {one.object for one in slips}}
-    after_ms = np.array([one.after_ms[chosen[one.object]] for one in slips])
+    threshold_index = {
+        name: _best(one for one in slips if one.object != name) for name in {one.object for one in slips}
+    }
+    after_ms = np.array([one.after_ms[threshold_index[one.object]] for one in slips])
     intervals = {
         f"one_threshold_{name}": float(np.mean((after_ms >= low) & (after_ms <= high)))
         for name, low, high in TIMING_BINS
@@ -51,8 +53,8 @@ def judge(slips: Sequence[Slip]) -> Row:
     return {
         "one_threshold_correct": float(np.mean((after_ms >= EARLIEST_MS) & (after_ms <= LATEST_MS))),
         **intervals,
-        "one_threshold_low": THRESHOLDS[min(chosen.values())],
-        "one_threshold_high": THRESHOLDS[max(chosen.values())],
+        "one_threshold_low": THRESHOLDS[min(threshold_index.values())],
+        "one_threshold_high": THRESHOLDS[max(threshold_index.values())],
     }
 
 

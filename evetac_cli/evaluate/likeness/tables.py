@@ -74,18 +74,18 @@ class ResultTables:
         if table is None:
             return Ours(untold=f"docs/results has no table {fact.table}")
         rows: Rows = table["rows"]
-        chosen = [row for row in rows if fact.row is not None and fact.row.items() <= row.items()]
+        selected_rows = [row for row in rows if fact.row is not None and fact.row.items() <= row.items()]
         origin = f"docs/results/{fact.table}.json, {table.get('made')}"
-        if fact.row is not None and not chosen:
+        if fact.row is not None and not selected_rows:
             return Ours(origin=origin, untold=f"the table {fact.table} has no row {json.dumps(dict(fact.row))}")
-        (named, *more) = fact.value_of
-        if not more and named in DERIVED:
-            values = DERIVED[named](chosen or rows)
+        (key, *more) = fact.value_of
+        if not more and key in DERIVED:
+            values = DERIVED[key](selected_rows or rows)
         else:
-            values = tuple(chosen[0].get(column) for column in fact.value_of)
+            values = tuple(selected_rows[0].get(column) for column in fact.value_of)
         if not values or all(value is None for value in values):
             return Ours(origin=origin, untold=f"the table {fact.table} does not have it")
-        return Ours(values, _trials(chosen, table), origin)
+        return Ours(values, _trials(selected_rows, table), origin)
 
 
 def _parsed(path: Path) -> Any:
@@ -95,9 +95,9 @@ def _parsed(path: Path) -> Any:
         raise InputError(f"not valid JSON: {error}", where=str(path)) from None
 
 
-def _trials(chosen: Rows, table: Mapping[str, Any]) -> int | None:
+def _trials(selected_rows: Rows, table: Mapping[str, Any]) -> int | None:
     """Return the number of trials behind a row, or behind the table as a whole."""
-    (row, *_) = [*chosen, {}]
+    (row, *_) = [*selected_rows, {}]
     places = (row, table.get("sizes") or {})
     return next((int(place[key]) for place in places for key in SIZES if isinstance(place.get(key), int)), None)
 
@@ -116,17 +116,17 @@ def _by_network(rows: Rows, column: str) -> dict[str, float]:
 def _order_of_networks(rows: Rows) -> Values:
     pairs: list[bool] = []
     for column in ("slip_correct", "f1"):
-        known = _by_network(rows, column)
-        if not set(ORDER) <= set(known):
+        by_network = _by_network(rows, column)
+        if not set(ORDER) <= set(by_network):
             return (None,)
-        pairs += [known[better] > known[worse] for better, worse in itertools.combinations(ORDER, 2)]
+        pairs += [by_network[better] > by_network[worse] for better, worse in itertools.combinations(ORDER, 2)]
     return (float(np.mean(pairs)),)
 
 
 def _difference(better: str, worse: str, columns: tuple[str, ...] = ("slip_correct",)) -> Callable[[Rows], Values]:
     def less(rows: Rows) -> Values:
-        known = [_by_network(rows, column) for column in columns]
-        return tuple(one[better] - one[worse] if {better, worse} <= set(one) else None for one in known)
+        by_network = [_by_network(rows, column) for column in columns]
+        return tuple(one[better] - one[worse] if {better, worse} <= set(one) else None for one in by_network)
 
     return less
 
@@ -175,8 +175,8 @@ def _force_follows_mass(rows: Rows) -> Values:
 
     masses = resources.table("objects")
     of_object = [_of(rows, object=number, setting="paper") for number in LIFTED]
-    known = [(masses[str(row["object"])]["mass_g"], row["force_end_n"]) for row in of_object if row is not None]
-    return (float(stats.spearmanr(*zip(*known, strict=True)).statistic),) if len(known) > 2 else (None,)
+    pairs = [(masses[str(row["object"])]["mass_g"], row["force_end_n"]) for row in of_object if row is not None]
+    return (float(stats.spearmanr(*zip(*pairs, strict=True)).statistic),) if len(pairs) > 2 else (None,)
 
 
 def _ticks_closed(rows: Rows) -> Values:

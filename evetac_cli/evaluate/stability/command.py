@@ -33,7 +33,7 @@ class StabilityPart(NamedTuple):
 PARTS: dict[str, StabilityPart] = {
     "sim": StabilityPart(simulator_stability.cases, "part"),
     "track": StabilityPart(tracker.cases, "preset"),
-    "grasp": StabilityPart(grasp.cases, "controller", grasp.TOLD),
+    "grasp": StabilityPart(grasp.cases, "controller", grasp.WITH_TRUTH),
 }
 
 

@@ -5,8 +5,8 @@ stay in the gripper's range, the current within its limit, and the holding finge
 must let go, with torque off, and report the reason in an error; this is as good as holding. An object dropped without
 an error is not ok, even if no gripper of limited force could have held it.
 
-A case that is not ok is repeated with a detector that receives the true gross slip (`TOLD`), which only a simulation
-has. If this holds the object, the detector has failed; if not, the controller, the gripper or physics has.
+A case that is not ok is repeated with a detector that receives the true gross slip (`WITH_TRUTH`), which only a
+simulation has. If this holds the object, the detector has failed; if not, the controller, the gripper or physics has.
 """
 
 from collections.abc import Callable
@@ -56,7 +56,7 @@ BALANCE_S = 2.0
 SETTLED_MS = 500  # at the end, in which the fingers must be at rest
 USUAL_OBJECT = 11
 DIES_AFTER_MS = 2500  # while the hand rises
-TOLD = ", detector truth"  # suffix of controllers whose detector receives the true gross slip
+WITH_TRUTH = ", detector truth"  # suffix of controllers whose detector receives the true gross slip
 
 
 @dataclass
@@ -70,10 +70,10 @@ class UnevenSlices:
 
     def step(self, events: Events) -> float:
         """Return the slip probability after one more slice; NaN if the slice is lost."""
-        drawn = self.rng.random()
-        if drawn < self.lost:
+        sample = self.rng.random()
+        if sample < self.lost:
             return float("nan")
-        if drawn < self.lost + self.twice:
+        if sample < self.lost + self.twice:
             self.detector.step(events)
         return self.detector.step(events)
 
@@ -192,7 +192,7 @@ def judged_rows(case: GraspCase, controller: str, seed: int) -> Rows:
     failed = {row["quantity"] for row in rows if not row["ok"]}
     if not failed or case.own_detector:
         return rows
-    with_truth = grasp_rows(case, controller, seed, told=True)
+    with_truth = grasp_rows(case, controller, seed, true_slip=True)
     still = failed & {row["quantity"] for row in with_truth if not row["ok"]}
     verdict = "the detector fails: with the true slip this is ok"
     if still:
@@ -200,16 +200,16 @@ def judged_rows(case: GraspCase, controller: str, seed: int) -> Rows:
     return [row if row["ok"] else {**row, "outcome": f"{row['outcome']}; {verdict}"} for row in rows] + with_truth
 
 
-def grasp_rows(case: GraspCase, controller: str, seed: int, *, told: bool = False) -> Rows:
-    """Run one grasp of a case and return the rows of its outcome or abort, with the true slip if `told`."""
-    name = f"{controller}{TOLD}" if told else controller
+def grasp_rows(case: GraspCase, controller: str, seed: int, *, true_slip: bool = False) -> Rows:
+    """Run one grasp of a case and return the rows of its outcome or abort, with the true slip if `true_slip`."""
+    name = f"{controller}{WITH_TRUTH}" if true_slip else controller
     rng = np.random.default_rng([seed, 1])
     short = replace(ShortGrasp(USUAL_OBJECT, controller, balance_s=BALANCE_S), **dict(case.timing))
     used: list[Rig] = []
 
     def wrap(detector: SliceDetector, devices: Rig) -> SliceDetector:
         used.append(devices)
-        return case.wrap_detector(ground_truth_detector(detector, devices) if told else detector, rng)
+        return case.wrap_detector(ground_truth_detector(detector, devices) if true_slip else detector, rng)
 
     def run() -> Rows:
         try:

@@ -39,7 +39,7 @@ def onset_cases() -> list[tuple[GelCase, float]]:
     constant = GelCase("", friction=COULOMB, centre_m=(1e-3, 1.5e-3), shares=_under_cylinder)
     scene, corner = replace(constant, friction=WEAKENING), replace(constant, friction=CORNER)
     fast, slow = (partial(_unloaded, fast) for fast in (True, False))
-    held, wet = partial(_held, 1.1), replace(scene, becomes=(0.15, _tenth(WEAKENING)))
+    steady, wet = partial(_constant_grip, 1.1), replace(scene, becomes=(0.15, _tenth(WEAKENING)))
     return [
         (fast("grip falls at 9 N/s, friction constant", constant), FAST_S),
         (fast("grip falls at 9 N/s, friction falls to 0.8 of it at 10 mm/s", scene), FAST_S),
@@ -52,8 +52,8 @@ def onset_cases() -> list[tuple[GelCase, float]]:
         (slow("slides, gel a tenth as stiff", replace(scene, material=stiff(0.1))), SLOW_S),
         (slow("slides, object of 5 g", scene, 0.005), SLOW_S),
         (slow("slides, object of 2 kg", scene, 2.0), SLOW_S),
-        (held("slides, friction falls to a tenth at 0.15 s", wet), FAST_S),
-        (held("slides, hand jerks by 20 m/s2 for 30 ms", replace(scene, force=_jerked)), FAST_S),
+        (steady("slides, friction falls to a tenth at 0.15 s", wet), FAST_S),
+        (steady("slides, hand jerks by 20 m/s2 for 30 ms", replace(scene, force=_jerked)), FAST_S),
     ]
 
 
@@ -69,7 +69,7 @@ def _unloaded(fast: bool, name: str, case: GelCase, mass_kg: float = 0.1) -> Gel
     return replace(case, name=name, mass_kg=mass_kg, inertia_kg_m2=4e-4 * mass_kg, load=load, force=force)
 
 
-def _held(grip_n: float, name: str, case: GelCase) -> GelCase:
+def _constant_grip(grip_n: float, name: str, case: GelCase) -> GelCase:
     return replace(case, name=name, load=lambda _: grip_n, force=case.force or partial(_handed_over, 0.981))
 
 

@@ -37,13 +37,13 @@ RANDOM_CASES = Extent(quick=10, full=200)
 
 def cases(seed: int, full: bool) -> list[Callable[[], Rows]]:
     """Return every case of gel, gripper and camera; `full` uses every theta, ten times the steps, more random cases."""
-    chosen = [(case, 0.0) for case in gel_cases()] + onset_cases()
-    chosen += [(random_case(seed, number), 0.0) for number in range(RANDOM_CASES.pick(full))]
+    timed_cases = [(case, 0.0) for case in gel_cases()] + onset_cases()
+    timed_cases += [(random_case(seed, number), 0.0) for number in range(RANDOM_CASES.pick(full))]
     runs: list[Callable[[], Rows]] = []
     for theta in THETAS.pick(full):
-        for case, slides_within_s in chosen:
-            named = replace(case, name=f"{case.name}, theta {theta:g}") if full else case
-            runs.append(partial(gel_rows, named, GEL_STEPS.pick(full), theta, slides_within_s))
+        for case, slides_within_s in timed_cases:
+            renamed = replace(case, name=f"{case.name}, theta {theta:g}") if full else case
+            runs.append(partial(gel_rows, renamed, GEL_STEPS.pick(full), theta, slides_within_s))
     runs += [partial(finger_rows, case) for case in finger_cases()]
     runs += [partial(camera_rows, case, CAMERA_SLICES, seed) for case in camera_cases()]
     runs += [partial(refusal, name, call, part="nonsense") for name, call in nonsense()]
@@ -59,9 +59,9 @@ def nonsense() -> Iterator[tuple[str, Callable[[], object]]]:
         return gel.start(nodes, gel.GelMaterial(), 0.1, 4e-5)
 
     def step(**changes: Any) -> object:
-        given: dict[str, Any] = {"nodal_force_n": np.full((6, 8), 0.04), "body_force_n": (0.98, 0.0, 0.0)}
-        given |= {"friction": COULOMB, "dt_s": 1e-3}
-        return gel.step(gel_state(), **(given | changes))
+        arguments: dict[str, Any] = {"nodal_force_n": np.full((6, 8), 0.04), "body_force_n": (0.98, 0.0, 0.0)}
+        arguments |= {"friction": COULOMB, "dt_s": 1e-3}
+        return gel.step(gel_state(), **(arguments | changes))
 
     parts: tuple[tuple[str, Any, dict[str, float]], ...] = (
         ("gel", gel.GelMaterial, {}),

@@ -143,10 +143,10 @@ def share_chart(
 
     first = next(iter(parts))
     every = zip(rows, trials, papers, strict=True)
-    known = [(row, count, beside) for row, count, beside in every if row.get(first) is not None][:MOST_BARS]
-    if not known:
+    bars = [(row, count, beside) for row, count, beside in every if row.get(first) is not None][:MOST_BARS]
+    if not bars:
         return None
-    rows = [row for row, *_ in known]
+    rows = [row for row, *_ in bars]
     labels = _distinct([str(row[name]) for row in rows])
     longest = min(max(map(len, labels)), 48)
     chart = bare_figure(
@@ -165,7 +165,7 @@ def share_chart(
         left = left + values
     ends = [
         (label, row[first], *wilson(row[first], count))
-        for label, (row, count, _) in zip(labels, known, strict=True)
+        for label, (row, count, _) in zip(labels, bars, strict=True)
         if count
     ]
     if ends:
@@ -188,7 +188,7 @@ def share_chart(
                 upper_head=head,
             )
         )
-    published = [(label, beside) for label, (*_, beside) in zip(labels, known, strict=True) if beside is not None]
+    published = [(label, beside) for label, (*_, beside) in zip(labels, bars, strict=True) if beside is not None]
     keys = dict(parts.values())
     if published:
         chart.scatter(
@@ -214,8 +214,8 @@ def cost_charts(evaluation: Found) -> list[Chart]:
     time = next((key for _, row in rows for key in row if key.startswith("time_") and key.endswith("_median")), None)
     charts = []
     for error in dict.fromkeys(key for _, row in rows for key in row if key.startswith("error_")):
-        known = [(at, row[time], row[error]) for at, row in rows if time and row.get(time) and row.get(error)]
-        if len(known) < 2:
+        points = [(at, row[time], row[error]) for at, row in rows if time and row.get(time) and row.get(error)]
+        if len(points) < 2:
             continue
         unit = error.split("_")[1]
         chart = bare_figure(
@@ -227,7 +227,7 @@ def cost_charts(evaluation: Found) -> list[Chart]:
             min_border_top=16,
         )
         source = ColumnDataSource(
-            {"x": [x for _, x, _ in known], "y": [y for _, _, y in known], "n": [str(at) for at, _, _ in known]}
+            {"x": [x for _, x, _ in points], "y": [y for _, _, y in points], "n": [str(at) for at, _, _ in points]}
         )
         chart.scatter("x", "y", source=source, size=8, fill_color=BLUE, line_color=None)
         chart.add_layout(

@@ -107,8 +107,8 @@ def _grouped(rows: Iterable[Row], keys: tuple[str, ...]) -> list[Rows]:
 
 
 def _mean(rows: Rows, key: str) -> float | None:
-    known = [row[key] for row in rows if row.get(key) is not None]
-    return sum(known) / len(known) if known else None
+    values = [row[key] for row in rows if row.get(key) is not None]
+    return sum(values) / len(values) if values else None
 
 
 def _timing(evaluation: Found) -> Rows:
@@ -397,5 +397,5 @@ SUBJECTS = (
 def columns_of(subject: Subject, rows: Rows) -> tuple[ReportColumn, ...]:
     """Return the columns that have a value in any row."""
     every = dict.fromkeys(key for row in rows for key in row)
-    named = subject.columns or tuple(ReportColumn(key.replace("_", " "), key) for key in every)
-    return tuple(column for column in named if any(row.get(column.key) is not None for row in rows))
+    columns = subject.columns or tuple(ReportColumn(key.replace("_", " "), key) for key in every)
+    return tuple(column for column in columns if any(row.get(column.key) is not None for row in rows))

@@ -69,10 +69,12 @@ def headline(study: Study) -> list[StudyFigure]:
     judged = [ms for trial in trials for ms in trial.late_by]
     if judged:
         over = f"{len(judged)} pairs of trial and model"
-        known = [ms for ms in judged if ms is not None]
-        correct = sum(TIMING_MS[0] <= ms <= TIMING_MS[1] for ms in known)
+        known_ms = [ms for ms in judged if ms is not None]
+        correct = sum(TIMING_MS[0] <= ms <= TIMING_MS[1] for ms in known_ms)
         figures.append(StudyFigure("timing correct, all models", correct / len(judged), over, kind="share"))
-        figures += [StudyFigure("t_m - t_c, median [ms]", float(np.median(known)), str(len(known)))] if known else []
+        figures += (
+            [StudyFigure("t_m - t_c, median [ms]", float(np.median(known_ms)), str(len(known_ms)))] if known_ms else []
+        )
     figures += [
         StudyFigure("F1 of the best model", report.summary[key])
         for report in study.reports("evaluate slip")
@@ -85,10 +87,12 @@ def headline(study: Study) -> list[StudyFigure]:
         figures.append(StudyFigure("dots from the truth, rms [px]", rms, str(len(dots))))
     grasps = [trial.grasp for trial in trials if trial.grasp is not None]
     if grasps:
-        held = [grasp for grasp in grasps if grasp.get("balanced")]
-        figures.append(StudyFigure("grasps lifted and kept", len(held) / len(grasps), str(len(grasps)), kind="share"))
+        held_grasps = [grasp for grasp in grasps if grasp.get("balanced")]
+        figures.append(
+            StudyFigure("grasps lifted and kept", len(held_grasps) / len(grasps), str(len(grasps)), kind="share")
+        )
         for name, key in (("object moved, median [mm]", "moved_mm"), ("grip at the end, median [N]", "force_end_n")):
-            values = [grasp[key] for grasp in held if isinstance(grasp.get(key), (int, float))]
+            values = [grasp[key] for grasp in held_grasps if isinstance(grasp.get(key), (int, float))]
             figures += [StudyFigure(name, float(np.median(values)), f"{len(values)} kept")] if values else []
     return figures
 

@@ -20,16 +20,16 @@ from evetac_cli.resources import PACKAGE
 MOST_ROWS = 300  # of each table except the trials
 
 
-class Drawn:
+class PageCharts:
     """The charts of a page in their order; Bokeh embeds them all at once."""
 
     def __init__(self) -> None:
         self._figures: list[Any] = []
 
-    def place(self, drawn: Iterable[Chart | None], study: str = "") -> str:
+    def place(self, section_charts: Iterable[Chart | None], study: str = "") -> str:
         """Return HTML for these charts, with a mark at the position of each figure."""
         texts = []
-        for chart in drawn:
+        for chart in section_charts:
             if chart is None:
                 continue
             keys = "".join(
@@ -53,23 +53,23 @@ class Drawn:
 
 def render(studies: Sequence[Study], page: Path) -> bytes:
     """Return the whole page; raise EvetacError if it would exceed 20 MB."""
-    drawn = Drawn()
+    page_charts = PageCharts()
     title = " against ".join(study.name for study in studies)
     simulated = any(study.simulated for study in studies)
     sections = [("overview", "Overview", _overview(studies))]
     if len(studies) > 1:
         sections.append(("both", "Trials in both studies", trials_of_both(studies)))
-    onsets = "".join(drawn.place(shown, study) for study, shown in onset_charts(studies))
+    onsets = "".join(page_charts.place(shown, study) for study, shown in onset_charts(studies))
     sections.append(("trials", "Trials", onsets + trial_table(studies, page)))
     for section in SECTIONS:
-        text = _section(section, studies, drawn)
+        text = _section(section, studies, page_charts)
         if text:
             sections.append((section.name, section.title, text))
     sections.append(("missing", "What is missing", _missing(studies)))
     body = "".join(
         f"<section class='card' id='{name}'><h2>{head}</h2>{text}</section>" for name, head, text in sections
     )
-    script, library, body = drawn.embed(body)
+    script, library, body = page_charts.embed(body)
     nav = "".join(f"<a href='#{name}'>{head}</a>" for name, head, _ in sections)
     lead = "".join(
         f"<p class='id'>{html.escape(str(study.folder.resolve()))}: "
@@ -118,13 +118,13 @@ def _over(figure: StudyFigure) -> str:
     return f" <small>over {html.escape(figure.over)}</small>" if figure.over else ""
 
 
-def _section(section: Section, studies: Sequence[Study], drawn: Drawn) -> str:
+def _section(section: Section, studies: Sequence[Study], page_charts: PageCharts) -> str:
     """Return charts and tables of the reports of a section; empty if there are none."""
     several = len(studies) > 1
     text = ""
     for study in studies:
         for evaluation in study.evaluations:
-            text += drawn.place(_charts_of(section.name, evaluation), study.name if several else "")
+            text += page_charts.place(_charts_of(section.name, evaluation), study.name if several else "")
     for subject in SUBJECTS:
         if subject.section != section.name:
             continue

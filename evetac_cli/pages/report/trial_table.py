@@ -43,8 +43,8 @@ def trials_of_both(studies: Sequence[Study]) -> str:
         cells, differences = [cell(one.name)], []
         for kind in ("label_error_ms", "model_error_ms"):
             values = getattr(one, kind), getattr(other, kind)
-            known = None not in values and all(map(math.isfinite, values))
-            difference = values[1] - values[0] if known else None
+            both_known = None not in values and all(map(math.isfinite, values))
+            difference = values[1] - values[0] if both_known else None
             differences.append(abs(difference or 0))
             cells += [cell(values[0]), cell(values[1]), cell(difference)]
         cells += [cell(one.row.outcome), cell(other.row.outcome)]
@@ -97,9 +97,9 @@ def trial_table(studies: Sequence[Study], page: Path) -> str:
     body = []
     for cells, study, at, trial, remarked in shown:
         values = {name: getattr(trial.row, name, None) for name in FILTERED} | {"study": study.name}
-        chosen = "".join(f" data-{name}='{shared.short(_text(value))}'" for name, value in values.items())
+        attributes = "".join(f" data-{name}='{shared.short(_text(value))}'" for name, value in values.items())
         outlier = " data-outlier" if remarked else ""
-        row = f"data-row='{studies.index(study)}-{at}'{chosen}{outlier}"
+        row = f"data-row='{studies.index(study)}-{at}'{attributes}{outlier}"
         body.append(f"<tr {row}>{''.join(cells[head] for head in heads)}</tr>")
     filters = _filters([row[1:] for row in rows], len(studies) > 1)
     return text + filters + table(heads, body, "all-trials") + _unreadable(studies)

@@ -104,8 +104,8 @@ def picture(recording: Recording, start: int, shown_ms: int, largest_px: int = L
     coarse = -(-max(width, height) // largest_px)
     if coarse > 1:
         events = Events(events.t, events.x // np.uint16(coarse), events.y // np.uint16(coarse), events.p)
-    drawn = event_image(events.x, events.y, events.p, (-(-width // coarse), -(-height // coarse)))
-    image = Image.fromarray((drawn + 1).astype(np.uint8))
+    pixels = event_image(events.x, events.y, events.p, (-(-width // coarse), -(-height // coarse)))
+    image = Image.fromarray((pixels + 1).astype(np.uint8))
     image.putpalette(bytes(level for level in GREYS for _ in range(3)))
     written = io.BytesIO()
     image.save(written, "PNG", bits=2, compress_level=9)

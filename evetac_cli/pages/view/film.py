@@ -23,11 +23,13 @@ def render_film(view: ViewData, title: str) -> bytes:
     """Return a GIF of a page's event images, evenly thinned to 300; raise ValueError if there are none."""
     if not view.pictures:
         raise ValueError("expected at least one event image, found none")
-    chosen = np.unique(np.linspace(0, len(view.pictures) - 1, MOST_FRAMES).round().astype(np.int64)).tolist()
+    frame_indices = np.unique(np.linspace(0, len(view.pictures) - 1, MOST_FRAMES).round().astype(np.int64)).tolist()
     below = _below(view)
     # One palette for all frames, from the middle frame; frames are generated one at a time while writing.
-    palette = _frame(view, chosen[len(chosen) // 2], title, below).quantize(32, dither=Image.Dither.NONE)
-    frames = (_frame(view, at, title, below).quantize(palette=palette, dither=Image.Dither.NONE) for at in chosen)
+    palette = _frame(view, frame_indices[len(frame_indices) // 2], title, below).quantize(32, dither=Image.Dither.NONE)
+    frames = (
+        _frame(view, at, title, below).quantize(palette=palette, dither=Image.Dither.NONE) for at in frame_indices
+    )
     written = io.BytesIO()
     next(frames).save(written, "GIF", save_all=True, append_images=frames, duration=FRAME_MS, loop=0, optimize=False)
     return written.getvalue()

@@ -250,8 +250,8 @@ def _charts(view: ViewData) -> tuple[str, str, str]:
     script, library, places = shared.embed(figures)
     words = [f"<p class='hint'>{html.escape(panel.says)}</p>" if panel.says else "" for panel in view.panels]
     charts = "".join(
-        f"<section class='chart'>{head}{place}{said}</section>"
-        for head, place, said in zip_longest(heads, places, words, fillvalue="")
+        f"<section class='chart'>{head}{place}{text}</section>"
+        for head, place, text in zip_longest(heads, places, words, fillvalue="")
     )
     return script, library, charts
 

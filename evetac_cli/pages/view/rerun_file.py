@@ -158,16 +158,16 @@ class _File:
             if not len(shown):
                 continue
             places = file.read(path, begin, end)[shown].astype(np.float32)
-            known = np.isfinite(places).all(axis=2)
-            lengths, t_us = known.sum(axis=1), (begin + shown) * SLICE_US
-            lost = file.read("lost", begin, end)[shown] if tracked else np.zeros(known.shape, np.uint8)
-            columns = rr.Points2D.columns(positions=places[known], class_ids=lost[known].astype(np.uint16))
+            is_known = np.isfinite(places).all(axis=2)
+            lengths, t_us = is_known.sum(axis=1), (begin + shown) * SLICE_US
+            lost = file.read("lost", begin, end)[shown] if tracked else np.zeros(is_known.shape, np.uint8)
+            columns = rr.Points2D.columns(positions=places[is_known], class_ids=lost[is_known].astype(np.uint16))
             self._columns(f"gel/{name}", t_us, columns.partition(lengths))
             if rest is not None:
-                known &= np.isfinite(rest).all(axis=1)
-                origins = np.broadcast_to(rest.astype(np.float32), places.shape)[known]
-                arrows = rr.Arrows2D.columns(vectors=places[known] - origins, origins=origins)
-                self._columns("gel/displacement", t_us, arrows.partition(known.sum(axis=1)))
+                is_known &= np.isfinite(rest).all(axis=1)
+                origins = np.broadcast_to(rest.astype(np.float32), places.shape)[is_known]
+                arrows = rr.Arrows2D.columns(vectors=places[is_known] - origins, origins=origins)
+                self._columns("gel/displacement", t_us, arrows.partition(is_known.sum(axis=1)))
         return [f"Of `gel/{name}` one slice in {every} is shown."] if every > 1 else []
 
     def images(self, view: ViewData) -> None:
@@ -196,10 +196,10 @@ class _File:
         self.static("touch/shear", rr.Arrows2D.from_fields(colors=[_rgb(ARROWS)], radii=[0.04]))
         self._columns("touch/shear", t_us, arrows.partition(patch.sum(axis=(1, 2))))
         centre = (touch.slices["centre_mm"] - [touch.x_mm[0], touch.y_mm[0]]) / (touch.x_mm[1] - touch.x_mm[0]) + 0.5
-        known = np.isfinite(centre).all(axis=1)
+        is_known = np.isfinite(centre).all(axis=1)
         self.static("touch/centre", rr.Points2D.from_fields(colors=[_rgb(ORANGE)], radii=[0.25]))
-        places = rr.Points2D.columns(positions=centre[known].astype(np.float32))
-        self._columns("touch/centre", view.frame_times * SLICE_US, places.partition(known.astype(np.int64)))
+        places = rr.Points2D.columns(positions=centre[is_known].astype(np.float32))
+        self._columns("touch/centre", view.frame_times * SLICE_US, places.partition(is_known.astype(np.int64)))
 
     def series(self, view: ViewData) -> None:
         """Write the lines of all panels, with one standard deviation below and above if known, and level lines."""
@@ -227,8 +227,8 @@ class _File:
 
     def states(self, path: str, lanes: list[Lane], start_s: float, names: list[str]) -> None:
         """Write each lane's name while it is active: empty in between, `not examined` where it is unknown."""
-        known = [(name, part) for lane, name in zip(lanes, names, strict=True) for part in lane.slip]
-        parts = known + [("not examined", part) for lane in lanes for part in lane.unknown]
+        slips = [(name, part) for lane, name in zip(lanes, names, strict=True) for part in lane.slip]
+        parts = slips + [("not examined", part) for lane in lanes for part in lane.unknown]
         changes = {start_s: ""} | {last: "" for _, (_, last) in parts} | {first: name for name, (first, _) in parts}
         t_us = np.rint(np.array(sorted(changes)) * 1e6)
         state = [as_utf8(changes[at]) for at in sorted(changes)]

@@ -42,13 +42,13 @@ def stream_panels(trial: OpenTrial, span: tuple[int, int], notes: list[str]) -> 
                 by_unit.setdefault(units.get(column, ""), []).append(column)
         for unit, alike in by_unit.items():
             for at in range(0, len(alike), len(COLOURS)):
-                drawn = alike[at : at + len(COLOURS)]
+                axis_columns = alike[at : at + len(COLOURS)]
                 if len(panels) == MOST_PANELS:
-                    left_out += len(drawn)
+                    left_out += len(axis_columns)
                     continue
-                title = f"{name}, {drawn[0]}" if len(drawn) == 1 else name
+                title = f"{name}, {axis_columns[0]}" if len(axis_columns) == 1 else name
                 lines = own_clock(
-                    t_s, dict(zip(drawn, COLOURS, strict=False)), _Columns(recording, group, drawn, first)
+                    t_s, dict(zip(axis_columns, COLOURS, strict=False)), _Columns(recording, group, axis_columns, first)
                 )
                 panels.append(
                     Panel(title, unit, lines, marks=not unit and all(_are_codes(line.value) for line in lines))
@@ -60,8 +60,8 @@ def stream_panels(trial: OpenTrial, span: tuple[int, int], notes: list[str]) -> 
 
 def _are_codes(values: NDArray[np.float64]) -> bool:
     """Whether numbers without a unit are codes, such as the source of a trigger, and not a quantity."""
-    known = np.unique(values[np.isfinite(values)])
-    return len(known) <= MOST_CODES and bool((known == np.rint(known)).all())
+    distinct = np.unique(values[np.isfinite(values)])
+    return len(distinct) <= MOST_CODES and bool((distinct == np.rint(distinct)).all())
 
 
 class _Columns:
@@ -81,13 +81,13 @@ def draw_cameras(view: ViewData, trial: OpenTrial) -> None:
     if recording is None:
         return
     paths = recording.contents()
-    named = [name for name in streams.names(paths) if f"{streams.GROUP}/{name}/frames" in paths]
+    cameras = [name for name in streams.names(paths) if f"{streams.GROUP}/{name}/frames" in paths]
     ends_us = np.minimum(view.frame_times + view.shown_ms, view.span[1]) * SLICE_US
-    for name in named:
+    for name in cameras:
         group = f"{streams.GROUP}/{name}"
         rows = np.searchsorted(recording.read(f"{group}/t_us"), ends_us) - 1  # -1 before its first image
         wanted = np.unique(rows[rows >= 0])
-        step = -(-len(wanted) // max(1, MOST_IMAGES // len(named)))
+        step = -(-len(wanted) // max(1, MOST_IMAGES // len(cameras)))
         kept = wanted[:: max(step, 1)]
         if step > 1:
             view.notes.append(f"Images of {name}: one in {step} is kept, to keep the page small.")

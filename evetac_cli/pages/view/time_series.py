@@ -148,8 +148,8 @@ def series_panels(
     recording, tracks, labels = trial.recording, trial.tracks, trial.labels
     if recording is not None:
         per_slice = np.diff(recording.starts[start : stop + 1])
-        drawn = np.maximum(per_slice, 1)[:, None]  # a logarithmic axis has no 0
-        lines = decimated({"events": BLUE}, start, stop - start, lambda first, last: drawn[first:last])
+        counts = np.maximum(per_slice, 1)[:, None]  # a logarithmic axis has no 0
+        lines = decimated({"events": BLUE}, start, stop - start, lambda first, last: counts[first:last])
         panels.append(Panel("Events per millisecond", "", lines, logarithmic=True))
     if recording is not None and recording.has("truth"):
 
@@ -179,8 +179,8 @@ def series_panels(
             away = np.linalg.norm(tracks.read("dot_xy_px", start + first, start + last) - rest, axis=2)
             # the position of a lost dot may be hundreds of px off: it is not a displacement of the gel
             away[~np.isfinite(away) | (tracks.read("lost", start + first, start + last) > 0)] = np.nan
-            known = np.maximum(np.isfinite(away).sum(axis=1), 1)
-            mean = np.where(np.isfinite(away).any(axis=1), np.nansum(away, axis=1) / known, np.nan)
+            dot_count = np.maximum(np.isfinite(away).sum(axis=1), 1)
+            mean = np.where(np.isfinite(away).any(axis=1), np.nansum(away, axis=1) / dot_count, np.nan)
             return np.stack((mean, np.fmax.reduce(away, axis=1, initial=np.nan)), axis=1)
 
         lines = decimated({"mean": BLUE, "farthest": PINK}, start, _length(tracks, "dot_xy_px", span), moved)

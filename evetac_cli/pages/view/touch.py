@@ -72,13 +72,13 @@ def touch_panels(touch: StageFile, span: tuple[int, int]) -> list[Panel]:
 
 def _how_sure(touch: StageFile) -> str:
     """Return the meaning of the band of estimated forces, and how well the gel's stiffness, their scale, is known."""
-    known = {
+    texts = {
         touch_words.ADAPTED: "The scale was adapted to this sensor with known forces.",
         touch_words.KNOWN: "The stiffness of this gel is taken as known.",
         touch_words.UNKNOWN: "The stiffness of this gel is not known, and a typical value is assumed: a curve may be"
         " wrong by one constant factor. Use predict-touch --sensor if the stiffness is known.",
     }
-    return f"Band: plus and minus one standard deviation. {known[touch_words.stiffness(touch.header)]}"
+    return f"Band: plus and minus one standard deviation. {texts[touch_words.stiffness(touch.header)]}"
 
 
 def place_touch(view: ViewData, trial: OpenTrial) -> None:

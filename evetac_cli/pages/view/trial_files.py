@@ -74,9 +74,9 @@ def open_trial(paths: list[Path]) -> Iterator[OpenTrial]:
     A file next to them that is damaged or of another recording is left out, with a note.
     """
     with ExitStack() as stack:
-        named = [stack.enter_context(_open(path)) for path in dict.fromkeys(paths)]
-        trial = OpenTrial(_one_recording(named))
-        for file in named:
+        files = [stack.enter_context(_open(path)) for path in dict.fromkeys(paths)]
+        trial = OpenTrial(_one_recording(files))
+        for file in files:
             if getattr(trial, file.kind) is not None:
                 raise InputError(
                     f"two {file.kind} files",
@@ -85,7 +85,7 @@ def open_trial(paths: list[Path]) -> Iterator[OpenTrial]:
                     found=str(getattr(trial, file.kind).path),
                 )
             trial.add(file)
-        for path in _beside(named):
+        for path in _beside(files):
             if getattr(trial, _kind_of(path)) is not None:
                 continue
             try:
@@ -99,7 +99,7 @@ def open_trial(paths: list[Path]) -> Iterator[OpenTrial]:
                 trial.notes.append(f"Left out: {path.name} was made from another recording.")
         _check_model(trial)
         if trial.recording is None:
-            _search_recording(trial, named[0].path.parent, stack)
+            _search_recording(trial, files[0].path.parent, stack)
         yield trial
 
 
@@ -126,13 +126,13 @@ def _recording_id(file: StageFile) -> str | None:
     return str(made_from["id"]) if made_from else None
 
 
-def _one_recording(named: list[StageFile]) -> str:
+def _one_recording(files: list[StageFile]) -> str:
     """Return the recording to which all given files belong (a model belongs to any)."""
-    of_trial = [file for file in named if file.kind != "model"]
+    of_trial = [file for file in files if file.kind != "model"]
     if not of_trial:
         raise InputError(
             "a model alone has nothing to show",
-            where=str(named[0].path),
+            where=str(files[0].path),
             expected=", ".join(KINDS),
             hint=f"give features too ({made_by('features')}): the page then shows the model's slip probability on them",
         )
@@ -167,10 +167,10 @@ def _check_model(trial: OpenTrial) -> None:
         )
 
 
-def _beside(named: list[StageFile]) -> list[Path]:
+def _beside(files: list[StageFile]) -> list[Path]:
     """Return files of the same name and another kind next to the given ones."""
     paths = [
-        file.path.with_name(f"{stem(file.path)}.{kind}.h5") for file in named if file.kind != "model" for kind in KINDS
+        file.path.with_name(f"{stem(file.path)}.{kind}.h5") for file in files if file.kind != "model" for kind in KINDS
     ]
     return [path for path in dict.fromkeys(paths) if path.is_file()]
 

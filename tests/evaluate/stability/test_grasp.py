@@ -153,7 +153,7 @@ def test_the_report(tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert {(row["controller"], row["case"]) for row in outcome.rows} == {
         (f"{controller}{told}", "as usual")
         for controller in stability.QUICK_CONTROLLERS
-        for told in ("", stability.TOLD)
+        for told in ("", stability.WITH_TRUTH)
     }
     assert outcome.rows[0]["quantity"] == bounds.HELD.quantity  # the hand rises by far less than 50 mm
     assert outcome.rows[0]["outcome"].endswith("; not because of the detector: this fails with the true slip too")
@@ -172,7 +172,7 @@ def test_a_failed_detector_is_told_from_a_failed_grasp(
     def grasp_rows(case: GraspCase, controller: str, seed: int, *, told: bool = False) -> Rows:
         asked.append(told)
         measured = [(bounds.HELD, 0.0 if told and holds else 1.0), (bounds.MOVED, 1.0)]
-        return bounds.case_rows(case.name, "lost", measured, controller=controller + stability.TOLD * told)
+        return bounds.case_rows(case.name, "lost", measured, controller=controller + stability.WITH_TRUTH * told)
 
     monkeypatch.setattr(stability, "grasp_rows", grasp_rows)
     rows = judged_rows(GraspCase("x", own_detector=own_detector), "paper", 0)
@@ -195,6 +195,6 @@ def test_who_is_told_the_true_slip() -> None:
         return DyingDetector(detector, 3)
 
     case = GraspCase("x", wrap_detector=wrap, timing=SHORT)
-    rows = [grasp_rows(case, "paper", 0, told=told)[0] for told in (False, True)]
+    rows = [grasp_rows(case, "paper", 0, true_slip=true_slip)[0] for true_slip in (False, True)]
     assert [isinstance(detector, FixedDetector) for detector in seen] == [False, True]
     assert [row["controller"] for row in rows] == ["paper", "paper, detector truth"]
