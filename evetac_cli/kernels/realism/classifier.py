@@ -121,18 +121,16 @@ def _pixel(events: Events, frame_px: tuple[int, int]) -> NDArray[np.int64]:
 def _about_neighbours(picture: NDArray[np.int64]) -> float:
     """Return the median deviation of busy pixels' log events from the log of the mean around them."""
     around = cv2.blur(picture.astype(np.float32), (3, 3))
-    is_busy = (picture >= FEWEST_OF_PIXEL) & (around >= FEWEST_OF_PIXEL)
-    if is_busy.sum() < FEWEST_PIXELS:
-        return np.nan
-    return float(np.median(np.abs(np.log(picture[is_busy] / around[is_busy]))))
+    busy = (picture >= FEWEST_OF_PIXEL) & (around >= FEWEST_OF_PIXEL)
+    return float(np.median(np.abs(np.log(picture[busy] / around[busy])))) if busy.sum() >= FEWEST_PIXELS else np.nan
 
 
 def _apart(on: NDArray[np.int64], off: NDArray[np.int64]) -> float:
     """Return half of the range of log(ON / OFF) that contains two thirds of the busy pixels."""
-    is_busy = (on >= FEWEST_OF_PIXEL) & (off >= FEWEST_OF_PIXEL)
-    if is_busy.sum() < FEWEST_PIXELS:
+    busy = (on >= FEWEST_OF_PIXEL) & (off >= FEWEST_OF_PIXEL)
+    if busy.sum() < FEWEST_PIXELS:
         return np.nan
-    low, high = np.percentile(np.log(on[is_busy] / off[is_busy]), [16, 84])
+    low, high = np.percentile(np.log(on[busy] / off[busy]), [16, 84])
     return float(high - low) / 2
 
 
