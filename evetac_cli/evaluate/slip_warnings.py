@@ -144,7 +144,7 @@ def reliability_rows(setting: str, predictions: Sequence[Sequence[Prediction]]) 
             "said_from": one.low,
             "said_to": one.high,
             "slices": one.slices,
-            "said": one.said,
+            "said": one.mean_probability,
             "happened": one.happened,
         }
         for one in bins(predictions)

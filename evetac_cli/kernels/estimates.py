@@ -80,9 +80,9 @@ def cluster_weights(*factors: Sequence[Hashable]) -> NDArray[np.float64]:
     weights = np.ones((ROUNDS, trials))
     several = [factor for factor in factors if len(set(factor)) > 1] or [range(trials)]
     for factor in several if trials else []:
-        known = {level: number for number, level in enumerate(dict.fromkeys(factor))}
-        counts = rng.multinomial(len(known), np.full(len(known), 1 / len(known)), ROUNDS)
-        weights *= counts[:, [known[level] for level in factor]]
+        number_by_level = {level: number for number, level in enumerate(dict.fromkeys(factor))}
+        counts = rng.multinomial(len(number_by_level), np.full(len(number_by_level), 1 / len(number_by_level)), ROUNDS)
+        weights *= counts[:, [number_by_level[level] for level in factor]]
     return weights
 
 

@@ -162,12 +162,12 @@ def moved_by(node_xy_m: Floats, height_m: float, sticks: Flags, squeezed_m2: Flo
     rows, columns = sticks.shape
     count = rows * columns
     stiffness = sheet_stiffness(node_xy_m, height_m).tocsc()
-    held = np.concatenate([np.tile(sticks.ravel(), 2), np.zeros(2 * count, np.bool_)])
+    is_held = np.concatenate([np.tile(sticks.ravel(), 2), np.zeros(2 * count, np.bool_)])
     moved, pushed = np.zeros((4 * count, 3)), np.zeros((4 * count, 3))
-    moved[:count, 1], moved[count : 2 * count, 2] = held[:count], held[count : 2 * count]
+    moved[:count, 1], moved[count : 2 * count, 2] = is_held[:count], is_held[count : 2 * count]
     pushed[: 2 * count, 0] = np.moveaxis(squeezed_m2, 2, 0).ravel()
-    loose = stiffness[~held]
-    moved[~held] = splu(loose[:, ~held]).solve(pushed[~held] - loose[:, held] @ moved[held])
+    loose = stiffness[~is_held]
+    moved[~is_held] = splu(loose[:, ~is_held]).solve(pushed[~is_held] - loose[:, is_held] @ moved[is_held])
     fields: Floats = moved[: 2 * count].reshape(2, rows, columns, 3).transpose(1, 2, 0, 3)
     return np.ascontiguousarray(fields)
 

@@ -69,8 +69,8 @@ def outcome(
     def moved_mm(at_ms: int) -> float:
         return float(np.hypot(*(object_mm[at_ms] - object_mm[touched_ms])))
 
-    held = hangs(lifted_ms)
-    balanced = held and hangs(last_ms) and len(gap_mm) >= planned_ms
+    is_held = hangs(lifted_ms)
+    balanced = is_held and hangs(last_ms) and len(gap_mm) >= planned_ms
     slip = rows["control/slip"].astype(int)
     began = np.flatnonzero(np.diff(slip, prepend=0)[touched + 1 :] > 0) + touched + 1
     slips = rows["truth/visible_slip_share"] >= SLIPS_SHARE
@@ -82,9 +82,9 @@ def outcome(
     closed = int(ticks[lifted] - ticks[touched])
     closed_end = int(ticks[-1] - ticks[touched])
     return {
-        "lifted": held,
+        "lifted": is_held,
         "balanced": balanced,
-        "failure": "" if balanced else _lost(gap_mm, lifted_ms, held=held),
+        "failure": "" if balanced else _lost(gap_mm, lifted_ms, is_held=is_held),
         "moved_lift_mm": moved_mm(lifted_ms),
         "moved_mm": moved_mm(last_ms),
         "opening_after_lift_ticks": -closed,
@@ -102,9 +102,9 @@ def outcome(
     }
 
 
-def _lost(gap_mm: NDArray[Any], lifted_ms: int, *, held: bool) -> str:
+def _lost(gap_mm: NDArray[Any], lifted_ms: int, *, is_held: bool) -> str:
     """Describe how an object was lost."""
-    if held:
+    if is_held:
         return "fell in balance"
     return "fell in the lift" if gap_mm[: lifted_ms + 1].max() > HANGS_MM * 10 else "stayed on the table"
 

@@ -148,17 +148,17 @@ class DelayedCommands:
     ) -> None:
         """Start with a command in effect; later commands arrive after the delay and a random part of the jitter."""
         self._delay, self._jitter, self._rng = delay_slices, jitter_slices, rng
-        self._in_effect = self._given = first
+        self._in_effect = self._last_command = first
         self._on_the_way: deque[tuple[float, tuple[Mode, float]]] = deque()
 
-    def at(self, slice_number: int, given: tuple[Mode, float]) -> tuple[Mode, float]:
-        """Return the command in effect in a slice, in which `given` was commanded; a repeated command is not new."""
-        if given != self._given:
-            self._given = given
+    def at(self, slice_number: int, command: tuple[Mode, float]) -> tuple[Mode, float]:
+        """Return the command in effect in a slice, in which `command` was given; a repeated command is not new."""
+        if command != self._last_command:
+            self._last_command = command
             arrives = slice_number + self._delay + self._jitter * self._rng.uniform()
             if self._on_the_way:
                 arrives = max(arrives, self._on_the_way[-1][0])
-            self._on_the_way.append((arrives, given))
+            self._on_the_way.append((arrives, command))
         while self._on_the_way and self._on_the_way[0][0] <= slice_number:
             self._in_effect = self._on_the_way.popleft()[1]
         return self._in_effect

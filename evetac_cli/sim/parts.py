@@ -344,12 +344,12 @@ def _light(scene: Scene) -> str:
 
 def _vibration(hand: HandSettings) -> str:
     """Describe the sine waves of a hand's vibration."""
-    named = hand.vibration
-    if named is None:
+    vibration = hand.vibration
+    if vibration is None:
         return ""
-    waves = zip(named.acceleration_m_s2, named.frequency_hz, strict=True)
+    waves = zip(vibration.acceleration_m_s2, vibration.frequency_hz, strict=True)
     listed = ", ".join(f"{acceleration:g} m/s2 at {frequency:g} Hz" for acceleration, frequency in waves)
-    return f"{listed}, while it rises" if named.only_moving else listed
+    return f"{listed}, while it rises" if vibration.only_moving else listed
 
 
 def _with_scene(plan: Plan, **changes: Any) -> Plan:

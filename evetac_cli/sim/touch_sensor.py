@@ -180,12 +180,16 @@ class TouchSensor:
         solver: Mapping[str, Any] = MappingProxyType({}),
         at_m: tuple[float, float] = (0.0, 0.0),
     ) -> None:
-        for name, given, known in (("gel", gel, ("cut", "closed")), ("readout", readout, plan.READOUTS)):
-            if given not in known:
-                raise _refused(f"unknown {name}", " or ".join(known), given)
+        for name, value, choices in (("gel", gel, ("cut", "closed")), ("readout", readout, plan.READOUTS)):
+            if value not in choices:
+                raise _refused(f"unknown {name}", " or ".join(choices), value)
         mechanics, optics = rng.spawn(2)
-        _, named = plan.named_sensor(sensor)
-        one = named if isinstance(named, Sensor) else sampling.sample_sensor(named, mechanics)
+        _, sensor_or_ranges = plan.named_sensor(sensor)
+        one = (
+            sensor_or_ranges
+            if isinstance(sensor_or_ranges, Sensor)
+            else sampling.sample_sensor(sensor_or_ranges, mechanics)
+        )
         touched = _touched(object)
         share = KINETIC_SHARE if touched.kinetic_share is None else touched.kinetic_share
         scene = Scene(
@@ -450,32 +454,32 @@ class TouchSensor:
         )
 
 
-def _touched(given: int | str | Path | Mapping[str, Any]) -> TouchedObject:
+def _touched(source: int | str | Path | Mapping[str, Any]) -> TouchedObject:
     """Return the object: from the table, or your own; InputError if it is neither."""
-    if isinstance(given, str | Path):
-        return object_file.read(Path(given))[1]
-    if not isinstance(given, Mapping):
-        return object_file.of_number(given)
+    if isinstance(source, str | Path):
+        return object_file.read(Path(source))[1]
+    if not isinstance(source, Mapping):
+        return object_file.of_number(source)
     where = "TouchSensor(object=...)"
-    table = {str(key): value.item() if isinstance(value, np.generic) else value for key, value in given.items()}
+    table = {str(key): value.item() if isinstance(value, np.generic) else value for key, value in source.items()}
     require_finite(table, where)
     is_round = table.get("shape") in ("cylinder", "sphere")
     touched = object_file.of_keys(table, where, ("width_mm",) if is_round else ())
     return replace(touched, tilt_deg=touched.tilt_deg or (0.0, 0.0))
 
 
-def _finite(name: str, given: Any, count: int, most: float) -> tuple[float, ...]:
+def _finite(name: str, values: Any, count: int, most: float) -> tuple[float, ...]:
     """Return `count` finite numbers of at most this size; InputError for anything else."""
     try:
-        numbers = tuple(float(number) for number in given)
+        numbers = tuple(float(number) for number in values)
     except (TypeError, ValueError):
         numbers = ()
     if len(numbers) != count or not all(math.isfinite(number) and abs(number) <= most for number in numbers):
         size = "finite" if math.isinf(most) else f"within {most:g}"
-        one = given[0] if count == 1 else given
+        one = values[0] if count == 1 else values
         raise _refused(f"{name}: invalid value", f"{count} number{'s' * (count > 1)}, {size}", one)
     return numbers
 
 
-def _refused(message: str, expected: str, given: Any) -> InputError:
-    return InputError(message, where="TouchSensor", expected=expected, found=str(given)[:100])
+def _refused(message: str, expected: str, found: Any) -> InputError:
+    return InputError(message, where="TouchSensor", expected=expected, found=str(found)[:100])

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from evetac_cli.kernels.touch.dot_field import LATTICE_MM
-from evetac_cli.kernels.touch.sticking import FIELDS, INPUTS, PATIENCE, StickingNetwork, told
+from evetac_cli.kernels.touch.sticking import FIELDS, INPUTS, PATIENCE, StickingNetwork, slip_estimate
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
 import judge_sticking as judge
@@ -154,7 +154,7 @@ def test_a_training_learns_and_is_the_same_again(monkeypatch: pytest.MonkeyPatch
     assert ((said > 0.5) == (share[:, None] > 0.5)).mean() > 0.9
     assert all(map(np.array_equal, weights, training.trained(learnt, 3)))
     network = StickingNetwork(*weights, np.ones(11, np.float32))
-    assert told(network, inputs[0]) == pytest.approx(said[0], abs=1e-4)
+    assert slip_estimate(network, inputs[0]) == pytest.approx(said[0], abs=1e-4)
 
 
 def test_networks_as_one_tell_the_mean_of_their_odds() -> None:

@@ -99,19 +99,21 @@ def shear_terms(
     from scipy import signal
 
     memory = memory or CreepMemory()
-    known = np.asarray(np.isfinite(shear_mm2).all(axis=1))
-    last = np.maximum.accumulate(np.where(known, np.arange(len(known)), -1)) if len(known) else np.empty(0, int)
-    held = np.where((last >= 0)[:, None], shear_mm2[last], memory.last_mm2)
+    is_known = np.asarray(np.isfinite(shear_mm2).all(axis=1))
+    last = (
+        np.maximum.accumulate(np.where(is_known, np.arange(len(is_known)), -1)) if len(is_known) else np.empty(0, int)
+    )
+    filled_mm2 = np.where((last >= 0)[:, None], shear_mm2[last], memory.last_mm2)
     terms = np.ones((len(shear_mm2), 2, CREEP_ARMS + 2))
     terms[:, :, 0] = shear_mm2
-    if not len(held):
+    if not len(filled_mm2):
         return terms
     for arm, time_s in enumerate(creep_time_s):
         kept = np.exp(-step_s / time_s)
-        slow, _ = signal.lfilter([1.0 - kept], [1.0, -kept], held, axis=0, zi=kept * memory.slow_mm2[arm][None])
+        slow, _ = signal.lfilter([1.0 - kept], [1.0, -kept], filled_mm2, axis=0, zi=kept * memory.slow_mm2[arm][None])
         terms[:, :, 1 + arm] = shear_mm2 - slow
         memory.slow_mm2[arm] = slow[-1]
-    memory.last_mm2 = held[-1]
+    memory.last_mm2 = filled_mm2[-1]
     return terms
 
 
@@ -168,7 +170,7 @@ class KnownForces(NamedTuple):
 
 
 def adapt(
-    scale: Scale, errors: ForceErrorModel, known: KnownForces, reading_sd_n: float
+    scale: Scale, errors: ForceErrorModel, known_forces: KnownForces, reading_sd_n: float
 ) -> tuple[Scale, ForceErrorModel]:
     """Return the weights and errors after known forces, by regression with the old weights as prior (ridge).
 
@@ -190,12 +192,12 @@ def adapt(
             scale.shear_covariance[axis],
             offsets_free,
             _Readings(
-                known.shear[:, axis],
-                known.shear_n[:, axis],
-                scale.shear[axis, 0] * np.linalg.norm(known.shear[..., 0], axis=1),
-                variance(known.shear_sd_mm2[:, axis], scale.shear[axis, 0]),
-                known.contact,
-                known.time_s,
+                known_forces.shear[:, axis],
+                known_forces.shear_n[:, axis],
+                scale.shear[axis, 0] * np.linalg.norm(known_forces.shear[..., 0], axis=1),
+                variance(known_forces.shear_sd_mm2[:, axis], scale.shear[axis, 0]),
+                known_forces.contact,
+                known_forces.time_s,
             ),
             errors.shear_share,
             offsets=True,
@@ -204,19 +206,19 @@ def adapt(
     ]
     means, covariances = np.stack([one[0] for one in shears]), np.stack([one[1] for one in shears])
     normal, normal_covariance = scale.normal.copy(), scale.normal_covariance.copy()
-    if np.isfinite(known.shear_n).any():
+    if np.isfinite(known_forces.shear_n).any():
         normal[0], normal_covariance[0, 0] = means[:, 0].mean(), covariances[:, 0, 0].mean()
     normals = _update(
         normal,
         normal_covariance,
         np.array([(NORMAL_FACTOR_SD * normal[0]) ** 2, (NOT_TOLD_SD * normal[0]) ** 2, NORMAL_OFFSET_N**2]),
         _Readings(
-            known.normal,
-            known.normal_n,
-            normal[0] * known.normal[:, 0],
-            variance(known.normal_sd_mm2, normal[0]),
-            known.contact,
-            known.time_s,
+            known_forces.normal,
+            known_forces.normal_n,
+            normal[0] * known_forces.normal[:, 0],
+            variance(known_forces.normal_sd_mm2, normal[0]),
+            known_forces.contact,
+            known_forces.time_s,
         ),
         errors.normal_share,
         offsets=False,
@@ -258,15 +260,15 @@ def _update(
     This is for forces of both signs.
     """
     terms, reading_n, size_n, variance, contact, time_s = readings
-    known = np.isfinite(reading_n) & np.isfinite(terms).all(axis=1)
-    if not known.any():
+    is_known = np.isfinite(reading_n) & np.isfinite(terms).all(axis=1)
+    if not is_known.any():
         return mean, covariance, 1.0
     covariance = covariance + np.diag(free)
-    variance = variance[known]
-    terms, reading_n, size_n = terms[known], reading_n[known], size_n[known]
-    numbers, place = np.unique(contact[known], return_inverse=True)
+    variance = variance[is_known]
+    terms, reading_n, size_n = terms[is_known], reading_n[is_known], size_n[is_known]
+    numbers, place = np.unique(contact[is_known], return_inverse=True)
     of_contact = np.equal(place.reshape(-1)[:, None], np.arange(len(numbers)))
-    alone = 1.0 / _beside(contact[known], time_s[known])
+    alone = 1.0 / _beside(contact[is_known], time_s[is_known])
     first = terms[:, :1] * mean[0]
     typical = np.sqrt((of_contact * first**2).sum(axis=0) / of_contact.sum(axis=0))
     own = np.column_stack([of_contact * first, *([of_contact * typical] if offsets else [])])

@@ -59,9 +59,9 @@ def fit_regression(moved_px: Floats, force_n: Floats) -> Regression:
     """
     check_samples(moved_px, force_n)
     mean = moved_px.mean(axis=1)
-    known = np.column_stack([mean, np.ones(len(mean))])
-    solution, _, rank, _ = np.linalg.lstsq(known, force_n, rcond=None)
-    if rank < known.shape[1]:
+    regressors = np.column_stack([mean, np.ones(len(mean))])
+    solution, _, rank, _ = np.linalg.lstsq(regressors, force_n, rcond=None)
+    if rank < regressors.shape[1]:
         raise ValueError(f"expected dots that moved in x and in y, found mean displacements of rank {rank} of 3")
     return Regression(solution[:2], solution[2])
 

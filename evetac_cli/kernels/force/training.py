@@ -37,7 +37,7 @@ class ForceTraining(NamedTuple):
     network: Network
     learned_n: NDArray[np.float64]  # (epochs,) on the training samples, with dropout
     held_out_n: NDArray[np.float64]  # (epochs,)
-    chosen: int  # epoch of these weights, counted from 0
+    best_epoch: int  # epoch of these weights, counted from 0
 
 
 def train(
@@ -75,12 +75,12 @@ def train(
             squares = 0.0
             order = torch.from_numpy(rng.permutation(len(moved_px)))
             for first in range(0, len(order), BATCH):
-                chosen = order[first : first + BATCH]
+                batch = order[first : first + BATCH]
                 optimiser.zero_grad()
-                loss = nn.functional.mse_loss(network(learn[0][chosen]), learn[1][chosen])
+                loss = nn.functional.mse_loss(network(learn[0][batch]), learn[1][batch])
                 torch.autograd.backward(loss)
                 optimiser.step()
-                squares += float(loss.detach()) * len(chosen)
+                squares += float(loss.detach()) * len(batch)
             network.eval()
             with torch.no_grad():
                 held_out_loss = float(nn.functional.mse_loss(network(held_out[0]), held_out[1]))

@@ -203,9 +203,11 @@ class Control:
     def _fault(self, what: str, found: object) -> EvetacError:
         """Return the error that a law of another package breaks its contract."""
         of = f"{type(self.law).__module__}.{type(self.law).__qualname__}"
-        named = f"{self.name} ({of})" if self.name else of
+        full_name = f"{self.name} ({of})" if self.name else of
         hint = "report it to the authors of the controller: evetac_cli.testing.check_controller reproduces it"
-        return EvetacError(f"the controller {named} fails: {what}", where="--controller", found=repr(found), hint=hint)
+        return EvetacError(
+            f"the controller {full_name} fails: {what}", where="--controller", found=repr(found), hint=hint
+        )
 
     @property
     def u_ff_ticks(self) -> float:

@@ -167,7 +167,7 @@ class LoadState(FingerState):
     stop_s: float = 0.0  # remaining time of the boost that stops a slide
     boost: float = 1.0  # present factor of that boost
     needed: float = 0.0  # ratio that the grip aims at, once a release has found it; 0 before
-    known: float = 0.0  # ... as the release found it, before later slips raised it
+    needed_at_release: float = 0.0  # ... as the release found it, before later slips raised it
     seen_px: tuple[float, float, float] = (0.0, 0.0, 0.0)  # load at the start of a window of the release
     seen_ticks: float = 0.0  # grip at the start of that window; 0: no window has begun
     usual_px: float = -1.0  # change of load in the first window; -1: not yet measured

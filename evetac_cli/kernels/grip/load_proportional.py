@@ -278,7 +278,7 @@ def _hold(
 def _know(state: LoadState, law: LoadLaw) -> None:
     """Store the needed ratio: a sign came twice at about the present one."""
     state.stop_s = law.settle_s
-    state.ratio = state.needed = state.known = min(state.ratio * law.margin, law.most_ratio)
+    state.ratio = state.needed = state.needed_at_release = min(state.ratio * law.margin, law.most_ratio)
 
 
 def _lift_again(state: LoadState, law: LoadLaw) -> None:
@@ -293,7 +293,7 @@ def _stop(state: LoadState, slips: bool, dt_s: float, law: LoadLaw) -> None:
     state.held_px = max(state.held_px * (1.0 - forgets), state.settled_px)
     slides = slips or (state.needed > 0.0 and state.load_px < state.held_px * law.falls)
     if slides and state.stop_s <= 0.0 and state.needed:
-        state.needed = min(state.needed * law.doubt, state.known * law.most_doubt, law.most_ratio)
+        state.needed = min(state.needed * law.doubt, state.needed_at_release * law.most_doubt, law.most_ratio)
     state.stop_s = law.settle_s if slides else max(state.stop_s - dt_s, 0.0)
     if state.stop_s <= 0.0:
         state.boost = max(state.boost * (1.0 - dt_s / law.settle_s), 1.0)

@@ -26,15 +26,15 @@ def both(first: SlipSignal, second: SlipSignal) -> SlipSignal:
     """Return one signal for two fingers; each argument uses the coordinates of its own sensor's image."""
     return SlipSignal(
         first.slips + second.slips,
-        _chosen(max, first.probability, second.probability),
+        _extreme(max, first.probability, second.probability),
         0.5 * (first.mean_displacement_x_px + second.mean_displacement_x_px),
         0.5 * (first.mean_displacement_y_px - second.mean_displacement_y_px),
         0.5 * (first.turn_px - second.turn_px),
-        _chosen(min, first.sticking_share, second.sticking_share),
+        _extreme(min, first.sticking_share, second.sticking_share),
     )
 
 
-def _chosen(choose: Callable[[float, float], float], first: float, second: float) -> float:
+def _extreme(choose: Callable[[float, float], float], first: float, second: float) -> float:
     """Return the larger or smaller of two values, as `choose` decides; if one is NaN (unknown), the other."""
     if math.isnan(first):
         return second

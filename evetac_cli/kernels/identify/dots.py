@@ -245,8 +245,8 @@ def optics(dots: DotOptics, kept_share: float, off_over_on: float, noise_hz: flo
     of_seen = blur_over_seen(float(np.nanmean(dots.excess[shown])), fewest, noise_hz)
     columns = np.stack([radius_px - added_px, of_seen * sigma_px, ratio])
     value = np.nanmean(columns, axis=1)
-    chosen = rng.integers(0, shown.sum(), (RESAMPLES, shown.sum()))
-    means = np.nanmean(columns[:, chosen], axis=2).T
+    resampled_dots = rng.integers(0, shown.sum(), (RESAMPLES, shown.sum()))
+    means = np.nanmean(columns[:, resampled_dots], axis=2).T
     blur_sd = np.hypot(BLUR_SD, BLUR_SD_FEW_EVENTS / fewest**2)
     scatter = np.array([RADIUS_SD_PX, blur_sd * value[1], EVENTS_SD * value[2]])
     samples = means + scatter * rng.standard_normal((RESAMPLES, 3))

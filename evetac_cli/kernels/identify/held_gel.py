@@ -64,7 +64,7 @@ def shape(pad: Pad, stiffness: sparse.csr_matrix, strip: Floats) -> tuple[Floats
     return moved[:count].reshape(inside.shape), float((stiffness @ moved)[:count].sum())
 
 
-def held(pad: Pad, dot_xy_m: Floats, displacement_m: Floats) -> HeldFit:
+def fit(pad: Pad, dot_xy_m: Floats, displacement_m: Floats) -> HeldFit:
     """Fit contact and displacement to the displacement of the dots (dots,) along the weight, which is x of the pad.
 
     ValueError with fewer than 12 dots on the pad, or if they do not move.

@@ -115,7 +115,7 @@ def label(
         )
     per_px = np.maximum(rate.per_px, constants.least_events_per_px)
     evidence = _evidence(window_travel.travel(moved, per_px, constants.fading_px), follow(*arguments), constants.odds)
-    return _labels(evidence, rate.known, start, constants)
+    return _labels(evidence, rate.is_known, start, constants)
 
 
 def follow(
@@ -160,8 +160,8 @@ def _evidence(object_px: Floats, blocks: Iterator[tuple[int, Events, Floats]], o
     base = done = 0  # away_px begins at row `base`; slices before `done` are finished
     for first, _, more_px in blocks:
         away_px = more_px if first == 0 else np.concatenate([away_px, more_px[1:]])
-        known = first + len(more_px) - 1
-        until = slices if known == slices else max(known - slide.HALF_MS, done)
+        known_slices = first + len(more_px) - 1
+        until = slices if known_slices == slices else max(known_slices - slide.HALF_MS, done)
         if until > done:
             parts.append(slide.evidence(object_px, away_px, base, done, until, odds))
         done = until

@@ -95,8 +95,8 @@ def event_picture(events: Events, region: Region) -> NDArray[np.uint8]:
     place = (events.y[inside].astype(np.int64) - y0) * (x1 - x0) + (events.x[inside] - x0)
     sign = 2 * events.p[inside].astype(np.int64) - 1
     balance = np.bincount(place, weights=sign, minlength=(x1 - x0) * (y1 - y0))
-    drawn = GREY + 127 * np.sign(balance)
-    return drawn.reshape(y1 - y0, x1 - x0).astype(np.uint8)
+    picture = GREY + 127 * np.sign(balance)
+    return picture.reshape(y1 - y0, x1 - x0).astype(np.uint8)
 
 
 def region_flow(
@@ -110,7 +110,7 @@ def region_flow(
 
     if shrink > 1:
         size = (now.shape[1] // shrink, now.shape[0] // shrink)
-        now, later = (cv2.resize(drawn, size, interpolation=cv2.INTER_AREA) for drawn in (now, later))
+        now, later = (cv2.resize(picture, size, interpolation=cv2.INTER_AREA) for picture in (now, later))
     lit = now != GREY
     if not lit.any() or min(now.shape) < LEAST_SIDE_PX:
         return np.zeros(2)
@@ -165,7 +165,7 @@ class _Search:
         self._constants = constants
         self.slices = slices
         self.relative_px = np.full(slices, np.nan, np.float32)
-        self._known: dict[int, bool] = {}
+        self._slips: dict[int, bool] = {}
         self.flow_pairs = 0
         self.textured = False  # an image of the window had enough events at least once
         self.gel_moved = False  # the gel had many events while the window had hardly any
@@ -202,9 +202,9 @@ class _Search:
 
     def slips(self, index: int) -> bool:
         """Whether the window moves relative to the gel between this slice and the one `look_ahead_ms` later."""
-        if index not in self._known:
-            self._known[index] = self._compute(index)
-        return self._known[index]
+        if index not in self._slips:
+            self._slips[index] = self._compute(index)
+        return self._slips[index]
 
     def _compute(self, index: int) -> bool:
         constants = self._constants

@@ -43,7 +43,7 @@ class EventRate(NamedTuple):
     """Events per pixel of motion for a window that has not moved yet, (slices,), and whether they were measured."""
 
     per_px: Floats
-    known: Flags
+    is_known: Flags
 
 
 def block_counts(events: Events, window: Region, last: NDArray[np.int64], busy: NDArray[np.int64]) -> None:

@@ -106,8 +106,8 @@ def _motion(
         numbers += np.log1p(np.percentile(between_us, QUANTILES)).tolist() if len(between_us) else [np.nan] * 3
     frequency_hz, power = spectrum(all_counts)
     for low, high in zip(BANDS_HZ, BANDS_HZ[1:], strict=False):
-        chosen = (frequency_hz >= low) & (frequency_hz < high)
-        numbers.append(float(power[chosen].sum() / power.sum()) if power.sum() > 0 else np.nan)
+        is_in_band = (frequency_hz >= low) & (frequency_hz < high)
+        numbers.append(float(power[is_in_band].sum() / power.sum()) if power.sum() > 0 else np.nan)
     for picture in pictures:
         events_of = picture[picture > 0]
         numbers += np.log(np.percentile(events_of, [50, 90])).tolist() if len(events_of) else [np.nan] * 2
@@ -121,18 +121,16 @@ def _pixel(events: Events, frame_px: tuple[int, int]) -> NDArray[np.int64]:
 def _about_neighbours(picture: NDArray[np.int64]) -> float:
     """Return the median deviation of busy pixels' log events from the log of the mean around them."""
     around = cv2.blur(picture.astype(np.float32), (3, 3))
-    chosen = (picture >= FEWEST_OF_PIXEL) & (around >= FEWEST_OF_PIXEL)
-    return (
-        float(np.median(np.abs(np.log(picture[chosen] / around[chosen])))) if chosen.sum() >= FEWEST_PIXELS else np.nan
-    )
+    busy = (picture >= FEWEST_OF_PIXEL) & (around >= FEWEST_OF_PIXEL)
+    return float(np.median(np.abs(np.log(picture[busy] / around[busy])))) if busy.sum() >= FEWEST_PIXELS else np.nan
 
 
 def _apart(on: NDArray[np.int64], off: NDArray[np.int64]) -> float:
     """Return half of the range of log(ON / OFF) that contains two thirds of the busy pixels."""
-    chosen = (on >= FEWEST_OF_PIXEL) & (off >= FEWEST_OF_PIXEL)
-    if chosen.sum() < FEWEST_PIXELS:
+    busy = (on >= FEWEST_OF_PIXEL) & (off >= FEWEST_OF_PIXEL)
+    if busy.sum() < FEWEST_PIXELS:
         return np.nan
-    low, high = np.percentile(np.log(on[chosen] / off[chosen]), [16, 84])
+    low, high = np.percentile(np.log(on[busy] / off[busy]), [16, 84])
     return float(high - low) / 2
 
 
@@ -164,22 +162,22 @@ def told_apart(first: Floats, second: Floats) -> float:
     penalty = np.concatenate([[PENALTY_OF_OFFSET], np.full(first.shape[1], PENALTY)])
     scores: list[Floats] = [np.empty(windows), np.empty(windows)]
     for left_out in range(FOLDS):
-        held = fold == left_out
-        train = np.concatenate([first[:windows][~held], second[:windows][~held]])
-        known = np.isfinite(train)
-        count = np.maximum(known.sum(axis=0), 1)
-        mean = np.where(known, train, 0.0).sum(axis=0) / count
-        sd = np.sqrt(np.where(known, (train - mean) ** 2, 0.0).sum(axis=0) / count)
+        is_left_out = fold == left_out
+        train = np.concatenate([first[:windows][~is_left_out], second[:windows][~is_left_out]])
+        is_known = np.isfinite(train)
+        count = np.maximum(is_known.sum(axis=0), 1)
+        mean = np.where(is_known, train, 0.0).sum(axis=0) / count
+        sd = np.sqrt(np.where(is_known, (train - mean) ** 2, 0.0).sum(axis=0) / count)
         sd[sd <= 1e-9 * (1.0 + np.abs(mean))] = np.inf
 
         def standardised(windows_of: Floats, mean: Floats = mean, sd: Floats = sd) -> Floats:
             values: Floats = np.clip((windows_of - mean) / sd, -LARGEST, LARGEST)
             return np.where(np.isfinite(values), values, 0.0)
 
-        label = np.repeat([0.0, 1.0], (~held).sum())
+        label = np.repeat([0.0, 1.0], (~is_left_out).sum())
         columns = np.column_stack([np.ones(len(train)), standardised(train)])
         weights = logistic.fit(columns, label, penalty, np.ones(len(train)))
         for score, of in zip(scores, (first, second), strict=True):
-            score[held] = standardised(of[:windows][held]) @ weights[1:] + weights[0]
+            score[is_left_out] = standardised(of[:windows][is_left_out]) @ weights[1:] + weights[0]
     # Each fold has its own regression, so scores are only compared within a fold.
     return float(np.mean([area(scores[0][fold == one], scores[1][fold == one]) for one in range(FOLDS)]))

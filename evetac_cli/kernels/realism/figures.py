@@ -118,8 +118,8 @@ def in_motion(
     }
     frequency_hz, power = spectrum(events_a_slice)
     for low, high in zip(BANDS_HZ, BANDS_HZ[1:], strict=False):
-        chosen = (frequency_hz >= low) & ((frequency_hz < high) | (high == BANDS_HZ[-1]))
-        share = power[chosen].sum() / power.sum() if power.sum() > 0 else np.nan
+        is_in_band = (frequency_hz >= low) & ((frequency_hz < high) | (high == BANDS_HZ[-1]))
+        share = power[is_in_band].sum() / power.sum() if power.sum() > 0 else np.nan
         figures[f"band_{low}_{high}_hz"] = float(share)
     return figures
 

@@ -124,11 +124,11 @@ def summary(slips: Sequence[SlipCovariates]) -> list[dict[str, Any]]:
     """Return a row for each known covariate: median, 10-90 % range, and number of slips."""
     rows = []
     for name, words in WORDS.items():
-        known = [value for slip in slips if (value := getattr(slip, name)) is not None]
-        if known:
-            low, high = np.percentile(known, PERCENTILES).tolist()
-            figures = {"median": float(np.median(known)), "p10": low, "p90": high}
-            rows.append({"covariate": words, **figures, "n": len(known)})
+        values = [value for slip in slips if (value := getattr(slip, name)) is not None]
+        if values:
+            low, high = np.percentile(values, PERCENTILES).tolist()
+            figures = {"median": float(np.median(values)), "p10": low, "p90": high}
+            rows.append({"covariate": words, **figures, "n": len(values)})
     return rows
 
 
@@ -144,8 +144,8 @@ def _about(onset: int, slices: int) -> tuple[int, int]:
 def _held_over(candidates: NDArray[np.bool_], onset: int, counts: Counts) -> float | None:
     """Return the share above BUSY_EVENTS among the candidate slices that count as held; None without any."""
     first = first_looked_at(onset)
-    held = candidates[: max(onset - HELD_APART_MS - first, 0)]
-    return _mean(counts(first, first + len(held))[held] > BUSY_EVENTS) if held.any() else None
+    is_held = candidates[: max(onset - HELD_APART_MS - first, 0)]
+    return _mean(counts(first, first + len(is_held))[is_held] > BUSY_EVENTS) if is_held.any() else None
 
 
 def _lasting(is_so: NDArray[np.bool_]) -> int:

@@ -109,9 +109,9 @@ def over_each(detectors: Sequence[Detector], series: inputs.Series, first: int =
         for detector, probability in zip(detectors, every, strict=True):
             probability[ends] = detector.probability(batch)
     if architecture.every > 1 and len(due):
-        held = np.arange(due[0], slices)
+        indices = np.arange(due[0], slices)
         for probability in every:
-            probability[held] = probability[held - (held - due[0]) % architecture.every]
+            probability[indices] = probability[indices - (indices - due[0]) % architecture.every]
     return every
 
 
@@ -149,11 +149,11 @@ class Live:
         tracking: tracker.TrackerState,
         window_px: tuple[int, int, int, int] | NDArray[np.int32] | None,
         sensor: Sensitivity = UNKNOWN,
-        known: NDArray[np.bool_] | None = None,
+        seen_dots: NDArray[np.bool_] | None = None,
     ) -> None:
         """Start before the first slice; tracking: of the dots at rest; the window (x0, y0, x1, y1) or None.
 
-        sensor: its known properties; known: mask of the dots that the network sees, None for all. ValueError unless
+        sensor: its known properties; seen_dots: mask of the dots that the network sees, None for all. ValueError unless
         their number is the one that the network was trained for.
         """
         self.detector = detector
@@ -161,14 +161,14 @@ class Live:
         self._window_px = window_px
         self._probability = float("nan")
         architecture, networks = detector.architecture, detector.networks
-        self._told = np.full(len(EXTRAS), np.nan)  # extras of the next slice
+        self._extras = np.full(len(EXTRAS), np.nan)  # extras of the next slice
         if isinstance(architecture, DotArchitecture) and networks is not None:
-            seen = np.arange(len(tracking.rest_xy_px)) if known is None else np.flatnonzero(known)
+            seen = np.arange(len(tracking.rest_xy_px)) if seen_dots is None else np.flatnonzero(seen_dots)
             rows, columns = networks.sizes[:2].tolist()
             if len(seen) != rows * columns:
                 raise ValueError(f"expected {rows} x {columns} dots for the network, found {len(seen)}")
             dots = features.start(tracking.rest_xy_px[seen], architecture.history, architecture.factors(sensor))
-            self._told = dots.record["extras"][0]
+            self._extras = dots.record["extras"][0]
             batch = np.zeros((1, len(seen), architecture.inputs_per_dot), np.float32)
             # All arguments of the compiled call, in its order, created once.
             self._dots = (
@@ -180,11 +180,11 @@ class Live:
             none = np.empty(0, np.uint16)  # compiles or loads the kernel now instead of in the first slice
             _predict_slice(tracking.record.copy(), none, none, np.empty(0, np.uint8), *copied)
         elif isinstance(architecture, PluginArchitecture):
-            self._seen = np.arange(len(tracking.rest_xy_px)) if known is None else np.flatnonzero(known)
+            self._seen = np.arange(len(tracking.rest_xy_px)) if seen_dots is None else np.flatnonzero(seen_dots)
             detector.check_dots(len(self._seen))
             factors = architecture.factors(sensor)
             self._features = features.start(tracking.rest_xy_px[self._seen], architecture.history, factors)
-            self._told = self._features.record["extras"][0]
+            self._extras = self._features.record["extras"][0]
         self._slices = 0  # number so far, for images and for dots of plug-ins
         self._newest = np.array([architecture.history - 1])
         self._images: deque[tuple[NDArray[Any], ...]] = deque(maxlen=architecture.history)  # columns of each slice
@@ -195,7 +195,7 @@ class Live:
 
         command_ticks: as from `extras.command_ticks`. A network without extras ignores them.
         """
-        self._told[:] = position_ticks, command_ticks, sticking_share
+        self._extras[:] = position_ticks, command_ticks, sticking_share
 
     @property
     def needs_times(self) -> bool:
@@ -235,8 +235,8 @@ class Live:
         if since_full >= 0 and since_full % architecture.every == 0:
             series: inputs.Series
             if isinstance(architecture, PluginArchitecture):
-                told = features.latest_extras(self._features.record)
-                series = inputs.DotsAndExtras(features.latest(self._features), told)
+                latest_extras = features.latest_extras(self._features.record)
+                series = inputs.DotsAndExtras(features.latest(self._features), latest_extras)
             else:
                 series = self._stack()
             batch = inputs.at(architecture, series, self._newest)

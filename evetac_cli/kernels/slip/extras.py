@@ -35,9 +35,9 @@ def command_ticks(goal_ticks: float, goal_ma: float) -> float:
 def known_at_start(t_us: NDArray[np.int64], values: NDArray[np.number], slices: int) -> NDArray[np.float32]:
     """Return the last value, of rising times (rows,), at the start of each slice, (slices,); NaN before the first."""
     last = np.searchsorted(t_us, np.arange(slices, dtype=np.int64) * SLICE_US, side="right") - 1
-    known = np.full(slices, np.nan, np.float32)
-    known[last >= 0] = values[last[last >= 0]]
-    return known
+    result = np.full(slices, np.nan, np.float32)
+    result[last >= 0] = values[last[last >= 0]]
+    return result
 
 
 def columns(
@@ -126,15 +126,15 @@ def fill(
         while at < views.shape[0]:
             extra, newest, changes = views[at], views[at + 1], views[at + 2]
             now = extras[end, extra]
-            known = np.isfinite(now)
+            is_known = np.isfinite(now)
             for number in range(changes):
-                known &= np.isfinite(extras[end - views[at + 3 + number], extra])
+                is_known &= np.isfinite(extras[end - views[at + 3 + number], extra])
             for dot in range(inputs.shape[1]):
-                inputs[sample, dot, column] = np.float32(known)
+                inputs[sample, dot, column] = np.float32(is_known)
             column += 1
             for number in range(newest + changes):
                 value = np.float32(0.0)
-                if known:
+                if is_known:
                     value = now
                     if number >= newest:
                         value = now - extras[end - views[at + 3 + number - newest], extra]

@@ -366,9 +366,9 @@ def take_slice(record: NDArray[np.void], dot_xy_px: NDArray[np.floating], events
             ring[k], ring[k + 1], ring[k + 2], ring[k + 3] = distance, events, right, down
         first += len(CHANNELS)
         again += len(CHANNELS)
-    told, extras_ring = state["extras"][:], state["extras_ring"][:]
+    extras, extras_ring = state["extras"][:], state["extras_ring"][:]
     for i in range(len(EXTRAS)):
-        extras_ring[row, i] = extras_ring[row + history, i] = np.float32(told[i])
+        extras_ring[row, i] = extras_ring[row + history, i] = np.float32(extras[i])
     state["slices"] += 1
 
 

@@ -195,10 +195,10 @@ def turn(
     if isinstance(architecture, OverImages):
         images = batch * factors.reshape(-1, 1, 1, 1)
         for times in (1, 2, 3):
-            chosen = turns == times
-            if chosen.any():
-                turned = features.rotate(np.moveaxis(images[chosen], 1, 3), times)
-                images[chosen] = np.moveaxis(turned, 3, 1)
+            is_turned = turns == times
+            if is_turned.any():
+                turned = features.rotate(np.moveaxis(images[is_turned], 1, 3), times)
+                images[is_turned] = np.moveaxis(turned, 3, 1)
         return images
     result = np.empty_like(batch)
     own = architecture.own_inputs

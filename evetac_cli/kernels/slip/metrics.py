@@ -209,10 +209,12 @@ def choose_threshold(checkpoints: Sequence[Sequence[Prediction]]) -> Choice:
         thresholds[index] = THRESHOLDS[best]
         scores[index] = along_grid[best]
     last = scores[-LAST_CHECKPOINTS:]
-    chosen = len(scores) - 1 - int(np.argmax(last[::-1]))  # the last of equals
-    threshold = float(thresholds[chosen])
-    detected_share, slip_share = shares(checkpoints[chosen], threshold)
-    return Choice(chosen, threshold, float(scores[chosen]), thresholds, scores, detected_share, slip_share)
+    best_checkpoint = len(scores) - 1 - int(np.argmax(last[::-1]))  # the last of equals
+    threshold = float(thresholds[best_checkpoint])
+    detected_share, slip_share = shares(checkpoints[best_checkpoint], threshold)
+    return Choice(
+        best_checkpoint, threshold, float(scores[best_checkpoint]), thresholds, scores, detected_share, slip_share
+    )
 
 
 def _timing_and_f1(predictions: Sequence[Prediction], threshold: float) -> float:

@@ -174,9 +174,9 @@ class OtherNet(nn.Module):
 
     def last_hidden(self, features: Tensor) -> Tensor:
         """Return the layer before the logits."""
-        named = dict(self.named_children())
+        layers = dict(self.named_children())
         offset, scale = self.input_offset.view(self._shape), self.input_scale.view(self._shape)
-        hidden: Tensor = self.architecture.hidden(named, (features - offset) * scale)
+        hidden: Tensor = self.architecture.hidden(layers, (features - offset) * scale)
         return hidden
 
 

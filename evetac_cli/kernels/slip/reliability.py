@@ -69,8 +69,8 @@ def judged(predictions: Sequence[Prediction]) -> tuple[NDArray[np.float64], NDAr
         parts.append((probability[counts].astype(np.float64), label[counts] == 1))
     if not parts:
         return np.empty(0), np.empty(0, np.bool_)
-    said, slips = zip(*parts, strict=True)
-    return np.concatenate(said), np.concatenate(slips)
+    probabilities, slips = zip(*parts, strict=True)
+    return np.concatenate(probabilities), np.concatenate(slips)
 
 
 class ReliabilityBin(NamedTuple):
@@ -79,7 +79,7 @@ class ReliabilityBin(NamedTuple):
     low: float
     high: float
     slices: int
-    said: float  # mean
+    mean_probability: float
     happened: float  # share
 
 
@@ -90,9 +90,11 @@ def bins(probability: NDArray[np.float64], slips: NDArray[np.bool_]) -> list[Rel
     for number in range(len(BINS) - 1):
         of_bin = (place == number) & (probability > ABOVE)
         if of_bin.any():
-            said, happened = float(probability[of_bin].mean()), float(slips[of_bin].mean())
+            mean_probability, happened = float(probability[of_bin].mean()), float(slips[of_bin].mean())
             count = int(np.count_nonzero(of_bin))
-            result.append(ReliabilityBin(float(BINS[number]), float(BINS[number + 1]), count, said, happened))
+            result.append(
+                ReliabilityBin(float(BINS[number]), float(BINS[number + 1]), count, mean_probability, happened)
+            )
     return result
 
 
@@ -101,7 +103,7 @@ def expected_error(bins: Sequence[ReliabilityBin]) -> float | None:
     slices = sum(one.slices for one in bins)
     if not slices:
         return None
-    return sum(one.slices * abs(one.said - one.happened) for one in bins) / slices
+    return sum(one.slices * abs(one.mean_probability - one.happened) for one in bins) / slices
 
 
 def _log_odds(probability: NDArray[np.floating]) -> NDArray[np.float64]:

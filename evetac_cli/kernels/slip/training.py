@@ -295,7 +295,7 @@ class _TrainingRun:
         number of samples at the end of the batch from trajectories in which nothing slips; some of them are selected.
         """
         if still:
-            kept = self._chosen(batch, still)
+            kept = self._samples_to_train_on(batch, still)
             batch, target, share = batch[kept], target[torch.from_numpy(kept)], share[kept]
         if self.preset.cosine:
             for group in self.optimiser.param_groups:
@@ -305,12 +305,12 @@ class _TrainingRun:
         logits = self.network.outputs(hidden)[:, 0]
         loss = functional.binary_cross_entropy_with_logits(logits, target.to(self.device))
         if self.share_output is not None:
-            known = torch.from_numpy(np.isfinite(share)).to(self.device)
+            is_known = torch.from_numpy(np.isfinite(share)).to(self.device)
             wanted = torch.from_numpy(np.nan_to_num(share)).to(self.device)
             losses = functional.binary_cross_entropy_with_logits(
                 self.share_output(hidden)[:, 0], wanted, reduction="none"
             )
-            loss = loss + self.preset.share_weight * (losses * known).sum() / known.sum().clamp(min=1)
+            loss = loss + self.preset.share_weight * (losses * is_known).sum() / is_known.sum().clamp(min=1)
         torch.autograd.backward(loss)
         self.optimiser.step()
         self.loss_sum += loss.detach()
@@ -321,7 +321,7 @@ class _TrainingRun:
             new = [value.detach() for value in self.trained.values()]
             torch._foreach_lerp_(list(self.average.values()), new, 1 - old)
 
-    def _chosen(self, batch: NDArray[np.float32], still: int) -> NDArray[np.int64]:
+    def _samples_to_train_on(self, batch: NDArray[np.float32], still: int) -> NDArray[np.int64]:
         """Return the samples of a batch to train on: of the last `still`, the first few, and the hardest others."""
         first, each = len(batch) - still, -(-still * STILL_SHARE // STILL_DRAWN // 2)
         others = torch.from_numpy(batch[first + each :]).to(self.device)
@@ -344,8 +344,8 @@ class _TrainingRun:
         """Make this the last step; the last checkpoints are this network and that of the smallest validation loss."""
         assert self.best is not None
         more = [self.best, Checkpoint(self.step, self.weights())]
-        known = {checkpoint.step: checkpoint for checkpoint in (*self.checkpoints, *more)}
-        self.checkpoints = [known[step] for step in sorted(known)]
+        checkpoint_by_step = {checkpoint.step: checkpoint for checkpoint in (*self.checkpoints, *more)}
+        self.checkpoints = [checkpoint_by_step[step] for step in sorted(checkpoint_by_step)]
         self.steps = self.step
 
     def mean_loss(self) -> float:

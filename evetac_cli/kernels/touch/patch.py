@@ -45,26 +45,26 @@ def finder(modes: DotModes, shape: tuple[int, int], even_mm_per_pa: float) -> Pa
 
 
 def tractions(
-    known: PatchFinder, data_mm: Floats, variance_mm2: Floats, rms_mm: float, before_pa: Floats | None = None
+    patch_finder: PatchFinder, data_mm: Floats, variance_mm2: Floats, rms_mm: float, before_pa: Floats | None = None
 ) -> Floats:
     """Return tractions (KINDS, rows, columns) in Pa within the cone, from the modes of dots (modes,).
 
     They show where the gel is touched, not how hard. rms_mm: of the dots' motion, above 0. before_pa: a slightly
     earlier result to start from; then fewer iterations are enough.
     """
-    unit_pa = known.unit_pa_per_mm * rms_mm
+    unit_pa = patch_finder.unit_pa_per_mm * rms_mm
     own_mm = float(np.sqrt(variance_mm2.min()))
     scale = np.float32(unit_pa / own_mm)
     weight = (variance_mm2.min() / variance_mm2).astype(np.float32)
     data = (data_mm / own_mm).astype(np.float32)
-    step = np.float32(1.0 / (known.squared_norm * float(scale) ** 2 + _MOST_NEIGHBOURS * SMOOTHNESS))
-    field = np.zeros((KINDS, *known.shape), np.float32)
+    step = np.float32(1.0 / (patch_finder.squared_norm * float(scale) ** 2 + _MOST_NEIGHBOURS * SMOOTHNESS))
+    field = np.zeros((KINDS, *patch_finder.shape), np.float32)
     if before_pa is not None:
         field[:] = before_pa / unit_pa
     ahead, momentum = field, 1.0
     for _ in range(COLD if before_pa is None else WARM):
-        misfit = ((known.motion @ ahead.ravel()) * scale - data) * weight
-        slope = ((misfit @ known.motion) * scale).reshape(field.shape)
+        misfit = ((patch_finder.motion @ ahead.ravel()) * scale - data) * weight
+        slope = ((misfit @ patch_finder.motion) * scale).reshape(field.shape)
         slope += np.float32(SMOOTHNESS) * roughness(ahead)
         slope[PRESSURE] += np.float32(PRESSURE_COST)
         after = within_friction(ahead - step * slope)

@@ -47,13 +47,13 @@ def posterior(
     cell_mm: (cells, 2). sums: (sums, kinds, cells), weights of the requested sums over the tractions. `kinds` is all
     kinds, or shear alone: omitted tractions are taken to be 0.
     """
-    chosen = np.nonzero(patch)[0]
-    kinds, count = sums.shape[1], len(chosen)
-    away = cell_mm[chosen, None] - cell_mm[chosen]
+    cells = np.nonzero(patch)[0]
+    kinds, count = sums.shape[1], len(cells)
+    away = cell_mm[cells, None] - cell_mm[cells]
     varies = np.exp(-np.hypot(away[..., 0], away[..., 1]) / LENGTH_MM) + COMMON**2
     weight = np.where(np.arange(kinds) == PRESSURE, PRESSURE_RATIO**2, 1.0)
     whiten = 1 / np.sqrt(variance_mm2)
-    white = modes.motion[:, :kinds, chosen] * whiten[:, None, None]
+    white = modes.motion[:, :kinds, cells] * whiten[:, None, None]
     # Single precision halves the time of the slowest part; accurate sums need double precision, see below.
     single = white.astype(np.float32)
     shared = ((single @ varies.astype(np.float32)) * weight[:, None].astype(np.float32)).reshape(len(white), -1)
@@ -67,12 +67,12 @@ def posterior(
     best = int(np.argmax(likelihood))
     size, spread, misfit = SIZES_PA[best] ** 2, spread[best], misfits[best]
     turned_shared = vectors.T @ shared
-    told = (size / spread).astype(np.float32)[:, None] * turned_shared
-    gain = told.T @ (vectors.T * whiten.astype(np.float32))
+    scaled_shared = (size / spread).astype(np.float32)[:, None] * turned_shared
+    gain = scaled_shared.T @ (vectors.T * whiten.astype(np.float32))
     before = size * np.repeat(weight * varies[0, 0], count)
-    variance = misfit * np.maximum(before - size * (told * turned_shared).sum(axis=0), 0.0)
+    variance = misfit * np.maximum(before - size * (scaled_shared * turned_shared).sum(axis=0), 0.0)
 
-    picked = sums[:, :, chosen]
+    picked = sums[:, :, cells]
     flat = picked.reshape(len(sums), -1)
     weighed = ((picked @ varies) * weight[:, None]).reshape(len(sums), -1)
     seen = white.reshape(len(white), -1) @ weighed.T

@@ -153,16 +153,16 @@ def step(state: StickingState, dot_mm: Floats, lost: Flags, touches: bool) -> St
 def _look(state: StickingState) -> StickingReading:
     """Return the network's result for the last block if enough dots are tracked; else the previous result."""
     tracked = state.rest.tracked & state.there
-    known = _weights_of(state, tracked)
-    if known is None:
+    weights_and_places = _weights_of(state, tracked)
+    if weights_and_places is None:
         return state.reading._replace(reference_slice=state.reference_slice)
-    weights, places = known
+    weights, places = weights_and_places
     last = state._looks - 1
     short, long = ((last - back) % KEPT_LOOKS for back in LOOKS_BACK)
     looks = state._looks_mm
     places_mm = (state.at_mm, state.reference_mm, state.rest.block_mm, looks[short], looks[long])
     x, y = _fields(places_mm, weights, places, state.inputs)
-    slips, state.has_begun = told(state.network, state.inputs)
+    slips, state.has_begun = slip_estimate(state.network, state.inputs)
     sticks = 1.0 - slips
     state._seen_slipping = state._seen_slipping + 1 if state.has_begun >= ALARM else 0
     return StickingReading(
@@ -193,7 +193,7 @@ def _fields(
             moved[dot, 2 + axis] = now - reference_mm[dot, axis]
             moved[dot, 4 + axis] = now - short_mm[dot, axis]
             moved[dot, 6 + axis] = now - long_mm[dot, axis]
-    held = total = x = y = 0.0
+    reference_total = total = x = y = 0.0
     sums = np.empty(2 * FIELDS, np.float32)
     for place in range(len(weights)):
         sums[:] = 0.0
@@ -201,19 +201,19 @@ def _fields(
             weight = weights[place, dot]
             for column in range(2 * FIELDS):
                 sums[column] += weight * moved[dot, column]
-        held += sums[0] * sums[0] + sums[1] * sums[1]
+        reference_total += sums[0] * sums[0] + sums[1] * sums[1]
         x += sums[0] + sums[2]
         y += sums[1] + sums[3]
         total += (sums[0] + sums[2]) ** 2 + (sums[1] + sums[3]) ** 2
         inputs[place * 2 * FIELDS : (place + 1) * 2 * FIELDS] = sums
-    size_mm = max(math.sqrt(max(held, total) / places), SMALLEST_MM)
+    size_mm = max(math.sqrt(max(reference_total, total) / places), SMALLEST_MM)
     inputs[:-1] /= np.float32(size_mm)
     inputs[-1] = math.log(size_mm / USUAL_MM)
     return x / places, y / places
 
 
 @njit(cache=True)
-def told(network: StickingNetwork, inputs: Singles) -> tuple[float, float]:
+def slip_estimate(network: StickingNetwork, inputs: Singles) -> tuple[float, float]:
     """Return the share that slips and the probability that slip has begun, for inputs (INPUTS,).
 
     The loops take as long as a single BLAS product.
@@ -252,9 +252,9 @@ def _deviation(share_sd: Singles, sticks: float) -> float:
 def _weights_of(state: StickingState, tracked: Flags) -> tuple[Singles, int] | None:
     """Return weights (positions, dots) of the tracked dots and the number of positions with any; None with few dots."""
     key = tracked.tobytes()
-    known = state._weights.get(key)
-    if known is not None:
-        return known
+    cached = state._weights.get(key)
+    if cached is not None:
+        return cached
     if np.count_nonzero(tracked) < LEAST_DOTS:
         return None
     if len(state._weights) >= MOST_MASKS:

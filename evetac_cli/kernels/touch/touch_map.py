@@ -137,7 +137,7 @@ class TouchState:
         self.dots = self._in_use(self.there)
         self.found_pa: Floats | None = None
         self.now: Fitted | None = None
-        self.held: Fitted | None = None
+        self.held_fit: Fitted | None = None
 
     def _in_use(self, used: Flags) -> DotsInUse:
         """Return the constants for a subset of the dots."""
@@ -275,7 +275,7 @@ def _renew_fit(state: TouchState) -> int:
 def _renew_held(state: TouchState) -> int:
     """Fit the changes since `hold`, shear alone, to the patch."""
     if state.held_mm is not None:
-        state.held = _fitted(state, state.moved_mm - state.held_mm, OF_SHEAR - 1)
+        state.held_fit = _fitted(state, state.moved_mm - state.held_mm, OF_SHEAR - 1)
     return 0
 
 
@@ -313,7 +313,7 @@ def _shares_beyond(state: TouchState, touched: Flags) -> tuple[float, float]:
 
 def _let_go(state: TouchState) -> None:
     """Forget the patch, so that the next touch starts without one."""
-    state.now = state.held = state.found_pa = None
+    state.now = state.held_fit = state.found_pa = None
     state.next_part = 0
 
 
@@ -350,8 +350,8 @@ def _reading(state: TouchState, fitted: Fitted) -> TouchReading:
     away = pushes @ now.away_mm / pushes.sum()
     pressed = max(float(sums[NORMAL]), float(now.sum_sd[NORMAL]))
     since = state.no_since
-    if state.held is not None and state.held_mm is not None:
-        since = _since(state, state.held, state.moved_mm - state.held_mm)
+    if state.held_fit is not None and state.held_mm is not None:
+        since = _since(state, state.held_fit, state.moved_mm - state.held_mm)
     return TouchReading(
         True,
         True,
@@ -376,16 +376,16 @@ def _reading(state: TouchState, fitted: Fitted) -> TouchReading:
 
 def _since(state: TouchState, fitted: Fitted, change_mm: Floats) -> tuple[Floats, Floats, Floats, Floats]:
     """Return the shear on the grid and net, with deviations, that moved the dots since `hold`."""
-    dots, held, shear_beyond, _ = fitted
-    estimates = held.gain @ dots.modes.of(change_mm[dots.used]).astype(np.float32)
-    count = PRESSURE * len(held.cells)
+    dots, patch_fit, shear_beyond, _ = fitted
+    estimates = patch_fit.gain @ dots.modes.of(change_mm[dots.used]).astype(np.float32)
+    count = PRESSURE * len(patch_fit.cells)
     field, net = (
-        _on_grid(state, held, estimates[:count].reshape(PRESSURE, -1)),
+        _on_grid(state, patch_fit, estimates[:count].reshape(PRESSURE, -1)),
         estimates[count : count + 2].astype(np.float64),
     )
     error = state.stiffness_error
-    field_sd = held.traction_sd_pa if not error else np.hypot(held.traction_sd_pa, error * field)
-    net_sd = np.hypot(held.sum_sd[:2], math.hypot(error, shear_beyond) * net)
+    field_sd = patch_fit.traction_sd_pa if not error else np.hypot(patch_fit.traction_sd_pa, error * field)
+    net_sd = np.hypot(patch_fit.sum_sd[:2], math.hypot(error, shear_beyond) * net)
     return field, field_sd, net, net_sd
 
 

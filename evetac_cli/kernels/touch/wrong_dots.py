@@ -57,7 +57,7 @@ def start(motion: Floats, shape: tuple[int, int]) -> LayerMotion:
 
 
 def wrong(
-    known: LayerMotion,
+    layer_motion: LayerMotion,
     moved_mm: Floats,
     trusted: Flags,
     patch: Flags,
@@ -81,7 +81,7 @@ def wrong(
     errors = np.eye(2 * count) * (own_mm**2 + MODEL_SHARE**2 * usual)
     errors[::2, ::2] += common_mm**2
     errors[1::2, 1::2] += common_mm**2
-    shown = _shown(known, used, patch)
+    shown = _shown(layer_motion, used, patch)
     inverse = linalg.inv(errors, check_finite=False) if shown is None else _inverse(shown, errors, moved, usual)
     left = np.ones(count, np.bool_)
     for _ in range(int(MOST_SHARE * count) + 1):
@@ -99,13 +99,13 @@ def wrong(
     return flags
 
 
-def _shown(known: LayerMotion, used: np.ndarray, patch: Flags) -> Floats | None:
+def _shown(layer_motion: LayerMotion, used: np.ndarray, patch: Flags) -> Floats | None:
     """Return the covariance of dot motion (2 dots, 2 dots) by tractions on a patch, mean 1; None without a patch."""
     if not patch.any():
         return None
     rows = np.stack([2 * used, 2 * used + 1], axis=1).ravel()
-    varying = known.varying[:, :, patch][rows].reshape(len(rows), -1)
-    common = known.each[:, :, patch][rows].sum(axis=2)
+    varying = layer_motion.varying[:, :, patch][rows].reshape(len(rows), -1)
+    common = layer_motion.each[:, :, patch][rows].sum(axis=2)
     shown: Floats = varying @ varying.T + COMMON**2 * (common @ common.T)
     shown /= np.trace(shown) / len(rows)
     return shown

@@ -54,9 +54,14 @@ def motions(dots: int, motion: SliceMotion) -> tuple[Floats, ObjectMotion]:
     check_range("texture_contrast", texture_contrast, 0.0, 1e3)
     if dot_path_px is None:
         path, ends = np.empty((dots, 2, 2)), np.empty((2, 2))
-        given = (dot_xy_px_start, dot_xy_px_end, object_xy_px_start, object_xy_px_end)
-        of_dots = _is_plain(given[0], (dots, 2)) and _is_plain(given[1], (dots, 2))
-        if of_dots and _is_plain(given[2], (2,)) and _is_plain(given[3], (2,)) and _fill_ends(*given, path, ends):
+        endpoints_px = (dot_xy_px_start, dot_xy_px_end, object_xy_px_start, object_xy_px_end)
+        of_dots = _is_plain(endpoints_px[0], (dots, 2)) and _is_plain(endpoints_px[1], (dots, 2))
+        if (
+            of_dots
+            and _is_plain(endpoints_px[2], (2,))
+            and _is_plain(endpoints_px[3], (2,))
+            and _fill_ends(*endpoints_px, path, ends)
+        ):
             return path, ObjectMotion(ends[0], ends[1], float(texture_contrast))
     # other types, and invalid values, are checked one by one
     dots_start = positions("dot_xy_px_start", dot_xy_px_start, dots)
@@ -67,11 +72,11 @@ def motions(dots: int, motion: SliceMotion) -> tuple[Floats, ObjectMotion]:
     return paths, ObjectMotion(object_start, object_end, float(texture_contrast))
 
 
-def _is_plain(given: ArrayLike, shape: tuple[int, ...]) -> bool:
+def _is_plain(values: ArrayLike, shape: tuple[int, ...]) -> bool:
     """Return whether this is a contiguous float64 array of this shape."""
-    if not isinstance(given, np.ndarray):
+    if not isinstance(values, np.ndarray):
         return False
-    return given.shape == shape and given.dtype is DOUBLE and given.flags.c_contiguous
+    return values.shape == shape and values.dtype is DOUBLE and values.flags.c_contiguous
 
 
 @njit(cache=True, _nrt=False)
@@ -91,9 +96,9 @@ def _fill_ends(
     return within
 
 
-def positions(name: str, given: ArrayLike, count: int | None = None) -> Floats:
+def positions(name: str, values: ArrayLike, count: int | None = None) -> Floats:
     """Return positions (n, 2) in px, contiguous; `count`: the required number, if any."""
-    xy = np.ascontiguousarray(given, np.float64)
+    xy = np.ascontiguousarray(values, np.float64)
     if xy.size == 0 and count in (0, None):
         return np.empty((0, 2))
     if xy.ndim != 2 or xy.shape[1] != 2 or count not in (None, len(xy)):
@@ -108,15 +113,15 @@ def _all_within(xy: Floats, limit: float) -> bool:
     return bool(np.all(np.abs(xy) <= limit))  # false for NaN
 
 
-def dot_paths(given: ArrayLike | None, dots_start: Floats, dots_end: Floats) -> Floats:
+def dot_paths(dot_path_px: ArrayLike | None, dots_start: Floats, dots_end: Floats) -> Floats:
     """Return the vertices of every dot's path, (dots, k + 1, 2), from (k + 1, dots, 2); straight if None is given."""
-    if given is None:
+    if dot_path_px is None:
         ends = np.empty((len(dots_start), 2, 2))
         ends[:, 0] = dots_start
         ends[:, 1] = dots_end
         return ends
     dots = len(dots_start)
-    path = np.asarray(given, np.float64)
+    path = np.asarray(dot_path_px, np.float64)
     if path.ndim != 3 or path.shape[1:] != (dots, 2) or not 2 <= len(path) <= MOST_PIECES + 1:
         raise ValueError(f"dot_path_px: expected (2 to {MOST_PIECES + 1}, {dots}, 2), found shape {path.shape}")
     positions("dot_path_px", path.reshape(-1, 2))
@@ -163,8 +168,8 @@ def line_motion(
         raise ValueError("contact_edges_start, contact_edges_end: expected both: the camera has some, found none")
     if start is end is contact_edges.rested:
         return None
-    given, checked = contact_edges.placed
-    first = checked if start is given else check_place("contact_edges_start", contact_edges, start)
+    previous, checked = contact_edges.placed
+    first = checked if start is previous else check_place("contact_edges_start", contact_edges, start)
     last = first if end is start else check_place("contact_edges_end", contact_edges, end)
     contact_edges.placed = end, last
     places = (first, last)

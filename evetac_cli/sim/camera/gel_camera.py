@@ -35,8 +35,8 @@ def dot_grid(sensor: Sensor, cut: bool) -> Floats:
     without a grid form one row, of which a cut gel lacks the dots that the window touches.
     """
     if sensor.dot_xy_px:
-        named = np.array(sensor.dot_xy_px, np.float64)
-        return _beside_window(named, sensor) if cut else named
+        dot_xy_px = np.array(sensor.dot_xy_px, np.float64)
+        return _beside_window(dot_xy_px, sensor) if cut else dot_xy_px
     columns, rows = sensor.dot_columns_px, sensor.dot_rows_px
     rng = np.random.default_rng(sensor.seed)
     grid = np.stack(np.meshgrid(columns, rows), axis=-1)
@@ -69,10 +69,10 @@ def dots_differ(sensor: Sensor, cut: bool) -> tuple[Floats, Floats] | None:
     if not any(spreads):
         return None
     grid = dot_grid(sensor, cut=False)
-    drawn = np.random.default_rng([sensor.seed, 3]).standard_normal((2, *grid.shape[:2])).clip(-3.0, 3.0)
+    deviations = np.random.default_rng([sensor.seed, 3]).standard_normal((2, *grid.shape[:2])).clip(-3.0, 3.0)
     if cut:
-        drawn = drawn[:, :, _columns_beside_window(grid, sensor)]
-    radii, contrasts = np.maximum(1.0 + np.array(spreads)[:, None] * drawn.reshape(2, -1), FAINTEST)
+        deviations = deviations[:, :, _columns_beside_window(grid, sensor)]
+    radii, contrasts = np.maximum(1.0 + np.array(spreads)[:, None] * deviations.reshape(2, -1), FAINTEST)
     return radii, contrasts
 
 
@@ -232,19 +232,19 @@ class GelCamera:
         x0, y0, x1, y1 = sensor.window_px
         return np.array([x0 + x1, y0 + y1]) / 2
 
-    def _vanishing(self, named: VanishingDots | None) -> tuple[NDArray[np.intp], float]:
+    def _vanishing(self, vanishing: VanishingDots | None) -> tuple[NDArray[np.intp], float]:
         """Return which dots vanish (numbers, row by row) and when, in us; ValueError if there is no such dot."""
-        if named is None:
+        if vanishing is None:
             return np.empty(0, np.intp), np.inf
         rows, columns = self.grid_xy_px.shape[:2]
-        for row, column in named.dots:
+        for row, column in vanishing.dots:
             if not (0 <= row < rows and 0 <= column < columns):
                 raise ValueError(
                     f"vanishing_dots.dots: expected rows 0 to {rows - 1} and columns 0 to {columns - 1},"
                     f" found [{row}, {column}]"
                 )
-        numbers = [row * columns + column for row, column in named.dots]
-        return np.array(numbers, np.intp), named.at_s * 1e6
+        numbers = [row * columns + column for row, column in vanishing.dots]
+        return np.array(numbers, np.intp), vanishing.at_s * 1e6
 
     def _cut_edge(self, sensor: Sensor, cut: bool) -> tuple[Floats, Floats]:
         """Return the cut edge's position in every row at rest, in px, and the points on it in m that move with the gel.

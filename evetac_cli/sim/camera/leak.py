@@ -35,7 +35,7 @@ def leak_in_scans(
     window: WindowPixels,
     times: ScanTimes,
     keys: NDArray[np.int64],
-    made: int,
+    event_count: int,
 ) -> int:
     """Lower the references of every LEAK_SLICES-th row of a scanning camera, and compare these pixels."""
     dot_xy = gel.seen_dot_xy_px
@@ -59,7 +59,7 @@ def leak_in_scans(
         else:
             optics.dot_row(dot_xy, inner, outer, steps_per_px, profile, row, 0, width, line)
         own_shift = gel.middle_shift[row] if shifted else nothing
-        made = _leak_row(line, reference[row], threshold[row], own_shift, release_us[row], 0, *when, made)
+        event_count = _leak_row(line, reference[row], threshold[row], own_shift, release_us[row], 0, *when, event_count)
         candidates.lower2_px2[row] = np.inf
         in_window = row - first_y
         if 0 <= in_window < window_rows:
@@ -67,10 +67,10 @@ def leak_in_scans(
             optics.sample_texture_run(texture, place, in_window, 0, window_columns, line)
             own_shift = window.middle_shift[in_window] if shifted else nothing
             pixels = (window.reference[in_window], window.threshold[in_window], own_shift, window.release_us[in_window])
-            made = _leak_row(line, *pixels, first_x, *when, made)
+            event_count = _leak_row(line, *pixels, first_x, *when, event_count)
             window.candidate_runs.due_at[in_window] = -np.inf
             window.candidate_runs.row_due_at[in_window] = -np.inf
-    return made
+    return event_count
 
 
 @njit(cache=True, _nrt=False)
@@ -87,7 +87,7 @@ def _leak_row(
     now_us: float,
     refractory_us: float,
     keys: NDArray[np.int64],
-    made: int,
+    event_count: int,
 ) -> int:
     """Lower the references of pixels side by side; a pixel whose level is a threshold above its reference fires."""
     for k in range(len(reference)):
@@ -104,10 +104,10 @@ def _leak_row(
         reference[k] += to_on
         if len(release_us):
             release_us[k] = now_us + refractory_us
-        if made < len(keys):
-            keys[made] = event_key(readout_us[first_x + k], first_x + k, y, True)
-        made += 1
-    return made
+        if event_count < len(keys):
+            keys[event_count] = event_key(readout_us[first_x + k], first_x + k, y, True)
+        event_count += 1
+    return event_count
 
 
 @njit(cache=True, _nrt=False)
@@ -135,7 +135,7 @@ def leak_in_rows(
     pixels: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float64]],
     times: SliceTimes,
     keys: NDArray[np.int64],
-    made: int,
+    event_count: int,
 ) -> int:
     """Lower the references of every LEAK_SLICES-th row of an ideal camera; that of a refractory pixel is NaN.
 
@@ -159,12 +159,12 @@ def leak_in_rows(
             reference[row, x] -= np.float32(drift) * step
             if level[row, x] - reference[row, x] < step:
                 continue
-            if made < len(keys):
-                keys[made] = event_key(int(time_us), first_x + x, first_y + row, True)
-            made += 1
+            if event_count < len(keys):
+                keys[event_count] = event_key(int(time_us), first_x + x, first_y + row, True)
+            event_count += 1
             if refractory_us > 0.0:
                 release_us[row, x] = t0_us + time_us + refractory_us
                 reference[row, x] = np.nan
             else:
                 reference[row, x] += step
-    return made
+    return event_count

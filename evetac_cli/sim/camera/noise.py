@@ -47,9 +47,9 @@ def add_noise(
     t0_us: int,
     rng: np.random.Generator,
     keys: NDArray[np.int64],
-    made: int,
+    event_count: int,
 ) -> int:
-    """Add the noise of a slice to `made` events; return their number, including those that do not fit into `keys`.
+    """Add the noise of a slice to `event_count` events; return their number, with those that do not fit into `keys`.
 
     One Poisson process has the summed rate; a uniform random number selects the pixel of each event. `t0_us`, the start
     of the slice, matters only for time stamps in steps.
@@ -59,9 +59,9 @@ def add_noise(
     total_hz = background_hz + float(hot_cumulative_hz[-1])
     uniform = rng.random((rng.poisson(total_hz * SLICE_US * 1e-6), 2))
     if on_share == 0.5 and step_us == 0.0:
-        return int(_place(uniform, background_hz, hot_pixel, hot_cumulative_hz, frame_px, keys, made))
+        return int(_place(uniform, background_hz, hot_pixel, hot_cumulative_hz, frame_px, keys, event_count))
     hot, stamps = (hot_pixel, hot_cumulative_hz), (on_share, step_us, t0_us)
-    return int(_place_in_steps(uniform, background_hz, hot, frame_px, stamps, keys, made))
+    return int(_place_in_steps(uniform, background_hz, hot, frame_px, stamps, keys, event_count))
 
 
 class HotPixels:
@@ -92,11 +92,11 @@ class HotPixels:
         first_us: NDArray[np.float64] = self._rng.random(len(share)) * (dead_us + beyond_us)
         return first_us
 
-    def add(self, t0_us: int, width: int, step_us: float, keys: NDArray[np.int64], made: int) -> int:
-        """Add the events of the slice that starts at `t0_us` to `made` events, and return their number."""
+    def add(self, t0_us: int, width: int, step_us: float, keys: NDArray[np.int64], event_count: int) -> int:
+        """Add the events of the slice that starts at `t0_us` to `event_count` events, and return their number."""
         state = (self._next_us, self._last_us, self._brighter)
         places = (self._x, self._y)
-        return int(_hot_events(self._rng, places, self._law, state, float(t0_us), width, step_us, keys, made))
+        return int(_hot_events(self._rng, places, self._law, state, float(t0_us), width, step_us, keys, event_count))
 
 
 @njit(cache=True, _nrt=False)
@@ -122,17 +122,17 @@ def _place(
     hot_cumulative_hz: NDArray[np.float64],
     frame_px: tuple[int, int],
     keys: NDArray[np.int64],
-    made: int,
+    event_count: int,
 ) -> int:
     width, height = frame_px
     total_hz = background_hz + hot_cumulative_hz[-1]
     for event in range(len(uniform)):
         pixel = _whose(uniform[event, 0] * total_hz, background_hz, hot_pixel, hot_cumulative_hz, width * height)
         time_and_sign = int(uniform[event, 1] * 2 * SLICE_US)
-        if made < len(keys):
-            keys[made] = event_key(time_and_sign >> 1, pixel % width, pixel // width, time_and_sign & 1 == 1)
-        made += 1
-    return made
+        if event_count < len(keys):
+            keys[event_count] = event_key(time_and_sign >> 1, pixel % width, pixel // width, time_and_sign & 1 == 1)
+        event_count += 1
+    return event_count
 
 
 @njit(cache=True, _nrt=False)
@@ -152,7 +152,7 @@ def _place_in_steps(
     frame_px: tuple[int, int],
     stamps: tuple[float, float, int],
     keys: NDArray[np.int64],
-    made: int,
+    event_count: int,
 ) -> int:
     """Add events like `_place`, with a share of ON events, at times in the slice at which the column is read out.
 
@@ -171,11 +171,11 @@ def _place_in_steps(
             first_us = _grid_time(float(t0_us), pixel % width, width, step_us) - t0_us
             readouts = int(np.ceil((SLICE_US - first_us) / step_us))
             time_us = first_us + int(share * readouts) * step_us
-        if made < len(keys):
+        if event_count < len(keys):
             time = min(int(time_us), SLICE_US - 1)
-            keys[made] = event_key(time, pixel % width, pixel // width, brighter)
-        made += 1
-    return made
+            keys[event_count] = event_key(time, pixel % width, pixel // width, brighter)
+        event_count += 1
+    return event_count
 
 
 @njit(cache=True)
@@ -188,7 +188,7 @@ def _hot_events(
     width: int,
     step_us: float,
     keys: NDArray[np.int64],
-    made: int,
+    event_count: int,
 ) -> int:
     """Add events of hot pixels before the end of a slice; of two in one step the second is lost, as in a scan.
 
@@ -208,10 +208,10 @@ def _hot_events(
             if time_us <= last_us[pixel]:
                 continue
             last_us[pixel] = time_us
-            if made < len(keys):
+            if event_count < len(keys):
                 time = max(0, min(int(time_us - t0_us), SLICE_US - 1))
-                keys[made] = event_key(time, x[pixel], y[pixel], brighter[pixel] == 1)
-            made += 1
+                keys[event_count] = event_key(time, x[pixel], y[pixel], brighter[pixel] == 1)
+            event_count += 1
             if rng.random() < (to_off if brighter[pixel] == 1 else to_on):
                 brighter[pixel] = 1 - brighter[pixel]
-    return made
+    return event_count

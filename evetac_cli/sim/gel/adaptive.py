@@ -143,9 +143,9 @@ class Stepper:
         return kept[2]
 
 
-def _three(given: Sequence[float] | Floats) -> Three:
+def _three(values: Sequence[float] | Floats) -> Three:
     """Return three Python floats, which are the fastest to pass to compiled code."""
-    x, y, turn = given
+    x, y, turn = values
     return float(x), float(y), float(turn)
 
 

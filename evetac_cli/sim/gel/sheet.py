@@ -61,9 +61,9 @@ def rule_of(stretch: SheetStencil, rows: int, columns: int) -> Floats:
         weight = diagonal + (mirrored if axis == 0 else -mirrored)
         ease = factor / diagonal
         for colour in range(2):
-            chosen = (row + column) % 2 == colour
-            rule[axis, 2 * colour, :, :columns] = np.where(chosen, 1.0 - ease * weight, 1.0)
-            rule[axis, 2 * colour + 1, :, :columns] = np.where(chosen, ease, 0.0)
+            is_of_colour = (row + column) % 2 == colour
+            rule[axis, 2 * colour, :, :columns] = np.where(is_of_colour, 1.0 - ease * weight, 1.0)
+            rule[axis, 2 * colour + 1, :, :columns] = np.where(is_of_colour, ease, 0.0)
         rule[axis, 4, :, :columns] = weight
     return rule.reshape(2, 5, rows * (columns + 2))
 

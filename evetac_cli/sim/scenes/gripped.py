@@ -355,7 +355,7 @@ class GraspSimulation:
         if self._kind == "lift":
             done = self._move_over_table(shares, force_n, acceleration)
         elif self._kind == "hold" and (self._load() == 0.0 or self._fallen_m() > self.sampled.floor_m):
-            done = self._solve(shares, force_n, 0.0, held=True)  # the floor, or something else, carries the object
+            done = self._solve(shares, force_n, 0.0, is_held=True)  # the floor, or something else, carries the object
         else:
             weight_n = self._mass_kg * (GRAVITY_M_S2 + acceleration) * self._load()
             done = self._solve(shares, force_n, weight_n + self._push())
@@ -386,9 +386,9 @@ class GraspSimulation:
             )
             self._press()
             force_n, nothing = (before_n, self.finger.force_n), (0.0, 0.0, 0.0)
-            held = nothing if step < CLOSING_STEPS else None
+            twist = nothing if step < CLOSING_STEPS else None
             stepper.advance(
-                self._gel, self._shares, force_n, nothing, self._friction, held, second_shares=self._second_shares
+                self._gel, self._shares, force_n, nothing, self._friction, twist, second_shares=self._second_shares
             )
             before_n = self.finger.force_n
         self.finger.closing_ticks, self.finger.indentation_m, self.finger.force_n = end_ticks, end_m, end_n
@@ -409,10 +409,10 @@ class GraspSimulation:
         force_n: tuple[float, float],
         weight_n: float,
         *,
-        held: bool = False,
+        is_held: bool = False,
         speed: float = 0.0,
     ) -> Slice:
-        """Solve a slice of the gel, with a force on the object along gravity, or with its speed prescribed (held)."""
+        """Solve a slice of the gel, with a force on the object along gravity, or with a prescribed speed (is_held)."""
         each = None
         if self._path is not None:
             self._path.begin()
@@ -420,7 +420,7 @@ class GraspSimulation:
             if self.second_view is not None and self.second_view.path is not None:
                 self.second_view.path.begin()
                 each = _both(each, self.second_view.path.follow)
-        force, twist = self._along_gravity(weight_n), self._along_gravity(speed) if held else None
+        force, twist = self._along_gravity(weight_n), self._along_gravity(speed) if is_held else None
         second = self._second_shares
         return self._gel_slices.advance(shares, force_n, force, self._friction, twist, each, second_shares=second)
 
@@ -477,7 +477,7 @@ class GraspSimulation:
         for state, before in zip(self._pads, self._before, strict=True):
             before.restore(state)
         if self._on_table:
-            done = self._solve(shares, force_n, 0.0, held=True, speed=speed)
+            done = self._solve(shares, force_n, 0.0, is_held=True, speed=speed)
             inertial_n = self._mass_kg * (speed - falling) / (self._solver.theta * STEP_S)
             held_n = 2 * done.friction_n[self._down]
             if self._second is not None:
@@ -489,7 +489,7 @@ class GraspSimulation:
         self._on_table = bool(self._fallen_m() > self._table_m)
         if self._on_table:
             self._restore()
-            done = self._solve(shares, force_n, 0.0, held=True, speed=speed)
+            done = self._solve(shares, force_n, 0.0, is_held=True, speed=speed)
         return done
 
     def _over(self) -> bool:
@@ -565,8 +565,8 @@ def _in_window(
 def _both(first: Callable[..., None], second: Callable[..., None]) -> Callable[..., None]:
     """Return a function that calls two functions, one after the other."""
 
-    def call(*given: Any) -> None:
-        first(*given)
-        second(*given)
+    def call(*arguments: Any) -> None:
+        first(*arguments)
+        second(*arguments)
 
     return call

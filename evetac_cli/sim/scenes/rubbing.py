@@ -133,5 +133,5 @@ def _direction(from_px: Floats, length_px: float, longest_px: float, rng: np.ran
     ends_px = np.abs(from_px + length_px * directions)
     beyond = np.maximum(ends_px - STAYS_PX, 0.0).sum(axis=1)
     trapped = np.maximum(longest_px - np.linalg.norm(ends_px + STAYS_PX, axis=1), 0.0)
-    chosen: Floats = directions[int(np.argmin(beyond + trapped))]  # the first that keeps the object in view
-    return chosen
+    direction: Floats = directions[int(np.argmin(beyond + trapped))]  # the first that keeps the object in view
+    return direction

@@ -77,7 +77,7 @@ class Plan:
 
     def parameters(self) -> dict[str, Any]:
         """Return the plan as it enters a recipe, so that a changed table gives another recipe."""
-        named: dict[str, Any] = {
+        values: dict[str, Any] = {
             "scene": as_table(self.scene),
             "sensor": self.sensor_name,
             "sensor_row": as_table(self.sensor),
@@ -85,22 +85,22 @@ class Plan:
             "object": self.called,
         }
         if self.touched is not None:
-            named["object_row"] = as_table(self.touched)
+            values["object_row"] = as_table(self.touched)
         if self.tone_hz is not None:
-            named["tone_hz"] = self.tone_hz
+            values["tone_hz"] = self.tone_hz
         if self.sensor_ranges is not None:
-            named["sensor_ranges"] = dict(self.sensor_ranges)
+            values["sensor_ranges"] = dict(self.sensor_ranges)
         if self.second is not None:
-            named |= {SECOND_SENSOR: self.second.name, SECOND_ROW: as_table(self.second.sensor)}
-        return named
+            values |= {SECOND_SENSOR: self.second.name, SECOND_ROW: as_table(self.second.sensor)}
+        return values
 
 
 def read_plan(parameters: Mapping[str, Any], where: str) -> Plan:
     """Read the plan of a recording from the parameters of its header; InputError if they contain none."""
     for key, type_ in OF_HEADER.items():
         if not isinstance(parameters.get(key), type_):
-            given = f"{parameters.get(key)}"[:100]
-            raise InputError("the header has no plan of a simulated trial", where=where, expected=key, found=given)
+            found = f"{parameters.get(key)}"[:100]
+            raise InputError("the header has no plan of a simulated trial", where=where, expected=key, found=found)
     scene, row, tone_hz = parameters["scene"], parameters.get("object_row"), parameters.get("tone_hz")
     if isinstance(scene.get("tone"), dict):
         scene = {**scene, "tone": {"frequency_hz": [tone_hz], **scene["tone"]}}
@@ -193,7 +193,7 @@ def plans(
         scene = replace(scene, gel=replace(scene.gel, cut=gel == "cut"))
     if texture is not None:
         scene = replace(scene, texture=_shown(scene, texture == "on", scene_name))
-    named = (*named_sensor(sensor), readout)
+    sensor_and_readout = (*named_sensor(sensor), readout)
     if not scene.is_gripped and object_file.SUFFIX in objects:
         expected = "a scene in which a gripper holds an object, for example slip or lift"
         raise InputError("this scene holds no object", where="--object", expected=expected, found=scene_name)
@@ -201,16 +201,23 @@ def plans(
         picked = scene.tone.frequency_hz if tones is None else tones_hz(tones)
         # A recording depends only on its own tone, not on the scene's other tones.
         alone = [replace(scene, tone=replace(scene.tone, frequency_hz=(tone,))) for tone in picked]
-        return [Plans(one, *named, tone_hz=tone) for one, tone in zip(alone, picked, strict=True)]
+        return [Plans(one, *sensor_and_readout, tone_hz=tone) for one, tone in zip(alone, picked, strict=True)]
     if second is not None and not scene.is_gripped:
         raise InputError("this scene has no second finger", where="--camera", expected="one camera", found=scene_name)
     if tones is not None:
         raise InputError("this scene has no tones", where="--tone", expected="--scene vibration", found=scene_name)
     driven = scene.face or scene.rub
     if driven is not None:
-        return [Plans(scene, *named, touched=TouchedObject(shape="flat", static_friction=driven.static_friction))]
+        return [
+            Plans(
+                scene, *sensor_and_readout, touched=TouchedObject(shape="flat", static_friction=driven.static_friction)
+            )
+        ]
     seen = None if second is None else named_sensor(second)
-    return [Plans(scene, *named, called, touched, second=seen) for called, touched in named_objects(objects).items()]
+    return [
+        Plans(scene, *sensor_and_readout, called, touched, second=seen)
+        for called, touched in named_objects(objects).items()
+    ]
 
 
 def first_plan(scene_name: str, objects: str = "8", sensor: str = "evetac", **more: Any) -> Plan:
@@ -275,22 +282,22 @@ def one_sensor(name: str) -> Sensor:
 
 
 def _sensor_of_ours(name: str) -> Sensor:
-    known = rows()
+    row_by_name = rows()
     number = re.fullmatch(f"({'|'.join(FOR_EACH_TRIAL)}):([0-9]{{1,9}})", name)
     if number is not None:
         rng = np.random.default_rng([NUMBERED_SEED, int(number[2])])
         return sampling.sample_sensor(sensor_ranges(number[1]), rng)
-    if name not in known or name in FOR_EACH_TRIAL:
-        near = get_close_matches(name, known, n=1)
+    if name not in row_by_name or name in FOR_EACH_TRIAL:
+        near = get_close_matches(name, row_by_name, n=1)
         raise InputError(
             "no such sensor",
             where="--sensor",
-            expected=", ".join((*known, *plugins.usable(plugins.SENSORS)))
+            expected=", ".join((*row_by_name, *plugins.usable(plugins.SENSORS)))
             + ", randomized:NUMBER (0 to 999,999,999), or a TOML file",
             found=name,
             hint=f"did you mean {near[0]}?" if near and ":" not in name else "",
         )
-    return build(Sensor, known[name])
+    return build(Sensor, row_by_name[name])
 
 
 def numbers(text: str) -> list[int]:

@@ -24,11 +24,11 @@ IN_PLACE_OF = {"start_n": ("start_factor", "start_more_n"), "open_s": ("ramp_s",
 
 def load(name_or_path: str) -> Scene:
     """Read a scene by its name (from evetac or a plug-in) or from a TOML file; SceneError if it is invalid."""
-    path = Path(name_or_path) if name_or_path.endswith(SUFFIX) else _named(name_or_path)
+    path = Path(name_or_path) if name_or_path.endswith(SUFFIX) else _path_of_name(name_or_path)
     return of_table(read_toml(path, SceneError), str(path))
 
 
-def _named(name: str) -> Path:
+def _path_of_name(name: str) -> Path:
     """Return the file of a scene by its name; SceneError if there is no such scene."""
     if name in plugins.OURS[plugins.SCENES]:
         return SCENES / f"{name}{SUFFIX}"
@@ -93,11 +93,11 @@ def merged(table: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, An
     return {key: value for key, value in {**table, **new}.items() if value is not None}
 
 
-def _check_gripper(gripper: GripperSettings, named: Mapping[str, Any], where: str) -> None:
+def _check_gripper(gripper: GripperSettings, table: Mapping[str, Any], where: str) -> None:
     """Raise SceneError if a key is given together with its replacement, or the gripper opens before it has gripped."""
     for key, others in IN_PLACE_OF.items():
-        beside = [other for other in others if other in named]
-        if key in named and beside:
+        beside = [other for other in others if other in table]
+        if key in table and beside:
             no_effect = f"gripper.{beside[0]} has no effect with gripper.{key}"
             raise SceneError(no_effect, where=where, expected="only one of the two")
     if gripper.open_s is not None and gripper.open_s <= gripper.grip_s:
@@ -106,9 +106,9 @@ def _check_gripper(gripper: GripperSettings, named: Mapping[str, Any], where: st
         raise SceneError(message, where=where, expected=expected, found=found)
 
 
-def _check_current(scene: Scene, current: GripperCurrent, named: Mapping[str, Any], where: str) -> None:
+def _check_current(scene: Scene, current: GripperCurrent, table: Mapping[str, Any], where: str) -> None:
     """Raise SceneError if keys contradict gripper.current, or its times are outside the scene."""
-    beside = [key for key in NOT_WITH_CURRENT if key in named]
+    beside = [key for key in NOT_WITH_CURRENT if key in table]
     if beside:
         raise SceneError(
             f"gripper.{beside[0]} has no effect with gripper.current",

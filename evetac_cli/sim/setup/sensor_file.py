@@ -39,10 +39,10 @@ def read(path: Path, named_sensor: Callable[[str], Sensor]) -> tuple[str, Sensor
         expected = "one sensor, for example evetac or randomized:7"
         raise InputError("like: not one sensor but many", where=where, expected=expected, found=like)
     check_name(name, where)
-    named = [key for key in GRID if key in table]
-    if "dot_xy_px" in table and named:
+    grid_keys = [key for key in GRID if key in table]
+    if "dot_xy_px" in table and grid_keys:
         expected = f"dot_xy_px, or {', '.join(GRID)}"
-        both = f"dot_xy_px and {named[0]}"
+        both = f"dot_xy_px and {grid_keys[0]}"
         raise InputError("the dots are given twice", where=where, expected=expected, found=both)
     base = {} if like is None else as_table(_sensor_of(like, named_sensor, where))
     row = over(base, {key: value for key, value in table.items() if key not in OF_FILE})

@@ -19,35 +19,35 @@ FOR_EACH_TRIAL = ("randomized", "randomized-narrow")  # rows of ranges, from whi
 @functools.cache
 def rows() -> dict[str, dict[str, Any]]:
     """Return the complete row of each named sensor, by name and without `like`; the file is read once."""
-    named = table("sensors")
-    return {name: whole(name, named) for name in named}
+    row_by_name = table("sensors")
+    return {name: whole(name, row_by_name) for name in row_by_name}
 
 
-def whole(name: str, named: Mapping[str, Mapping[str, Any]], above: tuple[str, ...] = ()) -> dict[str, Any]:
+def whole(name: str, row_by_name: Mapping[str, Mapping[str, Any]], above: tuple[str, ...] = ()) -> dict[str, Any]:
     """Return a row of a table of sensors, completed from the rows that it is like.
 
     above: rows that are like this one. InputError if `like` names no sensor, or leads back to the row itself.
     """
-    row = dict(named[name])
+    row = dict(row_by_name[name])
     like = row.pop("like", None)
     if like is None:
         return row
-    if like not in named or like in (*above, name):
+    if like not in row_by_name or like in (*above, name):
         expected = "a row that is not itself like this row"
         message = f"{name}: `like` names no other sensor"
         raise InputError(message, where="sensors.toml", expected=expected, found=str(like))
-    return over(whole(like, named, (*above, name)), row)
+    return over(whole(like, row_by_name, (*above, name)), row)
 
 
-def over(base: Mapping[str, Any], named: Mapping[str, Any]) -> dict[str, Any]:
+def over(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
     """Return another sensor's row, overridden by the named keys.
 
     The tables KEY_BY_KEY are merged key by key; all others are replaced. Positions of dots replace a grid, and a grid
     replaces positions.
     """
-    replaced = GRID if "dot_xy_px" in named else ("dot_xy_px",) if named.keys() & set(GRID) else ()
-    row = {key: value for key, value in base.items() if key not in replaced} | dict(named)
+    replaced = GRID if "dot_xy_px" in changes else ("dot_xy_px",) if changes.keys() & set(GRID) else ()
+    row = {key: value for key, value in base.items() if key not in replaced} | dict(changes)
     for group in KEY_BY_KEY:
-        if group in base and group in named:
-            row[group] = {**base[group], **named[group]}
+        if group in base and group in changes:
+            row[group] = {**base[group], **changes[group]}
     return row

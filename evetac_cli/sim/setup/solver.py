@@ -84,21 +84,21 @@ class Solver:
         return columns, rows
 
 
-def with_given(solver: Solver, given: Mapping[str, Any], where: str) -> Solver:
+def with_given(solver: Solver, settings: Mapping[str, Any], where: str) -> Solver:
     """Replace a scene's settings with the given ones; SceneError if they are invalid.
 
     A given tolerance replaces a fixed step, and a given fixed step replaces a tolerance.
     """
-    if {"tolerance_um", "step_ms"} <= set(given):
+    if {"tolerance_um", "step_ms"} <= set(settings):
         both = "expected a tolerance or a fixed step (tolerance_um, step_ms), not both"
         raise SceneError(f"[solver]: {both}", where=where)
     try:
-        typed = read_table(Solver, dict(given), where)
+        typed = read_table(Solver, dict(settings), where)
     except InputError as error:
         message = f"[solver] {error.message}"
         raise SceneError(message, where=where, expected=error.expected, found=error.found, hint=error.hint) from None
-    if "step_ms" in given:
+    if "step_ms" in settings:
         solver = replace(solver, tolerance_um=Solver.tolerance_um)
-    if "tolerance_um" in given:
+    if "tolerance_um" in settings:
         solver = replace(solver, step_ms=None)
-    return replace(solver, **{name: getattr(typed, name) for name in given})
+    return replace(solver, **{name: getattr(typed, name) for name in settings})

@@ -183,17 +183,17 @@ def schema_of(type_: type[Any], title: str) -> Rules:
     return {"$schema": JSON_SCHEMA, "title": title, **rules}
 
 
-def build(type_: type[T], named: Mapping[str, Any]) -> T:
+def build(type_: type[T], raw_table: Mapping[str, Any]) -> T:
     """Build an object from an unchecked table; numbers and lists are converted to the types of the fields."""
     details = {item.name: about(item) for item in fields(type_)}  # type: ignore[arg-type]
-    return type_(**{name: _value(details[name], value) for name, value in named.items()})
+    return type_(**{name: _value(details[name], value) for name, value in raw_table.items()})
 
 
-def read_table(type_: type[T], named: Mapping[str, Any], where: str) -> T:
+def read_table(type_: type[T], raw_table: Mapping[str, Any], where: str) -> T:
     """Build an object from a table of a file; InputError if the table is invalid."""
-    check(type_, named, where)
+    check(type_, raw_table, where)
     try:
-        return build(type_, named)
+        return build(type_, raw_table)
     except ValueError as error:  # a fixed step that is in range but does not divide a slice
         raise InputError(str(error), where=where) from None
 
@@ -223,17 +223,17 @@ def as_table(one: Any, kind: str = "") -> dict[str, Any]:
     """
     kind, alone = getattr(one, "kind", kind), getattr(one, "ALONE", ())
     first = next((name for name in alone if getattr(one, name) is not None), "")
-    named = {
+    values = {
         item: value
         for item in fields(one)
         if (value := getattr(one, item.name)) is not None and (item.name not in alone or item.name == first)
     }
     changed = {
         item: value
-        for item, value in named.items()
+        for item, value in values.items()
         if _is_whole(one) or _is_whole(value) or value != item.default or kind in about(item).needed_in
     }
-    written = changed if changed or "minProperties" not in getattr(one, "RULES", {}) else named
+    written = changed if changed or "minProperties" not in getattr(one, "RULES", {}) else values
     return {
         item.name: as_table(value, kind) if about(item).table is not None else _plain(value)
         for item, value in written.items()
@@ -250,7 +250,7 @@ def _plain(value: Any) -> Any:
 
 def check(
     type_: type[Any],
-    named: Mapping[str, Any],
+    raw_table: Mapping[str, Any],
     where: str,
     *,
     whole: bool = True,
@@ -265,39 +265,39 @@ def check(
     rules = rules_of(type_)
     required = [*rules["required"], *needed] if whole else []
     try:
-        check_rules(named, where, {**rules, "required": required}, if_missing)
-        for place, details, value in _entries(type_, named, ""):
+        check_rules(raw_table, where, {**rules, "required": required}, if_missing)
+        for place, details, value in _entries(type_, raw_table, ""):
             _check_order(place, details, value, where)
-        for place, columns, lengths in _columns(type_, named, ""):
+        for place, columns, lengths in _columns(type_, raw_table, ""):
             _check_lengths(place, columns, lengths, where)
-        _check_kinds(type_, named, where)
+        _check_kinds(type_, raw_table, where)
     except InputError as refused:
         raise error(
             refused.message, where=refused.where, expected=refused.expected, found=refused.found, hint=refused.hint
         ) from None
 
 
-def _entries(type_: type[Any], named: Mapping[str, Any], place: str) -> Iterator[tuple[str, About, Any]]:
+def _entries(type_: type[Any], raw_table: Mapping[str, Any], place: str) -> Iterator[tuple[str, About, Any]]:
     """Yield each value of a table and its inner tables, as (path, description of the field, value)."""
     for item in fields(type_):
-        if item.name not in named:
+        if item.name not in raw_table:
             continue
         details, here = about(item), f"{place}{item.name}"
-        yield here, details, named[item.name]
+        yield here, details, raw_table[item.name]
         if details.table is not None:
-            yield from _entries(details.table, named[item.name], f"{here}.")
+            yield from _entries(details.table, raw_table[item.name], f"{here}.")
 
 
 def _columns(
-    type_: type[Any], named: Mapping[str, Any], place: str
+    type_: type[Any], raw_table: Mapping[str, Any], place: str
 ) -> Iterator[tuple[str, tuple[str, ...], dict[str, int]]]:
     """Yield the lists that must have the same length: path of their table, their names, and their lengths by name."""
     columns = getattr(type_, "COLUMNS", ())
-    yield place, columns, {name: len(named[name]) for name in columns if name in named}
+    yield place, columns, {name: len(raw_table[name]) for name in columns if name in raw_table}
     for item in fields(type_):
         inner = about(item).table
-        if inner is not None and item.name in named:
-            yield from _columns(inner, named[item.name], f"{place}{item.name}.")
+        if inner is not None and item.name in raw_table:
+            yield from _columns(inner, raw_table[item.name], f"{place}{item.name}.")
 
 
 def _check_order(place: str, details: About, value: Any, where: str) -> None:
@@ -325,9 +325,9 @@ def _check_lengths(place: str, columns: tuple[str, ...], lengths: Mapping[str, i
     )
 
 
-def _check_kinds(type_: type[Any], named: Mapping[str, Any], where: str) -> None:
+def _check_kinds(type_: type[Any], raw_table: Mapping[str, Any], where: str) -> None:
     """Raise InputError if a key that the kind of scene or motion requires is missing, or it has one of another kind."""
-    every_field = list(_every_field(type_, named, "", ""))
+    every_field = list(_every_field(type_, raw_table, "", ""))
     needed = {place: kind for place, kind, details, _ in every_field if kind in details.needed_in}
     for place, kind, details, is_named in every_field:
         if place in needed and not is_named:
@@ -341,24 +341,24 @@ def _check_kinds(type_: type[Any], named: Mapping[str, Any], where: str) -> None
 
 
 def _every_field(
-    type_: type[Any], named: Mapping[str, Any] | None, place: str, kind: str
+    type_: type[Any], raw_table: Mapping[str, Any] | None, place: str, kind: str
 ) -> Iterator[tuple[str, str, About, bool]]:
     """Yield all fields, also of missing tables: path, kind that applies, description, whether the table has it."""
-    kind = (named or {}).get("kind", kind)
+    kind = (raw_table or {}).get("kind", kind)
     for item in fields(type_):
         details, here = about(item), f"{place}{item.name}"
-        is_named = named is not None and item.name in named
+        is_named = raw_table is not None and item.name in raw_table
         yield here, kind, details, is_named
         if details.table is not None:
-            inner = named[item.name] if named is not None and is_named else None
+            inner = raw_table[item.name] if raw_table is not None and is_named else None
             yield from _every_field(details.table, inner, f"{here}.", kind)
 
 
-def check_rules(named: Mapping[str, Any], where: str, rules: Mapping[str, Any], if_missing: str = "") -> None:
+def check_rules(raw_table: Mapping[str, Any], where: str, rules: Mapping[str, Any], if_missing: str = "") -> None:
     """Raise a readable InputError if a table violates a schema; if_missing: hint for a missing key."""
     import jsonschema
 
-    errors = list(jsonschema.Draft202012Validator(rules).iter_errors(named))
+    errors = list(jsonschema.Draft202012Validator(rules).iter_errors(raw_table))
     misspelt = [
         error for error in errors if error.validator == "additionalProperties"
     ]  # first: a misspelt key is also why another is missing
@@ -371,12 +371,12 @@ def check_rules(named: Mapping[str, Any], where: str, rules: Mapping[str, Any], 
         error = next(one for one in error.context if one.schema_path[0] == meant)
         schema = {"description": schema["description"], **error.schema}
     place = ".".join(str(step) for step in error.absolute_path)
-    given = str(error.instance)
+    found = str(error.instance)
     if error.validator == "additionalProperties":
-        known = list(schema["properties"])
-        unknown = next(key for key in error.instance if key not in known)
-        near = get_close_matches(unknown, known, n=1)
-        hint = f"did you mean {near[0]}?" if near else f"known keys: {', '.join(known)}"
+        known_keys = list(schema["properties"])
+        unknown = next(key for key in error.instance if key not in known_keys)
+        near = get_close_matches(unknown, known_keys, n=1)
+        hint = f"did you mean {near[0]}?" if near else f"known keys: {', '.join(known_keys)}"
         raise InputError(f"unknown key {f'{place}.' if place else ''}{unknown}", where=where, hint=hint)
     if error.validator == "required":
         missing = [key for key in error.validator_value if key not in error.instance]
@@ -390,7 +390,7 @@ def check_rules(named: Mapping[str, Any], where: str, rules: Mapping[str, Any], 
     if error.validator == "type":
         kind = TYPES[error.validator_value]
         raise InputError(
-            f"{place or 'the table'}: expected {kind}", where=where, expected=_meaning(schema), found=given
+            f"{place or 'the table'}: expected {kind}", where=where, expected=_meaning(schema), found=found
         )
     if error.validator in ("minItems", "maxItems"):
         low, high = schema["minItems"], schema["maxItems"]
@@ -405,15 +405,15 @@ def check_rules(named: Mapping[str, Any], where: str, rules: Mapping[str, Any], 
         above = "exclusiveMinimum" in schema
         low = schema["exclusiveMinimum" if above else "minimum"]
         expected = f"{'more than ' if above else ''}{low:g} to {schema['maximum']:g}{_of_what(schema)}"
-        raise InputError(f"{place}: out of range", where=where, expected=expected, found=given)
+        raise InputError(f"{place}: out of range", where=where, expected=expected, found=found)
     if error.validator == "enum":
         names = error.validator_value
-        near = get_close_matches(given, names, n=1)
+        near = get_close_matches(found, names, n=1)
         hint = f"did you mean {near[0]}?" if near else ""
-        raise InputError(f"{place}: unknown value", where=where, expected=", ".join(names), found=given, hint=hint)
+        raise InputError(f"{place}: unknown value", where=where, expected=", ".join(names), found=found, hint=hint)
     expected = str(schema.get("const", schema.get("pattern", ""))) or _alternatives(schema)
     raise InputError(
-        f"{place or 'the table'}: invalid value", where=where, expected=expected + _of_what(schema), found=given
+        f"{place or 'the table'}: invalid value", where=where, expected=expected + _of_what(schema), found=found
     )
 
 

@@ -139,7 +139,7 @@ def run(job: Job, params: TrainForce, *, force: bool = False, progress: Progress
         "network/scale_n": np.float64(trained.network.scale_n),
         "curve/learned_n": trained.learned_n,
         "curve/held_out_n": trained.held_out_n,
-        "curve/chosen": np.int64(trained.chosen),
+        "curve/chosen": np.int64(trained.best_epoch),
     }
     for number, layer in enumerate(trained.network.layers):
         arrays |= {f"network/{number}/weight": layer.weight, f"network/{number}/bias": layer.bias}
@@ -152,8 +152,8 @@ def run(job: Job, params: TrainForce, *, force: bool = False, progress: Progress
         sensor_name=arrays["sensor_name"],
         trajectories=len(job.inputs),
         samples=len(force_n),
-        best_epoch=trained.chosen + 1,
-        held_out_error_n_rms=float(trained.held_out_n[trained.chosen]),
+        best_epoch=trained.best_epoch + 1,
+        held_out_error_n_rms=float(trained.held_out_n[trained.best_epoch]),
     )
 
 

@@ -163,7 +163,7 @@ def _weight(
         width, height = recording.frame_px
         dot_m = (recording.dot_xy_px.reshape(-1, 2) - np.array([width, height]) / 2) * (mm_per_px * 1e-3)
         end_ms = last_ms - 50
-        held = held_gel.held(
+        held = held_gel.fit(
             _pad(recording, mm_per_px, axis),
             dot_m if axis == 0 else dot_m[:, ::-1],
             moved_m[end_ms - 500 : end_ms].mean(0),

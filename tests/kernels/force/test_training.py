@@ -35,8 +35,8 @@ def test_the_best_epoch_is_stored() -> None:
     made = train()
     moved_px, force_n = gel(100, 2)
     error = np.sqrt(np.mean((models.apply_network(made.network, moved_px) - force_n) ** 2))
-    assert error == pytest.approx(made.held_out_n[made.chosen], rel=1e-4)
-    assert made.held_out_n[made.chosen] == made.held_out_n.min()
+    assert error == pytest.approx(made.held_out_n[made.best_epoch], rel=1e-4)
+    assert made.held_out_n[made.best_epoch] == made.held_out_n.min()
     assert len(made.held_out_n) == len(made.learned_n) == 8
 
 

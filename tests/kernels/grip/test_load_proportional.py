@@ -322,7 +322,7 @@ def test_a_load_that_falls_is_gripped_by_what_stops_a_slide() -> None:
     assert needed > 0.0
     step(state, BALANCE, Felt(False, 0.7 * world.load_px, 0.0, 0.0, 1.0), math.floor(world.at_ticks), DT_S, LAW)
     assert state.wanted_ticks - state.rest_ticks == pytest.approx(LAW.slide * before, rel=0.1)
-    assert state.needed == pytest.approx(min(needed * LAW.doubt, state.known * LAW.most_doubt))
+    assert state.needed == pytest.approx(min(needed * LAW.doubt, state.needed_at_release * LAW.most_doubt))
 
 
 def test_slip_that_the_load_does_not_confirm_is_doubt() -> None:
@@ -335,8 +335,8 @@ def test_slip_that_the_load_does_not_confirm_is_doubt() -> None:
         needs.append(state.needed)
     assert needs == sorted(needs)
     assert needs[0] * LAW.doubt <= needs[1] < needs[-1]
-    assert needs[-1] == pytest.approx(state.known * LAW.most_doubt)
-    assert state.known == needs[0]
+    assert needs[-1] == pytest.approx(state.needed_at_release * LAW.most_doubt)
+    assert state.needed_at_release == needs[0]
 
 
 def test_pushes_that_open_find_how_hard() -> None:

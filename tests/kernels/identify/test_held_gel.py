@@ -55,7 +55,7 @@ def test_held_again(strip_mm: tuple[float, float, float]) -> None:
     dots = one.node_xy_m[rows, columns].reshape(-1, 2)
     shown = moved[rows, columns].reshape(-1) * 0.3e-3
     shown += 0.02 * 0.3e-3 * np.random.default_rng(0).normal(size=len(shown))
-    fitted = held_gel.held(one, dots, shown)
+    fitted = held_gel.fit(one, dots, shown)
     assert fitted.displacement_m * fitted.stiffness_m == pytest.approx(0.3e-3 * force_m, rel=0.05)
     assert fitted.misfit < 0.05
 
@@ -65,9 +65,9 @@ def test_nothing_is_held() -> None:
     one = pad(12, 9)
     dots = np.random.default_rng(0).uniform(-7e-3, 7e-3, (40, 2))
     with pytest.raises(ValueError, match="do not move"):
-        held_gel.held(one, dots, -np.ones(40) * 1e-4)
+        held_gel.fit(one, dots, -np.ones(40) * 1e-4)
     with pytest.raises(ValueError, match="at least 12 dots"):
-        held_gel.held(one, dots, np.full(40, np.nan))
+        held_gel.fit(one, dots, np.full(40, np.nan))
 
 
 def test_response_solves_the_arms() -> None:

@@ -49,8 +49,8 @@ def test_a_rate_is_known_from_steps_that_ended_before() -> None:
     rate = window_travel.events_per_px(moved, gone_px[::STEP_MS], RATE, FADING_PX)
     known = 2 * STEP_MS + window_travel.LAG_MS  # the first step is never used
     assert (rate.per_px[:known] == RATE).all()
-    assert not rate.known[:known].any()
-    assert rate.known[known:].all()
+    assert not rate.is_known[:known].any()
+    assert rate.is_known[known:].all()
     np.testing.assert_allclose(rate.per_px[known:], 300.0, rtol=0.01)
 
 

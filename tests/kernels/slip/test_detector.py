@@ -100,7 +100,7 @@ def test_a_column_more_is_tracked_and_not_seen() -> None:
     known = np.arange(63) % 9 != 8
     rest = np.empty((63, 2))
     rest[known], rest[~known] = REST, REST[7::8] + (62.3, 0)
-    live = Live(result, tracker.start(rest, presets.PRESETS["stable"]), None, known=known)
+    live = Live(result, tracker.start(rest, presets.PRESETS["stable"]), None, seen_dots=known)
     state = tracker.start(rest, presets.PRESETS["stable"])
     stored, counts = np.empty((70, 56, 2), np.float32), np.empty((70, 56), np.int32)
     online = []

@@ -53,7 +53,7 @@ def test_reliability_by_hand() -> None:
     said = np.array([0.05] * 50 + [0.25] * 4 + [1.0] * 6)
     slips = np.array([1] * 50 + [1, 0, 0, 0] + [1, 1, 1, 0, 0, 0], np.bool_)
     bins = reliability.bins(said, slips)
-    assert [(one.slices, one.said, one.happened) for one in bins] == [(4, 0.25, 0.25), (6, 1.0, 0.5)]
+    assert [(one.slices, one.mean_probability, one.happened) for one in bins] == [(4, 0.25, 0.25), (6, 1.0, 0.5)]
     assert reliability.expected_error(bins) == pytest.approx(0.3)
     assert reliability.expected_error([]) is None
 

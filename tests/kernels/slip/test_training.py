@@ -450,7 +450,7 @@ def test_of_what_never_slips_the_hardest_is_trained_on(monkeypatch: pytest.Monke
     """Assert that of 48 drawn a batch keeps the first 8 and the 8 of the others that are the most slip by then."""
     samples = with_stillness(np.random.default_rng(3))
     sizes, kept_logits, other_logits = [], [], []
-    chosen = training._TrainingRun._chosen
+    chosen = training._TrainingRun._samples_to_train_on
 
     def watched(run: Any, batch: Any, still: int) -> Any:
         kept = chosen(run, batch, still)
@@ -464,7 +464,7 @@ def test_of_what_never_slips_the_hardest_is_trained_on(monkeypatch: pytest.Monke
         other_logits.append(logits[left].max())
         return kept
 
-    monkeypatch.setattr(training._TrainingRun, "_chosen", watched)
+    monkeypatch.setattr(training._TrainingRun, "_samples_to_train_on", watched)
     training.train(samples, ADAM, np.random.default_rng(1), TrainingLimits(epochs=2, max_steps=4))
     assert {size for size in sizes if size[0] == 48} == {(48, 16, True)}
     assert np.all(np.array(kept_logits) >= np.array(other_logits))

@@ -142,8 +142,8 @@ def test_a_network_is_what_its_weights_say() -> None:
     inputs = np.random.default_rng(6).normal(size=INPUTS).astype(np.float32)
     wide = np.maximum(inputs @ one.first + one.first_bias, 0)
     odds = np.maximum(wide @ one.second + one.second_bias, 0) @ one.third + one.third_bias
-    assert sticking.told(one, inputs) == pytest.approx(1 / (1 + np.exp(-np.clip(odds, -30, 30))), abs=1e-5)
-    assert all(0.0 <= said <= 1.0 for said in sticking.told(one, np.full(INPUTS, 1e30, np.float32)))
+    assert sticking.slip_estimate(one, inputs) == pytest.approx(1 / (1 + np.exp(-np.clip(odds, -30, 30))), abs=1e-5)
+    assert all(0.0 <= said <= 1.0 for said in sticking.slip_estimate(one, np.full(INPUTS, 1e30, np.float32)))
 
 
 def test_networks_that_are_none_are_refused() -> None:

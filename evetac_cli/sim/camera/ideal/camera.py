@@ -140,7 +140,7 @@ def step(state: IdealState, motion: SliceMotion, t0_us: int, rng: np.random.Gene
         state.release_us,
     )
     steps = 0 if lines is None else line_steps(lines, path, state.line_step_px)
-    made = 0
+    event_count = 0
     if shared.window_level.size:
         pixels = IdealWindowPixels(
             *shared.window_px[:2],
@@ -151,25 +151,25 @@ def step(state: IdealState, motion: SliceMotion, t0_us: int, rng: np.random.Gene
             shared.window_threshold,
             state.window_release_us,
         )
-        made = solve_window(
-            object_motion, pixels, NO_LINES if lines is None else lines, steps, times, shared.keys, made
+        event_count = solve_window(
+            object_motion, pixels, NO_LINES if lines is None else lines, steps, times, shared.keys, event_count
         )
     if shared.contact_edges is not None:
         shared.contact_edges.events = 0
         if lines is not None:
-            made, events = solve_line_pixels(lines, steps, path, gel, times, shared.keys, made)
+            event_count, events = solve_line_pixels(lines, steps, path, gel, times, shared.keys, event_count)
             shared.contact_edges.events = events
-    made = solve_dots(path, gel, times, shared.keys, made)
+    event_count = solve_dots(path, gel, times, shared.keys, event_count)
     if shared.model.leak_hz > 0.0:
-        made = _leak(state, times, made)
-    made = scanning.noise_of_slice(shared, t0_us, rng, made)
-    stored = min(made, len(shared.keys))
-    shared.dropped += made - stored
+        event_count = _leak(state, times, event_count)
+    event_count = scanning.noise_of_slice(shared, t0_us, rng, event_count)
+    stored = min(event_count, len(shared.keys))
+    shared.dropped += event_count - stored
     columns = sorted_columns(shared.keys[:stored], t0_us)
     return Events(*(columns if shared.noise_filter is None else shared.noise_filter.keep(columns)))
 
 
-def _leak(state: IdealState, times: SliceTimes, made: int) -> int:
+def _leak(state: IdealState, times: SliceTimes, event_count: int) -> int:
     """Let leak lower the references of the rows that are due; return the number of events so far."""
     shared = state.shared
     drift = leak.drift(shared.model.leak_hz)
@@ -178,8 +178,10 @@ def _leak(state: IdealState, times: SliceTimes, made: int) -> int:
     leak.draw_leaking_rows(shared.seen_dot_xy_px, *shared.profile, first_row, level)
     state.lower2_px2[first_row :: leak.LEAK_SLICES] = np.inf
     gel = (shared.reference, shared.threshold, state.release_us)
-    made = leak.leak_in_rows(level, first_row, (0, 0), drift, gel, times, shared.keys, made)
+    event_count = leak.leak_in_rows(level, first_row, (0, 0), drift, gel, times, shared.keys, event_count)
     corner_px = shared.window_px[:2]
     window = (shared.window_reference, shared.window_threshold, state.window_release_us)
     own_first = (first_row - corner_px[1]) % leak.LEAK_SLICES
-    return int(leak.leak_in_rows(shared.window_level, own_first, corner_px, drift, window, times, shared.keys, made))
+    return int(
+        leak.leak_in_rows(shared.window_level, own_first, corner_px, drift, window, times, shared.keys, event_count)
+    )

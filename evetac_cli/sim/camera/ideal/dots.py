@@ -48,7 +48,7 @@ def find_all_radii(
 
 @njit(cache=True)
 def solve_dots(
-    path: NDArray[np.float64], gel: IdealGelPixels, times: SliceTimes, keys: NDArray[np.int64], made: int
+    path: NDArray[np.float64], gel: IdealGelPixels, times: SliceTimes, keys: NDArray[np.int64], event_count: int
 ) -> int:
     """Solve the pixels that may fire in the rings of moving dots; return the number of events, stored or not.
 
@@ -103,7 +103,7 @@ def solve_dots(
                     active[count] = y * width + x
                     count += 1
         _travel(near_path[:near], travelled)
-        made = _solve_pixels(
+        event_count = _solve_pixels(
             active[:count],
             near_path[:near],
             travelled,
@@ -119,10 +119,10 @@ def solve_dots(
             release_us,
             t0_us,
             keys,
-            made,
+            event_count,
         )
     seen_xy[:] = path[:, vertices - 1]
-    return made
+    return event_count
 
 
 @njit(cache=True)
@@ -156,7 +156,7 @@ def _solve_pixels(
     release_us: NDArray[np.float64],
     t0_us: int,
     keys: NDArray[np.int64],
-    made: int,
+    event_count: int,
 ) -> int:
     """Solve all crossings of some pixels within the slice; return the number of events so far.
 
@@ -213,9 +213,9 @@ def _solve_pixels(
                 brighter = brighter_at < darker_at
                 part = min(darker_at, brighter_at)
             time_us = (vertex + part) * piece_us
-            if made < len(keys):
-                keys[made] = event_key(min(int(time_us), SLICE_US - 1), x, y, brighter)
-            made += 1
+            if event_count < len(keys):
+                keys[event_count] = event_key(min(int(time_us), SLICE_US - 1), x, y, brighter)
+            event_count += 1
             if refractory_us > 0.0:
                 blind = True
                 blind_until_us = time_us + refractory_us
@@ -227,7 +227,7 @@ def _solve_pixels(
         reference[y, x] = np.nan if blind else level
         lower2[y, x] = np.inf if blind else darker_below2  # infinity: solved at every visit
         upper2[y, x] = brighter_above2
-    return made
+    return event_count
 
 
 @njit(cache=True)

@@ -50,7 +50,7 @@ def solve_line_pixels(
     gel: IdealGelPixels,
     times: SliceTimes,
     keys: NDArray[np.int64],
-    made: int,
+    event_count: int,
 ) -> tuple[int, int]:
     """Solve the crossings of gel pixels that lines may touch, row by row, in sub-steps, while dots move on paths.
 
@@ -103,7 +103,9 @@ def solve_line_pixels(
             beyond = runs[run, 1]
             if first == beyond:
                 continue
-            made, alone = _solve_run(steps, lines, dots_xy, pixels, when, (y, first, beyond), scratch, made)
+            event_count, alone = _solve_run(
+                steps, lines, dots_xy, pixels, when, (y, first, beyond), scratch, event_count
+            )
             line_events += alone
             lower2[y, first:beyond] = np.inf
             solved_in[y, first:beyond] = this_slice
@@ -112,7 +114,7 @@ def solve_line_pixels(
         seen_corner[1] = end.corner_px[1]
         seen_corner[2] = end.strength
     seen_cut_x[:] = end.cut_x_px
-    return made, line_events
+    return event_count, line_events
 
 
 @njit(cache=True)
@@ -145,7 +147,7 @@ def _solve_run(
     when: tuple[Any, ...],
     run: tuple[int, int, int],
     scratch: NDArray[np.float32],
-    made: int,
+    event_count: int,
 ) -> tuple[int, int]:
     """Solve the crossings of pixels side by side, whose levels are linear in every sub-step.
 
@@ -199,8 +201,8 @@ def _solve_run(
                 fired += int(not (abs(now[k] - reference[y, first + k]) < threshold[y, first + k]))
         if step > 0 and fired > 0:
             for k in range(count):
-                before = made
-                made = _solve_linear(
+                before = event_count
+                event_count = _solve_linear(
                     first + k,
                     y,
                     np.float64(now[k]),
@@ -213,16 +215,16 @@ def _solve_run(
                     release_us,
                     t0_us,
                     keys,
-                    made,
+                    event_count,
                 )
                 if dots_then[k] == dots_now[k]:
-                    line_events += made - before
+                    line_events += event_count - before
         for k in range(count):
             now[k] = then[k]
             dots_now[k] = dots_then[k]
     for k in range(count):
         reference[y, first + k] -= lines[k] - lines_seen[k]
-    return made, line_events
+    return event_count, line_events
 
 
 @njit(cache=True)
@@ -239,7 +241,7 @@ def _solve_linear(
     release_us: NDArray[np.float64],
     t0_us: int,
     keys: NDArray[np.int64],
-    made: int,
+    event_count: int,
 ) -> int:
     """Solve the crossings of a pixel whose level changes linearly from `now` to `then`; return the number of events."""
     level = np.float64(reference[y, x])
@@ -261,13 +263,13 @@ def _solve_linear(
         else:
             break
         time_us = from_us + part * (until_us - from_us)
-        if made < len(keys):
-            keys[made] = event_key(min(int(time_us), SLICE_US - 1), x, y, brighter)
-        made += 1
+        if event_count < len(keys):
+            keys[event_count] = event_key(min(int(time_us), SLICE_US - 1), x, y, brighter)
+        event_count += 1
         if refractory_us > 0.0:
             release_us[y, x] = t0_us + time_us + refractory_us
             level = np.float64(np.nan)
         else:
             level = level + step if brighter else level - step
     reference[y, x] = level
-    return made
+    return event_count

@@ -42,7 +42,7 @@ def solve_window(
     steps: int,
     times: SliceTimes,
     keys: NDArray[np.int64],
-    made: int,
+    event_count: int,
 ) -> int:
     """Solve the crossings of the window's pixels; return the number of events so far.
 
@@ -61,7 +61,7 @@ def solve_window(
     seen[1] = end_xy[1]
     seen[2] = contrast
     if not (jumped or moves):
-        return made
+        return event_count
     now = np.empty_like(reference)
     half_way = np.empty_like(reference)
     then = np.empty_like(reference)
@@ -70,7 +70,7 @@ def solve_window(
         reference += now
     _add_lines(now, first_x, first_y, 0.0, steps, lines)
     if not first_look or steps > 0:
-        made = _solve_parabolas((now, now, now), (0.0, 0.0), window, times, keys, made)
+        event_count = _solve_parabolas((now, now, now), (0.0, 0.0), window, times, keys, event_count)
     at = 0.0
     while moves and at < 1.0:
         until = _next_texel(start_xy[0], across, start_xy[1], down, at)
@@ -86,7 +86,7 @@ def solve_window(
         )
         _add_lines(then, first_x, first_y, until, steps, lines)
         span_us = (at * SLICE_US, until * SLICE_US)
-        made = _solve_parabolas((now, half_way, then), span_us, window, times, keys, made)
+        event_count = _solve_parabolas((now, half_way, then), span_us, window, times, keys, event_count)
         now, then = then, now
         at = until
     level[:] = now
@@ -95,7 +95,7 @@ def solve_window(
         _add_lines(half_way, first_x, first_y, 1.0, steps, lines)
         level -= half_way
         reference -= half_way
-    return made
+    return event_count
 
 
 @njit(cache=True)
@@ -150,7 +150,7 @@ def _solve_parabolas(
     window: IdealWindowPixels,
     times: SliceTimes,
     keys: NDArray[np.int64],
-    made: int,
+    event_count: int,
 ) -> int:
     """Solve the crossings of levels on parabolas through three images; return the number of events so far.
 
@@ -203,16 +203,18 @@ def _solve_parabolas(
                         break
                     part = min(brighter_at, darker_at)
                 time_us = from_us + part * (until_us - from_us)
-                if made < len(keys):
-                    keys[made] = event_key(min(int(time_us), SLICE_US - 1), first_x + column, first_y + row, brighter)
-                made += 1
+                if event_count < len(keys):
+                    keys[event_count] = event_key(
+                        min(int(time_us), SLICE_US - 1), first_x + column, first_y + row, brighter
+                    )
+                event_count += 1
                 if refractory_us > 0.0:
                     release_us[row, column] = t0_us + time_us + refractory_us
                     level = np.float64(np.nan)
                 else:
                     level = level + step if brighter else level - step
             reference[row, column] = level
-    return made
+    return event_count
 
 
 @njit(cache=True)

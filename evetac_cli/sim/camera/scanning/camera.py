@@ -323,19 +323,19 @@ def step(state: CameraState, motion: SliceMotion, t0_us: int, rng: np.random.Gen
     line_events = 0
     if lines is not None:
         plain = (tuple(lines.start), tuple(lines.end), tuple(lines.outline), *lines[3:])
-        made, line_events = scan_lines(plain, path, gel, tuple(object_motion), window, times, state.keys)
+        event_count, line_events = scan_lines(plain, path, gel, tuple(object_motion), window, times, state.keys)
     elif len(state.shapes.inner_px) or not rests(path, gel[0], *object_motion, window[2], window[4]):
-        made = _scan(path, gel, tuple(object_motion), window, times, state.keys)
+        event_count = _scan(path, gel, tuple(object_motion), window, times, state.keys)
     else:
-        made = 0
+        event_count = 0
     if state.contact_edges is not None:
         state.contact_edges.events = line_events
     if first_leaking_row is not None:
         drift = np.float32(leak.drift(model.leak_hz))
-        made = _leak(first_leaking_row, drift, gel, window, times, state.keys, made)
+        event_count = _leak(first_leaking_row, drift, gel, window, times, state.keys, event_count)
     if state.light is not None:
-        made = state.light.shine(gel, window, *times, state.keys, made)
-    return _finish(state, t0_us, rng, made)
+        event_count = state.light.shine(gel, window, *times, state.keys, event_count)
+    return _finish(state, t0_us, rng, event_count)
 
 
 def step_still(state: CameraState, t0_us: int, rng: np.random.Generator) -> Events:
@@ -343,22 +343,24 @@ def step_still(state: CameraState, t0_us: int, rng: np.random.Generator) -> Even
 
     They equal those of `step`, which would find that no pixel has to be compared. Not for a camera with changing light.
     """
-    made = 0
+    event_count = 0
     if state.contact_edges is not None:
         state.contact_edges.events = 0
     if state.model.leak_hz > 0.0:
         drift = np.float32(leak.drift(state.model.leak_hz))
         times = (state.readout_us, float(t0_us), float(state.model.refractory_us))
-        made = _leak(state.slices % leak.LEAK_SLICES, drift, state.gel, state.window, times, state.keys, made)
-    return _finish(state, t0_us, rng, made)
+        event_count = _leak(
+            state.slices % leak.LEAK_SLICES, drift, state.gel, state.window, times, state.keys, event_count
+        )
+    return _finish(state, t0_us, rng, event_count)
 
 
-def _finish(state: CameraState, t0_us: int, rng: np.random.Generator, made: int) -> Events:
+def _finish(state: CameraState, t0_us: int, rng: np.random.Generator, event_count: int) -> Events:
     """Add noise to the events of a slice, and count events that do not fit."""
     state.slices += 1
-    made = noise_of_slice(state, t0_us, rng, made)
-    stored = min(made, len(state.keys))
-    state.dropped += made - stored
+    event_count = noise_of_slice(state, t0_us, rng, event_count)
+    stored = min(event_count, len(state.keys))
+    state.dropped += event_count - stored
     columns = sorted_columns(state.keys[:stored], t0_us)
     if state.readout is not None:
         columns = state.readout.read(columns, t0_us)
@@ -367,13 +369,15 @@ def _finish(state: CameraState, t0_us: int, rng: np.random.Generator, made: int)
     return Events(*columns)
 
 
-def noise_of_slice(state: CameraState, t0_us: int, rng: np.random.Generator, made: int) -> int:
+def noise_of_slice(state: CameraState, t0_us: int, rng: np.random.Generator, event_count: int) -> int:
     """Add the noise of a slice and the events of hot pixels; return the number of events so far."""
     model = state.model
-    made = add_noise(state.noise, model.frame_px, t0_us, rng, state.keys, made)
+    event_count = add_noise(state.noise, model.frame_px, t0_us, rng, state.keys, event_count)
     if state.table_hot_pixels is not None:
-        made = state.table_hot_pixels.add(t0_us, model.frame_px[0], model.timestamp_step_us, state.keys, made)
-    return made
+        event_count = state.table_hot_pixels.add(
+            t0_us, model.frame_px[0], model.timestamp_step_us, state.keys, event_count
+        )
+    return event_count
 
 
 # Python passes plain tuples, which get names here. With named tuples, each slice of a grasp took 4 to 6 us longer, of
@@ -394,12 +398,12 @@ def _scan(
     dots, pixels = gel_pixels(gel), window_pixels(window)
     untouched = dots.candidates.flags[0]
     untouched[:] = 0
-    made = scan_dots(path, dots, scans, ZERO, len(scans.readout_us), untouched, FALSE, keys, ZERO)
+    event_count = scan_dots(path, dots, scans, ZERO, len(scans.readout_us), untouched, FALSE, keys, ZERO)
     if pixels.reference.size:
         object_motion = ObjectMotion(motion[0], motion[1], motion[2])
         line = dots.candidates.line
-        made = scan_window(object_motion, pixels, scans, ZERO, len(scans.readout_us), line, keys, made)
-    return int(made)
+        event_count = scan_window(object_motion, pixels, scans, ZERO, len(scans.readout_us), line, keys, event_count)
+    return int(event_count)
 
 
 @njit(cache=True, _nrt=False)
@@ -410,8 +414,8 @@ def _leak(
     window: tuple[Any, ...],
     times: tuple[Any, ...],
     keys: NDArray[np.int64],
-    made: int,
+    event_count: int,
 ) -> int:
     """Let leak lower the references of the rows that are due; return the number of events so far."""
     scans = ScanTimes(times[0], times[1], times[2])
-    return int(leak.leak_in_scans(first_row, drift, gel_pixels(gel), window_pixels(window), scans, keys, made))
+    return int(leak.leak_in_scans(first_row, drift, gel_pixels(gel), window_pixels(window), scans, keys, event_count))

@@ -92,7 +92,7 @@ def compare_crowded(
     refractory_us: float,
     first_scan: int,
     keys: NDArray[np.int64],
-    made: int,
+    event_count: int,
 ) -> int:
     """Compare some pixels in every scan with the darkest level of differing dots (dots, scans, 2)."""
     dots, shots, _ = at_xy.shape
@@ -120,9 +120,9 @@ def compare_crowded(
             if abs(change) < threshold[y, x]:
                 continue
             reference[y, x] = level + shift
-            if made < len(keys):
-                keys[made] = event_key(readout_us[first_scan + shot, x], x, y, change > 0)
-            made += 1
+            if event_count < len(keys):
+                keys[event_count] = event_key(readout_us[first_scan + shot, x], x, y, change > 0)
+            event_count += 1
             if blinding:
                 release_us[y, x] = now_us + refractory_us
-    return made
+    return event_count

@@ -51,7 +51,7 @@ def scan_dots(
     touched: NDArray[np.uint8],
     apart: bool,
     keys: NDArray[np.int64],
-    made: int,
+    event_count: int,
 ) -> int:
     """Compare the pixels that may fire in some scans; return the number of events, including those that do not fit.
 
@@ -90,7 +90,7 @@ def scan_dots(
             candidates.list_box[dot] = np.nan
             count = ring_pixels(box[dot], least_inner, greatest_outer, FALSE, candidates)
             count = select_own(dot, count, box, least_inner, greatest_outer, candidates)
-            made = compare_crowded(
+            event_count = compare_crowded(
                 candidates.active[:count],
                 at_xy,
                 own_inner,
@@ -107,7 +107,7 @@ def scan_dots(
                 refractory_us,
                 first_scan,
                 keys,
-                made,
+                event_count,
             )
             count = 0
         elif crowded[dot]:
@@ -132,7 +132,7 @@ def scan_dots(
             candidates.list_length[dot] = -1 if touched[dot] else min(candidates.list_length[dot], 0) - 1
             count = 0
             reach_of_list(box[dot], wider[0])
-            made = _compare_ring(
+            event_count = _compare_ring(
                 wider[0],
                 at_xy[dot, 0],
                 inner,
@@ -145,7 +145,7 @@ def scan_dots(
                 candidates.lower2_px2,
                 readout_us[first_scan],
                 keys,
-                made,
+                event_count,
             )
         elif touched[dot]:
             candidates.list_length[dot] = -1
@@ -196,7 +196,7 @@ def scan_dots(
                     )
         if count > 0:
             seen_by = near_xy[:near] if crowded[dot] else at_xy[dot : dot + 1]
-            made = _compare_pixels(
+            event_count = _compare_pixels(
                 candidates.active[:count],
                 seen_by,
                 inner,
@@ -213,7 +213,7 @@ def scan_dots(
                 refractory_us,
                 first_scan,
                 keys,
-                made,
+                event_count,
             )
             if not crowded[dot] and candidates.list_length[dot] >= 0:
                 renew_listed(
@@ -231,7 +231,7 @@ def scan_dots(
                 )
         for axis in range(2):
             seen_xy[dot, axis] = at_xy[dot, end_scan - first_scan - 1, axis]
-    return made
+    return event_count
 
 
 @njit(cache=True, _nrt=False)
@@ -267,7 +267,7 @@ def _compare_ring(
     lower2_px2: NDArray[np.float32],
     readout_us: NDArray[np.int64],
     keys: NDArray[np.int64],
-    made: int,
+    event_count: int,
 ) -> int:
     """Compare all pixels in the ring of a box (4,) in one scan with the levels of a single dot at (2,).
 
@@ -305,10 +305,10 @@ def _compare_ring(
                     continue
                 reference[row, x] = level + middle_shift[row, x] if shifted else level
                 lower2_px2[row, x] = np.inf
-                if made < len(keys):
-                    keys[made] = event_key(readout_us[x], x, row, change > 0)
-                made += 1
-    return made
+                if event_count < len(keys):
+                    keys[event_count] = event_key(readout_us[x], x, row, change > 0)
+                event_count += 1
+    return event_count
 
 
 @njit(cache=True, _nrt=False)
@@ -329,7 +329,7 @@ def _compare_pixels(
     refractory_us: float,
     first_scan: int,
     keys: NDArray[np.int64],
-    made: int,
+    event_count: int,
 ) -> int:
     """Compare some pixels in every scan with the level of the nearest of some dots (near, scans, 2).
 
@@ -362,11 +362,11 @@ def _compare_pixels(
             if abs(change) < threshold[y, x]:
                 continue
             reference[y, x] = level + middle_shift[y, x] if shifted else level
-            if made < len(keys):
-                keys[made] = event_key(readout_us[first_scan + shot, x], x, y, change > 0)
-            made += 1
+            if event_count < len(keys):
+                keys[event_count] = event_key(readout_us[first_scan + shot, x], x, y, change > 0)
+            event_count += 1
             if blinding:
                 release_us[y, x] = now_us + refractory_us
             lower2 = np.float32(np.inf)
         lower2_px2[y, x] = lower2
-    return made
+    return event_count

@@ -181,7 +181,7 @@ class Light:
         t0_us: float,
         refractory_us: float,
         keys: NDArray[np.int64],
-        made: int,
+        event_count: int,
     ) -> int:
         """Compare the pixels that the light has changed by the last scan of a slice; return the number of events."""
         scans = len(readout_us)
@@ -190,15 +190,15 @@ class Light:
         if self._print is not None:
             lights = self._change.two_lights(now_us)
             if lights == self._seen_lights:
-                return made
+                return event_count
             bare_before = self._seen_bare
             self._seen_lights, self._seen_bare = lights, self._print.show(*lights)
             self._forget_all(gel)
             change = np.float32(self._seen_bare - bare_before)
-            return int(_shine(change, self._seen_bare, gel, window, self._bounds, when, keys, made))
+            return int(_shine(change, self._seen_bare, gel, window, self._bounds, when, keys, event_count))
         flicker, step = self._change.flicker(now_us), self._change.step(now_us)
         if flicker == self._seen_flicker and step == self._seen_step:
-            return made
+            return event_count
         if step != self._seen_step or self._change.depth == 0.0:  # radii hold for a flicker, bounds only during one
             self._bounds[3][:] = -np.inf
             self._bounds[1][:] = -np.inf
@@ -208,7 +208,7 @@ class Light:
         change = np.float32(flicker - self._seen_flicker + step - self._seen_step)
         self._seen_flicker, self._seen_step = flicker, step
         self.candidate_light[0] = flicker - self._middle
-        return int(_shine(change, flicker + step, gel, window, self._bounds, when, keys, made))
+        return int(_shine(change, flicker + step, gel, window, self._bounds, when, keys, event_count))
 
     def _forget_all(self, gel: tuple[Any, ...]) -> None:
         """Discard everything that follows from the appearance of the dots."""
@@ -218,7 +218,7 @@ class Light:
         candidates.level_index[:] = optics.level_index(self._profile)
         candidates.lower2_px2[:] = np.inf
         candidates.list_box[:] = np.nan
-        candidates.drawn[:] = 0.0
+        candidates.drawn_dots[:] = 0.0
         candidates.drawn_at[:] = 0.0
 
 
@@ -249,7 +249,7 @@ def _shine(
     bounds: tuple[Any, ...],
     when: tuple[Any, ...],
     keys: NDArray[np.int64],
-    made: int,
+    event_count: int,
 ) -> int:
     """Subtract a change of the light from all references, and compare the runs whose bounds `light` has crossed."""
     gel, window = gel_pixels(gel_arrays), window_pixels(window_arrays)
@@ -276,15 +276,15 @@ def _shine(
             differing_row(gel.seen_dot_xy_px, *shapes, row, left, right, line)
         else:
             optics.dot_row(gel.seen_dot_xy_px, inner, outer, steps_per_px, profile, row, left, right, line)
-        before = made
+        before = event_count
         row_low[row] = -np.inf
         row_high[row] = np.inf
         for run in range(low.shape[1]):
             if not low[row, run] < light < high[row, run]:
                 first = run * RUN_PX
                 end = min(first + RUN_PX, width)
-                fired = made
-                low[row, run], high[row, run], made = _compare_run(
+                fired = event_count
+                low[row, run], high[row, run], event_count = _compare_run(
                     line[first - left : end - left],
                     own[first:end],
                     threshold[row, first:end],
@@ -295,17 +295,17 @@ def _shine(
                     light,
                     when,
                     keys,
-                    made,
+                    event_count,
                 )
-                if made > fired:
+                if event_count > fired:
                     gel.candidates.lower2_px2[row, first:end] = np.inf
             row_low[row] = max(row_low[row], low[row, run])
             row_high[row] = min(row_high[row], high[row, run])
-        if made > before:
+        if event_count > before:
             _forget_lists(row, outer, gel.candidates)
     rows, columns = window.reference.shape
     if not rows:
-        return made
+        return event_count
     for axis in range(3):
         if seen_object[axis] != window.seen_object[axis]:
             seen_object[axis] = window.seen_object[axis]
@@ -321,7 +321,7 @@ def _shine(
         if window_low[row] < light < window_high[row]:
             continue
         optics.sample_texture_run(window.texture, place, row, 0, columns, line)
-        window_low[row], window_high[row], made = _compare_run(
+        window_low[row], window_high[row], event_count = _compare_run(
             line[:columns],
             own,
             window.threshold[row],
@@ -332,9 +332,9 @@ def _shine(
             light,
             when,
             keys,
-            made,
+            event_count,
         )
-    return made
+    return event_count
 
 
 @njit(cache=True, _nrt=False)
@@ -349,7 +349,7 @@ def _compare_run(
     light: float,
     when: tuple[Any, ...],
     keys: NDArray[np.int64],
-    made: int,
+    event_count: int,
 ) -> tuple[float, float, int]:
     """Compare pixels side by side; return the levels of light between which none fires, and the number of events.
 
@@ -366,16 +366,16 @@ def _compare_run(
         change = level[k] - reference[k]
         if abs(change) >= threshold[k]:
             reference[k] = level[k] + middle_shift[k] if len(middle_shift) else level[k]
-            if made < len(keys):
-                keys[made] = event_key(readout_us[first_x + k], first_x + k, y, change > 0)
-            made += 1
+            if event_count < len(keys):
+                keys[event_count] = event_key(readout_us[first_x + k], first_x + k, y, change > 0)
+            event_count += 1
             change = level[k] - reference[k]
             if len(release_us):
                 release_us[k] = now_us + refractory_us
                 high = -np.inf
         low = max(low, light - (threshold[k] + change) + ROUNDING)
         high = min(high, light + (threshold[k] - change) - ROUNDING)
-    return low, high, made
+    return low, high, event_count
 
 
 @njit(cache=True, _nrt=False)

@@ -107,8 +107,10 @@ def scan_lines(
     near_shapes = (gel.shapes.inner_px, gel.shapes.outer_px, gel.shapes.level)
     off_level = 0.0
     if few:
-        off_level = draw_dots(box, near, inner, outer, steps_per_px, profile, candidates.drawn_at, candidates.drawn)
-    drawn = (candidates.drawn, off_level)
+        off_level = draw_dots(
+            box, near, inner, outer, steps_per_px, profile, candidates.drawn_at, candidates.drawn_dots
+        )
+    dots_and_error = (candidates.drawn_dots, off_level)
     outline_pixels = (reference, gel.threshold, candidates.lower2_px2, gel.middle_shift)
     doubtful = candidates.doubtful
     touched[:] = 0
@@ -118,10 +120,10 @@ def scan_lines(
     near_xy, row_xy = near_xy[:near_dots], row_xy[:near_dots]
     due = (due_runs.due_at, due_runs.row_due_at)
     shifted = (reference, candidates.lower2_px2, first_x, first_y, window_reference, *due)
-    made = ZERO
+    event_count = ZERO
     line_events = 0
     if not at_lines:
-        made = scan_dots(path, gel, times, ZERO, scans, touched, apart, keys, made)
+        event_count = scan_dots(path, gel, times, ZERO, scans, touched, apart, keys, event_count)
     for scan in range(scans):
         part = scan / scans
         now_us = t0_us + scan * SLICE_US / scans
@@ -141,7 +143,9 @@ def scan_lines(
         touching = (first_row, end_row)
         if few:
             place = (x, y, strength)
-            shift_outline(outline.picture, place, touching, runs, seen_level, outline_pixels, drawn, line, doubtful)
+            shift_outline(
+                outline.picture, place, touching, runs, seen_level, outline_pixels, dots_and_error, line, doubtful
+            )
         else:
             for row in range(first_row, end_row):
                 left, left_end, right, right_end = runs[row]
@@ -177,11 +181,11 @@ def scan_lines(
             _touch_dots(at_xy[:, scan], gel.seen_dot_xy_px, candidates.list_box, outer, over, cut_runs, touched)
 
         if at_lines:
-            made = scan_dots(path, gel, times, scan, scan + 1, touched, apart, keys, made)
+            event_count = scan_dots(path, gel, times, scan, scan + 1, touched, apart, keys, event_count)
         if window_reference.size:
-            made = scan_window(motion, window, times, scan, scan + 1, line, keys, made)
+            event_count = scan_window(motion, window, times, scan, scan + 1, line, keys, event_count)
 
-        before = made
+        before = event_count
         when = (readout_us[scan], now_us, refractory_us)
         texture_at = optics.texture_place(texture, first_x, first_y, object_seen[0], object_seen[1], contrast)
         ink = (inner, outer, steps_per_px, profile, near_shapes, texture, texture_at)
@@ -204,16 +208,25 @@ def scan_lines(
                 nearest += 1
         if few:
             dot_ink = (inner, outer, steps_per_px, profile)
-            made = compare_outline(
-                near_xy, dot_ink, touching, runs, doubtful, outline_pixels, drawn[0], readout_us[scan], keys, made
+            event_count = compare_outline(
+                near_xy,
+                dot_ink,
+                touching,
+                runs,
+                doubtful,
+                outline_pixels,
+                dots_and_error[0],
+                readout_us[scan],
+                keys,
+                event_count,
             )
             end_row = first_row
         what = (near_xy, row_xy, ink, pixels)
-        made = _compare_across(*what, first_row, end_row, runs, *when, line, keys, made)
+        event_count = _compare_across(*what, first_row, end_row, runs, *when, line, keys, event_count)
         if cut_left < cut_right:
-            made = _compare_across(*what, ZERO, cut_rows, cut_runs, *when, line, keys, made)
-        line_events += made - before
-    return made, line_events
+            event_count = _compare_across(*what, ZERO, cut_rows, cut_runs, *when, line, keys, event_count)
+        line_events += event_count - before
+    return event_count, line_events
 
 
 @njit(cache=True, inline="always")
@@ -384,7 +397,7 @@ def _compare_across(
     refractory_us: float,
     line: NDArray[np.float32],
     keys: NDArray[np.int64],
-    made: int,
+    event_count: int,
 ) -> int:
     """Compare the pixels of `runs` (height, 4) in some rows of the frame, those of the gel and those of the window.
 
@@ -409,7 +422,7 @@ def _compare_across(
                 differing_row(dot_xy, *own_shapes, row, first, end, line)
             else:
                 optics.dot_row(row_xy[:in_row], inner, outer, steps_per_px, profile, row, first, end, line)
-            made = compare_row(
+            event_count = compare_row(
                 line,
                 reference,
                 threshold,
@@ -423,7 +436,7 @@ def _compare_across(
                 now_us,
                 refractory_us,
                 keys,
-                made,
+                event_count,
             )
             for x in range(first, end):
                 lower2[row, x] = np.inf
@@ -432,7 +445,7 @@ def _compare_across(
             if not 0 <= own < window_rows or left >= right:
                 continue
             optics.sample_texture_run(texture, place, own, left, right, line)
-            made = compare_row(
+            event_count = compare_row(
                 line,
                 window_reference,
                 window_threshold,
@@ -446,8 +459,8 @@ def _compare_across(
                 now_us,
                 refractory_us,
                 keys,
-                made,
+                event_count,
             )
             if window_release_us.size:  # a pixel that fired without becoming blind is further from its threshold
                 mark_due(due_at, row_due_at, own, left, right)
-    return made
+    return event_count

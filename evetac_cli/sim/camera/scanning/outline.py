@@ -34,12 +34,12 @@ def draw_dots(
     steps_per_px: float,
     profile: Pixels,
     drawn_at: Floats,
-    drawn: Pixels,
+    drawn_dots: Pixels,
 ) -> float:
     """Redraw the dots that have left the positions at which they were drawn; return the largest error of a drawn level.
 
-    Dots stay within boxes (dots, 4) in this slice, apart from each other. `drawn` (height, width) is 0 if no dot is
-    near, and NaN where a dot moves too fast to be drawn. `drawn_at` (dots, 3) holds the position at which a dot was
+    Dots stay within boxes (dots, 4) in this slice, apart from each other. `drawn_dots` (height, width) is 0 if no dot
+    is near, and NaN where a dot moves too fast to be drawn. `drawn_at` (dots, 3) holds the position at which a dot was
     drawn and the reach of the drawing: negative for NaN, 0 if not drawn.
     """
     for dot in range(len(box)):
@@ -48,8 +48,8 @@ def draw_dots(
         if drawn_at[dot, 2] > 0.0 and max(far_x, far_y) <= DRAWN_PX:
             continue
         if drawn_at[dot, 2] != 0.0:
-            first_x, end_x, first_y, end_y = _square(drawn_at[dot], drawn.shape)
-            drawn[first_y:end_y, first_x:end_x] = 0.0
+            first_x, end_x, first_y, end_y = _square(drawn_at[dot], drawn_dots.shape)
+            drawn_dots[first_y:end_y, first_x:end_x] = 0.0
         drawn_at[dot, 2] = 0.0
         if not near[dot]:
             continue
@@ -57,11 +57,11 @@ def draw_dots(
         drawn_at[dot, 1] = box[dot, 1]
         fast = max(box[dot, 2], box[dot, 3]) > DRAWN_PX
         drawn_at[dot, 2] = -(outer + max(box[dot, 2], box[dot, 3]) + 1.0) if fast else outer + 1.0
-        first_x, end_x, first_y, end_y = _square(drawn_at[dot], drawn.shape)
+        first_x, end_x, first_y, end_y = _square(drawn_at[dot], drawn_dots.shape)
         for y in range(first_y, end_y):
             for x in range(first_x, end_x):
                 if fast:
-                    drawn[y, x] = np.nan
+                    drawn_dots[y, x] = np.nan
                     continue
                 across = x - box[dot, 0]
                 down = y - box[dot, 1]
@@ -70,7 +70,7 @@ def draw_dots(
                     position = optics.profile_position(
                         np.float32(distance2), np.float32(inner), np.float32(steps_per_px)
                     )
-                    drawn[y, x] = min(optics.profile_level(position, profile), UNSURE)
+                    drawn_dots[y, x] = min(optics.profile_level(position, profile), UNSURE)
     steepest = 0.0
     for k in range(len(profile) - 1):
         steepest = max(steepest, abs(float(profile[k + 1]) - float(profile[k])))
@@ -97,19 +97,19 @@ def shift_outline(
     runs: NDArray[np.int64],
     seen_level: Pixels,
     pixels: tuple[Pixels, Pixels, Pixels, Pixels],
-    drawn: tuple[Pixels, float],
+    dots_and_error: tuple[Pixels, float],
     line: Pixels,
     doubtful: NDArray[np.uint8],
 ) -> None:
     """Apply an outline at a position (corner x, y, strength): shift the references by its change, with opposite sign.
 
     `runs` (height, 4) are its pixels in these rows (first, end). `pixels` are their references, thresholds, squared
-    quiet radii and shifts (see GelPixels). `drawn` are the drawn dots and their largest error. Fills the runs in
-    `doubtful` (height, a multiple of eight): 1 for pixels that may fire, else 0.
+    quiet radii and shifts (see GelPixels). `dots_and_error` are the drawn dots and their largest error. Fills the runs
+    in `doubtful` (height, a multiple of eight): 1 for pixels that may fire, else 0.
     """
     corner_x, corner_y, strength = place
     reference, threshold, lower2, _ = pixels
-    dots, margin_level = drawn
+    dots, margin_level = dots_and_error
     margin = np.float32(margin_level)
     picture_rows, picture_columns = picture.shape
     one, zero = np.uint64(1), np.uint64(0)
@@ -169,10 +169,10 @@ def compare_outline(
     runs: NDArray[np.int64],
     doubtful: NDArray[np.uint8],
     pixels: tuple[Pixels, Pixels, Pixels, Pixels],
-    drawn: Pixels,
+    drawn_dots: Pixels,
     readout_us: NDArray[np.int64],
     keys: NDArray[np.int64],
-    made: int,
+    event_count: int,
 ) -> int:
     """Compare the doubtful pixels of `shift_outline` with the image of dots (dots, 2); return the number of events.
 
@@ -197,16 +197,16 @@ def compare_outline(
                     if doubtful[row, x] == 0:
                         continue
                     level = np.float32(0.0)
-                    if drawn[row, x] != np.float32(0.0):
+                    if drawn_dots[row, x] != np.float32(0.0):
                         level, nearest = _dot_level(dot_xy, ink, x, row, nearest)
                     change = level - reference[row, x]
                     if abs(change) < threshold[row, x]:
                         continue
                     reference[row, x] = level + middle_shift[row, x] if shifted else level
-                    if made < len(keys):
-                        keys[made] = event_key(readout_us[x], x, row, change > 0)
-                    made += 1
-    return made
+                    if event_count < len(keys):
+                        keys[event_count] = event_key(readout_us[x], x, row, change > 0)
+                    event_count += 1
+    return event_count
 
 
 @njit(cache=True, _nrt=False)

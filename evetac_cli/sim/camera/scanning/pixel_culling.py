@@ -260,7 +260,7 @@ def select_own(
 
 @njit(cache=True, _nrt=False)
 def select_active(
-    given: NDArray[np.int32],
+    pixels: NDArray[np.int32],
     near_box: NDArray[np.float64],
     inner: float,
     outer: float,
@@ -272,7 +272,7 @@ def select_active(
     now_us: float,
     candidates: CandidatePixels,
 ) -> int:
-    """Collect in `candidates.active` the given pixels that may fire while dots are in their boxes; return their number.
+    """Collect in `candidates.active` those `pixels` that may fire while dots are in their boxes; return their number.
 
     Blind pixels have no radii and are included: their references follow their levels.
     """
@@ -282,7 +282,7 @@ def select_active(
     alone = len(near_box) == 1
     centre_x, centre_y, half_x, half_y = near_box[0]
     count = 0
-    for pixel in given:
+    for pixel in pixels:
         y = pixel >> PIXEL_SHIFT
         x = pixel & COLUMN_MASK
         if lower2[y, x] == np.inf and not (release_us.size > 0 and release_us[y, x] > now_us):

@@ -37,9 +37,9 @@ class CandidatePixels(NamedTuple):
     `level_index` speeds up the computation of radii. `light` (2,) is the flicker's contribution to all levels, minus
     the middle of its range, and half that range (see light): radii hold for the whole range.
 
-    `drawn` (height, width) and `drawn_at` (dots, 3) are dots drawn for passing outlines; `doubtful` is their scratch
-    (see outline). The rest is scratch: `active` for a frame and `entry` for a list; `places` for positions of dots and
-    derived arrays; `flags` (4, dots) for marks.
+    `drawn_dots` (height, width) and `drawn_at` (dots, 3) are dots drawn for passing outlines; `doubtful` is their
+    scratch (see outline). The rest is scratch: `active` for a frame and `entry` for a list; `places` for positions of
+    dots and derived arrays; `flags` (4, dots) for marks.
 
     Also scratch are `line` (width,) for the levels of a row, and `runs` (2, height, 4) for the pixels that outline and
     cut edge change.
@@ -57,7 +57,7 @@ class CandidatePixels(NamedTuple):
     active: NDArray[np.int32]
     entry: NDArray[np.int64]
     light: NDArray[np.float32]
-    drawn: NDArray[np.float32]
+    drawn_dots: NDArray[np.float32]
     drawn_at: NDArray[np.float64]
     doubtful: NDArray[np.uint8]
     places: NDArray[np.float64]
@@ -236,7 +236,7 @@ def all_pixels(
         active=np.empty(max(height * width, MOST_LISTED) + 1, np.int32),
         entry=np.empty(MOST_LISTED + 1, np.int64),
         light=light,
-        drawn=np.zeros(shape, np.float32),
+        drawn_dots=np.zeros(shape, np.float32),
         drawn_at=np.zeros((dots, 3)),
         doubtful=np.zeros((height, -(-width // 8) * 8), np.uint8),
         places=np.empty(6 * dots * scans + 16 * dots + 8),

@@ -32,14 +32,14 @@ class Readout:
         self._waiting: Columns | None = None
         self.lost = 0
 
-    def read(self, made: Columns, t0_us: int) -> Columns:
+    def read(self, columns: Columns, t0_us: int) -> Columns:
         """Return the events that are read in the slice starting at `t0_us`, from its events (sorted) and earlier ones.
 
-        The columns `made` are overwritten.
+        The `columns` are overwritten.
         """
-        kept, self._free_us = _take_turns(*made, self._event_us, self._free_us, self._read_at_us)
-        self.lost += len(made[0]) - kept
-        t, x, y, p = made[0][:kept], made[1][:kept], made[2][:kept], made[3][:kept]
+        kept, self._free_us = _take_turns(*columns, self._event_us, self._free_us, self._read_at_us)
+        self.lost += len(columns[0]) - kept
+        t, x, y, p = columns[0][:kept], columns[1][:kept], columns[2][:kept], columns[3][:kept]
         if self._waiting is not None:
             old_t, old_x, old_y, old_p = self._waiting
             t, x = np.concatenate((old_t, t)), np.concatenate((old_x, x))

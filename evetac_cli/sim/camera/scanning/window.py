@@ -31,7 +31,7 @@ def scan_window(
     end_scan: int,
     line: NDArray[np.float32],
     keys: NDArray[np.int64],
-    made: int,
+    event_count: int,
 ) -> int:
     """Compare the window's runs of pixels that may fire, in every scan in which the image has changed.
 
@@ -74,11 +74,11 @@ def scan_window(
         when = (readout_us[scan], now_us, refractory_us)
         # Below, arguments are passed one by one: with tuples for each row, a row took 1.6 times as long.
         if fast:  # runs that were not due remain valid: they have not fired
-            made = _compare_all(texture, place, *pixels, (first_x, first_y), *when, line, keys, made)
+            event_count = _compare_all(texture, place, *pixels, (first_x, first_y), *when, line, keys, event_count)
             continue
         for row in range(rows):
             if travelled >= candidate_runs.row_due_at[row]:
-                made = _compare_due(
+                event_count = _compare_due(
                     texture,
                     place,
                     *pixels,
@@ -86,14 +86,14 @@ def scan_window(
                     *when,
                     line,
                     keys,
-                    made,
+                    event_count,
                     row,
                     candidate_runs.due_at,
                     candidate_runs.row_due_at,
                     travelled,
                     rounding,
                 )
-    return made
+    return event_count
 
 
 @njit(cache=True, _nrt=False)
@@ -110,13 +110,13 @@ def _compare_all(
     refractory_us: float,
     line: NDArray[np.float32],
     keys: NDArray[np.int64],
-    made: int,
+    event_count: int,
 ) -> int:
     """Compare all pixels of a window in one scan with the texture at a position; `line` is scratch for a row."""
     rows, columns = reference.shape
     for row in range(rows):
         optics.sample_texture_run(texture, place, row, ZERO, columns, line)
-        made = compare_row(
+        event_count = compare_row(
             line,
             reference,
             threshold,
@@ -130,9 +130,9 @@ def _compare_all(
             now_us,
             refractory_us,
             keys,
-            made,
+            event_count,
         )
-    return made
+    return event_count
 
 
 @njit(cache=True, _nrt=False)
@@ -149,7 +149,7 @@ def _compare_due(
     refractory_us: float,
     line: NDArray[np.float32],
     keys: NDArray[np.int64],
-    made: int,
+    event_count: int,
     row: int,
     due_at: NDArray[np.float64],
     row_due_at: NDArray[np.float64],
@@ -168,7 +168,7 @@ def _compare_due(
         optics.sample_texture_run(texture, place, row, first, end, line)
         slack = _least_slack(line, reference, threshold, release_us, row, first, end, now_us)
         if not slack > 0.0:
-            made = compare_row(
+            event_count = compare_row(
                 line,
                 reference,
                 threshold,
@@ -182,13 +182,13 @@ def _compare_due(
                 now_us,
                 refractory_us,
                 keys,
-                made,
+                event_count,
             )
             slack = _least_slack(line, reference, threshold, release_us, row, first, end, now_us)
         due_at[row, run] = travelled + slack - rounding
         least = min(least, due_at[row, run])
     row_due_at[row] = least
-    return made
+    return event_count
 
 
 @njit(cache=True, _nrt=False)
@@ -232,7 +232,7 @@ def compare_row(
     now_us: float,
     refractory_us: float,
     keys: NDArray[np.int64],
-    made: int,
+    event_count: int,
 ) -> int:
     """Compare pixels first to end of a row with the first levels; `corner` is pixel (0, 0)'s position in the frame.
 
@@ -251,7 +251,7 @@ def compare_row(
     for x in range(np.uint64(first), np.uint64(end)):
         fired += np.int32(abs(level[x - offset] - reference[y, x]) >= threshold[y, x])
     if fired == 0:
-        return made
+        return event_count
     for x in range(np.uint64(first), np.uint64(end)):
         change = level[x - offset] - reference[y, x]
         if abs(change) >= threshold[y, x]:
@@ -259,10 +259,10 @@ def compare_row(
             if blinding:
                 release_us[y, x] = now_us + refractory_us
             column = corner[0] + np.int64(x)
-            if made < len(keys):
-                keys[made] = event_key(readout_us[column], column, corner[1] + row, change > 0)
-            made += 1
-    return made
+            if event_count < len(keys):
+                keys[event_count] = event_key(readout_us[column], column, corner[1] + row, change > 0)
+            event_count += 1
+    return event_count
 
 
 @njit(cache=True, _nrt=False)
