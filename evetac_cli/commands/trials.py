@@ -128,5 +128,5 @@ class Trials:
 
     def solver(self) -> dict[str, Any]:
         """Return the simulation settings that were given as flags."""
-        named = {name: getattr(self, name) for name in SOLVER_OPTIONS}
-        return {name: value for name, value in named.items() if value is not None}
+        settings = {name: getattr(self, name) for name in SOLVER_OPTIONS}
+        return {name: value for name, value in settings.items() if value is not None}

@@ -116,8 +116,8 @@ def folded(header: Header) -> Header:
     places: dict[str, int] = {}
     history = {}
     for id_, ancestor in sorted(header["history"].items()):
-        known = {name: canonical(value) for name, value in ancestor["parameters"].items()}
-        shared = {name: places.setdefault(text, len(places)) for name, text in known.items() if text in texts}
+        text_by_name = {name: canonical(value) for name, value in ancestor["parameters"].items()}
+        shared = {name: places.setdefault(text, len(places)) for name, text in text_by_name.items() if text in texts}
         own = {name: value for name, value in ancestor["parameters"].items() if name not in shared}
         history[id_] = {**ancestor, "parameters": own, "shared": shared} if shared else ancestor
     return {**header, "history": history, "shared": [json.loads(text) for text in places]} if places else header
