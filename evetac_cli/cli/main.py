@@ -239,7 +239,7 @@ def _add_evaluate(app: typer.Typer) -> None:
     app.add_typer(judging, name="evaluate", rich_help_panel="Pipeline")
 
 
-def _named(
+def _adding(
     name: str,
     panel: str,
     act: Callable[[Command, str, dict[str, Any]], None] | None = None,
@@ -257,14 +257,14 @@ def _inspecting(name: str, call: Callable[..., None]) -> Callable[[typer.Typer],
 
 # Functions that add each command, in the order of `--help`.
 ADDED: dict[str, Callable[[typer.Typer], None]] = {
-    **{name: _named(name, "Pipeline") for name in commands.OF_PIPELINE},
+    **{name: _adding(name, "Pipeline") for name in commands.OF_PIPELINE},
     "evaluate": _add_evaluate,
     "info": _inspecting("info", _info),
     "index": _inspecting("index", _index),
-    "view": _named("view", "Inspect", _write_for_others, flags.OF_VIEW),
-    "report": _named("report", "Inspect", _write_for_others, flags.OF_REPORT),
-    "export": _named("export", "Inspect", _write_for_others, flags.OF_EXPORT),
-    "share": _named("share", "Inspect", _write_for_others, flags.OF_SHARE),
+    "view": _adding("view", "Inspect", _write_for_others, flags.OF_VIEW),
+    "report": _adding("report", "Inspect", _write_for_others, flags.OF_REPORT),
+    "export": _adding("export", "Inspect", _write_for_others, flags.OF_EXPORT),
+    "share": _adding("share", "Inspect", _write_for_others, flags.OF_SHARE),
     "validate": _inspecting(
         "validate",
         _inspector(
@@ -282,7 +282,7 @@ ADDED: dict[str, Callable[[typer.Typer], None]] = {
             "folders",
         ),
     ),
-    "doctor": _named("doctor", "Inspect", _doctor, flags.OF_DOCTOR),
+    "doctor": _adding("doctor", "Inspect", _doctor, flags.OF_DOCTOR),
 }
 
 

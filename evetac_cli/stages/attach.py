@@ -33,7 +33,7 @@ METHOD = 1
 
 def jobs(files: list[Path], params: Attach, out: Path | None) -> list[Job]:
     """Return a job for every recording, whose output is named <name>-streams."""
-    sources = _named(params.stream, "--stream", "NAME=FILE")
+    sources = _by_name(params.stream, "--stream", "NAME=FILE")
     unknown = [name for name in _offsets(params) if name not in sources]
     if unknown:
         raise InputError("no such stream", where="--offset", expected=", ".join(sources), found=unknown[0])
@@ -47,7 +47,7 @@ def jobs(files: list[Path], params: Attach, out: Path | None) -> list[Job]:
 
 def run(job: Job, params: Attach, *, force: bool = False, progress: Progress = silent) -> Outcome:
     """Write a recording with all data of the input and the streams; InputError if a stream does not fit it."""
-    sources, offsets = _named(params.stream, "--stream", "NAME=FILE"), _offsets(params)
+    sources, offsets = _by_name(params.stream, "--stream", "NAME=FILE"), _offsets(params)
     folder = existing_folder(job.output.parent)
     notes: list[str] = []
     added: list[Stream] = []
@@ -121,7 +121,7 @@ def _blocks(
         progress(done * len(recording) // max(1, total), len(recording))
 
 
-def _named(texts: Sequence[str] | None, flag: str, form: str) -> dict[str, str]:
+def _by_name(texts: Sequence[str] | None, flag: str, form: str) -> dict[str, str]:
     """Return the values of NAME=VALUE flags by name; InputError for anything else, or for an invalid name."""
     values: dict[str, str] = {}
     for text in texts or ():
@@ -138,7 +138,7 @@ def _named(texts: Sequence[str] | None, flag: str, form: str) -> dict[str, str]:
 def _offsets(params: Attach) -> dict[str, float]:
     """Return the offsets of the streams, in s."""
     offsets = {}
-    for name, text in _named(params.offset, "--offset", "NAME=SECONDS").items():
+    for name, text in _by_name(params.offset, "--offset", "NAME=SECONDS").items():
         try:
             offsets[name] = float(text)
         except ValueError:

@@ -156,7 +156,7 @@ def _window(dots: Grid, gel: str | None, seen: FoundDots) -> Window | None:
     except ValueError as error:
         raise InputError(f"the position of the window is unclear: {error}", where=seen.where, hint=NO_WINDOW) from None
     if gel is None:
-        raise _asked(dots, side, window, seen)
+        raise _space_on_one_side(dots, side, window, seen)
     return window
 
 
@@ -174,7 +174,7 @@ def _which_gel(dots: Grid, seen: FoundDots) -> InputError:
         except ValueError:
             pass
         else:
-            return _asked(dots, side, window, seen)
+            return _space_on_one_side(dots, side, window, seen)
     elif (rows, columns) == SIZES["closed"]:
         free = ", ".join(gel_layout.free_sides(dots, seen.frame_px))
         return InputError(
@@ -218,7 +218,7 @@ def _turned(dots: Grid, seen: FoundDots) -> InputError:
     )
 
 
-def _asked(dots: Grid, side: str, window: Window, seen: FoundDots) -> InputError:
+def _space_on_one_side(dots: Grid, side: str, window: Window, seen: FoundDots) -> InputError:
     """Return the error for dots that leave space on one side."""
     what = "column" if side in ("left", "right") else "row"
     place = " ".join(map(str, window))

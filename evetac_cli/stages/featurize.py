@@ -49,8 +49,8 @@ def jobs(files: list[Path], params: Featurize, out: Path | None) -> list[Job]:
         )
     new_jobs = []
     for file in files:
-        tracks = _named(file, "tracks", params.tracks)
-        labels = _named(file, "labels", params.labels)
+        tracks = _input_path(file, "tracks", params.tracks)
+        labels = _input_path(file, "labels", params.labels)
         inputs = (file, tracks, labels) if params.labels or labels.exists() else (file, tracks)
         new_jobs.append(Job(inputs, output_path(file, OUTPUT, out)))
     return new_jobs
@@ -220,7 +220,7 @@ def _blocks(
         yield block
 
 
-def _named(recording: Path, kind: str, file_or_folder: Path | None) -> Path:
+def _input_path(recording: Path, kind: str, file_or_folder: Path | None) -> Path:
     """Return the file of a kind for a recording: next to it, in the given folder, or the given file."""
     return (
         file_or_folder

@@ -64,7 +64,7 @@ def run(job: Job, params: TrainForce, *, force: bool, progress: Progress = silen
     parameters: dict[str, Any] = {
         "method": "touch",
         "noise_n": params.noise_n,
-        "known": gel_values.named(),
+        "known": gel_values.for_recipe(),
         "readings": sources,
         **shape._asdict(),
         "edges_mm": params.gel_mm,

@@ -39,7 +39,7 @@ class KnownGel(NamedTuple):
     creep: tuple[tuple[float, ...], tuple[float, ...]] | None = None  # share and time, in s, of its arms
     edges_mm: tuple[float, float, float, float] | None = None  # edges of the gel, see GelLayer
 
-    def named(self) -> dict[str, Any]:
+    def for_recipe(self) -> dict[str, Any]:
         """Return the known values for a recipe."""
         values = {name: value for name, value in self._asdict().items() if value is not None}
         if self.creep is not None:
@@ -114,12 +114,12 @@ def known_of(sensor: str | None) -> KnownGel:
         expected = "one sensor, e.g. evetac or randomized:7, or its file"
         raise InputError("selects many sensors, not one", where="--sensor", expected=expected, found=sensor)
     if not sensor.endswith(sensor_file.SUFFIX):
-        return _known(one_sensor(sensor), KnownGel._fields)
+        return _values_of(one_sensor(sensor), KnownGel._fields)
     _, own = sensor_file.read(Path(sensor), one_sensor)
-    return _known(own, read_toml(Path(sensor)))
+    return _values_of(own, read_toml(Path(sensor)))
 
 
-def _known(sensor: Sensor, keys: Container[str]) -> KnownGel:
+def _values_of(sensor: Sensor, keys: Container[str]) -> KnownGel:
     """Return the values of a sensor's gel for these keys; the gel creeps only if the sensor has creep."""
     arms = sensor.creep or GelCreep(share=(), time_s=())
     whole = KnownGel(sensor.shear_modulus_pa, sensor.mm_per_px, (arms.share, arms.time_s), edges_of(sensor))

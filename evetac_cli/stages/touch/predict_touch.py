@@ -64,7 +64,7 @@ def run(job: Job, params: PredictTouch, *, force: bool = False, progress: Progre
         recipe = _recipe(params, gel_values, tracks.header, None if own is None else own[0])
         if up_to_date(job.output, recipe, force=force):
             return outcome(job, made=False, simulated=recipe.simulated)
-        summary = _Told()
+        summary = _Summary()
         _write(job.output, recipe, gel, tracks, params, summary, progress)
     modulus = "adapted" if own is not None else "unknown" if gel_values.shear_modulus_pa is None else "known"
     return outcome(job, made=True, simulated=recipe.simulated, shear_modulus=modulus, **summary.row())
@@ -75,7 +75,7 @@ def _recipe(params: PredictTouch, gel_values: KnownGel, tracks: Header, own: Hea
     unused = set() if params.sensor is not None else {"stiffness_error"}
     unused |= set() if own is None else SHAPE_FLAGS
     parameters: dict[str, Any] = {name: value for name, value in recipe_of(params).items() if name not in unused}
-    parameters |= {"known": gel_values.named()} if params.sensor is not None else {}
+    parameters |= {"known": gel_values.for_recipe()} if params.sensor is not None else {}
     return Recipe(OUTPUT, METHOD, parameters, parents=(tracks,) if own is None else (tracks, own))
 
 
@@ -92,7 +92,7 @@ def _check_sensor(tracks: StageFile, adapted_to: str, model: Path) -> None:
         )
 
 
-class _Told:
+class _Summary:
     """Collects the figures for a file's row, block by block."""
 
     def __init__(self) -> None:
@@ -133,7 +133,7 @@ def _write(
     gel: GelWeights,
     tracks: StageFile,
     params: PredictTouch,
-    summary: _Told,
+    summary: _Summary,
     progress: Progress,
 ) -> None:
     from evetac_cli.stages.touch import touch_fold  # brings scipy

@@ -91,7 +91,7 @@ class Recipe:
             "id": self.id,
             "simulated": self.simulated,
             "history": history,
-            "made": made(),
+            "made": time_host_versions(),
         }
 
     def carried(self) -> "Recipe":
@@ -167,7 +167,7 @@ def identity_fault(header: Header) -> str:
     return f"the history lacks the parents {', '.join(missing)}" if missing else ""
 
 
-def made() -> dict[str, str]:
+def time_host_versions() -> dict[str, str]:
     """Return time, host and versions, also of plug-ins, which are stored but not part of the id."""
     return {
         **plugins.used(),  # first, so that no package replaces an entry below

@@ -106,11 +106,11 @@ class Schema:
 
     def find(self, path: str) -> Dataset | None:
         """Return the row that describes a path; None if there is none."""
-        dataset = self._named.get(path)
+        dataset = self._by_path.get(path)
         return dataset or next((row for row in self.datasets if "*" in row.path and row.describes(path)), None)
 
     @functools.cached_property
-    def _named(self) -> dict[str, Dataset]:
+    def _by_path(self) -> dict[str, Dataset]:
         """Rows with a fixed path, by path; most rows have one, and a file needs thousands of look-ups."""
         return {row.path: row for row in self.datasets if "*" not in row.path}
 

@@ -63,7 +63,7 @@ def check_folder(path: Path) -> None:
 
 
 @contextmanager
-def held(folder: Path) -> Iterator[None]:
+def lock_folder(folder: Path) -> Iterator[None]:
     """Lock the folder against recorders; InputError if one is using it."""
     check_folder(folder)
     try:
