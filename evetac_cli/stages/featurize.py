@@ -220,13 +220,9 @@ def _blocks(
         yield block
 
 
-def _input_path(recording: Path, kind: str, file_or_folder: Path | None) -> Path:
+def _input_path(recording: Path, kind: str, path: Path | None) -> Path:
     """Return the file of a kind for a recording: next to it, in the given folder, or the given file."""
-    return (
-        file_or_folder
-        if file_or_folder is not None and not file_or_folder.is_dir()
-        else output_path(recording, kind, file_or_folder)
-    )
+    return path if path is not None and not path.is_dir() else output_path(recording, kind, path)
 
 
 STAGE = Stage(jobs, run, recipe=known_recipe)
