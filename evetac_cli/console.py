@@ -155,8 +155,8 @@ def show_failure(command: str, errors: Sequence[BaseException], outcomes: Sequen
 
 def count(outcomes: Sequence[Outcome]) -> dict[str, Any]:
     """Return how many files were made and how many were already up to date."""
-    made = sum(outcome.made for outcome in outcomes)
-    return {"made": made, "up_to_date": len(outcomes) - made}
+    new_count = sum(outcome.made for outcome in outcomes)
+    return {"made": new_count, "up_to_date": len(outcomes) - new_count}
 
 
 def counted(outcomes: Sequence[Outcome]) -> str:
@@ -218,11 +218,11 @@ def _tables(title: str, rows: list[dict[str, Any]], width: int) -> Iterator[Any]
         if _table_width(fitting) <= width:
             yield _table(title, columns, fitting, ["left"] * len(columns), header=False)
             return
-    for chosen in _side_by_side(widths, _naming(rows), width):
-        columns = [[names[column], *(of_row[column] for of_row in cells)] for column in chosen]
-        values = [[list(row.values())[column] for row in rows] for column in chosen]
+    for indices in _side_by_side(widths, _naming(rows), width):
+        columns = [[names[column], *(of_row[column] for of_row in cells)] for column in indices]
+        values = [[list(row.values())[column] for row in rows] for column in indices]
         sides = ["right" if all(isinstance(each, (int, float, type(None))) for each in of) else "left" for of in values]
-        yield _table(title, columns, _fitting([widths[column] for column in chosen], width), sides, header=True)
+        yield _table(title, columns, _fitting([widths[column] for column in indices], width), sides, header=True)
         title = ""
 
 
@@ -288,11 +288,11 @@ def _side_by_side(widths: list[int], naming: list[int], width: int) -> Iterator[
     yield columns
 
 
-def print_result(verdict: Sequence[str], made: Sequence[Path]) -> None:
+def print_result(verdict: Sequence[str], outputs: Sequence[Path]) -> None:
     """Print, below a table, the verdict on its figures, then the files that were made, ready to paste."""
     for line in verdict:
         print_text(line)
-    written = [path for path in made if path.exists()]
+    written = [path for path in outputs if path.exists()]
     folders = sorted({path.parent for path in written})
     if len(written) <= MOST_PASTED:
         words = [shlex.quote(str(path)) for path in written]

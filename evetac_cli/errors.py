@@ -69,15 +69,19 @@ def shortened(text: str) -> str:
     return f"{text[: MOST_CHARACTERS - end]} [...] {text[-end:]}"
 
 
-def exit_code_words(code: int | None, said: str = "") -> str:
+def exit_code_words(code: int | None, message: str = "") -> str:
     """Return a description of how a process ended; "" if it still runs.
 
-    code: exit code as in multiprocessing. said: the process's last message.
+    code: exit code as in multiprocessing. message: the process's last message.
     """
     if code is None:
         return ""
     if code >= 0:
-        return f"exit code {code}: {said}" if said else f"exit code {code}{', without a message' if code == 0 else ''}"
+        return (
+            f"exit code {code}: {message}"
+            if message
+            else f"exit code {code}{', without a message' if code == 0 else ''}"
+        )
     try:
         return signal.Signals(-code).name
     except ValueError:
@@ -166,12 +170,12 @@ def cannot_read(error: OSError, path: Path) -> EvetacError:
 
     UnavailableError if the reason may be temporary; InputError if it is the name or the file itself.
     """
-    where, said = str(path), error.strerror or str(error)
+    where, reason = str(path), error.strerror or str(error)
     if error.errno is not None and error.strerror is not None:
-        said = os.strerror(error.errno)  # h5py replaces it with its own text
+        reason = os.strerror(error.errno)  # h5py replaces it with its own text
     number = error.errno
     if number not in PASSING:
-        return InputError(f"cannot be read: {said}", where=where)
+        return InputError(f"cannot be read: {reason}", where=where)
     if number in BUSY:
         return _busy(path)
     found = hint = ""
@@ -185,7 +189,7 @@ def cannot_read(error: OSError, path: Path) -> EvetacError:
         hint = "`ulimit -n` shows how many files may be open, `ulimit -n NUMBER` allows more"
     elif number in DISK:
         hint = "the disk or its network connection fails: `dmesg` may show more"
-    return UnavailableError(f"cannot be read: {said}", where=where, found=found, hint=hint)
+    return UnavailableError(f"cannot be read: {reason}", where=where, found=found, hint=hint)
 
 
 def _busy(path: Path) -> UnavailableError:
@@ -203,9 +207,9 @@ def changed_meanwhile(path: Path) -> UnavailableError:
 
 
 def _used_by(path: Path) -> str:
-    named = programs_using(path, writing=True)
-    more = f" and {len(named) - MOST_PROGRAMS} more" if len(named) > MOST_PROGRAMS else ""
-    return f"used by {', '.join(named[:MOST_PROGRAMS])}{more}" if named else ""
+    programs = programs_using(path, writing=True)
+    more = f" and {len(programs) - MOST_PROGRAMS} more" if len(programs) > MOST_PROGRAMS else ""
+    return f"used by {', '.join(programs[:MOST_PROGRAMS])}{more}" if programs else ""
 
 
 def programs_using(path: Path, proc: Path = Path("/proc"), *, writing: bool = False) -> list[str]:
@@ -386,8 +390,8 @@ def error_dict(error: BaseException) -> dict[str, Any]:
     if isinstance(error, RecursionError):
         return {"kind": "RecursionError", "message": "nested too deeply", "exit_status": 1}
     if isinstance(error, OSError):
-        named = {"where": shortened(str(error.filename))} if error.filename is not None else {}
+        where = {"where": shortened(str(error.filename))} if error.filename is not None else {}
         message = shortened(error.strerror or str(error) or type(error).__name__)
-        return {"kind": type(error).__name__, "message": message, **named, "exit_status": InputError.exit_code}
+        return {"kind": type(error).__name__, "message": message, **where, "exit_status": InputError.exit_code}
     message = f"{INTERNAL_ERROR}: {type(error).__name__}: {shortened(str(error))}"
     return {"kind": "InternalError", "message": message, "exit_status": 1}

@@ -152,8 +152,8 @@ class LiftEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         from evetac_cli.trials.grasp.online_detector import open_detector
 
         super().reset(seed=seed)
-        known = list(self._plans)
-        called = known[int(self.np_random.choice(len(known)))]
+        names = list(self._plans)
+        called = names[int(self.np_random.choice(len(names)))]
         seeds = [int(part) for part in self.np_random.integers(2**31, size=4)]
         if options and "object" in options:
             called = options["object"]
@@ -170,14 +170,14 @@ class LiftEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             self._detector = open_detector(model, devices.camera.sensor, presets.PRESETS["stable"])
         self._control = _Chosen(FixedGrip(0), self._timing.control_hz)
         self._playing = grasp_slices(devices, self._detector, self._control, self._timing)
-        self._drawn = {"object": called, "mass_kg": json.loads(devices.sampled)["mass_kg"], "simulated": True}
+        self._sample = {"object": called, "mass_kg": json.loads(devices.sampled)["mass_kg"], "simulated": True}
         self._lifted = False
         self._moved_mm = 0.0
         self._slices = 0
         rows = self._play(self._timing.touch_ms)
         self._touch_ticks = self._gripper.read().position_ticks
         self._object_mm = self._object_now_mm(rows)
-        return self._observation(), dict(self._drawn)
+        return self._observation(), dict(self._sample)
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Set the gripper's goal and simulate until the next step of control."""
@@ -209,7 +209,7 @@ class LiftEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         if terminated or truncated:
             self._playing = None
         info = {
-            **self._drawn,
+            **self._sample,
             "normal_force_n": float(rows["truth/normal_force_n"][-1]),
             "moved_mm": self._moved_mm,
             "lifted": self._lifted,
@@ -225,10 +225,10 @@ class LiftEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         assert self._playing is not None
         rows: dict[str, list[Any]] = {name: [] for name in TRUTH}
         parts, near_dots, probability, slips = [], np.zeros(self._dots), 0.0, self._detector.count
-        for made in islice(self._playing, slices):
-            parts.append(made[0])
+        for entry in islice(self._playing, slices):
+            parts.append(entry[0])
             for name in TRUTH:
-                rows[name].append(made[1][name])
+                rows[name].append(entry[1][name])
             near_dots = near_dots + self._detector.tracking.events_per_dot
             probability = max(probability, float(np.nan_to_num(self._detector.probability)))
         self._slices += len(parts)

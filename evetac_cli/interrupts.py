@@ -31,7 +31,7 @@ ALL = (signal.SIGINT, *ENDING)
 Handler = Callable[[int, FrameType | None], None]
 _came: list[int] = []  # interrupts that were raised
 _waiting: list[int] = []  # interrupts to be raised when a file is written
-_held: list[int] = []  # signals that arrived within `signals_blocked`, through another thread
+_delayed: list[int] = []  # signals that arrived within `signals_blocked`, through another thread
 _handlers: dict[int, Any] = {}  # their handlers for when they are raised
 
 
@@ -158,13 +158,13 @@ class SignalsLetThrough:
 
 
 def _hold(number: int, frame: FrameType | None) -> None:
-    _held.append(number)
+    _delayed.append(number)
 
 
 def _let_through(numbers: Collection[int]) -> None:
     """Raise the delayed signals, one of each kind, as the system does."""
-    came = [number for number in dict.fromkeys(_held) if number in numbers]
-    _held[:] = [number for number in _held if number not in numbers]
+    came = [number for number in dict.fromkeys(_delayed) if number in numbers]
+    _delayed[:] = [number for number in _delayed if number not in numbers]
     for number in came:
         signal.raise_signal(number)
 

@@ -33,8 +33,8 @@ def own_folder(candidates: Iterable[Path] | None = None) -> Path | None:
     """Return the first candidate that can be private to this user, creating it if needed; None if there is none."""
     for folder in _candidates() if candidates is None else candidates:
         with suppress(OSError):
-            if (made := _made_private(folder)) is not None:
-                return made
+            if (private_folder := _made_private(folder)) is not None:
+                return private_folder
     return None
 
 

@@ -54,7 +54,7 @@ class OwnServer:
         self.token = secrets.token_urlsafe(24)
         self.content = content
         own = {"server": self}
-        every = [(pattern, handler, own | given) for pattern, handler, given in routes]
+        every = [(pattern, handler, own | options) for pattern, handler, options in routes]
         application = web.Application(
             [*every, (r"/([^/]*)/([^/]*)", _Page, own)],
             default_handler_class=Guarded,  # refuses requests without the token

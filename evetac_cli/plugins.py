@@ -148,7 +148,7 @@ def usable(group: str) -> tuple[str, ...]:
     return tuple(each.name for each in installed(group) if each.name not in OURS[group])
 
 
-def named(group: str, name: str) -> Plugin | None:
+def by_name(group: str, name: str) -> Plugin | None:
     """Return the plug-in of a name; None if the name is evetac's own or no plug-in has it."""
     if name in OURS[group] or not NAME.fullmatch(name):
         return None
@@ -160,7 +160,7 @@ def find(group: str, name: str, wanted: type[T]) -> T | None:
 
     The plug-in is recorded as used. InputError as for `Plugin.load`.
     """
-    plugin = named(group, name)
+    plugin = by_name(group, name)
     if plugin is None:
         return None
     adds = plugin.load(wanted)
@@ -170,7 +170,7 @@ def find(group: str, name: str, wanted: type[T]) -> T | None:
 
 def find_file(group: str, name: str) -> Path | None:
     """Return the file NAME.toml in the folder of the module named by a plug-in; None and InputError as for `find`."""
-    plugin = named(group, name)
+    plugin = by_name(group, name)
     if plugin is None:
         return None
     module = plugin.load(ModuleType)
@@ -214,7 +214,7 @@ def only_looked_at() -> Iterator[None]:
 def lacking(wanted: Iterable[Part]) -> str:
     """Return the reason why this process cannot use plug-ins that another one uses; empty if it can."""
     for part in wanted:
-        here = named(part.group, part.name)
+        here = by_name(part.group, part.name)
         if here is None or here.package != part.package:
             return f"lacks the package {part.package} with the plug-in {part.what}"
         if here.version != part.version:

@@ -24,16 +24,16 @@ def schemas() -> Path:
     raise EvetacError("the folder schemas/ is missing from this installation", hint="reinstall evetac")
 
 
-def model_file(named: Path | str | None, flag: str = "--model") -> Path:
+def model_file(name_or_path: Path | str | None, flag: str = "--model") -> Path:
     """Return the file of a slip detector: the pretrained one for `shipped` or no name, otherwise the named file.
 
     InputError for a name that is not a file and looks like a misspelt `shipped`.
     """
-    if named is None or str(named) in ("", SHIPPED):
+    if name_or_path is None or str(name_or_path) in ("", SHIPPED):
         return MODEL
-    path = Path(named)
-    if not path.exists() and get_close_matches(str(named), [SHIPPED]):
-        raise InputError("no such file", where=flag, found=str(named), hint=f"did you mean {SHIPPED}?")
+    path = Path(name_or_path)
+    if not path.exists() and get_close_matches(str(name_or_path), [SHIPPED]):
+        raise InputError("no such file", where=flag, found=str(name_or_path), hint=f"did you mean {SHIPPED}?")
     return path
 
 
@@ -42,9 +42,9 @@ def with_shipped(files: Iterable[Path]) -> list[Path]:
 
     If a file or folder named `shipped` exists, it is used instead.
     """
-    named = list(files)
-    others = [path for path in named if str(path) != SHIPPED or path.exists()]
-    return others if len(others) == len(named) else [*others, MODEL]
+    all_files = list(files)
+    others = [path for path in all_files if str(path) != SHIPPED or path.exists()]
+    return others if len(others) == len(all_files) else [*others, MODEL]
 
 
 @functools.cache

@@ -47,19 +47,27 @@ from evetac_cli.store.layout.provenance import Recipe
 
 def check_camera(text: str) -> None:
     """Check a camera, given by name as for `--camera`; it is opened four times and read for half a second."""
-    named = cameras.parse(text)
-    assert text.partition(":")[0] == named.name, f"its name is {named.name}, but it was requested as {text}"
-    assert cameras.parse(str(named)) == named, f"{named}, its text in error messages, does not select it"
-    assert pickle.loads(pickle.dumps(named)) == named, "it is not equal to its copy in another process"
-    assert named.capabilities <= set(Capability), f"not all of {named.capabilities} are members of Capability"
-    assert named.has(Capability.DEVICE), "a plug-in camera is a device and must have Capability.DEVICE"
-    assert named.file_stem and "/" not in named.file_stem, "file_stem must be usable as the start of file names"
+    named_camera = cameras.parse(text)
+    assert text.partition(":")[0] == named_camera.name, (
+        f"its name is {named_camera.name}, but it was requested as {text}"
+    )
+    assert cameras.parse(str(named_camera)) == named_camera, (
+        f"{named_camera}, its text in error messages, does not select it"
+    )
+    assert pickle.loads(pickle.dumps(named_camera)) == named_camera, "it is not equal to its copy in another process"
+    assert named_camera.capabilities <= set(Capability), (
+        f"not all of {named_camera.capabilities} are members of Capability"
+    )
+    assert named_camera.has(Capability.DEVICE), "a plug-in camera is a device and must have Capability.DEVICE"
+    assert named_camera.file_stem and "/" not in named_camera.file_stem, (
+        "file_stem must be usable as the start of file names"
+    )
     checks: tuple[Callable[[EventCamera], None], ...] = (check_slices, check_losses, check_clock, check_end)
     for check in checks:
-        camera, setup, _ = named.open(CameraSettings(), None, np.random.SeedSequence(0))
+        camera, setup, _ = named_camera.open(CameraSettings(), None, np.random.SeedSequence(0))
         with closing(camera):
             json.dumps(setup, allow_nan=False)
-            width, height = named.frame_px()
+            width, height = named_camera.frame_px()
             assert tuple(camera.sensor["sensor/frame_px"]) == (width, height), "frame_px differs from the open camera's"
             assert all(isinstance(note, str) for note in camera.notes)
             check(camera)
@@ -129,24 +137,28 @@ def check_gripper(text: str, *, armed: bool = False) -> None:
 
     armed: whether real fingers may move, as with --arm; InputError if they would move without it.
     """
-    named = grippers.parse(text)
-    require_arm(named, armed=armed, plan="is closed with 10 mA for five commands", hint="armed=True")
-    assert text.partition(":")[0] == named.name, f"its name is {named.name}, but it was requested as {text}"
-    assert grippers.parse(str(named)) == named, f"{named}, its text in error messages, does not select it"
-    assert pickle.loads(pickle.dumps(named)) == named, "it is not equal to its copy in another process"
-    assert named.capabilities <= set(Capability)
-    assert named.has(Capability.MOVED), "a gripper must have Capability.MOVED"
-    if named.has(Capability.HARDWARE):
-        own = type(named).release is not grippers.NamedGripper.release
+    named_gripper = grippers.parse(text)
+    require_arm(named_gripper, armed=armed, plan="is closed with 10 mA for five commands", hint="armed=True")
+    assert text.partition(":")[0] == named_gripper.name, (
+        f"its name is {named_gripper.name}, but it was requested as {text}"
+    )
+    assert grippers.parse(str(named_gripper)) == named_gripper, (
+        f"{named_gripper}, its text in error messages, does not select it"
+    )
+    assert pickle.loads(pickle.dumps(named_gripper)) == named_gripper, "it is not equal to its copy in another process"
+    assert named_gripper.capabilities <= set(Capability)
+    assert named_gripper.has(Capability.MOVED), "a gripper must have Capability.MOVED"
+    if named_gripper.has(Capability.HARDWARE):
+        own = type(named_gripper).release is not grippers.NamedGripper.release
         assert own, "a real gripper needs `release`, to switch torque off if the process that commanded it died"
     ways: tuple[tuple[Mode, RhP12RnSettings | None], ...] = (
         ("current", None),
-        ("position", named.settings(max_current_ma=60, watchdog_ms=60)),
+        ("position", named_gripper.settings(max_current_ma=60, watchdog_ms=60)),
     )
     for mode, settings in ways:
-        gripper, setup = named.open(mode, named.port, settings)
+        gripper, setup = named_gripper.open(mode, named_gripper.port, settings)
         assert gripper is not None
-        assert setup["name"] == named.name
+        assert setup["name"] == named_gripper.name
         json.dumps(setup, allow_nan=False)
         with closing(gripper):
             check_commands(gripper, mode)
@@ -199,8 +211,8 @@ def check_exporter(name: str, folder: Path) -> Path:
     assert row.suffixes and all(suffix.startswith(".") for suffix in row.suffixes)
     source = small_recording(folder / "small.recording.h5")
     target = exports.target_path(source, name, None)
-    said = exports.export(source, name, target)
-    assert said["size_bytes"] == target.stat().st_size > 0
+    figures = exports.export(source, name, target)
+    assert figures["size_bytes"] == target.stat().st_size > 0
     return target
 
 

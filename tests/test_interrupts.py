@@ -97,9 +97,9 @@ def send_and_wait(number: signal.Signals) -> None:
 
     Else it could come after the block that is to hold it, where nothing expects it, and end the process of the tests.
     """
-    before, deadline = len(interrupts._held), time.monotonic() + PATIENCE_S
+    before, deadline = len(interrupts._delayed), time.monotonic() + PATIENCE_S
     os.kill(os.getpid(), number)
-    while len(interrupts._held) == before:  # a signal that is pending may still be any thread's
+    while len(interrupts._delayed) == before:  # a signal that is pending may still be any thread's
         assert time.monotonic() < deadline
         time.sleep(1e-3)
 

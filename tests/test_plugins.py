@@ -28,7 +28,7 @@ from evetac_cli.kernels.grip.control import PluginLaw
 from evetac_cli.kernels.grip.load_law import MARGIN
 from evetac_cli.resources import PACKAGE
 from evetac_cli.store.files import StageFile
-from evetac_cli.store.layout.provenance import made as made_with
+from evetac_cli.store.layout.provenance import time_host_versions
 from evetac_cli.trials.grasp import settings
 from tests.conftest import Made
 from tests.patience import PATIENCE_S
@@ -307,7 +307,7 @@ def test_entry_points_are_read_for_other_names(asked: list[str]) -> None:
 
 def test_a_name_of_ours_is_never_replaced(asked: list[str]) -> None:
     """Assert that no plug-in is asked for under a name of ours, in any group."""
-    assert [name for group, ours in plugins.OURS.items() for name in ours if plugins.named(group, name)] == []
+    assert [name for group, ours in plugins.OURS.items() for name in ours if plugins.by_name(group, name)] == []
     assert asked == []
 
 
@@ -418,13 +418,13 @@ def test_a_package_counts_as_used_where_it_has_a_part(add: Add) -> None:
     add(plugins.CONTROLLERS, "evetac", full=Numbered())
     add(plugins.GRIPPERS, "lab", none_such=grippers.NoGripper)
     assert [row["ok"] for row in plugin_check.rows()] == [True, False, True]
-    assert plugins.named(plugins.CAMERAS, "one") is not None
+    assert plugins.by_name(plugins.CAMERAS, "one") is not None
     assert plugins.used() == {}
-    before = made_with()
+    before = time_host_versions()
     plugins.find(plugins.CAMERAS, "one", NamedCamera)
     plugins.find(plugins.CONTROLLERS, "full", PluginLaw)
     assert plugins.used() == {"numpy": "2.0", "evetac": "2.0"}
-    assert {**made_with(), "at": ""} == {**before, "at": ""}
+    assert {**time_host_versions(), "at": ""} == {**before, "at": ""}
 
 
 @pytest.mark.parametrize("missing", [{}, {"__file__": None}, {"__path__": None, "__file__": None}])

@@ -23,10 +23,10 @@ from evetac_cli.text_files import plain_number, read_toml
 MOST = 10**12  # limit of a number whose parameter has none: 11 days in us; sums of such numbers do not overflow
 
 
-def resolve(cls: type, command: str, given: Mapping[str, Any], config: Path | None) -> Any:
+def resolve(cls: type, command: str, flag_values: Mapping[str, Any], config: Path | None) -> Any:
     """Return the parameters of a command from the given flags, a config file and defaults; all are checked."""
     table = _read_config(config, cls, command) if config else {}
-    values = {**table, **{name: value for name, value in given.items() if value is not None}}
+    values = {**table, **{name: value for name, value in flag_values.items() if value is not None}}
     plain = {name: plain_number(value) if isinstance(value, float) else value for name, value in values.items()}
     params = cls(**plain)
     for item in fields(cls):
@@ -48,7 +48,7 @@ def _read_config(path: Path, cls: type, command: str) -> dict[str, Any]:
         if not isinstance(table, dict):
             raise InputError(f"`{word}` is not a table", where=str(path), expected=f"[{command.replace(' ', '.')}]")
     consents = {item.name: item for item in fields(cls) if item.metadata["consent"]}
-    known = [item.name for item in fields(cls) if item.name not in consents]
+    valid_keys = [item.name for item in fields(cls) if item.name not in consents]
     hints = typing.get_type_hints(cls)
     values = {}
     for key, value in table.items():
@@ -60,16 +60,16 @@ def _read_config(path: Path, cls: type, command: str) -> dict[str, Any]:
                 found=f"{key} = {value!r}",
                 hint="remove it from the file",
             )
-        if key not in known:
-            raise _unknown("key", key, known, where=f"{path}: [{command.replace(' ', '.')}]")
+        if key not in valid_keys:
+            raise _unknown("key", key, valid_keys, where=f"{path}: [{command.replace(' ', '.')}]")
         values[key] = _coerce(value, hints[key], f"{path}: {command}.{key}")
     return values
 
 
-def _unknown(what: str, name: str, known: list[str], where: str) -> InputError:
-    near = get_close_matches(name, known, n=1)
+def _unknown(what: str, name: str, valid_names: list[str], where: str) -> InputError:
+    near = get_close_matches(name, valid_names, n=1)
     hint = f"did you mean `{near[0]}`?" if near else ""
-    return InputError(f"unknown {what} `{name}`", where=where, expected=", ".join(known), hint=hint)
+    return InputError(f"unknown {what} `{name}`", where=where, expected=", ".join(valid_names), hint=hint)
 
 
 def _coerce(value: Any, hint: Any, where: str) -> Any:

@@ -46,7 +46,7 @@ def run_on_dask(
     engine: Engine,
     module: str,
     jobs: list[Job],
-    chosen: Any,
+    params: Any,
     force: bool,
     at_once: int,
     progress: Progress,
@@ -66,7 +66,7 @@ def run_on_dask(
         try:
             progress(0, 0, "waiting for the cluster")
             with _sign(jobs[0].output.parent) as sign, _client(engine, at_once) as client:
-                command = ClusterCommand(module, chosen, force, __version__, Path.cwd(), sign, plugins.parts())
+                command = ClusterCommand(module, params, force, __version__, Path.cwd(), sign, plugins.parts())
                 _Run(client, command, jobs, progress, results, engine).run()
         finally:
             workers.remove_unfinished([job.output for job in jobs if not isinstance(results.get(job.output), Outcome)])
@@ -79,7 +79,7 @@ def _sign(folder: Path) -> Iterator[Path]:
 
     folder = folder.absolute()
     disk.existing_folder(folder)
-    made = disk.missing_folders(folder)
+    new_folders = disk.missing_folders(folder)
     folder.mkdir(parents=True, exist_ok=True)
     sign = disk.temporary_name(folder / "evetac-runs")
     try:
@@ -87,7 +87,7 @@ def _sign(folder: Path) -> Iterator[Path]:
         yield sign
     finally:
         sign.unlink(missing_ok=True)
-        disk.remove_empty(made)
+        disk.remove_empty(new_folders)
 
 
 @contextmanager
@@ -223,7 +223,7 @@ class _Run:
         self.name, self.numbers = f"evetac-{uuid.uuid4().hex}", itertools.count()
         self.workers: set[str] = set()  # all workers seen so far
         self.fit: list[str] | None = None  # workers that may be used; None: all, including those that join later
-        self.said: set[str] = set()
+        self.messages: set[str] = set()
         self.stopping = False
 
     def run(self) -> None:
@@ -374,9 +374,9 @@ class _Run:
                 hint="install the same evetac and plug-ins on all computers, and keep the files on shared storage",
             )
         for line in words:
-            if line not in self.said:
+            if line not in self.messages:
                 console.say(f"left out: {line}")
-        self.said |= set(words)
+        self.messages |= set(words)
         self.fit = sorted(set(versions) - set(reasons))
 
     def _stop(self) -> None:

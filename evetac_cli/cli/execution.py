@@ -24,38 +24,38 @@ from evetac_cli.jobs import Job, Outcome, Stage, require_possible_name
 MOST_ROWS = 100  # printed of one table on a terminal
 
 
-def execute(command: Command, title: str, given: dict[str, Any]) -> None:
+def execute(command: Command, title: str, flag_values: dict[str, Any]) -> None:
     """Run all jobs of a command and print their results."""
-    running = Running.take(given, flags.OF_STAGES)
-    named = given.pop("files", [])
+    running = Running.take(flag_values, flags.OF_STAGES)
+    paths = flag_values.pop("files", [])
     with CommandExit(title, running) as run:
-        chosen = config.resolve(command.params, title, given, running.config)
-        files = with_folders(named, command.kind)
+        params = config.resolve(command.params, title, flag_values, running.config)
+        files = with_folders(paths, command.kind)
         _check_out(running.out, command.suffix)
         stage: Stage[Any] = importlib.import_module(f"evetac_cli.{command.module}").STAGE
-        jobs = list(stage.jobs(files, chosen, running.out))
-        _check_outputs(jobs, files, chosen, force=running.force)
+        jobs = list(stage.jobs(files, params, running.out))
+        _check_outputs(jobs, files, params, force=running.force)
         require_jobs(running)
-        if stage.dry_run is not None and chosen.dry_run:
+        if stage.dry_run is not None and params.dry_run:
             # A scene is run to measure its cost: some seconds, up to a minute if it has to be compiled first.
             quiet = running.quiet
             with (
                 console.progress_bar(f"{title} --dry-run", "runs", quiet=quiet) as progress,
                 compiling.announced(quiet=quiet, interrupted=interrupt_came),
             ):
-                shown = stage.dry_run(jobs, chosen, force=running.force, progress=progress)
+                shown = stage.dry_run(jobs, params, force=running.force, progress=progress)
             _show_plan(f"{title} --dry-run", stage, shown, running)
             return
-        for line in stage.cautions(jobs, chosen) if not running.quiet else ():
+        for line in stage.cautions(jobs, params) if not running.quiet else ():
             console.say(f"note: {line}")
         started = time.monotonic()
-        previews = getattr(chosen, "preview", False)
-        run_jobs(command, stage, jobs, chosen, running, run.results)
+        previews = getattr(params, "preview", False)
+        run_jobs(command, stage, jobs, params, running, run.results)
         run.results = {job.output: run.results[job.output] for job in jobs}
         outcomes, errors = run.outcomes(), run.errors()
         if not running.quiet and outcomes:
-            made = any(outcome.made for outcome in outcomes)
-            took = f"{time.monotonic() - started:.1f} s" if made else "up to date, nothing to do"
+            any_new = any(outcome.made for outcome in outcomes)
+            took = f"{time.monotonic() - started:.1f} s" if any_new else "up to date, nothing to do"
             console.say(f"{title}: {took}")
         if outcomes and not (errors and running.as_json):
             own = outcomes[0].summary if len(outcomes) == 1 else {}
@@ -67,7 +67,7 @@ def execute(command: Command, title: str, given: dict[str, Any]) -> None:
                 console.show(title, rows, own or console.count(outcomes), simulated=simulated, as_json=True)
             elif not running.quiet:
                 # A stage may select the rows that people want to see, and add a verdict.
-                shown_rows, verdict = stage.for_people(rows, chosen)
+                shown_rows, verdict = stage.for_people(rows, params)
                 verbose = running.verbose
                 shown_rows = shown_rows if verbose else first_rows(shown_rows)
                 console.print_table(title, shown_rows, own, simulated=simulated, verbose=verbose)
@@ -94,15 +94,15 @@ def _show_plan(title: str, stage: Stage[Any], shown: Outcome, running: Running) 
         how = {"as_json": running.as_json, "verbose": running.verbose}
         console.show(title, shown.rows, shown.summary, simulated=shown.simulated, **how)
         return
-    rows, said = stage.dry_run_for_people(shown)
+    rows, lines = stage.dry_run_for_people(shown)
     console.print_table(title, rows, {}, simulated=shown.simulated)
-    console.print_result(said, [])
+    console.print_result(lines, [])
 
 
-def with_folders(named: list[Path], kind: str = "*") -> list[Path]:
+def with_folders(paths: list[Path], kind: str = "*") -> list[Path]:
     """Return the named files, with each folder replaced by its files of a kind; InputError for a folder without any."""
     files: list[Path] = []
-    for path in named:
+    for path in paths:
         if not path.is_dir():
             files.append(path)
             continue
@@ -147,7 +147,7 @@ def _check_out(out: Path | None, suffix: str) -> None:
         )
 
 
-def _check_outputs(jobs: list[Job], files: list[Path], chosen: Any, *, force: bool) -> None:
+def _check_outputs(jobs: list[Job], files: list[Path], params: Any, *, force: bool) -> None:
     """Refuse outputs that would replace each other, or (with --force) their own inputs."""
     for job in jobs:
         require_possible_name(job.output)
@@ -155,8 +155,8 @@ def _check_outputs(jobs: list[Job], files: list[Path], chosen: Any, *, force: bo
     clash = sorted(output for output, count in times.items() if count > 1)
     if clash:
         raise InputError("several inputs would write the same output", found=", ".join(map(str, clash)))
-    named = (value for value in vars(chosen).values() if isinstance(value, Path))
-    inputs = {path.resolve() for path in (*files, *named, *(path for job in jobs for path in job.inputs))}
+    path_values = (value for value in vars(params).values() if isinstance(value, Path))
+    inputs = {path.resolve() for path in (*files, *path_values, *(path for job in jobs for path in job.inputs))}
     lost = sorted(output for output in times if output.resolve() in inputs) if force else []
     if lost:
         raise InputError("the output would replace an input", found=", ".join(map(str, lost)))
@@ -177,13 +177,13 @@ def run_jobs(
     command: Command,
     stage: Stage[Any],
     jobs: list[Job],
-    chosen: Any,
+    params: Any,
     running: Running,
     results: dict[Path, Outcome | EvetacError],
 ) -> None:
     """Run the jobs, several at a time if requested, and fill in the results; one failure does not stop the others."""
-    shown = getattr(chosen, "shown_in", None) is not None  # a live view prints its own lines
-    quiet, force = running.quiet or shown or getattr(chosen, "listen", False), running.force
+    shown = getattr(params, "shown_in", None) is not None  # a live view prints its own lines
+    quiet, force = running.quiet or shown or getattr(params, "listen", False), running.force
     engine = engines.Engine.parse(running.engine)
     exclusive = shown or any(job.exclusive for job in jobs)
     if exclusive and engine.name != engines.LOCAL:
@@ -191,7 +191,7 @@ def run_jobs(
     if engine.address and running.number_of_jobs > 1:
         hint = "leave out --jobs: the number of workers is that of the running cluster"
         raise InputError("has no effect", where="--jobs", found=f"--engine {running.engine}", hint=hint)
-    by_index = indexing.up_to_date(stage, jobs, chosen)
+    by_index = indexing.up_to_date(stage, jobs, params)
     results |= by_index
     # An existing output is either up to date or refused. This is quick and needs no worker process.
     waiting = [job for job in jobs if force or not job.output.exists()]
@@ -200,7 +200,7 @@ def run_jobs(
         at_once = 1 if exclusive else min(running.number_of_jobs, len(some))
         if not some or (engine.name == engines.LOCAL and at_once < 2):
             return
-        how = (command.module, engines.largest_first(some), chosen, force, at_once)
+        how = (command.module, engines.largest_first(some), params, force, at_once)
         with console.progress_bar(f"{command.name} {len(some)} files", "files", quiet=quiet) as progress:
             if engine.name == engines.DASK:
                 from evetac_cli.cli import dask_engine  # loaded only for --engine dask
@@ -210,11 +210,11 @@ def run_jobs(
                 workers.run_parallel(*how, progress, into, quiet=quiet)
 
     if engine.name == engines.DASK or running.number_of_jobs > 1:
-        parts = {job.output: stage.parts(job, chosen) for job in waiting}
-        made: dict[Path, Outcome | EvetacError] = {}
-        run_several([part for some in parts.values() for part in some], made)
+        parts = {job.output: stage.parts(job, params) for job in waiting}
+        part_results: dict[Path, Outcome | EvetacError] = {}
+        run_several([part for some in parts.values() for part in some], part_results)
         for output, some in parts.items():
-            failed = (result for part in some if isinstance(result := made.get(part.output), EvetacError))
+            failed = (result for part in some if isinstance(result := part_results.get(part.output), EvetacError))
             if (error := next(failed, None)) is not None:
                 results[output] = error
         run_several([job for job in waiting if job.output not in results], results)
@@ -226,6 +226,6 @@ def run_jobs(
                 console.progress_bar(name, command.unit, quiet=quiet) as progress,
                 compiling.announced(quiet=quiet, interrupted=interrupt_came),
             ):
-                results[job.output] = workers.run_one(command.module, job, chosen, force, progress)
+                results[job.output] = workers.run_one(command.module, job, params, force, progress)
     opened = [job for job in jobs if job.output not in by_index and isinstance(results[job.output], Outcome)]
     indexing.learn(opened, running.number_of_jobs if engine.name == engines.LOCAL else 1, quiet)

@@ -104,11 +104,11 @@ class CommandExit:
         error = missing_library(error) or error
         if self.as_json and error is not None and not isinstance(error, (typer.Exit, OutputClosed, OutputError)):
             errors = self.errors()
-            known = any(error is other for other in errors)
-            more = attached_outcome(error) if not known else None
+            is_known = any(error is other for other in errors)
+            more = attached_outcome(error) if not is_known else None
             outcomes = self.outcomes() + ([more] if more is not None else [])
             shown = _failure_of_plugin(error) or error
-            console.show_failure(self.title, errors if known else [shown, *errors], outcomes)
+            console.show_failure(self.title, errors if is_known else [shown, *errors], outcomes)
         if isinstance(error, KeyboardInterrupt):
             console.say(str(error) or INTERRUPTED)
             raise typer.Exit(INTERRUPTED_CODE) from None

@@ -98,9 +98,9 @@ class Running:
     verbose: bool = False
 
     @classmethod
-    def take(cls, given: dict[str, Any], names: Iterable[str]) -> "Running":
-        """Remove these flags from `given` and return them as a Running."""
-        return cls(**{name: given.pop(name) for name in names})
+    def take(cls, flag_values: dict[str, Any], names: Iterable[str]) -> "Running":
+        """Remove these flags from `flag_values` and return them as a Running."""
+        return cls(**{name: flag_values.pop(name) for name in names})
 
 
 class PlainFlags:
@@ -117,7 +117,7 @@ class PlainFlags:
         return params
 
 
-def _processed(flag: Any, usual: Callable[[Any, Any], Any], ctx: Any, given: Any) -> Any:
+def _processed(flag: Any, usual: Callable[[Any, Any], Any], ctx: Any, raw_value: Any) -> Any:
     """Return the value of a flag. Plain values are read here, all others by typer, which also raises the errors.
 
     Typer reads every value with pydantic, and loading pydantic takes a fifth of the time of a command that has nothing
@@ -125,33 +125,33 @@ def _processed(flag: Any, usual: Callable[[Any, Any], Any], ctx: Any, given: Any
     """
     described = getattr(flag, "type_descriptor", None)
     kind = getattr(described, "annotation", None)
-    if kind is None or flag.value_is_missing(given) and flag.required:
-        return usual(ctx, given)
+    if kind is None or flag.value_is_missing(raw_value) and flag.required:
+        return usual(ctx, raw_value)
     several = flag.multiple or flag.nargs == -1
-    if given is None:
+    if raw_value is None:
         value: Any = () if several else None
     elif not several:
-        value = plain_value(kind, given)
+        value = plain_value(kind, raw_value)
     elif get_origin(kind) is list:
-        value = [plain_value(get_args(kind)[0], item) for item in given]
+        value = [plain_value(get_args(kind)[0], item) for item in raw_value]
     else:
         value = UNREAD
     if value is UNREAD or several and UNREAD in value:
-        return usual(ctx, given)
+        return usual(ctx, raw_value)
     return value if flag.callback is None else flag.callback(ctx, flag, value)
 
 
-def plain_value(kind: Any, given: Any) -> Any:
+def plain_value(kind: Any, raw_value: Any) -> Any:
     """Return a text or a default as a value of type `kind`, or UNREAD if typer has to read it."""
-    if type(given) is kind:
-        return given
-    if isinstance(given, str):
-        if kind is int and WHOLE.fullmatch(given):
-            return int(given)
-        if kind is float and DECIMAL.fullmatch(given):
-            return float(given)
-        if kind is Path and (not os.path.exists(given) or os.access(given, os.R_OK)):
-            return Path(given)
+    if type(raw_value) is kind:
+        return raw_value
+    if isinstance(raw_value, str):
+        if kind is int and WHOLE.fullmatch(raw_value):
+            return int(raw_value)
+        if kind is float and DECIMAL.fullmatch(raw_value):
+            return float(raw_value)
+        if kind is Path and (not os.path.exists(raw_value) or os.access(raw_value, os.R_OK)):
+            return Path(raw_value)
     return UNREAD
 
 
@@ -243,5 +243,5 @@ def _help(item: Any) -> str:
 
 def help_text(command: Command) -> str:
     """Return the description of a command, followed by its examples."""
-    said = [" ".join(paragraph.split()) for paragraph in (command.params.__doc__ or "").split("\n\n")]
-    return "\n\n".join([*said, "\n".join(command.examples)])
+    paragraphs = [" ".join(paragraph.split()) for paragraph in (command.params.__doc__ or "").split("\n\n")]
+    return "\n\n".join([*paragraphs, "\n".join(command.examples)])

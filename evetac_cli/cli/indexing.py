@@ -101,22 +101,22 @@ def _job(folder: Path, files: "Mapping[str, Seen]", names: Sequence[str]) -> Des
     return Described((), Path(f"{folder / names[0]}{alone}"), tuple((name, files[name]) for name in names))
 
 
-def up_to_date(stage: Stage[Any], jobs: Sequence[Job], chosen: Any) -> dict[Path, Outcome]:
+def up_to_date(stage: Stage[Any], jobs: Sequence[Job], params: Any) -> dict[Path, Outcome]:
     """Return the outcomes of jobs whose outputs are up to date by the indexes next to them; no output is opened."""
     from evetac_cli.store.index.known import Known
 
     known_outcomes: dict[Path, Outcome] = {}
     if stage.recipe is None:
         return known_outcomes
-    with Known() as known:
+    with Known() as indexes:
         for job in jobs:
-            if known.place(job.output.parent) is None:
+            if indexes.place(job.output.parent) is None:
                 continue
             try:
-                recipe = stage.recipe(job, chosen, known)
+                recipe = stage.recipe(job, params, indexes)
             except EvetacError:  # the job will report it
                 continue
-            if recipe is not None and known.is_up_to_date(job.output, recipe):
+            if recipe is not None and indexes.is_up_to_date(job.output, recipe):
                 known_outcomes[job.output] = outcome(job, made=False, simulated=recipe.simulated)
     return known_outcomes
 
@@ -126,8 +126,8 @@ def learn(jobs: Sequence[Job], at_once: int, quiet: bool) -> None:
     from evetac_cli.store.index import table
     from evetac_cli.store.index.known import Known
 
-    with Known() as known:
-        unknown = known.unknown(path for job in jobs for path in (*job.inputs, *job.outputs))
+    with Known() as indexes:
+        unknown = indexes.unknown(path for job in jobs for path in (*job.inputs, *job.outputs))
     for folder, files in unknown.items():
         rows: list[IndexRow] = []
         with console.progress_bar(f"index {folder}", "files", quiet=quiet) as progress:

@@ -52,26 +52,26 @@ def _add(
 ) -> None:
     """Register a command, with a signature made from its parameters."""
 
-    def call(**given: Any) -> None:
-        (act or execution.execute)(command, title, given)
+    def call(**flag_values: Any) -> None:
+        (act or execution.execute)(command, title, flag_values)
 
-    made = flags.signature(command, running)
-    call.__signature__ = made  # type: ignore[attr-defined]
-    call.__annotations__ = {name: entry.annotation for name, entry in made.parameters.items()}
+    signature = flags.signature(command, running)
+    call.__signature__ = signature  # type: ignore[attr-defined]
+    call.__annotations__ = {name: entry.annotation for name, entry in signature.parameters.items()}
     call.__doc__ = flags.help_text(command)
     group.command(command.name, rich_help_panel=panel, cls=flags.CommandOfFlags)(call)
 
 
-def _write_for_others(command: Command, title: str, given: dict[str, Any]) -> None:
+def _write_for_others(command: Command, title: str, flag_values: dict[str, Any]) -> None:
     """Run a command whose output is not a stage file (a page, an export), and print the path of the output."""
-    running = Running.take(given, flags.OF_VIEW)
-    named = given.pop("files")
+    running = Running.take(flag_values, flags.OF_VIEW)
+    paths = flag_values.pop("files")
     with CommandExit(title, running):
-        chosen = config.resolve(command.params, title, given, None)
-        files = execution.with_folders(named, command.kind) if command.kind else named
+        params = config.resolve(command.params, title, flag_values, None)
+        files = execution.with_folders(paths, command.kind) if command.kind else paths
         module = importlib.import_module(f"evetac_cli.{command.module}")
         with console.progress_bar(title, command.unit, quiet=running.quiet) as progress:
-            result: Outcome = module.run(files, chosen, running.out, force=running.force, progress=progress)
+            result: Outcome = module.run(files, params, running.out, force=running.force, progress=progress)
         if not running.quiet or running.as_json:
             how = {"as_json": running.as_json, "verbose": running.verbose}
             console.show(title, result.rows, result.summary, simulated=result.simulated, **how)
@@ -80,45 +80,45 @@ def _write_for_others(command: Command, title: str, given: dict[str, Any]) -> No
                 console.print_result([], [Path(path) for path in written if path])
 
 
-def _doctor(command: Command, title: str, given: dict[str, Any]) -> None:
+def _doctor(command: Command, title: str, flag_values: dict[str, Any]) -> None:
     """Examine cameras and grippers; the exit code is 3 if something is wrong with one of them."""
-    running = Running.take(given, flags.OF_DOCTOR)
+    running = Running.take(flag_values, flags.OF_DOCTOR)
     with CommandExit(title, running):
-        chosen = config.resolve(command.params, title, given, None)
+        params = config.resolve(command.params, title, flag_values, None)
         module = importlib.import_module(f"evetac_cli.{command.module}")
-        if not chosen.hardware and (chosen.camera or chosen.arm or chosen.yes or running.out):
+        if not params.hardware and (params.camera or params.arm or params.yes or running.out):
             raise InputError("has no effect without --hardware", where="--camera, --arm, --yes or -o")
-        apart = [flag for flag in ("print_udev", "compile", "speed", "hardware") if getattr(chosen, flag)]
+        apart = [flag for flag in ("print_udev", "compile", "speed", "hardware") if getattr(params, flag)]
         if len(apart) > 1:
             names = ", ".join(f"--{flag.replace('_', '-')}" for flag in apart)
             raise InputError("cannot be combined", where=names, expected="only one of these flags")
-        if chosen.hardware and running.quiet:
+        if params.hardware and running.quiet:
             raise InputError("has no effect with --hardware, which announces every step", where="--quiet")
-        if chosen.gripper and apart and not chosen.hardware:
+        if params.gripper and apart and not params.hardware:
             raise InputError(f"has no effect with --{apart[0].replace('_', '-')}", where="--gripper")
-        if chosen.print_udev:
+        if params.print_udev:
             if running.as_json:
                 console.show(title, [], {"udev": module.udev_rules()}, simulated=False, as_json=True)
             else:
                 print(module.udev_rules())
             return
         result: Outcome
-        if chosen.compile:
+        if params.compile:
             module = importlib.import_module("evetac_cli.inspect.doctor.compile_kernels")
             with console.progress_bar("compiling", "parts", quiet=running.quiet) as progress:
                 result = module.run(progress, say=(lambda line: None) if running.quiet else console.say)
             if not running.quiet or running.as_json:
                 console.show(title, result.rows, result.summary, simulated=False, as_json=running.as_json)
             return
-        if chosen.hardware:
+        if params.hardware:
             module = importlib.import_module("evetac_cli.inspect.doctor.hardware_check")
-            result = module.run(chosen, running.out)
-        elif chosen.speed:
+            result = module.run(params, running.out)
+        elif params.speed:
             module = importlib.import_module("evetac_cli.inspect.doctor.speed")
             with console.progress_bar("measuring", "parts", quiet=running.quiet) as progress:
-                result = module.run(chosen, progress=progress)
+                result = module.run(params, progress=progress)
         else:
-            result = module.run(chosen)
+            result = module.run(params)
         _show(title, module, result, running)
         if result.summary["wrong"]:
             raise typer.Exit(DeviceError.exit_code)
@@ -176,8 +176,10 @@ def _info(
     with CommandExit("info", Running(as_json=as_json, verbose=verbose)) as looked:
         if len(files) != 1 or not files[0].is_dir():
             if where:
-                named = ", ".join(map(str, files))
-                raise InputError("searches the files of a folder", where="--where", expected="one folder", found=named)
+                file_names = ", ".join(map(str, files))
+                raise InputError(
+                    "searches the files of a folder", where="--where", expected="one folder", found=file_names
+                )
             _describe(execution.with_folders(files), looked, quiet=quiet)
             return
         index = importlib.import_module("evetac_cli.inspect.index")
@@ -237,7 +239,7 @@ def _add_evaluate(app: typer.Typer) -> None:
     app.add_typer(judging, name="evaluate", rich_help_panel="Pipeline")
 
 
-def _named(
+def _adding(
     name: str,
     panel: str,
     act: Callable[[Command, str, dict[str, Any]], None] | None = None,
@@ -255,14 +257,14 @@ def _inspecting(name: str, call: Callable[..., None]) -> Callable[[typer.Typer],
 
 # Functions that add each command, in the order of `--help`.
 ADDED: dict[str, Callable[[typer.Typer], None]] = {
-    **{name: _named(name, "Pipeline") for name in commands.OF_PIPELINE},
+    **{name: _adding(name, "Pipeline") for name in commands.OF_PIPELINE},
     "evaluate": _add_evaluate,
     "info": _inspecting("info", _info),
     "index": _inspecting("index", _index),
-    "view": _named("view", "Inspect", _write_for_others, flags.OF_VIEW),
-    "report": _named("report", "Inspect", _write_for_others, flags.OF_REPORT),
-    "export": _named("export", "Inspect", _write_for_others, flags.OF_EXPORT),
-    "share": _named("share", "Inspect", _write_for_others, flags.OF_SHARE),
+    "view": _adding("view", "Inspect", _write_for_others, flags.OF_VIEW),
+    "report": _adding("report", "Inspect", _write_for_others, flags.OF_REPORT),
+    "export": _adding("export", "Inspect", _write_for_others, flags.OF_EXPORT),
+    "share": _adding("share", "Inspect", _write_for_others, flags.OF_SHARE),
     "validate": _inspecting(
         "validate",
         _inspector(
@@ -280,7 +282,7 @@ ADDED: dict[str, Callable[[typer.Typer], None]] = {
             "folders",
         ),
     ),
-    "doctor": _named("doctor", "Inspect", _doctor, flags.OF_DOCTOR),
+    "doctor": _adding("doctor", "Inspect", _doctor, flags.OF_DOCTOR),
 }
 
 

@@ -43,14 +43,14 @@ def compute_on_one_thread() -> None:
         os.environ.setdefault(name, "1")
 
 
-def run_one(module: str, job: Job, chosen: Any, force: bool, progress: Progress = silent) -> Outcome | EvetacError:
+def run_one(module: str, job: Job, params: Any, force: bool, progress: Progress = silent) -> Outcome | EvetacError:
     """Run one job of a stage and return its outcome, or the EvetacError that it raised."""
     try:
         stage = importlib.import_module(f"evetac_cli.{module}")
         if interrupt_came():  # swallowed while modules were loaded
             raise KeyboardInterrupt
         noticed = progress if job.exclusive else _noticing_interrupts(progress)  # devices shut down in their own order
-        result: Outcome = stage.run(job, chosen, force=force, progress=noticed)
+        result: Outcome = stage.run(job, params, force=force, progress=noticed)
     except EvetacError as error:
         return error
     except Exception:
@@ -74,7 +74,7 @@ def _noticing_interrupts(progress: Progress) -> Progress:
 
 
 def _in_worker(
-    module: str, job: Job, chosen: Any, force: bool, progress: Progress = silent
+    module: str, job: Job, params: Any, force: bool, progress: Progress = silent
 ) -> Outcome | EvetacError | None:
     """Run a job as run_one does, but end it quietly on Ctrl-C, which the parent reports; no job starts after that."""
     if interrupt_came():
@@ -82,14 +82,14 @@ def _in_worker(
     catch_interrupts(every=False)  # Ctrl-C comes from the terminal, and from the parent too
     try:
         with SignalsLetThrough():  # an interrupt that arrived while the process started is raised here
-            return run_one(module, job, chosen, force, progress)
+            return run_one(module, job, params, force, progress)
     except KeyboardInterrupt as error:
         finished: Outcome | None = attached_outcome(error)
         return finished
 
 
 def _work(
-    pipe: "Connection", module: str, chosen: Any, force: bool, quiet: bool, parts: tuple[plugins.Part, ...]
+    pipe: "Connection", module: str, params: Any, force: bool, quiet: bool, parts: tuple[plugins.Part, ...]
 ) -> None:
     """Run jobs from the pipe, one after the other, until it closes; end at once if the parent dies.
 
@@ -100,10 +100,10 @@ def _work(
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
     if not getattr(importlib.import_module(f"evetac_cli.{module}"), "COMPILES", True):  # and needs no numba for that
-        _work_off(pipe, module, chosen, force)
+        _work_off(pipe, module, params, force)
         return
     with compiling.announced(quiet=quiet, interrupted=interrupt_came, say=lambda text: _send_whole(pipe, text)):
-        _work_off(pipe, module, chosen, force)
+        _work_off(pipe, module, params, force)
 
 
 def _send_whole(pipe: "Connection", what: str | float) -> None:
@@ -126,14 +126,14 @@ def _sending(pipe: "Connection") -> Progress:
     return report
 
 
-def _work_off(pipe: "Connection", module: str, chosen: Any, force: bool) -> None:
+def _work_off(pipe: "Connection", module: str, params: Any, force: bool) -> None:
     while True:
         try:
             job: Job = pipe.recv()
         except EOFError:
             return
         try:
-            pipe.send(_in_worker(module, job, chosen, force, _sending(pipe)))
+            pipe.send(_in_worker(module, job, params, force, _sending(pipe)))
         except Exception as error:  # a defect: shown by the parent, as it would be without workers
             error.add_note(traceback.format_exc())
             plugins.note_culprits(error)
@@ -157,9 +157,9 @@ def _end_with_parent() -> None:
 class _Worker:
     """A worker process, its pipe, and its current job."""
 
-    def __init__(self, context: "SpawnContext", module: str, chosen: Any, force: bool, quiet: bool) -> None:
+    def __init__(self, context: "SpawnContext", module: str, params: Any, force: bool, quiet: bool) -> None:
         self.pipe, theirs = context.Pipe()
-        self.process = context.Process(target=_work, args=(theirs, module, chosen, force, quiet, plugins.parts()))
+        self.process = context.Process(target=_work, args=(theirs, module, params, force, quiet, plugins.parts()))
         self.process.start()
         theirs.close()
         self.job: Job | None = None
@@ -203,7 +203,7 @@ class _Worker:
 def run_parallel(
     module: str,
     jobs: list[Job],
-    chosen: Any,
+    params: Any,
     force: bool,
     at_once: int,
     progress: Progress,
@@ -233,7 +233,7 @@ def run_parallel(
             while waiting or any(worker.job for worker in workers):
                 missing = min(at_once - len(workers), len(waiting))
                 for _ in range(missing):  # only the first one reports
-                    workers.append(_Worker(context, module, chosen, force, quiet or bool(workers)))
+                    workers.append(_Worker(context, module, params, force, quiet or bool(workers)))
                 for worker in workers:
                     if worker.job is None and waiting:
                         worker.begin(waiting.popleft())

@@ -62,8 +62,8 @@ def _evaluate() -> tuple[Command, ...]:
 
 @cache
 def _with_config() -> dict[str, Command]:
-    named = {command.name: command for command in _pipeline()}
-    return named | {f"evaluate {command.name}": command for command in _evaluate()}
+    by_name = {command.name: command for command in _pipeline()}
+    return by_name | {f"evaluate {command.name}": command for command in _evaluate()}
 
 
 _MADE: dict[str, Callable[[], Any]] = {

@@ -24,7 +24,7 @@ class Trials:
     sensor: str = parameter(
         "evetac",
         f"Sensor: {'; '.join(names.SENSORS)}: one per trial; randomized:N: the N-th; a TOML file"
-        " (`evetac identify`); A,B: two sensors.",
+        " (`evetac identify`); A,B: two.",
         needs=SIMULATED,
     )
     gel: str | None = parameter(
@@ -128,5 +128,5 @@ class Trials:
 
     def solver(self) -> dict[str, Any]:
         """Return the simulation settings that were given as flags."""
-        named = {name: getattr(self, name) for name in SOLVER_OPTIONS}
-        return {name: value for name, value in named.items() if value is not None}
+        settings = {name: getattr(self, name) for name in SOLVER_OPTIONS}
+        return {name: value for name, value in settings.items() if value is not None}

@@ -324,7 +324,7 @@ def _begins_camera(part: str) -> bool:
     name, colon, _ = part.partition(":")
     if name == Replay.name:
         return bool(colon)
-    return name in KINDS or plugins.named(plugins.CAMERAS, name) is not None
+    return name in KINDS or plugins.by_name(plugins.CAMERAS, name) is not None
 
 
 def _no_such_camera(text: str) -> InputError:

@@ -104,7 +104,7 @@ def run(job: ForceReportJob, params: EvaluateForce, *, force: bool, progress: Pr
 
     parents = [*headers, *own_headers]
     recipe = recipe_of(params) | (
-        {"identified": {name: gel.named() for name, gel in identified.items()}} if identified else {}
+        {"identified": {name: gel.for_recipe() for name, gel in identified.items()}} if identified else {}
     )
     outcome = report(job, "evaluate force", METHOD, recipe, parents, measure, force=force)
     if not trials:
@@ -133,8 +133,8 @@ def _headers(
                 raise InputError(
                     f"two sensors with the name {names[-1]} have different gels",
                     where=str(path),
-                    expected=f"{other.named()}, like {first}",
-                    found=f"{of_gel.named()}",
+                    expected=f"{other.for_recipe()}, like {first}",
+                    found=f"{of_gel.for_recipe()}",
                 )
     for path in own:
         with StageFile(path, "tracks") as tracks, recording_with_truth(tracks):

@@ -17,7 +17,7 @@ from evetac_cli.store.recordings.recovery import (
     SUFFIX,
     Leftover,
     check_folder,
-    held,
+    lock_folder,
     read_leftover,
     recording_path,
     was_joined,
@@ -67,7 +67,7 @@ def _leftovers(folders: list[Path]) -> list[Path]:
 def _repair(folder: Path) -> tuple[dict[str, Any], bool]:
     """Join the readable segments, validate the result, and only then remove the folder."""
     output = recording_path(folder)
-    with held(folder):
+    with lock_folder(folder):
         if was_joined(folder):
             _check(output)
             return _row(folder, "was complete", strange=part_folder.remove(folder)), False

@@ -33,7 +33,7 @@ METHOD = 1
 
 def jobs(files: list[Path], params: Attach, out: Path | None) -> list[Job]:
     """Return a job for every recording, whose output is named <name>-streams."""
-    sources = _named(params.stream, "--stream", "NAME=FILE")
+    sources = _by_name(params.stream, "--stream", "NAME=FILE")
     unknown = [name for name in _offsets(params) if name not in sources]
     if unknown:
         raise InputError("no such stream", where="--offset", expected=", ".join(sources), found=unknown[0])
@@ -47,7 +47,7 @@ def jobs(files: list[Path], params: Attach, out: Path | None) -> list[Job]:
 
 def run(job: Job, params: Attach, *, force: bool = False, progress: Progress = silent) -> Outcome:
     """Write a recording with all data of the input and the streams; InputError if a stream does not fit it."""
-    sources, offsets = _named(params.stream, "--stream", "NAME=FILE"), _offsets(params)
+    sources, offsets = _by_name(params.stream, "--stream", "NAME=FILE"), _offsets(params)
     folder = existing_folder(job.output.parent)
     notes: list[str] = []
     added: list[Stream] = []
@@ -60,13 +60,13 @@ def run(job: Job, params: Attach, *, force: bool = False, progress: Progress = s
             )
         for number, (name, source) in enumerate(sources.items()):
             progress(number, len(sources), "streams read")
-            stream, said = read_stream(source, name, folder)
+            stream, remarks = read_stream(source, name, folder)
             start_us, slices = int(recording.read("t_offset")), len(recording)
             if name not in offsets:
                 stream, brought = on_clock_of_events(stream, source, (start_us, start_us + slices * SLICE_US))
-                said = [*said, brought] if brought else said
+                remarks = [*remarks, brought] if brought else remarks
             stream = aligned(stream, offsets.get(name, 0.0), start_us, slices, source)
-            notes += [f"{name}: {note}" for note in (f"times by {stream.clock}", *said)]
+            notes += [f"{name}: {note}" for note in (f"times by {stream.clock}", *remarks)]
             added.append(stream)
         digest = ContentDigest()
         for path, values in _whole(recording, added).items():
@@ -78,15 +78,15 @@ def run(job: Job, params: Attach, *, force: bool = False, progress: Progress = s
         about = {one.name: {"source": one.source, "offset_s": one.offset_s} for one in added}
         parameters = {**header["parameters"], "attached": {**header["parameters"].get("attached", {}), **about}}
         recipe = Recipe(OUTPUT, METHOD, parameters, seed=header["seed"], parents=(header,), content=digest.hexdigest())
-        made = not up_to_date(job.output, recipe, force=force)
-        if made:
+        is_new = not up_to_date(job.output, recipe, force=force)
+        if is_new:
             lengths = {path: shape[0] for path, shape in _with_rows(recording).items()}
             for one in added:
                 lengths |= one.lengths()
             write_stage(job.output, recipe, _whole(recording, added), _blocks(recording, added, progress), lengths)
     return outcome(
         job,
-        made=made,
+        made=is_new,
         simulated=bool(header["simulated"]),
         streams=len(added),
         samples=sum(len(one.t_us) for one in added),
@@ -121,24 +121,24 @@ def _blocks(
         progress(done * len(recording) // max(1, total), len(recording))
 
 
-def _named(given: Sequence[str] | None, flag: str, form: str) -> dict[str, str]:
+def _by_name(texts: Sequence[str] | None, flag: str, form: str) -> dict[str, str]:
     """Return the values of NAME=VALUE flags by name; InputError for anything else, or for an invalid name."""
-    named: dict[str, str] = {}
-    for text in given or ():
+    values: dict[str, str] = {}
+    for text in texts or ():
         name, equals, value = text.partition("=")
         if not equals or not value or not streams.NAME.fullmatch(name):
             expected = f"{form}; names have letters, digits, _ . and -"
             raise InputError("cannot be read", where=flag, expected=expected, found=text)
-        if name in named:
+        if name in values:
             raise InputError(f"{name} is given twice", where=flag, found=text)
-        named[name] = value
-    return named
+        values[name] = value
+    return values
 
 
 def _offsets(params: Attach) -> dict[str, float]:
     """Return the offsets of the streams, in s."""
     offsets = {}
-    for name, text in _named(params.offset, "--offset", "NAME=SECONDS").items():
+    for name, text in _by_name(params.offset, "--offset", "NAME=SECONDS").items():
         try:
             offsets[name] = float(text)
         except ValueError:

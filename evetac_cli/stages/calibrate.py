@@ -25,7 +25,7 @@ from evetac_cli.stages import calibrated_gel
 from evetac_cli.stages.calibrated_gel import FoundDots
 from evetac_cli.store.calibration import Calibration, read_calibration, read_quality, up_to_date, write_calibration
 from evetac_cli.store.files import stem
-from evetac_cli.store.layout.provenance import Recipe, made
+from evetac_cli.store.layout.provenance import Recipe, time_host_versions
 from evetac_cli.store.recordings.read import Recording, open_recording
 
 OUTPUT = "calibration"
@@ -173,7 +173,7 @@ def _found(recording: Recording, places: Grid, radius_px: float) -> FoundDots:
 def _write(job: Job, calibration: Calibration, recipe: Recipe, figures: dict[str, Any]) -> None:
     pairs = grid.neighbours(calibration.dot_xy_px.reshape(-1, 2))
     neighbours = [[int(other) for other in row if other >= 0] for row in pairs]
-    provenance = recipe.identity | {"id": recipe.id, "made": made()}
+    provenance = recipe.identity | {"id": recipe.id, "made": time_host_versions()}
     write_calibration(job.output, calibration, neighbours, figures, provenance, str(job.inputs[0]))
 
 

@@ -47,8 +47,8 @@ def check_options(params: Calibrate) -> None:
         raise InputError("dots without a grid have no rows and columns", where="--irregular", found=size)
     if params.rows is not None and params.columns is not None and params.rows * params.columns > grid.MOST_DOTS:
         raise _too_many(size, params.rows * params.columns)
-    given = {"--gel": params.gel is not None, size: params.rows is not None, "--irregular": params.irregular}
-    unused = [flag for flag in given if given[flag]]
+    flags = {"--gel": params.gel is not None, size: params.rows is not None, "--irregular": params.irregular}
+    unused = [flag for flag in flags if flags[flag]]
     of_sensor = params.source is not None and params.source.suffix == sensor_file.SUFFIX
     if of_sensor:
         unused = [flag for flag in unused if flag != "--gel"]
@@ -118,16 +118,16 @@ def rearranged(calibration: Calibration, params: Calibrate, where: str) -> Calib
 def notes(calibration: Calibration) -> list[str]:
     """Return notes on a grid for the user, in addition to its figures."""
     dots = calibration.dot_xy_px
-    said = [gel_layout.mounting(dots, calibration.frame_px, calibration.window_px)]
+    lines = [gel_layout.mounting(dots, calibration.frame_px, calibration.window_px)]
     if len(dots) == 1:
-        said.append(_as_a_grid(dots[0]))
+        lines.append(_as_a_grid(dots[0]))
     else:
         missing = np.isnan(dots[..., 0])
         gone = [f"row {index + 1}" for index in np.flatnonzero(missing.all(axis=1))]
         gone += [f"column {index + 1}" for index in np.flatnonzero(missing.all(axis=0))]
         if gone:
-            said.append(f"no dot was found in {', '.join(gone)}: worn, or not pressed?")
-    return [note for note in said if note]
+            lines.append(f"no dot was found in {', '.join(gone)}: worn, or not pressed?")
+    return [note for note in lines if note]
 
 
 def _as_a_grid(places_px: Grid) -> str:
@@ -156,7 +156,7 @@ def _window(dots: Grid, gel: str | None, seen: FoundDots) -> Window | None:
     except ValueError as error:
         raise InputError(f"the position of the window is unclear: {error}", where=seen.where, hint=NO_WINDOW) from None
     if gel is None:
-        raise _asked(dots, side, window, seen)
+        raise _space_on_one_side(dots, side, window, seen)
     return window
 
 
@@ -174,7 +174,7 @@ def _which_gel(dots: Grid, seen: FoundDots) -> InputError:
         except ValueError:
             pass
         else:
-            return _asked(dots, side, window, seen)
+            return _space_on_one_side(dots, side, window, seen)
     elif (rows, columns) == SIZES["closed"]:
         free = ", ".join(gel_layout.free_sides(dots, seen.frame_px))
         return InputError(
@@ -218,7 +218,7 @@ def _turned(dots: Grid, seen: FoundDots) -> InputError:
     )
 
 
-def _asked(dots: Grid, side: str, window: Window, seen: FoundDots) -> InputError:
+def _space_on_one_side(dots: Grid, side: str, window: Window, seen: FoundDots) -> InputError:
     """Return the error for dots that leave space on one side."""
     what = "column" if side in ("left", "right") else "row"
     place = " ".join(map(str, window))

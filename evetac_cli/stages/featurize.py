@@ -39,32 +39,32 @@ COLUMNS = ("displacement_px", "displacement_xy_px", "events_per_dot", "events_ou
 def jobs(files: list[Path], params: Featurize, out: Path | None) -> list[Job]:
     """Return a job for every recording, from its tracks and, if present, its labels."""
     one_file(files, out)
-    named = [path for path in (params.tracks, params.labels) if path and not path.is_dir()]
-    if len(files) > 1 and named:
+    single_files = [path for path in (params.tracks, params.labels) if path and not path.is_dir()]
+    if len(files) > 1 and single_files:
         raise InputError(
             "one file cannot belong to several recordings",
             where="--tracks, --labels",
             expected="a folder, or one recording",
-            found=f"{named[0]} and {len(files)} recordings",
+            found=f"{single_files[0]} and {len(files)} recordings",
         )
-    made = []
+    new_jobs = []
     for file in files:
-        tracks = _named(file, "tracks", params.tracks)
-        labels = _named(file, "labels", params.labels)
+        tracks = _input_path(file, "tracks", params.tracks)
+        labels = _input_path(file, "labels", params.labels)
         inputs = (file, tracks, labels) if params.labels or labels.exists() else (file, tracks)
-        made.append(Job(inputs, output_path(file, OUTPUT, out)))
-    return made
+        new_jobs.append(Job(inputs, output_path(file, OUTPUT, out)))
+    return new_jobs
 
 
 def _recipe(params: Featurize, parents: Sequence[Header]) -> Recipe:
-    chosen = {name: True for name in ("sticking_share", "events") if getattr(params, name)}
-    return Recipe(OUTPUT, METHOD, recipe_of(params) | chosen, parents=tuple(parents))
+    options = {name: True for name in ("sticking_share", "events") if getattr(params, name)}
+    return Recipe(OUTPUT, METHOD, recipe_of(params) | options, parents=tuple(parents))
 
 
-def known_recipe(job: Job, params: Featurize, known: Known) -> Recipe | None:
+def known_recipe(job: Job, params: Featurize, indexes: Known) -> Recipe | None:
     """Return the recipe of the features if an index has all of their inputs; None otherwise."""
     kinds = ("recording", "tracks", "labels")
-    parents = [known.header(path, kind) for path, kind in zip(job.inputs, kinds, strict=False)]
+    parents = [indexes.header(path, kind) for path, kind in zip(job.inputs, kinds, strict=False)]
     every = [parent for parent in parents if parent is not None]
     return _recipe(params, every) if len(every) == len(parents) else None
 
@@ -88,8 +88,8 @@ def run(job: Job, params: Featurize, *, force: bool = False, progress: Progress 
         parents.append(tracks.header)
         rest_xy_px = tracks.read("sensor/dot_xy_px")
         window = tracks.read("sensor/window_px") if tracks.has("sensor/window_px") else recording.window_px
-        known = recording.sensitivity.known() | tracks.sensitivity.known()
-        arrays |= {f"sensor/{name}": np.float64(value) for name, value in known.items()}
+        sensor_values = recording.sensitivity.known() | tracks.sensitivity.known()
+        arrays |= {f"sensor/{name}": np.float64(value) for name, value in sensor_values.items()}
         if params.true_slip_share:
             arrays[TRUE_SLIP_SHARE] = _true_slip_share(recording)
         for path in labels_path:
@@ -138,14 +138,14 @@ def _gripper(recording: Recording) -> dict[str, NDArray[np.float32]]:
     slices, t_us = len(recording), recording.read("gripper/t_us")
     in_current_mode = ~np.isnan(recording.read("gripper/current_target_ma"))
     goal_ma = np.where(in_current_mode, recording.read("gripper/current_written_ma"), np.nan)
-    told = {
+    columns = {
         "gripper_position_ticks": known_at_start(t_us, recording.read("gripper/position_ticks"), slices),
         "gripper_goal_ma": known_at_start(t_us, goal_ma, slices),
     }
     if recording.has("control") and recording.length("control/t_us"):
         steps = recording.read("control/t_us"), recording.read("control/goal_ticks")
-        told["gripper_goal_ticks"] = known_at_start(*steps, slices)
-    return told
+        columns["gripper_goal_ticks"] = known_at_start(*steps, slices)
+    return columns
 
 
 def _sticking_share(tracks: StageFile) -> NDArray[np.float32]:
@@ -209,20 +209,20 @@ def _blocks(
         if params.images:
             p = recording.read("events/p", *recording.starts[[first, stop]].tolist())
             slices_of = zip(starts[:-1].tolist(), starts[1:].tolist(), strict=True)
-            drawn = [features.gel_image(x[i:j], y[i:j], p[i:j], window, blank) for i, j in slices_of]
-            ends = pixels + np.cumsum([len(pixel) for pixel, _ in drawn], dtype=np.int64)
+            images = [features.gel_image(x[i:j], y[i:j], p[i:j], window, blank) for i, j in slices_of]
+            ends = pixels + np.cumsum([len(pixel) for pixel, _ in images], dtype=np.int64)
             block |= {
                 "image/start": np.concatenate([np.zeros(int(not first), np.int64), ends]),
-                "image/pixel": np.concatenate([np.empty(0, np.uint32), *(pixel for pixel, _ in drawn)]),
-                "image/sign": np.concatenate([np.empty(0, np.int8), *(sign for _, sign in drawn)]),
+                "image/pixel": np.concatenate([np.empty(0, np.uint32), *(pixel for pixel, _ in images)]),
+                "image/sign": np.concatenate([np.empty(0, np.int8), *(sign for _, sign in images)]),
             }
             pixels += len(block["image/pixel"])
         yield block
 
 
-def _named(recording: Path, kind: str, given: Path | None) -> Path:
+def _input_path(recording: Path, kind: str, path: Path | None) -> Path:
     """Return the file of a kind for a recording: next to it, in the given folder, or the given file."""
-    return given if given is not None and not given.is_dir() else output_path(recording, kind, given)
+    return path if path is not None and not path.is_dir() else output_path(recording, kind, path)
 
 
 STAGE = Stage(jobs, run, recipe=known_recipe)

@@ -64,11 +64,11 @@ def _recipe(params: Label, recording: Header) -> Recipe:
     return Recipe(OUTPUT, METHOD, recipe_of(params), parents=(recording,))
 
 
-def known_recipe(job: Job, params: Label, known: Known) -> Recipe | None:
+def known_recipe(job: Job, params: Label, indexes: Known) -> Recipe | None:
     """Return the recipe of the labels if an index has the recording; None for manual labels, which are always made."""
     if params.review:
         return None
-    recording = known.header(job.inputs[0], "recording")
+    recording = indexes.header(job.inputs[0], "recording")
     return None if recording is None else _recipe(params, recording)
 
 
@@ -122,8 +122,8 @@ def warnings(rows: Rows) -> list[str]:
     doubts = [row["doubt"] for row in rows if row.get("doubt")]
     if not doubts:
         return []
-    told = f"labels abstain in {len(doubts)} of {len(rows)}: their onset is used neither for training nor evaluation"
-    return [f"{told}; the first: {doubts[0]}"]
+    message = f"labels abstain in {len(doubts)} of {len(rows)}: their onset is used neither for training nor evaluation"
+    return [f"{message}; the first: {doubts[0]}"]
 
 
 def compute(recording: Recording, params: Label, progress: Progress = silent) -> flow.Labels:
@@ -155,11 +155,11 @@ def compute(recording: Recording, params: Label, progress: Progress = silent) ->
             constants = event_flow.EventFlowConstants(
                 slip_distance_px=params.slip_distance_px, after_ms=params.after_ms
             )
-            given = dots.reshape(-1, 2), radius, constants, start
-            return event_flow.label(between, slices, window, recording.frame_px, *given)
+            arguments = dots.reshape(-1, 2), radius, constants, start
+            return event_flow.label(between, slices, window, recording.frame_px, *arguments)
         names = flow.FlowConstants.__dataclass_fields__
-        chosen = {name: value for name, value in recipe_of(params).items() if name in names}
-        return flow.label(between, slices, window, gel, flow.FlowConstants(**chosen), start)
+        parameters = {name: value for name, value in recipe_of(params).items() if name in names}
+        return flow.label(between, slices, window, gel, flow.FlowConstants(**parameters), start)
     except ValueError as error:
         raise InputError(
             f"slip cannot be labelled: {error}",

@@ -94,8 +94,8 @@ def chosen_threshold(
             found="none: made by an older evetac" if curve is None else "no slice 200 ms from slip to count them in",
             hint="set a threshold instead, or train the model again, with trials without slip in --validate",
         )
-    chosen = curve.threshold_for(false_alarms_per_min)
-    least = curve.at(chosen)[0]
+    rate_threshold = curve.threshold_for(false_alarms_per_min)
+    least = curve.at(rate_threshold)[0]
     if least > false_alarms_per_min:
         raise InputError(
             "every threshold of the model has more false alarms",
@@ -103,7 +103,7 @@ def chosen_threshold(
             expected=f"at least {least:.3g}",
             found=f"{false_alarms_per_min:g}",
         )
-    return chosen
+    return rate_threshold
 
 
 def controller_threshold(
@@ -135,7 +135,7 @@ def training_ancestors(header: Header) -> Iterator[Header]:
 def labelled_by(header: Header) -> str:
     """Return the methods of the labels on which a model, given by its header, was trained, also `truth`; "" if none."""
     labels = (one["parameters"] for one in training_ancestors(header) if one["kind"] == "labels")
-    return ", ".join(sorted({str(chosen.get("method", "farneback")) for chosen in labels}))
+    return ", ".join(sorted({str(parameters.get("method", "farneback")) for parameters in labels}))
 
 
 def learned_true_slip_share(header: Header) -> bool:
@@ -150,10 +150,10 @@ def learned_true_slip_share(header: Header) -> bool:
 
 
 def _learned_truth(model: Header, history: Header) -> bool:
-    chosen = model["parameters"]
-    if "learn_true_slip_share" in chosen:
-        return bool(chosen["learn_true_slip_share"])
-    if model["method"] not in LEARNED_TRUTH_METHODS or chosen.get("preset") not in LEARNED_TRUTH_PRESETS:
+    parameters = model["parameters"]
+    if "learn_true_slip_share" in parameters:
+        return bool(parameters["learn_true_slip_share"])
+    if model["method"] not in LEARNED_TRUTH_METHODS or parameters.get("preset") not in LEARNED_TRUTH_PRESETS:
         return False
-    learned = [history[parent] for parent in model["parents"][: chosen.get("trained_on")] if parent in history]
+    learned = [history[parent] for parent in model["parents"][: parameters.get("trained_on")] if parent in history]
     return any(one["kind"] == "features" and one["simulated"] for one in learned)

@@ -17,12 +17,12 @@ BY_SLICE = {
 }  # datasets with a row for every slice
 
 
-def named_files(given: Path | str | None, kind: str, flag: str) -> list[Path]:
+def named_files(path_or_glob: Path | str | None, kind: str, flag: str) -> list[Path]:
     """Return the files of a kind named by a flag, sorted: a file, a folder, a glob, or the pretrained `shipped`.
 
     InputError if there are none.
     """
-    pattern = str(given or "")
+    pattern = str(path_or_glob or "")
     if kind == "model" and pattern:
         pattern = str(model_file(pattern, flag))
     if pattern and Path(pattern).is_dir():
@@ -34,7 +34,7 @@ def named_files(given: Path | str | None, kind: str, flag: str) -> list[Path]:
             "no such file" if pattern else f"no {kind} file is given",
             where=flag,
             expected=f"a {kind} file, a folder of them, or a glob" + (f"; or {SHIPPED}" if kind == "model" else ""),
-            found=str(given or ""),
+            found=str(path_or_glob or ""),
             hint=made_by(kind),
         )
     return files

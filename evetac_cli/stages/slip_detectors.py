@@ -98,8 +98,8 @@ def read_series(file: StageFile, architecture: Architecture, start: int = 0, sto
     )
     if not architecture.extras:
         return dots
-    told = [file.read(name, start, stop) if file.has(name) else None for name in EXTRA_COLUMNS]
-    return inputs.DotsAndExtras(dots, extras.columns(len(dots), *told))
+    extra_columns = [file.read(name, start, stop) if file.has(name) else None for name in EXTRA_COLUMNS]
+    return inputs.DotsAndExtras(dots, extras.columns(len(dots), *extra_columns))
 
 
 def predict(detectors: Sequence[Detector], trajectory: Trajectory, header: Header, horizon_ms: int) -> list[Prediction]:

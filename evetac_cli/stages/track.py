@@ -34,10 +34,10 @@ def jobs(files: list[Path], params: Track, out: Path | None) -> list[Job]:
 
 def constants(preset: str, **overrides: Any) -> tuple[str, presets.TrackerConstants]:
     """Return name and constants of a preset; with overrides the name is `custom from PRESET`. InputError if invalid."""
-    chosen = {name: value for name, value in overrides.items() if value is not None}
+    changes = {name: value for name, value in overrides.items() if value is not None}
     base = presets.PRESETS[preset]
     try:
-        custom = dataclasses.replace(base, **chosen)
+        custom = dataclasses.replace(base, **changes)
     except ValueError as error:
         raise InputError(f"invalid constants of the tracker: {error}") from error
     return (preset if custom == base else f"custom from {preset}"), custom
@@ -53,12 +53,12 @@ def _constants(params: Track) -> tuple[str, presets.TrackerConstants]:
 
 
 def _recipe(
-    preset: str, chosen: presets.TrackerConstants, dot_radius_px: float, grid: str, recording: Header
+    preset: str, tracker_constants: presets.TrackerConstants, dot_radius_px: float, grid: str, recording: Header
 ) -> Recipe:
     parameters = {
         "preset": preset,
         "constants": dataclasses.asdict(
-            chosen
+            tracker_constants
         ),  # of the preset, before scaling, so that they are the same for all sensors
         "dot_radius_px": dot_radius_px,
         "grid": grid,
@@ -66,10 +66,10 @@ def _recipe(
     return Recipe(OUTPUT, METHOD, parameters, parents=(recording,))
 
 
-def known_recipe(job: Job, params: Track, known: Known) -> Recipe | None:
+def known_recipe(job: Job, params: Track, indexes: Known) -> Recipe | None:
     """Return the recipe of the tracks if an index has the recording and the grid is the recording's; None otherwise."""
-    row = known.row(job.inputs[0], "recording")
-    recording = known.header(job.inputs[0], "recording")
+    row = indexes.row(job.inputs[0], "recording")
+    recording = indexes.header(job.inputs[0], "recording")
     if params.calibration is not None or row is None or row.dot_radius_px is None or not row.grid or recording is None:
         return None
     return _recipe(*_constants(params), row.dot_radius_px, row.grid, recording)
@@ -77,10 +77,10 @@ def known_recipe(job: Job, params: Track, known: Known) -> Recipe | None:
 
 def run(job: Job, params: Track, *, force: bool = False, progress: Progress = silent) -> Outcome:
     """Track the dots of a recording through all slices."""
-    name, chosen = _constants(params)
+    name, tracker_constants = _constants(params)
     with open_recording(job.inputs[0]) as recording:
         calibration = _calibration(recording, params.calibration)
-        recipe = _recipe(name, chosen, calibration.dot_radius_px, calibration.digest(), recording.header)
+        recipe = _recipe(name, tracker_constants, calibration.dot_radius_px, calibration.digest(), recording.header)
         simulated = recording.header["simulated"]
         if up_to_date(job.output, recipe, force=force):
             return outcome(job, made=False, simulated=simulated)
@@ -89,7 +89,7 @@ def run(job: Job, params: Track, *, force: bool = False, progress: Progress = si
 
         rows, columns = calibration.dot_xy_px.shape[:2]
         try:
-            fitting = chosen.for_dots(calibration.dot_radius_px)
+            fitting = tracker_constants.for_dots(calibration.dot_radius_px)
             state = tracker.start(calibration.dot_xy_px.reshape(-1, 2), fitting)
         except ValueError as error:
             raise InputError(f"the dots cannot be tracked: {error}", where=str(recording.path)) from error
@@ -136,10 +136,10 @@ def _tracked(recording: Recording, state: "TrackerState", progress: Progress) ->
         yield tracker.fold(state, x, y, p[0] if p else None, starts - starts[0])
 
 
-def _calibration(recording: Recording, given: Path | None) -> Calibration:
+def _calibration(recording: Recording, path: Path | None) -> Calibration:
     """Return the dot grid given by a flag, or the one in the recording."""
-    if given is not None:
-        return read_calibration(given, recording.frame_px)
+    if path is not None:
+        return read_calibration(path, recording.frame_px)
     if recording.dot_xy_px is None:
         raise InputError(
             "the recording has no dot grid",

@@ -47,10 +47,18 @@ def noise_seeds(seed: int, header: Header) -> list[int]:
     Different trials have different noise. The recording's recipe id would also identify the trial, but it changes with
     the name of any parameter, and the noise would change with it.
     """
-    made = header["parameters"]
-    tone_mhz = round(1000 * made.get("tone_hz", 0.0))
-    from_ms = made.get("trimmed", {}).get("from_ms", 0)
-    return [NOISE_SEED, seed, header["seed"] or 0, seed_of(made.get("object")), made.get("trial", 0), tone_mhz, from_ms]
+    parameters = header["parameters"]
+    tone_mhz = round(1000 * parameters.get("tone_hz", 0.0))
+    from_ms = parameters.get("trimmed", {}).get("from_ms", 0)
+    return [
+        NOISE_SEED,
+        seed,
+        header["seed"] or 0,
+        seed_of(parameters.get("object")),
+        parameters.get("trial", 0),
+        tone_mhz,
+        from_ms,
+    ]
 
 
 def run(job: Job, params: TrackRgb, *, force: bool = False, progress: Progress = silent) -> Outcome:

@@ -58,8 +58,8 @@ def jobs(files: list[Path], params: Trim, out: Path | None) -> list[Job]:
     to = "end" if params.to_ms is None else f"{params.to_ms}"
     whole = params.denoise and not params.from_ms and params.to_ms is None
     called = ("" if whole else f"-{params.from_ms}-{to}ms") + ("-denoised" if params.denoise else "")
-    named = [(file, f"{stem(file)}{called}.{OUTPUT}.h5") for file in files]
-    return [Job((file,), (out or file.parent) / name) for file, name in named]
+    outputs = [(file, f"{stem(file)}{called}.{OUTPUT}.h5") for file in files]
+    return [Job((file,), (out or file.parent) / name) for file, name in outputs]
 
 
 def run(job: Job, params: Trim, *, force: bool = False, progress: Progress = silent) -> Outcome:

@@ -53,8 +53,8 @@ class Calibration:
         }
         if self.window_px is not None:
             arrays["sensor/window_px"] = np.array(self.window_px, np.int32)
-        known = self.sensitivity.known()
-        return arrays | {f"sensor/{name}": np.float64(value) for name, value in known.items()}
+        sensor_values = self.sensitivity.known()
+        return arrays | {f"sensor/{name}": np.float64(value) for name, value in sensor_values.items()}
 
     def recorded(self) -> dict[str, Any]:
         """Return the datasets of a recording's sensor group, which also has the hot pixels."""
@@ -100,8 +100,8 @@ def read_calibrations(path: Path | None, frames_px: Sequence[tuple[int, int]]) -
     """
     if path is None:
         return ()
-    named = [path] if len(frames_px) == 1 or path.exists() else [Path(each) for each in str(path).split(",")]
-    if len(named) not in (1, len(frames_px)):
+    paths = [path] if len(frames_px) == 1 or path.exists() else [Path(each) for each in str(path).split(",")]
+    if len(paths) not in (1, len(frames_px)):
         expected = f"one file for all cameras, or {len(frames_px)} with commas between them, one per camera"
         raise InputError(
             "the number of calibrations differs from the number of cameras",
@@ -109,9 +109,9 @@ def read_calibrations(path: Path | None, frames_px: Sequence[tuple[int, int]]) -
             expected=expected,
             found=str(path),
         )
-    if len(named) == 1:
-        named *= len(frames_px)
-    return tuple(read_calibration(each, frame_px) for each, frame_px in zip(named, frames_px, strict=True))
+    if len(paths) == 1:
+        paths *= len(frames_px)
+    return tuple(read_calibration(each, frame_px) for each, frame_px in zip(paths, frames_px, strict=True))
 
 
 def _parsed(text: str, where: str, frame_px: tuple[int, int] | None = None) -> Calibration:
@@ -196,8 +196,8 @@ def up_to_date(path: Path, recipe: Recipe, *, force: bool = False) -> bool:
     if not path.exists():
         return False
     try:
-        made = parse_json(read_text(path, MOST_JSON_BYTES))["provenance"]
-        difference = "" if made["id"] == recipe.id else first_difference(recipe, made)
+        provenance = parse_json(read_text(path, MOST_JSON_BYTES))["provenance"]
+        difference = "" if provenance["id"] == recipe.id else first_difference(recipe, provenance)
     except (InputError, ValueError, TypeError, KeyError, AttributeError):
         difference = "not a calibration made by evetac"
     if not difference or force:

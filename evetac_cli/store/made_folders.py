@@ -71,7 +71,7 @@ def new_folder(folder: Path, *, force: bool) -> Iterator[Path]:
     fails.
     """
     require_replaceable(folder, force=force)
-    made = missing_folders(folder.parent)
+    new_parents = missing_folders(folder.parent)
     temporary = temporary_name(folder)
     before = temporary.with_name(f"{temporary.name.removesuffix('.tmp')}.before.tmp")
     try:
@@ -87,7 +87,7 @@ def new_folder(folder: Path, *, force: bool) -> Iterator[Path]:
             temporary.replace(folder)
     except BaseException as error:
         remove_with_contents(temporary)
-        remove_empty(made)
+        remove_empty(new_parents)
         if isinstance(error, OSError):
             raise InputError(f"cannot be written: {error.strerror or error}", where=str(folder)) from error
         raise
@@ -127,7 +127,7 @@ def _strange(folder: Path, listed: Listed) -> Iterator[str]:
     An index by evetac does not count, since `info` creates one.
     """
     own = {name.partition("/")[0] for name in listed}
-    said = set()
+    reported = set()
     for name, is_regular in _entries(folder):
         top = name.partition("/")[0]
         if name in listed and is_regular:
@@ -137,8 +137,8 @@ def _strange(folder: Path, listed: Listed) -> Iterator[str]:
             continue
         elif top in own:
             yield name
-        elif top not in said:
-            said.add(top)
+        elif top not in reported:
+            reported.add(top)
             yield f"{top}/" if top != name else name
 
 
@@ -161,8 +161,8 @@ def _digest(path: Path) -> str:
 def _listed(folder: Path) -> Listed:
     """Return the files that evetac wrote into a folder; none if there is no readable list."""
     try:
-        said: Any = parse_json(read_text(list_path(folder), MOST_LIST_BYTES), most_values=math.inf)
-        files = said["files"]
+        content: Any = parse_json(read_text(list_path(folder), MOST_LIST_BYTES), most_values=math.inf)
+        files = content["files"]
         return {str(name): (int(size), mark) for name, (size, mark) in files.items() if type(mark) in (int, str)}
     except (InputError, UnavailableError, ValueError, TypeError, KeyError, AttributeError):
         return {}

@@ -15,7 +15,7 @@ from evetac_cli.errors import InputError
 from evetac_cli.jobs import Progress
 from evetac_cli.kernels.calibration import grid
 from evetac_cli.store.calibration import stored_calibration, write_calibration
-from evetac_cli.store.layout.provenance import made
+from evetac_cli.store.layout.provenance import time_host_versions
 from evetac_cli.store.recordings.read import Recording
 
 PROTOCOL = 3  # the newest protocol that stores module names as lines of text
@@ -37,7 +37,7 @@ def write(recording: Recording, path: Path, progress: Progress) -> None:
         calibration,
         neighbours,
         {},
-        {"recording": header["id"], "simulated": header["simulated"], "made": made()},
+        {"recording": header["id"], "simulated": header["simulated"], "made": time_host_versions()},
         str(recording.path),
     )
 

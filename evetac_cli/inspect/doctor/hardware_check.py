@@ -45,7 +45,7 @@ from evetac_cli.events import SLICES_PER_S
 from evetac_cli.jobs import Outcome
 from evetac_cli.names import Capability
 from evetac_cli.store.hdf5.disk import taking_the_place_of
-from evetac_cli.store.layout.provenance import made
+from evetac_cli.store.layout.provenance import time_host_versions
 
 CURRENT_MA, MOVE_S, STEP_S, LEAST_COMMANDS = 20, 0.2, 0.005, 10
 REST_MA = 3  # current that may be measured at a motor without current
@@ -140,7 +140,11 @@ def run(params: Doctor, out: Path | None, ask: Callable[[str], bool] | None = No
             "camera": None if camera is None else str(camera),
             "gripper": str(gripper),
             "registers": registers,
-            "made": {**made(), "system": platform.platform(), **{name: version(name) for name in LIBRARIES}},
+            "made": {
+                **time_host_versions(),
+                "system": platform.platform(),
+                **{name: version(name) for name in LIBRARIES},
+            },
         }
         try:
             with taking_the_place_of(path) as temporary:

@@ -46,11 +46,11 @@ def job(files: list[Path], params: TrainForce, out: Path | None) -> Job:
 
 def run(job: Job, params: TrainForce, *, force: bool, progress: Progress = silent) -> Outcome:
     """Correct the prior knowledge of the gel by the readings, and store the result as a model."""
-    known = known_gel.known_of(params.sensor)
+    gel_values = known_gel.known_of(params.sensor)
     headers, names, sources = [], [], []
     for path in job.inputs:
         with StageFile(path, "tracks") as tracks:
-            known_gel.check_scale(tracks, known)
+            known_gel.check_scale(tracks, gel_values)
             headers.append(tracks.header)
             names.append(str(tracks.read("sensor/name")))
         sources.append(readings.digest(path))
@@ -60,11 +60,11 @@ def run(job: Job, params: TrainForce, *, force: bool, progress: Progress = silen
         raise InputError(
             "recordings of different sensors", where=str(job.inputs[0]), expected=expected, found=", ".join(sensors)
         )
-    shape = GelShape.of(params, known)
+    shape = GelShape.of(params, gel_values)
     parameters: dict[str, Any] = {
         "method": "touch",
         "noise_n": params.noise_n,
-        "known": known.named(),
+        "known": gel_values.for_recipe(),
         "readings": sources,
         **shape._asdict(),
         "edges_mm": params.gel_mm,
@@ -73,10 +73,10 @@ def run(job: Job, params: TrainForce, *, force: bool, progress: Progress = silen
     recipe = Recipe(OUTPUT, METHOD, parameters, seed=params.seed, parents=tuple(headers))
     if up_to_date(job.output, recipe, force=force):
         return outcome(job, made=False, simulated=recipe.simulated)
-    gel = known_gel.gel_of(known, params.stiffness_error, shape)
+    gel = known_gel.gel_of(gel_values, params.stiffness_error, shape)
     rng = np.random.default_rng(params.seed)
-    told, unused = known_forces(gel, job.inputs, params.noise_n, rng, progress)
-    after = adapted(gel, told, params.noise_n)
+    force_readings, unused = known_forces(gel, job.inputs, params.noise_n, rng, progress)
+    after = adapted(gel, force_readings, params.noise_n)
     arrays = {"sensor": "events", "sensor_name": sensors[0], **touch_model.arrays_of(after)}
     write_stage(job.output, recipe, arrays)
     return outcome(
@@ -84,8 +84,8 @@ def run(job: Job, params: TrainForce, *, force: bool, progress: Progress = silen
         made=True,
         simulated=recipe.simulated,
         sensor_name=sensors[0],
-        contacts=len(np.unique(told.contact)),
-        readings=len(told.contact),
+        contacts=len(np.unique(force_readings.contact)),
+        readings=len(force_readings.contact),
         without_readings=", ".join(path.name for path in unused) or None,
         shear_modulus_kpa_before=_kpa(gel),
         shear_modulus_kpa=_kpa(after),
@@ -100,9 +100,9 @@ def _kpa(gel: GelWeights) -> float:
     return float(1e3 * gel.scale.shear[:, 0].mean())
 
 
-def adapted(gel: GelWeights, known: KnownForces, noise_n: float) -> GelWeights:
+def adapted(gel: GelWeights, force_readings: KnownForces, noise_n: float) -> GelWeights:
     """Return the weights and errors corrected by known forces."""
-    scale, errors = gel_forces.adapt(gel.scale, gel.errors, known, noise_n)
+    scale, errors = gel_forces.adapt(gel.scale, gel.errors, force_readings, noise_n)
     return gel._replace(scale=scale, errors=errors)
 
 

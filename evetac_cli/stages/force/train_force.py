@@ -100,8 +100,8 @@ def run(job: Job, params: TrainForce, *, force: bool = False, progress: Progress
                 expected=f"{values[0]}, as in {job.inputs[0]}",
                 found=str(values[odd]),
             )
-    chosen = {key: value for key, value in recipe_of(params).items() if key in OF_THE_PAPER}
-    recipe = Recipe(OUTPUT, METHOD, chosen, seed=params.seed, parents=tuple(headers))
+    parameters = {key: value for key, value in recipe_of(params).items() if key in OF_THE_PAPER}
+    recipe = Recipe(OUTPUT, METHOD, parameters, seed=params.seed, parents=tuple(headers))
     simulated = recipe.simulated
     if up_to_date(job.output, recipe, force=force):
         return outcome(job, made=False, simulated=simulated)
@@ -161,12 +161,12 @@ def read_samples(path: Path, params: TrainForce | EvaluateForce, noise: np.rando
     """Return the samples of a trajectory, with noise added to the force; InputError if there are none."""
     with StageFile(path, "tracks") as tracks, recording_with_truth(tracks) as recording:
         try:
-            chosen = forces.sample_slices(recording.read("truth/normal_force_n"), params.samples, SAMPLE_MS)
-            moved_px = forces.displacement(tracks.read("dot_xy_px")[chosen], read_rest_px(tracks))
+            slices = forces.sample_slices(recording.read("truth/normal_force_n"), params.samples, SAMPLE_MS)
+            moved_px = forces.displacement(tracks.read("dot_xy_px")[slices], read_rest_px(tracks))
         except ValueError as error:
             raise InputError(f"there are no forces to compare with: {error}", where=str(path)) from error
-        force_n = recording.read("truth/shear_force_n")[chosen].astype(float)
-    return ForceSamples(chosen, moved_px, force_n + noise.normal(0.0, params.noise_n, force_n.shape))
+        force_n = recording.read("truth/shear_force_n")[slices].astype(float)
+    return ForceSamples(slices, moved_px, force_n + noise.normal(0.0, params.noise_n, force_n.shape))
 
 
 def read_rest_px(tracks: StageFile) -> Floats:

@@ -81,10 +81,10 @@ def run(job: Job, params: Identify, *, force: bool = False, progress: Progress =
     why_none = no_press[max(no_press)] if no_press else ""  # of the recording with most events, as a press has
     more_rows, more = pressed.rows(best, like, why_none)
     rows, values = rows + more_rows, more | values
-    known = gripper_rows.Priors(
+    priors = gripper_rows.Priors(
         params.object_mass_g, params.object_friction, params.force_per_current, params.pixel_mm is not None
     )
-    more_rows, more = gripper_rows.rows([one for one in grips if one is not None], known, like)
+    more_rows, more = gripper_rows.rows([one for one in grips if one is not None], priors, like)
     rows, values = rows + more_rows, values | more
     if params.pixel_mm is not None:
         values["mm_per_px"] = Entry(mm_per_px, None, "as given")
@@ -130,8 +130,8 @@ def _headers(paths: Sequence[Path]) -> tuple[Header, ...]:
             raise InputError("a recording is given twice", where=str(path), expected="each once", found=other)
         headers[header["id"]] = path, header
         sensors.setdefault((name, header["simulated"]), path)
-    known = {name for name, _ in sensors} - {UNKNOWN_SENSOR}
-    if len(known) > 1 or len({simulated for _, simulated in sensors}) > 1:
+    sensor_names = {name for name, _ in sensors} - {UNKNOWN_SENSOR}
+    if len(sensor_names) > 1 or len({simulated for _, simulated in sensors}) > 1:
         each = "; ".join(
             f"{name}{' (simulated)' if simulated else ''} in {path.name}" for (name, simulated), path in sensors.items()
         )

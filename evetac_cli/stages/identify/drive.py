@@ -67,7 +67,7 @@ def fit(rows: GripperRows) -> DriveFit:
     in_block = np.bincount(block[counted])
 
     def residuals(parameters: Floats) -> Floats:
-        motor = _simulated(_named(parameters), current_ma)[0]
+        motor = _simulated(_by_name(parameters), current_ma)[0]
         off: Floats = np.bincount(block[counted], (motor[at] - 0.5 - place)[counted]) / in_block
         return off
 
@@ -90,7 +90,7 @@ def fit(rows: GripperRows) -> DriveFit:
     assert best is not None
     off = residuals(best.x)
     sd = _spread(best.jac, off)
-    values = _named(best.x)
+    values = _by_name(best.x)
     spread = {name: float(sd[k]) * (values[name] if k < LOG else 1.0) for k, name in enumerate(NAMES)}
     motor, force_ma = _simulated(values, current_ma)
     return DriveFit(values, spread, float(np.sqrt(np.mean(off**2))), _rests(motor, at, rows), force_ma)
@@ -181,7 +181,7 @@ def _vector(values: dict[str, float]) -> Floats:
     return np.array([np.log(values[name]) if k < LOG else values[name] for k, name in enumerate(NAMES)])
 
 
-def _named(parameters: Floats) -> dict[str, float]:
+def _by_name(parameters: Floats) -> dict[str, float]:
     return {
         name: float(np.exp(value) if k < LOG else value)
         for k, (name, value) in enumerate(zip(NAMES, parameters, strict=True))

@@ -103,17 +103,17 @@ def find(recording: Recording, mm_per_px: float, rng: np.random.Generator) -> Gr
         fitted = drive.fit(rows)
     except ValueError as error:  # it does not close on an object and open again
         return Gripped(source, delay_ms=delay, jitter_ms=jitter, misfits={"drive": _why(source, error)})
-    known: DriveFit | None = fitted
+    drive_fit: DriveFit | None = fitted
     misfits = {}
     if fitted.residual_ticks > MOST_OFF_TICKS:
-        known = None
+        drive_fit = None
         off = f"residual {fitted.residual_ticks:.1f} ticks, at most {MOST_OFF_TICKS:g} allowed"
         misfits["drive"] = f"cannot be estimated: no simulated drive moves as this gripper did ({off})"
     else:
         with suppress(ValueError):  # it never rests
             noise = gripper.encoder_noise(fitted.rests)
-    weight, of_weight = _weight(recording, rows, known, mm_per_px)
-    return Gripped(source, known, noise, delay, jitter, None, weight, misfits | of_weight)
+    weight, of_weight = _weight(recording, rows, drive_fit, mm_per_px)
+    return Gripped(source, drive_fit, noise, delay, jitter, None, weight, misfits | of_weight)
 
 
 def _why(source: str, reason: object) -> str:
@@ -163,20 +163,20 @@ def _weight(
         width, height = recording.frame_px
         dot_m = (recording.dot_xy_px.reshape(-1, 2) - np.array([width, height]) / 2) * (mm_per_px * 1e-3)
         end_ms = last_ms - 50
-        held = held_gel.fit(
+        gel_fit = held_gel.fit(
             _pad(recording, mm_per_px, axis),
             dot_m if axis == 0 else dot_m[:, ::-1],
             moved_m[end_ms - 500 : end_ms].mean(0),
         )
-        weight = np.nan_to_num(held.moved)
+        weight = np.nan_to_num(gel_fit.moved)
         displacement_m = np.nan_to_num(moved_m) @ (weight / (weight**2).sum())
         seen = _seen_motion(recording, moved_px, came_ms - AROUND_MS // 3, end_ms)[AROUND_MS // 3 :]
         both = displacement_m[came_ms:end_ms] / displacement_m[end_ms - 500 : end_ms].mean() + seen / seen[-500:].mean()
         creep = held_gel.creep(*_thinned(both[loaded_ms:] / 2), loaded_ms * 1e-3)
     except ValueError as error:  # the motion is not that of a held object
         return None, {"weight": _why(source, error)}
-    misfits = _misfits(held, creep)
-    modulus_pa = GRAVITY_M_S2 / PADS / (creep.final * held.displacement_m * held.stiffness_m)
+    misfits = _misfits(gel_fit, creep)
+    modulus_pa = GRAVITY_M_S2 / PADS / (creep.final * gel_fit.displacement_m * gel_fit.stiffness_m)
     slips_ms = _slips(displacement_m[last_ms:])
     per_ma = None
     if slips_ms is not None and fitted is not None:
@@ -187,15 +187,15 @@ def _weight(
     return Weight(known_creep, None if "modulus" in misfits else modulus_pa, per_ma), misfits
 
 
-def _misfits(held: HeldFit, creep: Creep) -> dict[str, str]:
+def _misfits(gel_fit: HeldFit, creep: Creep) -> dict[str, str]:
     """Return the reasons why modulus and creep cannot be estimated with a bad fit; the modulus also needs the creep."""
     misfits = {}
     if creep.misfit > MOST_OFF_IN_TIME:
         off = f"residual {creep.misfit:.1%}, at most {MOST_OFF_IN_TIME:.2%} allowed"
         why = f"cannot be estimated: no gel with two creep times moves as this one did under the weight ({off})"
         misfits = {"creep": why, "modulus": why}
-    if held.misfit > MOST_OFF_SHARE:
-        off = f"residual {held.misfit:.0%}, at most {MOST_OFF_SHARE:.0%} allowed"
+    if gel_fit.misfit > MOST_OFF_SHARE:
+        off = f"residual {gel_fit.misfit:.0%}, at most {MOST_OFF_SHARE:.0%} allowed"
         misfits["modulus"] = (
             f"cannot be estimated: no strip of contact moves the dots as they moved under the weight ({off})"
         )

@@ -59,12 +59,12 @@ class Priors(NamedTuple):
     scale_given: bool
 
 
-def rows(grips: Sequence[Gripped], known: Priors, like: Sensor) -> tuple[list[EstimateRow], dict[str, Entry]]:
+def rows(grips: Sequence[Gripped], priors: Priors, like: Sensor) -> tuple[list[EstimateRow], dict[str, Entry]]:
     """Return rows and keys of gripper, gel and friction; `like` is the sensor with the values of all other keys."""
     tells, known_parts = merged(grips)
     source = {part: one.source for part, one in tells.items()}
     usual = gripper.make_drive(like.gripper)
-    scale_n_ma = known.force_per_current_n_ma or usual.force_per_current_n_ma
+    scale_n_ma = priors.force_per_current_n_ma or usual.force_per_current_n_ma
     listed: list[EstimateRow] = []
     keys: dict[str, Any] = {}
     if known_parts.drive is not None:
@@ -90,17 +90,17 @@ def rows(grips: Sequence[Gripped], known: Priors, like: Sensor) -> tuple[list[Es
     gain = known_parts.gain_ma_tick
     gain_from = source.get("gain_ma_tick", misfits.get("gain", MAKE_GRASP))
     listed.append(EstimateRow("gripper: servo gain", "mA/tick", gain, gain_from))
-    given = known.force_per_current_n_ma
-    scale = None if given is None else Estimate(given, given, given)
+    force_per_current = priors.force_per_current_n_ma
+    scale = None if force_per_current is None else Estimate(force_per_current, force_per_current, force_per_current)
     listed.append(
         EstimateRow("gripper.force_per_current_n_ma", "N/mA", scale, NO_SCALE if scale is None else "as given")
     )
     weights = [(one.source, one.weight) for one in grips if one.weight is not None]
-    gel_rows, values = _gel(weights, misfits, known, scale_n_ma)
+    gel_rows, values = _gel(weights, misfits, priors, scale_n_ma)
     listed += gel_rows
     listed += [EstimateRow("normal_modulus_pa", "Pa", None, BENDS), EstimateRow("loss_tangent", "", None, QUIET)]
-    if keys or given is not None:
-        scale_from = "as given" if given is not None else "not estimated: the value of the sensor `like`"
+    if keys or force_per_current is not None:
+        scale_from = "as given" if force_per_current is not None else "not estimated: the value of the sensor `like`"
         keys["force_per_current_n_ma"] = Entry(scale_n_ma, None, scale_from)
         values["gripper"] = Entry(keys, None, "forces are valid only for the force per current below")
     return listed, values
@@ -170,12 +170,12 @@ def _drive_keys(
 
 
 def _gel(
-    weights: Sequence[tuple[str, Weight]], misfits: Mapping[str, str], known: Priors, scale_n_ma: float
+    weights: Sequence[tuple[str, Weight]], misfits: Mapping[str, str], priors: Priors, scale_n_ma: float
 ) -> tuple[list[EstimateRow], dict[str, Entry]]:
     """Return rows and keys of the gel's shear modulus, creep and friction, from weights and their recordings."""
     values: dict[str, Entry] = {}
     modulus = friction = factor = total = None
-    mass_kg = None if known.object_mass_g is None else 1e-3 * known.object_mass_g
+    mass_kg = None if priors.object_mass_g is None else 1e-3 * priors.object_mass_g
     whys = [misfits.get("weight", misfits.get("drive", MAKE_GRIP))] * 4
     if weights:
         whys = [misfits.get("modulus", NO_MASS), misfits.get("creep", NO_CREEP), NO_MASS, NO_MASS]
@@ -192,7 +192,7 @@ def _gel(
     pulled = next(((source, one.modulus_pa) for source, one in weights if one.modulus_pa is not None), None)
     if pulled is not None and mass_kg is not None:
         source, for_1_kg_pa = pulled
-        scale_share = 0.0 if known.scale_given else SCALE_SHARE
+        scale_share = 0.0 if priors.scale_given else SCALE_SHARE
         modulus_pa = for_1_kg_pa * mass_kg / (1 + MODULUS_HIGH_SHARE)
         modulus = _within(modulus_pa, math.hypot(MODULUS_SHARE, SCALE_POWER * scale_share))
         values["shear_modulus_pa"] = Entry(modulus.value, modulus, source)
@@ -204,14 +204,14 @@ def _gel(
             friction = _friction([per_ma for _, per_ma in slipped])
             source = ", ".join(source for source, _ in slipped)
             whys[2] = source
-            as_factor = _scaled(friction, 1 / (scale_n_ma * known.object_friction))
-            given = known.force_per_current_n_ma is not None
-            factor, whys[3] = (as_factor, source) if given else (None, NO_SCALE)
-            needs = source if given else f"{source}; valid only for the force per current below"
+            as_factor = _scaled(friction, 1 / (scale_n_ma * priors.object_friction))
+            is_scale_given = priors.force_per_current_n_ma is not None
+            factor, whys[3] = (as_factor, source) if is_scale_given else (None, NO_SCALE)
+            needs = source if is_scale_given else f"{source}; valid only for the force per current below"
             values["static_friction_factor"] = Entry(as_factor.value, factor, needs)
-    named = [("shear_modulus_pa", "Pa", modulus), ("creep.share, both arms", "", total)]
-    named += [("static friction x force per current", "N/mA", friction), ("static_friction_factor", "", factor)]
-    return [EstimateRow(*one, why) for one, why in zip(named, whys, strict=True)], values
+    quantities = [("shear_modulus_pa", "Pa", modulus), ("creep.share, both arms", "", total)]
+    quantities += [("static friction x force per current", "N/mA", friction), ("static_friction_factor", "", factor)]
+    return [EstimateRow(*one, why) for one, why in zip(quantities, whys, strict=True)], values
 
 
 def _friction(per_ma: Sequence[Floats]) -> Estimate:

@@ -229,8 +229,8 @@ def _without(like: Sensor, estimated: Mapping[str, Entry]) -> dict[str, Entry]:
     none |= {"dot_radius_spread": 0.0, "dot_contrast_spread": 0.0}
     if "dot_xy_px" in estimated:  # already as seen: a lens would move them again
         none["distortion"] = np.zeros(2)
-    named = as_table(like)
-    names = [name for name in none if name in named and name not in estimated]
+    table = as_table(like)
+    names = [name for name in none if name in table and name not in estimated]
     return {name: Entry(none[name], None, "not significant in the press") for name in names}
 
 

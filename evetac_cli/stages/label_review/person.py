@@ -62,18 +62,18 @@ def keep(recording: Recording, labels: Path, verdict: Verdict, by: str, after_ms
             first, last = (verdict.earliest, verdict.latest) if verdict.earliest >= 0 else (verdict.onset,) * 2
             label[first : last + 1] = -1
     abstained = verdict.onset >= 0 and not verdict.can_tell
-    given = {"onset_slice": verdict.onset, "earliest_slice": verdict.earliest, "latest_slice": verdict.latest}
+    onset_slices = {"onset_slice": verdict.onset, "earliest_slice": verdict.earliest, "latest_slice": verdict.latest}
     arrays = {
         "label": label,
         "relative_flow_px": np.full(slices, np.nan, np.float32),
-        **{name: np.int64(value) for name, value in given.items()},
+        **{name: np.int64(value) for name, value in onset_slices.items()},
         "abstained": np.uint8(abstained),
         "doubt": CANNOT_TELL if abstained else "",
         "confidence": np.float64(1.0 if verdict.onset >= 0 else np.nan),
         "flow_pairs_computed": np.int64(0),
     }
-    told = {**given, "can_tell": verdict.can_tell, "after_ms": after_ms}
-    parameters = {"method": PERSON, "by": by, **told, "replaced": replaced}
+    details = {**onset_slices, "can_tell": verdict.can_tell, "after_ms": after_ms}
+    parameters = {"method": PERSON, "by": by, **details, "replaced": replaced}
     header = write_stage(labels, Recipe("labels", METHOD, parameters, parents=(recording.header,)), arrays)
     before = replaced[-1]["onset_slice"] if replaced else -1
     return {
@@ -102,15 +102,15 @@ def _replaced(labels: Path) -> list[Header]:
     if not labels.exists():
         return []
     with StageFile(labels, "labels") as file:
-        told, header = labelled_onset(file), file.header
+        onset, header = labelled_onset(file), file.header
     earlier: list[Header] = header["parameters"].get("replaced", [])
-    slices = {"onset_slice": told.slice_, "earliest_slice": told.earliest, "latest_slice": told.latest}
+    slices = {"onset_slice": onset.slice_, "earliest_slice": onset.earliest, "latest_slice": onset.latest}
     about = {
         "id": header["id"],
         "method": header["parameters"].get("method"),
         "by": header["parameters"].get("by"),
         "at": header["made"].get("at"),
         **{name: -1 if value is None else value for name, value in slices.items()},
-        "doubt": told.doubt,
+        "doubt": onset.doubt,
     }
     return [*earlier, about]

@@ -80,8 +80,8 @@ class _Trial(_Asked):
     def get(self, token: str) -> None:
         """Answer `trial?n=NUMBER&at=SLICE` with the data around a slice, or around the onset."""
         number = self.place(_whole(self.get_query_argument("n", "0")))
-        asked = self.get_query_argument("at", "")
-        at = _whole(asked) if asked else None
+        at_text = self.get_query_argument("at", "")
+        at = _whole(at_text) if at_text else None
         try:
             with open_recording(self.server.recordings[number]) as recording:
                 data = trial_data(recording, self.server.labels[number], at)

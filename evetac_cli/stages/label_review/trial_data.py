@@ -30,14 +30,18 @@ def onset_now(recording: Recording, labels: Path) -> tuple[LabelledOnset, dict[s
     if labels.exists():
         with StageFile(labels, "labels") as file:
             check_made_from(file, recording)
-            made = file.header["parameters"]
-            about = {"method": made.get("method"), "by": made.get("by"), "at": file.header["made"].get("at")}
+            parameters = file.header["parameters"]
+            about = {
+                "method": parameters.get("method"),
+                "by": parameters.get("by"),
+                "at": file.header["made"].get("at"),
+            }
             return labelled_onset(file), {**about, "kept": True}
     computed = by_flow(recording)
     if computed is None:
         return LabelledOnset(None, None, None, None, ""), {"method": None, "kept": False}
-    told = told_onset(computed.onset, computed.earliest, computed.latest, computed.confidence, computed.doubt)
-    return told, {"method": "event-flow", "kept": False}
+    onset = told_onset(computed.onset, computed.earliest, computed.latest, computed.confidence, computed.doubt)
+    return onset, {"method": "event-flow", "kept": False}
 
 
 def by_flow(recording: Recording) -> Labels | None:
@@ -51,8 +55,8 @@ def by_flow(recording: Recording) -> Labels | None:
 def trial_data(recording: Recording, labels: Path, at: int | None) -> dict[str, Any]:
     """Return everything that the page draws around slice `at`, or around the onset, as plain texts and numbers."""
     slices, start = len(recording), ramp_start(recording)
-    told, about = onset_now(recording, labels)
-    middle = at if at is not None else told.slice_ if told.slice_ is not None else (start + slices) // 2
+    onset, about = onset_now(recording, labels)
+    middle = at if at is not None else onset.slice_ if onset.slice_ is not None else (start + slices) // 2
     first, stop = _span(recording.starts, min(max(middle, 0), max(slices - 1, 0)))
     events = recording.between(first, stop)
     window = recording.window_px
@@ -66,7 +70,7 @@ def trial_data(recording: Recording, labels: Path, at: int | None) -> dict[str, 
         "span": [first, stop],
         "frame": list(recording.frame_px),
         "window": list(window) if window is not None else None,
-        "label": {**told.row(), **about},
+        "label": {**onset.row(), **about},
         "starts": (recording.starts[first : stop + 1] - recording.starts[first]).tolist(),
         "x": _packed(events.x, "<u2"),
         "y": _packed(events.y, "<u2"),

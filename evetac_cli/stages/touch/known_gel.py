@@ -39,12 +39,12 @@ class KnownGel(NamedTuple):
     creep: tuple[tuple[float, ...], tuple[float, ...]] | None = None  # share and time, in s, of its arms
     edges_mm: tuple[float, float, float, float] | None = None  # edges of the gel, see GelLayer
 
-    def named(self) -> dict[str, Any]:
+    def for_recipe(self) -> dict[str, Any]:
         """Return the known values for a recipe."""
-        named = {name: value for name, value in self._asdict().items() if value is not None}
+        values = {name: value for name, value in self._asdict().items() if value is not None}
         if self.creep is not None:
-            named["creep"] = dict(zip(("share", "time_s"), map(list, self.creep), strict=True))
-        return named
+            values["creep"] = dict(zip(("share", "time_s"), map(list, self.creep), strict=True))
+        return values
 
 
 class GelShape(NamedTuple):
@@ -56,9 +56,9 @@ class GelShape(NamedTuple):
     edges_mm: tuple[float, float, float, float] = ENDLESS_MM
 
     @classmethod
-    def of(cls, params: PredictTouch | TrainForce, known: KnownGel) -> Self:
+    def of(cls, params: PredictTouch | TrainForce, gel_values: KnownGel) -> Self:
         """Return the shape from flags; edges that the flags do not set are the known ones."""
-        edges = _typed_edges(params.gel_mm) if params.gel_mm else known.edges_mm or ENDLESS_MM
+        edges = _typed_edges(params.gel_mm) if params.gel_mm else gel_values.edges_mm or ENDLESS_MM
         return cls(params.height_mm, params.print_depth_mm, params.lens_mm, edges)
 
     def layer(self, modulus_pa: float) -> GelLayer:
@@ -82,21 +82,21 @@ class GelWeights(NamedTuple):
     errors: ForceErrorModel
 
 
-def gel_of(known: KnownGel, stiffness_error: float, shape: GelShape | None = None) -> GelWeights:
+def gel_of(gel_values: KnownGel, stiffness_error: float, shape: GelShape | None = None) -> GelWeights:
     """Return the weights for a sensor with this prior knowledge.
 
     stiffness_error: sd of the logarithm of a known modulus. An unknown scale makes forces less certain.
     """
-    shape = GelShape(edges_mm=known.edges_mm or ENDLESS_MM) if shape is None else shape
-    mm_per_px, mm_log_sd = (MM_PER_PX, MM_LOG_SD) if known.mm_per_px is None else (known.mm_per_px, 0.0)
+    shape = GelShape(edges_mm=gel_values.edges_mm or ENDLESS_MM) if shape is None else shape
+    mm_per_px, mm_log_sd = (MM_PER_PX, MM_LOG_SD) if gel_values.mm_per_px is None else (gel_values.mm_per_px, 0.0)
     modulus_pa, log_sd = SHEAR_MODULUS_PA, SHEAR_LOG_SD
-    if known.shear_modulus_pa is not None:
-        modulus_pa, log_sd = known.shear_modulus_pa, stiffness_error
+    if gel_values.shear_modulus_pa is not None:
+        modulus_pa, log_sd = gel_values.shear_modulus_pa, stiffness_error
     share, sd, time_s = map(np.array, (CREEP_SHARE, CREEP_SD, CREEP_TIME_S))
-    if known.creep is not None:
+    if gel_values.creep is not None:
         arms = gel_forces.CREEP_ARMS
-        share, sd = np.array(_padded(known.creep[0], arms, 0.0)), np.zeros(arms)
-        time_s = np.array(_padded(known.creep[1], arms, 1.0))
+        share, sd = np.array(_padded(gel_values.creep[0], arms, 0.0)), np.zeros(arms)
+        time_s = np.array(_padded(gel_values.creep[1], arms, 1.0))
     stiffness = Stiffness(modulus_pa * 1e-6, float(np.hypot(log_sd, LENGTHS_IN_FORCE * mm_log_sd)), share, sd, time_s)
     scale = gel_forces.scale_of(stiffness)
     return GelWeights(modulus_pa, shape, mm_per_px, mm_log_sd, scale, time_s, ForceErrorModel())
@@ -114,16 +114,16 @@ def known_of(sensor: str | None) -> KnownGel:
         expected = "one sensor, e.g. evetac or randomized:7, or its file"
         raise InputError("selects many sensors, not one", where="--sensor", expected=expected, found=sensor)
     if not sensor.endswith(sensor_file.SUFFIX):
-        return _known(one_sensor(sensor), KnownGel._fields)
+        return _values_of(one_sensor(sensor), KnownGel._fields)
     _, own = sensor_file.read(Path(sensor), one_sensor)
-    return _known(own, read_toml(Path(sensor)))
+    return _values_of(own, read_toml(Path(sensor)))
 
 
-def _known(sensor: Sensor, named: Container[str]) -> KnownGel:
+def _values_of(sensor: Sensor, keys: Container[str]) -> KnownGel:
     """Return the values of a sensor's gel for these keys; the gel creeps only if the sensor has creep."""
     arms = sensor.creep or GelCreep(share=(), time_s=())
     whole = KnownGel(sensor.shear_modulus_pa, sensor.mm_per_px, (arms.share, arms.time_s), edges_of(sensor))
-    return KnownGel(**{name: value for name, value in whole._asdict().items() if name in named})
+    return KnownGel(**{name: value for name, value in whole._asdict().items() if name in keys})
 
 
 def mm_per_px_of(touch: Header) -> float:
@@ -170,13 +170,13 @@ def at_window(
     return shape._replace(edges_mm=(x0, y0, x1, y1))
 
 
-def check_scale(tracks: StageFile, known: KnownGel) -> None:
+def check_scale(tracks: StageFile, gel_values: KnownGel) -> None:
     """Raise InputError if the frame is not that of an Evetac, unless the size of a pixel on the gel is known.
 
     Otherwise displacements in mm would be wrong by the ratio of the scales, and forces by its third power.
     """
     width, height = (int(size) for size in tracks.read("sensor/frame_px"))
-    if (width, height) == FRAME_PX or known.mm_per_px is not None:
+    if (width, height) == FRAME_PX or gel_values.mm_per_px is not None:
         return
     raise InputError(
         "the scale of this frame, in mm per pixel on the gel, is unknown",

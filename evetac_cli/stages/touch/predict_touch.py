@@ -52,31 +52,31 @@ def check_depth(print_depth_mm: float, height_mm: float) -> None:
 def run(job: Job, params: PredictTouch, *, force: bool = False, progress: Progress = silent) -> Outcome:
     """Apply the touch map to the tracks, slice by slice, and store a row for every slice, and some maps."""
     path, *models = job.inputs
-    known = known_gel.known_of(params.sensor)
+    gel_values = known_gel.known_of(params.sensor)
     own = touch_model.read_own(models[0]) if models else None
     with StageFile(path, "tracks") as tracks:
         if own is None:
-            known_gel.check_scale(tracks, known)
-            gel = known_gel.gel_of(known, params.stiffness_error, GelShape.of(params, known))
+            known_gel.check_scale(tracks, gel_values)
+            gel = known_gel.gel_of(gel_values, params.stiffness_error, GelShape.of(params, gel_values))
         else:
             _check_sensor(tracks, own[1], models[0])
             gel = own[2]
-        recipe = _recipe(params, known, tracks.header, None if own is None else own[0])
+        recipe = _recipe(params, gel_values, tracks.header, None if own is None else own[0])
         if up_to_date(job.output, recipe, force=force):
             return outcome(job, made=False, simulated=recipe.simulated)
-        told = _Told()
-        _write(job.output, recipe, gel, tracks, params, told, progress)
-    modulus = "adapted" if own is not None else "unknown" if known.shear_modulus_pa is None else "known"
-    return outcome(job, made=True, simulated=recipe.simulated, shear_modulus=modulus, **told.row())
+        summary = _Summary()
+        _write(job.output, recipe, gel, tracks, params, summary, progress)
+    modulus = "adapted" if own is not None else "unknown" if gel_values.shear_modulus_pa is None else "known"
+    return outcome(job, made=True, simulated=recipe.simulated, shear_modulus=modulus, **summary.row())
 
 
-def _recipe(params: PredictTouch, known: KnownGel, tracks: Header, own: Header | None) -> Recipe:
+def _recipe(params: PredictTouch, gel_values: KnownGel, tracks: Header, own: Header | None) -> Recipe:
     """Return the recipe, without parameters that have no effect: error of an unknown sensor, shape with a model."""
     unused = set() if params.sensor is not None else {"stiffness_error"}
     unused |= set() if own is None else SHAPE_FLAGS
-    chosen: dict[str, Any] = {name: value for name, value in recipe_of(params).items() if name not in unused}
-    chosen |= {"known": known.named()} if params.sensor is not None else {}
-    return Recipe(OUTPUT, METHOD, chosen, parents=(tracks,) if own is None else (tracks, own))
+    parameters: dict[str, Any] = {name: value for name, value in recipe_of(params).items() if name not in unused}
+    parameters |= {"known": gel_values.for_recipe()} if params.sensor is not None else {}
+    return Recipe(OUTPUT, METHOD, parameters, parents=(tracks,) if own is None else (tracks, own))
 
 
 def _check_sensor(tracks: StageFile, adapted_to: str, model: Path) -> None:
@@ -92,7 +92,7 @@ def _check_sensor(tracks: StageFile, adapted_to: str, model: Path) -> None:
         )
 
 
-class _Told:
+class _Summary:
     """Collects the figures for a file's row, block by block."""
 
     def __init__(self) -> None:
@@ -133,7 +133,7 @@ def _write(
     gel: GelWeights,
     tracks: StageFile,
     params: PredictTouch,
-    told: _Told,
+    summary: _Summary,
     progress: Progress,
 ) -> None:
     from evetac_cli.stages.touch import touch_fold  # brings scipy
@@ -150,7 +150,7 @@ def _write(
     def blocks() -> Iterator[dict[str, Any]]:
         for first, stop in row_blocks(slices):
             columns = fold.block(first, stop)
-            told.add(columns)
+            summary.add(columns)
             yield columns
             progress(stop, slices)
 

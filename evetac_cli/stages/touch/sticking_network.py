@@ -23,8 +23,8 @@ def shipped() -> StickingNetwork:
 def read(path: Path) -> StickingNetwork:
     """Read a network from a file of named arrays (.npz); InputError if it contains none."""
     try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as held:
-            return StickingNetwork.of_arrays({name: held[name] for name in held.files})
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
+            return StickingNetwork.of_arrays({name: arrays[name] for name in arrays.files})
     except (OSError, ValueError, EOFError, TypeError, AttributeError, zipfile.BadZipFile) as error:
         expected, found = "named arrays (.npz) as written by scripts/train_sticking.py", str(error)
         raise InputError("not a sticking-share network", where=str(path), expected=expected, found=found) from None

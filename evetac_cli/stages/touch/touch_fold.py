@@ -119,12 +119,12 @@ class TouchFold:
             readings.append(tuple(getattr(reading, name) for name in OF_READING))
             if self.map_every and number % self.map_every == 0:
                 maps.append((number, *(getattr(reading, name) for name in OF_MAP)))
-        told = {
+        estimates = {
             name: np.array([row[place] for row in readings]).reshape(-1, *((2,) if name in PAIRS else ()))
             for place, name in enumerate(OF_READING)
         }
         reference = np.array([one.reference_slice for one in sticks], np.int64)
-        columns = self._scaled(told, reference)
+        columns = self._scaled(estimates, reference)
         columns |= {name: np.array([getattr(one, name) for one in sticks], np.float32) for name in STICKING}
         return columns | (self._maps(maps) if self.map_every else {})
 
@@ -132,36 +132,36 @@ class TouchFold:
         """Return the sticking share of one slice; if its reference changed, the touch map uses the new one too."""
         if self._sticking is None:
             return sticking.NO_TOUCH
-        told = sticking.step(self._sticking, dot_mm, lost, touches)
-        if told.reference_slice not in (-1, self._reference):
+        reading = sticking.step(self._sticking, dot_mm, lost, touches)
+        if reading.reference_slice not in (-1, self._reference):
             touch_map.hold(self.state)
-        self._reference = told.reference_slice
-        return told
+        self._reference = reading.reference_slice
+        return reading
 
-    def _scaled(self, told: Columns, reference: NDArray[np.int64]) -> Columns:
+    def _scaled(self, estimates: Columns, reference: NDArray[np.int64]) -> Columns:
         """Return the columns of a block with the weights of the gel; `since` is NaN before there is a reference.
 
         An unknown scale of the image affects positions and areas, and torsion with one more power than forces.
         """
-        gel, touches = self.gel, np.asarray(told["touches"], np.bool_)
-        forces = forces_of(gel, _over_modulus(gel, told), self._memory)
+        gel, touches = self.gel, np.asarray(estimates["touches"], np.bool_)
+        forces = forces_of(gel, _over_modulus(gel, estimates), self._memory)
         of_shear, unsure = shear_factor(gel), gel.mm_log_sd
         relative_sd = np.hypot(of_shear.relative_sd.mean(), unsure)
         of_torsion = Factor(of_shear.value.mean(), relative_sd, of_shear.times)
-        torsion = of_torsion.applied(told["torsion_n_mm"], told["torsion_sd_n_mm"])
-        since = of_shear.applied(told["shear_since_n"], told["shear_since_sd_n"])
+        torsion = of_torsion.applied(estimates["torsion_n_mm"], estimates["torsion_sd_n_mm"])
+        since = of_shear.applied(estimates["shear_since_n"], estimates["shear_since_sd_n"])
         counts = (touches & (reference >= 0))[:, None]
         singles = {
             **forces._asdict(),
             **dict(zip(("torsion_n_mm", "torsion_sd_n_mm"), torsion, strict=True)),
-            "centre_mm": told["centre_mm"],
-            "centre_sd_mm": np.hypot(told["centre_sd_mm"], unsure * told["centre_mm"]),
-            "area_mm2": told["area_mm2"],
-            "area_sd_mm2": np.hypot(told["area_sd_mm2"], 2 * unsure * told["area_mm2"]),
+            "centre_mm": estimates["centre_mm"],
+            "centre_sd_mm": np.hypot(estimates["centre_sd_mm"], unsure * estimates["centre_mm"]),
+            "area_mm2": estimates["area_mm2"],
+            "area_sd_mm2": np.hypot(estimates["area_sd_mm2"], 2 * unsure * estimates["area_mm2"]),
             **{name: np.where(counts, values, np.nan) for name, values in zip(SINCE, since, strict=True)},
         }
         return {
-            **{name: told[name].astype(np.uint8) for name in FLAGS},
+            **{name: estimates[name].astype(np.uint8) for name in FLAGS},
             **{name: values.astype(np.float32) for name, values in singles.items()},
             "reference_slice": reference,
         }
@@ -170,7 +170,7 @@ class TouchFold:
         """Return the maps of some slices, with the weights of the gel."""
         cells = self.state.cells.shape
         sizes = {"patch": cells, "shear_pa": (2, *cells), "pressure_pa": cells}
-        told = {
+        estimates = {
             name: np.array([row[1 + place] for row in maps]).reshape(-1, *sizes[name.replace("_sd", "")])
             for place, name in enumerate(OF_MAP)
         }
@@ -178,11 +178,11 @@ class TouchFold:
         on_grid = of_shear._replace(
             value=of_shear.value[:, None, None], relative_sd=of_shear.relative_sd[:, None, None]
         )
-        shear = on_grid.applied(told["shear_pa"], told["shear_sd_pa"])
-        pressure = normal_factor(self.gel).applied(told["pressure_pa"], told["pressure_sd_pa"])
+        shear = on_grid.applied(estimates["shear_pa"], estimates["shear_sd_pa"])
+        pressure = normal_factor(self.gel).applied(estimates["pressure_pa"], estimates["pressure_sd_pa"])
         return {
             "map/slice": np.array([row[0] for row in maps], np.int64),
-            "map/patch": told["patch"].astype(np.uint8),
+            "map/patch": estimates["patch"].astype(np.uint8),
             **{
                 f"map/{name}": field.astype(np.float32)
                 for name, field in zip(OF_MAP[1:], (*shear, *pressure), strict=True)
@@ -212,21 +212,21 @@ def slices_of(gel: GelWeights, tracks: StageFile) -> Slices:
     """Return the forces over modulus in all slices of a tracks file, without a reference and without maps."""
     state = of_tracks(gel, tracks)
     slices = tracks.length("dot_xy_px")
-    told = {name: np.empty((slices, 2) if name in PAIRS else slices) for name in (*SUMS, "touches")}
+    estimates = {name: np.empty((slices, 2) if name in PAIRS else slices) for name in (*SUMS, "touches")}
 
     for first, stop in row_blocks(slices):
         for number, (dot_mm, lost) in enumerate(_slices(tracks, gel.mm_per_px, first, stop), start=first):
             reading = touch_map.step(state, dot_mm, lost)
-            for name, values in told.items():
+            for name, values in estimates.items():
                 values[number] = getattr(reading, name)
-    return _over_modulus(gel, told)
+    return _over_modulus(gel, estimates)
 
 
-def _over_modulus(gel: GelWeights, told: Columns) -> Slices:
+def _over_modulus(gel: GelWeights, estimates: Columns) -> Slices:
     """Return the forces of readings over the modulus with which their map was made."""
     mpa = gel.modulus_pa * 1e-6
-    shear, shear_sd, normal, normal_sd = (told[name] / mpa for name in SUMS[:4])
-    return Slices(shear, shear_sd, normal, normal_sd, np.asarray(told["touches"], np.bool_))
+    shear, shear_sd, normal, normal_sd = (estimates[name] / mpa for name in SUMS[:4])
+    return Slices(shear, shear_sd, normal, normal_sd, np.asarray(estimates["touches"], np.bool_))
 
 
 def forces_of(

@@ -174,10 +174,10 @@ def _with_objects(files: list[Path], params: Train) -> list[Path]:
     if not params.objects or not files:
         return files
     wanted = {str(number) for number in numbers(params.objects)}
-    chosen = [file for file in files if object_name(header_of(file, "features")) in wanted]
-    if not chosen:
+    selected_files = [file for file in files if object_name(header_of(file, "features")) in wanted]
+    if not selected_files:
         raise InputError("there are no features of these objects", where="--object", found=params.objects)
-    return chosen
+    return selected_files
 
 
 class TrainedModel(NamedTuple):
@@ -205,14 +205,14 @@ def _settings(params: Train) -> tuple[Settings, TrainedModel | None]:
                     expected=f"{value}, as in the model, or left out" if value else "left out",
                     found=str(getattr(params, name)),
                 )
-    given = {name: getattr(params, name) for name in Settings._fields}
-    if params.patience is not None and (params.folds or (given["networks"] or usual.networks) > 1):
+    values = {name: getattr(params, name) for name in Settings._fields}
+    if params.patience is not None and (params.folds or (values["networks"] or usual.networks) > 1):
         raise InputError(
             "needs a model of one network, without --folds: several networks would stop at different steps",
             where="--patience",
             found=str(params.patience),
         )
-    return usual._replace(**{name: value for name, value in given.items() if value is not None}), trained
+    return usual._replace(**{name: value for name, value in values.items() if value is not None}), trained
 
 
 def _to_adapt(path: Path) -> tuple[Settings, TrainedModel]:

@@ -71,12 +71,12 @@ def course(model: StageFile) -> str:
         for step, loss in zip(model.read("curve/step").tolist(), model.read("curve/loss").tolist(), strict=True):
             rows.setdefault(step, {})["loss"] = loss
     if model.has("checkpoint/step"):
-        chosen = int(model.read("checkpoint/chosen"))
+        chosen_number = int(model.read("checkpoint/chosen"))
         figures = zip(
             *(model.read(f"checkpoint/{name}").tolist() for name in ("step", "score", "threshold")), strict=True
         )
         for number, (step, score, threshold) in enumerate(figures):
-            row = {"validation_score": score, "threshold": threshold, "chosen": int(number == chosen)}
+            row = {"validation_score": score, "threshold": threshold, "chosen": int(number == chosen_number)}
             rows.setdefault(step, {}).update(row)
     text = io.StringIO()
     writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")

@@ -57,9 +57,9 @@ class Networks:
         """The training preset of all networks."""
         from evetac_cli.kernels.slip import training
 
-        chosen = self.recipe.parameters
-        preset = training.PRESETS[chosen["preset"]] if self.start is None else training.ADAPT
-        return training.with_true_slip_share(preset) if chosen["learn_true_slip_share"] else preset
+        parameters = self.recipe.parameters
+        preset = training.PRESETS[parameters["preset"]] if self.start is None else training.ADAPT
+        return training.with_true_slip_share(preset) if parameters["learn_true_slip_share"] else preset
 
     def train(self, number: int, progress: Progress) -> tuple["SlipTraining", int | None]:
         """Train a network, or continue from its saved state; return the result and the step of that state.
@@ -69,8 +69,8 @@ class Networks:
         """
         from evetac_cli.kernels.slip import training
 
-        chosen, place = self.recipe.parameters, plan.state_file(self.model, number, self.count)
-        start = None if self.start is None else self.start[number % chosen["networks"]]
+        parameters, place = self.recipe.parameters, plan.state_file(self.model, number, self.count)
+        start = None if self.start is None else self.start[number % parameters["networks"]]
         preset = self.preset
         saved = _read(place, self.recipe)
         if saved is not None and (whole := training.ended(preset, saved)) is not None:
@@ -83,22 +83,22 @@ class Networks:
                 _write(place, self.recipe, state())
                 written = time.monotonic()
 
-        seed = chosen["seed"]
+        seed = parameters["seed"]
         log = None if self.log is None else self.log / f"network{number + 1}"
         with for_tensorboard(log, simulated=self.recipe.simulated) as on_point:
             result = training.train(
-                self._groups_of(number // chosen["networks"], progress),
+                self._groups_of(number // parameters["networks"], progress),
                 preset,
                 # (0, 0) would be the same as 0, since numpy pads the words of a seed with zeros.
                 np.random.default_rng(seed if number == self.count - 1 else (seed, number + 1)),
                 training.TrainingLimits(
-                    chosen["epochs"],
-                    chosen["max_steps"],
-                    self._validation(progress) if chosen.get("patience") else None,
-                    chosen.get("patience"),
+                    parameters["epochs"],
+                    parameters["max_steps"],
+                    self._validation(progress) if parameters.get("patience") else None,
+                    parameters.get("patience"),
                 ),
                 training.Hooks(lambda step, steps: progress(number * steps + step, self.count * steps), save, on_point),
-                device=chosen["device"],
+                device=parameters["device"],
                 resume_from=saved,
                 start=start,
             )
@@ -127,9 +127,9 @@ class Networks:
             progress(done, len(numbers), "labels read")
             sizes.append(Size(self.memory_bytes[number], self._pool_sizes(number)))
         # a different generator than those of the networks, which are seeded with its children
-        drawn = drawn_groups(sizes, plan.HELD_BYTES, np.random.default_rng(self.recipe.parameters["seed"]))
-        groups = [[numbers[index] for index in group] for group in drawn]
-        steps = [PoolSizes(*np.sum([sizes[index].samples for index in group], axis=0)).steps for group in drawn]
+        index_groups = drawn_groups(sizes, plan.HELD_BYTES, np.random.default_rng(self.recipe.parameters["seed"]))
+        groups = [[numbers[index] for index in group] for group in index_groups]
+        steps = [PoolSizes(*np.sum([sizes[index].samples for index in group], axis=0)).steps for group in index_groups]
         return SampleGroups(steps, lambda group: self._samples(groups[group], progress))
 
     def _validation(self, progress: Progress) -> SlipSamples:
@@ -141,22 +141,22 @@ class Networks:
         return sum(self.memory_bytes[number] for number in numbers)
 
     def _pool_sizes(self, number: int) -> PoolSizes:
-        chosen = self.recipe.parameters
-        return read_pool_sizes(self.inputs[number], named_architecture(chosen["model"]), chosen["horizon_ms"])
+        parameters = self.recipe.parameters
+        return read_pool_sizes(self.inputs[number], named_architecture(parameters["model"]), parameters["horizon_ms"])
 
     def _samples(self, numbers: Sequence[int], progress: Progress) -> SlipSamples:
         """Return the samples of these inputs."""
-        chosen = self.recipe.parameters
-        architecture = named_architecture(chosen["model"])
+        parameters = self.recipe.parameters
+        architecture = named_architecture(parameters["model"])
 
         def trajectories() -> Iterator[Trajectory]:
             for done, number in enumerate(numbers):
                 progress(done, len(numbers), "files read")
                 yield read_trajectory(
-                    self.inputs[number], architecture, true_slip_share=chosen["learn_true_slip_share"]
+                    self.inputs[number], architecture, true_slip_share=parameters["learn_true_slip_share"]
                 )
 
-        return sampling.gather(trajectories(), architecture, *self.shape, chosen["horizon_ms"])
+        return sampling.gather(trajectories(), architecture, *self.shape, parameters["horizon_ms"])
 
 
 def _read(path: Path, recipe: Recipe) -> "TrainingState | None":

@@ -21,8 +21,8 @@ def series_bytes(file: StageFile, architecture: Architecture) -> int:
     if isinstance(architecture, ImageArchitecture):
         return 8 * file.length("image/start") + 5 * file.length("image/pixel") if file.has("image") else 0
     if isinstance(architecture, PluginImageArchitecture):
-        held = file.has("gel_events")
-        return 8 * file.length("gel_events/start") + 7 * file.length("gel_events/x") if held else 0
+        has_events = file.has("gel_events")
+        return 8 * file.length("gel_events/start") + 7 * file.length("gel_events/x") if has_events else 0
     slices, dots = file.contents()["displacement_px"][1]
     values = dots * (len(CHANNELS) if architecture.sees_direction else 2)
     return 4 * slices * (values + (len(EXTRAS) if architecture.extras else 0))

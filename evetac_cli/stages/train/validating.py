@@ -55,8 +55,8 @@ class Validated:
             for predictions, each in zip(checkpoints, calibrations, strict=True)
         ]
         choice = _of_calibrated(metrics.choose_threshold(checkpoints), calibrations)
-        chosen = calibrated[choice.checkpoint]
-        curve = warning_curve.of_predictions(chosen)
+        best_predictions = calibrated[choice.checkpoint]
+        curve = warning_curve.of_predictions(best_predictions)
         if per_min is not None and not curve.minutes:
             raise InputError(
                 "false alarms cannot be counted in the validation files",
@@ -67,9 +67,9 @@ class Validated:
             )
         if per_min is not None or (preset.calibrated and curve.minutes >= LEAST_MINUTES):
             threshold = curve.threshold_for(FALSE_ALARMS_PER_MIN if per_min is None else per_min)
-            detected_share, slip_share = metrics.shares(chosen, threshold)
+            detected_share, slip_share = metrics.shares(best_predictions, threshold)
             choice = choice._replace(threshold=threshold, detected_share=detected_share, slip_share=slip_share)
-        return cls(choice, curve, calibrations, chosen)
+        return cls(choice, curve, calibrations, best_predictions)
 
     def arrays(self, which: str) -> dict[str, Any]:
         """Return datasets for the model file; which: description of the validation trajectories."""

@@ -307,12 +307,12 @@ class CheckedHdf5:
             return
         text = kind.get_class() == h5t.STRING
         if not text and kind.get_class() not in (h5t.INTEGER, h5t.FLOAT):
-            held = h5py.Dataset(item).dtype
+            dtype = h5py.Dataset(item).dtype
             raise InputError(
                 f"{name} has an unsupported type",
                 where=self.where,
                 expected="plain numbers, or one text",
-                found=str(held)[:200],
+                found=str(dtype)[:200],
             )
         if text and kind.is_variable_str() and (shape != () or item.get_offset() is None):
             self._refuse(f"{name} has an unsupported type", "a list of texts")

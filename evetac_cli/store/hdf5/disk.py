@@ -105,7 +105,7 @@ def taking_the_place_of(path: Path, ending: str = "") -> Iterator[Path]:
             what = "a folder" if stat.S_ISDIR(kind) else "a device, a pipe or a socket"
             raise InputError(f"cannot be written: it is {what}, which is not replaced", where=str(path))
     temporary = temporary_name(path, ending)
-    made = missing_folders(path.parent)
+    new_folders = missing_folders(path.parent)
     try:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -116,7 +116,7 @@ def taking_the_place_of(path: Path, ending: str = "") -> Iterator[Path]:
     except KeyboardInterrupt:  # folders are removed only here: after an error, another job may be about to write there
         with suppress(OSError):
             temporary.unlink()
-        remove_empty(made)
+        remove_empty(new_folders)
         raise
     except OSError as error:
         raise InputError(f"cannot be written: {error.strerror or error}", where=str(path)) from error
@@ -165,12 +165,12 @@ def utf8_path(path: Path) -> Iterator[Path]:
         yield path
         return
     is_there = path.exists()
-    held = os.open(path if is_there else path.parent, os.O_PATH | os.O_CLOEXEC)
+    descriptor = os.open(path if is_there else path.parent, os.O_PATH | os.O_CLOEXEC)
     try:
-        place = Path(f"/proc/self/fd/{held}")
+        place = Path(f"/proc/self/fd/{descriptor}")
         yield place if is_there else place / path.name
     finally:
-        os.close(held)
+        os.close(descriptor)
 
 
 def _started(process: int | str) -> str:

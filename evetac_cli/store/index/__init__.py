@@ -52,8 +52,8 @@ class Index(NamedTuple):
 
     def rows(self, where: str = "1", values: Sequence[Any] = ()) -> list[IndexRow]:
         """Return the rows that satisfy an SQL condition, sorted by their paths."""
-        chosen = self.table.execute(f"{table.SELECT} WHERE {where} ORDER BY path", values)
-        return sorted(IndexRow(table.name_of(path), *more) for path, *more in chosen)
+        selected_rows = self.table.execute(f"{table.SELECT} WHERE {where} ORDER BY path", values)
+        return sorted(IndexRow(table.name_of(path), *more) for path, *more in selected_rows)
 
 
 def foreign_note(index: Index) -> str:
@@ -101,8 +101,8 @@ def open_index(
         removed.clear()
         kept_s = time.monotonic()
 
-    def take(made: Sequence[IndexRow]) -> None:
-        for row in made:
+    def take(new_rows: Sequence[IndexRow]) -> None:
+        for row in new_rows:
             rows[row.path] = row
             if lies.rows is None or lies.rows.get(row.path) != row:
                 waiting.append(row)

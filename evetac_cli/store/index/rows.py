@@ -117,8 +117,8 @@ def _dots(file: Any) -> dict[str, Any]:
 
 def scene_words(parameters: Mapping[str, Any], key: str) -> str | None:
     """Return the `name` or `summary` of the scene from a recording's parameters; None if there is no such text."""
-    named = parameters.get("scene")
-    words = named.get(key) if isinstance(named, dict) else None
+    scene = parameters.get("scene")
+    words = scene.get(key) if isinstance(scene, dict) else None
     return words if isinstance(words, str) else None
 
 

@@ -168,9 +168,9 @@ class IndexTable:
 
 def _sql(table: sqlite3.Connection) -> str | None:
     """Return the SQL statement of the table `files`, if there is nothing else."""
-    made = table.execute("SELECT type, name, sql FROM sqlite_master LIMIT 2").fetchall()
-    is_one = len(made) == 1 and made[0][:2] == ("table", "files") and isinstance(made[0][2], str)
-    return made[0][2] if is_one else None
+    entries = table.execute("SELECT type, name, sql FROM sqlite_master LIMIT 2").fetchall()
+    is_one = len(entries) == 1 and entries[0][:2] == ("table", "files") and isinstance(entries[0][2], str)
+    return entries[0][2] if is_one else None
 
 
 def _format(table: sqlite3.Connection) -> Any:

@@ -161,9 +161,9 @@ def _array_fault(file: Contents, row: Dataset, array: NDArray[Any], first: int) 
     if limits.above is not None and not (array > limits.above).all():
         return f"more than {limits.above:g}", _first_wrong(~(array > limits.above), array, first)
     if limits.one_of:
-        known = np.logical_or.reduce([array == value for value in limits.one_of])
-        if not known.all():
-            return f"one of {', '.join(map(str, limits.one_of))}", _first_wrong(~known, array, first)
+        is_allowed = np.logical_or.reduce([array == value for value in limits.one_of])
+        if not is_allowed.all():
+            return f"one of {', '.join(map(str, limits.one_of))}", _first_wrong(~is_allowed, array, first)
     if limits.increasing:
         flat = array.ravel()
         back = flat[1:] <= flat[:-1] if limits.increasing == "strictly" else flat[1:] < flat[:-1]

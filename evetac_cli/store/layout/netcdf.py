@@ -79,9 +79,9 @@ def _describe_column(h5: h5py.File, column: Any, group: str, described_in: str) 
 @functools.lru_cache(maxsize=1000)
 def is_place(kind: str, path: str) -> bool:
     """Whether a file of this kind may have a dimension at a path."""
-    known = dimension_paths(kind).values()
-    patterns = [re.escape(place).replace(r"\*", "[^/]+") for place in known if "*" in place]
-    return path in known or any(re.fullmatch(pattern, path) for pattern in patterns) or _of_open_shape(kind, path)
+    places = dimension_paths(kind).values()
+    patterns = [re.escape(place).replace(r"\*", "[^/]+") for place in places if "*" in place]
+    return path in places or any(re.fullmatch(pattern, path) for pattern in patterns) or _of_open_shape(kind, path)
 
 
 @functools.lru_cache(maxsize=1000)
@@ -155,9 +155,9 @@ def _history(header: Header) -> Iterator[str]:
         yield f"{len(ancestors) - MOST_ANCESTORS} more files, listed in the attribute header"
     for id_, ancestor in ancestors[-MOST_ANCESTORS:]:
         yield f"{ancestor['kind']} {id_[:12]}, method {ancestor['method']}"
-    made = header.get("made", {})
+    origin = header.get("made", {})
     yield (
-        f"{made.get('at', '')} evetac {made.get('evetac', '')}: "
+        f"{origin.get('at', '')} evetac {origin.get('evetac', '')}: "
         f"{header['kind']} {header['id'][:12]}, method {header['method']}"
     )
 

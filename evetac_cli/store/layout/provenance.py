@@ -91,7 +91,7 @@ class Recipe:
             "id": self.id,
             "simulated": self.simulated,
             "history": history,
-            "made": made(),
+            "made": time_host_versions(),
         }
 
     def carried(self) -> "Recipe":
@@ -116,8 +116,8 @@ def folded(header: Header) -> Header:
     places: dict[str, int] = {}
     history = {}
     for id_, ancestor in sorted(header["history"].items()):
-        known = {name: canonical(value) for name, value in ancestor["parameters"].items()}
-        shared = {name: places.setdefault(text, len(places)) for name, text in known.items() if text in texts}
+        text_by_name = {name: canonical(value) for name, value in ancestor["parameters"].items()}
+        shared = {name: places.setdefault(text, len(places)) for name, text in text_by_name.items() if text in texts}
         own = {name: value for name, value in ancestor["parameters"].items() if name not in shared}
         history[id_] = {**ancestor, "parameters": own, "shared": shared} if shared else ancestor
     return {**header, "history": history, "shared": [json.loads(text) for text in places]} if places else header
@@ -167,7 +167,7 @@ def identity_fault(header: Header) -> str:
     return f"the history lacks the parents {', '.join(missing)}" if missing else ""
 
 
-def made() -> dict[str, str]:
+def time_host_versions() -> dict[str, str]:
     """Return time, host and versions, also of plug-ins, which are stored but not part of the id."""
     return {
         **plugins.used(),  # first, so that no package replaces an entry below

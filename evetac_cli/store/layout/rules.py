@@ -108,11 +108,11 @@ def _stream_shapes(shapes: Shapes) -> Iterator[Fault]:
     for path, (_, shape) in shapes.items():
         if not path.startswith(f"{streams.GROUP}/"):
             continue
-        _, *named = path.split("/")
-        wrong = [name for name in named if not streams.NAME.fullmatch(name)]
-        if wrong or len(named) != 2 or named[1] in streams.TAKEN[3:]:
+        _, *parts = path.split("/")
+        wrong = [name for name in parts if not streams.NAME.fullmatch(name)]
+        if wrong or len(parts) != 2 or parts[1] in streams.TAKEN[3:]:
             yield path, f"streams/NAME/COLUMN, in letters, digits, _ . and -, not {', '.join(streams.TAKEN[3:])}", path
-        if named[-1] == "frames" and (
+        if parts[-1] == "frames" and (
             shape[3] not in (1, 3) or not all(0 < side <= streams.LARGEST_FRAME_PX for side in shape[1:3])
         ):
             most = streams.LARGEST_FRAME_PX
@@ -230,6 +230,6 @@ def named_architecture(name: str) -> Architecture:
     architecture = ARCHITECTURES.get(name) or of_plugin
     if architecture is None:
         others = plugins.usable(plugins.NETWORKS)
-        known = ", ".join((*ARCHITECTURES, *others))
-        raise ValueError(f"one of {known}; if it is from a plug-in, install that")
+        names = ", ".join((*ARCHITECTURES, *others))
+        raise ValueError(f"one of {names}; if it is from a plug-in, install that")
     return architecture

@@ -106,11 +106,11 @@ class Schema:
 
     def find(self, path: str) -> Dataset | None:
         """Return the row that describes a path; None if there is none."""
-        named = self._named.get(path)
-        return named or next((row for row in self.datasets if "*" in row.path and row.describes(path)), None)
+        dataset = self._by_path.get(path)
+        return dataset or next((row for row in self.datasets if "*" in row.path and row.describes(path)), None)
 
     @functools.cached_property
-    def _named(self) -> dict[str, Dataset]:
+    def _by_path(self) -> dict[str, Dataset]:
         """Rows with a fixed path, by path; most rows have one, and a file needs thousands of look-ups."""
         return {row.path: row for row in self.datasets if "*" not in row.path}
 
@@ -136,10 +136,10 @@ def load(kind: str) -> Schema:
 
 
 def _limits(row: Mapping[str, Any]) -> Limits:
-    given: dict[str, Any] = {name: row[name] for name in Limits.__dataclass_fields__ if name in row}
-    if "one_of" in given:
-        given["one_of"] = tuple(given["one_of"])
-    return Limits(**given)
+    values: dict[str, Any] = {name: row[name] for name in Limits.__dataclass_fields__ if name in row}
+    if "one_of" in values:
+        values["one_of"] = tuple(values["one_of"])
+    return Limits(**values)
 
 
 def problems(schema: Schema, stored: Mapping[str, tuple[str, tuple[int, ...]]]) -> list[str]:

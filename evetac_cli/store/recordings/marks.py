@@ -42,8 +42,8 @@ def mark_row(t_us: int, text: str) -> Mapping[str, Any]:
 
 def in_words(marks: Sequence[Mark]) -> str:
     """Return a description of the first SHOWN marks with their times; empty without marks."""
-    said = [f"{mark.text} at {mark.t_us * 1e-6:.3f} s" for mark in marks[:SHOWN]]
-    return "; ".join([*said, *([f"{len(marks) - SHOWN} more"] if len(marks) > SHOWN else [])])
+    texts = [f"{mark.text} at {mark.t_us * 1e-6:.3f} s" for mark in marks[:SHOWN]]
+    return "; ".join([*texts, *([f"{len(marks) - SHOWN} more"] if len(marks) > SHOWN else [])])
 
 
 def marks_of(recording: _Datasets) -> list[Mark]:

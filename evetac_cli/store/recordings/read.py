@@ -246,12 +246,12 @@ class Recording(StageFile):
         begin, end = np.searchsorted(self.starts, (first, last - 1), side="right")
         edges = np.clip(self.starts[begin - 1 : end + 1], first, last) - first
         slices = np.arange(begin - 1, end)
-        held = edges[1:] > edges[:-1]
-        earliest, latest = t[edges[:-1][held]], t[edges[1:][held] - 1]
-        wrong = (earliest < slices[held] * SLICE_US) | (latest >= (slices[held] + 1) * SLICE_US)
+        has_events = edges[1:] > edges[:-1]
+        earliest, latest = t[edges[:-1][has_events]], t[edges[1:][has_events] - 1]
+        wrong = (earliest < slices[has_events] * SLICE_US) | (latest >= (slices[has_events] + 1) * SLICE_US)
         if wrong.any():
             index = int(np.argmax(wrong))
-            slice_ = int(slices[held][index])
+            slice_ = int(slices[has_events][index])
             raise SchemaError(
                 "ms_to_idx does not fit events/t",
                 where=str(self.path),
@@ -291,8 +291,8 @@ def ramp_start(recording: Recording) -> int:
     if not recording.has("gripper"):
         return 0
     target_ma = recording.read("gripper/current_target_ma")
-    held = np.isfinite(target_ma[:-1])  # NaN in position mode
-    changed = np.flatnonzero(held & (target_ma[1:] != target_ma[:-1]))
+    in_current_mode = np.isfinite(target_ma[:-1])  # NaN in position mode
+    changed = np.flatnonzero(in_current_mode & (target_ma[1:] != target_ma[:-1]))
     return int(recording.read("gripper/t_us")[changed[0] + 1] // SLICE_US) if len(changed) else 0
 
 

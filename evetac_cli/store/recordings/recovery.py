@@ -63,7 +63,7 @@ def check_folder(path: Path) -> None:
 
 
 @contextmanager
-def held(folder: Path) -> Iterator[None]:
+def lock_folder(folder: Path) -> Iterator[None]:
     """Lock the folder against recorders; InputError if one is using it."""
     check_folder(folder)
     try:
@@ -129,13 +129,13 @@ def read_leftover(folder: Path) -> Leftover:
 
 def _known_at_end(path: Path) -> dict[str, Any]:
     """Return the datasets from the end of a recording that is to be joined later; empty if they cannot be read."""
-    known = schema.load("recording")
+    recording_schema = schema.load("recording")
     late: dict[str, Any] = {}
     try:
         with _opened(path) as file:
             for name, dataset in file.datasets().items():
                 _check_bytes(file, name, dataset)
-                if known.find(name) is None:
+                if recording_schema.find(name) is None:
                     raise ValueError(f"{name} is unknown")
                 is_text = schema.describe_stored(dataset) == "utf8"
                 late[name] = file.text(name, dataset) if is_text else dataset[()]
@@ -192,26 +192,28 @@ def _known_at_start(folder: Path) -> tuple[Recipe, tuple[int, int]]:
                 where=str(folder),
                 hint=PLAIN,
             )
-        known = schema.load("recording")
-        unknown = [name for name in datasets if known.find(name) is None]
+        recording_schema = schema.load("recording")
+        unknown = [name for name in datasets if recording_schema.find(name) is None]
         if unknown:
             raise InputError(
                 "recorded by another version of evetac and cannot be joined",
                 where=str(folder),
-                expected=f"datasets of recording version {known.version}",
+                expected=f"datasets of recording version {recording_schema.version}",
                 found=", ".join(unknown)[:200],
                 hint=PLAIN,
             )
         if len(frame) != 2 or not all(1 <= size <= LARGEST_PX for size in frame):
             raise ValueError(f"sensor/frame_px is {frame or 'missing'}")
         recipe = parse_json(text, most_values=math.inf, whole_bits=SEED_BITS)
-        made = Recipe(**{**recipe, "parents": tuple(recipe["parents"])})
-        if made.kind != "recording" or made.header()["kind"] != "recording":  # also checks that a header can be made
-            raise ValueError(f"the recipe is of another kind, {str(made.kind)[:60]!r}")
+        start_recipe = Recipe(**{**recipe, "parents": tuple(recipe["parents"])})
+        if (
+            start_recipe.kind != "recording" or start_recipe.header()["kind"] != "recording"
+        ):  # also checks that a header can be made
+            raise ValueError(f"the recipe is of another kind, {str(start_recipe.kind)[:60]!r}")
     except (*DAMAGE, AttributeError) as error:
         message = f"the data from the start of the recording cannot be read: {error}"
         raise InputError(message, where=str(path), hint=PLAIN) from None
-    return made, (frame[0], frame[1])
+    return start_recipe, (frame[0], frame[1])
 
 
 @contextmanager

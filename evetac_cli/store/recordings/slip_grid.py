@@ -83,9 +83,9 @@ def resting_on(rows: Iterable[Mapping[str, Any]], name: str = "file") -> list[st
     coarse = [row for row in rows if is_unresolved(row.get(COLUMN))]
     if not coarse:
         return []
-    named = ", ".join(f"{row[name]} {row[COLUMN]:.1f}" for row in coarse[:MOST_NAMED])
-    named += f" and {len(coarse) - MOST_NAMED} more" if len(coarse) > MOST_NAMED else ""
-    which = f"{len(coarse)} recording{'s' if len(coarse) > 1 else ''} ({named}; half its wavelength should span"
+    examples = ", ".join(f"{row[name]} {row[COLUMN]:.1f}" for row in coarse[:MOST_NAMED])
+    examples += f" and {len(coarse) - MOST_NAMED} more" if len(coarse) > MOST_NAMED else ""
+    which = f"{len(coarse)} recording{'s' if len(coarse) > 1 else ''} ({examples}; half its wavelength should span"
     return [
         f"The gel's nodes do not resolve the slip of {which} {FEWEST_NODES} nodes): their onsets depend on the grid."
         " Record them with a finer --node-pitch-mm."

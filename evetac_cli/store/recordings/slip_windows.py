@@ -53,15 +53,15 @@ class SlipWindows:
     ) -> None:
         self.paths, self.history, self.after_onset = [Path(path) for path in paths], history, after_onset
         self.memory_gb = memory_gb
-        self._held: OrderedDict[int, NDArray[np.float32]] = OrderedDict()  # by file, the last used at the end
-        self._held_bytes = 0
+        self._cache: OrderedDict[int, NDArray[np.float32]] = OrderedDict()  # by file, the last used at the end
+        self._cached_bytes = 0
         self._spans: list[_Span] = []  # one per file
         # for each window: its file, its slice there, its label
         index: list[NDArray[np.int32]] = [np.empty((0, 3), np.int32)]
         for number, path in enumerate(self.paths):
             with StageFile(path, "features") as file:
                 index.append(self._windows_of(number, file))
-                if self._held_bytes + self._spans[number].memory_bytes <= self._most_bytes:
+                if self._cached_bytes + self._spans[number].memory_bytes <= self._most_bytes:
                     self._hold(number, file)
         self._index = np.concatenate(index)
 
@@ -87,18 +87,18 @@ class SlipWindows:
     def _hold(self, number: int, file: StageFile) -> NDArray[np.float32]:
         """Read distances and event counts of a file, (slices, 2, dots), and drop files that were used longest ago."""
         first, stop, _ = span = self._spans[number]
-        while self._held and self._held_bytes + span.memory_bytes > self._most_bytes:
-            other, _ = self._held.popitem(last=False)
-            self._held_bytes -= self._spans[other].memory_bytes
+        while self._cache and self._cached_bytes + span.memory_bytes > self._most_bytes:
+            other, _ = self._cache.popitem(last=False)
+            self._cached_bytes -= self._spans[other].memory_bytes
         columns = [file.read(name, first, stop) for name in ("displacement_px", "events_per_dot")]
-        self._held[number] = values = np.stack(columns, axis=1, dtype=np.float32)
-        self._held_bytes += span.memory_bytes
+        self._cache[number] = values = np.stack(columns, axis=1, dtype=np.float32)
+        self._cached_bytes += span.memory_bytes
         return values
 
     def _values(self, number: int) -> NDArray[np.float32]:
-        if number in self._held:
-            self._held.move_to_end(number)
-            return self._held[number]
+        if number in self._cache:
+            self._cache.move_to_end(number)
+            return self._cache[number]
         with StageFile(self.paths[number], "features") as file:
             return self._hold(number, file)
 

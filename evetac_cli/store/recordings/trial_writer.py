@@ -71,10 +71,10 @@ def slice_starts_of(counts: NDArray[np.int64]) -> NDArray[np.int64]:
 class TrialWriter:
     """Appends slices and rows; `path` is written only by `finish`, and nothing is left without it."""
 
-    def __init__(self, path: Path, known: Mapping[str, Any]) -> None:
-        """known: the datasets that are known beforehand (sensor/..., t_offset)."""
+    def __init__(self, path: Path, initial: Mapping[str, Any]) -> None:
+        """initial: the datasets that are known beforehand (sensor/..., t_offset)."""
         self.path, self.blocks = path, 0  # number of blocks written
-        self._known = known
+        self._initial = initial
         self._buffer = TrialBuffer()
         self._counts: list[NDArray[np.int64]] = []
         self._stack = ExitStack()
@@ -108,7 +108,7 @@ class TrialWriter:
         columns = self._buffer.columns()
         if self._file is None:
             lengths = {name: len(rows) for name, rows in columns.items()} if is_last else {}
-            self._file = self._stack.enter_context(writing(self.path, "recording", self._known, lengths))
+            self._file = self._stack.enter_context(writing(self.path, "recording", self._initial, lengths))
         self._file.append(columns)
         self._counts.append(self._buffer.counts())
         self._buffer = TrialBuffer()

@@ -218,7 +218,7 @@ def test_small_files_stay_small(tmp_path: Path) -> None:
 
 def test_same_recipe_same_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that a file comes out the same, byte for byte, and that its id is that of its recipe alone."""
-    monkeypatch.setattr(provenance, "made", lambda: {"at": "2026-11-22T17:00:00Z", "evetac": "0.1.0"})
+    monkeypatch.setattr(provenance, "time_host_versions", lambda: {"at": "2026-11-22T17:00:00Z", "evetac": "0.1.0"})
     recipe = Recipe("labels", 1, {"threshold_px": 0.5}, seed=5)
     headers = [write_stage(tmp_path / name, recipe, labels()) for name in ("a.h5", "b.h5")]
     assert (tmp_path / "a.h5").read_bytes() == (tmp_path / "b.h5").read_bytes()

@@ -112,7 +112,9 @@ def test_what_is_no_json_has_no_id(value: object) -> None:
 def test_time_host_and_versions_are_no_part_of_the_id(monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that the id of a header stays the same when it is made elsewhere at another time."""
     here = BASE.header()
-    monkeypatch.setattr("evetac_cli.store.layout.provenance.made", lambda: {"at": "tomorrow", "host": "elsewhere"})
+    monkeypatch.setattr(
+        "evetac_cli.store.layout.provenance.time_host_versions", lambda: {"at": "tomorrow", "host": "elsewhere"}
+    )
     elsewhere = BASE.header()
     assert here["made"] != elsewhere["made"]
     assert here["id"] == elsewhere["id"] == BASE.id

@@ -182,12 +182,12 @@ def test_recording_without_a_recipe(tmp_path: Path) -> None:
 def test_recording_in_progress_is_left_alone(tmp_path: Path) -> None:
     """Assert that a folder that a recorder holds is not touched, nor one that does not exist made."""
     writer = RecordingWriter(tmp_path / "a.recording.h5", STATIC, recipe=RECIPE)
-    with pytest.raises(InputError, match="in progress"), recovery.held(writer.folder):
+    with pytest.raises(InputError, match="in progress"), recovery.lock_folder(writer.folder):
         pass
     writer._lock.close()  # as if it had been killed
-    with recovery.held(writer.folder):
+    with recovery.lock_folder(writer.folder):
         pass
-    with pytest.raises(InputError, match="no such file"), recovery.held(tmp_path / "b.recording.part"):
+    with pytest.raises(InputError, match="no such file"), recovery.lock_folder(tmp_path / "b.recording.part"):
         pass
     assert not (tmp_path / "b.recording.part").exists()
 

@@ -136,7 +136,7 @@ def test_shuffled_windows_read_each_file_once(
         for index in order:
             windows[index]
             epochs[-1].append(index)
-            assert len(windows._held) <= at_once
+            assert len(windows._cache) <= at_once
         assert sorted(epochs[-1]) == list(range(len(windows)))
         assert len(Opened.noted) == len(set(Opened.noted)) <= (0 if at_once == 5 else 5)
     assert epochs[0] != epochs[1]

@@ -13,7 +13,7 @@ from evetac_cli.formats.write.hub_card import NO_LICENSE, card_fields, card_text
 from evetac_cli.formats.write.lerobot.contents import FrameContents
 from evetac_cli.formats.write.lerobot.episodes import TRUTH, EpisodeOutline
 from evetac_cli.formats.write.lerobot.features import Feature
-from evetac_cli.store.layout.provenance import made
+from evetac_cli.store.layout.provenance import time_host_versions
 
 LONGEST_CELL = 80  # characters of a text that comes from a file
 
@@ -33,8 +33,8 @@ def data_card(
         "# Tactile data of an event camera behind a dotted gel" + (", simulated" if simulated == len(outlines) else ""),
         _origin(simulated, len(outlines)),
         f"{len(outlines)} episodes, {info['total_frames']} frames at {fps} frames per second, as a LeRobotDataset"
-        f" {info['codebase_version']}. Written by evetac {made()['evetac']}; meta/evetac.json has the provenance of"
-        " each episode's files: parameters, seeds, ids.",
+        f" {info['codebase_version']}. Written by evetac {time_host_versions()['evetac']}; meta/evetac.json has the"
+        " provenance of each episode's files: parameters, seeds, ids.",
         "## Contents of a frame",
         table(_frame(contents.features)),
         f"The sensor has {SLICES_PER_S} slices per second. Frame i has the slices from i * {SLICES_PER_S} / {fps} ms "
