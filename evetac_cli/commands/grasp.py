@@ -16,7 +16,7 @@ WITH_DEVICES = (Capability.GRASPED,)
 
 @dataclass(frozen=True)
 class Grasp(Devices, Trials):
-    """Lift an object with slip feedback: slip detection at 1000 Hz, gripper control at 500 Hz."""
+    """Lift an object with slip detection at 1000 Hz and gripper control at 500 Hz."""
 
     scene: str = parameter("lift", f"Scene: {', '.join(names.GRASPED_SCENES)}, or a TOML file.")
     objects: str = parameter(
