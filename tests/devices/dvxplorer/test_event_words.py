@@ -208,7 +208,7 @@ def test_encode_refuses_what_no_camera_sends() -> None:
         ({"y": np.array([480], np.uint16)}, "480"),
         ({"p": np.array([2], np.uint8)}, "2"),
         ({"t": np.array([-1])}, "found -1"),
-        ({"t": np.array([1, 2])}, "one length"),
+        ({"t": np.array([1, 2])}, "equal length"),
     ):
         with pytest.raises(ValueError, match=match):
             event_words.encode(one._replace(**wrong))

@@ -169,10 +169,10 @@ def test_a_failed_detector_is_told_from_a_failed_grasp(
     """Assert that a case that fails is tried with the true slip, unless it is its detector, and what that tells."""
     asked = []
 
-    def grasp_rows(case: GraspCase, controller: str, seed: int, *, told: bool = False) -> Rows:
-        asked.append(told)
-        measured = [(bounds.HELD, 0.0 if told and holds else 1.0), (bounds.MOVED, 1.0)]
-        return bounds.case_rows(case.name, "lost", measured, controller=controller + stability.WITH_TRUTH * told)
+    def grasp_rows(case: GraspCase, controller: str, seed: int, *, true_slip: bool = False) -> Rows:
+        asked.append(true_slip)
+        measured = [(bounds.HELD, 0.0 if true_slip and holds else 1.0), (bounds.MOVED, 1.0)]
+        return bounds.case_rows(case.name, "lost", measured, controller=controller + stability.WITH_TRUTH * true_slip)
 
     monkeypatch.setattr(stability, "grasp_rows", grasp_rows)
     rows = judged_rows(GraspCase("x", own_detector=own_detector), "paper", 0)

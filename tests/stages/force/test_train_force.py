@@ -182,7 +182,7 @@ def test_another_grid_is_refused(fits: Path, tmp_path: Path) -> None:
     """Assert that a cut gel's tracks do not fit a closed gel's model, in both commands."""
     cut = tracks_of_shear(tmp_path, 8, columns=8)
     model = fits / "events.force-model.h5"
-    refused(evaluate_force, [cut], EvaluateForce(model=str(model)), "another dot grid", tmp_path)
+    refused(evaluate_force, [cut], EvaluateForce(model=str(model)), "dot grid", tmp_path)
     refused(train_force, [fits / "trial0.tracks.h5", cut], FIT, "different dot grids", tmp_path)
 
 
