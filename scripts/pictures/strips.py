@@ -54,7 +54,7 @@ def strip(path: Path, out: Path) -> Path:
         seconds = np.arange(len(recording)) / SLICES_PER_S
         rate = figure.add_subplot(grid[1, :])
         rate.fill_between(seconds, np.maximum(np.diff(recording.starts), 1), 1, color=COOL, linewidth=0, step="mid")
-        rate.set_ylabel("events a ms")
+        rate.set_ylabel("events per ms")
         picture.log_axis(rate.yaxis)
         force = figure.add_subplot(grid[2, :], sharex=rate)
         if recording.has("truth"):
