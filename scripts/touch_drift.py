@@ -270,7 +270,7 @@ class Judge:
     def _add(
         self, at: str, name: str, dots: Floats, true_px: Floats, true_n: Floats, without: Flags | None = None
     ) -> Looks:
-        """Add a look at dots (n, 2), of which some may be left out."""
+        """Record the errors of estimated dot positions (n, 2) at one time; dots flagged by `without` are left out."""
         found, off = self.looks[at, name], dots - true_px
         if without is not None:
             off = np.where(without[:, None], np.nan, off)

@@ -264,8 +264,8 @@ class CheckedHdf5:
             if link.type != h5l.TYPE_HARD:
                 return InputError(f"`{name}` is a link", where=self.where, expected=ITSELF)
             if link.u in seen or raw in names:  # also a name that contains a slash
-                message = f"`{name}` is a second name of another object in the file"
-                return self._fault(message, "one object, two names")
+                message = f"`{name}` is a hard link to another object in the file"
+                return self._fault(message, "one object with two names")
             if name.count("/") > MOST_GROUPS_DEEP:
                 return self._fault("its groups are nested too deeply", f"more than {MOST_GROUPS_DEEP} levels")
             seen.add(link.u)
