@@ -155,7 +155,7 @@ def test_figures_of_the_paper_are_marked(path: Path) -> None:
 
 
 # A comment above a paragraph names figures that it quotes: a table of docs/results, what selects its row, the field.
-QUOTED = re.compile(r"<!-- figure ([\w-]+) ({.*?}) (\w+)(:\S+)? -->")
+QUOTED = re.compile(r"<!-- figure ([\w-]+) ({.*?}) (\w+)(?::(\S+))? -->")
 
 
 @pytest.mark.parametrize("name", PAGES)
@@ -166,7 +166,7 @@ def test_figures_quoted_in_sentences_are_those_of_results(name: str) -> None:
         for table, selected, field, form in QUOTED.findall(marks):
             rows = json.loads((ROOT / "docs" / "results" / f"{table}.json").read_text())["rows"]
             (row,) = [row for row in rows if json.loads(selected).items() <= row.items()]
-            assert re.search(rf"(?<![\d.]){re.escape(format(row[field], form[1:]))}(?![\d])", paragraph), (table, field)
+            assert re.search(rf"(?<![\d.]){re.escape(format(row[field], form))}(?![\d])", paragraph), (table, field)
 
 
 def test_some_sentences_name_their_figures() -> None:
