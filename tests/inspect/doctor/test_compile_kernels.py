@@ -40,7 +40,7 @@ SMALLER = {
 
 
 def readme_commands() -> list[list[str]]:
-    """Commands of README's pipeline, with fewer trials and epochs, and in one process, where all of it is counted."""
+    """Commands of README, in one process, where all of it is counted."""
     lines = [line for line in (PACKAGE.parent / "README.md").read_text().splitlines() if line.startswith("evetac ")]
     for long, short in SMALLER.items():
         lines = [re.sub(long, short, line) for line in lines]
@@ -74,7 +74,7 @@ def test_after_it_no_command_compiles(tmp_path: Path) -> None:
     for name, commands in (("readme", readme_commands()), ("demo", demo_commands())):
         folder = tmp_path / name
         folder.mkdir()
-        assert len(commands) > 8
+        assert len(commands) >= 5
         assert [(command, what) for command in commands if (what := compiled(command, folder)) != ["0"]] == []
 
 
