@@ -1,9 +1,9 @@
-"""Count the words and long sentences that make evetac's texts hard to read, list its messages, draw samples.
+"""Count hard words and long sentences in evetac's texts, list its messages, and draw random samples.
 
-    python scripts/docs/wording.py                         # a row per pattern, a column per kind of text
-    python scripts/docs/wording.py --list told             # where a pattern is found and not excused
+    python scripts/docs/wording.py                         # one row per pattern, one column per kind of text
+    python scripts/docs/wording.py --list told             # each use of a pattern that wording.toml does not list
     python scripts/docs/wording.py --messages              # every message of the program, file by file
-    python scripts/docs/wording.py --draw 10 --seed 43     # as many docs paragraphs, messages and docstrings at random
+    python scripts/docs/wording.py --draw 10 --seed 43     # ten paragraphs, messages and docstrings, drawn at random
     python scripts/docs/wording.py --root OTHER_CHECKOUT   # the same of another checkout
 
 There are five kinds of text:
@@ -13,7 +13,7 @@ There are five kinds of text:
 - `messages`: any other text of four words or more in the package, such as errors, notes and pages
 - `docstrings` and `comments`: those of the package, scripts and examples
 
-Code, tables of results and quoted flags are not read as prose.
+Code and descriptions of pictures are not counted.
 
 Some uses of a pattern are correct, such as "a cylinder stands upright". wording.toml next to this script lists
 them with the reason, and they are counted as `kept`. With --check the exit status is 1 if any other use is left.
@@ -35,9 +35,9 @@ from typing import NamedTuple
 ROOT = Path(__file__).resolve().parents[2]
 KEPT = Path(__file__).with_name("wording.toml")
 KINDS = ("docs", "help", "messages", "docstrings", "comments")
-MOST_WORDS = 35  # of a sentence
-DRAWN_WORDS = {"docs": 25, "messages": 8}  # of a text that --draw takes: no cell of a table, no label
-MESSAGE_WORDS = 4  # from so many words on a string of the package is a text that somebody reads
+MOST_WORDS = 35  # longer sentences are counted as `long`
+DRAWN_WORDS = {"docs": 25, "messages": 8}  # minimum length for --draw, to exclude table cells and labels
+MESSAGE_WORDS = 4  # minimum length of a string or table cell that is treated as prose
 UNIT = "second|millisecond|microsecond|minute|hour|day|ms|s|slice|trial|file|frame|pixel|dot|step|event|grasp|core|cell"
 VERBS = "(?:is|was|has|as|this|its|does|takes|makes|gives|uses|needs|holds|shows|writes|ends|follows|moves|unless)"
 PATTERNS = {
@@ -54,7 +54,7 @@ PATTERNS = {
 
 
 class Text(NamedTuple):
-    """A piece of prose: its kind, `file:line`, the heading or function that it belongs to, and its words."""
+    """A piece of prose. place: `file:line`; owner: the heading, function or class that contains it."""
 
     kind: str
     place: str
@@ -63,7 +63,7 @@ class Text(NamedTuple):
 
 
 def markdown_texts(path: Path, root: Path) -> Iterator[Text]:
-    """Paragraphs, list items and cells of words of a page; code blocks and comments left out."""
+    """Yield paragraphs, list items and table cells of a page, without code blocks and comments."""
     source = re.sub(r"^```.*?^```$", lambda found: "\n" * found[0].count("\n"), path.read_text(), flags=re.M | re.S)
     source = re.sub(r"<!--.*?-->", lambda found: "\n" * found[0].count("\n"), source, flags=re.S)
     heading, block, first = "", [], 0
@@ -84,7 +84,7 @@ def markdown_texts(path: Path, root: Path) -> Iterator[Text]:
 
 
 def _string(node: ast.expr) -> str | None:
-    """The text of a string or f-string, with {...} for what is put in; None for anything else."""
+    """Return the text of a string or f-string, with {...} for its values; None for any other expression."""
     if isinstance(node, ast.Constant) and isinstance(node.value, str):
         return node.value
     if isinstance(node, ast.JoinedStr):
@@ -93,7 +93,7 @@ def _string(node: ast.expr) -> str | None:
 
 
 def _strings(node: ast.AST, owner: str, is_help: bool) -> Iterator[tuple[int, str, bool, str]]:
-    """Line, owner, whether it is help, and text of every string below a node that is no docstring."""
+    """Yield line, owner, whether it is help, and text of every string below a node, except docstrings."""
     for child in ast.iter_child_nodes(node):
         text = _string(child) if isinstance(child, ast.expr) else None
         if isinstance(child, ast.Expr) and _string(child.value) is not None:
@@ -107,7 +107,7 @@ def _strings(node: ast.AST, owner: str, is_help: bool) -> Iterator[tuple[int, st
 
 
 def python_texts(path: Path, root: Path, with_messages: bool) -> Iterator[Text]:
-    """Docstrings, comments and, of the package, texts that the program prints."""
+    """Yield docstrings and comments of a module and, with_messages, the texts that it prints."""
     name, tree = path.relative_to(root), ast.parse(path.read_text())
     defines_flags = name.is_relative_to("evetac_cli/commands")
     for node in ast.walk(tree):
@@ -134,7 +134,7 @@ def python_texts(path: Path, root: Path, with_messages: bool) -> Iterator[Text]:
 
 
 def texts(root: Path) -> list[Text]:
-    """All texts of a checkout, in the order of its files."""
+    """Return all texts of a checkout, in the order of its files."""
     pages = [root / "README.md", root / "CONTRIBUTING.md", *sorted((root / "docs").glob("*.md"))]
     found = [text for page in pages for text in markdown_texts(page, root)]
     for folder in ("evetac_cli", "scripts", "examples"):
@@ -144,20 +144,20 @@ def texts(root: Path) -> list[Text]:
 
 
 def prose(words: str) -> str:
-    """A text without code, examples, links' targets and descriptions of pictures."""
+    """Return a text without code, examples, targets of links and descriptions of pictures."""
     words = re.sub(r"(?m)^\s*(?:>>>|\.\.\.).*$|^ {4,}\S.*$", "", words)
-    words = re.sub(r"!\[[^\]]*\]", "", re.sub(r"`[^`]*`", "CODE", words))  # nor what pictures are described as
+    words = re.sub(r"!\[[^\]]*\]", "", re.sub(r"`[^`]*`", "CODE", words))  # with descriptions of pictures removed
     return re.sub(r"\]\([^)]*\)", "]", words)
 
 
 def long_sentences(words: str) -> list[str]:
-    """Sentences of more than MOST_WORDS words; a colon or semicolon does not end one."""
+    """Return the sentences of more than MOST_WORDS words; a colon or semicolon does not end a sentence."""
     parts = re.split(r"(?<=[.!?])(?:\*\*)?\s+(?=[A-Z`\[\"(*])|\n\s*\n|\n\s*(?=[-*|] )", prose(words))
     return [" ".join(part.split()) for part in parts if len(re.findall(r"[\w'.-]+", part)) > MOST_WORDS]
 
 
 def occurrences(found: list[Text], pattern: str) -> Iterator[tuple[Text, str]]:
-    """Each text with a pattern, and the words about it."""
+    """Yield each use of a pattern: the text, and the words around the use."""
     for text in found:
         if pattern == "long":
             yield from ((text, sentence) for sentence in long_sentences(text.words))
@@ -168,7 +168,7 @@ def occurrences(found: list[Text], pattern: str) -> Iterator[tuple[Text, str]]:
 
 
 def reason(text: Text, pattern: str, context: str, kept: dict[str, dict[str, str]]) -> str:
-    """Why a use of a pattern may stay; empty where nothing says so."""
+    """Return the reason why a use of a pattern may stay; empty if wording.toml does not list it."""
     path = text.place.split(":")[0]
     return next(
         (why for what, why in kept.get(pattern, {}).items() if path.startswith(what) or re.search(what, context, re.I)),
@@ -177,38 +177,38 @@ def reason(text: Text, pattern: str, context: str, kept: dict[str, dict[str, str
 
 
 def main() -> int:
-    """Print what is asked for."""
+    """Print the counts, or the list that the flags request; return the exit status."""
     arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     arguments.add_argument("--root", type=Path, default=ROOT, help="checkout to read (default: this one)")
     arguments.add_argument("--list", choices=[*PATTERNS, "long"], help="print each place of a pattern that is not kept")
-    arguments.add_argument("--under", default="", help="only files whose path begins so, such as evetac_cli/sim")
+    arguments.add_argument("--under", default="", help="only files below this path, for example evetac_cli/sim")
     arguments.add_argument("--messages", action="store_true", help="print every message, file by file")
-    arguments.add_argument("--draw", type=int, metavar="N", help="print N paragraphs, messages and docstrings")
-    arguments.add_argument("--seed", type=int, default=0, help="of --draw (default: 0)")
+    arguments.add_argument("--draw", type=int, metavar="N", help="print N random paragraphs, messages and docstrings")
+    arguments.add_argument("--seed", type=int, default=0, help="seed of --draw (default: 0)")
     arguments.add_argument("--json", action="store_true", help="counts as one JSON object")
     arguments.add_argument(
-        "--check", action="store_true", help="exit status 1 where a use is left and not listed as kept"
+        "--check", action="store_true", help="exit status 1 if a use is left that wording.toml does not list"
     )
-    given = arguments.parse_args()
-    found = [text for text in texts(given.root) if text.place.startswith(given.under)]
+    options = arguments.parse_args()
+    found = [text for text in texts(options.root) if text.place.startswith(options.under)]
     kept = tomllib.loads(KEPT.read_text()) if KEPT.exists() else {}
-    if given.messages:
+    if options.messages:
         for text in found:
             if text.kind == "messages":
                 print(f"{text.place} {text.owner}: {' '.join(text.words.split())}")
         return 0
-    if given.draw:
-        generator = random.Random(given.seed)
+    if options.draw:
+        generator = random.Random(options.seed)
         for kind in ("docs", "messages", "docstrings"):
             long_enough = [
                 text for text in found if text.kind == kind and len(text.words.split()) >= DRAWN_WORDS.get(kind, 0)
             ]
-            for text in generator.sample(long_enough, given.draw):
+            for text in generator.sample(long_enough, options.draw):
                 print(f"\n[{kind}] {text.place} {text.owner}\n{text.words}")
         return 0
-    if given.list:
-        for text, context in occurrences(found, given.list):
-            if not reason(text, given.list, context, kept):
+    if options.list:
+        for text, context in occurrences(found, options.list):
+            if not reason(text, options.list, context, kept):
                 print(f"{text.place} [{text.kind}] {context}")
         return 0
     counts = {name: {kind: [0, 0] for kind in KINDS} for name in [*PATTERNS, "long"]}
@@ -216,13 +216,13 @@ def main() -> int:
         for text, context in occurrences(found, name):
             row[text.kind][bool(reason(text, name, context, kept))] += 1
     left = sum(cell[0] for row in counts.values() for cell in row.values())
-    if given.json:
+    if options.json:
         print(json.dumps({"texts": Counter(text.kind for text in found), "left, kept": counts}, indent=2))
     else:
         print(f"{'':14}" + "".join(f"{kind:>14}" for kind in KINDS) + "     left + kept")
         for name, row in counts.items():
             print(f"{name:14}" + "".join(f"{f'{row[kind][0]} + {row[kind][1]}':>14}" for kind in KINDS))
-    return int(given.check and left > 0)
+    return int(options.check and left > 0)
 
 
 if __name__ == "__main__":

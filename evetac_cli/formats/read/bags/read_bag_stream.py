@@ -93,8 +93,10 @@ def _of_topic(connections: list[Connection], topic: str, where: str) -> list[Con
     of_topic = [one for one in connections if one.topic == topic_name]
     if not of_topic:
         topics = ", ".join(others[:MOST_NAMED]) + (" ..." if len(others) > MOST_NAMED else "")
-        message = "the bag has no such topic" if topic else "the bag has several topics, and none was chosen"
-        message = message if others or topic else "the bag has no topic other than events"
+        message = "the bag has no such topic"
+        if not topic:
+            several = "the bag has several topics, and none was chosen"
+            message = several if others else "the bag has no topic other than events"
         hint = f"give it after the file, for example FILE:{others[0]}" if others else ""
         raise InputError(message, where=where, expected=topics or "a topic", found=topic, hint=hint)
     if len({one.msgtype for one in of_topic}) > 1:
