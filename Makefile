@@ -36,8 +36,8 @@ SAYING = awk '/(Downloading|Using cached) .*MB\)/ {sub(/^ +/, ""); print "  " $$
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup setup-all experiments demo strips slip-data slip-models slip-images slip-table true-slip-share \
-	paper-recipe ship tracking vibration data-rate force grasp-table part-effects \
+.PHONY: help setup setup-all experiments demo strips true-slip-share paper-recipe \
+	ship tracking vibration data-rate force grasp-table part-effects \
 	blind-identification force-sensors touch-cost mujoco-grasps lift-baseline results film test test-all test-lowest lerobot check lint types docs bench profile clean
 
 help:  ## list the targets
@@ -65,22 +65,10 @@ experiments: $(READY)  ## list the experiments with their sizes
 demo: $(READY)  ## all steps from touch to grasp on a simulated sensor, in one to four minutes; results in demo/ (SIZES, JOBS)
 	@$(REPRODUCE) --only $@
 
-slip-data: $(READY)  ## simulate slips for training and evaluation, in data/slip (SMALL, SIZES, JOBS, like all targets below)
+true-slip-share: $(READY)  ## measure the benefit of training on the true slipping share of the contact
 	@$(REPRODUCE) --only $@
 
-slip-models: $(READY)  ## ... train slip detectors on these slips
-	@$(REPRODUCE) --only $@
-
-slip-table: $(READY)  ## ... evaluate the slip detectors on unseen slips
-	@$(REPRODUCE) --only $@
-
-slip-images: $(READY)  ## ... train and evaluate slip detectors on event images, the slowest target
-	@$(REPRODUCE) --only $@
-
-true-slip-share: $(READY)  ## ... measure the benefit of training on the true slipping share of the contact
-	@$(REPRODUCE) --only $@
-
-paper-recipe: $(READY)  ## run the paper's recipe at full size, and with one change at a time
+paper-recipe: $(READY)  ## train and evaluate slip detectors by the paper's recipe, and with one change at a time
 	@$(REPRODUCE) --only $@
 
 ship: $(READY)  ## train the pretrained slip detector on many motions, sensors and objects, and put it into the package

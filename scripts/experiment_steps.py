@@ -48,139 +48,43 @@ def demo_evaluations(sizes: Sizes) -> dict[str, Command]:
     }
 
 
-SLIP: Sizes = {
-    "seed": 0,
-    "sensor": "evetac",
-    "tracker": "stable",
-    "known": "1-9",  # objects that detectors are trained on
-    "unseen": "10-17",  # unseen objects
-    "train": 12,  # trajectories per object, by role
-    "validate": 2,
-    "test": 10,
-    "seeds": 5,  # of training
-    "models": ("no-hist", "hist10", "events-only", "disp-only", "hist20", "down5", "fast-slow"),
-    "ours": ("disp-xy",),
-    "image_models": ("no-hist-img-6x6", "hist10-img-6x6"),
-    "horizon_ms": ("10", "20"),
-    "presets": ("adamw", "paper"),
-    "folds": 3,
-    "steps": 40_000,
-}
-SMALL_SLIP: Sizes = {
-    "known": "3,8",
-    "unseen": "11",
-    "train": 1,
-    "validate": 1,
-    "test": 1,
-    "seeds": 1,
-    "models": ("hist10", "fast-slow"),
-    "image_models": ("hist10-img-6x6",),
-    "horizon_ms": ("10",),
-    "folds": 2,
-    "steps": 200,
-}
-AHEAD = ("hist20", "fast-slow")  # models that are also trained to predict
-LABELS = "event-flow"
-
-
-def slip_data_steps(sizes: Sizes) -> Iterator[Command]:
-    roles = (("learn", "known", "train", 0), ("choose", "known", "validate", 500), ("known", "known", "test", 1000),
-             ("unseen", "unseen", "test", 1500))  # fmt: skip
-    for folder, objects, count, offset in roles:
-        yield evetac("record", "--scene", "slip", "--sensor", sizes["sensor"], "--object", sizes[objects],
-                     "--count", sizes[count], "--seed", sizes["seed"] + offset, "--out", folder)  # fmt: skip
-        yield evetac("label", f"{folder}/*.recording.h5")
-        yield evetac("track", f"{folder}/*.recording.h5", "--preset", sizes["tracker"])
-        yield evetac("featurize", f"{folder}/*.recording.h5", "--images")
-    yield evetac("label", "learn/*.recording.h5", "--method", "truth", "--out", "truth")
-    yield evetac("featurize", "learn/*.recording.h5", "--tracks", "learn", "--labels", "truth", "--out", "truth")
-
-
-def learn(sizes: Sizes, features: str, folder: str, seeds: int, preset: str, steps: int, *words: object) -> Command:
-    """Train one architecture with several seeds."""
-    return evetac("train", f"{features}/*.features.h5", *words, "--preset", preset, "--max-steps", steps,
-                  "--validate", "choose", "--seed", sizes["seed"], "--seeds", seeds,
-                  "--out", f"models/{folder}")  # fmt: skip
-
-
-def slip_model_steps(sizes: Sizes) -> Iterator[Command]:
-    seeds, adamw_steps = sizes["seeds"], min(sizes["steps"], 10_000)
-    for preset in sizes["presets"]:
-        ours = sizes["ours"] if preset == "adamw" else ()
-        steps = adamw_steps if preset == "adamw" else sizes["steps"]
-        for model in (*sizes["models"], *ours):
-            yield learn(sizes, "learn", preset, seeds, preset, steps, "--model", model)
-        for model in (*(name for name in sizes["models"] if name in AHEAD), *ours):
-            for horizon_ms in sizes["horizon_ms"]:
-                yield learn(sizes, "learn", f"{preset}-ahead", seeds, preset, steps,
-                            "--model", model, "--horizon-ms", horizon_ms)  # fmt: skip
-    fast_slow = ("--model", "fast-slow", "--horizon-ms", 10)
-    yield learn(sizes, "truth", "truth", seeds, "adamw", adamw_steps, *fast_slow)
-    if sizes["folds"]:
-        yield learn(sizes, "learn", "folds", seeds, "adamw", adamw_steps, *fast_slow, "--folds", sizes["folds"])
-
-
-def slip_image_steps(sizes: Sizes) -> Iterator[Command]:
-    """Train image baselines on images summed over 6 x 6 px, for a CPU, and hist10 for the same number of steps."""
-    steps = min(sizes["steps"], 3_000)
-    for model in ("hist10", *sizes["image_models"]):
-        yield learn(sizes, "learn", "images", sizes["seeds"], "adamw", steps, "--model", model)
-    for model in (name for name in sizes["image_models"] if name.startswith("hist10-img")):
-        for horizon_ms in sizes["horizon_ms"]:
-            yield learn(sizes, "learn", "images-ahead", sizes["seeds"], "adamw", steps,
-                        "--model", model, "--horizon-ms", horizon_ms)  # fmt: skip
-
-
-def slip_evaluations(sizes: Sizes) -> dict[str, Command]:
-    unseen = ("models/*/hist20*.model.h5", "models/*/fast-slow*.model.h5", "models/*/disp-xy*.model.h5")
-    known = ("models/paper/*.model.h5", "models/adamw/*.model.h5")
-    return {
-        "slip-training-objects": evetac("evaluate", "slip", "known/*.features.h5", "--model", *known),
-        "slip-unseen-objects": evetac("evaluate", "slip", "unseen/*.features.h5", "--model", *unseen),
-        "model-cost": evetac("evaluate", "cost", "model", "slip-unseen-objects.report.h5", "--model", *unseen),
-    }
-
-
-def slip_image_evaluations(sizes: Sizes) -> dict[str, Command]:
-    known, unseen = "models/images/*.model.h5", "models/images*/hist10-img*.model.h5"
-    return {
-        "slip-images-training-objects": evetac("evaluate", "slip", "known/*.features.h5", "--model", known),
-        "slip-images-unseen-objects": evetac("evaluate", "slip", "unseen/*.features.h5", "--model", unseen),
-        "image-model-cost": evetac("evaluate", "cost", "model", "slip-images-unseen-objects.report.h5",
-                                   "--model", unseen),
-    }  # fmt: skip
-
-
 def true_share_steps(sizes: Sizes) -> Iterator[Command]:
     """Run the same trainings on labels alone, and with the true slipping share of the contact in addition."""
-    roles = (("learn", "known", "train", 0), ("choose", "known", "validate", 500), ("unseen", "unseen", "test", 1500))
-    for folder, objects, count, offset in roles:
-        yield evetac("record", "--scene", "slip", "--object", sizes[objects], "--count", sizes[count],
-                     "--seed", sizes["seed"] + offset, "--out", folder)  # fmt: skip
+    roles = (("learn", "known", "train", sizes["seed"]), ("choose", "known", "validate", sizes["seed"] + 500),
+             ("unseen", "unseen", "test", sizes["judged"]))  # fmt: skip
+    for folder, objects, count, seed in roles:
+        yield evetac("record", "--scene", "slip", "--object", sizes[objects], "--count", sizes[count], "--seed", seed,
+                     "--out", folder)  # fmt: skip
         yield evetac("label", f"{folder}/*.recording.h5")
         yield evetac("track", f"{folder}/*.recording.h5")
         share = ("--true-slip-share",) if folder == "learn" else ()
         yield evetac("featurize", f"{folder}/*.recording.h5", *share)
     for horizon_ms in sizes["horizon_ms"]:
         for folder, words in (("labels", ()), ("truth", ("--learn-true-slip-share",))):
-            yield learn(sizes, "learn", folder, sizes["seeds"], "adamw", sizes["steps"],
-                        "--model", sizes["model"], "--horizon-ms", horizon_ms, *words)  # fmt: skip
+            yield evetac("train", "learn/*.features.h5", "--model", sizes["model"], "--horizon-ms", horizon_ms, *words,
+                         "--preset", "adamw", "--max-steps", sizes["steps"], "--validate", "choose",
+                         "--seed", sizes["seed"], "--seeds", sizes["seeds"], "--out", f"models/{folder}")  # fmt: skip
 
 
 RECIPE: Sizes = {
-    "seed": 41_000,
+    "seed": 9_000,  # of the trajectories for training; 500 later: those on which checkpoint and threshold are chosen
+    "judged": 91_000,  # of the trajectories for evaluation, known objects; 500 later: unseen objects
     "known": "1-9",
     "unseen": "10-17",
     "train": 35,  # of each object: 315 for training, and 45 on which checkpoint and threshold are chosen
     "choose": 5,
     "test": 10,
-    "models": ("fast-slow", "hist20", "hist10", "no-hist", "events-only", "disp-only"),
-    "ahead": ("10",),  # ms ahead of slip that CHANGED_MODEL is also trained to warn
-    "seeds": 2,
+    "models": ("fast-slow", "hist20", "hist10", "no-hist", "events-only", "disp-only", "down5"),
+    "ahead": ("fast-slow", "hist20"),  # models that are also trained to warn
+    "horizon_ms": ("10", "20"),
+    "seeds": 5,
     "steps": 150_000,  # upper limit of steps, for 70 epochs
     "changes": ("tracker", "labels", "size", "noise"),
+    "change_seeds": 2,
 }
 SMALL_RECIPE: Sizes = {
+    "seed": 100,
+    "judged": 1_000,
     "known": "3,8",
     "unseen": "11",
     "train": 2,
@@ -191,51 +95,63 @@ SMALL_RECIPE: Sizes = {
     "seeds": 1,
     "steps": 200,
     "changes": ("tracker", "size"),
+    "change_seeds": 1,
 }
-ROLES = (("learn", "known", "train", 0), ("choose", "known", "choose", 500), ("known", "known", "test", 1000),
-         ("unseen", "unseen", "test", 1500))  # fmt: skip
 CHANGED_MODEL = "fast-slow"  # the model that is trained for changed settings
 FEWER = ("*-00[1-9]", "*-01[0-2]")  # of 35 trajectories per object, when their number is varied
+FIRST_SEEDS = 2  # of training; all models and changes are trained with these before the other seeds follow
 
 
 def recipe_steps(sizes: Sizes) -> Iterator[Command]:
     """Run the paper's recipe (tracker, labels, numbers of trajectories, training), then change one at a time."""
+    seed, judged = sizes["seed"], sizes["judged"]
+    roles = (("learn", "known", "train", seed), ("choose", "known", "choose", seed + 500),
+             ("known", "known", "test", judged), ("unseen", "unseen", "test", judged + 500))  # fmt: skip
+    learnt = "nothing/learn/*.features.h5"
     for change in ("nothing", *sizes["changes"]):
         if change == "size":  # trains on a subset of the trajectories
             features = [f"nothing/learn/{name}.features.h5" for name in FEWER]
-            yield from _recipe_trainings(sizes, "nothing", change, *features)
+            yield from _recipe_trainings(sizes, "nothing", change, sizes["change_seeds"], *features)
             continue
         recordings = "quiet" if change == "noise" else "recordings"
         tracker = "stable" if change == "tracker" else "paper"
         labels = "event-flow" if change == "labels" else "farneback"
-        for role, objects, count, offset in ROLES:
+        for role, objects, count, first in roles:
             here = f"{recordings}/{role}/*.recording.h5"
             if change in ("nothing", "noise"):
                 sensor = ROOT / "scripts" / "no-noise.sensor.toml" if change == "noise" else "evetac"
                 yield evetac("record", "--scene", "slip", "--sensor", sensor, "--object", sizes[objects],
-                             "--count", sizes[count], "--seed", sizes["seed"] + offset,
-                             "--out", f"{recordings}/{role}")  # fmt: skip
+                             "--count", sizes[count], "--seed", first, "--out", f"{recordings}/{role}")  # fmt: skip
             of_labels, of_tracks = (f"{recordings}/{how}/{role}" for how in (labels, tracker))
             yield evetac("label", here, "--method", labels, "--out", of_labels)
             yield evetac("track", here, "--preset", tracker, "--out", of_tracks)
             yield evetac("featurize", here, "--tracks", of_tracks, "--labels", of_labels, "--out", f"{change}/{role}")
-        yield from _recipe_trainings(sizes, change, change, f"{change}/learn/*.features.h5")
+        if change == "nothing":
+            yield from _recipe_trainings(sizes, change, change, min(FIRST_SEEDS, sizes["seeds"]), learnt)
+        else:
+            learnt_changed = f"{change}/learn/*.features.h5"
+            yield from _recipe_trainings(sizes, change, change, sizes["change_seeds"], learnt_changed)
+    if sizes["seeds"] > FIRST_SEEDS:
+        others = sizes["seeds"] - FIRST_SEEDS
+        yield from _recipe_trainings(sizes, "nothing", "nothing", others, learnt, first=FIRST_SEEDS)
 
 
-def _recipe_trainings(sizes: Sizes, features: str, change: str, *learnt: str) -> Iterator[Command]:
+def _recipe_trainings(
+    sizes: Sizes, features: str, change: str, seeds: int, *learnt: str, first: int = 0
+) -> Iterator[Command]:
     trained: list[tuple[str, ...]] = [(CHANGED_MODEL,)]
     if change == "nothing":
         trained = [(model,) for model in sizes["models"]]
-        trained += [(CHANGED_MODEL, "--horizon-ms", horizon_ms) for horizon_ms in sizes["ahead"]]
+        trained += [(model, "--horizon-ms", ms) for model in sizes["ahead"] for ms in sizes["horizon_ms"]]
     for words in trained:
         yield evetac("train", *learnt, "--model", *words, "--preset", "paper", "--max-steps", sizes["steps"],
-                     "--validate", f"{features}/choose", "--seed", sizes["seed"], "--seeds", sizes["seeds"],
+                     "--validate", f"{features}/choose", "--seed", sizes["seed"] + first, "--seeds", seeds,
                      "--out", f"models/{change}")  # fmt: skip
 
 
 def recipe_evaluations(sizes: Sizes) -> dict[str, Command]:
-    """Evaluate each training with its own tracker and labels on the same slips."""
-    return {
+    """Evaluate each training with its own tracker and labels on the same slips; then measure run times."""
+    evaluations = {
         f"recipe-{change}-{role}": evetac(
             "evaluate", "slip", f"{'nothing' if change == 'size' else change}/{role}/*.features.h5",
             "--model", f"models/{change}/*.model.h5",
@@ -244,6 +160,9 @@ def recipe_evaluations(sizes: Sizes) -> dict[str, Command]:
         for change in ("nothing", *sizes["changes"])
         for role in ("known", "unseen")
     }  # fmt: skip
+    evaluations["model-cost"] = evetac("evaluate", "cost", "model", "recipe-nothing-unseen.report.h5",
+                                       "--model", "models/nothing/*.model.h5")  # fmt: skip
+    return evaluations
 
 
 TRACKING_SCENES = (
@@ -286,38 +205,76 @@ def vibration_evaluations(sizes: Sizes) -> dict[str, Command]:
     return {name: evetac("evaluate", "vibration", f"{file}.recording.h5", *windows) for name, file in files.items()}
 
 
+DATA_RATE_OBJECTS = ("1", "3", "5", "8", "11")
+
+
 def data_rate_steps(sizes: Sizes) -> Iterator[Command]:
-    """Record the data-rate scene; it gives object 1 an assumed weight, as the paper does not name its object."""
-    yield evetac("record", "--scene", "data-rate", "--object", "1", "--count", sizes["trajectories"],
-                 "--seed", sizes["seed"], "--out", ".")  # fmt: skip
+    """Record the data-rate scene; it gives every object an assumed weight, as the paper does not name its object."""
+    for number in sizes["objects"]:
+        yield evetac("record", "--scene", "data-rate", "--object", number, "--count", sizes["trajectories"],
+                     "--seed", sizes["seed"], "--out", f"object-{number}")  # fmt: skip
 
 
 def data_rate_evaluations(sizes: Sizes) -> dict[str, Command]:
-    return {"data-rate": evetac("evaluate", "data-rate", f"data-rate-*-s{sizes['seed']}-*.recording.h5")}
+    return {
+        f"data-rate-object-{number}": evetac("evaluate", "data-rate", f"object-{number}/*.recording.h5")
+        for number in sizes["objects"]
+    }
+
+
+FORCE: Sizes = {
+    "seed": 8_700,  # of the trajectories for training
+    "judged": 93_500,
+    "trackers": ("paper", "stable"),
+    "seeds": 3,
+    "trials": 3,
+    "others": ("second", "soft-gel", "stiff-gel"),
+}
 
 
 def force_steps(sizes: Sizes) -> Iterator[Command]:
     """Record force trajectories; the first one for evaluation has the same pushes on every gel."""
-    seed = sizes["seed"]
-    yield evetac("record", "--scene", "shear", "--count", 4, "--seed", seed, "--out", "learn")
-    yield evetac("record", "--scene", "shear", "--count", sizes["judged"], "--seed", seed + 500, "--out", "unseen")
+    yield evetac("record", "--scene", "shear", "--count", 4, "--seed", sizes["seed"], "--out", "learn")
+    yield evetac("record", "--scene", "shear", "--count", sizes["trials"], "--seed", sizes["judged"],
+                 "--out", "unseen")  # fmt: skip
     for other in sizes["others"]:
-        yield evetac("record", "--scene", "shear", "--sensor", other, "--seed", seed + 500, "--out", other)
-    yield evetac("track", "*/*.recording.h5", "--preset", sizes["tracker"])
-    yield evetac("track-rgb", "*/*.recording.h5")
-    for each in range(seed, seed + sizes["seeds"]):
-        yield evetac("train-force", "learn/*.tracks.h5", "--seed", each,
-                     "--out", f"models/events-{each}.force-model.h5")  # fmt: skip
-        yield evetac("train-force", "learn/rgb/*.tracks.h5", "--seed", each,
-                     "--out", f"models/frames-{each}.force-model.h5")  # fmt: skip
+        yield evetac("record", "--scene", "shear", "--sensor", other, "--seed", sizes["judged"], "--out", other)
+    folders = ("learn", "unseen", *sizes["others"])
+    for folder in folders:
+        for tracker in sizes["trackers"]:
+            yield evetac("track", f"{folder}/*.recording.h5", "--preset", tracker, "--out", f"{tracker}/{folder}")
+        yield evetac("track-rgb", f"{folder}/*.recording.h5", "--out", f"rgb/{folder}")
+    for dots in (*sizes["trackers"], "rgb"):
+        for seed in range(sizes["seed"], sizes["seed"] + sizes["seeds"]):
+            yield evetac("train-force", f"{dots}/learn/*.tracks.h5", "--seed", seed,
+                         "--out", f"models/{dots}/{dots}-{seed}.force-model.h5")  # fmt: skip
 
 
 def force_evaluations(sizes: Sizes) -> dict[str, Command]:
-    others = [f"{other}/{tracks}" for other in sizes["others"] for tracks in ("*.tracks.h5", "rgb/*.tracks.h5")]
+    """Evaluate the dots of each tracker, and those in RGB frames, with the models trained on such dots."""
     return {
-        "force": evetac("evaluate", "force", "unseen/*.tracks.h5", "unseen/rgb/*.tracks.h5", *others,
-                        "--model", "models", "--seed", sizes["seed"])
+        f"force-{dots}": evetac("evaluate", "force",
+                                *(f"{dots}/{folder}/*.tracks.h5" for folder in ("unseen", *sizes["others"])),
+                                "--model", f"models/{dots}", "--seed", sizes["judged"])
+        for dots in (*sizes["trackers"], "rgb")
     }  # fmt: skip
+
+
+FROZEN_MODELS = ROOT / "docs" / "results" / "models"
+PAPER_DETECTOR = (
+    "--model",
+    FROZEN_MODELS / "nothing" / "fast-slow-10ms-s9000.model.h5",
+)  # of the experiment paper-recipe
+# Controller and detector of each row of the grasp tables. The pretrained detector is the default of `grasp`; a model
+# trained by the paper's recipe has the threshold of the paper's rule unless a number of false alarms is given.
+GRASP_SETTINGS: dict[str, Command] = {
+    "paper": ["--controller", "paper", *map(str, PAPER_DETECTOR)],
+    "paper-false-alarms": ["--controller", "paper", *map(str, PAPER_DETECTOR), "--false-alarms-per-min", "4"],
+    "paper-pretrained": ["--controller", "paper"],
+    "reset": ["--controller", "paper-reset", *map(str, PAPER_DETECTOR)],
+    "load-proportional": ["--controller", "load-proportional"],
+}
+ROBUST_SETTINGS = ("paper", "paper-pretrained", "load-proportional")  # those of the tests of robustness
 
 
 def grasp_steps(sizes: Sizes) -> Iterator[Command]:
@@ -327,34 +284,36 @@ def grasp_steps(sizes: Sizes) -> Iterator[Command]:
     def grasp(out: str, count: int, objects: str, *words: object) -> Command:
         return evetac("grasp", *words, "--object", objects, "--count", count, "--seed", sizes["seed"], "--out", out)
 
-    for controller in sizes["controllers"]:
-        law = ("--controller", controller)
-        gain = () if controller == "load-proportional" else ("--gain", 2)
-        yield grasp(controller, trials, sizes["objects"], *law)
+    for name in sizes["settings"]:
+        setting = GRASP_SETTINGS[name]
+        gain = () if "load-proportional" in setting else ("--gain", 2)
         if gain:
-            yield grasp(f"{controller}-higher", trials, "14,19,20", *law, *gain)
+            yield grasp(name, trials, sizes["objects"], *setting)
+            yield grasp(name, trials, "14,19,20", *setting, *gain)
         else:
-            yield grasp(controller, trials, "19,20", *law)
-        tests = f"{controller}-tests"
-        yield grasp(tests, trials, "16", *law, "--scene", "sideways")
-        yield grasp(tests, trials, "16", *law, "--scene", "drop-20g")
-        yield grasp(tests, trials, "16", *law, *gain, "--scene", "drop-100g")
+            yield grasp(name, trials, f"{sizes['objects']},19,20", *setting)
+        if name not in ROBUST_SETTINGS:
+            continue
+        tests = f"{name}-tests"
+        yield grasp(tests, trials, "16", *setting, "--scene", "sideways")
+        yield grasp(tests, trials, "16", *setting, "--scene", "drop-20g")
+        yield grasp(tests, trials, "16", *setting, *gain, "--scene", "drop-100g")
         for gel in ("cut", "closed"):
-            second, folder = ("--sensor", "second", "--gel", gel), f"{controller}-second-{gel}"
-            yield grasp(folder, half, "16,17", *law, *second)
-            yield grasp(folder, half, "19,20", *law, *gain, *second)
+            second = ("--sensor", "second", "--gel", gel)
+            yield grasp(tests, half, "16,17", *setting, *second)
+            yield grasp(tests, half, "19,20", *setting, *gain, *second)
     yield grasp("alone", sizes["alone"], "10-20", "--controller", "none", "--balance-s", 0)
     for ticks in (4, 8, 16):
-        yield grasp(f"fixed-{ticks}", sizes["alone"], "11,18", "--controller", f"fixed:{ticks}")
+        yield grasp("alone", sizes["alone"], "11,18", "--controller", f"fixed:{ticks}")
 
 
 def grasp_evaluations(sizes: Sizes) -> dict[str, Command]:
-    laws = sizes["controllers"]
-    lifts = [f"{law}{part}/*.recording.h5" for law in laws for part in ("", "-higher")]
-    tests = [f"{law}-{part}/*.recording.h5" for law in laws for part in ("tests", "second-*")]
+    """Evaluate the grasps of each controller and detector on their own: settings do not name the detector."""
+    robust = [name for name in sizes["settings"] if name in ROBUST_SETTINGS]
     return {
-        "grasps": evetac("evaluate", "grasp", *lifts, "alone/*.recording.h5", "fixed-*/*.recording.h5"),
-        "grasp-robustness": evetac("evaluate", "grasp", *tests),
+        **{f"grasps-{name}": evetac("evaluate", "grasp", f"{name}/*.recording.h5") for name in sizes["settings"]},
+        "grasps-alone": evetac("evaluate", "grasp", "alone/*.recording.h5"),
+        **{f"grasp-robustness-{name}": evetac("evaluate", "grasp", f"{name}-tests/*.recording.h5") for name in robust},
     }
 
 

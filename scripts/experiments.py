@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import experiment_steps as steps
 import experiment_tables as tables
 import studies
-from experiment_steps import SLIP, SMALL_SLIP, Command, Sizes, evetac
+from experiment_steps import Command, Sizes, evetac
 from experiment_tables import Table
 
 
@@ -38,33 +38,16 @@ EXPERIMENTS: tuple[Experiment, ...] = (
         tables=(tables.DEMO,),
     ),
     Experiment(
-        "slip-data", "simulated slips for training and evaluation", "data/slip", 0.3,
-        full=SLIP, small=SMALL_SLIP, steps=steps.slip_data_steps,
-    ),
-    Experiment(
-        "slip-models", "train slip detectors, by architecture, training and warning time", "data/slip", 4.0,
-        full=SLIP, small=SMALL_SLIP, steps=steps.slip_model_steps, after=("slip-data",),
-    ),
-    Experiment(
-        "slip-table", "evaluate slip detectors on unseen slips", "data/slip", 0.3,
-        full=SLIP, small=SMALL_SLIP, evaluations=steps.slip_evaluations,
-        after=("slip-models",),
-        tables=(tables.SLIP_TRAINING_OBJECTS, tables.SLIP_UNSEEN_OBJECTS, tables.MODEL_COST),
-    ),
-    Experiment(
-        "slip-images", "train and evaluate slip detectors on event images, the slowest part", "data/slip", 3.0,
-        full=SLIP, small=SMALL_SLIP, steps=steps.slip_image_steps, evaluations=steps.slip_image_evaluations,
-        after=("slip-data",),
-        tables=(tables.IMAGES_TRAINING_OBJECTS, tables.IMAGES_UNSEEN_OBJECTS, tables.IMAGE_MODEL_COST),
-    ),
-    Experiment(
         "true-slip-share", "benefit of training on the true slipping share of the contact",
         "data/true-slip-share", 0.1,
         full={
-            "seed": 5_000, "known": "1-9", "unseen": "10-17", "train": 6, "validate": 2, "test": 5, "seeds": 3,
-            "model": "fast-slow", "horizon_ms": ("0", "10"), "steps": 5_000,
+            "seed": 8_000, "judged": 91_700, "known": "1-9", "unseen": "10-17", "train": 6, "validate": 2, "test": 5,
+            "seeds": 3, "model": "fast-slow", "horizon_ms": ("0", "10"), "steps": 5_000,
         },
-        small={"known": "3,8", "unseen": "11", "train": 1, "validate": 1, "test": 1, "seeds": 1, "steps": 200},
+        small={
+            "seed": 100, "judged": 1_000, "known": "3,8", "unseen": "11", "train": 1, "validate": 1, "test": 1,
+            "seeds": 1, "steps": 200,
+        },
         steps=steps.true_share_steps,
         evaluations=lambda sizes: {
             "true-slip-share": evetac("evaluate", "slip", "unseen/*.features.h5", "--model", "models/*/*.model.h5"),
@@ -72,10 +55,10 @@ EXPERIMENTS: tuple[Experiment, ...] = (
         tables=(tables.TRUE_SLIP_SHARE,), in_plan=False,
     ),
     Experiment(
-        "paper-recipe", "the paper's recipe at full size, and with one change at a time", "data/paper-recipe",
-        3.5, full=steps.RECIPE, small=steps.SMALL_RECIPE,
+        "paper-recipe", "slip detection by the paper's recipe at full size, and with one change at a time",
+        "data/paper-recipe", 6.0, full=steps.RECIPE, small=steps.SMALL_RECIPE,
         steps=steps.recipe_steps, evaluations=steps.recipe_evaluations,
-        tables=(tables.PAPER_RECIPE, tables.RECIPE_CHANGES), in_plan=False,
+        tables=(tables.PAPER_RECIPE, tables.RECIPE_CHANGES, tables.MODEL_COST),
     ),
     Experiment(
         "ship", "the pretrained slip detector, trained on many motions, sensors and objects", "data/ship", 1.0,
@@ -85,37 +68,41 @@ EXPERIMENTS: tuple[Experiment, ...] = (
     ),
     Experiment(
         "tracking", "tracker presets compared on edges, slip and shear", "data/tracking", 2.0,
-        full={"seed": 0, "edges": 50, "presets": ("unregularised", "paper", "official", "stable")},
-        small={"edges": 1, "presets": ("paper", "stable")},
+        full={"seed": 92_000, "edges": 50, "presets": ("unregularised", "paper", "official", "stable")},
+        small={"seed": 100, "edges": 1, "presets": ("paper", "stable")},
         steps=steps.tracking_steps, evaluations=steps.tracking_evaluations,
         tables=(tables.TRACKING_EDGE, tables.TRACKING_DISTANCE),
     ),
     Experiment(
         "data-rate", "bytes per second compared with an RGB sensor", "data/data-rate", 0.1,
-        full={"seed": 0, "trajectories": 5}, small={"trajectories": 1},
+        full={"seed": 93_100, "objects": steps.DATA_RATE_OBJECTS, "trajectories": 5},
+        small={"seed": 100, "objects": ("1",), "trajectories": 1},
         steps=steps.data_rate_steps, evaluations=steps.data_rate_evaluations,
         tables=(tables.DATA_RATE,),
     ),
     Experiment(
         "vibration", "vibration frequency of the gel", "data/vibration", 1.0,
-        full={"seed": 0, "tones": (), "randomized": 20}, small={"tones": ("200",), "randomized": 1},
+        full={"seed": 93_000, "tones": (), "randomized": 20},
+        small={"seed": 100, "tones": ("200",), "randomized": 1},
         steps=steps.vibration_steps, evaluations=steps.vibration_evaluations,
         tables=(tables.VIBRATION, tables.VIBRATION_RANDOMIZED),
     ),
     Experiment(
         "force", "shear force from dots in events and in frames", "data/force", 1.0,
-        full={"seed": 0, "tracker": "stable", "seeds": 3, "judged": 3, "others": ("second", "soft-gel", "stiff-gel")},
-        small={"seeds": 1, "judged": 1, "others": ("second",)},
+        full=steps.FORCE,
+        small={"seed": 100, "judged": 1_000, "seeds": 1, "trials": 1, "others": ("second",)},
         steps=steps.force_steps, evaluations=steps.force_evaluations,
         tables=(tables.FORCE,),
     ),
     Experiment(
         "grasp-table", "lift and balance by feel, with all controllers", "data/grasps", 3.0,
         full={
-            "seed": 0, "objects": "10-18", "trials": 10, "alone": 5,
-            "controllers": ("paper", "paper-reset", "load-proportional"),
+            "seed": 94_000, "objects": "10-18", "trials": 10, "alone": 5, "settings": tuple(steps.GRASP_SETTINGS),
         },
-        small={"objects": "11", "trials": 1, "alone": 1, "controllers": ("paper", "load-proportional")},
+        small={
+            "seed": 100, "objects": "11", "trials": 1, "alone": 1,
+            "settings": ("paper-pretrained", "load-proportional"),
+        },
         steps=steps.grasp_steps, evaluations=steps.grasp_evaluations,
         tables=(tables.GRASPS, tables.GRASPS_BY_OBJECT, tables.GRASP_ROBUSTNESS),
     ),

@@ -46,6 +46,7 @@ TONES = 5  # number of tones in the scenes `vibration` and `vibration-randomized
 VIBRATION_S = 102.2  # seconds of the scene `vibration`; the other scene differs only in its length
 TOUCH_S = 1.5  # of a grasp, before it lifts
 LIFT_S, BALANCE_S = 10.0, 20.0
+LABEL_METHODS = ("farneback", "event-flow")
 PRESETS = ("unregularised", "paper", "official", "stable")
 RECORDED = ("slip", "edge", "shear", "data-rate", "vibration-randomized")
 EPOCH_STEPS = 100  # a guess, for the demo; all other trainings are planned in steps
@@ -88,12 +89,14 @@ def numbers(text: str) -> int:
 
 
 def matching(patterns: Command, made: list[Files]) -> list[Files]:
-    """Return the files that match patterns; as in a shell, a star does not match across folders."""
-    return [
-        files
-        for files in made
-        if any(files.name.count("/") == pattern.count("/") and fnmatchcase(files.name, pattern) for pattern in patterns)
-    ]
+    """Return the files of the folders and kinds that patterns name; as in a shell, a star does not match a slash."""
+
+    def matches(files: Files, pattern: str) -> bool:
+        (folder, name), (of_folder, of_name) = files.name.rpartition("/")[::2], pattern.rpartition("/")[::2]
+        same_depth = files.name.count("/") == pattern.count("/")
+        return same_depth and fnmatchcase(folder, of_folder) and name.split(".")[1:] == of_name.split(".")[1:]
+
+    return [files for files in made if any(matches(files, pattern) for pattern in patterns)]
 
 
 def steps(costs: Costs) -> Iterator[Step]:
@@ -115,11 +118,6 @@ def trainings() -> list[tuple[str, str]]:
     return sorted({(option(words, "--model", "hist10"), option(words, "--preset", "adamw")) for words in training})
 
 
-def judging(model: str, costs: Costs) -> float:
-    """Return the seconds that a model needs per file; models on images are slower."""
-    return costs["evaluate slip, images" if "-img" in model else "evaluate slip"]["cpu_s"]
-
-
 def _step(experiment: str, words: Command, made: list[Files], costs: Costs) -> Iterator[Step]:
     command = words[0]
     if command in ("record", "grasp"):
@@ -131,9 +129,8 @@ def _step(experiment: str, words: Command, made: list[Files], costs: Costs) -> I
         models = matching(words[end:], made)
         judged = sum(files.count for files in matching(patterns, made))
         if what == "slip":  # each model is evaluated separately
-            each_s = [judging(files.name, costs) * judged for files in models for _ in range(files.count)]
-            for cpu_s in sorted(set(each_s)):
-                yield Step(experiment, "evaluate slip", each_s.count(cpu_s), cpu_s, 0.0)
+            count = sum(files.count for files in models)
+            yield Step(experiment, "evaluate slip", count, costs["evaluate slip"]["cpu_s"] * judged, 0.0)
             return
         many = sum(files.count for files in models) or 1
         yield Step(experiment, f"evaluate {what}", 1, costs[f"evaluate {what}"]["cpu_s"] * judged * many, 0.0)
@@ -144,14 +141,14 @@ def _step(experiment: str, words: Command, made: list[Files], costs: Costs) -> I
     if command.startswith("train"):
         yield _trained(experiment, words, inputs, made, costs)
         return
-    kind = {"track": f"track {option(words, '--preset', 'stable')}", "featurize": "featurize", "label": "label",
-            "track-rgb": "track-rgb"}[command] + (" --images" if "--images" in words else "")  # fmt: skip
+    kind = {"track": f"track {option(words, '--preset', 'stable')}", "featurize": "featurize",
+            "label": f"label {option(words, '--method', 'event-flow')}",
+            "track-rgb": "track-rgb"}[command]  # fmt: skip
     suffix = {"label": "labels", "featurize": "features"}.get(command, "tracks")
     for files in inputs:
         path = PurePosixPath(files.name)
-        folder = (
-            path.parent / "rgb" if command == "track-rgb" else PurePosixPath(option(words, "--out", str(path.parent)))
-        )
+        usual = path.parent / "rgb" if command == "track-rgb" else path.parent
+        folder = PurePosixPath(option(words, "--out", str(usual)))
         name = path.name.replace(".recording.", f".{suffix}.")
         made.append(Files(str(folder / name), files.count, files.seconds))
     count = sum(files.count for files in inputs)
@@ -195,7 +192,7 @@ def _trained(experiment: str, words: Command, inputs: list[Files], made: list[Fi
     name = out if out.endswith(".h5") else f"{out}/{model}-s0.model.h5"
     validated = sum(files.count for files in matching([f"{option(words, '--validate')}/*.features.h5"], made))
     read_s = costs["train: a file read"]["cpu_s"] * (sum(files.count for files in inputs) + validated)
-    judged_s = judging(name, costs) * validated * LAST_CHECKPOINTS * networks
+    judged_s = costs["evaluate slip"]["cpu_s"] * validated * LAST_CHECKPOINTS * networks
     cpu_s = each["cpu_s"] * planned * networks + read_s + judged_s
     made.append(Files(name, seeds, 0.0))
     return Step(experiment, f"train {model}", seeds, cpu_s, each["size_bytes"] * networks)
@@ -210,7 +207,7 @@ def chain_s(planned: list[Step]) -> float:
     for name in dict.fromkeys(step.experiment for step in planned):
         kinds: dict[str, float] = {}
         for step in planned:
-            if step.experiment in (name, "slip-data") or (name, step.experiment) == ("slip-table", "slip-models"):
+            if step.experiment == name:
                 kind = step.command.split()[0]
                 kinds[kind] = max(kinds.get(kind, 0.0), step.cpu_s)
         longest = max(longest, sum(kinds.values()))
@@ -238,7 +235,7 @@ def least(planned: list[Step], cores: list[int]) -> Row:
 def many(costs: Costs, counts: list[int], cores: list[int]) -> list[Row]:
     """Return a row for every number of trajectories: the cost of the four stages, one trajectory after the other."""
     seconds = costs["slip"]["seconds"]
-    stages = ("label", "track stable", "featurize")
+    stages = ("label event-flow", "track stable", "featurize")
     each_s = costs["slip"]["cpu_s"] + seconds * sum(costs[stage]["cpu_s"] for stage in stages)
     each_bytes = costs["slip"]["size_bytes"] + seconds * sum(costs[stage]["size_bytes"] for stage in stages)
     return [
@@ -304,11 +301,11 @@ def measure(folder: Path) -> Costs:
         costs[name] = {"cpu_s": cpu_s / seconds, "size_bytes": size(f"slip/{made}.h5") / seconds}
         print(name, costs[name], flush=True)
 
-    stage("label", "*.labels", "label")
+    for method in LABEL_METHODS:
+        stage(f"label {method}", "*.labels", "label", "--method", method)
     for preset in PRESETS:
         stage(f"track {preset}", "*.tracks", "track", "--preset", preset)
     stage("featurize", "*.features", "featurize")
-    stage("featurize --images", "*.features", "featurize", "--images")
 
     def trained(model: str, preset: str) -> None:
         how = ("train", *features[:-1], "--model", model, "--preset", preset, "--validate", features[-1],
@@ -336,10 +333,9 @@ def measure(folder: Path) -> Costs:
     learn, validate = sorted((folder / "warm").glob("slip*.features.h5"))
     how = ("--max-steps", STEPS[0], "--validate", validate)
     per_file("train: a file read", "model", ("train",), ("--model", "hist10", *how))
-    for name, network in (("evaluate slip", "hist10"), ("evaluate slip, images", "hist10-img-6x6")):
-        judge = folder / f"judge-{network}.model.h5"
-        cpu_of("train", learn, "--model", network, *how, "--out", judge)
-        per_file(name, f"{network}.report", ("evaluate", "slip"), ("--model", judge, "--jobs", 1))
+    judge = folder / "judge.model.h5"
+    cpu_of("train", learn, "--model", "hist10", *how, "--out", judge)
+    per_file("evaluate slip", "report", ("evaluate", "slip"), ("--model", judge, "--jobs", 1))
 
     def judged(what: str, count: int, *words: object) -> None:
         cpu_of("evaluate", what, *words, "--out", folder / "warm" / f"{what}.report.h5")

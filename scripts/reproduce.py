@@ -37,7 +37,7 @@ from evetac_cli import interrupts
 from evetac_cli.errors import EvetacError
 from evetac_cli.evaluate import paper
 from evetac_cli.evaluate.source import Source
-from evetac_cli.jobs import Row
+from evetac_cli.jobs import Row, Rows
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "docs" / "results"
@@ -173,6 +173,7 @@ def shown_rows(table: Table, rows: list[Row]) -> list[Row]:
     """Return the figures that the table shows (all for a measured one) and the keys of the paper's figures."""
     columns = [*table.columns, *([table.across] if table.across else [])]
     wanted = {key for column in columns for part in (column.heading, column.cell, column.paper) for key in keys(part)}
+    wanted.add("evaluation")
     for key in wanted & paper.SHOWN.keys():
         wanted |= {*paper.SHOWN[key].needs, *paper.SHOWN[key].may_need}
     return [{key: value for key, value in row.items() if table.measured or key in wanted} for row in rows]
@@ -207,11 +208,19 @@ def result(table: Table, evaluations: dict[str, Evaluation], commands: Iterable[
         "recipe_ids": [header["id"] for header in headers],
         "sizes": known,
         "source": dataclasses.asdict(Source.of(headers)),
+        "sources": sources(evaluations, rows),
         "columns": [layout(column) for column in columns],
         "across": layout(table.across) if table.across else None,
         "notes": list(table.notes),
         "rows": shown_rows(table, rows),
     } | about
+
+
+def sources(evaluations: dict[str, Evaluation], rows: Rows) -> Row:
+    """Return the source of each evaluation that rows name as theirs, by which the paper's figures are marked."""
+    named = {row["evaluation"] for row in rows if "evaluation" in row}
+    headers = {name: evaluation.header for name, evaluation in evaluations.items() if name in named}
+    return {name: dataclasses.asdict(Source.of([header])) for name, header in headers.items() if header}
 
 
 def covariates(evaluations: dict[str, Evaluation]) -> Row:

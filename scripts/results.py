@@ -47,10 +47,9 @@ class Figure(NamedTuple):
 
 SUMMARY = (
     Figure(
-        "slip detected in time on unseen objects, 10 ms ahead: the paper's network `fast-slow` and optimiser, a third"
-        " of its data, evetac's labels and tracker",
-        "slip-unseen-objects",
-        {"setting": "fast-slow, 10 ms ahead, paper, labels event-flow, up to 40000 steps"},
+        "slip detected in time on unseen objects, 10 ms ahead: the paper's network `fast-slow`, trained by its recipe",
+        "paper-recipe",
+        {"setting": "fast-slow, 10 ms ahead", "objects_words": "unseen"},
         "timing correct (paper)",
     ),
     Figure(
@@ -140,7 +139,7 @@ def fill(template: str, row: Row) -> str:
 
 def published(column: Row, row: Row, result: Result) -> tuple[str, str]:
     """Return the paper's figures for a cell and their comparison mark, both empty if the paper has none."""
-    source = Source.from_json(result.get("source", {}))
+    source = Source.from_json(result.get("sources", {}).get(row.get("evaluation")) or result.get("source", {}))
     known = {key: beside for key in keys(column.get("paper", "")) if (beside := paper.beside(key, row, source))}
     if not known:
         return "", ""

@@ -60,7 +60,7 @@ def test_ci_runs_readmes_test_command() -> None:
     )
 
 
-@pytest.mark.parametrize("target", ["demo", "test", "docs", "slip-data", "mujoco-grasps", "setup", "setup-all"])
+@pytest.mark.parametrize("target", ["demo", "test", "docs", "tracking", "mujoco-grasps", "setup", "setup-all"])
 def test_a_target_sets_up_what_it_needs(target: str) -> None:
     """Assert that on a fresh machine an environment is made, filled and compiled before anything else is run."""
     lines = planned(target).splitlines()

@@ -25,20 +25,18 @@ def costs() -> Costs:
 def test_every_command_is_counted(costs: Costs) -> None:
     """Assert that files are as many as the sizes say, and that each stage works on those made before it."""
     planned = list(plan.steps(costs))
-    slips = [step for step in planned if step.experiment == "slip-data" and step.command == "record slip"]
-    assert [step.tasks for step in slips[:4]] == [9 * 12, 9 * 2, 9 * 10, 8 * 10]
-    images = [step.tasks for step in planned if step.command == "featurize --images"]
-    assert images == [9 * 12, 9 * 2, 9 * 10, 8 * 10]
-    folds = [step.tasks for step in planned if step.experiment == "slip-models" and step.command == "train fast-slow"]
-    assert folds[-1] == 5 * 3
-    (trained,) = {step.cpu_s for step in planned if step.command == "train no-hist" and step.cpu_s < 40_000}
-    assert trained == 10_000 + (9 * 12 + 9 * 2) + 9 * 2 * 3  # steps, files read, files judged by three checkpoints
+    slips = [step for step in planned if step.experiment == "paper-recipe" and step.command == "record slip"]
+    assert [step.tasks for step in slips] == 2 * [9 * 35, 9 * 5, 9 * 10, 8 * 10]  # the second time without noise
+    trained = [step for step in planned if step.command == "train no-hist"]
+    assert [step.tasks for step in trained] == [2, 3]
+    # steps, files read, files judged by three checkpoints
+    assert {step.cpu_s for step in trained} == {150_000 + (9 * 35 + 9 * 5) + 9 * 5 * 3}
     tracked = [step for step in planned if step.experiment == "tracking" and step.command.startswith("track ")]
     assert sum(step.tasks for step in tracked) == 4 * (50 + 5 + 2 * (5 + 1))
     (labels,) = [step for step in planned if step.command == "evaluate labels" and step.experiment == "demo"]
     assert (labels.tasks, labels.cpu_s) == (1, 9.0)  # of nine recordings
     force = [step for step in planned if step.experiment == "force" and step.command.startswith("track")]
-    assert [step.tasks for step in force] == [10, 10]
+    assert [step.tasks for step in force] == [4, 4, 4, 3, 3, 3, *(9 * [1])]
 
 
 def test_no_cost_is_missing() -> None:

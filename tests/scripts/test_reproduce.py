@@ -193,9 +193,9 @@ def test_dry_run_prints_and_runs_nothing(
 ) -> None:
     """Assert that the commands of an experiment and of those before it are printed in order, at the sizes asked for."""
     monkeypatch.setattr("subprocess.run", lambda *a, **k: pytest.fail("something was run"))
-    reproduce.main(["--only", "slip-table", "--small", "--size", "steps=7", "--dry-run", "--out", str(tmp_path)])
+    reproduce.main(["--only", "paper-recipe", "--small", "--size", "steps=7", "--dry-run", "--out", str(tmp_path)])
     printed = capsys.readouterr().out
-    assert f"cd {tmp_path}/small/data/slip" in printed
+    assert f"cd {tmp_path}/small/data/paper-recipe" in printed
     commands = [line.split()[1] for line in printed.splitlines() if line.startswith("evetac")]
     assert list(dict.fromkeys(commands)) == ["record", "label", "track", "featurize", "train", "evaluate"]
     assert "--max-steps 7" in printed
@@ -226,7 +226,8 @@ def test_the_recipe_is_changed_in_one_thing_at_a_time() -> None:
         return words[words.index(flag) + 1]
 
     made = {value(words, "--out"): words for words in commands if words[0] == "featurize"}
-    trained = {value(words, "--out"): words for words in commands if words[0] == "train"}
+    every = [words for words in commands if words[0] == "train"]
+    trained = {value(words, "--out"): words for words in every}
     assert list(trained) == ["models/nothing", "models/tracker", "models/labels", "models/size", "models/noise"]
     for change in ("nothing", "tracker", "labels", "noise"):
         words = made[f"{change}/learn"]
@@ -238,10 +239,22 @@ def test_the_recipe_is_changed_in_one_thing_at_a_time() -> None:
         "nothing/learn/*-00[1-9].features.h5",
         "nothing/learn/*-01[0-2].features.h5",
     ]
-    assert {value(words, "--preset") for words in trained.values()} == {"paper"}
-    of_recipe = [words for words in commands if words[0] == "train" and value(words, "--out") == "models/nothing"]
-    assert [value(words, "--model") for words in of_recipe] == [*sizes["models"], "fast-slow"]
-    assert ["--horizon-ms" in words for words in of_recipe] == [False] * len(sizes["models"]) + [True]
+    assert {value(words, "--preset") for words in every} == {"paper"}
+
+
+def test_every_network_of_the_recipe_is_trained_with_every_seed() -> None:
+    """Assert that first two seeds, then the others, train each network for each time that the paper has."""
+    sizes = reproduce.sizes_for(BY_NAME["paper-recipe"], small=False, given={})
+    trained: dict[tuple[str, str], list[int]] = {}
+    for words in BY_NAME["paper-recipe"].steps(sizes):
+        if words[1] == "train" and words[words.index("--out") + 1] == "models/nothing":
+            given = dict(zip(words, words[1:], strict=False))
+            first = int(given["--seed"])
+            key = given["--model"], given.get("--horizon-ms", "0")
+            trained.setdefault(key, []).extend(range(first, first + int(given["--seeds"])))
+    ahead = [(model, ms) for model in ("fast-slow", "hist20") for ms in ("10", "20")]
+    assert sorted(trained) == sorted([*((model, "0") for model in sizes["models"]), *ahead])
+    assert {tuple(seeds) for seeds in trained.values()} == {tuple(range(9_000, 9_005))}
 
 
 @pytest.mark.parametrize("words", [["--only", "nothing"], ["--only", "tracking", "--size", "steps=7"],
@@ -418,10 +431,23 @@ def test_windows_and_forces_are_put_together() -> None:
         "paper_mae_n_y": 0.22,
     }
     trials = [{**error, "mae_n_x": value, "mae_n_y": 2 * value} for value in (0.1, 0.3)]
-    (mean,) = experiment_tables.force_rows({"force": evaluation(*trials)})
-    assert (mean["camera"], mean["mae_n_x"], mean["mae_n_y"]) == ("Evetac", pytest.approx(0.2), pytest.approx(0.4))
-    made = reproduce.result(experiment_tables.FORCE, {"force": evaluation(*trials)}, ["evetac evaluate force"])
-    assert results.lines(made)[1] == ["Evetac", "network", "0.20, 0.40 (0.33, 0.22, other method)"]
+    (mean,) = experiment_tables.force_rows({"force-stable": evaluation(*trials)})
+    assert (mean["tracker"], mean["mae_n_x"], mean["mae_n_y"]) == ("stable", pytest.approx(0.2), pytest.approx(0.4))
+    made = reproduce.result(experiment_tables.FORCE, {"force-stable": evaluation(*trials)}, ["evetac evaluate force"])
+    assert results.lines(made)[1] == [mean["camera"], "network", "0.20, 0.40 (0.33, 0.22, other method)"]
+
+
+def test_rows_are_marked_by_their_own_evaluation() -> None:
+    """Assert that of two trackers in one table, only the paper's has its figure marked with the same method."""
+    error = {"sensor": "events", "model": "network", "sensor_name": "evetac", "mae_n_x": 0.3, "mae_n_y": 0.2,
+             "paper_mae_n_x": 0.33, "paper_mae_n_y": 0.22}  # fmt: skip
+    evaluations = {}
+    for preset in ("paper", "stable"):
+        tracks = {"kind": "tracks", "method": 1, "seed": None, "parents": [], "parameters": {"preset": preset}}
+        head = {**header([]), "history": {"tracks": tracks}}
+        evaluations[f"force-{preset}"] = Evaluation([error], {}, simulated=True, header=head)
+    made = reproduce.result(experiment_tables.FORCE, evaluations, ["evetac evaluate force"])
+    assert [line[-1].rpartition(", ")[2] for line in results.lines(made)[1:]] == ["other scene)", "other method)"]
 
 
 def test_trackers_stand_side_by_side() -> None:
