@@ -173,7 +173,7 @@ def interval_rows(evaluations: Evaluations) -> Rows:
     return rows
 
 
-CAMERAS = {"paper": "Evetac, dots by `paper`", "stable": "Evetac, dots by `stable`", "rgb": "RGB sensor"}
+CAMERAS = {"paper": "Evetac", "stable": "Evetac", "rgb": "RGB sensor"}  # by tracker of the dots
 FORCE_MODELS = {"regression": "linear regression", "network": "network"}
 
 
@@ -374,7 +374,7 @@ FORCE = Table(
     "Shear force, mean absolute error of Fx, Fy in N, by sensor; trained on the sensor {training_sensors} alone",
     tuple(f"force-{dots}" for dots in CAMERAS),
     force_rows,
-    (Column("camera", "{camera}"), Column("model", "{model_words}")),
+    (Column("camera", "{camera}"), Column("tracker", "{tracker}"), Column("model", "{model_words}")),
     across=Column("{sensor_name}", "{mae_n_x:.2f}, {mae_n_y:.2f}", "{paper_mae_n_x:g}, {paper_mae_n_y:g}"),
     notes=(
         "Means over the trajectories of a sensor: 3 of `evetac`, 1 of each of the others. The paper evaluated 1."

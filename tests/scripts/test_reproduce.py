@@ -434,7 +434,7 @@ def test_windows_and_forces_are_put_together() -> None:
     (mean,) = experiment_tables.force_rows({"force-stable": evaluation(*trials)})
     assert (mean["tracker"], mean["mae_n_x"], mean["mae_n_y"]) == ("stable", pytest.approx(0.2), pytest.approx(0.4))
     made = reproduce.result(experiment_tables.FORCE, {"force-stable": evaluation(*trials)}, ["evetac evaluate force"])
-    assert results.lines(made)[1] == [mean["camera"], "network", "0.20, 0.40 (0.33, 0.22, other method)"]
+    assert results.lines(made)[1] == ["Evetac", "stable", "network", "0.20, 0.40 (0.33, 0.22, other method)"]
 
 
 def test_rows_are_marked_by_their_own_evaluation() -> None:
