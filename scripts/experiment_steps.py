@@ -289,7 +289,7 @@ def grasp_steps(sizes: Sizes) -> Iterator[Command]:
         gain = () if "load-proportional" in setting else ("--gain", 2)
         if gain:
             yield grasp(name, trials, sizes["objects"], *setting)
-            yield grasp(name, trials, "14,19,20", *setting, *gain)
+            yield grasp(f"{name}-higher", trials, "14,19,20", *setting, *gain)
         else:
             yield grasp(name, trials, f"{sizes['objects']},19,20", *setting)
         if name not in ROBUST_SETTINGS:
@@ -299,21 +299,29 @@ def grasp_steps(sizes: Sizes) -> Iterator[Command]:
         yield grasp(tests, trials, "16", *setting, "--scene", "drop-20g")
         yield grasp(tests, trials, "16", *setting, *gain, "--scene", "drop-100g")
         for gel in ("cut", "closed"):
-            second = ("--sensor", "second", "--gel", gel)
-            yield grasp(tests, half, "16,17", *setting, *second)
-            yield grasp(tests, half, "19,20", *setting, *gain, *second)
+            second, folder = ("--sensor", "second", "--gel", gel), f"{name}-second-{gel}"
+            yield grasp(folder, half, "16,17", *setting, *second)
+            yield grasp(folder, half, "19,20", *setting, *gain, *second)
     yield grasp("alone", sizes["alone"], "10-20", "--controller", "none", "--balance-s", 0)
     for ticks in (4, 8, 16):
-        yield grasp("alone", sizes["alone"], "11,18", "--controller", f"fixed:{ticks}")
+        yield grasp(f"alone-{ticks}", sizes["alone"], "11,18", "--controller", f"fixed:{ticks}")
 
 
 def grasp_evaluations(sizes: Sizes) -> dict[str, Command]:
     """Evaluate the grasps of each controller and detector on their own: settings do not name the detector."""
     robust = [name for name in sizes["settings"] if name in ROBUST_SETTINGS]
     return {
-        **{f"grasps-{name}": evetac("evaluate", "grasp", f"{name}/*.recording.h5") for name in sizes["settings"]},
-        "grasps-alone": evetac("evaluate", "grasp", "alone/*.recording.h5"),
-        **{f"grasp-robustness-{name}": evetac("evaluate", "grasp", f"{name}-tests/*.recording.h5") for name in robust},
+        **{
+            f"grasps-{name}": evetac("evaluate", "grasp", f"{name}/*.recording.h5", f"{name}-higher/*.recording.h5")
+            for name in sizes["settings"]
+        },
+        "grasps-alone": evetac("evaluate", "grasp", "alone/*.recording.h5", "alone-*/*.recording.h5"),
+        **{
+            f"grasp-robustness-{name}": evetac(
+                "evaluate", "grasp", f"{name}-tests/*.recording.h5", f"{name}-second-*/*.recording.h5"
+            )
+            for name in robust
+        },
     }
 
 
