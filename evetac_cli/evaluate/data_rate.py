@@ -7,6 +7,8 @@ There are three intervals:
 - a given number of seconds around the onset of slip. The onset is the first slice of gross slip in the truth after the
   current begins to fall; without truth it is the onset in the labels next to the recording.
 
+Each interval has a row over all recordings, and with several objects one for each.
+
 If an interval is unknown, the column `not_answered` gives the reason. The whole recording is always known.
 
 Only events in columns x < 540 are counted, as in the paper, which compares them with a frame of 540 columns. Events in
@@ -28,6 +30,7 @@ from evetac_cli.events import SLICES_PER_S
 from evetac_cli.jobs import Job, Outcome, Progress, Rows, Stage, silent
 from evetac_cli.kernels.slip.covariates import TOUCH_N
 from evetac_cli.stages.related_files import check_made_from
+from evetac_cli.stages.splits import object_name
 from evetac_cli.store.files import StageFile, output_path
 from evetac_cli.store.index import scene_words
 from evetac_cli.store.layout.provenance import Header
@@ -36,9 +39,10 @@ from evetac_cli.store.recordings.gel_columns import gel_counts
 from evetac_cli.store.recordings.read import Recording, open_recording, true_onset
 
 OUTPUT = "report"
-METHOD = 2
+METHOD = 3
 PAPERS_SCENE = "data-rate"  # grasp, hold, push, let slip: the motions of the paper's figures
 INTERVALS = ("whole", "contact", "slip")
+ALL = "all"  # in the column `object` of a row over all recordings
 SHOWN = 6  # most recordings in the plot
 SHOWN_MS = 10  # a point in the plot is the mean over this long
 
@@ -78,10 +82,17 @@ def run(job: Job, params: EvaluateDataRate, *, force: bool = False, progress: Pr
                 rows.append(_row(recording, params))
             progress(number + 1, len(job.inputs))
         intervals = [_interval_row(interval, rows, as_papers=as_papers) for interval in INTERVALS]
+        objects = list(dict.fromkeys(row["object"] for row in rows))
+        by_object = [
+            _interval_row(interval, [row for row in rows if row["object"] == name], as_papers=as_papers, called=name)
+            for name in objects
+            for interval in INTERVALS
+            if len(objects) > 1
+        ]
         shares = {f"share_{row['interval']}": row["share_mean"] for row in intervals}
         shares |= {f"window_share_{row['interval']}": row["window_share_mean"] for row in intervals}
         rgb = {"columns": paper.COLUMNS, "rgb_bytes_s": _rgb_bytes_s(params)}
-        return [*rows, *intervals], {"trajectories": len(rows), **shares, **rgb}
+        return [*rows, *intervals, *by_object], {"trajectories": len(rows), **shares, **rgb}
 
     outcome = report(job, "evaluate data-rate", METHOD, parameters, parents, measure, force=force)
     shown = min(len(job.inputs), SHOWN)
@@ -92,7 +103,7 @@ def run(job: Job, params: EvaluateDataRate, *, force: bool = False, progress: Pr
 
 def for_people(rows: Rows, params: EvaluateDataRate) -> tuple[Rows, list[str]]:
     """Return all rows, and sentences with the mean share of the RGB sensor's bytes."""
-    of_intervals = [row for row in rows if "interval" in row]
+    of_intervals = [row for row in rows if "interval" in row and row["object"] == ALL]
     lines = [
         f"{row['interval']}: {row['share_mean']:.1%} of the RGB sensor's bytes per second in {row['columns']} columns,"
         f" plus {row['window_share_mean']:.1%} in the columns beyond (the window of a cut gel)."
@@ -125,6 +136,7 @@ def _row(recording: Recording, params: EvaluateDataRate) -> dict[str, Any]:
     spans = intervals(recording, params.around_s)
     row: dict[str, Any] = {
         "file": recording.path.name,
+        "object": object_name(recording.header),
         "duration_s": len(recording) / SLICES_PER_S,
         "events": recording.event_count,
         "events_of_window": int(of_window.sum()) // params.event_bytes,
@@ -205,10 +217,11 @@ def _as_the_papers(header: Header) -> bool:
     return all(name == PAPERS_SCENE for name in names if name is not None)
 
 
-def _interval_row(interval: str, rows: Rows, *, as_papers: bool) -> dict[str, Any]:
+def _interval_row(interval: str, rows: Rows, *, as_papers: bool, called: str = ALL) -> dict[str, Any]:
     """Return mean and standard deviation of the share of the RGB sensor's bytes over the trajectories that have it.
 
-    The row has the paper's figures only if the motions are like the paper's.
+    `called`: the object of these trajectories, or ALL. The row has the paper's figures only if the motions are like the
+    paper's.
     """
     shares, of_window = (
         [row[f"{name}_{interval}"] for row in rows if row[f"{name}_{interval}"] is not None]
@@ -220,6 +233,7 @@ def _interval_row(interval: str, rows: Rows, *, as_papers: bool) -> dict[str, An
     off = None if mean is None or paper_mean is None or paper_sd is None else (mean - paper_mean) / paper_sd
     return {
         "interval": interval,
+        "object": called,
         "trajectories": len(shares),
         "share_mean": mean,
         "share_sd": float(np.std(shares, ddof=1)) if len(shares) > 1 else None,

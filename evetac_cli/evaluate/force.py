@@ -1,9 +1,10 @@
 """evaluate force: error of the shear force estimated from dots, next to the paper's table.
 
-Each tracks file is evaluated with the models for its type of sensor (events, or frames of an RGB sensor). An individual
-sensor that the model was not fitted on has a row like any other, but without the paper's figures. The column `gain` is
-the estimated force per newton of true force and shows the effect of a softer or stiffer gel. If there are several
-models for a type of sensor, trained with different seeds, the rows contain the means and the spread over the models.
+Each tracks file is evaluated with the models for its type of sensor (events, or frames of an RGB sensor) and its
+tracker, which must be that of the models' training trajectories. An individual sensor that the model was not fitted on
+has a row like any other, but without the paper's figures. The column `gain` is the estimated force per newton of true
+force and shows the effect of a softer or stiffer gel. If there are several models for a type of sensor, trained with
+different seeds, the rows contain the means and the spread over the models.
 
 Why several trajectories and models: within a trajectory, force is proportional to displacement except for noise.
 Between trajectories the force at the same displacement differs by up to a tenth (simulated), depending on the position
@@ -45,11 +46,11 @@ from evetac_cli.store.files import StageFile
 from evetac_cli.store.layout.provenance import Header
 
 OUTPUT = "report"
-METHOD = 2
+METHOD = 3
 SENSORS = ("events", "frames")  # in which dots are tracked; both are in the paper's table
 STYLES = {"regression": (picture.COLOURS[0], "linear regression"), "network": (picture.COLOURS[3], "network")}
 
-Models = dict[str, list[tuple[Path, Header, ForceModel]]]  # by type of sensor
+Models = dict[tuple[str, str], list[tuple[Path, Header, ForceModel]]]  # by type of sensor and tracker
 
 
 class TrialForce(NamedTuple):
@@ -57,6 +58,7 @@ class TrialForce(NamedTuple):
 
     path: Path
     sensor: str
+    tracker: str
     sensor_name: str
     fitted: bool  # whether the model was fitted on this individual sensor
     samples: ForceSamples
@@ -133,21 +135,28 @@ def for_people(rows: Rows, params: EvaluateForce) -> tuple[Rows, list[str]]:
 
 
 def _models(paths: tuple[Path, ...]) -> Models:
-    """Return the models by type of sensor; raise InputError unless those of one type differ only in their seed."""
+    """Return the models by type of sensor and tracker; raise InputError unless those of one differ only in the seed."""
     by_sensor: Models = {}
     for path in paths:
         header, model = read_model(path)
-        same_sensor = by_sensor.setdefault(model.sensor, [])
+        same_sensor = by_sensor.setdefault((model.sensor, _trackers(header)), [])
         same_sensor.append((path, header, model))
         first_path, first_header, _ = same_sensor[0]
         if _without_seed(header) != _without_seed(first_header):
             raise InputError(
                 f"two models of dots tracked in {model.sensor}, with different parameters or trajectories",
                 where="--model",
-                expected="one model per sensor, or several that differ only in the seed",
+                expected="one model per sensor and tracker, or several that differ only in the seed",
                 found=f"{first_path}, {path}",
             )
     return by_sensor
+
+
+def _trackers(header: Header) -> str:
+    """Return the presets by which the dots of a model's training trajectories, or of tracks, were tracked."""
+    every = [header, *header["history"].values()]
+    presets = {one["parameters"].get("preset") for one in every if one["kind"] == "tracks"}
+    return " + ".join(sorted(str(preset) for preset in presets if preset is not None)) or "unknown"
 
 
 def _without_seed(header: Header) -> tuple[Any, ...]:
@@ -156,22 +165,23 @@ def _without_seed(header: Header) -> tuple[Any, ...]:
 
 
 def _models_for(tracks: StageFile, models: Models) -> list[tuple[Path, Header, ForceModel]]:
-    """Return the models for the sensor of a tracks file; raise InputError if there are none."""
-    sensor = sensor_sort(tracks.header)
-    if sensor not in models:
+    """Return the models for the sensor and tracker of a tracks file; raise InputError if there are none."""
+    sensor, tracker = sensor_sort(tracks.header), _trackers(tracks.header)
+    if (sensor, tracker) not in models:
         raise InputError(
-            f"none of the models is for dots tracked in {sensor}",
+            f"none of the models is for dots tracked in {sensor} by {tracker}",
             where=str(tracks.path),
-            expected=f"a model that was fitted to {sensor}",
+            expected=f"a model that was fitted to tracks in {sensor} by {tracker}",
             found=", ".join(str(path) for of_sensor in models.values() for path, _, _ in of_sensor),
         )
-    return models[sensor]
+    return models[sensor, tracker]
 
 
 def _predict(path: Path, models: Models, params: EvaluateForce, noise: np.random.Generator) -> TrialForce:
     with StageFile(path, "tracks") as tracks:
         selected_models = [model for _, _, model in _models_for(tracks, models)]
-        sensor, sensor_name = sensor_sort(tracks.header), str(tracks.read("sensor/name"))
+        sensor, tracker = sensor_sort(tracks.header), _trackers(tracks.header)
+        sensor_name = str(tracks.read("sensor/name"))
     samples = read_samples(path, params, noise)
     predicted_n = {
         "regression": np.stack(
@@ -179,9 +189,8 @@ def _predict(path: Path, models: Models, params: EvaluateForce, noise: np.random
         ),
         "network": np.stack([forces.apply_network(model.network, samples.moved_px) for model in selected_models]),
     }
-    return TrialForce(
-        path, sensor, sensor_name, sensor_name in selected_models[0].sensor_name.split(", "), samples, predicted_n
-    )
+    fitted = sensor_name in selected_models[0].sensor_name.split(", ")
+    return TrialForce(path, sensor, tracker, sensor_name, fitted, samples, predicted_n)
 
 
 def _row(trial: TrialForce, name: str) -> dict[str, Any]:
@@ -194,6 +203,7 @@ def _row(trial: TrialForce, name: str) -> dict[str, Any]:
         "sensor_name": trial.sensor_name,
         "fitted": trial.fitted,
         "sensor": trial.sensor,
+        "tracker": trial.tracker,
         "model": name,
         "models": len(errors),
     }
@@ -209,14 +219,25 @@ def _row(trial: TrialForce, name: str) -> dict[str, Any]:
 
 
 def _summary(trials: list[TrialForce], rows: Rows, params: EvaluateForce) -> dict[str, Any]:
-    """Return the range of the true forces, and mean errors over trajectories of sensors that models were fitted on."""
+    """Return the range of the true forces, and mean errors over trajectories of sensors that models were fitted on.
+
+    With several trackers of a sensor, the names of the means contain the tracker.
+    """
     fitted_rows = [row for row in rows if row["fitted"]]
+    trackers = {sensor: {row["tracker"] for row in fitted_rows if row["sensor"] == sensor} for sensor in SENSORS}
     means = {
-        f"{sensor}_{model}_mae_n_{letter}": float(np.mean([row[f"mae_n_{letter}"] for row in selected_rows]))
-        for sensor in SENSORS
+        f"{sensor}{f'_{tracker}' * (len(of_sensor) > 1)}_{model}_mae_n_{letter}": float(
+            np.mean([row[f"mae_n_{letter}"] for row in selected_rows])
+        )
+        for sensor, of_sensor in trackers.items()
+        for tracker in sorted(of_sensor)
         for model in STYLES
         for letter in forces.AXES
-        if (selected_rows := [row for row in fitted_rows if (row["sensor"], row["model"]) == (sensor, model)])
+        if (
+            selected_rows := [
+                row for row in fitted_rows if (row["sensor"], row["tracker"], row["model"]) == (sensor, tracker, model)
+            ]
+        )
     }
     force = np.concatenate([one.samples.force_n for one in trials])
     return {
@@ -231,18 +252,18 @@ def _summary(trials: list[TrialForce], rows: Rows, params: EvaluateForce) -> dic
 
 
 def _draw(figure: Any, trials: list[TrialForce]) -> None:
-    """Plot the first trajectory of every sensor, as in the paper's figure: force sensor, regression and network."""
-    shown: dict[str, TrialForce] = {}
+    """Plot the first trajectory of every sensor and tracker, as in the paper's figure: force sensor and both models."""
+    shown: dict[tuple[str, str], TrialForce] = {}
     for one in sorted(trials, key=lambda one: not one.fitted):  # stable: those of fitted sensors first
-        shown.setdefault(one.sensor, one)
+        shown.setdefault((one.sensor, one.tracker), one)
     panels = figure.subplots(len(shown), 2, squeeze=False, sharex=True, sharey=True)
-    for row, (sensor, one) in zip(panels, shown.items(), strict=True):
+    for row, ((sensor, tracker), one) in zip(panels, shown.items(), strict=True):
         order = one.samples.slice_ / SLICES_PER_S
         for axis, axes in enumerate(row):
             axes.plot(order, one.samples.force_n[:, axis], color="black", linewidth=1.5, zorder=3, label="force sensor")
             for name, (colour, words) in STYLES.items():
                 axes.plot(order, one.predicted_n[name][0][:, axis], color=colour, linewidth=1.0, label=words)
-            axes.set_title(picture.plain(f"dots in {sensor}, sensor {one.sensor_name}"))
+            axes.set_title(picture.plain(f"dots in {sensor} by {tracker}, sensor {one.sensor_name}"))
             axes.set_ylabel(f"shear force {forces.AXES[axis]} [N]")
     for axes in panels[-1]:
         axes.set_xlabel("time [s]")

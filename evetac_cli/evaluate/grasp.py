@@ -3,7 +3,8 @@
 Grasps with several controllers, in several scenes and on several sensors are evaluated together. Grasps that differ
 only in object and trial belong to one setting. The rows form three tables with different columns: over all objects, by
 object, and by trial. The table over all objects merges gains, as the paper's figure does, in which some objects were
-held with a higher gain; there a column is an object with a gain. The paper's figures are included.
+held with a higher gain; there a column is an object with a gain. The paper's figures are included. If detectors or
+their thresholds differ, they are part of the setting.
 
 Balance counts only trials that lifted the object, as in the paper; `success` counts both phases. Motion of the object,
 grip force and reopening of the gripper are means (or medians) over trials that held the object to the end, because an
@@ -25,6 +26,7 @@ from evetac_cli.evaluate import grip_forces, paper, picture, report, report_job
 from evetac_cli.evaluate.source import Source
 from evetac_cli.events import SLICES_PER_S
 from evetac_cli.jobs import Job, Outcome, Progress, Rows, Stage, silent
+from evetac_cli.kernels import estimates
 from evetac_cli.kernels.grip.load_law import MARGIN
 from evetac_cli.sim import grasp_outcome
 from evetac_cli.sim.setup.plan import Plan, read_plan
@@ -33,8 +35,9 @@ from evetac_cli.store.layout.provenance import Header
 from evetac_cli.store.recordings import slip_grid
 
 OUTPUT = "report"
-METHOD = 3
+METHOD = 4
 USUAL = {"gain": 1.0, "latency_ms": 0, "control_hz": 500.0}  # named in a setting only if they differ from these
+ALIKE = ("scene", "sensor", "gel", "detector", "tracker", "slip_threshold")  # of all trials of a setting
 MEANS = (
     "opening_after_lift_ticks",
     "opening_after_balance_ticks",
@@ -90,7 +93,7 @@ def run(job: Job, params: EvaluateGrasp, *, force: bool = False, progress: Progr
         for number, (path, header) in enumerate(zip(job.inputs, headers, strict=True)):
             trials.append(trial_row(path, header))
             progress(number + 1, len(job.inputs))
-        return tables(trials)
+        return tables(with_detectors(trials, headers))
 
     outcome = report(job, "evaluate grasp", METHOD, recipe_of(params), headers, measure, force=force)
     source = Source.of(headers)
@@ -131,7 +134,37 @@ def trial_row(path: Path, header: Header) -> dict[str, Any]:
     if drop is not None and plan.scene.time.touch_s + planned["lift_s"] + drop.after_s < seconds:
         mass_g += drop.mass_g
     names = {"setting": describe_setting(plan, planned), "object": plan.called, "file": path.name, "carried_g": mass_g}
+    names |= {"scene": plan.scene.name, "sensor": plan.sensor_name, "gel": "cut" if plan.scene.gel.cut else "closed"}
     return {**names, **figures, slip_grid.COLUMN: nodes}
+
+
+def with_detectors(trials: Rows, headers: Sequence[Header]) -> Rows:
+    """Return the trials with detector, tracker and threshold, which are None without a detector.
+
+    Where grasps of a report differ in detector or threshold, these words are added to the setting.
+    """
+    sources: dict[str, dict[str, Any]] = {}
+    rows: Rows = []
+    for trial, header in zip(trials, headers, strict=True):
+        planned = header["parameters"]
+        key = json.dumps([header["parents"], planned.get("tracker")], sort_keys=True)
+        if key not in sources:
+            sources[key] = detector_columns(Source.of([header]))
+        rows.append({**trial, **sources[key], "slip_threshold": planned.get("slip_threshold")})
+    detectors = {row["detector"] for row in rows} - {None}
+    for row in rows:
+        words = [f"detector {row['detector']}"] if row["detector"] and len(detectors) > 1 else []
+        same = {one["slip_threshold"] for one in rows if one["detector"] == row["detector"]}
+        words += [f"threshold {row['slip_threshold']:g}"] if len(same) > 1 else []
+        row["setting"] = ", ".join([row["setting"], *words])
+    return rows
+
+
+def detector_columns(source: Source) -> dict[str, Any]:
+    """Return the columns that name the detector of a grasp and the trackers of its dots and of the training data."""
+    if not source.detectors:
+        return {"detector": None, "tracker": None}
+    return {"detector": source.detector, "tracker": " + ".join(source.trackers)}
 
 
 def describe_setting(plan: Plan, planned: dict[str, Any]) -> str:
@@ -167,10 +200,14 @@ def tables(trials: Rows) -> tuple[Rows, dict[str, Any]]:
         columns: dict[tuple[str, int | str], Rows] = {}
         for row in members:
             columns.setdefault((row["setting"], row["object"]), []).append(row)
-        rows = [{"setting": setting, "object": number, **figures(cell)} for (setting, number), cell in columns.items()]
+        rows = [
+            {"setting": setting, "object": number, **_alike(cell), **figures(cell)}
+            for (setting, number), cell in columns.items()
+        ]
         objects += [_with_papers(row, "paper_success", "paper_opening_after_balance_ticks") for row in rows]
-        row = {"setting": name, "columns": len(columns), **figures(members)}
+        row = {"setting": name, "columns": len(columns), **_alike(members), **figures(members)}
         row["reopened_share"] = _mean([each["reopened_share"] for each in rows])  # every column counts the same
+        row |= _ends(members, rows)
         row |= {key: value for key, value in grip_forces.firmness(members).items() if key not in ("grasps", "kept")}
         whole.append(_with_papers(row, "paper_success", "paper_reopened_share"))
     shares: dict[str, Any] = {
@@ -179,6 +216,31 @@ def tables(trials: Rows) -> tuple[Rows, dict[str, Any]]:
     follows = [(row["setting"], row["force_follows_weight"]) for row in whole]
     shares["force_follows_weight"] = ", ".join(f"{name} {value:.2f}" for name, value in follows if value is not None)
     return [*whole, *objects, *trials], {"grasps": len(trials), **shares}
+
+
+def _ends(trials: Rows, by_object: Rows) -> dict[str, float | None]:
+    """Return the ends of intervals of a setting's shares, from resampling objects: their trials are alike."""
+    objects = [row["object"] for row in trials]
+    weights = estimates.cluster_weights(objects)
+    found: dict[str, estimates.Estimate | None] = {}
+    for name, hits in (("success", [row["balanced"] for row in trials]), ("lifted", [row["lifted"] for row in trials])):
+        found[name] = (
+            estimates.ratio_of_clusters(np.array(hits, np.float64), np.ones(len(trials)), weights)
+            if len(set(objects)) > 1 and 0 < sum(hits) < len(trials)
+            else estimates.share(sum(hits), len(trials))
+        )
+    reopened = np.array([row["reopened_share"] for row in by_object if row["reopened_share"] is not None])
+    found["reopened_share"] = (
+        estimates.ratio_of_clusters(reopened, np.ones(len(reopened)), estimates.cluster_weights(range(len(reopened))))
+        if len(reopened) > 1
+        else None
+    )
+    return {f"{name}_{end}": one and getattr(one, end) for name, one in found.items() for end in ("low", "high")}
+
+
+def _alike(trials: Rows) -> dict[str, Any]:
+    """Return the columns that trials of a setting share; those of tables by hand may lack some."""
+    return {name: trials[0][name] for name in ALIKE if name in trials[0]}
 
 
 def without_gain(setting: str) -> str:

@@ -24,6 +24,7 @@ Key = tuple[str | float, ...]  # the quantity, then its subject (object, model, 
 
 LAWS = ("paper", "paper-reset")  # controllers: two readings of the paper's text
 ROBUSTNESS = ("sideways", "drop-20g", "drop-100g")  # scenes of the paper's tests of robustness
+PAPERS_SENSOR = "evetac"  # evetac's model of the sensor on which the paper's detectors were trained
 OTHER_SENSOR = "another sensor"
 
 
@@ -205,7 +206,8 @@ def _our_slip(row: Row, source: Source) -> Conditions:
 
 
 def _our_force(row: Row, source: Source) -> Conditions:
-    inputs = "frames" if row["sensor"] == "frames" else _by("dots", source.trackers)
+    dots = f"dots by {row['tracker']}" if row.get("tracker") else _by("dots", source.trackers)
+    inputs = "frames" if row["sensor"] == "frames" else dots
     return Conditions(row["model"], _scenes(source), (row["trajectories"], source.training_recordings), inputs)
 
 
@@ -221,22 +223,29 @@ class PaperSetting(NamedTuple):
     law: str
     scene: str
     gain: str
-    method: str  # the controller with everything non-default except gain and scene
+    method: str  # the controller with everything non-default except gain, scene, sensor and detector
 
     @classmethod
-    def of(cls, text: str) -> "PaperSetting":
-        """Parse the words of a setting."""
-        law, *words = text.split(", ")
+    def of(cls, row: Row) -> "PaperSetting":
+        """Read a row's setting. Scene, sensor and gel are columns; older rows have them as words of the setting."""
+        law, *words = row["setting"].split(", ")
         gain = next((word.removeprefix("gain ") for word in words if word.startswith("gain ")), "1")
-        unusual = [word for word in words if word.endswith((" late", " Hz"))]
-        places = [word for word in words if word not in unusual and not word.startswith("gain ")]
-        is_other_sensor = "second" in places or "closed gel" in places
-        scene = OTHER_SENSOR if is_other_sensor else ", ".join(places) or "lift"
-        return cls(law, scene, gain, ", ".join(["paper" if law in LAWS else law, *unusual]))
+        words = [word for word in words if not word.startswith(("gain ", "detector ", "threshold "))]
+        unusual = [word for word in words if word.endswith((" late", " Hz")) or word.startswith(("margin ", "two "))]
+        places = [word for word in words if word not in unusual]
+        sensor, gel = row.get("sensor"), row.get("gel")
+        scene = row.get("scene") or next((word for word in places if word in ROBUSTNESS), None)
+        is_other_sensor = sensor not in (None, PAPERS_SENSOR) or gel == "closed"
+        if sensor is None:
+            is_other_sensor = scene is None and bool(places)
+        method = ", ".join(["paper" if law in LAWS else law, *unusual])
+        if not is_other_sensor:
+            return cls(law, scene or "lift", gain, method)
+        return cls(law, OTHER_SENSOR if scene in (None, "lift") else f"{scene}, {OTHER_SENSOR}", gain, method)
 
 
 def _kept(row: Row) -> Key:
-    setting = PaperSetting.of(row["setting"])
+    setting = PaperSetting.of(row)
     if row["setting"] == "none" and "object" not in row:
         return ("lifted by contact alone",)
     if setting.law not in LAWS:
@@ -259,11 +268,12 @@ def _opening(row: Row) -> Key:
 
 
 def _our_grasp(row: Row, source: Source) -> Conditions:
-    setting = PaperSetting.of(row["setting"])
+    setting = PaperSetting.of(row)
     number = (row["trials"],) if "object" in row else (row["columns"], row["trials"])
     if setting.law == "none" or setting.law.startswith("fixed"):
         return Conditions(setting.method, setting.scene, number)
-    inputs = f"{_by('dots', source.trackers)}, {' + '.join(source.detectors)}{_several(source)}"
+    dots = f"dots by {row['tracker']}" if row.get("tracker") else _by("dots", source.trackers)
+    inputs = f"{dots}, {row.get('detector') or source.detector}"
     return Conditions(setting.method, setting.scene, (*number, *source.grasp_s), inputs)
 
 
@@ -292,7 +302,10 @@ def _of_interval(quantity: str) -> PaperColumn:
 
 def _of_axis(quantity: str, axis: str) -> PaperColumn:
     return PaperColumn(
-        lambda row: (quantity, row["model"], row["sensor"], axis), _our_force, ("sensor", "model", "trajectories")
+        lambda row: (quantity, row["model"], row["sensor"], axis),
+        _our_force,
+        ("sensor", "model", "trajectories"),
+        ("tracker",),
     )
 
 
@@ -312,7 +325,8 @@ def _of_object() -> PaperColumn:
 
 
 def _of_setting(key: Callable[[Row], Key]) -> PaperColumn:
-    return PaperColumn(key, _our_grasp, ("setting", "trials"), ("object", "columns"))
+    may_need = ("object", "columns", "scene", "sensor", "gel", "detector", "tracker")
+    return PaperColumn(key, _our_grasp, ("setting", "trials"), may_need)
 
 
 SHOWN: dict[str, PaperColumn] = {

@@ -9,12 +9,13 @@ Timing considers the first slice that reaches the threshold. A controller instea
 So further columns report how long before slip the alarm begins that lasts until slip, and how often alarms occur
 without slip (slip_warnings.py).
 
-The rows form eight tables with different columns:
+The rows form nine tables with different columns:
 
 - the covariates of the slips, which decide how far the figures of two data sets can be compared (slip_covariates.py);
 - the figures of each setting next to the paper's;
 - the times from the labels' onset to the first detection;
 - reliability: predicted probability against frequency of slip;
+- predictions over time about the onset, by object (slip_over_time.py);
 - the figures by object; by sensor, if there are several; by model; by trajectory.
 """
 
@@ -51,7 +52,7 @@ from evetac_cli.stages.related_files import named_files
 from evetac_cli.store.files import StageFile
 
 OUTPUT = "report"
-METHOD = 7
+METHOD = 8
 
 SHOWN_MS = (-60, 40)  # range of the paper's figure of slip timing
 PANELS = 4  # distributions side by side

@@ -1,4 +1,8 @@
-"""The tables of a report on slip: timing, F1 and warnings by setting, object, sensor, model and trajectory."""
+"""The tables of a report on slip: timing, F1 and warnings by setting, object, sensor, model and trajectory.
+
+Trajectories of an object are alike, so intervals come from resampling objects (and sensors, for timing); those of one
+object's row from resampling its trajectories. Seeds of training are averaged first.
+"""
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -6,10 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from evetac_cli.evaluate import paper, slip_warnings
+from evetac_cli.evaluate import paper, slip_over_time, slip_warnings
 from evetac_cli.evaluate.slip_models import Model
 from evetac_cli.evaluate.slip_warnings import Judged
 from evetac_cli.jobs import Rows
+from evetac_cli.kernels import estimates
 from evetac_cli.kernels.slip import metrics
 from evetac_cli.kernels.slip.metrics import Prediction
 
@@ -70,6 +75,7 @@ def tables(
     objects: Rows = []
     sensors: Rows = []
     steps: Rows = []  # bins of probability
+    over_time: Rows = []
     judged = [
         [Judged.of(prediction, at) for prediction in of_model]
         for of_model, at in zip(predictions, thresholds, strict=True)
@@ -78,13 +84,14 @@ def tables(
         first = models[members[0]]
         cells = [by_object(predictions[index], thresholds[index]) for index in members]
         late_by = [
-            _late_by(prediction, thresholds[index])
+            (prediction.object, _late_by(prediction, thresholds[index]))
             for index in members
             for prediction in predictions[index]
             if prediction.onset >= 0 and prediction.timed
         ]
         seeds, of_seeds = [judged[index] for index in members], [predictions[index] for index in members]
-        settings.append(setting_row(setting, first, cells) | slip_warnings.columns(seeds, of_seeds))
+        settings.append(setting_row(setting, first, cells) | slip_warnings.columns(seeds, of_seeds) | _f1_ends(cells))
+        over_time += slip_over_time.rows(setting, of_seeds, [thresholds[index] for index in members])
         sensors += slip_warnings.sensor_rows(setting, seeds)
         steps += slip_warnings.reliability_rows(setting, of_seeds)
         timing_bins.append({"setting": setting, **_timing_bins(late_by), **_paper_timing_bins(first, set(cells[0]))})
@@ -102,6 +109,7 @@ def tables(
                     "slip_late": _mean(_values(of_object, "slip_late")),
                     "f1": _mean(f1),
                     "f1_sd_seeds": _sd(f1),
+                    **slip_warnings.correct_of_object(seeds, name),
                     **_warned(slip_warnings.group(seeds, "object", name)),
                     **_papers_object(first, name, len(members)),
                 }
@@ -117,7 +125,8 @@ def tables(
         for index in members
         for prediction, one, path in zip(predictions[index], judged[index], paths, strict=True)
     ]
-    return [*settings, *timing_bins, *steps, *objects, *sensors, *by_model, *trajectories], _summary(scores, settings)
+    tables_ = [*settings, *timing_bins, *steps, *over_time, *objects, *sensors, *by_model, *trajectories]
+    return tables_, _summary(scores, settings)
 
 
 def _warned(of_object: dict[str, Any]) -> dict[str, Any]:
@@ -215,15 +224,32 @@ def _paper(model: Model, objects: set[str]) -> dict[str, Any]:
     return figures
 
 
-def _timing_bins(late_by: Sequence[int | None]) -> dict[str, Any]:
-    """Return shares of trajectories with an onset by bins of t_m - t_c, and the median of those with a detection."""
-    detected = [value for value in late_by if value is not None]
-    shares = {name: sum(low <= value <= high for value in detected) for name, low, high in TIMING_BINS}
-    return {
-        "t_m_minus_t_c_ms_median": float(np.median(detected)) if detected else None,
-        **{name: count / len(late_by) if late_by else None for name, count in shares.items()},
-        "never_detected": (len(late_by) - len(detected)) / len(late_by) if late_by else None,
-    }
+def _f1_ends(cells: list[dict[str, Any]]) -> dict[str, float | None]:
+    """Return the ends of F1's interval, from resampling objects; `cells`: for every seed, the score of every object."""
+    of_objects = [_mean(_values([cell[name] for cell in cells], "f1")) for name in cells[0]]
+    known = np.array([value for value in of_objects if value is not None])
+    weights = estimates.cluster_weights(range(len(known))) if len(known) > 1 else None
+    f1 = None if weights is None else estimates.ratio_of_clusters(known, np.ones(len(known)), weights)
+    return {"f1_low": None, "f1_high": None} if f1 is None else {"f1_low": f1.low, "f1_high": f1.high}
+
+
+def _timing_bins(late_by: Sequence[tuple[str, int | None]]) -> dict[str, Any]:
+    """Return shares of trajectories with an onset by bins of t_m - t_c, and the median of those with a detection.
+
+    late_by: object and t_m - t_c of each trajectory and seed.
+    """
+    detected = [value for _, value in late_by if value is not None]
+    inside = {
+        name: np.array([value is not None and low <= value <= high for _, value in late_by], np.float64)
+        for name, low, high in TIMING_BINS
+    } | {"never_detected": np.array([value is None for _, value in late_by], np.float64)}
+    row: dict[str, Any] = {"t_m_minus_t_c_ms_median": float(np.median(detected)) if detected else None}
+    row |= {name: float(one.mean()) if len(one) else None for name, one in inside.items()}
+    weights = estimates.cluster_weights([name for name, _ in late_by])
+    for name, one in inside.items():
+        share = estimates.ratio_of_clusters(one, np.ones(len(one)), weights)
+        row |= {f"{name}_low": share and share.low, f"{name}_high": share and share.high}
+    return row
 
 
 def _paper_timing_bins(model: Model, objects: set[str]) -> dict[str, Any]:

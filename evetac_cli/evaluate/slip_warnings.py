@@ -170,6 +170,17 @@ def group(judged: Seeds, factor: str, name: str) -> dict[str, Any]:
     }
 
 
+def correct_of_object(judged: Seeds, name: str) -> dict[str, float | None]:
+    """Return the ends of the interval of one object's share of correct timing, from resampling its trajectories."""
+    slips = [place for place, one in enumerate(judged[0]) if one.slips and one.object == name]
+    if not slips:
+        return _ends("slip_correct", None)
+    shares = Shares.of([judged[0][place]._replace(sensor="") for place in slips])
+    return _ends(
+        "slip_correct", shares.mean(_of_seeds([[seed[place].is_correct for place in slips] for seed in judged]))
+    )
+
+
 def _of_seeds(values: Sequence[Sequence[float]]) -> NDArray[np.float64]:
     """Return the mean over seeds, (trials,)."""
     mean: NDArray[np.float64] = np.array(values, np.float64).mean(axis=0)

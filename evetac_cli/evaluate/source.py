@@ -40,13 +40,18 @@ class Source:
         return cls(
             simulated=any(one.get("simulated", False) for one in every.values()),
             scenes=_texts(_scene(one["parameters"]) for one in recordings),
-            trackers=_texts([*trackers - {"rgb"}, *(one["parameters"].get("tracker") for one in grasps)]),
+            trackers=_texts([*trackers - {"rgb"}, *map(_tracker, grasps)]),
             labels=_texts(one["parameters"].get("method", "farneback") for one in of_kind["labels"].values()),
             detectors=_texts(_detector(detectors[id_]["parameters"]) for id_ in used),
             grasp_s=tuple(second for pair in sorted(durations) for second in pair),
             training_recordings=len(_recordings_behind([*detectors.values(), *of_kind["force-model"].values()], every)),
             networks=max((one["parameters"].get("networks", 1) for one in detectors.values()), default=1),
         )
+
+    @property
+    def detector(self) -> str:
+        """The detectors of grasps in words, with the number of networks if several are averaged."""
+        return " + ".join(self.detectors) + (f", {self.networks} networks" if self.networks > 1 else "")
 
     @classmethod
     def from_json(cls, stored: Row) -> "Source":
@@ -62,6 +67,13 @@ def _texts(values: Iterable[Any]) -> tuple[str, ...]:
 def _scene(parameters: Row) -> str | None:
     scene = parameters.get("scene")
     return scene if isinstance(scene, str) else scene_words(parameters, "name")
+
+
+def _tracker(grasp: Row) -> str | None:
+    """Return the preset by which a grasp tracked its dots; older recipes have its name alone."""
+    tracker: Any = grasp["parameters"].get("tracker")
+    preset: str | None = tracker["preset"] if isinstance(tracker, Mapping) else tracker
+    return preset
 
 
 def _detector(parameters: Row) -> str:

@@ -25,11 +25,12 @@ from evetac_cli.kernels import vibration
 from evetac_cli.store.recordings.read import Recording, open_recording
 
 OUTPUT = "report"
-METHOD = 2
+METHOD = 3
 SHORTEST_MS, LONGEST_MS = 100, 10_000  # of a window: shorter ones have no spectrum, longer ones need too much memory
 READ_MS = 250  # events read at once
 ENOUGH_WINDOWS = 5  # to estimate the tone's uncertainty from their differences
 PANELS = 10  # of the plot
+STRONGEST = 3  # frequencies of a window's spectrum among which the paper always finds the tone
 TONE = "truth/tone_hz"
 
 
@@ -41,6 +42,7 @@ class Survey(NamedTuple):
     counts: NDArray[np.int64]  # events per bin of 1 / rate
     motion: dict[int, list[float | None]]  # window length in ms -> a frequency per window, by motion
     paper: dict[int, list[float | None]]  # the same by the paper's method
+    strongest: dict[int, list[list[float]]]  # window length in ms -> the strongest frequencies of each window
 
 
 def jobs(files: list[Path], params: EvaluateVibration, out: Path | None) -> list[Job]:
@@ -168,6 +170,7 @@ def _survey(
     lengths = [length for length in windows_ms if length <= piece_ms]
     motion: dict[int, list[float | None]] = {length: [] for length in lengths}
     by_counts: dict[int, list[float | None]] = {length: [] for length in lengths}
+    strongest: dict[int, list[list[float]]] = {length: [] for length in lengths}
     whole: vibration.Spectrum | None = None
     all_counts = []
     fine_hz = max(params.rate, vibration.FINEST_HZ)
@@ -181,14 +184,16 @@ def _survey(
             whole = piece if whole is None else whole.plus(piece)
         for length in lengths:
             for begin in range(0, last - first - length + 1, length):
-                by_counts[length].append(_paper_tone_hz(_part(counts, begin, length, params.rate), params))
+                counted = _part(counts, begin, length, params.rate)
+                by_counts[length].append(_paper_tone_hz(counted, params))
+                strongest[length].append(_strongest_hz(counted, params))
                 if with_motion and length == piece_ms:
                     motion[length].append(_tone_hz(piece, params))
                 elif with_motion:
                     window = vibration.spectrum(_part(tally, begin, length, fine_hz), fine_hz)
                     motion[length].append(_tone_hz(window, params))
     assert whole is not None  # the first piece has full length
-    return Survey((stop - start) / SLICES_PER_S, whole, np.concatenate(all_counts), motion, by_counts)
+    return Survey((stop - start) / SLICES_PER_S, whole, np.concatenate(all_counts), motion, by_counts, strongest)
 
 
 def _read(
@@ -220,6 +225,15 @@ def _tone_hz(spectrum: vibration.Spectrum, params: EvaluateVibration) -> float |
 
 def _paper_tone_hz(counts: NDArray[np.int64], params: EvaluateVibration) -> float | None:
     return vibration.strongest_of_counts(counts, params.rate, params.lowest_hz)
+
+
+def _strongest_hz(counts: NDArray[np.int64], params: EvaluateVibration) -> list[float]:
+    """Return the strongest frequencies of a window, in Hz: the largest amplitudes of the paper's spectrum."""
+    amplitude = np.abs(np.fft.rfft(counts - counts.mean()))
+    frequency_hz = np.arange(len(amplitude)) * params.rate / len(counts)
+    amplitude[frequency_hz < params.lowest_hz] = 0.0
+    places = np.argsort(amplitude)[: -STRONGEST - 1 : -1]
+    return [float(frequency_hz[place]) for place in places if amplitude[place] > 0.0]
 
 
 def _whole(survey: Survey, method: str, expected_hz: float | None, params: EvaluateVibration) -> dict[str, Any]:
@@ -277,6 +291,10 @@ def _by_window(
         if expected_hz is not None:
             tolerance_hz = max(params.tolerance_hz, 500.0 / length)  # half the frequency spacing of a window
             right = sum(_near(frequency_hz, expected_hz, tolerance_hz) for frequency_hz in frequencies)
+            among_three = sum(
+                any(_near(frequency_hz, expected_hz, tolerance_hz) for frequency_hz in of_window)
+                for of_window in survey.strongest[length]
+            )
             doubles_hz = (2 * expected_hz, abs((2 * expected_hz + params.rate / 2) % params.rate - params.rate / 2))
             wrong = [frequency_hz for frequency_hz in detected if not _near(frequency_hz, expected_hz, tolerance_hz)]
             half = [_near(frequency_hz, expected_hz / 2, tolerance_hz) for frequency_hz in wrong]
@@ -287,6 +305,9 @@ def _by_window(
                 "correct": right,
                 "share": right / len(frequencies),
                 "paper_share": paper.value("vibration", f"{expected_hz:g}", length / 1000),
+                "among_three": among_three if method == "paper" else None,
+                "among_three_share": among_three / len(frequencies) if method == "paper" else None,
+                "paper_among_three_share": paper.value("among three", "all"),
                 "windows_at_half_tone": sum(half),
                 "windows_at_double_tone": sum(double),
                 "windows_at_other_frequency": len(wrong) - sum(a or b for a, b in zip(half, double, strict=True)),

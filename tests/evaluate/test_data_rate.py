@@ -32,6 +32,7 @@ def recording_file(
     onset: int = ONSET,
     touched: bool = True,
     scene: str | None = None,
+    parameters: dict[str, Any] | None = None,
 ) -> Path:
     """A recording with so many events in each slice; with truth, in contact from TOUCH to LOST and slip from onset."""
     slices = len(per_slice)
@@ -41,7 +42,7 @@ def recording_file(
         loaded = (at >= TOUCH) & (at < LOST) & touched
         slips = (at >= onset) & (at < onset + 20)
         arrays |= truth_arrays(np.zeros((slices, 1, 2)), slips, np.where(loaded, 2.0, 0.0))
-    parameters = {} if scene is None else {"scene": {"name": scene}}
+    parameters = {**(parameters or {}), **({} if scene is None else {"scene": {"name": scene}})}
     return write_recording(path, arrays, simulated=truth, **parameters)
 
 
@@ -79,6 +80,20 @@ def steps() -> NDArray[np.int64]:
     """1 event a slice at rest, 10 in contact, 100 in the 0.5 s about the onset."""
     at = np.arange(SLICES)
     return np.where((at >= 750) & (at < 1250), 100, np.where((at >= TOUCH) & (at < LOST), 10, 1))
+
+
+def test_objects_have_rows_where_there_are_several(tmp_path: Path) -> None:
+    """Assert a row per interval over all recordings, and one per object with the figures of its own."""
+    paths = [tmp_path / f"{number}.recording.h5" for number in (1, 2, 3)]
+    for number, path in zip((1, 1, 2), paths, strict=True):
+        recording_file(path, number * steps(), truth=True, parameters={"object": number})
+    rows = evaluated(*paths)[1]
+    assert [(row["object"], row["interval"]) for row in rows] == [
+        (name, interval) for name in ("all", "1", "2") for interval in data_rate.INTERVALS
+    ]
+    shares = {row["object"]: row["share_mean"] for row in rows if row["interval"] == "slip"}
+    assert shares["2"] == pytest.approx(2 * shares["1"]) and shares["all"] == pytest.approx(4 / 3 * shares["1"])
+    assert [row["object"] for row in evaluated(paths[2])[1]] == ["all"] * 3
 
 
 def test_shares_in_closed_form(tmp_path: Path) -> None:

@@ -161,6 +161,42 @@ def test_a_setting_says_what_is_unusual(changes: dict, setting: str) -> None:
     assert "gain" not in without_gain(setting)
 
 
+def of_detector(preset: str, networks: int, threshold: float | None) -> dict[str, Any]:
+    """The header of a grasp; without a threshold it has no detector."""
+    of = {"simulated": True, "method": 1, "seed": 0}
+    trained = {"model": "fast-slow", "horizon_ms": 10, "preset": preset, "networks": networks}
+    model = {**of, "kind": "model", "parents": [], "parameters": trained}
+    planned = {"tracker": {"preset": "paper", "constants": {}}, "slip_threshold": threshold}
+    if threshold is None:
+        return {**of, "id": "g", "kind": "recording", "parents": [], "parameters": {"tracker": None}, "history": {}}
+    history = {preset: model}
+    return {**of, "id": "g", "kind": "recording", "parents": [preset], "parameters": planned, "history": history}
+
+
+def test_detectors_and_thresholds_that_differ_are_settings() -> None:
+    """Assert that grasps with other detectors are kept apart and named, and that with one alone nothing is added."""
+    headers = [of_detector("paper", 1, 0.9), of_detector("paper", 1, 0.3), of_detector("adamw", 4, 0.3)]
+    headers.append(of_detector("paper", 1, None))
+    rows = evaluate_grasp.with_detectors([row_of(), row_of(), row_of(), row_of("none")], headers)
+    first, ours = "fast-slow 10 ms ahead by paper", "fast-slow 10 ms ahead by adamw, 4 networks"
+    assert [row["setting"] for row in rows] == [
+        f"paper, detector {first}, threshold 0.9", f"paper, detector {first}, threshold 0.3",
+        f"paper, detector {ours}", "none",
+    ]  # fmt: skip
+    assert [(row["detector"], row["tracker"]) for row in rows[2:]] == [(ours, "paper"), (None, None)]
+    whole, _, _ = split(tables(rows)[0])
+    assert [row.get("slip_threshold") for row in whole] == [0.9, 0.3, 0.3, None]
+    assert evaluate_grasp.with_detectors([row_of()], headers[:1])[0]["setting"] == "paper"
+
+
+def test_intervals_are_over_objects() -> None:
+    """Assert that ten trials of each of two objects, one always kept and one never, say as little as two."""
+    trials = [row_of(number=number, held=number == 11) for number in (11, 12) for _ in range(10)]
+    ((whole,), _, _) = split(tables(trials)[0])
+    assert (whole["success_low"], whole["success"], whole["success_high"]) == (0.0, 0.5, 1.0)
+    assert (whole["lifted_low"], whole["lifted_high"]) == pytest.approx((0.839, 1.0), abs=1e-3)
+
+
 @needs_matplotlib
 def test_the_picture() -> None:
     """Assert that it draws with one object and with many, failures and more settings than colours included."""

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from evetac_cli.commands.evaluate import EvaluateSlip
 from evetac_cli.commands.train import Train
 from evetac_cli.errors import InputError
-from evetac_cli.evaluate import slip, slip_models, slip_tables
+from evetac_cli.evaluate import slip, slip_models, slip_over_time, slip_tables
 from evetac_cli.evaluate.slip_models import Model, check
 from evetac_cli.inspect import validate
 from evetac_cli.jobs import silent
@@ -155,7 +155,7 @@ def test_every_object_counts_the_same(world: dict[str, Any], tmp_path: Path) -> 
     """Assert that a setting's figures are the means of its objects' rows, however many trajectories each has."""
     files = [world["known"][0], *world["unseen"], *world["seeds"]]
     rows, _ = evaluated(files, tmp_path)
-    (setting,), objects = table_of(rows, "seeds"), table_of(rows, "object", "file")
+    (setting,), objects = table_of(rows, "seeds"), [row for row in table_of(rows, "object", "file") if "f1" in row]
     assert [(row["object"], row["trajectories"]) for row in objects] == [("1", 1), ("10", 2)]
     for figure in ("slip_early", "slip_correct", "slip_late", "f1"):
         assert setting[figure] == pytest.approx(np.mean([row[figure] for row in objects]))
@@ -234,11 +234,32 @@ def test_the_papers_figures(world: dict[str, Any], tmp_path: Path) -> None:
 )
 def test_timing_bins_at_their_borders(late_by: int, name: str) -> None:
     """Assert that each first detection is counted in one place, and those without one are never."""
-    shares = slip_tables._timing_bins([late_by, None])
+    shares = slip_tables._timing_bins([("1", late_by), ("2", None)])
     assert shares[name] == 0.5
     assert shares["never_detected"] == 0.5
-    assert sum(value for key, value in shares.items() if key != "t_m_minus_t_c_ms_median") == 1
+    assert sum(shares[key] for key in ("never_detected", *(key for key, _, _ in slip_tables.TIMING_BINS))) == 1
     assert shares["t_m_minus_t_c_ms_median"] == late_by
+    assert (shares[f"{name}_low"], shares[f"{name}_high"]) == (0, 1)  # either object may be drawn twice
+
+
+def test_intervals_of_f1_are_over_objects() -> None:
+    """Assert that seeds are averaged first, and that the interval spans the objects."""
+    cells = [{"1": {"f1": 0.5}, "2": {"f1": 0.9}}, {"1": {"f1": 0.7}, "2": {"f1": 0.9}}]
+    ends = slip_tables._f1_ends(cells)
+    assert (ends["f1_low"], ends["f1_high"]) == pytest.approx((0.6, 0.9))
+    assert slip_tables._f1_ends([{"1": {"f1": 0.5}}]) == {"f1_low": None, "f1_high": None}
+
+
+def test_predictions_over_time() -> None:
+    """Assert mean probability and detected share at each time about the onset, by object, while the recording lasts."""
+    low, high = (prediction(np.arange(140) >= first, 100, "3") for first in (90, 110))
+    rows = slip_over_time.rows("a", [[low], [high]], [0.5, 0.5])
+    assert [row["after_onset_ms"] for row in rows] == [*range(-20, 61, 5)]
+    by_time = {row["after_onset_ms"]: row for row in rows}
+    assert [by_time[after]["detected_share"] for after in (-15, -10, 5, 10)] == [0.0, 0.5, 0.5, 1.0]
+    assert by_time[35]["predictions"] == 2 and by_time[40]["predictions"] == 0
+    assert by_time[40]["probability_mean"] is None
+    assert slip_over_time.rows("a", [[prediction(np.zeros(9, bool), -1, "3")]], [0.5]) == []
 
 
 def prediction(detected: NDArray[np.bool_], onset: int, object_: str) -> Prediction:

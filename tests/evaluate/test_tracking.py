@@ -111,6 +111,26 @@ def test_a_dot_off_by_20_px_is_lost(recording: Path, px: float, lost: int) -> No
     assert outcome.summary["with_truth"] == 0
 
 
+@pytest.mark.parametrize(("px", "lost"), [(19.9, 0), (20.1, 1)])
+@pytest.mark.parametrize("after_px", [2.9, 4.0])
+def test_a_dot_that_is_put_back_is_judged_before_that(
+    recording: Path, px: float, lost: int, after_px: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Assert that a dot put back counts by its place before, and that a flag which ends elsewhere is no such reset."""
+    monkeypatch.setattr(stages, "BLOCK_ROWS", 7)
+    path = tracked(recording, "one")
+    with h5py.File(path, "r+") as file:
+        rest = file["sensor/dot_xy_px"][:].reshape(-1, 2)
+        file["lost"][3:14, 5] = 1
+        file["dot_xy_px"][13, 5] = rest[5] + (px, 0.0)
+        file["dot_xy_px"][14, 5] = rest[5] + (after_px, 0.0)
+    preset, row = evaluate(path).rows
+    was_put_back = after_px < 3
+    assert (row["consistent"], row["dots_put_back"]) == (True, int(was_put_back))
+    assert row["dots_lost_before_reset"] == (lost if was_put_back else 0)
+    assert preset["consistent_before_reset_share"] == (0.0 if lost and was_put_back else 1.0)
+
+
 def test_constants_by_hand_are_kept_apart(recording: Path) -> None:
     """Assert that two sets of constants from one preset are two rows, and the same set twice is one."""
     files = [

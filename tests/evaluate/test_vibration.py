@@ -64,6 +64,15 @@ def evaluated(path: Path | list[Path], out: Path | None = None, **chosen: Any) -
     return run_stage(vibration, [path] if isinstance(path, Path) else path, params, out, force=True)[1]
 
 
+def test_the_three_strongest_frequencies() -> None:
+    """Assert that they are those of the largest amplitudes above the lowest frequency, and none where nothing moves."""
+    time_s = np.arange(1000) / 1000
+    waves = [(20.0, 90), (50.0, 40), (100.0, 30), (200.0, 20), (300.0, 10)]
+    counts = np.round(100 + sum(size * np.cos(2 * np.pi * hz * time_s) for hz, size in waves)).astype(np.int64)
+    assert vibration._strongest_hz(counts, EvaluateVibration()) == [50.0, 100.0, 200.0]
+    assert vibration._strongest_hz(np.full(1000, 3), EvaluateVibration()) == []
+
+
 def test_a_tone_without_dots(tmp_path: Path) -> None:
     """Assert that the default finds the tone where the paper's method takes twice of it, and that rows say so."""
     outcome = evaluated(swing(tmp_path, 140.5), windows="1,0.25", true_hz=140.5)
@@ -76,6 +85,8 @@ def test_a_tone_without_dots(tmp_path: Path) -> None:
     reported = [(row["method"], row["window_s"], row["windows"]) for row in windows]
     assert reported == [("default", 1.0, 2), ("default", 0.25, 8), ("paper", 1.0, 2), ("paper", 0.25, 8)]
     assert [row["share"] for row in windows[:3]] == [1.0, 1.0, 0.0]
+    assert [row["among_three"] is None for row in windows] == [True, True, False, False]
+    assert windows[2]["among_three_share"] == windows[2]["among_three"] / 2
     assert (
         windows[2]["windows_at_double_tone"] == 2
         and windows[2]["windows_at_half_tone"] == windows[2]["windows_at_other_frequency"] == 0

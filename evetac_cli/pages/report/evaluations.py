@@ -119,7 +119,8 @@ def _timing(evaluation: Found) -> Rows:
 
 def _forces(evaluation: Found) -> Rows:
     """Return means over trajectories for each sensor and model of the paper's method."""
-    groups = _grouped(having("model", "sensor", "mae_n_x")(evaluation), ("sensor", "model", "sensor_name"))
+    rows = [{"tracker": None, **row} for row in having("model", "sensor", "mae_n_x")(evaluation)]
+    groups = _grouped(rows, ("sensor", "tracker", "model", "sensor_name"))
     keys = ("mae_n_x", "mae_n_y", "paper_mae_n_x", "paper_mae_n_y")
     return [
         {**members[0], "trajectories": len(members), **{key: _mean(members, key) for key in keys}} for members in groups
@@ -292,6 +293,7 @@ SUBJECTS = (
         _forces,
         (
             ReportColumn("dots from", "sensor"),
+            ReportColumn("tracker", "tracker"),
             ReportColumn("model", "model"),
             ReportColumn("sensor", "sensor_name"),
             ReportColumn("trajectories", "trajectories"),
@@ -348,6 +350,7 @@ SUBJECTS = (
         having("interval", "share_mean"),
         (
             ReportColumn("interval", "interval"),
+            ReportColumn("object", "object"),
             ReportColumn("trajectories", "trajectories"),
             ReportColumn("share", "share_mean", "paper_share_mean"),
             ReportColumn("sd", "share_sd", "paper_share_sd"),

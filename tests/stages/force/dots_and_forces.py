@@ -20,6 +20,7 @@ def write_trial(
     shear_n: NDArray[np.floating[Any]],
     sensor_name: str,
     frame_px: tuple[int, int] = (640, 480),
+    preset: str = "exact",
 ) -> Path:
     """A recording, with truth if it is simulated, and the tracks of its dots; the tracks' path.
 
@@ -43,5 +44,5 @@ def write_trial(
         **sensor,
     }
     path = folder / f"trial{made.seed}.tracks.h5"
-    write_stage(path, Recipe("tracks", 1, {"preset": "exact"}, parents=(header,)), tracks)
+    write_stage(path, Recipe("tracks", 1, {"preset": preset}, parents=(header,)), tracks)
     return path

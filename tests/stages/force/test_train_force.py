@@ -28,7 +28,9 @@ SLICES = 2400
 FIT = TrainForce(samples=40, epochs=5)
 
 
-def tracks_of_shear(folder: Path, number: int, *, softer: float = 1.0, columns: int = 9, truth: bool = True) -> Path:
+def tracks_of_shear(
+    folder: Path, number: int, *, softer: float = 1.0, columns: int = 9, truth: bool = True, preset: str = "exact"
+) -> Path:
     """A recording without events and the tracks of its dots, all of which move as one; the tracks' path.
 
     `softer`: how many times as far the dots move under the same force, on another sensor_name.
@@ -42,7 +44,8 @@ def tracks_of_shear(folder: Path, number: int, *, softer: float = 1.0, columns: 
     rest = np.stack(np.meshgrid(60.0 + 62.0 * np.arange(columns), 40.0 + 62.0 * np.arange(7)), axis=-1)
     dots = (rest.reshape(1, -1, 2) + force_n[:, None] * softer / N_PX).astype(np.float32)
     recipe = Recipe("recording", 1, {"softer": softer, "columns": columns}, seed=number, simulated_source=truth)
-    return write_trial(folder, recipe, rest, dots, 20.0 * pressed, force_n, "evetac" if softer == 1 else "soft-gel")
+    name = "evetac" if softer == 1 else "soft-gel"
+    return write_trial(folder, recipe, rest, dots, 20.0 * pressed, force_n, name, preset=preset)
 
 
 @pytest.fixture(scope="module")
@@ -176,6 +179,20 @@ def test_sensors_are_kept_apart(fits: Path, tmp_path: Path) -> None:
     )
     (tmp_path / "events.force-model.h5").write_bytes((fits / "events.force-model.h5").read_bytes())
     refused(evaluate_force, [events], EvaluateForce(model=str(tmp_path)), "two models", tmp_path)
+
+
+def test_trackers_are_kept_apart(fits: Path, tmp_path: Path) -> None:
+    """Assert that dots tracked by another preset than the models' are refused, and that two presets have rows each."""
+    other = [tracks_of_shear(tmp_path, number, preset="other") for number in range(4)]
+    model = fits / "events.force-model.h5"
+    refused(evaluate_force, other[3:], EvaluateForce(model=str(model)), "in events by other", tmp_path)
+    run_valid(train_force, other[:3], FIT, tmp_path / "other.force-model.h5")
+    (tmp_path / "events.force-model.h5").write_bytes(model.read_bytes())
+    both = EvaluateForce(model=str(tmp_path), samples=45)
+    files = [*other[3:], fits / "trial3.tracks.h5"]
+    _, outcome = run_valid(evaluate_force, files, both, tmp_path / "a.report.h5")
+    assert [row["tracker"] for row in outcome.rows] == ["other", "other", "exact", "exact"]
+    assert "events_other_network_mae_n_x" in outcome.summary
 
 
 def test_another_grid_is_refused(fits: Path, tmp_path: Path) -> None:
