@@ -115,6 +115,7 @@ film: $(READY)  ## make the short film of a catch, docs/catch.gif
 	cp $(if $(SMALL),small/)film/catch.gif docs/catch.gif
 
 results: $(READY)  ## write the tables in docs/results/ into README and docs
+	$(BIN)/python scripts/paper_rows.py
 	$(BIN)/python scripts/results.py
 
 # With several BLAS threads that wait for each other's cores, small matrices take ten times as long.

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import experiment_steps as steps
 import experiment_tables as tables
+import slip_result_tables
 import studies
 from experiment_steps import Command, Sizes, evetac
 from experiment_tables import Table
@@ -58,7 +59,7 @@ EXPERIMENTS: tuple[Experiment, ...] = (
         "paper-recipe", "slip detection by the paper's recipe at full size, and with one change at a time",
         "data/paper-recipe", 6.0, full=steps.RECIPE, small=steps.SMALL_RECIPE,
         steps=steps.recipe_steps, evaluations=steps.recipe_evaluations,
-        tables=(tables.PAPER_RECIPE, tables.RECIPE_CHANGES, tables.MODEL_COST),
+        tables=(tables.PAPER_RECIPE, tables.RECIPE_CHANGES, tables.MODEL_COST, *slip_result_tables.TABLES),
     ),
     Experiment(
         "ship", "the pretrained slip detector, trained on many motions, sensors and objects", "data/ship", 1.0,

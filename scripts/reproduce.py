@@ -27,6 +27,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
+import paper_rows
 from experiment_steps import Command, Sizes
 from experiment_tables import Column, Evaluation, Table
 from experiments import EXPERIMENTS, Experiment
@@ -173,7 +174,7 @@ def shown_rows(table: Table, rows: list[Row]) -> list[Row]:
     """Return the figures that the table shows (all for a measured one) and the keys of the paper's figures."""
     columns = [*table.columns, *([table.across] if table.across else [])]
     wanted = {key for column in columns for part in (column.heading, column.cell, column.paper) for key in keys(part)}
-    wanted.add("evaluation")
+    wanted |= {"evaluation", *paper_rows.needed(table.name)}
     for key in wanted & paper.SHOWN.keys():
         wanted |= {*paper.SHOWN[key].needs, *paper.SHOWN[key].may_need}
     return [{key: value for key, value in row.items() if table.measured or key in wanted} for row in rows]

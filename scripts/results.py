@@ -26,6 +26,7 @@ import likeness_convergence
 import likeness_grid
 import likeness_sensitivity
 import likeness_tables
+import paper_rows
 
 from evetac_cli.commands import WITH_CONFIG
 from evetac_cli.evaluate import paper
@@ -110,11 +111,12 @@ SUMMARY = (
     ),
 )
 LIKENESS = ("likeness-counted", "likeness-others")  # tables of public facts, made by likeness_tables.py
-# Tables made by separate scripts, each from its own rows in docs/results/likeness.
+# Tables made by separate scripts, each from its own rows in docs/results/likeness or scripts/paper-rows.json.
 OF_SCRIPTS = {
     "likeness-sensitivity": likeness_sensitivity.as_page,
     "likeness-convergence": likeness_convergence.as_page,
     "likeness-grid": likeness_grid.as_page,
+    **paper_rows.AS_PAGES,
 }
 OF_COVARIATES = ("median", "p10", "p90")
 # The module that defines METHOD, the method version, of each command.

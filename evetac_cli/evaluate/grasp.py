@@ -37,7 +37,7 @@ from evetac_cli.store.recordings import slip_grid
 OUTPUT = "report"
 METHOD = 4
 USUAL = {"gain": 1.0, "latency_ms": 0, "control_hz": 500.0}  # named in a setting only if they differ from these
-ALIKE = ("scene", "sensor", "gel", "detector", "tracker", "slip_threshold")  # of all trials of a setting
+ALIKE = ("scene", "sensor", "gel", "slip_detector", "tracker", "slip_threshold")  # of all trials of a setting
 MEANS = (
     "opening_after_lift_ticks",
     "opening_after_balance_ticks",
@@ -151,10 +151,10 @@ def with_detectors(trials: Rows, headers: Sequence[Header]) -> Rows:
         if key not in sources:
             sources[key] = detector_columns(Source.of([header]))
         rows.append({**trial, **sources[key], "slip_threshold": planned.get("slip_threshold")})
-    detectors = {row["detector"] for row in rows} - {None}
+    detectors = {row["slip_detector"] for row in rows} - {None}
     for row in rows:
-        words = [f"detector {row['detector']}"] if row["detector"] and len(detectors) > 1 else []
-        same = {one["slip_threshold"] for one in rows if one["detector"] == row["detector"]}
+        words = [f"detector {row['slip_detector']}"] if row["slip_detector"] and len(detectors) > 1 else []
+        same = {one["slip_threshold"] for one in rows if one["slip_detector"] == row["slip_detector"]}
         words += [f"threshold {row['slip_threshold']:g}"] if len(same) > 1 else []
         row["setting"] = ", ".join([row["setting"], *words])
     return rows
@@ -163,8 +163,8 @@ def with_detectors(trials: Rows, headers: Sequence[Header]) -> Rows:
 def detector_columns(source: Source) -> dict[str, Any]:
     """Return the columns that name the detector of a grasp and the trackers of its dots and of the training data."""
     if not source.detectors:
-        return {"detector": None, "tracker": None}
-    return {"detector": source.detector, "tracker": " + ".join(source.trackers)}
+        return {"slip_detector": None, "tracker": None}
+    return {"slip_detector": source.detector, "tracker": " + ".join(source.trackers)}
 
 
 def describe_setting(plan: Plan, planned: dict[str, Any]) -> str:

@@ -7,7 +7,7 @@ has no consistency. Tracks of the same recordings by several presets are compare
 
 The preset `stable` puts lost dots back at rest, which would make its end points consistent by itself. So the columns
 `..._before_reset` judge each dot also where it was in the slice before it was put back. A dot was put back in a slice
-if its flag `lost` ends there, and it then lies within a few px of its start. Other presets put nothing back.
+if its flag `lost` ends there, and it is then within a few px of its start. Other presets put nothing back.
 """
 
 import json
@@ -37,7 +37,7 @@ OUTPUT = "report"
 METHOD = 6
 DOTS, TRUE_DOTS = "dot_xy_px", "truth/dot_xy_px"
 CONSISTENT_PX = 20.0  # as in the paper
-PUT_BACK_PX = AT_REST_PX + 0.1  # a dot that was put back lies no farther from its start; the margin is for float32
+PUT_BACK_PX = AT_REST_PX + 0.1  # a dot that was put back is no farther from its start; the margin is for float32
 BIN_MS = 20  # of the plot's time axis
 LEAST_PX = 1e-3  # smallest error in the plot
 

@@ -307,7 +307,6 @@ def _by_window(
                 "paper_share": paper.value("vibration", f"{expected_hz:g}", length / 1000),
                 "among_three": among_three if method == "paper" else None,
                 "among_three_share": among_three / len(frequencies) if method == "paper" else None,
-                "paper_among_three_share": paper.value("among three", "all"),
                 "windows_at_half_tone": sum(half),
                 "windows_at_double_tone": sum(double),
                 "windows_at_other_frequency": len(wrong) - sum(a or b for a, b in zip(half, double, strict=True)),

@@ -183,7 +183,7 @@ def test_detectors_and_thresholds_that_differ_are_settings() -> None:
         f"paper, detector {first}, threshold 0.9", f"paper, detector {first}, threshold 0.3",
         f"paper, detector {ours}", "none",
     ]  # fmt: skip
-    assert [(row["detector"], row["tracker"]) for row in rows[2:]] == [(ours, "paper"), (None, None)]
+    assert [(row["slip_detector"], row["tracker"]) for row in rows[2:]] == [(ours, "paper"), (None, None)]
     whole, _, _ = split(tables(rows)[0])
     assert [row.get("slip_threshold") for row in whole] == [0.9, 0.3, 0.3, None]
     assert evaluate_grasp.with_detectors([row_of()], headers[:1])[0]["setting"] == "paper"

@@ -173,7 +173,7 @@ INTERVAL = {"interval": "whole", "trajectories": 5, "paper_share_mean": 0.017}
         ("paper_success", SIDEWAYS, GRASPS, {"setting": "paper, sideways, mine", "scene": "sideways", "sensor": "mine"},
          None),
         ("paper_success", SIDEWAYS, GRASPS, {"tracker": "stable"}, (1.0, METHOD)),
-        ("paper_success", SIDEWAYS, GRASPS, {"detector": "fast-slow by paper"}, (1.0, METHOD)),
+        ("paper_success", SIDEWAYS, GRASPS, {"slip_detector": "fast-slow by paper"}, (1.0, METHOD)),
         ("paper_mae_n_x", {**FORCE_ROW, "sensor": "events"}, FORCE, {"tracker": "paper"}, (0.33, SAME)),
         ("paper_mae_n_x", FORCE_ROW, FORCE, {}, (0.35, SAME)),
         ("paper_mae_n_x", FORCE_ROW, FORCE, {"sensor": "events"}, (0.33, METHOD)),
