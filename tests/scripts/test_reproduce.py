@@ -415,13 +415,18 @@ def evaluation(*rows: Row) -> Evaluation:
 
 def test_windows_and_forces_are_put_together() -> None:
     """Assert that windows are summed over recordings, and errors of force averaged over trajectories."""
-    window = {"expected_hz": 200.0, "window_s": 1, "windows": 10, "paper_share": 0.69}
+    found = ((200.0, "paper", 6), (200.0, "paper", 9), (200.0, "own", 10), (100.0, "paper", 10))
     rows = [
-        {"method": method, "correct": right, **window} for method, right in (("paper", 6), ("paper", 9), ("own", 10))
-    ]
-    paper, own = experiment_tables.window_rows({"vibration": evaluation(*rows)})
-    assert (paper["correct"], paper["windows"], paper["paper_share"]) == (15, 20, 0.69)
+        {"method": method, "correct": right, "expected_hz": tone_hz, "window_s": 1.0, "windows": 10,
+         "among_three": 10 if method == "paper" else None, "windows_at_half_tone": 1}
+        for tone_hz, method, right in found
+    ]  # fmt: skip
+    paper, own, _, every, _ = experiment_tables.window_rows({"vibration": evaluation(*rows)})
+    assert (paper["tone"], paper["correct"], paper["windows"], paper["paper_share"]) == ("200", 15, 20, 0.69)
     assert (own["correct"], own["windows"], own["paper_share"]) == (10, 10, None)
+    assert "among_three" not in own and paper["among_three_share"] == 1.0
+    assert (every["tone"], every["expected_hz"], every["share"], every["paper_share"]) == ("all", None, 25 / 30, 0.924)
+    assert (every["half_tone_share"], every["paper_among_three_share"]) == (0.1, 1.0)
 
     error = {
         "sensor": "events",
