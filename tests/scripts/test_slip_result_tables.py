@@ -1,0 +1,88 @@
+"""scripts/slip_result_tables.py: first detections by time and object, timing by object, predictions over time."""
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
+import reproduce
+import results
+import slip_result_tables
+from experiment_tables import Evaluation
+
+ABOUT = {"preset": "paper", "trajectories": 4, "folds": 0, "true_slip_share": False}
+SETTINGS = [
+    {"setting": "fast-slow", "model": "fast-slow", "horizon_ms": 0, "seeds": 2, **ABOUT},
+    {"setting": "fast-slow, 10 ms ahead", "model": "fast-slow", "horizon_ms": 10, "seeds": 2, **ABOUT},
+]
+
+
+def evaluations(name: str, *rows: dict[str, Any]) -> dict[str, Evaluation]:
+    """A report with both settings and these rows."""
+    return {name: Evaluation([*SETTINGS, *rows], {}, True)}
+
+
+def detection(
+    object_: str, file: str, late_by_ms: int | None, setting: str = "fast-slow, 10 ms ahead"
+) -> dict[str, Any]:
+    """A first detection on a slip; None for one that was missed."""
+    return {"setting": setting, "object": object_, "file": file, "t_c_ms": 900, "t_m_minus_t_c_ms": late_by_ms}
+
+
+def test_first_detections_by_time_and_object() -> None:
+    """Assert shares of both seeds in each bin, up to its end, with intervals; other settings and no slips left out."""
+    rows = [
+        *(detection("10", "a", late) for late in (-5, -20)), *(detection("10", "b", late) for late in (0, -60)),
+        *(detection("11", "c", late) for late in (-10, None)), *(detection("11", "d", late) for late in (20, 21)),
+        detection("11", "c", -5, "fast-slow"), {**detection("11", "e", None), "t_c_ms": None},
+    ]  # fmt: skip
+    found = slip_result_tables.timing_rows(evaluations(slip_result_tables.UNSEEN, *rows))
+    assert [row["object"] for row in found] == ["all"] * 6 + ["10"] * 6 + ["11"] * 6
+    every = {row["bin"]: row for row in found[:6]}
+    shares = [every[name]["share"] for name in slip_result_tables.BIN_WORDS]
+    assert shares == pytest.approx([1 / 8, 0, 1 / 8, 3 / 8, 1 / 8, 1 / 8])
+    assert [row["by_its_end"] for row in found[:6]][-1] == pytest.approx(7 / 8)
+    middle = every["10_to_0_ms_ahead"]
+    assert (middle["share_low"], middle["share_high"], middle["slips"]) == (0.25, 0.5, 4)
+    assert (middle["paper_timing_share"], found[9]["bin"], found[9]["paper_timing_share"]) == (
+        0.57,
+        middle["bin"],
+        None,
+    )
+    assert slip_result_tables.timing_rows({"x": Evaluation(SETTINGS[:1], {}, True)}) == []
+
+
+def test_the_table_of_first_detections() -> None:
+    """Assert that a table shows shares and the paper's figure over all objects alone, with a mark."""
+    made = reproduce.result(
+        slip_result_tables.SLIP_TIMING, evaluations(slip_result_tables.UNSEEN, detection("10", "a", -5)), ["evetac x"]
+    )
+    heads, every, one = results.lines(made)
+    assert heads[:2] == ["object", "slips"] and heads[5] == "-10 to 0 ms (paper)"
+    assert every[5] == "1.00; 1.00 (0.57, other method)" and one[5] == "1.00; 1.00"
+    assert {"share_low", "bin", "seeds", "preset"} <= made["rows"][0].keys()
+
+
+def test_timing_by_object_and_predictions_over_time() -> None:
+    """Assert the rows of objects in order, and those of the paper's object by networks that do not predict ahead."""
+    objects = [
+        {"setting": "fast-slow", "object": name, "trajectories": 2, "slip_correct": 0.5, "slip_correct_sd_seeds": 0.1}
+        for name in ("17", "9")
+    ]
+    steps = [
+        {
+            "setting": setting["setting"],
+            "object": name,
+            "after_onset_ms": 5,
+            "probability_mean": 0.7,
+            "detected_share": 1,
+        }
+        for setting in SETTINGS
+        for name in ("3", "4")
+    ]
+    report = evaluations(slip_result_tables.KNOWN, *objects, *steps)
+    assert [row["object"] for row in slip_result_tables.slip_object_rows(report)] == ["9", "17"]
+    (row,) = slip_result_tables.over_time_rows(report)
+    assert (row["model"], row["object"], row["after_onset_ms"], row["seeds"]) == ("fast-slow", "3", 5, 2)
