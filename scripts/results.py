@@ -116,6 +116,8 @@ OF_SCRIPTS = {
     "likeness-sensitivity": likeness_sensitivity.as_page,
     "likeness-convergence": likeness_convergence.as_page,
     "likeness-grid": likeness_grid.as_page,
+    "likeness-answer": lambda results, as_table: likeness_tables.answer(results) + "\n",
+    "likeness-topics": lambda results, as_table: likeness_tables.topics(results) + "\n",
     **paper_rows.AS_PAGES,
 }
 OF_COVARIATES = ("median", "p10", "p90")

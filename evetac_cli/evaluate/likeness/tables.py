@@ -147,7 +147,9 @@ def _consistent_share(rows: Rows) -> Values:
 
 
 def _errors(rows: Rows, **traits: Any) -> tuple[float | None, float | None]:
-    row = _of(rows, sensor_name="evetac", **traits) or {}
+    # The paper tracked dots in events with its own tracker; older tables of force do not name theirs.
+    paper = _of(rows, sensor_name="evetac", **{"tracker": "paper", **traits})
+    row = paper or _of(rows, sensor_name="evetac", **traits) or {}
     return row.get("mae_n_x"), row.get("mae_n_y")
 
 
