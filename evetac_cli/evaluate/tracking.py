@@ -26,7 +26,6 @@ from evetac_cli.errors import InputError
 from evetac_cli.evaluate import paper, picture, report, report_job
 from evetac_cli.evaluate.source import Source
 from evetac_cli.jobs import Job, Outcome, Progress, Rows, Stage, silent
-from evetac_cli.kernels.tracking.lost_dots import AT_REST_PX
 from evetac_cli.stages import row_blocks
 from evetac_cli.stages.related_files import check_made_from
 from evetac_cli.store.files import StageFile, output_path
@@ -37,7 +36,7 @@ OUTPUT = "report"
 METHOD = 6
 DOTS, TRUE_DOTS = "dot_xy_px", "truth/dot_xy_px"
 CONSISTENT_PX = 20.0  # as in the paper
-PUT_BACK_PX = AT_REST_PX + 0.1  # a dot that was put back is no farther from its start; the margin is for float32
+ROUNDING_PX = 0.1  # margin for positions stored as float32
 BIN_MS = 20  # of the plot's time axis
 LEAST_PX = 1e-3  # smallest error in the plot
 
@@ -221,6 +220,8 @@ def _before_reset(tracks: StageFile, rest: Floats, present: NDArray[np.bool_]) -
 
     Only slices in which a flag `lost` ends are looked at, so most files cost one pass over the flags.
     """
+    from evetac_cli.kernels.tracking.lost_dots import AT_REST_PX  # imports numba
+
     farthest_px, put_back = np.zeros(len(rest)), 0
     last = np.zeros(len(rest), bool)
     for first, stop in row_blocks(tracks.length(DOTS)):
@@ -229,7 +230,7 @@ def _before_reset(tracks: StageFile, rest: Floats, present: NDArray[np.bool_]) -
         last = lost[-1]
         for slice_ in map(int, first + np.flatnonzero(ended.any(axis=1))):
             before, after = np.linalg.norm(tracks.read(DOTS, slice_ - 1, slice_ + 1)[:, present] - rest, axis=2)
-            back = ended[slice_ - first] & (after <= PUT_BACK_PX)
+            back = ended[slice_ - first] & (after <= AT_REST_PX + ROUNDING_PX)
             put_back += int(back.sum())
             farthest_px[back] = np.maximum(farthest_px[back], before[back])
     return put_back, farthest_px
