@@ -1,4 +1,4 @@
-"""The rows of the paper, each with evetac's figure or method beside it, and the page about them.
+"""The rows of the paper, each with evetac's figure or method beside it; paper_page.py writes the page about them.
 
     python scripts/paper_rows.py            # computes what scripts/paper-rows.json has as `computed`, and `awaiting`
     python scripts/results.py               # writes the tables of docs/paper.md
@@ -25,7 +25,7 @@ The verdict of a figure is the first of these that applies:
 import json
 import math
 import sys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -42,7 +42,6 @@ INSIDE, DIRECTION, MISSED, NOT_APPLICABLE = "inside its spread", "right directio
 SAME, OTHER = paper.SAME, paper.METHOD
 VERDICTS = (INSIDE, DIRECTION, MISSED, SAME, OTHER, NOT_APPLICABLE)
 NOT_YET = "no table yet"
-AsTable = Callable[[list[str], Iterable[list[str]]], str]
 
 
 class Ours(NamedTuple):
@@ -82,7 +81,7 @@ def row_of(results: Path, table: str, select: Mapping[str, Any]) -> tuple[Row, R
     return found, rows[0]
 
 
-def published(entry: Row, rows: Mapping[str, Row], results: Path = RESULTS) -> paper.PaperFigure | None:
+def published(entry: Row, results: Path = RESULTS) -> paper.PaperFigure | None:
     """Return the paper's figure of an entry, by its key or by the column next to evetac's figure.
 
     None for a statement without a figure.
@@ -161,7 +160,7 @@ def holds(claim: Row, entry: Row, rows: Mapping[str, Row], results: Path = RESUL
     mine = ours(entry, rows, results, need_interval=False)
     sign = 1 if claim["is"] == "above" else -1
     if "than" in claim:
-        figure = published(entry, rows, results)
+        figure = published(entry, results)
         stated = figure.value if claim["than"] == "paper" and figure is not None else claim["than"]
         return sign * (mine.value - stated) > 0
     if "row" in claim:
@@ -187,7 +186,7 @@ def computed(entry: Row, rows: Mapping[str, Row], results: Path = RESULTS) -> Ro
     if entry["kind"] == "method":
         return {"verdict": OTHER if entry.get("differs") else SAME}
     try:
-        mine, figure = ours(entry, rows, results, need_interval=False), published(entry, rows, results)
+        mine, figure = ours(entry, rows, results, need_interval=False), published(entry, results)
         figures = {} if figure is None else {"paper": figure.value, "unit": figure.unit, "where": figure.where}
         spread = None if figure is None else figure.spread
         found = {**figures, "spread": spread and [_rounded(end) for end in spread], "ours": _rounded(mine.value)}
@@ -221,7 +220,7 @@ def awaiting(entries: Rows, results: Path = RESULTS) -> list[str]:
         try:
             if entry["kind"] == "figure":
                 ours(entry, rows, results)
-                published(entry, rows, results)
+                published(entry, results)
                 for claim in entry.get("direction", []):
                     holds(claim, entry, rows, results)
         except Awaited as error:
@@ -263,120 +262,10 @@ def filled(content: Row, results: Path = RESULTS) -> Row:
     return {**content, "awaiting": awaiting(entries, results), "rows": entries}
 
 
-# --- the page ---------------------------------------------------------------------------------------------------------
-
-
 def counts(entries: Rows) -> dict[str, int]:
     """Return the number of entries by verdict, in the order of VERDICTS."""
     verdicts = [entry["computed"]["verdict"] for entry in entries]
     return {name: verdicts.count(name) for name in (*VERDICTS, NOT_YET) if name in verdicts}
-
-
-def as_answer(results: Path, as_table: AsTable) -> str:
-    """Return the sentences that answer how much of the paper is reproduced."""
-    entries = filled(read(), results)["rows"]
-    of_figures = counts([entry for entry in entries if entry["kind"] == "figure"])
-    of_methods = counts([entry for entry in entries if entry["kind"] == "method"])
-    others = sum(entry["kind"] == NOT_APPLICABLE for entry in entries)
-    total = sum(of_figures.values())
-    figures = ", ".join(f"{count} {name}" for name, count in of_figures.items())
-    methods = ", ".join(f"{count} {name}" for name, count in of_methods.items())
-    inside, direction, missed = (of_figures.get(name, 0) for name in (INSIDE, DIRECTION, MISSED))
-    return (
-        f"**Of {total} figures and comparisons of the paper, {inside} are inside their spread in the simulation,"
-        f" {direction} more have the right direction, and {missed} are not reproduced.** In detail: {figures}. Of"
-        f" {sum(of_methods.values())} methods: {methods}. {others} rows are not applicable.\n"
-    )
-
-
-def as_missed(results: Path, as_table: AsTable) -> str:
-    """Return the table of what is not reproduced, with reasons, and of what was not tried."""
-    content = filled(read(), results)
-    missed = [entry for entry in content["rows"] if entry["computed"]["verdict"] == MISSED]
-    lines = [[_number(entry), entry["what"], _paper(entry), _ours(entry), entry["why"]] for entry in missed]
-    parts = ["Simulated, except the paper's figures:", as_table(["row", "what", "paper", "evetac", "reason"], lines)]
-    tried = [entry for entry in content["rows"] if entry["kind"] == NOT_APPLICABLE]
-    parts += [
-        "Not applicable, or not tried:",
-        "\n".join(f"- {one['number']}, {one['what']}: {one['why']}." for one in tried),
-    ]
-    return "\n\n".join(parts) + "\n"
-
-
-def as_rows(results: Path, as_table: AsTable) -> str:
-    """Return the tables of all figures and all methods."""
-    entries = filled(read(), results)["rows"]
-    figures = [
-        [
-            _number(one),
-            one["what"],
-            _paper(one),
-            _ours(one),
-            one["computed"].get("mark") or "",
-            one["computed"]["verdict"],
-        ]
-        for one in entries
-        if one["kind"] == "figure"
-    ]
-    methods = [
-        [_number(one), one["what"], f"`{one['module']}`", f"`{one['test'].partition('::')[2]}`", _method(one)]
-        for one in entries
-        if one["kind"] == "method"
-    ]
-    heads = ["row", "what", "paper", "evetac, simulated", "mark", "verdict"]
-    parts = ["### Figures", as_table(heads, figures), "### Methods"]
-    parts += [as_table(["row", "the paper's method", "module", "test", "verdict"], methods)]
-    return "\n\n".join(parts) + "\n"
-
-
-def as_demands(results: Path, as_table: AsTable) -> str:
-    """Return the table of a referee's demands, with the places where they are fulfilled."""
-    demands = read()["demands"]
-    lines = [
-        [
-            str(one["number"]),
-            one["demand"],
-            one["fulfilled"],
-            one["left"],
-            ", ".join(f"`{place['file']}`" for place in one["places"]),
-        ]
-        for one in demands
-    ]
-    return as_table(["", "demand", "fulfilled by", "what is left", "places"], lines) + "\n"
-
-
-def _method(entry: Row) -> str:
-    differs = entry.get("differs")
-    return f"{entry['computed']['verdict']}: {differs}" if differs else str(entry["computed"]["verdict"])
-
-
-def _number(entry: Row) -> str:
-    return str(entry["number"])
-
-
-def _paper(entry: Row) -> str:
-    found = entry["computed"]
-    if "paper" not in found:
-        return str(entry.get("statement", ""))
-    spread = found.get("spread")
-    return f"{found['paper']:g} {found['unit']}" + (f" ({spread[0]:.3g} to {spread[1]:.3g})" if spread else "")
-
-
-def _ours(entry: Row) -> str:
-    found = entry["computed"]
-    if "ours" not in found:
-        return NOT_YET
-    ends = found.get("interval")
-    origin = f", {entry['table']}" if "table" in entry else ""
-    return f"{found['ours']:.3g}" + (f" ({ends[0]:.3g} to {ends[1]:.3g})" if ends else "") + origin
-
-
-AS_PAGES = {
-    "paper-answer": as_answer,
-    "paper-not-reproduced": as_missed,
-    "paper-rows": as_rows,
-    "paper-demands": as_demands,
-}
 
 
 def main() -> None:

@@ -26,7 +26,7 @@ import likeness_convergence
 import likeness_grid
 import likeness_sensitivity
 import likeness_tables
-import paper_rows
+import paper_page
 
 from evetac_cli.commands import WITH_CONFIG
 from evetac_cli.evaluate import paper
@@ -118,7 +118,7 @@ OF_SCRIPTS = {
     "likeness-grid": likeness_grid.as_page,
     "likeness-answer": lambda results, as_table: likeness_tables.answer(results) + "\n",
     "likeness-topics": lambda results, as_table: likeness_tables.topics(results) + "\n",
-    **paper_rows.AS_PAGES,
+    **paper_page.AS_PAGES,
 }
 OF_COVARIATES = ("median", "p10", "p90")
 # The module that defines METHOD, the method version, of each command.
