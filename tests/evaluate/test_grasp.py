@@ -8,7 +8,8 @@ import pytest
 from evetac_cli.commands.evaluate import EvaluateGrasp
 from evetac_cli.evaluate import grasp as evaluate_grasp
 from evetac_cli.evaluate import paper
-from evetac_cli.evaluate.grasp import describe_setting, tables, without_gain
+from evetac_cli.evaluate.grasp import tables
+from evetac_cli.evaluate.grasp_settings import describe_setting, with_detectors, without_gain
 from evetac_cli.evaluate.source import Source
 from evetac_cli.sim.setup.plan import first_plan, read_plan
 from tests.make import run_stage
@@ -177,7 +178,7 @@ def test_detectors_and_thresholds_that_differ_are_settings() -> None:
     """Assert that grasps with other detectors are kept apart and named, and that with one alone nothing is added."""
     headers = [of_detector("paper", 1, 0.9), of_detector("paper", 1, 0.3), of_detector("adamw", 4, 0.3)]
     headers.append(of_detector("paper", 1, None))
-    rows = evaluate_grasp.with_detectors([row_of(), row_of(), row_of(), row_of("none")], headers)
+    rows = with_detectors([row_of(), row_of(), row_of(), row_of("none")], headers)
     first, ours = "fast-slow 10 ms ahead by paper", "fast-slow 10 ms ahead by adamw, 4 networks"
     assert [row["setting"] for row in rows] == [
         f"paper, detector {first}, threshold 0.9", f"paper, detector {first}, threshold 0.3",
@@ -186,7 +187,7 @@ def test_detectors_and_thresholds_that_differ_are_settings() -> None:
     assert [(row["slip_detector"], row["tracker"]) for row in rows[2:]] == [(ours, "paper"), (None, None)]
     whole, _, _ = split(tables(rows)[0])
     assert [row.get("slip_threshold") for row in whole] == [0.9, 0.3, 0.3, None]
-    assert evaluate_grasp.with_detectors([row_of()], headers[:1])[0]["setting"] == "paper"
+    assert with_detectors([row_of()], headers[:1])[0]["setting"] == "paper"
 
 
 def test_intervals_are_over_objects() -> None:
