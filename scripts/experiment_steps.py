@@ -242,11 +242,11 @@ def force_steps(sizes: Sizes) -> Iterator[Command]:
     folders = ("learn", "unseen", *sizes["others"])
     for folder in folders:
         for tracker in sizes["trackers"]:
-            yield evetac("track", f"{folder}/*.recording.h5", "--preset", tracker, "--out", f"{tracker}/{folder}")
-        yield evetac("track-rgb", f"{folder}/*.recording.h5", "--out", f"rgb/{folder}")
+            yield evetac("track", f"{folder}/*.recording.h5", "--preset", tracker, "--out", f"{folder}/{tracker}")
+        yield evetac("track-rgb", f"{folder}/*.recording.h5", "--out", f"{folder}/rgb")
     for dots in (*sizes["trackers"], "rgb"):
         for seed in range(sizes["seed"], sizes["seed"] + sizes["seeds"]):
-            yield evetac("train-force", f"{dots}/learn/*.tracks.h5", "--seed", seed,
+            yield evetac("train-force", f"learn/{dots}/*.tracks.h5", "--seed", seed,
                          "--out", f"models/{dots}/{dots}-{seed}.force-model.h5")  # fmt: skip
 
 
@@ -254,7 +254,7 @@ def force_evaluations(sizes: Sizes) -> dict[str, Command]:
     """Evaluate the dots of each tracker, and those in RGB frames, with the models trained on such dots."""
     return {
         f"force-{dots}": evetac("evaluate", "force",
-                                *(f"{dots}/{folder}/*.tracks.h5" for folder in ("unseen", *sizes["others"])),
+                                *(f"{folder}/{dots}/*.tracks.h5" for folder in ("unseen", *sizes["others"])),
                                 "--model", f"models/{dots}", "--seed", sizes["judged"])
         for dots in (*sizes["trackers"], "rgb")
     }  # fmt: skip
