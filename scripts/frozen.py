@@ -23,7 +23,8 @@ OF_SCRIPTS = ("scripts/slip-thresholds.json", "scripts/slip-oracles.json", "scri
 SUFFIXES = (".py", ".toml", ".json", ".h5", ".npz")
 SEEDS = range(90_000, 100_000)  # of the trials that frozen methods are judged on
 RULE = (
-    f"every file with the suffix {', '.join(SUFFIXES)} in evetac_cli/{{{','.join(FOLDERS)}}}, and {', '.join(OF_SCRIPTS)}"
+    f"every file with the suffix {', '.join(SUFFIXES)} in evetac_cli/{{{','.join(FOLDERS)}}},"
+    f" and {', '.join(OF_SCRIPTS)}"
 )
 
 

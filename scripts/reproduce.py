@@ -8,8 +8,9 @@ of their own (demo/, data/slip/, ...), those of `--small` in small/.
 
 Tables go to docs/results/NAME.json, those of small runs to small/results/. They contain rows, layout, commands, recipe
 ids of the reports, seeds, sizes, and the commit, all from the headers of the reports, so a table always documents its
-own run. A table of more trajectories, objects or models is not replaced by a smaller one unless --replace is given.
-Other experiments' tables are not changed.
+own run. They also contain the computer, the core hours of all runs, and the digest of each model (run_facts.py). A
+table of more trajectories, objects or models is not replaced by a smaller one unless --replace is given. Other
+experiments' tables are not changed.
 
 Ctrl-C ends the running command, which removes its unfinished files, and then this program, with exit code 130.
 """
@@ -30,8 +31,9 @@ from typing import Any
 from experiment_steps import Command, Sizes
 from experiment_tables import Column, Evaluation, Table
 from experiments import EXPERIMENTS, Experiment
-from report_facts import facts, methods, report_header, words_for
+from report_facts import facts, methods, model_ids, report_header, words_for
 from results import fill, keys, text
+from run_facts import hours, machine, model_files, models, of_freeze, spending
 
 from evetac_cli import interrupts
 from evetac_cli.errors import EvetacError
@@ -318,21 +320,29 @@ def perform(
         print("+", *step, flush=True)
         if is_there(step, folder):
             continue
-        code, _ = run(with_engine(expand(step, folder), jobs, engine), folder)
+        with spending(folder, experiment.name):
+            code, _ = run(with_engine(expand(step, folder), jobs, engine), folder)
         if code:
             raise Refusal(f"{' '.join(step)} ended with exit code {code}")
-    evaluations = measured(experiment, sizes, folder, jobs)
+    with spending(folder, experiment.name):
+        evaluations = measured(experiment, sizes, folder, jobs)
     commands = dict.fromkeys(evaluations, own_command(experiment, sizes))
     for name, words in experiment.evaluations(sizes).items():
         print("+", *words, flush=True)
-        evaluations[name] = evaluate(name, with_engine(words, jobs, engine), folder, run, header)
+        with spending(folder, experiment.name):
+            evaluations[name] = evaluate(name, with_engine(words, jobs, engine), folder, run, header)
         commands[name] = " ".join(words)
+    said = (*experiment.steps(sizes), *experiment.evaluations(sizes).values())
+    judged = {path for words in said for path in model_files(expand(words, folder), folder)}
+    spent = hours([(out / one.folder, one.name) for one in (*in_order(experiment.after), experiment)])
     refusals = []
     for table in experiment.tables:
         chosen = {name: evaluations[name] for name in table.evaluations if name in evaluations}
         if not chosen:  # --size left out everything that the table is made of
             continue
         made = result(table, chosen, dict.fromkeys(commands[name] for name in chosen))
+        ids = model_ids(one.header for one in chosen.values() if one.header)
+        made |= {"machine": machine(), "hours": spent, "models": models(ids, sorted(judged), folder)} | of_freeze(made)
         print(f"\n{text(made)}")
         try:
             keep(made, results, replace=replace)

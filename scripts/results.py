@@ -4,7 +4,8 @@
 
 Two comments in a page mark the position of a table: `<!-- table NAME -->` and `<!-- end of NAME -->`. The text made
 from docs/results/NAME.json is written between them. The README's table `summary` takes one cell from each of several
-tables. likeness_tables.py makes the tables of docs/likeness.md.
+tables. likeness_tables.py makes the tables of docs/likeness.md. `freeze` marks the sentences on the frozen commit, with
+the number of frozen files that have changed since.
 
 A result file has flat rows and describes how to show them. `columns` lists a heading and a cell for each column, as
 Python format strings over a row. If rows are spread over columns, `across` describes one column for each distinct
@@ -22,10 +23,12 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import frozen
 import likeness_convergence
 import likeness_grid
 import likeness_sensitivity
 import likeness_tables
+import run_facts
 
 from evetac_cli.commands import WITH_CONFIG
 from evetac_cli.evaluate import paper
@@ -109,6 +112,7 @@ SUMMARY = (
         "share (paper)",
     ),
 )
+FREEZE = "freeze"  # the sentences on the frozen commit, which are no table
 LIKENESS = ("likeness-counted", "likeness-others")  # tables of public facts, made by likeness_tables.py
 # Tables made by separate scripts, each from its own rows in docs/results/likeness.
 OF_SCRIPTS = {
@@ -197,13 +201,13 @@ def ranges(values: Iterable[int]) -> str:
 
 
 def how_made(result: Result) -> str:
-    """Return a sentence that lists the commands and seeds behind a result."""
+    """Return a sentence with the commands, seeds, core hours and computer behind a result."""
     words = "Made by " + ", ".join(f"`{command}`" for command in result["commands"])
     sizes = result.get("sizes") or {}
     for what, name in (("recordings", "recording_seeds"), ("trainings", "training_seeds")):
         if seeds := sizes.get(name):
             words += f"; seeds of {what} {ranges(seeds)}"
-    return words + "."
+    return "; ".join(filter(None, [words, run_facts.in_words(result)])) + "."
 
 
 def as_table(heads: list[str], rows: Iterable[list[str]]) -> str:
@@ -253,6 +257,9 @@ def fill_page(page: str, results: Path) -> str:
     def replace(match: re.Match[str]) -> str:
         if match["name"] == "summary":
             return f"{match['begin']}{summary(results)}\n{match['end']}"
+        if match["name"] == FREEZE:
+            freeze = frozen.read()
+            return f"{match['begin']}\n{frozen.in_words(freeze, frozen.changed(freeze))}\n\n{match['end']}"
         if match["name"] in LIKENESS:
             return f"{match['begin']}\n{likeness_tables.as_pages(results, as_table)[match['name']]}\n{match['end']}"
         if match["name"] in OF_SCRIPTS:

@@ -109,7 +109,9 @@ def faults(seen: Mapping[str, Any], every: Mapping[str, Table]) -> Iterator[str]
             yield f"{name}: is judged on {judging[:5]}, but does not name the frozen commit"
 
 
-def fit_faults(groups: Iterable[Group], figures: Mapping[tuple[Any, ...], Any], facts: Iterable[Table]) -> Iterator[str]:
+def fit_faults(
+    groups: Iterable[Group], figures: Mapping[tuple[Any, ...], Any], facts: Iterable[Table]
+) -> Iterator[str]:
     """Yield, in words, figures of the paper and public facts that are fitted and named by no group, or the reverse.
 
     figures: paper.FIGURES; facts: those of likeness.toml.

@@ -136,7 +136,12 @@ def test_every_table_has_a_file_and_a_place() -> None:
     assert len(places) == len(set(places))
     assert names <= set(places)
     assert not {table.name for table in tables if not table.kept} & set(places)
-    assert {path.stem for path in RESULTS} == set(places) - {"summary", *results.LIKENESS, *results.OF_SCRIPTS}
+    assert {path.stem for path in RESULTS} == set(places) - {
+        "summary",
+        results.FREEZE,
+        *results.LIKENESS,
+        *results.OF_SCRIPTS,
+    }
 
 
 @pytest.mark.parametrize("path", RESULTS, ids=lambda path: path.stem)
