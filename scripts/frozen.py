@@ -22,6 +22,7 @@ FOLDERS = ("kernels", "sim", "data", "trials", "stages")  # of evetac_cli
 OF_SCRIPTS = ("scripts/slip-thresholds.json", "scripts/slip-oracles.json", "scripts/no-noise.sensor.toml")
 SUFFIXES = (".py", ".toml", ".json", ".h5", ".npz")
 SEEDS = range(90_000, 100_000)  # of the trials that frozen methods are judged on
+NAMED = 3  # most changed files that are named in words
 RULE = (
     f"every file with the suffix {', '.join(SUFFIXES)} in evetac_cli/{{{','.join(FOLDERS)}}},"
     f" and {', '.join(OF_SCRIPTS)}"
@@ -61,8 +62,9 @@ def changed(freeze: Freeze, root: Path = ROOT) -> list[str]:
 
 def in_words(freeze: Freeze, differing: list[str]) -> str:
     """Return the sentences on the freeze that pages and checks show."""
-    count = f"{len(differing)} of them have" if len(differing) > 1 else "One of them has"
-    since = f"{count} changed since." if differing else "None of them has changed since."
+    named = ", ".join(f"`{path.removeprefix('evetac_cli/')}`" for path in differing[:NAMED])
+    more = f" and {len(differing) - NAMED} more" if len(differing) > NAMED else ""
+    since = f"{len(differing)} changed since: {named}{more}." if differing else "None of them has changed since."
     return (
         f"Methods, constants, presets, thresholds, scenes and detectors were frozen at commit {freeze.commit[:8]}"
         f" ({freeze.date}): {len(freeze.files)} files, listed in `scripts/frozen.json`. {since}"
