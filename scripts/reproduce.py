@@ -2,6 +2,8 @@
 
     python scripts/reproduce.py --list
     python scripts/reproduce.py --only tracking [--small] [--size edges=5] [--jobs 4] [--dry-run]
+    python scripts/reproduce.py --table data-rate --out EMPTY   # one table again, compared with docs/results
+    python scripts/reproduce.py --check [--only data-rate]      # every table on a tenth of its trials (check_tables.py)
 
 Each command skips files that are up to date, so an experiment continues where it was stopped. Its files are in a folder
 of their own (demo/, data/slip/, ...), those of `--small` in small/.
@@ -311,8 +313,8 @@ def perform(
     engine: str = "local",
     run: Run = run_command,
     header: Callable[[Path], Row] = report_header,
-) -> None:
-    """Run an experiment's commands, evaluations and measurement; print and store its tables."""
+) -> dict[str, Evaluation]:
+    """Run an experiment's commands, evaluations and measurement; print and store its tables; return the evaluations."""
     folder, started = out / experiment.folder, time.time()
     folder.mkdir(parents=True, exist_ok=True)
     print(f"{experiment.name}: {experiment.shows}; files in {folder}", flush=True)
@@ -354,6 +356,7 @@ def perform(
     print(f"{new} made in {time.time() - started:.0f} s" if new else "all up to date, nothing to do")
     if refusals:
         raise Refusal("\n".join(refusals))
+    return evaluations
 
 
 def print_list() -> None:
@@ -376,6 +379,18 @@ def print_commands(experiment: Experiment, sizes: Sizes, out: Path, jobs: int, e
         print(f"# {experiment.measure} of scripts/ measures the rest")
 
 
+def make_or_check(chosen: argparse.Namespace) -> None:
+    """Carry out --table or --check; Refusal if a check finds no such table. Without --out, files go to data/again."""
+    from check_tables import check, make  # which import this module
+
+    out = ROOT / "data" / "again" / ("check" if chosen.check else "whole") if chosen.out == ROOT else chosen.out
+    how = {"jobs": chosen.jobs, "engine": chosen.engine}
+    if chosen.table:
+        make(chosen.table, out, chosen.results or out / "tables", replace=True, **how)
+    else:
+        check(chosen.only, out, dry_run=chosen.dry_run, as_json=chosen.json, **how)
+
+
 def main(arguments: list[str] | None = None) -> None:
     """Read the flags and run the experiments."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -395,6 +410,11 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--replace", action="store_true", help="replace tables of larger runs too")
     parser.add_argument("--list", action="store_true", help="print the experiments with their sizes")
     parser.add_argument("--dry-run", action="store_true", help="print the commands without running them")
+    parser.add_argument("--table", metavar="NAME", help="make one table whole, and compare it with docs/results")
+    parser.add_argument(
+        "--check", action="store_true", help="check all tables, or those of --only, on a tenth of their trials"
+    )
+    parser.add_argument("--json", action="store_true", help="with --check: print the results as JSON")
     chosen = parser.parse_args(arguments)
     if chosen.list:
         print_list()
@@ -404,6 +424,9 @@ def main(arguments: list[str] | None = None) -> None:
     except ValueError:
         parser.error("--size takes NAME=VALUE, for example --size each=2")
     try:
+        if chosen.table or chosen.check:
+            make_or_check(chosen)
+            return
         experiments = in_order(chosen.only or [experiment.name for experiment in EXPERIMENTS])
         unknown = [name for name in given if not any(name in experiment.full for experiment in experiments)]
         if unknown:
@@ -427,4 +450,5 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 if __name__ == "__main__":
+    sys.modules["reproduce"] = sys.modules["__main__"]  # for the modules that import this one
     main()
