@@ -14,23 +14,26 @@ from experiment_tables import Table
 from experiments import EXPERIMENTS, Experiment
 
 
-def named_folders(words: Sequence[str]) -> Iterator[str]:
-    """Yield the folders of the files that a command reads, and every other word that might be a folder."""
-    for before, word in zip(words, words[1:], strict=False):
-        if before == "--out":
-            continue
+def _names(words: Sequence[str]) -> Iterator[tuple[str, bool]]:
+    """Yield the folder of each file that a command reads, True, and each other word that might be a folder, False."""
+    for before, word in zip(words[1:], words[2:], strict=False):
         name = word.partition("=")[2] if word.startswith("--") else word
-        if name:
+        if name and before != "--out":
             is_file = "*" in name or name.endswith(".h5")
-            yield str(PurePosixPath(name).parent) if is_file else name
+            yield (str(PurePosixPath(name).parent) if is_file else name), is_file
 
 
-def out_folders(words: Sequence[str]) -> list[str]:
+def named_folders(words: Sequence[str]) -> set[str]:
+    """Return the folders of the files that a command reads, and every other word that might be a folder."""
+    return {name for name, _ in _names(words)}
+
+
+def out_folders(words: Sequence[str]) -> set[str]:
     """Return the folder that a command writes to, as a pattern; the folders of its inputs if it has no `--out`."""
     if "--out" in words:
         out = words[words.index("--out") + 1]
-        return [str(PurePosixPath(out).parent) if out.endswith(".h5") else out]
-    return [folder for folder in named_folders(words[1:]) if "/" in folder or "*" in folder] or ["*"]
+        return {str(PurePosixPath(out).parent) if out.endswith(".h5") else out}
+    return {name for name, is_file in _names(words) if is_file}
 
 
 def _serves(made: str, need: str) -> bool:
@@ -47,7 +50,7 @@ def needed(steps: Iterable[Command], readers: Iterable[Command]) -> list[Command
     for words in reversed(list(steps)):
         if words[0] == "python" or any(_serves(made, need) for made in out_folders(words) for need in wanted):
             chosen.append(words)
-            wanted |= set(named_folders(words))
+            wanted |= named_folders(words)
     return chosen[::-1]
 
 
