@@ -126,8 +126,11 @@ def made_by_hand() -> dict[str, str]:
 # --- one table again --------------------------------------------------------------------------------------------------
 
 
-def make(name: str, out: Path, results: Path, **how: Any) -> bool:
-    """Make a table whole, with what it builds on, and print how it compares with the stored one; True if equal."""
+def make(name: str, out: Path, results: Path, given: dict[str, str] | None = None, **how: Any) -> bool:
+    """Make a table whole, with what it builds on, and print how it compares with the stored one; True if equal.
+
+    given: sizes that differ from full size, as text, for a smaller table.
+    """
     try:
         experiment, table = experiment_of(name)
     except KeyError:
@@ -135,7 +138,8 @@ def make(name: str, out: Path, results: Path, **how: Any) -> bool:
     for earlier in reproduce.in_order(experiment.after):
         reproduce.perform(earlier, dict(earlier.full), out, results, **how)
     unpack_into(MODELS)
-    reproduce.perform(only_for(experiment, table), dict(experiment.full), out, results, **how)
+    sizes = reproduce.sizes_for(experiment, small=False, given=given or {})
+    reproduce.perform(only_for(experiment, table), sizes, out, results, **how)
     path = RESULTS / f"{name}.json"
     if not path.exists():
         print(f"{name}: docs/results has no such table yet")

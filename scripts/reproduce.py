@@ -379,14 +379,17 @@ def print_commands(experiment: Experiment, sizes: Sizes, out: Path, jobs: int, e
         print(f"# {experiment.measure} of scripts/ measures the rest")
 
 
-def make_or_check(chosen: argparse.Namespace) -> None:
-    """Carry out --table or --check; Refusal if a check finds no such table. Without --out, files go to data/again."""
+def make_or_check(chosen: argparse.Namespace, given: dict[str, str]) -> None:
+    """Carry out --table, with the given sizes, or --check; Refusal for a table that neither knows.
+
+    Without --out, files go to data/again/.
+    """
     from check_tables import check, make  # which import this module
 
     out = ROOT / "data" / "again" / ("check" if chosen.check else "whole") if chosen.out == ROOT else chosen.out
     how = {"jobs": chosen.jobs, "engine": chosen.engine}
     if chosen.table:
-        make(chosen.table, out, chosen.results or out / "tables", replace=True, **how)
+        make(chosen.table, out, chosen.results or out / "tables", given, replace=True, **how)
     else:
         check(chosen.only, out, dry_run=chosen.dry_run, as_json=chosen.json, **how)
 
@@ -425,7 +428,7 @@ def main(arguments: list[str] | None = None) -> None:
         parser.error("--size takes NAME=VALUE, for example --size each=2")
     try:
         if chosen.table or chosen.check:
-            make_or_check(chosen)
+            make_or_check(chosen, given)
             return
         experiments = in_order(chosen.only or [experiment.name for experiment in EXPERIMENTS])
         unknown = [name for name in given if not any(name in experiment.full for experiment in experiments)]
