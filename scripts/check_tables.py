@@ -26,8 +26,10 @@ import reproduce
 from experiment_steps import Command, Sizes
 from experiment_tables import Evaluation, Table
 from experiments import EXPERIMENTS, Experiment
+from made_tables import Refusal, commit
 from needed_steps import experiment_of, needed, only_for
-from reproduce import RESULTS, Refusal
+from reproduce import RESULTS
+from run_command import expand, run_command
 from run_facts import hours, model_files
 from ship.strip_model import digest, unpack
 from table_checks import CHECKS, NOT_CHECKED, SIZES, Check
@@ -200,7 +202,7 @@ def carried_out(chosen: Plan, out: Path, **how: Any) -> Row:
     found: Row = {
         "table": name,
         "table_sha256": table_digest(name),
-        "commit": reproduce.commit()[0],
+        "commit": commit()[0],
         "frozen": kept.get("frozen"),
         "hours": hours([(folder, chosen.experiment.name)]),
         "took_min": round((time.time() - began) / 60, 1),
@@ -210,7 +212,7 @@ def carried_out(chosen: Plan, out: Path, **how: Any) -> Row:
         "models": models_differing(kept.get("models", {}), placed),
     }
     if chosen.again is not None:
-        found["training"] = training(chosen, placed, folder, kept["rows"], used, how.get("run", reproduce.run_command))
+        found["training"] = training(chosen, placed, folder, kept["rows"], used, how.get("run", run_command))
     return found
 
 
@@ -233,7 +235,7 @@ def training(
         return about
     rows: list[Row] = []
     for name, words in chosen.experiment.evaluations(chosen.sizes).items():
-        named = [str(one.relative_to(folder).parent) for one in model_files(reproduce.expand(words, folder), folder)]
+        named = [str(one.relative_to(folder).parent) for one in model_files(expand(words, folder), folder)]
         if name not in used or str(target.relative_to(folder / AGAIN)) not in named:
             continue
         at = words.index("--model") + 1
@@ -260,7 +262,7 @@ def said(found: Row) -> Iterator[str]:
     else:
         inside = len(figures) - len(outside) - len(without)
         line = f"{found['table']}: {inside} of {len(figures)} figures agree, {equal} of them equal to the last digit"
-        yield line + (f"; {len(without)} have no interval" if without else "")
+        yield line + (f"; no interval for {len(without)}" if without else "")
     for row in outside:
         what = f"{row['row']}: {row['figure']} {row['stored']:.3g}"
         yield f"  outside: {what}, in the check {row['again']:.3g} ({row['low']:.3g} to {row['high']:.3g})"

@@ -30,7 +30,8 @@ from statistics import median
 
 from experiment_steps import Command
 from experiments import EXPERIMENTS
-from reproduce import IN_PARALLEL, commit
+from made_tables import commit
+from reproduce import IN_PARALLEL
 from results import put_measured
 
 from evetac_cli.cli.workers import ONE_THREAD

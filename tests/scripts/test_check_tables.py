@@ -19,8 +19,8 @@ import run_facts
 from experiment_steps import evetac
 from experiment_tables import Column, Evaluation, Table
 from experiments import EXPERIMENTS, Experiment
+from made_tables import Refusal
 from needed_steps import experiment_of, needed, only_for
-from reproduce import Refusal
 from ship import strip_model
 from table_checks import CHECKS, NOT_CHECKED, SIZES, Check, Figure, slip_trials
 
