@@ -52,7 +52,7 @@ def interval(trials: Rows, figure: Figure) -> Estimate | None:
     """Return a figure of trials with its 95 % interval; None with fewer than three units that have it.
 
     Units (objects, recordings) are resampled. For a share the interval also covers Wilson's, by the number of different
-    trials, since resampling gives no width to a share of 0 or 1; for a mean it covers Student's, by units, since
+    trials, since resampling gives no width to a share of 0 or 1. For a mean it also covers Student's, by units, since
     resampling few units gives too narrow intervals.
     """
     having = [row for row in trials if row.get(figure.above) is not None]

@@ -3,9 +3,9 @@
     python scripts/frozen.py                    # what has changed
     python scripts/frozen.py --write f9c755f9   # freeze that commit: writes frozen.json
 
-Frozen are all files that can change a figure: code, scenes, sensors, objects and models in the five folders FOLDERS of
-the package, and the files of thresholds and weights that scripts judge with. frozen.json has the SHA-256 of each.
-Pages' styles are left out. A change is reported and counted, but it is no error: methods may improve, and tables made
+All files that can change a figure are frozen. These are code, scenes, sensors, objects and models in five folders of
+the package, and the thresholds and weights that scripts judge with. frozen.json has the SHA-256 of each. Styles of
+pages are left out. A change is reported and counted, but it is no error: methods may improve, and tables made
 with them name their own commit.
 """
 
@@ -39,7 +39,7 @@ class Freeze:
 
 
 def is_frozen(path: str) -> bool:
-    """Whether the rule freezes a file, given by its path in the repository."""
+    """Whether the file with this path in the repository is frozen."""
     parts = PurePosixPath(path)
     inside = parts.parts[0] == "evetac_cli" and len(parts.parts) > 2 and parts.parts[1] in FOLDERS
     return path in OF_SCRIPTS or (inside and parts.suffix in SUFFIXES)

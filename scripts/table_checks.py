@@ -34,9 +34,9 @@ class Check:
     """How a table is checked. key: the columns by which its rows are matched, also the rows of single trials.
 
     trials: returns a row per trial, with the columns of `key`, of the figures, and `unit`, which is resampled (object,
-    sensor or recording); without it the rows of the table itself are used, whose figures must be ratios of counts.
-    training: words of the command that trains again, for a table with frozen models; unpromised: columns of figures
-    that no run repeats, such as run times.
+    sensor or recording). Without it the rows of the table itself are used, whose figures must be ratios of counts.
+    training: words of the command that trains again, for a table with frozen models.
+    unpromised: columns of figures that no run repeats, such as run times.
     """
 
     key: tuple[str, ...]
