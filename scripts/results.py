@@ -4,7 +4,8 @@
 
 Two comments in a page mark the position of a table: `<!-- table NAME -->` and `<!-- end of NAME -->`. The text made
 from docs/results/NAME.json is written between them. The README's table `summary` takes one cell from each of several
-tables. likeness_tables.py makes the tables of docs/likeness.md. `freeze` marks the sentences on the frozen commit, with
+tables. likeness_tables.py makes the tables of docs/likeness.md. Tables of run times, in measured/, have their own mark,
+`<!-- measured NAME -->`. `freeze` marks the sentences on the frozen commit, with
 the number of frozen files that have changed since.
 
 A result file has flat rows and describes how to show them. `columns` lists a heading and a cell for each column, as
@@ -112,6 +113,7 @@ SUMMARY = (
         "share (paper)",
     ),
 )
+MEASURED = "measured"  # folder of the tables of run times, and the word of their marks
 FREEZE = "freeze"  # the sentences on the frozen commit, which are no table
 LIKENESS = ("likeness-counted", "likeness-others")  # tables of public facts, made by likeness_tables.py
 # Tables made by separate scripts, each from its own rows in docs/results/likeness.
@@ -251,10 +253,15 @@ def summary(results: Path) -> str:
     return "\n" + as_table(["what", "simulated", "paper", "compared", "commit"], rows) + "\n"
 
 
-def fill_page(page: str, results: Path) -> str:
-    """Return the page with every table in it made anew from its file in `results`."""
+def fill_page(page: str, results: Path, only: str = "") -> str:
+    """Return the page with every table in it, or only the one of that name, made anew from its file in `results`."""
 
     def replace(match: re.Match[str]) -> str:
+        if only not in ("", match["name"]):
+            return match[0]
+        if match["kind"] == MEASURED:
+            stored = json.loads((results / MEASURED / f"{match['name']}.json").read_text())
+            return f"{match['begin']}\n{measured_text(stored)}\n{match['end']}"
         if match["name"] == "summary":
             return f"{match['begin']}{summary(results)}\n{match['end']}"
         if match["name"] == FREEZE:
@@ -267,7 +274,9 @@ def fill_page(page: str, results: Path) -> str:
         result = json.loads((results / f"{match['name']}.json").read_text())
         return f"{match['begin']}\n{text(result)}\n{match['end']}"
 
-    pattern = r"(?P<begin><!-- table (?P<name>[\w-]+) -->\n)(?:.*?)(?P<end><!-- end of (?P=name) -->)"
+    pattern = (
+        r"(?P<begin><!-- (?P<kind>table|measured) (?P<name>[\w-]+) -->\n)(?:.*?)(?P<end><!-- end of (?P=name) -->)"
+    )
     return re.sub(pattern, replace, page, flags=re.DOTALL)
 
 
@@ -278,20 +287,26 @@ def as_figure(value: Any) -> str:
     return "" if value is None else f"{value:,}" if isinstance(value, int) else str(value)
 
 
-def put_measured(page: Path, name: str, rows: list[Row], said: str) -> None:
-    """Write a table of run times into a page, between `<!-- measured NAME -->` and `<!-- end of NAME -->`.
+def measured_text(stored: Row) -> str:
+    """Return a stored table of run times as Markdown: a sentence, and the rows."""
+    heads = list(dict.fromkeys(key for row in stored["rows"] for key in row))
+    rows = ([as_figure(row.get(key)).replace("_", " ") for key in heads] for row in stored["rows"])
+    return f"{stored['said']}:\n\n{as_table([head.replace('_', ' ') for head in heads], rows)}\n"
 
-    said: the sentence above the table. Raises SystemExit if the page lacks one of the two marks.
+
+def put_measured(page: Path, name: str, rows: list[Row], said: str, results: Path = ROOT / "docs" / "results") -> None:
+    """Store a table of run times as measured/NAME.json, and write it into a page between its two marks.
+
+    These are `<!-- measured NAME -->` and `<!-- end of NAME -->`. said: the sentence above the table. Raises SystemExit,
+    before anything is written, if the page lacks one of the two marks.
     """
-    heads = list(dict.fromkeys(key for row in rows for key in row))
-    words = [head.replace("_", " ") for head in heads]
-    table = as_table(words, ([as_figure(row.get(key)).replace("_", " ") for key in heads] for row in rows))
     begin, end = f"<!-- measured {name} -->\n", f"<!-- end of {name} -->"
-    before, marked, rest = page.read_text().partition(begin)
-    if not marked or end not in rest:
+    if not re.search(f"{re.escape(begin)}.*{re.escape(end)}", page.read_text(), re.DOTALL):
         raise SystemExit(f"{page}: expected {begin.strip()} and {end}")
-    _, _, after = rest.partition(end)
-    page.write_text(f"{before}{begin}\n{said}:\n\n{table}\n\n{end}{after}")
+    path = results / MEASURED / f"{name}.json"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps({"name": name, "said": said, "rows": rows}, indent=1) + "\n")
+    page.write_text(fill_page(page.read_text(), results, only=name))
 
 
 def main() -> None:

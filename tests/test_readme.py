@@ -137,6 +137,8 @@ def test_every_table_has_a_file_and_a_place() -> None:
     places = re.findall(r"<!-- table ([\w-]+) -->", "".join(PAGES.values()))
     assert len(places) == len(set(places))
     assert names <= set(places)
+    measured = re.findall(r"<!-- measured ([\w-]+) -->", "".join(PAGES.values()))
+    assert sorted(measured) == sorted(path.stem for path in (ROOT / "docs" / "results" / results.MEASURED).iterdir())
     assert not {table.name for table in tables if not table.kept} & set(places)
     assert {path.stem for path in RESULTS} == set(places) - {
         "summary",
