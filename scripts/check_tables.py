@@ -257,7 +257,9 @@ def said(found: Row) -> Iterator[str]:
         sum(row["equal"] for row in figures),
         [row for row in figures if row["inside"] is False],
     )
-    if not found["differences"]:
+    if not figures and found["differences"]:
+        yield f"{found['table']}: made again; none of its figures can be judged on a part of the trials"
+    elif not found["differences"]:
         yield f"{found['table']}: equal to the last digit ({'whole' if found['whole'] else 'a part of the trials'})"
     else:
         inside = len(figures) - len(outside) - len(without)

@@ -297,8 +297,8 @@ def measured_text(stored: Row) -> str:
 def put_measured(page: Path, name: str, rows: list[Row], said: str, results: Path = ROOT / "docs" / "results") -> None:
     """Store a table of run times as measured/NAME.json, and write it into a page between its two marks.
 
-    These are `<!-- measured NAME -->` and `<!-- end of NAME -->`. said: the sentence above the table. Raises SystemExit,
-    before anything is written, if the page lacks one of the two marks.
+    These are `<!-- measured NAME -->` and `<!-- end of NAME -->`. said: the sentence above the table. If the page lacks
+    a mark, SystemExit is raised before anything is written.
     """
     begin, end = f"<!-- measured {name} -->\n", f"<!-- end of {name} -->"
     if not re.search(f"{re.escape(begin)}.*{re.escape(end)}", page.read_text(), re.DOTALL):
