@@ -30,9 +30,9 @@ from made_tables import Refusal, commit
 from needed_steps import experiment_of, needed, only_for
 from reproduce import RESULTS
 from run_command import expand, run_command
-from run_facts import hours, model_files
+from run_facts import hours, model_files, spending
 from ship.strip_model import digest, unpack
-from table_checks import CHECKS, NOT_CHECKED, SIZES, Check
+from table_checks import CHECKS, NOT_CHECKED, SCRIPTS, SIZES, Check, ScriptCheck
 
 from evetac_cli.jobs import Row
 
@@ -199,21 +199,43 @@ def carried_out(chosen: Plan, out: Path, **how: Any) -> Row:
     made = json.loads((results / f"{name}.json").read_text())
     used = {one: evaluations[one] for one in chosen.table.evaluations if one in evaluations}
     trials = chosen.check.trials(used) if chosen.check.trials else []
-    found: Row = {
-        "table": name,
-        "table_sha256": table_digest(name),
-        "commit": commit()[0],
-        "frozen": kept.get("frozen"),
+    found = compared_with(name, made["rows"], trials, chosen.check, began) | {
         "hours": hours([(folder, chosen.experiment.name)]),
-        "took_min": round((time.time() - began) / 60, 1),
         "whole": chosen.sizes == experiment_of(name)[0].full,
-        "differences": compare_tables.differences(made["rows"], kept["rows"], chosen.check),
-        "figures": compare_tables.judged(trials, made["rows"], kept["rows"], chosen.check),
         "models": models_differing(kept.get("models", {}), placed),
     }
     if chosen.again is not None:
         found["training"] = training(chosen, placed, folder, kept["rows"], used, how.get("run", run_command))
     return found
+
+
+def compared_with(name: str, made: list[Row], trials: list[Row], check: Check, began: float) -> Row:
+    """Return the comparison of a table that was made again with the stored one."""
+    kept = json.loads((RESULTS / f"{name}.json").read_text())
+    return {
+        "table": name,
+        "table_sha256": table_digest(name),
+        "commit": commit()[0],
+        "frozen": kept.get("frozen"),
+        "took_min": round((time.time() - began) / 60, 1),
+        "differences": compare_tables.differences(made, kept["rows"], check),
+        "figures": compare_tables.judged(trials, made, kept["rows"], check),
+    }
+
+
+def by_script(name: str, chosen: ScriptCheck, out: Path, run: reproduce.Run = run_command) -> Row:
+    """Make a table again by its own script, on fewer trials, and return the comparison."""
+    folder, began = out / "scripts" / name, time.time()
+    (folder / "tables").mkdir(parents=True, exist_ok=True)
+    for words in chosen.commands:
+        print("+", *words, flush=True)
+        with spending(folder, name):
+            code, _ = run(words, folder)
+        if code:
+            raise Refusal(f"{' '.join(words)} ended with exit code {code}")
+    made = json.loads((folder / "tables" / f"{name}.json").read_text())["rows"]
+    about = {"hours": hours([(folder, name)]), "whole": False, "models": []}
+    return compared_with(name, made, [], chosen.check, began) | about
 
 
 def models_differing(named: dict[str, str], placed: list[Path]) -> list[str]:
@@ -284,31 +306,37 @@ def said(found: Row) -> Iterator[str]:
 def check(names: Sequence[str], out: Path, *, dry_run: bool = False, as_json: bool = False, **how: Any) -> None:
     """Check tables, all with no names given; Refusal for a table that no check repeats."""
     stored = {path.stem for path in RESULTS.glob("*.json")}
-    every = [name for name in CHECKS if name in stored]
+    every = [name for name in (*CHECKS, *SCRIPTS) if name in stored]
     for name in names:
         if name not in every:
             why = NOT_CHECKED.get(name) or (f"its own script makes it: {made_by_hand().get(name, 'none')}")
             raise Refusal(f"{name}: no check repeats it ({why}); choose from {', '.join(every)}")
-    plans = [planned(name) for name in names or every]
+    plans = {name: planned(name) for name in names or every if name in CHECKS}
+    estimated = {name: plans[name].hours if name in plans else SCRIPTS[name].minutes / 60 for name in names or every}
     if not as_json or dry_run:
         freeze = frozen.read()
         print(frozen.in_words(freeze, frozen.changed(freeze)))
-        for one in plans:
-            done = " (done)" if finished(out, one.table.name) else ""
-            print(f"{one.table.name}: about {60 * one.hours:.0f} min on {CORES} cores{done}")
-        print(f"all: about {sum(one.hours for one in plans):.2f} h")
+        for name, needed_h in estimated.items():
+            done = " (done)" if finished(out, name) else ""
+            print(f"{name}: about {max(1, round(60 * needed_h))} min on {CORES} cores{done}")
+        print(f"all: about {sum(estimated.values()):.1f} h")
         if not names:
             print(f"not checked: {', '.join(sorted(NOT_CHECKED.keys() & stored))}")
-            print(f"made by scripts of their own: {', '.join(sorted(made_by_hand()))}")
+            print(
+                f"not checked, made by scripts of their own: {', '.join(sorted(made_by_hand().keys() - SCRIPTS.keys()))}"
+            )
     if dry_run:
         return
     results = []
-    for one in plans:
-        found = finished(out, one.table.name)
+    for name in estimated:
+        found = finished(out, name)
         if found is None:
             with redirect_stdout(sys.stderr) if as_json else nullcontext():  # the tables that it makes are printed
-                found = carried_out(one, out, **how)
-            path = state_path(out, one.table.name)
+                if name in plans:
+                    found = carried_out(plans[name], out, **how)
+                else:
+                    found = by_script(name, SCRIPTS[name], out, how.get("run", run_command))
+            path = state_path(out, name)
             path.parent.mkdir(parents=True, exist_ok=True)
             unfinished = path.with_suffix(".json.part")
             unfinished.write_text(json.dumps(found, indent=1) + "\n")

@@ -107,9 +107,9 @@ def judged(trials: Rows, made: Rows, kept: Rows, check: Check) -> Rows:
             if key not in ours or stored is None:
                 continue
             again = value_of(ours[key], figure)
-            if check.trials is None:  # a ratio of counts
-                count = int(ours[key].get(figure.below) or 0)
-                found = share(int(ours[key][figure.above]), count) if count else None
+            if check.trials is None:  # a ratio of counts, or a share of a count
+                count = int(ours[key].get(figure.below or figure.count) or 0)
+                found = share(round((again or 0.0) * count), count) if count else None
             else:
                 found = interval(members.get(key, []), figure)
             near = 1e-9 * max(1.0, abs(stored))  # of the ends of the interval, which rounding moves

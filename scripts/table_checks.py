@@ -7,7 +7,7 @@ trials are all repeated must come out equal. Where the whole experiment takes mi
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from experiment_steps import Sizes
+from experiment_steps import ROOT, Command, Sizes, script
 from experiment_tables import RECIPE_CHANGED, Evaluations, grasp_rows, object_rows
 
 from evetac_cli.jobs import Rows
@@ -17,11 +17,13 @@ from evetac_cli.jobs import Rows
 class Figure:
     """A figure that is judged: the column `above`, or the ratio of two columns, summed over trials.
 
-    A mean over trials needs no second column. squared: a root mean square, of which the squares are averaged.
+    A mean over trials needs no second column. squared: a root mean square, of which the squares are averaged. count: in
+    a table without rows of trials, the column with the number of trials of a share.
     """
 
     above: str
     below: str = ""
+    count: str = ""
     squared: bool = False
 
     @property
@@ -175,6 +177,37 @@ CHECKS: dict[str, Check] = {
     "grasp-robustness": Check(("setting", "detector"), GRASPS, grasp_trials),
     "grasps-by-object": Check(("setting", "detector", "object")),  # one trial of each: no interval
     "blind-identification": Check(("parameter",), (Figure("told", "sensors"), Figure("held", "told"))),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class ScriptCheck:
+    """How a table that its own script makes is checked: commands that put it into the folder `tables`, and minutes."""
+
+    commands: tuple[Command, ...]
+    minutes: float  # of a core, measured
+    check: Check
+
+
+SHIPPED = ROOT / "evetac_cli" / "data" / "models" / "slip-10ms.model.h5"
+SCRIPTS = {
+    "labels": ScriptCheck(
+        (script("judge_labels.py", "--seeds", "50000-50009", "--trials", "20,10,6", "--rows", "rows",
+                "--out", "tables"),),
+        3.0,
+        Check(("sensors", "method"), (Figure("onsets_found", "trajectories"), Figure("abstained", "trajectories"))),
+    ),
+    "sticking-share": ScriptCheck(
+        (script("judge_sticking.py", "--seeds", "60000-60999", "--minutes", 1, "--rows", "rows", "--out", "tables"),),
+        15.0,
+        Check(("motion",), (Figure("network_in_time", count="slips"), Figure("rigid_in_time", count="slips"))),
+    ),
+    "slip-detectors-timing": ScriptCheck(
+        (script("judge_slip.py", "judge", "--seed", 52000, "--minutes", 0.3, "--trials", 30, "--model",
+                f"ours 10 ms={SHIPPED}", "--rows", "rows", "--out", "tables"),),
+        15.0,
+        Check(("score",), tuple(Figure(name, count="slips") for name in ("correct", "early", "late"))),
+    ),
 }  # fmt: skip
 # Tables that no check repeats, with the reason.
 NOT_CHECKED = {

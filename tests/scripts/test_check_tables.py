@@ -22,7 +22,7 @@ from experiments import EXPERIMENTS, Experiment
 from made_tables import Refusal
 from needed_steps import experiment_of, needed, only_for
 from ship import strip_model
-from table_checks import CHECKS, NOT_CHECKED, SIZES, Check, Figure, slip_trials
+from table_checks import CHECKS, NOT_CHECKED, SCRIPTS, SIZES, Check, Figure, ScriptCheck, slip_trials
 
 TABLES = {table.name: experiment for experiment in EXPERIMENTS for table in experiment.tables if experiment.published}
 EDGE = Check(("preset",), (Figure("consistent", "trajectories"), Figure("error_px")), unpromised=("time_us",))
@@ -160,6 +160,7 @@ def fake(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     check = Check(("preset",), (Figure("error_px"),), fake_trials)
     monkeypatch.setattr(check_tables, "CHECKS", {"fake": check})
     monkeypatch.setattr(check_tables, "SIZES", {"fake": {"count": 3}})
+    monkeypatch.setattr(check_tables, "SCRIPTS", {})
     reproduce.perform(FAKE, FAKE.full, tmp_path / "whole", results, jobs=1, replace=True, run=FakeRun(10),
                       header=lambda path: HEADER)  # fmt: skip
     return results
@@ -213,6 +214,39 @@ def test_a_table_without_a_check_is_refused(fake: Path, tmp_path: Path) -> None:
         check_tables.check(["other"], tmp_path)
     check_tables.check([], tmp_path / "dry", dry_run=True)
     assert not (tmp_path / "dry").exists()
+
+
+def test_a_table_of_its_own_script_is_checked(fake: Path, tmp_path: Path) -> None:
+    """Assert that its shares are judged by the numbers of trials, and that a command that fails is an error."""
+    own = ScriptCheck(
+        (["python", "scripts/judge_labels.py"],), 1.0,
+        Check(("what",), (Figure("right", count="slips"), Figure("found", "slips"))),
+    )  # fmt: skip
+    stored = [{"what": "a", "right": 0.9, "slips": 100, "found": 40}]
+    (fake / "own.json").write_text(json.dumps({"name": "own", "rows": stored}))
+
+    def run(words: list[str], folder: Path) -> tuple[int, str]:
+        again = [{"what": "a", "right": 0.8, "slips": 10, "found": 10}]
+        (folder / "tables" / "own.json").write_text(json.dumps({"name": "own", "rows": again}))
+        return 0, ""
+
+    found = check_tables.by_script("own", own, tmp_path, run)
+    assert [row["inside"] for row in found["figures"]] == [True, False]
+    with pytest.raises(Refusal, match="exit code 3"):
+        check_tables.by_script("own", own, tmp_path, lambda words, folder: (3, ""))
+
+
+@pytest.mark.parametrize("name", SCRIPTS)
+def test_scripts_take_the_words_of_their_checks(name: str) -> None:
+    """Assert that the script is there, has each flag, and that the table is stored and made by it."""
+    for _, path, *words in SCRIPTS[name].commands:
+        text = (reproduce.ROOT / path).read_text()
+        assert all(f'"{word}"' in text for word in words if word.startswith("--"))
+        stored = json.loads((reproduce.RESULTS / f"{name}.json").read_text())
+        assert path in stored["commands"][0]
+        assert {key for figure in SCRIPTS[name].check.figures for key in (figure.above, figure.count)} - {""} <= {
+            key for row in stored["rows"] for key in row
+        }
 
 
 def test_frozen_models_take_the_place_of_trainings(made: Made, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
