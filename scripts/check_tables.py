@@ -28,7 +28,7 @@ from experiment_tables import Evaluation, Table
 from experiments import EXPERIMENTS, Experiment
 from made_tables import Refusal, commit
 from needed_steps import experiment_of, needed, only_for
-from reproduce import RESULTS
+from reproduce import MODELS, RESULTS
 from run_command import expand, run_command
 from run_facts import hours, model_files, spending
 from ship.strip_model import digest, unpack
@@ -36,7 +36,6 @@ from table_checks import CHECKS, NOT_CHECKED, SCRIPTS, SIZES, Check, ScriptCheck
 
 from evetac_cli.jobs import Row
 
-MODELS = RESULTS / "models"  # archives of frozen models
 AGAIN = "again"  # folder of the models that a check trains
 CORES = 2
 
@@ -139,7 +138,6 @@ def make(name: str, out: Path, results: Path, given: dict[str, str] | None = Non
         raise Refusal(f"no experiment makes the table {name}; reproduce.py --list has those that one makes") from None
     for earlier in reproduce.in_order(experiment.after):
         reproduce.perform(earlier, dict(earlier.full), out, results, **how)
-    unpack_into(MODELS)
     sizes = reproduce.sizes_for(experiment, small=False, given=given or {})
     reproduce.perform(only_for(experiment, table), sizes, out, results, **how)
     path = RESULTS / f"{name}.json"
@@ -161,12 +159,6 @@ def compared(name: str, found: list[str], check: Check) -> Iterator[str]:
         yield from (f"  {one}" for one in found)
     else:
         yield f"{name}: all rows are equal to docs/results/{name}.json, to the last digit{unpromised}"
-
-
-def unpack_into(folder: Path) -> None:
-    """Put the models of all archives next to these, for the commands that name them there."""
-    for archive in sorted(folder.glob("*.tar.xz")):
-        unpack(archive, folder / archive.name.removesuffix(".tar.xz"))
 
 
 # --- the check --------------------------------------------------------------------------------------------------------
@@ -192,7 +184,6 @@ def carried_out(chosen: Plan, out: Path, **how: Any) -> Row:
     name, folder = chosen.table.name, out / chosen.experiment.folder
     began = time.time()
     placed = [path for target, archive in chosen.archives.items() for path in unpack(archive, folder / target)]
-    unpack_into(MODELS)
     results = out / "checks" / "tables"
     evaluations = reproduce.perform(chosen.experiment, chosen.sizes, out, results, replace=True, **how)
     kept = json.loads((RESULTS / f"{name}.json").read_text())
@@ -322,9 +313,8 @@ def check(names: Sequence[str], out: Path, *, dry_run: bool = False, as_json: bo
         print(f"all: about {sum(estimated.values()):.1f} h")
         if not names:
             print(f"not checked: {', '.join(sorted(NOT_CHECKED.keys() & stored))}")
-            print(
-                f"not checked, made by scripts of their own: {', '.join(sorted(made_by_hand().keys() - SCRIPTS.keys()))}"
-            )
+            others = sorted(made_by_hand().keys() - SCRIPTS.keys())
+            print(f"not checked, made by scripts of their own: {', '.join(others)}")
     if dry_run:
         return
     results = []

@@ -35,12 +35,14 @@ from report_facts import model_ids, report_header
 from results import text
 from run_command import expand, run_command
 from run_facts import hours, machine, model_files, models, of_freeze, spending
+from ship.strip_model import unpack_all
 
 from evetac_cli.errors import EvetacError
 from evetac_cli.jobs import Row
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "docs" / "results"
+MODELS = RESULTS / "models"  # archives of frozen models
 IN_PARALLEL = (
     "record",
     "track",
@@ -155,6 +157,8 @@ def perform(
     folder, started = out / experiment.folder, time.time()
     folder.mkdir(parents=True, exist_ok=True)
     print(f"{experiment.name}: {experiment.shows}; files in {folder}", flush=True)
+    if any(str(MODELS) in word for step in experiment.steps(sizes) for word in step):
+        unpack_all(MODELS)
     for step in experiment.steps(sizes):
         print("+", *step, flush=True)
         if is_there(step, folder):

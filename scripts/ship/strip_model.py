@@ -92,6 +92,12 @@ def unpack(archive: Path, folder: Path) -> list[Path]:
     return paths
 
 
+def unpack_all(folder: Path) -> None:
+    """Put the models of a folder's archives next to these, in a folder per archive, for commands that name them."""
+    for archive in sorted(folder.glob("*.tar.xz")):
+        unpack(archive, folder / archive.name.removesuffix(".tar.xz"))
+
+
 def main() -> None:
     """Pack each folder of models given on the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)

@@ -75,6 +75,8 @@ def test_an_archive_gives_back_what_was_packed(made: Made, tmp_path: Path) -> No
         strip_model.pack(slip_models[:number], tmp_path / f"{number}-slip.tar.xz")
     one, two = ((tmp_path / f"{number}-slip.tar.xz").stat().st_size for number in (1, 2))
     assert two < 1.2 * one  # what models share is stored once
+    strip_model.unpack_all(tmp_path)
+    assert strip_model.digest(tmp_path / "1" / "b.model.h5") == strip_model.digest(made.model)
     out = tmp_path / "out"
     out.mkdir()
     (out / "a.model.h5").write_bytes(b"mine")
