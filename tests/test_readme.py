@@ -181,7 +181,14 @@ def test_figures_quoted_in_sentences_are_those_of_results(name: str) -> None:
     assert figures.absent(PAGES[name]) == []
 
 
-@pytest.mark.parametrize("name", ["README.md", "docs/results.md", "docs/slip-detector.md", "docs/labels.md"])
+# Pages in which every decimal figure of a sentence has its mark; the others follow page by page.
+MARKED = [
+    "README.md",
+    *(f"docs/{name}.md" for name in ("results", "slip-detector", "labels", "touch-maps")),
+]
+
+
+@pytest.mark.parametrize("name", MARKED)
 def test_sentences_of_these_pages_name_their_figures(name: str) -> None:
     """Assert that each decimal figure in a sentence comes from a table, or is said to be no result."""
     assert [sentence for sentence in figures.sentences(name, PAGES[name]) if sentence.unmarked] == []

@@ -96,7 +96,8 @@ def absent(page: str, results: Path = RESULTS) -> list[str]:
         found += [f"given {number}: not in: {text[:80]}" for number in given if number not in text]
         for figure in figures:
             shown = figure.text(results)
-            if not re.search(rf"(?<![\d.]){re.escape(shown)}(?![\d])", text):
+            in_text = re.escape(shown).replace("%", " ?%")
+            if not re.search(rf"(?<![\d.]){in_text}(?![\d])", text):
                 found.append(f"{figure.table} {figure.row} {figure.column}: expected {shown} in: {text[:80]}")
     return found
 
