@@ -79,9 +79,9 @@ def models(judged: Collection[str], candidates: Iterable[Path], folder: Path) ->
     """Return name -> SHA-256 of the models that a table judges.
 
     judged: the recipe ids of these models; candidates: files that may be among them; the shipped detector may be, too.
-    The name is the file's path in the experiment's folder without its suffix, the digest that of `strip_model.digest`.
+    The name is that of the file and of its folder, such as `nothing/hist10-s9000`; the digest is `strip_model.digest`.
     """
-    from ship.strip_model import SUFFIXES, digest
+    from ship.strip_model import digest, short_name
 
     from evetac_cli.store.files import header_of
 
@@ -89,10 +89,8 @@ def models(judged: Collection[str], candidates: Iterable[Path], folder: Path) ->
     for path in (*candidates, MODEL) if judged else ():
         if header_of(path)["id"] in judged:
             inside = path.is_relative_to(folder)
-            name = str(path.relative_to(folder) if inside else path.name).removeprefix("models/")
-            for suffix in SUFFIXES:
-                name = name.removesuffix(suffix)
-            found[name] = digest(path)
+            place = path.relative_to(folder) if inside else Path(*path.parts[-2:])
+            found[short_name(str(place).removeprefix("models/"))] = digest(path)
     return dict(sorted(found.items()))
 
 

@@ -92,6 +92,21 @@ def unpack(archive: Path, folder: Path) -> list[Path]:
     return paths
 
 
+def names_in(folder: Path) -> set[str]:
+    """Return the names of the models in a folder's archives, ARCHIVE/NAME, as tables name them."""
+    names = set()
+    for archive in folder.glob("*.tar.xz"):
+        with tarfile.open(archive) as tar:
+            files = tar.getnames()
+        names |= {f"{archive.name.removesuffix('.tar.xz')}/{short_name(name)}" for name in files}
+    return names
+
+
+def short_name(name: str) -> str:
+    """Return the name of a model's file without its suffix."""
+    return next((name.removesuffix(suffix) for suffix in SUFFIXES if name.endswith(suffix)), name)
+
+
 def unpack_all(folder: Path) -> None:
     """Put the models of a folder's archives next to these, in a folder per archive, for commands that name them."""
     for archive in sorted(folder.glob("*.tar.xz")):

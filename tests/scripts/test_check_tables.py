@@ -301,6 +301,22 @@ def test_a_training_again_is_compared(made: Made, tmp_path: Path, *, same: bool)
         assert {row["inside"] for row in found["figures"]} == {True}
 
 
+def not_packed(tables: dict[str, Row], names: set[str]) -> list[str]:
+    """The models of frozen tables that are neither packed nor the shipped detector."""
+    judged = {name for table in tables.values() if table.get("frozen") for name in table.get("models", {})}
+    return sorted(judged - names - {"slip-10ms"})
+
+
+def test_models_of_frozen_tables_are_packed() -> None:
+    """Assert that each model that a frozen table names is in an archive, and that a missing one is found."""
+    names = strip_model.names_in(reproduce.MODELS)
+    tables = {path.stem: json.loads(path.read_text()) for path in reproduce.RESULTS.glob("*.json")}
+    experiments = {name: table for name, table in tables.items() if name in CHECKS and CHECKS[name].training}
+    assert not_packed(experiments, names) == []
+    doctored = {"a": {"frozen": "f9c755f9", "models": {"nothing/lost-s1": "0"}}}
+    assert not_packed(doctored, names) == ["nothing/lost-s1"]
+
+
 def test_trials_of_slip_are_those_of_their_setting() -> None:
     """Assert that a trajectory has the model, the horizon and the change of its evaluation, and object as unit."""
     rows = [
@@ -346,6 +362,8 @@ def test_a_table_says_on_what_and_with_what_it_was_made(made: Made, tmp_path: Pa
     id_ = header_of(made.model)["id"]
     assert run_facts.models({id_}, files, tmp_path) == {"x/a": strip_model.digest(made.model)}
     assert run_facts.models({"another"}, files, tmp_path) == {}
+    elsewhere = run_facts.models({id_}, files, tmp_path / "y")
+    assert list(elsewhere) == ["x/a"]
     judged = run_facts.of_freeze({"sizes": {"recording_seeds": [92_000]}})
     assert judged["frozen"] and isinstance(judged["changed_since"], list)
     assert run_facts.of_freeze({"sizes": {"recording_seeds": [92_000, 5]}}) == {}

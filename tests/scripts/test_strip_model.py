@@ -75,6 +75,7 @@ def test_an_archive_gives_back_what_was_packed(made: Made, tmp_path: Path) -> No
         strip_model.pack(slip_models[:number], tmp_path / f"{number}-slip.tar.xz")
     one, two = ((tmp_path / f"{number}-slip.tar.xz").stat().st_size for number in (1, 2))
     assert two < 1.2 * one  # what models share is stored once
+    assert strip_model.names_in(tmp_path) >= {"1/a", "1/b", "1/c", "2-slip/b"}
     strip_model.unpack_all(tmp_path)
     assert strip_model.digest(tmp_path / "1" / "b.model.h5") == strip_model.digest(made.model)
     out = tmp_path / "out"
