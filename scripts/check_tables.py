@@ -309,7 +309,9 @@ def check(names: Sequence[str], out: Path, *, dry_run: bool = False, as_json: bo
         print(frozen.in_words(freeze, frozen.changed(freeze)))
         for name, needed_h in estimated.items():
             done = " (done)" if finished(out, name) else ""
-            print(f"{name}: about {max(1, round(60 * needed_h))} min on {CORES} cores{done}")
+            whole = name in plans and plans[name].check.training and not plans[name].archives
+            why = "; no frozen models are stored, so that every training is repeated" if whole else ""
+            print(f"{name}: about {max(1, round(60 * needed_h))} min on {CORES} cores{done}{why}")
         print(f"all: about {sum(estimated.values()):.1f} h")
         if not names:
             print(f"not checked: {', '.join(sorted(NOT_CHECKED.keys() & stored))}")

@@ -18,8 +18,9 @@ class Figure:
     """A figure that is judged: the column `above`, or the ratio of two columns, summed over trials.
 
     A mean over trials needs no second column.
-    squared: the figure is a root mean square, so that squares are averaged.
-    count: in a table without rows of trials, the column with the number of trials of a share.
+
+    - squared: the figure is a root mean square, so that squares are averaged.
+    - count: in a table without rows of trials, the column with the number of trials of a share.
     """
 
     above: str
@@ -34,12 +35,14 @@ class Figure:
 
 @dataclass(frozen=True)
 class Check:
-    """How a table is checked. key: the columns by which its rows are matched, also the rows of single trials.
+    """How a table is checked.
 
-    trials: returns a row per trial, with the columns of `key`, of the figures, and `unit`, which is resampled (object,
-    sensor or recording). Without it, the figures of the table itself must be ratios of counts, or shares of a count.
-    training: words of the command that trains again, for a table with frozen models.
-    unpromised: columns of figures that no run repeats, such as run times.
+    - key: the columns by which its rows are matched, also the rows of single trials.
+    - trials: returns a row per trial, with the columns of `key` and of the figures, and with `unit`: the object, sensor
+      or recording that is resampled. Without it, the figures of the table itself must be ratios of counts, or shares of
+      a count.
+    - training: words of the command that trains again, for a table with frozen models.
+    - unpromised: columns of figures that no run repeats, such as run times.
     """
 
     key: tuple[str, ...]
