@@ -17,12 +17,12 @@ import compare_tables
 import reproduce
 import run_facts
 from experiment_steps import evetac
-from experiment_tables import Column, Evaluation, Table
+from experiment_tables import DETECTORS, Column, Evaluation, Table
 from experiments import EXPERIMENTS, Experiment
 from made_tables import Refusal
 from needed_steps import experiment_of, needed, only_for
 from ship import strip_model
-from table_checks import CHECKS, NOT_CHECKED, SCRIPTS, SIZES, Check, Figure, ScriptCheck, slip_trials
+from table_checks import CHECKS, NOT_CHECKED, SCRIPTS, SIZES, Check, Figure, ScriptCheck, grasp_trials, slip_trials
 
 TABLES = {table.name: experiment for experiment in EXPERIMENTS for table in experiment.tables if experiment.published}
 EDGE = Check(("preset",), (Figure("consistent", "trajectories"), Figure("error_px")), unpromised=("time_us",))
@@ -329,6 +329,21 @@ def test_trials_of_slip_are_those_of_their_setting() -> None:
         "tracker `stable`", "unseen", "hist20", 20, "12",
     )  # fmt: skip
     assert (row["slip_correct"], row["slip_early"], row["slip_late"]) == (False, True, False)
+
+
+def test_trials_of_grasps_are_those_of_their_row() -> None:
+    """Assert that grasps with and without gain belong to one row, and that only kept objects have a grip and a way."""
+    whole = {"setting": "paper", "columns": 2, "success": 0.5}
+    grasp = {"object": "14", "balanced": True, "moved_mm": 2.0, "force_end_n": 1.5}
+    trials = [
+        {**grasp, "setting": "paper", "file": "a"},
+        {**grasp, "setting": "paper, gain 2", "file": "b", "balanced": False},
+    ]
+    rows = grasp_trials({"grasps-paper": Evaluation([whole, *trials], {}, True)})
+    assert {(row["setting"], row["detector"]) for row in rows} == {("paper", DETECTORS["paper"])}
+    assert [(row["success"], row["force_end_n"], row["moved_mm_mean"]) for row in rows] == [
+        (True, 1.5, 2.0), (False, None, None),
+    ]  # fmt: skip
 
 
 def test_hours_are_summed_over_interrupted_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
