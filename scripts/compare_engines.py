@@ -33,7 +33,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from digests import digest
-from reproduce import commit
+from made_tables import commit
 from results import put_measured
 
 from evetac_cli.console import print_table

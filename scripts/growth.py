@@ -38,8 +38,8 @@ import numpy as np
 from attack.long_recording import Repeated
 from compare_engines import STAGES, run_stage, write_scene
 from data_set_cost import SEED, cpu_of, files
+from made_tables import commit
 from numpy.typing import NDArray
-from reproduce import commit
 from results import put_measured
 
 from evetac_cli.console import print_table

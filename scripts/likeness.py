@@ -19,8 +19,10 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from likeness_tables import FOLDER, WHEN
+from made_tables import Refusal, commit
 from report_facts import facts, methods, report_header
-from reproduce import RESULTS, Refusal, commit, run_command
+from reproduce import RESULTS
+from run_command import run_command
 
 from evetac_cli.evaluate.likeness.facts import Fact
 from evetac_cli.evaluate.likeness.facts import facts as public_facts

@@ -156,7 +156,7 @@ def write(path: Path, rows: list[Row], command: str) -> None:
 
 def commit_in_words() -> str:
     """Return the commit, with a remark if files other than the tables have uncommitted changes."""
-    from reproduce import commit  # here, because reproduce imports the tables that are made from these rows
+    from made_tables import commit  # here, because it imports the tables that are made from these rows
 
     head, changed = commit()
     return f"{head}, with uncommitted changes" if changed else head

@@ -30,7 +30,8 @@ from statistics import median
 
 from experiment_steps import Command
 from experiments import EXPERIMENTS
-from reproduce import IN_PARALLEL, commit
+from made_tables import commit
+from reproduce import IN_PARALLEL
 from results import put_measured
 
 from evetac_cli.cli.workers import ONE_THREAD
@@ -108,7 +109,7 @@ def steps(costs: Costs) -> Iterator[Step]:
         made = folders.setdefault(experiment.folder, [])
         for words in (*experiment.steps(experiment.full), *experiment.evaluations(experiment.full).values()):
             if words[0] == "evetac" and words[1:3] != ["evaluate", "cost"]:
-                yield from _step(experiment.name, words[1:], made, costs)
+                yield from of_command(experiment.name, words[1:], made, costs)
 
 
 def trainings() -> list[tuple[str, str]]:
@@ -118,7 +119,8 @@ def trainings() -> list[tuple[str, str]]:
     return sorted({(option(words, "--model", "hist10"), option(words, "--preset", "adamw")) for words in training})
 
 
-def _step(experiment: str, words: Command, made: list[Files], costs: Costs) -> Iterator[Step]:
+def of_command(experiment: str, words: Command, made: list[Files], costs: Costs) -> Iterator[Step]:
+    """Yield the steps of one command, given without `evetac`, and add the files that it makes to `made`."""
     command = words[0]
     if command in ("record", "grasp"):
         yield _recorded(experiment, words, made, costs)

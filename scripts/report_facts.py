@@ -33,13 +33,23 @@ def ancestors(header: Row, history: Row) -> Iterator[Row]:
             yield from ancestors(parent, history)
 
 
+def _history(header: Row) -> Row:
+    return {id_: {**entry, "id": id_} for id_, entry in header["history"].items()}
+
+
+def model_ids(headers: Iterable[Row]) -> set[str]:
+    """Return the recipe ids of the models that the reports judge."""
+    nodes = (node for header in headers for node in ancestors(header, _history(header)))
+    return {node["id"] for node in nodes if node["kind"] != "recording"}
+
+
 def facts(headers: Iterable[Row]) -> Row:
     """Return what was evaluated and what was trained on, from the headers of a table's reports."""
     judged: dict[str, Row] = {}
     models: dict[str, Row] = {}
     training: dict[str, Row] = {}
     for header in headers:
-        history = {id_: {**entry, "id": id_} for id_, entry in header["history"].items()}
+        history = _history(header)
         for node in ancestors(header, history):
             (judged if node["kind"] == "recording" else models)[node["id"]] = node
         for model in list(models.values()):

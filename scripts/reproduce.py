@@ -2,46 +2,47 @@
 
     python scripts/reproduce.py --list
     python scripts/reproduce.py --only tracking [--small] [--size edges=5] [--jobs 4] [--dry-run]
+    python scripts/reproduce.py --table data-rate --out EMPTY   # one table again, compared with docs/results
+    python scripts/reproduce.py --check [--only data-rate]      # every table on a tenth of its trials (check_tables.py)
 
 Each command skips files that are up to date, so an experiment continues where it was stopped. Its files are in a folder
 of their own (demo/, data/slip/, ...), those of `--small` in small/.
 
 Tables go to docs/results/NAME.json, those of small runs to small/results/. They contain rows, layout, commands, recipe
 ids of the reports, seeds, sizes, and the commit, all from the headers of the reports, so a table always documents its
-own run. A table of more trajectories, objects or models is not replaced by a smaller one unless --replace is given.
-Other experiments' tables are not changed.
+own run. They also contain the computer, the core hours of all runs, and the digest of each model (run_facts.py). A
+table of more trajectories, objects or models is not replaced by a smaller one unless --replace is given. Other
+experiments' tables are not changed.
 
 Ctrl-C ends the running command, which removes its unfinished files, and then this program, with exit code 130.
 """
 
 import argparse
-import dataclasses
 import importlib
 import json
 import shlex
-import signal
-import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
-import paper_rows
 from experiment_steps import Command, Sizes
-from experiment_tables import Column, Evaluation, Table
+from experiment_tables import Evaluation
 from experiments import EXPERIMENTS, Experiment
-from report_facts import facts, methods, report_header, words_for
-from results import fill, keys, text
+from made_tables import Refusal, keep, result
+from report_facts import model_ids, report_header
+from results import text
+from run_command import expand, run_command
+from run_facts import hours, machine, model_files, models, of_freeze, spending
+from ship.strip_model import unpack_all
 
-from evetac_cli import interrupts
 from evetac_cli.errors import EvetacError
-from evetac_cli.evaluate import paper
-from evetac_cli.evaluate.source import Source
-from evetac_cli.jobs import Row, Rows
+from evetac_cli.jobs import Row
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "docs" / "results"
+MODELS = RESULTS / "models"  # archives of frozen models
 IN_PARALLEL = (
     "record",
     "track",
@@ -55,61 +56,9 @@ IN_PARALLEL = (
     "scripts/train_detectors.py",
 )  # commands given --jobs; fmt: skip
 KINDS = ("recording", "labels", "tracks", "features", "model", "report")
-INTERRUPTS_TO_KILL = 3  # after this many Ctrl-C, a command that does not end is killed
-COUNTS = ("recordings", "objects", "models", "training_steps", "trials")  # counts that define the size of a run
 
 # A function that runs a command in a folder and returns its output and exit code.
 Run = Callable[[Command, Path], tuple[int, str]]
-
-
-class Refusal(Exception):
-    """A request that cannot be carried out, with a sentence for the user."""
-
-
-def run_command(words: Command, folder: Path) -> tuple[int, str]:
-    """Run evetac or a script of this folder; progress and messages go straight to the terminal."""
-    first, *rest = words
-    ours = first == "evetac"
-    program = ["-P", "-m", "evetac_cli", *rest] if ours else [str(ROOT / rest[0]), *rest[1:]]
-    with interrupts.signals_blocked(interrupts.CTRL_C):
-        # Ctrl-C is blocked until evetac handles it, because during Python's start it would end in a traceback. A script
-        # does not unblock it, so it inherits an unblocked signal. In both cases the handler of this process waits for
-        # the command.
-        if not ours:
-            signal.pthread_sigmask(signal.SIG_UNBLOCK, interrupts.CTRL_C)
-        process = subprocess.Popen([sys.executable, *program], cwd=folder, stdout=subprocess.PIPE, text=True)
-        printed = wait_for(process)
-    return process.returncode, printed
-
-
-def wait_for(process: "subprocess.Popen[str]") -> str:
-    """Return a command's stdout once it has ended. KeyboardInterrupt, also after that, if Ctrl-C was pressed.
-
-    A terminal sends Ctrl-C to the command too, which needs a moment to remove its unfinished files. subprocess.run
-    would kill it after a quarter of a second.
-    """
-    times = 0
-    while True:
-        try:
-            with interrupts.SignalsLetThrough(interrupts.CTRL_C):
-                printed, _ = process.communicate()
-            break
-        except KeyboardInterrupt:
-            times += 1
-            if times == INTERRUPTS_TO_KILL:
-                process.kill()
-    if times:
-        raise KeyboardInterrupt
-    return printed
-
-
-def expand(words: Command, folder: Path) -> Command:
-    """Replace the globs of a command by the matching files, sorted; those in --flag=GLOB stay."""
-    expanded: Command = []
-    for word in words:
-        is_glob = "*" in word and not word.startswith("--")
-        expanded += sorted(str(path.relative_to(folder)) for path in folder.glob(word)) if is_glob else [word]
-    return expanded
 
 
 def as_text(size: Any) -> str:
@@ -155,113 +104,6 @@ def in_order(names: Iterable[str]) -> list[Experiment]:
     for name in names:
         add(name)
     return list(ordered.values())
-
-
-# --- tables -----------------------------------------------------------------------------------------------------------
-
-
-def commit() -> tuple[str, bool]:
-    """Return the commit, and whether the tree differs from it in anything except the tables."""
-    git = ["git", "-C", str(ROOT)]
-    head = subprocess.run([*git, "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False)
-    changes = subprocess.run(
-        [*git, "status", "--porcelain", "--", ":!docs/results"], capture_output=True, text=True, check=False
-    )
-    return head.stdout.strip() or "unknown", bool(changes.stdout.strip())
-
-
-def shown_rows(table: Table, rows: list[Row]) -> list[Row]:
-    """Return the figures that the table shows (all for a measured one) and the keys of the paper's figures."""
-    columns = [*table.columns, *([table.across] if table.across else [])]
-    wanted = {key for column in columns for part in (column.heading, column.cell, column.paper) for key in keys(part)}
-    wanted |= {"evaluation", *paper_rows.needed(table.name)}
-    for key in wanted & paper.SHOWN.keys():
-        wanted |= {*paper.SHOWN[key].needs, *paper.SHOWN[key].may_need}
-    return [{key: value for key, value in row.items() if table.measured or key in wanted} for row in rows]
-
-
-def layout(column: Column) -> Row:
-    """Return the layout of a column, as JSON."""
-    return {"heading": column.heading, "cell": column.cell, **({"paper": column.paper} if column.paper else {})}
-
-
-def result(table: Table, evaluations: dict[str, Evaluation], commands: Iterable[str]) -> Row:
-    """Return a table for storage; its facts come from the reports, or from a measurement without reports."""
-    headers = [evaluation.header for evaluation in evaluations.values() if evaluation.header]
-    about = {key: value for evaluation in evaluations.values() for key, value in (evaluation.about or {}).items()}
-    known = facts(headers) | about.pop("sizes", {})
-    head, changed = commit()
-    head, changed = about.get("commit", head), about.get("uncommitted_changes", changed)
-    rows, columns = table.rows(evaluations), table.columns
-    if table.measured:
-        columns = tuple(column for column in columns if any(fill(column.cell, row) for row in rows))
-        about["summaries"] = {name: evaluation.summary for name, evaluation in evaluations.items()}
-    about |= covariates(evaluations)
-    return {
-        "name": table.name,
-        "title": table.title.format(**words_for(known)),
-        "simulated": any(evaluation.simulated for evaluation in evaluations.values()),
-        "made": f"commit {head}" + (", with uncommitted changes" if changed else ""),
-        "commit": head,
-        "uncommitted_changes": changed,
-        "commands": list(commands),
-        "methods": methods(headers),
-        "recipe_ids": [header["id"] for header in headers],
-        "sizes": known,
-        "source": dataclasses.asdict(Source.of(headers)),
-        "sources": sources(evaluations, rows),
-        "columns": [layout(column) for column in columns],
-        "across": layout(table.across) if table.across else None,
-        "notes": list(table.notes),
-        "rows": shown_rows(table, rows),
-    } | about
-
-
-def sources(evaluations: dict[str, Evaluation], rows: Rows) -> Row:
-    """Return the source of each evaluation that rows name as theirs, by which the paper's figures are marked."""
-    named = {row["evaluation"] for row in rows if "evaluation" in row}
-    headers = {name: evaluation.header for name, evaluation in evaluations.items() if name in named}
-    return {name: dataclasses.asdict(Source.of([header])) for name, header in headers.items() if header}
-
-
-def covariates(evaluations: dict[str, Evaluation]) -> Row:
-    """Return the covariates of the slips that a table evaluates; with several evaluations, by evaluation."""
-    slips = {name: [row for row in evaluation.rows if "covariate" in row] for name, evaluation in evaluations.items()}
-    if not slips or not all(slips.values()):
-        return {}
-    distinct: dict[str, list[Row]] = {}
-    for name, rows in slips.items():
-        if rows not in distinct.values():
-            distinct[name] = rows
-    if len(distinct) == 1:
-        return {"covariates": next(iter(distinct.values()))}
-    tagged = [
-        {**row, "covariate": f"{name.rpartition('-')[2]}: {row['covariate']}"}
-        for name, rows in distinct.items()
-        for row in rows
-    ]
-    return {"covariates": tagged}
-
-
-def extent(value: Any) -> int:
-    return len(value) if isinstance(value, list) else int(value)
-
-
-def smaller(new: Row, old: Row) -> list[str]:
-    """Return in which counts a new table is smaller than the existing one, in words."""
-    counts = ((name, extent(new["sizes"].get(name, 0)), extent(old["sizes"].get(name, 0))) for name in COUNTS)
-    return [f"{name.replace('_', ' ')} {ours} (there {theirs})" for name, ours, theirs in counts if ours < theirs]
-
-
-def keep(table: Row, folder: Path, *, replace: bool) -> None:
-    """Write a table as JSON; Refusal if it would replace a larger run's."""
-    path = folder / f"{table['name']}.json"
-    if path.exists() and not replace and (less := smaller(table, json.loads(path.read_text()))):
-        raise Refusal(f"{path} was not replaced, because this run is smaller: {', '.join(less)}; try --replace")
-    folder.mkdir(parents=True, exist_ok=True)
-    unfinished = path.with_suffix(".json.part")
-    unfinished.write_text(json.dumps(table, indent=1) + "\n")
-    unfinished.replace(path)
 
 
 # --- running ----------------------------------------------------------------------------------------------------------
@@ -310,30 +152,40 @@ def perform(
     engine: str = "local",
     run: Run = run_command,
     header: Callable[[Path], Row] = report_header,
-) -> None:
-    """Run an experiment's commands, evaluations and measurement; print and store its tables."""
+) -> dict[str, Evaluation]:
+    """Run an experiment's commands, evaluations and measurement; print and store its tables; return the evaluations."""
     folder, started = out / experiment.folder, time.time()
     folder.mkdir(parents=True, exist_ok=True)
     print(f"{experiment.name}: {experiment.shows}; files in {folder}", flush=True)
+    if any(str(MODELS) in word for step in experiment.steps(sizes) for word in step):
+        unpack_all(MODELS)
     for step in experiment.steps(sizes):
         print("+", *step, flush=True)
         if is_there(step, folder):
             continue
-        code, _ = run(with_engine(expand(step, folder), jobs, engine), folder)
+        with spending(folder, experiment.name):
+            code, _ = run(with_engine(expand(step, folder), jobs, engine), folder)
         if code:
             raise Refusal(f"{' '.join(step)} ended with exit code {code}")
-    evaluations = measured(experiment, sizes, folder, jobs)
+    with spending(folder, experiment.name):
+        evaluations = measured(experiment, sizes, folder, jobs)
     commands = dict.fromkeys(evaluations, own_command(experiment, sizes))
     for name, words in experiment.evaluations(sizes).items():
         print("+", *words, flush=True)
-        evaluations[name] = evaluate(name, with_engine(words, jobs, engine), folder, run, header)
+        with spending(folder, experiment.name):
+            evaluations[name] = evaluate(name, with_engine(words, jobs, engine), folder, run, header)
         commands[name] = " ".join(words)
+    said = (*experiment.steps(sizes), *experiment.evaluations(sizes).values())
+    judged = {path for words in said for path in model_files(expand(words, folder), folder)}
+    spent = hours([(out / one.folder, one.name) for one in (*in_order(experiment.after), experiment)])
     refusals = []
     for table in experiment.tables:
         chosen = {name: evaluations[name] for name in table.evaluations if name in evaluations}
         if not chosen:  # --size left out everything that the table is made of
             continue
         made = result(table, chosen, dict.fromkeys(commands[name] for name in chosen))
+        ids = model_ids(one.header for one in chosen.values() if one.header)
+        made |= {"machine": machine(), "hours": spent, "models": models(ids, sorted(judged), folder)} | of_freeze(made)
         print(f"\n{text(made)}")
         try:
             keep(made, results, replace=replace)
@@ -345,6 +197,7 @@ def perform(
     print(f"{new} made in {time.time() - started:.0f} s" if new else "all up to date, nothing to do")
     if refusals:
         raise Refusal("\n".join(refusals))
+    return evaluations
 
 
 def print_list() -> None:
@@ -367,6 +220,21 @@ def print_commands(experiment: Experiment, sizes: Sizes, out: Path, jobs: int, e
         print(f"# {experiment.measure} of scripts/ measures the rest")
 
 
+def make_or_check(chosen: argparse.Namespace, given: dict[str, str]) -> None:
+    """Carry out --table, with the given sizes, or --check; Refusal for a table that neither knows.
+
+    Without --out, files go to data/again/.
+    """
+    from check_tables import check, make  # which import this module
+
+    out = ROOT / "data" / "again" / ("check" if chosen.check else "whole") if chosen.out == ROOT else chosen.out
+    how = {"jobs": chosen.jobs, "engine": chosen.engine}
+    if chosen.table:
+        make(chosen.table, out, chosen.results or out / "tables", given, replace=True, **how)
+    else:
+        check(chosen.only, out, dry_run=chosen.dry_run, as_json=chosen.json, **how)
+
+
 def main(arguments: list[str] | None = None) -> None:
     """Read the flags and run the experiments."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -386,6 +254,11 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--replace", action="store_true", help="replace tables of larger runs too")
     parser.add_argument("--list", action="store_true", help="print the experiments with their sizes")
     parser.add_argument("--dry-run", action="store_true", help="print the commands without running them")
+    parser.add_argument("--table", metavar="NAME", help="make one table whole, and compare it with docs/results")
+    parser.add_argument(
+        "--check", action="store_true", help="check all tables, or those of --only, on a tenth of their trials"
+    )
+    parser.add_argument("--json", action="store_true", help="with --check: print the results as JSON")
     chosen = parser.parse_args(arguments)
     if chosen.list:
         print_list()
@@ -395,6 +268,9 @@ def main(arguments: list[str] | None = None) -> None:
     except ValueError:
         parser.error("--size takes NAME=VALUE, for example --size each=2")
     try:
+        if chosen.table or chosen.check:
+            make_or_check(chosen, given)
+            return
         experiments = in_order(chosen.only or [experiment.name for experiment in EXPERIMENTS])
         unknown = [name for name in given if not any(name in experiment.full for experiment in experiments)]
         if unknown:

@@ -4,7 +4,9 @@
 
 Two comments in a page mark the position of a table: `<!-- table NAME -->` and `<!-- end of NAME -->`. The text made
 from docs/results/NAME.json is written between them. The README's table `summary` takes one cell from each of several
-tables. likeness_tables.py makes the tables of docs/likeness.md.
+tables. likeness_tables.py makes the tables of docs/likeness.md. Tables of run times, in measured/, have their own mark,
+`<!-- measured NAME -->`. `freeze` marks the sentences on the frozen commit, with
+the number of frozen files that have changed since.
 
 A result file has flat rows and describes how to show them. `columns` lists a heading and a cell for each column, as
 Python format strings over a row. If rows are spread over columns, `across` describes one column for each distinct
@@ -22,11 +24,13 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import frozen
 import likeness_convergence
 import likeness_grid
 import likeness_sensitivity
 import likeness_tables
 import paper_page
+import run_facts
 
 from evetac_cli.commands import WITH_CONFIG
 from evetac_cli.evaluate import paper
@@ -110,6 +114,8 @@ SUMMARY = (
         "share (paper)",
     ),
 )
+MEASURED = "measured"  # folder of the tables of run times, and the word of their marks
+FREEZE = "freeze"  # the sentences on the frozen commit, which are no table
 LIKENESS = ("likeness-counted", "likeness-others")  # tables of public facts, made by likeness_tables.py
 # Tables made by separate scripts, each from its own rows in docs/results/likeness or scripts/paper-rows.json.
 OF_SCRIPTS = {
@@ -201,13 +207,13 @@ def ranges(values: Iterable[int]) -> str:
 
 
 def how_made(result: Result) -> str:
-    """Return a sentence that lists the commands and seeds behind a result."""
+    """Return a sentence with the commands, seeds, core hours and computer behind a result."""
     words = "Made by " + ", ".join(f"`{command}`" for command in result["commands"])
     sizes = result.get("sizes") or {}
     for what, name in (("recordings", "recording_seeds"), ("trainings", "training_seeds")):
         if seeds := sizes.get(name):
             words += f"; seeds of {what} {ranges(seeds)}"
-    return words + "."
+    return "; ".join(filter(None, [words, run_facts.in_words(result)])) + "."
 
 
 def as_table(heads: list[str], rows: Iterable[list[str]]) -> str:
@@ -251,12 +257,20 @@ def summary(results: Path) -> str:
     return "\n" + as_table(["what", "simulated", "paper", "compared", "commit"], rows) + "\n"
 
 
-def fill_page(page: str, results: Path) -> str:
-    """Return the page with every table in it made anew from its file in `results`."""
+def fill_page(page: str, results: Path, only: str = "") -> str:
+    """Return the page with every table in it, or only the one of that name, made anew from its file in `results`."""
 
     def replace(match: re.Match[str]) -> str:
+        if only not in ("", match["name"]):
+            return match[0]
+        if match["kind"] == MEASURED:
+            stored = json.loads((results / MEASURED / f"{match['name']}.json").read_text())
+            return f"{match['begin']}\n{measured_text(stored)}\n{match['end']}"
         if match["name"] == "summary":
             return f"{match['begin']}{summary(results)}\n{match['end']}"
+        if match["name"] == FREEZE:
+            freeze = frozen.read()
+            return f"{match['begin']}\n{frozen.in_words(freeze, frozen.changed(freeze))}\n\n{match['end']}"
         if match["name"] in LIKENESS:
             return f"{match['begin']}\n{likeness_tables.as_pages(results, as_table)[match['name']]}\n{match['end']}"
         if match["name"] in OF_SCRIPTS:
@@ -264,7 +278,9 @@ def fill_page(page: str, results: Path) -> str:
         result = json.loads((results / f"{match['name']}.json").read_text())
         return f"{match['begin']}\n{text(result)}\n{match['end']}"
 
-    pattern = r"(?P<begin><!-- table (?P<name>[\w-]+) -->\n)(?:.*?)(?P<end><!-- end of (?P=name) -->)"
+    pattern = (
+        r"(?P<begin><!-- (?P<kind>table|measured) (?P<name>[\w-]+) -->\n)(?:.*?)(?P<end><!-- end of (?P=name) -->)"
+    )
     return re.sub(pattern, replace, page, flags=re.DOTALL)
 
 
@@ -275,20 +291,26 @@ def as_figure(value: Any) -> str:
     return "" if value is None else f"{value:,}" if isinstance(value, int) else str(value)
 
 
-def put_measured(page: Path, name: str, rows: list[Row], said: str) -> None:
-    """Write a table of run times into a page, between `<!-- measured NAME -->` and `<!-- end of NAME -->`.
+def measured_text(stored: Row) -> str:
+    """Return a stored table of run times as Markdown: a sentence, and the rows."""
+    heads = list(dict.fromkeys(key for row in stored["rows"] for key in row))
+    rows = ([as_figure(row.get(key)).replace("_", " ") for key in heads] for row in stored["rows"])
+    return f"{stored['said']}:\n\n{as_table([head.replace('_', ' ') for head in heads], rows)}\n"
 
-    said: the sentence above the table. Raises SystemExit if the page lacks one of the two marks.
+
+def put_measured(page: Path, name: str, rows: list[Row], said: str, results: Path = ROOT / "docs" / "results") -> None:
+    """Store a table of run times as measured/NAME.json, and write it into a page between its two marks.
+
+    These are `<!-- measured NAME -->` and `<!-- end of NAME -->`. said: the sentence above the table. If the page lacks
+    a mark, SystemExit is raised before anything is written.
     """
-    heads = list(dict.fromkeys(key for row in rows for key in row))
-    words = [head.replace("_", " ") for head in heads]
-    table = as_table(words, ([as_figure(row.get(key)).replace("_", " ") for key in heads] for row in rows))
     begin, end = f"<!-- measured {name} -->\n", f"<!-- end of {name} -->"
-    before, marked, rest = page.read_text().partition(begin)
-    if not marked or end not in rest:
+    if not re.search(f"{re.escape(begin)}.*{re.escape(end)}", page.read_text(), re.DOTALL):
         raise SystemExit(f"{page}: expected {begin.strip()} and {end}")
-    _, _, after = rest.partition(end)
-    page.write_text(f"{before}{begin}\n{said}:\n\n{table}\n\n{end}{after}")
+    path = results / MEASURED / f"{name}.json"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps({"name": name, "said": said, "rows": rows}, indent=1) + "\n")
+    page.write_text(fill_page(page.read_text(), results, only=name))
 
 
 def main() -> None:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import run_facts
 from likeness_trials import commit_in_words
 
 from evetac_cli.jobs import Row
@@ -24,14 +25,15 @@ def table_of(
     *,
     across: dict[str, str] | None = None,
     notes: Sequence[str] = (),
+    hours: float | None = None,
 ) -> Row:
-    """Return a table of simulated rows, with the current commit.
+    """Return a table of simulated rows, with the current commit and computer.
 
     columns: the cell (a format string over a row) of each heading; command: the command that makes the table; sizes:
-    seeds and numbers of trials.
+    seeds and numbers of trials; hours: core hours spent, if they were measured.
     """
     made = commit_in_words()
-    return {
+    table = {
         "name": name,
         "title": title,
         "simulated": True,
@@ -46,7 +48,10 @@ def table_of(
         "across": across,
         "notes": list(notes),
         "rows": rows,
+        "machine": run_facts.machine(),
+        **({} if hours is None else {"hours": hours}),
     }
+    return table | run_facts.of_freeze(table)
 
 
 def models_in_words(given: Sequence[str]) -> str:

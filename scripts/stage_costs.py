@@ -27,7 +27,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from growth import cpu_of
-from reproduce import commit
+from made_tables import commit
 
 from evetac_cli.console import print_table, say
 from evetac_cli.jobs import Row

@@ -9,8 +9,8 @@ import re
 import shlex
 import subprocess
 import sys
-from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import pytest
 import typer
@@ -21,6 +21,8 @@ from evetac_cli.store.layout import schema
 from evetac_cli.trials.record import simulated
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts" / "docs"))
+import figures
 import first_hour
 import results
 from experiments import EXPERIMENTS
@@ -135,8 +137,15 @@ def test_every_table_has_a_file_and_a_place() -> None:
     places = re.findall(r"<!-- table ([\w-]+) -->", "".join(PAGES.values()))
     assert len(places) == len(set(places))
     assert names <= set(places)
+    measured = re.findall(r"<!-- measured ([\w-]+) -->", "".join(PAGES.values()))
+    assert sorted(measured) == sorted(path.stem for path in (ROOT / "docs" / "results" / results.MEASURED).iterdir())
     assert not {table.name for table in tables if not table.kept} & set(places)
-    assert {path.stem for path in RESULTS} == set(places) - {"summary", *results.LIKENESS, *results.OF_SCRIPTS}
+    assert {path.stem for path in RESULTS} == set(places) - {
+        "summary",
+        results.FREEZE,
+        *results.LIKENESS,
+        *results.OF_SCRIPTS,
+    }
 
 
 @pytest.mark.parametrize("path", RESULTS, ids=lambda path: path.stem)
@@ -147,31 +156,86 @@ def test_figures_of_the_paper_are_marked(path: Path) -> None:
     assert result["commands"] and result["commit"] and result["made"]
     files = result["sizes"].get("recordings", 0)  # none: no file of ours was read
     assert result["recipe_ids"] or not files or result["commit"] == "c80c948"  # of which the reports were not kept
+    assert unlike_the_paper(result) == []
+
+
+def unlike_the_paper(result: dict[str, Any]) -> list[str]:
+    """The cells of a table whose figures of the paper, or marks, are not those of paper.py."""
+    found = []
     for row in result["rows"]:
         for column in (*result["columns"], *([result["across"]] if result["across"] else [])):
+            names = results.keys(column.get("paper", ""))
+            if not set(names) <= results.paper.SHOWN.keys() or re.sub(r"{.*?}|sd|[,% ]", "", column.get("paper", "")):
+                found.append(f"{column['heading']}: {column['paper']}")
+                continue
             stored = results.fill(column.get("paper", ""), row)
-            figures, mark = results.published(column, row, result)
-            assert figures == stored and (mark in MARKS if stored else mark == "")
-
-
-# A comment above a paragraph names figures that it quotes: a table of docs/results, what selects its row, the field.
-QUOTED = re.compile(r"<!-- figure ([\w-]+) ({.*?}) (\w+)(?::(\S+))? -->")
+            shown, mark = results.published(column, row, result)
+            if shown != stored or (mark not in MARKS if stored else mark != ""):
+                found.append(f"{column['heading']}: {stored}, {mark}")
+    return found
 
 
 @pytest.mark.parametrize("name", PAGES)
 def test_figures_quoted_in_sentences_are_those_of_results(name: str) -> None:
     """Assert that each figure named above a paragraph is the table's, and that the paragraph has it."""
-    blocks = PAGES[name].split("\n\n")
-    for marks, paragraph in pairwise(blocks):
-        for table, selected, field, form in QUOTED.findall(marks):
-            rows = json.loads((ROOT / "docs" / "results" / f"{table}.json").read_text())["rows"]
-            (row,) = [row for row in rows if json.loads(selected).items() <= row.items()]
-            assert re.search(rf"(?<![\d.]){re.escape(format(row[field], form))}(?![\d])", paragraph), (table, field)
+    assert figures.absent(PAGES[name]) == []
 
 
-def test_some_sentences_name_their_figures() -> None:
-    """Assert that the marks are found at all."""
-    assert len(QUOTED.findall("".join(PAGES.values()))) >= 6
+# Pages in which every decimal figure of a sentence has its mark; the others follow page by page.
+MARKED = [
+    "README.md",
+    *(f"docs/{name}.md" for name in ("results", "slip-detector", "labels", "touch-maps")),
+]
+
+
+@pytest.mark.parametrize("name", MARKED)
+def test_sentences_of_these_pages_name_their_figures(name: str) -> None:
+    """Assert that each decimal figure in a sentence comes from a table, or is said to be no result."""
+    assert [sentence for sentence in figures.sentences(name, PAGES[name]) if sentence.unmarked] == []
+
+
+def test_a_changed_digit_of_a_sentence_is_found() -> None:
+    """Assert that a page whose sentence has another digit than its table, or a new figure, breaks the two rules."""
+    mark = '<!-- figure slip-detectors-timing {"score": "ours 10 ms"} correct:.3f -->\n<!-- given 0.5 -->\n\n'
+    page = f"{mark}It is right in SHARE of slips within 0.5 px.\n"
+    assert figures.absent(page.replace("SHARE", "0.807")) == []
+    assert [one.unmarked for one in figures.sentences("a", page.replace("SHARE", "0.807"))] == [[]]
+    assert figures.absent(page.replace("SHARE", "0.808")) and figures.absent(page.replace("SHARE", "1.807"))
+    (added,) = figures.sentences("a", page.replace("SHARE", "0.807 (0.9 before)"))
+    assert added.unmarked == ["0.9"]
+    assert figures.absent(page.replace("SHARE", "0.807").replace("within 0.5 px", "within 0.6 px"))
+
+
+def test_a_changed_digit_or_mark_of_a_table_is_found(tmp_path: Path) -> None:
+    """Assert that a digit, and a mark, changed by hand in a page differ from what the page is made from."""
+    page = PAGES["docs/results.md"]
+    marked = re.search(r"\| [^|\n]*\((?:[\d.%, -]|sd )+, (?:other|same) \w+\)", page)
+    assert marked is not None
+    cell = marked[0]
+    digit = re.search(r"\d", cell)
+    assert digit is not None
+    for doctored in (
+        cell.replace(digit[0], str((int(digit[0]) + 1) % 10), 1),
+        re.sub(r"(?:other|same) \w+\)", "fitted)", cell),
+    ):
+        changed = page.replace(cell, doctored, 1)
+        assert changed != page and results.fill_page(changed, ROOT / "docs" / "results") == page
+
+
+@pytest.mark.parametrize("change", ["value", "mark", "row"])
+def test_a_changed_figure_of_the_paper_is_found(change: str) -> None:
+    """Assert that a paper's figure changed in a table's file, or moved to another row, is not the paper's any more."""
+    result = json.loads((ROOT / "docs" / "results" / "tracking-edge.json").read_text())
+    assert unlike_the_paper(result) == []
+    (row,) = (row for row in result["rows"] if row["preset"] == "paper")
+    if change == "value":
+        row["paper_consistent_share"] = 0.9
+    elif change == "row":
+        row["preset"] = "stable"
+    else:
+        column = next(one for one in result["columns"] if one.get("paper"))
+        column["paper"] += ", same method"
+    assert unlike_the_paper(result) != []
 
 
 def test_what_info_shows_of_a_recording_is_of_today() -> None:

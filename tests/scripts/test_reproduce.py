@@ -26,12 +26,15 @@ from tests.patience import PATIENCE_S
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
 import experiment_tables
+import made_tables
+import report_facts
 import reproduce
 import results
+import run_command
 from experiment_steps import evetac
 from experiment_tables import Column, Evaluation, Table, summaries
 from experiments import EXPERIMENTS, Experiment
-from reproduce import Refusal
+from made_tables import Refusal
 
 BY_NAME = {experiment.name: experiment for experiment in EXPERIMENTS}
 COMMAND_LINE = typer.main.get_command(app)
@@ -180,11 +183,13 @@ def test_facts_keep_training_apart() -> None:
     trained = {"kind": "recording", "seed": 0, "parents": [], "parameters": {"object": 9, "sensor": "evetac"}}
     model = {"kind": "model", "seed": None, "parents": ["t"], "parameters": {"seed": 4, "max_steps": 200}}
     grasped = {"kind": "recording", "seed": 7, "parents": ["m"], "parameters": {"object": 11, "sensor": "second"}}
-    known = reproduce.facts([{"parents": ["g"], "history": {"t": trained, "m": model, "g": grasped}}])
+    known = report_facts.facts([{"parents": ["g"], "history": {"t": trained, "m": model, "g": grasped}}])
     assert (known["recordings"], known["objects"], known["sensors"]) == (1, [11], ["second"])
     assert (known["models"], known["training_seeds"], known["training_steps"]) == (1, [4], 200)
     assert (known["training_recordings"], known["training_objects"]) == (1, [9])
-    of_grasp = reproduce.facts([{"parents": ["g"], "history": {"m": model, "g": grasped}}])  # as files of today have it
+    of_grasp = report_facts.facts(
+        [{"parents": ["g"], "history": {"m": model, "g": grasped}}]
+    )  # as files of today have it
     assert (of_grasp["models"], of_grasp["training_seeds"], of_grasp["training_recordings"]) == (1, [4], 0)
 
 
@@ -208,10 +213,10 @@ def test_covariates_say_whose_slips_they_are_of() -> None:
     def of(median: float) -> Evaluation:
         return evaluation({"covariate": "creep [ms]", "median": median}, {"setting": "a"})
 
-    assert reproduce.covariates({"x": of(1.0)}) == {"covariates": [{"covariate": "creep [ms]", "median": 1.0}]}
-    assert reproduce.covariates({"x": of(1.0), "y": evaluation({"setting": "a"})}) == {}
+    assert made_tables.covariates({"x": of(1.0)}) == {"covariates": [{"covariate": "creep [ms]", "median": 1.0}]}
+    assert made_tables.covariates({"x": of(1.0), "y": evaluation({"setting": "a"})}) == {}
     several = {"recipe-size-known": of(1.0), "recipe-size-unseen": of(2.0), "recipe-labels-known": of(1.0)}
-    assert reproduce.covariates(several)["covariates"] == [
+    assert made_tables.covariates(several)["covariates"] == [
         {"covariate": "known: creep [ms]", "median": 1.0},
         {"covariate": "unseen: creep [ms]", "median": 2.0},
     ]
@@ -363,7 +368,7 @@ def test_the_methods_of_a_table_are_the_oldest_of_its_reports() -> None:
     ]
     report = {"kind": "report", "method": 2, "seed": None, "parameters": {"command": "evaluate tracking"}}
     header = {**report, "history": {str(number): node for number, node in enumerate(nodes)}}
-    assert reproduce.methods([header]) == {"track": 3, "track-rgb": 1, "grasp": 5, "evaluate tracking": 2}
+    assert report_facts.methods([header]) == {"track": 3, "track-rgb": 1, "grasp": 5, "evaluate tracking": 2}
 
 
 def test_a_page_is_filled_between_its_marks(tmp_path: Path) -> None:
@@ -552,7 +557,7 @@ def test_a_command_is_waited_for(interrupts: int, killed: bool) -> None:
     process: Any = Deaf(interrupts)
     if interrupts:
         with pytest.raises(KeyboardInterrupt):
-            reproduce.wait_for(process)
+            run_command.wait_for(process)
     else:
-        assert reproduce.wait_for(process) == "{}"
+        assert run_command.wait_for(process) == "{}"
     assert process.killed == killed

@@ -36,13 +36,17 @@ def test_rows_are_put_into_a_page(tmp_path: Path) -> None:
     page = tmp_path / "page.md"
     page.write_text("before\n<!-- measured a -->\nold\n<!-- end of a -->\n<!-- measured b -->\n<!-- end of b -->\n")
     for took_s in (1.23456, 12_345.6):
-        results.put_measured(page, "a", [{"files": 10_000, "took_s": took_s}, {"files": 1, "what": "x"}], "Said")
+        results.put_measured(
+            page, "a", [{"files": 10_000, "took_s": took_s}, {"files": 1, "what": "x"}], "Said", tmp_path
+        )
     assert page.read_text() == (
         "before\n<!-- measured a -->\n\nSaid:\n\n| files | took s | what |\n| --- | --- | --- |\n"
         "| 10,000 | 12,346 |  |\n| 1 |  | x |\n\n<!-- end of a -->\n<!-- measured b -->\n<!-- end of b -->\n"
     )
     with pytest.raises(SystemExit, match="measured c"):
-        results.put_measured(page, "c", [], "Said")
+        results.put_measured(page, "c", [], "Said", tmp_path)
+    assert [path.stem for path in (tmp_path / results.MEASURED).iterdir()] == ["a"]
+    assert results.fill_page(page.read_text(), tmp_path, only="a") == page.read_text()
 
 
 RESULT = {

@@ -1,70 +1,93 @@
-"""Which seeds constants saw, and that no table reports them."""
+"""Which seeds, figures and facts constants saw; no table reports such seeds, and no constant saw a judging seed."""
 
 import importlib
 import json
 import re
+import sys
+import tomllib
+from dataclasses import replace
 from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from evetac_cli.evaluate import paper
 from evetac_cli.resources import PACKAGE
 
-ROOT = Path(__file__).parents[2]
-RESULTS = ROOT / "docs" / "results"
-SEEN = json.loads((ROOT / "scripts" / "seeds.json").read_text())
-TABLES = {str(path.relative_to(RESULTS).with_suffix("")): path for path in RESULTS.rglob("*.json")}
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
+import frozen
+import seen_seeds
+from seen_seeds import concerns, faults, fit_faults, seeds_of, seen_by
 
-
-def seeds_of(table: dict[str, Any]) -> set[int]:
-    """The seeds that a table reports: those that its sizes name, and those of its commands."""
-    sizes = table.get("sizes", {})
-    named = {seed for key in ("recording_seeds", "contact_seeds", "trial_seeds") for seed in sizes.get(key) or []}
-    if {"first", "last"} <= sizes.keys():
-        named |= set(range(sizes["first"], sizes["last"] + 1))
-    for command in table.get("commands", []):
-        for first, last in re.findall(r"--seeds? (\d+)(?:-(\d+))?", command):
-            named |= set(range(int(first), int(last or first) + 1))
-    return named
-
-
-def seen_by(group: dict[str, Any]) -> set[int]:
-    """The seeds that the constants of a group saw; none where they are not known."""
-    ranges = [one if isinstance(one, list) else [one, one] for one in group["seeds"] or []]
-    return {seed for first, last in ranges for seed in range(first, last + 1)}
-
-
-def concerns(group: dict[str, Any], name: str, table: dict[str, Any]) -> bool:
-    """Whether constants of a group enter a table."""
-    if not any(fnmatch(name, pattern) for pattern in group["tables"]):
-        return False
-    first, last = group.get("label_methods", (None, None))
-    method = table.get("methods", {}).get("label")
-    return first is None or (method is not None and method >= first and (last is None or method <= last))
-
-
-def overlaps() -> dict[tuple[str, str], list[int]]:
-    """Table and group -> seeds that the table reports and the group's constants saw."""
-    found = {}
-    for name, path in TABLES.items():
-        table = json.loads(path.read_text())
-        for group in SEEN["groups"]:
-            if concerns(group, name, table) and (both := seeds_of(table) & seen_by(group)):
-                found[name, group["name"]] = sorted(both)
-    return found
+ROOT = Path(__file__).resolve().parents[2]
+SEEN = seen_seeds.known()
+TABLES = seen_seeds.tables()
+FACTS = tomllib.loads((PACKAGE / "data" / "likeness.toml").read_text())["fact"]
 
 
 def test_no_table_reports_seeds_that_its_constants_saw() -> None:
-    """Assert that tables report no such seeds, but for the exceptions, each of which is one still, and has a reason."""
-    allowed = {(name, one["group"]): one["seeds"] for name, ones in SEEN["exceptions"].items() for one in ones}
-    assert overlaps() == allowed
-    assert all(one["why"] for ones in SEEN["exceptions"].values() for one in ones)
+    """Assert that tables and groups keep the rule, but for the exceptions, each of which has a reason."""
+    assert list(faults(SEEN, TABLES)) == []
+    assert all(one["why"] for one in SEEN["exceptions"])
 
 
 def test_exceptions_are_counted() -> None:
     """Assert that there are no more exceptions than the ten tables of an earlier edition's labels."""
-    assert sum(map(len, SEEN["exceptions"].values())) <= 10
+    assert sum(len(one["tables"]) for one in SEEN["exceptions"]) <= 10
+
+
+def test_what_was_fitted_is_named_by_its_constants() -> None:
+    """Assert that every fitted figure of the paper and every fact used to fit is in a group, and the reverse."""
+    assert list(fit_faults(SEEN["groups"], paper.FIGURES, FACTS)) == []
+
+
+def group_with(**changed: Any) -> dict[str, Any]:
+    """The group of the edge scene, changed."""
+    (edge,) = (group for group in SEEN["groups"] if group["name"] == "edge scene")
+    return {**edge, **changed}
+
+
+JUDGED = {"frozen": "f9c755f9", "sizes": {"recording_seeds": [92_000]}}
+
+
+@pytest.mark.parametrize(
+    ("group", "table", "fault"),
+    [
+        (group_with(seeds=[92_000]), {}, "its constants saw [92000], on which frozen tables are judged"),
+        (group_with(seeds=[[89_990, 90_001]]), {}, "its constants saw [90000, 90001]"),
+        (group_with(seeds=[92_000]), JUDGED, "reports the seeds [92000]"),
+        (group_with(), {**JUDGED, "sizes": {"recording_seeds": [89_999]}}, "is frozen, but is judged on [89999]"),
+        (group_with(), {**JUDGED, "sizes": {}}, "is frozen, but is judged on unknown seeds"),
+        (group_with(), {"sizes": {"seeds": "90000-90001"}}, "does not name the frozen commit"),
+        (group_with(seeds=[7]), {"commands": ["x --seeds 5-7"]}, "reports the seeds [7]"),
+    ],
+)
+def test_a_broken_rule_is_found(group: dict[str, Any], table: dict[str, Any], fault: str) -> None:
+    """Assert that a constant that saw a judging seed, and a table that reports a seen seed, are found."""
+    seen = {"groups": [group], "exceptions": []}
+    assert any(fault in found for found in faults(seen, {"tracking-edge": table}))
+    assert list(faults({"groups": [group_with()], "exceptions": []}, {"tracking-edge": JUDGED})) == []
+
+
+def test_a_frozen_table_has_no_exception() -> None:
+    """Assert that an exception does not excuse a frozen table, and that one that is none any more is found."""
+    excused = {"group": "edge scene", "why": "x", "tables": {"tracking-edge": [92_000]}}
+    seen = {"groups": [group_with(seeds=[92_000])], "exceptions": [excused]}
+    assert "a frozen table has no exception" in " ".join(faults(seen, {"tracking-edge": JUDGED}))
+    assert "is no exception for `edge scene` any more" in " ".join(faults({**seen, "groups": []}, {}))
+
+
+def test_a_fit_that_is_not_named_is_found() -> None:
+    """Assert that a figure or fact is found if its group is missing, or if only the group says that it is fitted."""
+    without = [group for group in SEEN["groups"] if group["name"] != "edge scene"]
+    found = " ".join(fit_faults(without, paper.FIGURES, FACTS))
+    assert "('consistent', 'paper')" in found and "tracked-regularised" in found
+    plain = {**paper.FIGURES, ("consistent", "paper"): replace(paper.FIGURES["consistent", "paper"], fitted_in="")}
+    assert "has no `fitted_in`" in " ".join(fit_faults(SEEN["groups"], plain, FACTS))
+    other = group_with(name="other", paper=[["nothing"]], likeness=["lost-regularised"])
+    found = " ".join(fit_faults([*SEEN["groups"], other], paper.FIGURES, FACTS))
+    assert "no figure of the paper" in found and "`lost-regularised`, which is not used to fit" in found
 
 
 def test_every_table_has_its_constants_named() -> None:
@@ -78,6 +101,7 @@ def test_groups_name_what_there_is(group: dict[str, Any]) -> None:
     """Assert that the module of a group exists, and that seeds which are not known are said to be so."""
     assert (PACKAGE / group["module"].partition(" before ")[0]).exists()
     assert bool(group["seeds"]) != bool(group.get("why_unknown"))
+    assert all(tuple(key) in paper.FIGURES for key in group.get("near", []))
 
 
 def test_seeds_that_modules_state_are_in_the_file() -> None:
@@ -94,9 +118,8 @@ def test_seeds_that_modules_state_are_in_the_file() -> None:
                 assert {int(first), int(last or first)} <= seen, (group["module"], first, last)
 
 
-def test_seeds_of_trainings_on_motions_are_in_the_file(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_seeds_of_trainings_on_motions_are_in_the_file() -> None:
     """Assert that every recording that motion_recordings.py makes has a seed that its group names."""
-    monkeypatch.syspath_prepend(str(ROOT / "scripts"))
     made = importlib.import_module("motion_recordings")
     (seen,) = (seen_by(group) for group in SEEN["groups"] if group["module"] == "../scripts/motion_recordings.py")
     for role, first in made.FIRST_SEEDS.items():
@@ -112,3 +135,26 @@ def test_an_overlap_is_found() -> None:
     assert seeds_of(table) & seen_by(labels) == {4100}
     assert not concerns(labels, "labels", {**table, "methods": {"label": 5}})
     assert not concerns(labels, "vibration", table)
+
+
+def test_the_freeze_lists_what_has_changed(tmp_path: Path) -> None:
+    """Assert that a changed, a removed and a new file are listed, that words are counted, and what is not frozen."""
+    freeze = frozen.read()
+    assert (frozen.SEEDS.start, frozen.SEEDS.stop) == (90_000, 100_000)
+    assert json.loads(frozen.FILE.read_text())["rule"] == frozen.RULE
+    assert set(freeze.files) >= {"evetac_cli/kernels/tracking/tracker.py", "evetac_cli/data/sensors.toml"}
+    kept = ("evetac_cli/kernels/vibration.py", "evetac_cli/data/scenes/edge.toml")
+    small = replace(freeze, files={name: freeze.files[name] for name in kept})
+    for name in kept:
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_bytes((ROOT / name).read_bytes())
+    if not frozen.changed(freeze):
+        assert frozen.changed(small, tmp_path) == []
+    assert "None of them has changed since." in frozen.in_words(small, [])
+    (tmp_path / kept[1]).write_text("contrast = 1\n")
+    (tmp_path / "evetac_cli" / "kernels" / "new.py").write_text("")
+    (tmp_path / "evetac_cli" / "data" / "page.css").write_text("")
+    assert set(frozen.changed(small, tmp_path)) >= {"evetac_cli/data/scenes/edge.toml", "evetac_cli/kernels/new.py"}
+    (tmp_path / kept[0]).unlink()
+    assert frozen.changed(small, tmp_path) == [kept[1], "evetac_cli/kernels/new.py", kept[0]]
+    assert not frozen.is_frozen("evetac_cli/data/page.css") and not frozen.is_frozen("evetac_cli/errors.py")
