@@ -22,7 +22,7 @@ import re
 import string
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import frozen
 import likeness_convergence
@@ -31,6 +31,7 @@ import likeness_sensitivity
 import likeness_tables
 import paper_page
 import run_facts
+from summary_rows import SUMMARY
 
 from evetac_cli.commands import WITH_CONFIG
 from evetac_cli.evaluate import paper
@@ -41,79 +42,6 @@ Result = dict[str, Any]
 ROOT = Path(__file__).resolve().parents[1]
 
 
-class Figure(NamedTuple):
-    """A line of the summary: one cell, identified by its table, values of its row and the heading of its column."""
-
-    what: str
-    table: str
-    row: Row
-    heading: str
-
-
-SUMMARY = (
-    Figure(
-        "slip detected in time on unseen objects, 10 ms ahead: the paper's network `fast-slow`, trained by its recipe",
-        "paper-recipe",
-        {"setting": "fast-slow, 10 ms ahead", "objects_words": "unseen"},
-        "timing correct (paper)",
-    ),
-    Figure(
-        "slip detected in time on unseen objects and sensors, 10 ms ahead: pretrained detector",
-        "slip-detectors-timing",
-        {"score": "ours 10 ms"},
-        "timing correct",
-    ),
-    Figure(
-        "... the same slips: the paper's network and recipe",
-        "slip-detectors-timing",
-        {"score": "fast-slow 10 ms"},
-        "timing correct",
-    ),
-    Figure(
-        "labelled onset of slip within 0.5 px slid of the true one, if the labels do not abstain",
-        "labels",
-        {"sensors": "evetac", "method": "event-flow"},
-        "of the rest within 0.5 px slid",
-    ),
-    Figure(
-        "all dots return to their start after a finger rubbed: the paper's tracker",
-        "tracking-edge",
-        {"preset": "paper"},
-        "all dots end where they began (paper)",
-    ),
-    Figure("... evetac's tracker", "tracking-edge", {"preset": "stable"}, "all dots end where they began (paper)"),
-    Figure(
-        "mean absolute error of the shear force Fx, Fy in N: the paper's network",
-        "force",
-        {"sensor": "events", "model": "network", "sensor_name": "evetac"},
-        "{sensor_name}",
-    ),
-    Figure(
-        "200 Hz tone identified from a 1 s window: the paper's method",
-        "vibration",
-        {"method": "paper", "expected_hz": 200.0, "window_s": 1.0},
-        "{window_s:g} s",
-    ),
-    Figure(
-        "... evetac's method, with random loudness, position and harmonics",
-        "vibration-randomized",
-        {"method": "default", "expected_hz": 200.0, "window_s": 1.0},
-        "{window_s:g} s",
-    ),
-    Figure(
-        "random objects lifted and held to the end: evetac's grip law",
-        "grip-laws",
-        {"law": "load-proportional", "grasps": 200},
-        "kept",
-    ),
-    Figure("... the paper's law, with the same detector", "grip-laws", {"law": "paper"}, "kept"),
-    Figure(
-        f"bytes per second as a share of an RGB sensor's, over {{columns}} columns (paper: {paper.COLUMNS})",
-        "data-rate",
-        {"interval": "whole"},
-        "share (paper)",
-    ),
-)
 MEASURED = "measured"  # folder of the tables of run times, and the word of their marks
 FREEZE = "freeze"  # the sentences on the frozen commit, which are no table
 LIKENESS = ("likeness-counted", "likeness-others")  # tables of public facts, made by likeness_tables.py
@@ -245,16 +173,16 @@ def text(result: Result) -> str:
 
 
 def summary(results: Path) -> str:
-    """Return the table `summary`: figures chosen from several tables, the paper's figures and the commits."""
+    """Return the table `summary`: figures chosen from several tables, with their number of trials and the paper's."""
     rows = []
     for figure in SUMMARY:
         result = json.loads((results / f"{figure.table}.json").read_text())
         (row,) = (each for each in result["rows"] if figure.row.items() <= each.items())
         columns = [*result["columns"], *([result["across"]] if result["across"] else [])]
         (column,) = (each for each in columns if each["heading"] == figure.heading)
-        what, ours = figure.what.format(**row), fill(column["cell"], row)
-        rows.append([what, ours, *published(column, row, result), result["commit"]])
-    return "\n" + as_table(["what", "simulated", "paper", "compared", "commit"], rows) + "\n"
+        what, ours, n = figure.what.format(**row), fill(column["cell"], row), figure.n.format(**row)
+        rows.append([what, ours, n, *published(column, row, result)])
+    return "\n" + as_table(["what", "simulated", "n", "paper", "compared"], rows) + "\n"
 
 
 def fill_page(page: str, results: Path, only: str = "") -> str:

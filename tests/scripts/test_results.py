@@ -14,6 +14,7 @@ from evetac_cli.stages.model_files import LEARNED_TRUTH_METHODS
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
 import results
+from summary_rows import Figure
 
 DOCS = results.ROOT / "docs"
 
@@ -82,15 +83,15 @@ def test_a_table_says_how_it_was_made() -> None:
 
 
 def test_the_summary_takes_cells_of_tables(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that a line has our figure, the paper's with its mark where there is one, and the commit."""
+    """Assert that a row has evetac's figure, its number of trials, and the paper's with its mark if there is one."""
     (tmp_path / "grip.json").write_text(json.dumps(RESULT))
-    chosen = [results.Figure(f"kept by {who}", "grip", {"who": who}, "kept (paper)") for who in "ab"]
+    chosen = [Figure(f"kept by {who}", "grip", {"who": who}, "kept (paper)", "{trajectories} trials") for who in "ab"]
     monkeypatch.setattr(results, "SUMMARY", chosen)
     page = results.fill_page("x\n<!-- table summary -->\nold\n<!-- end of summary -->\n", tmp_path)
     assert page == (
-        "x\n<!-- table summary -->\n\n| what | simulated | paper | compared | commit |\n"
-        "| --- | --- | --- | --- | --- |\n| kept by a | 0.50 | 0.80 | fitted | abc1234 |\n"
-        "| kept by b | 1.00 |  |  | abc1234 |\n\n<!-- end of summary -->\n"
+        "x\n<!-- table summary -->\n\n| what | simulated | n | paper | compared |\n"
+        "| --- | --- | --- | --- | --- |\n| kept by a | 0.50 | 3 trials | 0.80 | fitted |\n"
+        "| kept by b | 1.00 | 3 trials |  |  |\n\n<!-- end of summary -->\n"
     )
 
 
