@@ -166,6 +166,10 @@ CHECKS: dict[str, Check] = {
         ("change_words", "objects_words", "model"), SLIP, slip_trials, training=("--out", "models/tracker"),
     ),
     "model-cost": Check(("setting",), unpromised=("time_us_median", "step_us_median", "pareto")),
+    # A tenth has one trial of each object, and its networks are trained again for paper-recipe.
+    "slip-timing": Check(("object", "bin_words")),
+    "slip-by-object": Check(("object", "setting")),
+    "slip-over-time": Check(("model", "after_onset_ms")),
     "true-slip-share": Check(("setting",), SLIP, slip_trials),
     "tracking-edge": Check(("preset",), (Figure("consistent", "trajectories"), Figure("dots_lost_mean")), edge_trials),
     "tracking-distance": Check(("scene", "gel", "preset"), (Figure("error_px_rms", squared=True),), distance_trials),
