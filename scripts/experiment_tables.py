@@ -110,14 +110,14 @@ SLIP_COLUMNS = (
     Column("model", "{setting}"),
     Column("seeds", "{seeds}"),
     Column("timing correct (paper)", "{slip_correct:.2f}", "{paper_slip_correct:.2f}"),
-    Column("by object; sd", "{slip_correct_low:.2f} to {slip_correct_high:.2f}, {slip_correct_sd:.2f}"),
+    Column("95 % by object; sd of objects", "{slip_correct_low:.2f} to {slip_correct_high:.2f}, {slip_correct_sd:.2f}"),
     Column("sd of seeds", "{slip_correct_sd_seeds:.2f}"),
     Column("early", "{slip_early:.2f}"),
     Column("late", "{slip_late:.2f}"),
     Column("first in -10..0 ms (paper)", "{10_to_0_ms_ahead:.2f}", "{paper_10_to_0_ms_ahead:.2f}"),
     Column("F1 (paper)", "{f1:.2f}", "{paper_f1:.2f}"),
-    Column("F1 by object; sd", "{f1_low:.2f} to {f1_high:.2f}, {f1_sd:.2f}"),
-    Column("sd of seeds, F1", "{f1_sd_seeds:.2f}"),
+    Column("F1, 95 % by object; sd of objects", "{f1_low:.2f} to {f1_high:.2f}, {f1_sd:.2f}"),
+    Column("F1, sd of seeds", "{f1_sd_seeds:.2f}"),
 )
 INTERVAL_NOTE = (
     "By object: 95 % interval from resampling objects (and sensors, where there are several), the means over seeds;"
@@ -362,7 +362,7 @@ DATA_RATE = Table(
             "{paper_share_mean:g}, sd {paper_share_sd:g}",
         ),
         Column("columns", "{columns}"),
-        Column("the window's, beside it", "{window_share_mean:.4f}"),
+        Column("window, not counted", "{window_share_mean:.4f}"),
     ),
     notes=(
         f"The paper counts {COLUMNS} columns for both sensors, without the window. The object is unknown: its mass,"
