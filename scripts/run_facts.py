@@ -114,5 +114,6 @@ def in_words(result: Mapping[str, Any]) -> str:
         words.append(f"{made_on['cores']} cores of {made_on['processor']}{memory}")
     if commit := result.get("frozen"):
         changed = len(result.get("changed_since", []))
-        words.append(f"methods frozen at {commit}" + (f", {changed} frozen files changed" if changed else ""))
+        since = f", {changed} frozen file{'s' * (changed != 1)} changed" if changed else ""
+        words.append(f"methods frozen at {commit}{since}")
     return "; ".join(words)
