@@ -391,8 +391,7 @@ VIBRATION_RANDOMIZED = Table(
     VIBRATION_ACROSS,
     notes=(
         "Random about the adjusted amplitudes of the table above; the paper's figures are for its one set-up."
-        " The second harmonic is at most 0.65 of the tone; with up to 1 the default method was right in 53 of 60"
-        " windows of 1 s (c80c948).",
+        " The second harmonic is at most 0.65 of the tone.",
     ),
 )
 

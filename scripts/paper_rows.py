@@ -154,7 +154,7 @@ def holds(claim: Row, entry: Row, rows: Mapping[str, Row], results: Path = RESUL
     """Whether a comparison that the paper draws holds for evetac's figures.
 
     A claim is that a figure is `above` or `below` another one: that of another entry (`row`), of another row of its
-    table (`select`), or of another field (`field`). With `than` it is compared with a number that the paper states, or
+    table (`select`), or of another field (`field`), or of a part of it (`times`). With `than` it is compared with a number that the paper states, or
     with `paper`, the paper's own figure.
     """
     mine = ours(entry, rows, results, need_interval=False)
@@ -171,6 +171,7 @@ def holds(claim: Row, entry: Row, rows: Mapping[str, Row], results: Path = RESUL
             key: one for key, one in entry.items() if key not in ("column", "interval" if "field" in claim else "")
         }
         other = ours({**plain, **changed}, rows, results, need_interval=False)
+        other = other._replace(value=claim.get("times", 1.0) * other.value)
     higher, lower = (mine, other) if sign > 0 else (other, mine)
     difference = higher.value - lower.value
     if not (higher.has_interval and lower.has_interval):
