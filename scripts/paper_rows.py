@@ -154,8 +154,8 @@ def holds(claim: Row, entry: Row, rows: Mapping[str, Row], results: Path = RESUL
     """Whether a comparison that the paper draws holds for evetac's figures.
 
     A claim is that a figure is `above` or `below` another one: that of another entry (`row`), of another row of its
-    table (`select`), or of another field (`field`), or of a part of it (`times`). With `than` it is compared with a number that the paper states, or
-    with `paper`, the paper's own figure.
+    table (`select`), or of another field (`field`), or so many `times` it. With `than` it is compared with a number
+    that the paper states, or with `paper`, the paper's own figure.
     """
     mine = ours(entry, rows, results, need_interval=False)
     sign = 1 if claim["is"] == "above" else -1
