@@ -39,30 +39,40 @@ def make(size: str, out: Path, jobs: int, *, force: bool) -> None:
     chosen = benchmark_trials.slots(said, size)
     recorded = [slot for slot in chosen if slot.kind != "grip"]
     with new_folder(out, force=force) as folder:
-        for name in ("inputs", "truth/lifts", "queries", "parts"):
-            (folder / name).mkdir(parents=True)
+        prepare(folder)
+        (folder / "parts").mkdir()
         rows = []
         for row in _each([(said, slot, folder) for slot in recorded], jobs):
             rows.append(row)
             sys.stderr.write(f"{len(rows)} of {len(recorded)}: {row['recording']}\n")
         shutil.rmtree(folder / "parts")
-        rows.sort(key=lambda row: str(row["recording"]))
         lifts = {slot.name: _lift(said, slot, folder) for slot in chosen if slot.kind == "grip"}
-        _tables(said, folder, rows, lifts)
-        shutil.copy(RECIPE, folder / "recipe.toml")
-        shutil.copy(READER, folder / "reader.py")
-        digests = {str(row["recording"]): row["digest"] for row in rows}
-        about = {
-            "name": said["name"],
-            "version": said["version"],
-            "size": size,
-            "simulated": True,
-            "recipe_sha256": hashlib.sha256(RECIPE.read_bytes()).hexdigest(),
-            "method": METHOD,
-            "recordings": digests,
-        }
-        (folder / "benchmark.json").write_text(json.dumps(about, indent=1) + "\n")
-        benchmark_pages.write(folder, about, rows, lifts)
+        finish(folder, said, size, rows, lifts)
+
+
+def prepare(folder: Path) -> None:
+    """Make the folders of a benchmark."""
+    for name in ("inputs", "truth/lifts", "queries"):
+        (folder / name).mkdir(parents=True)
+
+
+def finish(folder: Path, said: Mapping[str, Any], size: str, rows: Sequence[Row], lifts: Mapping[str, Row]) -> None:
+    """Write everything but the recordings and their truth: tables, recipe, reader, digests, card and metadata."""
+    rows = sorted(rows, key=lambda row: str(row["recording"]))
+    _tables(folder, rows, lifts)
+    shutil.copy(RECIPE, folder / "recipe.toml")
+    shutil.copy(READER, folder / "reader.py")
+    about = {
+        "name": said["name"],
+        "version": said["version"],
+        "size": size,
+        "simulated": True,
+        "recipe_sha256": hashlib.sha256(RECIPE.read_bytes()).hexdigest(),
+        "method": METHOD,
+        "recordings": {str(row["recording"]): row["digest"] for row in rows},
+    }
+    (folder / "benchmark.json").write_text(json.dumps(about, indent=1) + "\n")
+    benchmark_pages.write(folder, about, rows, lifts)
 
 
 def _each(asked: Sequence[tuple[Any, ...]], jobs: int) -> Iterable[Row]:
@@ -82,34 +92,34 @@ def _record(asked: tuple[Mapping[str, Any], Slot, Path]) -> Row:
         grasp.simulated.run(made.trial, force=False, progress=silent)
     else:
         record.simulated.run(made.trial, force=False, progress=silent)
-    with open_recording(whole) as recording:
-        sensor = sensor_name(said, made.sensor)
-        arrays = input_arrays(recording, sensor)
-        about = {"benchmark": said["name"], "benchmark_version": said["version"], "recording": slot.name}
-        digest = content_digest(arrays)
-        recipe = Recipe("recording", METHOD, about, content=digest, simulated_source=True)
-        write_stage(folder / "inputs" / f"{slot.name}.recording.h5", recipe, arrays)
-        true = truth_arrays(recording, said, presses=slot.kind == "press")
-        slices, mm_per_px = len(recording), made.trial.plan.sensor.mm_per_px
+    told = {"kind": slot.kind, "split": slot.split, "mm_per_px": made.trial.plan.sensor.mm_per_px}
+    true = {"true_sensor": made.sensor, "true_object": made.touched, "motion": made.motion, "seed": slot.seed}
+    row = divide(said, whole, folder, slot.name, sensor_name(said, made.sensor), presses=slot.kind == "press")
     whole.unlink()
-    with h5py.File(folder / "truth" / f"{slot.name}.h5", "w") as file:
-        for name, values in true.items():
+    return {**row, **told, **true}
+
+
+def divide(said: Mapping[str, Any], whole: Path, folder: Path, name: str, sensor: str, *, presses: bool) -> Row:
+    """Write a recording as an input without truth, and its truth apart; return what tables and digests need."""
+    with open_recording(whole) as recording:
+        arrays = input_arrays(recording, sensor)
+        true = truth_arrays(recording, said, presses=presses)
+        slices = len(recording)
+    about = {"benchmark": said["name"], "benchmark_version": said["version"], "recording": name}
+    digest = content_digest(arrays)
+    recipe = Recipe("recording", METHOD, about, content=digest, simulated_source=True)
+    write_stage(folder / "inputs" / f"{name}.recording.h5", recipe, arrays)
+    with h5py.File(folder / "truth" / f"{name}.h5", "w") as file:
+        for path, values in true.items():
             packed = {"compression": "gzip", "shuffle": True} if np.ndim(values) else {}
-            file.create_dataset(name, data=values, **packed)
+            file.create_dataset(path, data=values, **packed)
     return {
-        "recording": slot.name,
-        "kind": slot.kind,
-        "split": slot.split,
+        "recording": name,
         "sensor": sensor,
-        "mm_per_px": mm_per_px,
         "slices": slices,
         "digest": hashlib.sha256(f"{digest} {content_digest(true)}".encode()).hexdigest(),
-        "true_sensor": made.sensor,
-        "true_object": made.touched,
-        "motion": made.motion,
-        "seed": slot.seed,
         "dots_ms": true["dots_ms"].tolist(),
-        "force_ms": true["force_ms"].tolist() if slot.kind == "press" else [],
+        "force_ms": true["force_ms"].tolist(),
     }
 
 
@@ -158,7 +168,7 @@ def _lift(said: Mapping[str, Any], slot: Slot, folder: Path) -> Row:
     return {"split": slot.split, "object": called, **flags}
 
 
-def _tables(said: Mapping[str, Any], folder: Path, rows: Sequence[Row], lifts: Mapping[str, Row]) -> None:
+def _tables(folder: Path, rows: Sequence[Row], lifts: Mapping[str, Row]) -> None:
     names = ("recording", "kind", "split", "sensor")
     write_csv(folder / "recordings.csv", names, ([row[name] for name in names] for row in rows))
     scales = sorted({(row["sensor"], row["mm_per_px"]) for row in rows})

@@ -52,22 +52,22 @@ def all_rows(benchmark: Benchmark, truth: Mapping[str, Truth], made: Predictions
     """Return a row for each task with predictions and each split, and for all of them."""
     rows: Rows = []
     if made.onset_ms is not None:
-        rows += _rows("onset", onset_parts(benchmark, truth, made.onset_ms))
+        rows += task_rows("onset", onset_parts(benchmark, truth, made.onset_ms))
     if made.warning is not None:
         threshold, per_min, minutes = threshold_of(benchmark, truth, made.warning)
         parts = warning_parts(benchmark, truth, made.warning, threshold)
         said: Row = {"threshold": threshold, "false_per_min": per_min, "quiet_minutes": minutes}
-        rows += [row | said for row in _rows("warning", parts)]
+        rows += [row | said for row in task_rows("warning", parts)]
     if made.force_n is not None:
-        rows += _rows("force", force_parts(benchmark, truth, made.force_n))
+        rows += task_rows("force", force_parts(benchmark, truth, made.force_n))
     if made.dot_xy_px is not None:
-        rows += _rows("dots", dots_parts(benchmark, truth, made.dot_xy_px), np.sqrt)
+        rows += task_rows("dots", dots_parts(benchmark, truth, made.dot_xy_px), np.sqrt)
     if lifts is not None:
-        rows += _rows("grip", grip_parts(lifts))
+        rows += task_rows("grip", grip_parts(lifts))
     return rows
 
 
-def _rows(task: str, parts: Sequence[Part], of_ratio: Callable[[float], float] = float) -> Rows:
+def task_rows(task: str, parts: Sequence[Part], of_ratio: Callable[[float], float] = float) -> Rows:
     """Return the rows of a task; of_ratio: converts the ratio of sums to the score."""
     rows = []
     for split in (*dict.fromkeys(part.split for part in parts), ALL):
