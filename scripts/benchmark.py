@@ -4,8 +4,8 @@
     python scripts/benchmark.py digests bench-full
 
 `make` simulates the trials of a size and writes the folder, which `evetac evaluate benchmark` scores. `digests`
-compares the recordings of a folder with the digests in scripts/benchmark/, or writes them with --write. All is
-simulated.
+compares the recordings of a folder with the digests in scripts/benchmark/, or writes them with --write. An interrupted
+`make` goes on where it ended. All is simulated.
 """
 
 import argparse

@@ -18,8 +18,9 @@ from benchmark_trials import RECIPE, Slot
 
 from evetac_cli.jobs import Row, silent
 from evetac_cli.store.files import write_stage
+from evetac_cli.store.hdf5.disk import taking_the_place_of
 from evetac_cli.store.layout.provenance import Recipe, content_digest
-from evetac_cli.store.made_folders import new_folder
+from evetac_cli.store.made_folders import new_folder, require_replaceable
 from evetac_cli.store.recordings.read import Recording, open_recording, true_onset
 from evetac_cli.trials import grasp, record
 from evetac_cli.trials.grasp.settings import SimulatedGrasp
@@ -34,20 +35,38 @@ READER = RECIPE.with_name("reader.py")
 
 
 def make(size: str, out: Path, jobs: int, *, force: bool) -> None:
-    """Simulate all trials of a size and write the folder; nothing is left if it fails."""
+    """Simulate all trials of a size and write the folder, which appears when it is complete.
+
+    Finished recordings are kept in NAME.parts beside it until then, so that an interrupted run goes on where it ended.
+    """
     said = benchmark_trials.recipe()
     chosen = benchmark_trials.slots(said, size)
     recorded = [slot for slot in chosen if slot.kind != "grip"]
+    require_replaceable(out, force=force)
+    parts = out.with_name(f"{out.name}.parts")
+    _prepare_parts(parts)
+    rows = []
+    for row in _each([(said, slot, parts) for slot in recorded], jobs):
+        rows.append(row)
+        sys.stderr.write(f"{len(rows)} of {len(recorded)}: {row['recording']}\n")
     with new_folder(out, force=force) as folder:
         prepare(folder)
-        (folder / "parts").mkdir()
-        rows = []
-        for row in _each([(said, slot, folder) for slot in recorded], jobs):
-            rows.append(row)
-            sys.stderr.write(f"{len(rows)} of {len(recorded)}: {row['recording']}\n")
-        shutil.rmtree(folder / "parts")
+        for row in rows:
+            for name in (f"inputs/{row['recording']}.recording.h5", f"truth/{row['recording']}.h5"):
+                shutil.copyfile(parts / name, folder / name)
         lifts = {slot.name: _lift(said, slot, folder) for slot in chosen if slot.kind == "grip"}
         finish(folder, said, size, rows, lifts)
+    shutil.rmtree(parts)
+
+
+def _prepare_parts(parts: Path) -> None:
+    """Make the folder of finished recordings, and empty it if they are of another recipe."""
+    if parts.exists() and (parts / RECIPE.name).read_bytes() != RECIPE.read_bytes():
+        shutil.rmtree(parts)
+    if not parts.exists():
+        prepare(parts)
+        (parts / "rows").mkdir()
+        shutil.copyfile(RECIPE, parts / RECIPE.name)
 
 
 def prepare(folder: Path) -> None:
@@ -84,19 +103,24 @@ def _each(asked: Sequence[tuple[Any, ...]], jobs: int) -> Iterable[Row]:
 
 
 def _record(asked: tuple[Mapping[str, Any], Slot, Path]) -> Row:
-    """Simulate a trial and write its input and its truth; return its row."""
-    said, slot, folder = asked
-    whole = folder / "parts" / f"{slot.name}.recording.h5"
+    """Simulate a trial and write its input, its truth and at last its row, which is returned; unless it exists."""
+    said, slot, parts = asked
+    done = parts / "rows" / f"{slot.name}.json"
+    if done.exists():
+        return dict(json.loads(done.read_text()))
+    whole = parts / f"{slot.name}.recording.h5"
     made = benchmark_trials.trial(said, slot, whole)
     if isinstance(made.trial, SimulatedGrasp):
-        grasp.simulated.run(made.trial, force=False, progress=silent)
+        grasp.simulated.run(made.trial, force=True, progress=silent)
     else:
-        record.simulated.run(made.trial, force=False, progress=silent)
-    told = {"kind": slot.kind, "split": slot.split, "mm_per_px": made.trial.plan.sensor.mm_per_px}
-    true = {"true_sensor": made.sensor, "true_object": made.touched, "motion": made.motion, "seed": slot.seed}
-    row = divide(said, whole, folder, slot.name, sensor_name(said, made.sensor), presses=slot.kind == "press")
+        record.simulated.run(made.trial, force=True, progress=silent)
+    row = divide(said, whole, parts, slot.name, sensor_name(said, made.sensor), presses=slot.kind == "press")
+    row |= {"kind": slot.kind, "split": slot.split, "mm_per_px": made.trial.plan.sensor.mm_per_px}
+    row |= {"true_sensor": made.sensor, "true_object": made.touched, "motion": made.motion, "seed": slot.seed}
     whole.unlink()
-    return {**row, **told, **true}
+    with taking_the_place_of(done) as temporary:
+        temporary.write_text(json.dumps(row))
+    return row
 
 
 def divide(said: Mapping[str, Any], whole: Path, folder: Path, name: str, sensor: str, *, presses: bool) -> Row:

@@ -45,8 +45,8 @@ evetac evaluate benchmark FOLDER --predictions MINE
 | dots.csv | recording, ms, dot, x_px, y_px | one for each row of queries/dots.csv and dot, row by row of the grid |
 
 `reader.py` reads the recordings with h5py and numpy alone. docs/benchmark.md of evetac defines the five scores.
-`truth/` has what the scorer compares with. The inputs hold no truth, but whoever has `recipe.toml` and evetac can make
-the truth again: this is a benchmark for honest comparison, not an examination."""
+`truth/` has what the scorer compares with. The inputs hold no truth, but anyone who has `recipe.toml` and evetac can
+make the truth again. The benchmark is for honest comparison and cannot detect cheating."""
 
 
 def write(folder: Path, about: Mapping[str, Any], rows: Sequence[Row], lifts: Mapping[str, Row]) -> None:

@@ -75,6 +75,21 @@ def test_digests_are_those_of_the_recipe(size: str) -> None:
     assert about["recipe_sha256"] == recipe
 
 
+def test_finished_recordings_are_kept_for_the_same_recipe_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that a recording whose row exists is not simulated again, unless the recipe is another one."""
+    parts = tmp_path / "a.parts"
+    benchmark_files._prepare_parts(parts)
+    slot = benchmark_trials.slots(SAID, "small")[0]
+    (parts / "rows" / f"{slot.name}.json").write_text('{"recording": "known"}')
+    benchmark_files._prepare_parts(parts)
+    assert benchmark_files._record((SAID, slot, parts)) == {"recording": "known"}
+    other = tmp_path / "recipe.toml"
+    other.write_text(benchmark_trials.RECIPE.read_text() + "\n")
+    monkeypatch.setattr(benchmark_files, "RECIPE", other)
+    benchmark_files._prepare_parts(parts)
+    assert list((parts / "rows").iterdir()) == []
+
+
 def test_other_contents_are_found(tmp_path: Path) -> None:
     """Assert that a recording with another digest is named."""
     about = json.loads(benchmark.digests_path("small").read_text())

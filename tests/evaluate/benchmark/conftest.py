@@ -9,6 +9,8 @@ import pytest
 from evetac_cli.evaluate.benchmark import data_set, truth
 from evetac_cli.evaluate.benchmark.data_set import Benchmark
 from evetac_cli.evaluate.benchmark.truth import Truth
+from evetac_cli.sim.setup import object_file, scene_file
+from evetac_cli.text_files import as_toml
 from tests.conftest import Made
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "scripts"))
@@ -42,8 +44,18 @@ def bench_folder(made: Made, tmp_path_factory: pytest.TempPathFactory) -> Path:
         more = {"kind": kind, "split": ("known-sensor", "all-new")[number % 2], "mm_per_px": 0.04}
         true = {"true_sensor": f"randomized:{95000 + number % 2}", "true_object": f"new-{number}", "seed": 95000}
         rows.append({**row, **more, **true, "motion": "slip"})
-    benchmark_files.finish(folder, said, "test", rows, {})
+    lift = {"split": "all-new", "object": "paper-11", "sensor": "evetac", "seed": 0, "lift_s": 1.0, "balance_s": 0.2}
+    texts = {"scene": scene_file.changed("lift", {}), "object": object_text(11)}
+    for name, text in texts.items():
+        (folder / "truth" / "lifts" / f"g0.{name}.toml").write_text(text)
+    benchmark_files.finish(folder, said, "test", rows, {"g0": lift})
     return folder
+
+
+def object_text(number: int) -> str:
+    """An object of the paper's table as an object file."""
+    row = {key: value for key, value in vars(object_file.of_number(number)).items() if value is not None}
+    return as_toml({"name": f"paper-{number}", **row})
 
 
 @pytest.fixture(scope="session")

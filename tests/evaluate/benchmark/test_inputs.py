@@ -15,6 +15,7 @@ from typer.testing import CliRunner
 
 from evetac_cli.cli.main import app
 from evetac_cli.evaluate.benchmark.data_set import Benchmark
+from evetac_cli.store.layout import schema
 from tests.conftest import Made
 from tests.patience import PATIENCE_S
 
@@ -68,9 +69,9 @@ def truth_in(path: Path, arrays: dict[str, np.ndarray]) -> list[str]:
 
 
 def _without_keys(place: str, text: str) -> str:
-    """A header without the names of its own keys, which every file has, and versions of libraries."""
+    """A text without what every recording has: the meaning of its kind, the header's own keys, versions."""
     if place != "attribute header":
-        return text
+        return text.replace(schema.load("recording").meaning, "")
     header = json.loads(text)
     return json.dumps([header["parameters"], header["history"], header.get("shared")])
 
@@ -108,13 +109,11 @@ def test_names_say_nothing(bench: Benchmark) -> None:
         "track {} -o {}.tracks.h5",
         "export {} --format csv -o {}.csv",
         "export {} --format text -o {}.txt",
-        "view {} -o {}.html",
     ],
 )
 def test_commands_take_an_input(words: str, bench: Benchmark, tmp_path: Path) -> None:
     """Assert that evetac's commands accept an input as any recording."""
-    for library in ("bokeh", "pyarrow"):
-        pytest.importorskip(library)
+    pytest.importorskip("pyarrow")
     recording, *_ = (entry.path for entry in bench.entries.values())
     given = words.replace("{}", str(recording), 1).replace("{}", str(tmp_path / "made"))
     run = CliRunner().invoke(app, given.split())
@@ -135,6 +134,7 @@ def test_the_reader_needs_no_evetac(bench: Benchmark) -> None:
     assert all(int(line.split()[4]) > 0 for line in lines)
 
 
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of rdflib, which mlcroissant uses
 def test_croissant_is_valid(bench: Benchmark) -> None:
     """Assert that mlcroissant accepts the metadata and reads the recordings' table by it."""
     mlcroissant = pytest.importorskip("mlcroissant")
