@@ -8,6 +8,7 @@ from evetac_cli.commands.grasp import Grasp
 from evetac_cli.errors import InputError
 from evetac_cli.evaluate import grasp as grasp_evaluation
 from evetac_cli.evaluate.benchmark.data_set import MADE_BY, Benchmark
+from evetac_cli.evaluate.benchmark.own_methods import made_or_kept
 from evetac_cli.jobs import Progress, Row, Rows, silent
 from evetac_cli.sim.setup import object_file, scene_file
 from evetac_cli.sim.setup.tables import as_table
@@ -52,7 +53,7 @@ def play(
     for number, (name, lift) in enumerate(lifts.items()):
         params = asked(benchmark, name, lift, **chosen)
         (job,) = grasp.jobs([], params, folder / f"{name}.recording.h5")
-        grasp.run(job, params, force=True)
+        made_or_kept(grasp.run, job, params)
         progress(number + 1, len(lifts), "lifts")
     return outcomes(benchmark, lifts, folder)
 

@@ -4,6 +4,7 @@ The commands `track`, `featurize` and `predict-touch` process the inputs, which 
 report. Files that exist there are not made again.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ from evetac_cli.errors import InputError
 from evetac_cli.evaluate.benchmark.data_set import Benchmark, Entry
 from evetac_cli.evaluate.benchmark.predictions import ONSET_KINDS, WARNING_KINDS, Predictions
 from evetac_cli.evaluate.slip_models import Model
-from evetac_cli.jobs import Job, Progress
+from evetac_cli.jobs import Job, Outcome, Progress
 from evetac_cli.kernels.force import models as forces
 from evetac_cli.kernels.slip import metrics
 from evetac_cli.kernels.slip.architectures import ImageArchitecture, PluginImageArchitecture
@@ -82,10 +83,18 @@ def predict(benchmark: Benchmark, methods: Methods, folder: Path, progress: Prog
     return made
 
 
+def made_or_kept(run: Callable[..., Outcome], job: Job, params: Any) -> None:
+    """Run a stage on a job, unless its output exists with the same recipe; replace one with another recipe."""
+    try:
+        run(job, params, force=False)
+    except InputError:  # of another recipe, or damaged; any other fault comes again
+        run(job, params, force=True)
+
+
 def _tracked(entry: Entry, preset: str, folder: Path) -> Path:
     output = folder / preset / f"{entry.name}.tracks.h5"
     output.parent.mkdir(parents=True, exist_ok=True)
-    track.run(Job((entry.path,), output), Track(preset=preset), force=True)
+    made_or_kept(track.run, Job((entry.path,), output), Track(preset=preset))
     return output
 
 
@@ -100,7 +109,7 @@ def _slip(entry: Entry, model: Model, tracks: Path) -> NDArray[np.float32]:
     )
     what = "".join(f"-{name}" for name in ("images", "events", "sticking_share") if getattr(asked, name))
     output = tracks.with_name(f"{entry.name}{what}.features.h5")
-    featurize.run(Job((entry.path, tracks), output), asked, force=True)
+    made_or_kept(featurize.run, Job((entry.path, tracks), output), asked)
     with StageFile(output, "features") as file:
         shape = tuple(int(size) for size in file.read("dot_shape"))
         if shape != model.dot_shape:
@@ -131,7 +140,7 @@ def _force(benchmark: Benchmark, entry: Entry, methods: Methods, tracks: Path) -
         scale = {"name": "bench-sensor", "like": "evetac", "mm_per_px": benchmark.mm_per_px[entry.sensor]}
         sensor.write_text(as_toml(scale))
         output = tracks.with_name(f"{entry.name}.touch.h5")
-        predict_touch.run(Job((tracks,), output), PredictTouch(sensor=str(sensor), map_every=0), force=True)
+        made_or_kept(predict_touch.run, Job((tracks,), output), PredictTouch(sensor=str(sensor), map_every=0))
         with StageFile(output, "touch") as file:
             shear_n: Floats = np.nan_to_num(file.read("shear_n").astype(np.float64))
         return shear_n
