@@ -117,7 +117,9 @@ def oracle_lifts(benchmark: Benchmark, law: str) -> Rows:
     return rows
 
 
-def all_methods(folder: Path, work: Path, paper_model: Path | None, force_model: Path | None) -> dict[str, Rows]:
+def all_methods(
+    folder: Path, work: Path, paper_model: Path | None, force_model: Path | None, *, lifted: bool
+) -> dict[str, Rows]:
     """Return the rows of each method; the paper's network and force model are left out if no file is given."""
     benchmark = data_set.read(folder)
     true = truth.read(benchmark)
@@ -126,7 +128,7 @@ def all_methods(folder: Path, work: Path, paper_model: Path | None, force_model:
     of_force: dict[str, Any] = {"shear_force": "none"}
     if force_model is not None:
         of_force = {"shear_force": "regression", "force_model": force_model}
-    law = "paper" if paper_model is not None else ""
+    law = "paper" if paper_model is not None and lifted else ""
     found = {
         "the paper's": scored(folder, work, "paper", EvaluateBenchmark(**of_paper, **of_force, controller=law)),
     }
@@ -134,18 +136,21 @@ def all_methods(folder: Path, work: Path, paper_model: Path | None, force_model:
         network = {"shear_force": "network", "force_model": force_model}
         rows = scored(folder, work, "paper-network", EvaluateBenchmark(tracker="paper", model=Path("none"), **network))
         found["the paper's, network of force"] = [row for row in rows if row["task"] == "force"]
-    found["evetac's"] = scored(folder, work, "evetac", EvaluateBenchmark(controller="load-proportional"))
+    found["evetac's"] = scored(
+        folder, work, "evetac", EvaluateBenchmark(controller="load-proportional" if lifted else "")
+    )
     counts = work / "counts"
     subprocess.run([sys.executable, str(EXAMPLE), str(folder), "--out", str(counts)], check=True)
     found["counts of events, made without evetac"] = scored(
         folder, work, "counts", EvaluateBenchmark(predictions=counts)
     )
-    fixed = EvaluateBenchmark(model=Path("none"), shear_force="none", controller=FIXED)
-    grips = [row for row in scored(folder, work, "fixed", fixed) if row["task"] == "grip"]
     for name, made in (("chance", chance_of(benchmark, true)), ("oracle", truth_as_predictions(benchmark, true))):
         predictions.write(work / name, made, true)
         found[name] = scored(folder, work, name, EvaluateBenchmark(predictions=work / name))
-    found["chance"] += grips
+    if not lifted:
+        return found
+    fixed = EvaluateBenchmark(model=Path("none"), shear_force="none", controller=FIXED)
+    found["chance"] += [row for row in scored(folder, work, "fixed", fixed) if row["task"] == "grip"]
     found["oracle"] += scores.task_rows("grip", scores.grip_parts(oracle_lifts(benchmark, "oracle:1.3")))
     return found
 
@@ -181,9 +186,9 @@ def tables(benchmark: Benchmark, found: dict[str, Rows], words: str) -> tuple[Ro
     size = {task: whole[-1].get(f"{task}_n") for task in scores.TASKS}
     seeds = sorted(int(seed) for seed in _seeds(benchmark))
     sizes = {"recording_seeds": seeds, "size": benchmark.size, **size}
-    counts = ", ".join(f"{task} {count}" for task, count in size.items())
+    counts = ", ".join(f"{task} {count}" for task, count in size.items() if count is not None)
     note = f"95 % intervals over sensors and objects, in brackets. n: {counts}. An empty cell: nothing was predicted."
-    title = f"{data_set.NAME} v{data_set.VERSION}, {benchmark.size} version"
+    title = f"First methods on {data_set.NAME} v{data_set.VERSION}, {benchmark.size} size"
     of_all = {"method": "{method}", **CELLS}
     of_split = {"method": "{method}", "split": "{split}", **CELLS}
     parts = [row for row in rows if row["split"] != scores.ALL]
@@ -205,13 +210,15 @@ def main() -> None:
     parser.add_argument("--work", type=Path, required=True, help="folder of reports and played lifts")
     parser.add_argument("--paper", type=Path, help="fast-slow, 10 ms ahead, trained by the paper's recipe")
     parser.add_argument("--force", type=Path, help="force model of the paper's method, on tracks by tracker `paper`")
+    parser.add_argument("--no-lifts", action="store_true", help="leave out grip, whose lifts take most of the time")
     parser.add_argument("--out", type=Path, default=RESULTS, help="folder of the tables")
     chosen = parser.parse_args()
-    found = all_methods(chosen.benchmark, chosen.work, chosen.paper, chosen.force)
+    found = all_methods(chosen.benchmark, chosen.work, chosen.paper, chosen.force, lifted=not chosen.no_lifts)
     words = f"python scripts/benchmark_rows.py bench-{data_set.read(chosen.benchmark).size} --work FOLDER"
     words += "".join(
         f" --{flag} {path.name}" for flag, path in (("paper", chosen.paper), ("force", chosen.force)) if path
     )
+    words += " --no-lifts" * chosen.no_lifts
     write(chosen.out, *tables(data_set.read(chosen.benchmark), found, words))
     sys.stdout.write(json.dumps({name: len(rows) for name, rows in found.items()}) + "\n")
 
