@@ -26,6 +26,7 @@ from script_tables import RESULTS, table_of, write
 
 from evetac_cli.commands.evaluate import EvaluateBenchmark
 from evetac_cli.devices.simulated import SimulatedGripper, rig
+from evetac_cli.errors import InputError
 from evetac_cli.evaluate.benchmark import command, data_set, lifts, predictions, scores, truth
 from evetac_cli.evaluate.benchmark.data_set import Benchmark
 from evetac_cli.evaluate.benchmark.predictions import WARNING_KINDS, Predictions
@@ -50,7 +51,10 @@ def scored(folder: Path, work: Path, name: str, params: EvaluateBenchmark) -> Ro
     """Return the rows of `evetac evaluate benchmark`; an existing report of the same is not made again."""
     work.mkdir(parents=True, exist_ok=True)
     (job,) = command.jobs([folder], params, work / f"{name}.report.h5")
-    return command.run(job, params).rows
+    try:
+        return command.run(job, params).rows
+    except InputError:  # a report of other methods, whose files are used again if they fit
+        return command.run(job, params, force=True).rows
 
 
 def chance_of(benchmark: Benchmark, true: dict[str, Truth]) -> Predictions:
