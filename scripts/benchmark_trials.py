@@ -148,7 +148,7 @@ def _pressed(said: Mapping[str, Any], slot: Slot, sensor: str, output: Path) -> 
 
 
 def _can_be_played(one: SimulatedTrial, *, must_resolve: bool) -> bool:
-    """Whether the simulator plays a trial to its end without the camera and, if it must, resolves the slip."""
+    """Whether this trial can be simulated to its end, and its slip is resolved if it must be; without the camera."""
     try:
         devices, slices = motions.slices_of(
             motions.Planned(one.plan, *_lift_of(one)), 0, one.seed, motions.without_camera
