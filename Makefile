@@ -7,6 +7,8 @@ PYTHON ?= python3
 JOBS ?= $(shell nproc 2>/dev/null || echo 2)
 SMALL ?=
 SIZES ?=
+# For benchmark: small or full.
+SIZE ?= small
 # For bench: a revision, or the folder of another checkout, to compare with.
 BASE ?=
 # For profile: a file for its figures as JSON.
@@ -38,7 +40,7 @@ unexport PYTHONDONTWRITEBYTECODE
 .DEFAULT_GOAL := help
 .PHONY: help setup setup-all experiments demo strips true-slip-share paper-recipe \
 	ship tracking vibration data-rate force grasp-table part-effects \
-	blind-identification force-sensors touch-cost mujoco-grasps lift-baseline results film test test-all test-lowest lerobot check lint types docs bench profile clean
+	blind-identification force-sensors touch-cost mujoco-grasps lift-baseline results film test test-all test-lowest lerobot check lint types docs bench benchmark profile clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 22
@@ -159,6 +161,9 @@ docs: $(ALL)  ## build the documentation, site/index.html, with the reference pa
 	$(BIN)/zensical build --clean --strict
 	$(BIN)/python scripts/docs/check_site.py
 	@echo 'open site/index.html; its search needs a server: python3 -m http.server --bind 127.0.0.1 --directory site'
+
+benchmark: $(READY)  ## make evetac-bench, the benchmark that can be given away, in bench-small/ (SIZE=full, JOBS)
+	$(BIN)/python scripts/benchmark.py make --size $(SIZE) --out bench-$(SIZE) --jobs $(JOBS)
 
 bench: $(READY)  ## compare kernel run times in one run: with real time, other methods, or a commit (BASE)
 	$(BIN)/python scripts/bench.py $(if $(BASE),--against $(BASE))

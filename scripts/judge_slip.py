@@ -20,9 +20,9 @@ import slip_trials
 from motions import Planned, Trial
 from script_tables import RESULTS, models_in_words, write
 from seen_trials import seen
-from slip_alarms import RULES
 from slip_trials import Scores, planned_at
 
+from evetac_cli.evaluate.alarm_rules import RULES
 from evetac_cli.evaluate.slip_models import Model
 
 MOST_TRIALS = 100_000

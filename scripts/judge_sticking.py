@@ -28,10 +28,10 @@ from results import ranges
 from script_rows import add_rows, rows_in, seeds_of
 from script_tables import RESULTS, table_of, write
 from seen_trials import Seen
-from slip_alarms import begins
 from sticking_trials import AFTER_MS, HIGH, LOW, Looks
 
 from evetac_cli.arrays import Flags, Floats, Singles
+from evetac_cli.evaluate.alarm_rules import begins
 from evetac_cli.jobs import Row
 from evetac_cli.kernels.touch.rest import BLOCK_MS
 from evetac_cli.kernels.touch.rigid_motion import rigid_slip_share

@@ -41,7 +41,7 @@ MAY_IMPORT: dict[str, frozenset[str]] = {
         "kernels",
     },
     "pages": GROUND | {"evaluate", "trials", "stages", "devices", "formats", "store", "sim", "kernels"},
-    "evaluate": GROUND | {"trials", "stages", "devices", "store", "sim", "kernels"},
+    "evaluate": GROUND | {"trials", "stages", "devices", "formats", "store", "sim", "kernels"},
     "trials": GROUND | {"stages", "devices", "formats", "store", "sim", "realtime", "kernels"},
     "stages": GROUND | {"devices", "formats", "store", "sim", "kernels"},
     "devices": frozenset(

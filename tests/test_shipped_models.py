@@ -19,6 +19,7 @@ from evetac_cli.commands.grasp import Grasp
 from evetac_cli.commands.train import Train
 from evetac_cli.errors import InputError
 from evetac_cli.evaluate import slip
+from evetac_cli.evaluate.benchmark import own_methods
 from evetac_cli.evaluate.cost import command as cost
 from evetac_cli.resources import MODEL, SHIPPED, model_file, with_shipped
 from evetac_cli.stages import train
@@ -51,6 +52,7 @@ def test_where_a_model_is_taken() -> None:
         ("export", "model"),
         ("evaluate slip", "model"),
         ("evaluate cost", "model"),
+        ("evaluate benchmark", "model"),
     }
 
 
@@ -67,6 +69,8 @@ def test_stages_take_the_packages_model(made: Made, tmp_path: Path) -> None:
         assert (detector := GraspSettings.of(params).detector) is not None
         assert detector.path == MODEL
     assert cost.jobs([], EvaluateCost(part="grasp", model=named), tmp_path)[0].inputs == (MODEL,)
+    of_benchmark = own_methods.methods_of("stable", model_file(named), None, "none", None)
+    assert of_benchmark.slip is not None and of_benchmark.slip.path == MODEL
 
 
 def test_the_packages_detector_on_recordings_of_ones_own(made: Made, tmp_path: Path) -> None:

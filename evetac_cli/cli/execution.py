@@ -30,7 +30,7 @@ def execute(command: Command, title: str, flag_values: dict[str, Any]) -> None:
     paths = flag_values.pop("files", [])
     with CommandExit(title, running) as run:
         params = config.resolve(command.params, title, flag_values, running.config)
-        files = with_folders(paths, command.kind)
+        files = with_folders(paths, command.kind) if command.kind else list(paths)
         _check_out(running.out, command.suffix)
         stage: Stage[Any] = importlib.import_module(f"evetac_cli.{command.module}").STAGE
         jobs = list(stage.jobs(files, params, running.out))

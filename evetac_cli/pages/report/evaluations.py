@@ -79,6 +79,12 @@ SECTIONS = (
         "Publicly known facts about the real sensor, compared with recordings and with evetac's trainings and grasps.",
     ),
     Section(
+        "benchmark",
+        "Benchmark",
+        "Five scores on recordings of sensors and objects that no method of evetac was trained on, with 95 % intervals"
+        " over sensors and objects.",
+    ),
+    Section(
         "cost",
         "Error against run time",
         "Run times depend on the computer and its load when they were measured.",
@@ -374,6 +380,23 @@ SUBJECTS = (
             ReportColumn("real", "real"),
             ReportColumn("unit", "unit"),
             ReportColumn("class", "class"),
+        ),
+    ),
+    Subject(
+        "evaluate benchmark",
+        "benchmark",
+        "Scores by task and split",
+        having("task", "split"),
+        (
+            ReportColumn("task", "task"),
+            ReportColumn("split", "split"),
+            ReportColumn("score", "value"),
+            ReportColumn("low", "low"),
+            ReportColumn("high", "high"),
+            ReportColumn("unit", "unit"),
+            ReportColumn("n", "n"),
+            ReportColumn("sensors", "sensors"),
+            ReportColumn("objects", "objects"),
         ),
     ),
     Subject("evaluate cost", "cost", "Settings", having("setting")),

@@ -1,0 +1,154 @@
+"""evaluate benchmark: score evetac's methods, or a table of predictions made with anything, on evetac-bench."""
+
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+from evetac_cli import resources
+from evetac_cli.commands.evaluate import EvaluateBenchmark
+from evetac_cli.commands.parameter import flag_of
+from evetac_cli.errors import InputError
+from evetac_cli.evaluate import report
+from evetac_cli.evaluate.benchmark import data_set, scores
+from evetac_cli.jobs import Job, Outcome, Progress, Row, Rows, Stage, silent
+from evetac_cli.store.layout.provenance import Header
+
+OUTPUT = "report"
+METHOD = 1
+OF_OWN = ("model", "threshold", "tracker", "shear_force", "force_model", "controller")
+
+
+@dataclass(frozen=True)
+class BenchmarkJob(Job):
+    """One report on a benchmark's folder."""
+
+    folder: Path
+
+
+def jobs(files: list[Path], params: EvaluateBenchmark, out: Path | None) -> list[BenchmarkJob]:
+    """Return the job of one report, `<folder>.benchmark.report.h5` in the working folder."""
+    if len(files) != 1 or not files[0].is_dir():
+        found = ", ".join(map(str, files))
+        raise InputError("not a benchmark", where=found, expected="one folder", hint=data_set.MADE_BY)
+    _check(params)
+    folder = files[0]
+    name = f"{folder.resolve().name}.benchmark.report.h5"
+    output = out if out is not None and out.suffix == ".h5" else (out or Path()) / name
+    return [BenchmarkJob((), output, folder)]
+
+
+def _check(params: EvaluateBenchmark) -> None:
+    """Raise InputError for flags that contradict each other."""
+    for item in fields(params):
+        if params.predictions is not None and item.name in OF_OWN and getattr(params, item.name) != item.default:
+            found = f"--predictions {params.predictions}"
+            raise InputError("has no effect on predictions from tables", where=flag_of(item), found=found)
+    if params.lifts is not None and params.controller:
+        found = f"--controller {params.controller}"
+        raise InputError("either recordings of lifts or a controller that plays them", where="--lifts", found=found)
+    with_file = params.shear_force in ("regression", "network")
+    if with_file != (params.force_model is not None):
+        expected = "both, or neither: --shear-force regression or network, and the file"
+        raise InputError(
+            "a force model and its method belong together",
+            where="--force-model",
+            expected=expected,
+            found=f"--shear-force {params.shear_force}, {params.force_model or 'no file'}",
+        )
+
+
+def run(job: BenchmarkJob, params: EvaluateBenchmark, *, force: bool = False, progress: Progress = silent) -> Outcome:
+    """Return a row for each task and split, and write the report.
+
+    Predictions of evetac's methods are also written as tables, into NAME.files/predictions next to the report.
+    """
+    from evetac_cli.evaluate.benchmark import lifts, own_methods, predictions, truth
+
+    benchmark = data_set.read(job.folder)
+    true = truth.read(benchmark)
+    parameters: dict[str, Any] = {"benchmark": benchmark.digest, "size": benchmark.size}
+    parents: list[Header] = []
+    work = job.output.with_name(job.output.name.removesuffix(".h5").removesuffix(".report") + ".files")
+    made, methods = predictions.Predictions(), None
+    if params.predictions is not None:
+        made = predictions.read(params.predictions, benchmark, true)
+        parameters["tables"] = made.tables
+    else:
+        slip = None if str(params.model) == "none" else resources.model_file(params.model)
+        methods = own_methods.methods_of(params.tracker, slip, params.threshold, params.shear_force, params.force_model)
+        parameters |= {"methods": methods.for_recipe(), "threshold": params.threshold}
+        parents = methods.parents()
+    played: Rows | None = None
+    every_lift = lifts.read(benchmark) if params.lifts is not None or params.controller else {}
+    if params.lifts is not None:
+        played = lifts.outcomes(benchmark, every_lift, params.lifts)
+        parameters["lifts"] = played
+    parameters["controller"] = params.controller
+
+    def measure() -> tuple[Rows, dict[str, Any]]:
+        nonlocal made, played
+        if methods is not None:
+            made = own_methods.predict(benchmark, methods, work, progress)
+            predictions.write(work / "predictions", made, true)
+        if params.controller:
+            chosen = _of_controller(params)
+            played = lifts.play(benchmark, every_lift, chosen, work / "lifts", progress)
+        rows = scores.all_rows(benchmark, true, made, played)
+        return rows, _summary(benchmark.size, rows)
+
+    return report(job, "evaluate benchmark", METHOD, parameters, parents, measure, force=force, simulated_source=True)
+
+
+def _of_controller(params: EvaluateBenchmark) -> Row:
+    """Return the flags of `evetac grasp` for the closed loop; a law without a detector takes none."""
+    from evetac_cli.commands.grasp import Grasp
+    from evetac_cli.kernels.grip.control import uses_detector
+    from evetac_cli.trials.grasp.settings import GraspSettings
+
+    law = GraspSettings.of(Grasp(controller=params.controller)).law
+    chosen: Row = {"controller": params.controller}
+    if uses_detector(law):
+        model = None if params.model is None or str(params.model) == "none" else params.model
+        chosen |= {"tracker": params.tracker, "model": model, "slip_threshold": params.threshold}
+    return chosen
+
+
+def _summary(size: str, rows: Rows) -> Row:
+    """Return the score of each task over all splits; None for a task without predictions."""
+    whole = {row["task"]: row["value"] for row in rows if row["split"] == scores.ALL}
+    return {
+        "benchmark": f"{data_set.NAME} {data_set.VERSION} {size}",
+        **{task: whole.get(task) for task in scores.TASKS},
+    }
+
+
+SENTENCES = {
+    "onset": "first detection from 50 ms before to 20 ms after slip: {value:.0%} ({low:.0%} to {high:.0%}) of {n}",
+    "warning": "warned at least 10 ms ahead: {value:.0%} ({low:.0%} to {high:.0%}) of {n} slips, at {at}",
+    "force": "mean absolute error of the shear force: {value:.3g} N ({low:.3g} to {high:.3g}) over {n} presses",
+    "dots": "error of the dots, rms: {value:.3g} px ({low:.3g} to {high:.3g}) over {n} recordings",
+    "grip": "held to the end with at most 3 times the force that just holds: {value:.0%} ({low:.0%} to {high:.0%})"
+    " of {n} lifts",
+}
+
+
+def for_people(rows: Rows, params: EvaluateBenchmark) -> tuple[Rows, list[str]]:
+    """Return the scores without the further columns, and a sentence for each task."""
+    columns = ("task", "split", "value", "low", "high", "unit", "n", "sensors", "objects")
+    lines = []
+    for row in rows:
+        if row["split"] != scores.ALL or row["value"] is None:
+            continue
+        threshold = row.get("threshold")
+        at = "no threshold with so few false alarms"
+        if threshold is not None:
+            at = f"threshold {threshold:.3g} with {row['false_per_min']:.2g} false alarms per minute"
+        lines.append(f"{row['task']}: {SENTENCES[row['task']].format(**row, at=at)}.")
+    left_out = [task for task in scores.TASKS if task not in {row["task"] for row in rows}]
+    if left_out:
+        lines.append(f"No figure, because nothing was predicted: {', '.join(left_out)}.")
+    lines.append("Intervals are 95 %, over sensors and objects; --json has further columns.")
+    return [{name: row[name] for name in columns} for row in rows], lines
+
+
+STAGE = Stage(jobs, run, for_people=for_people)

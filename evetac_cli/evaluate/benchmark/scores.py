@@ -1,0 +1,201 @@
+"""The five scores of a benchmark, one number each, by split and in all, with 95 % intervals over sensors and objects.
+
+- onset: share of slips whose first detection is from 50 ms before to 20 ms after gross slip begins (the paper's rule).
+- warning: share of slips with a warning at least 10 ms ahead, at the lowest threshold with at most one false alarm per
+  minute of contact in the recordings without slip. The rule of alarms is that of kernels/slip/alarms.py; the alarm that
+  is on when the object slips must have begun at most 200 ms before (rule `gross` of evaluate/alarm_rules.py).
+- force: mean absolute error of the shear force over instants and both axes, in N.
+- dots: root mean square of the distance from the true dots, over instants and dots, in px.
+- grip: share of lifts whose object is held to the end with a mean grip force of at most 3 times what just holds it.
+
+In force and dots each recording counts the same.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.evaluate import alarm_rules
+from evetac_cli.evaluate.benchmark.data_set import Benchmark
+from evetac_cli.evaluate.benchmark.predictions import Predictions
+from evetac_cli.evaluate.benchmark.truth import Truth
+from evetac_cli.jobs import Row, Rows
+from evetac_cli.kernels import estimates
+from evetac_cli.kernels.estimates import Estimate
+from evetac_cli.kernels.slip import alarms, metrics
+
+AHEAD_MS = 10  # least warning
+FALSE_PER_MIN = 1.0
+RULE = "gross"
+FIRMEST = 3.0  # mean grip force over what just holds the object
+ALL = "all"
+MS_PER_MIN = 60_000
+FINE, COARSER = 200, 1.03  # thresholds that are tried: every one of the highest, then a geometric series of their ranks
+UNITS = {"onset": "share", "warning": "share", "force": "N", "dots": "px", "grip": "share"}
+TASKS = tuple(UNITS)
+
+
+class Part(NamedTuple):
+    """The contribution of a recording or a slip to a score: `above` over `below`, and figures for further columns."""
+
+    split: str
+    sensor: str
+    touched: str
+    above: float
+    below: float = 1.0
+    more: Mapping[str, float] = {}
+
+
+def all_rows(benchmark: Benchmark, truth: Mapping[str, Truth], made: Predictions, lifts: Rows | None) -> Rows:
+    """Return a row for each task with predictions and each split, and for all of them."""
+    rows: Rows = []
+    if made.onset_ms is not None:
+        rows += task_rows("onset", onset_parts(benchmark, truth, made.onset_ms))
+    if made.warning is not None:
+        threshold, per_min, minutes = threshold_of(benchmark, truth, made.warning)
+        parts = warning_parts(benchmark, truth, made.warning, threshold)
+        said: Row = {"threshold": threshold, "false_per_min": per_min, "quiet_minutes": minutes}
+        rows += [row | said for row in task_rows("warning", parts)]
+    if made.force_n is not None:
+        rows += task_rows("force", force_parts(benchmark, truth, made.force_n))
+    if made.dot_xy_px is not None:
+        rows += task_rows("dots", dots_parts(benchmark, truth, made.dot_xy_px), np.sqrt)
+    if lifts is not None:
+        rows += task_rows("grip", grip_parts(lifts))
+    return rows
+
+
+def task_rows(task: str, parts: Sequence[Part], of_ratio: Callable[[float], float] = float) -> Rows:
+    """Return the rows of a task; of_ratio: converts the ratio of sums to the score."""
+    rows = []
+    for split in (*dict.fromkeys(part.split for part in parts), ALL):
+        chosen = [part for part in parts if split in (part.split, ALL)]
+        estimate = _estimate(chosen)
+        row: Row = {"task": task, "split": split, "unit": UNITS[task], "n": len(chosen)}
+        row |= dict.fromkeys(("value", "low", "high"))
+        if estimate is not None:
+            row |= {name: float(of_ratio(value)) for name, value in estimate._asdict().items()}
+        row |= {
+            "sensors": len({part.sensor for part in chosen}),
+            "objects": len({part.touched for part in chosen}),
+            **{name: _mean([part.more[name] for part in chosen]) for name in (chosen[0].more if chosen else ())},
+        }
+        rows.append(row)
+    return rows
+
+
+def _mean(values: Sequence[float]) -> float | None:
+    known = [value for value in values if np.isfinite(value)]
+    return float(np.mean(known)) if known else None
+
+
+def _estimate(parts: Sequence[Part]) -> Estimate | None:
+    if not parts:
+        return None
+    weights = estimates.cluster_weights([part.sensor for part in parts], [part.touched for part in parts])
+    above, below = (np.array([getattr(part, name) for part in parts]) for name in ("above", "below"))
+    return estimates.ratio_of_clusters(above, below, weights)
+
+
+def onset_parts(benchmark: Benchmark, truth: Mapping[str, Truth], onset_ms: Mapping[str, int | None]) -> list[Part]:
+    """Return a part for each recording of kind slip whose object slips."""
+    parts = []
+    for name, detected in onset_ms.items():
+        true = truth[name]
+        if true.onset_ms is None:
+            continue
+        timing = metrics.timing(-1 if detected is None else detected, true.onset_ms)
+        more = {kind: float(timing == kind) for kind in ("early", "late")}
+        split = benchmark.entries[name].split
+        parts.append(Part(split, true.sensor, true.touched, float(timing == "correct"), more=more))
+    return parts
+
+
+def threshold_of(
+    benchmark: Benchmark, truth: Mapping[str, Truth], scores: Mapping[str, NDArray[np.float32]]
+) -> tuple[float | None, float | None, float]:
+    """Return the lowest threshold with few enough false alarms, their rate, and the minutes of contact without slip.
+
+    None if every threshold has too many, as for a constant score. Thresholds are tried from the highest score down, and
+    the last before the first with too many false alarms is taken.
+    """
+    quiet = [name for name in scores if not truth[name].slip_begins]
+    minutes = sum(int(truth[name].held.sum()) for name in quiet) / MS_PER_MIN
+    if minutes == 0.0:
+        return None, None, 0.0
+    levels = [np.where(truth[name].held, alarms.levels(scores[name]), np.nan) for name in quiet]
+    found: tuple[float | None, float | None] = (None, None)
+    for threshold in _thresholds(np.concatenate(levels)):
+        false = sum(len(alarms.onsets(level >= threshold)) for level in levels)
+        if false / minutes > FALSE_PER_MIN:
+            break
+        found = float(threshold), false / minutes
+    return *found, minutes
+
+
+def _thresholds(levels: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Return the thresholds that are tried, from the highest down: first one above all levels without slip."""
+    known = np.unique(levels[~np.isnan(levels)])[::-1]
+    if not len(known):
+        return known
+    ranks = [*range(FINE), *(FINE * COARSER ** np.arange(1, 1000)).astype(int)]
+    tried = known[[rank for rank in ranks if rank < len(known)]]
+    return np.concatenate([[np.nextafter(known[0], np.float32(np.inf), dtype=np.float32)], tried])
+
+
+def warning_parts(
+    benchmark: Benchmark, truth: Mapping[str, Truth], scores: Mapping[str, NDArray[np.float32]], threshold: float | None
+) -> list[Part]:
+    """Return a part for each gross slip; without a threshold there is no warning."""
+    parts = []
+    for name, score in scores.items():
+        true = truth[name]
+        if not true.slip_begins:
+            continue
+        leads: list[int | None] = [None] * len(true.slip_begins)
+        if threshold is not None:
+            alarming = alarms.alarming(score, threshold) & true.held
+            leads = alarm_rules.judge(alarming, true.share, true.slips).leads_ms[RULE]
+        split = benchmark.entries[name].split
+        parts += [
+            Part(split, true.sensor, true.touched, float(lead is not None and lead >= AHEAD_MS)) for lead in leads
+        ]
+    return parts
+
+
+def force_parts(benchmark: Benchmark, truth: Mapping[str, Truth], force_n: Mapping[str, NDArray]) -> list[Part]:
+    """Return a part for each press."""
+    parts = []
+    for name, forces in force_n.items():
+        true = truth[name]
+        error_n = np.abs(forces - true.shear_n).mean(axis=0)
+        more = {"error_x_n": float(error_n[0]), "error_y_n": float(error_n[1])}
+        more["true_force_n"] = float(np.abs(true.shear_n).mean())
+        split = benchmark.entries[name].split
+        parts.append(Part(split, true.sensor, true.touched, float(error_n.mean()), more=more))
+    return parts
+
+
+def dots_parts(benchmark: Benchmark, truth: Mapping[str, Truth], dot_xy_px: Mapping[str, NDArray]) -> list[Part]:
+    """Return a part for each recording, with the mean square."""
+    parts = []
+    for name, places in dot_xy_px.items():
+        true = truth[name]
+        squares = ((places - true.dot_xy_px) ** 2).sum(axis=2)
+        more = {"median_px": float(np.sqrt(np.median(squares))), "worst_px": float(np.sqrt(squares.max()))}
+        parts.append(Part(benchmark.entries[name].split, true.sensor, true.touched, float(squares.mean()), more=more))
+    return parts
+
+
+def grip_parts(lifts: Rows) -> list[Part]:
+    """Return a part for each lift; lifts: rows of `lifts.outcomes`."""
+    parts = []
+    for row in lifts:
+        ratio = row["over_holding_mean"]
+        kept = bool(row["balanced"])
+        lightly = kept and ratio is not None and ratio <= FIRMEST
+        more = {"kept": float(kept), "force_over_holding": float("nan") if ratio is None else float(ratio)}
+        parts.append(Part(row["split"], row["sensor"], row["object"], float(lightly), more=more))
+    return parts

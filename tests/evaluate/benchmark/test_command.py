@@ -1,0 +1,104 @@
+"""evetac evaluate benchmark: own methods, tables made without evetac, equal numbers, and refusals."""
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from evetac_cli.cli.main import app
+from evetac_cli.errors import InputError
+from evetac_cli.evaluate.benchmark import lifts
+from evetac_cli.evaluate.benchmark.data_set import Benchmark
+from evetac_cli.store.files import header_of
+from tests.conftest import Made
+from tests.patience import PATIENCE_S
+
+EXAMPLE = Path(__file__).resolve().parents[3] / "examples" / "benchmark_counts.py"
+
+
+def scored(*words: str | Path) -> dict[str, Any]:
+    """What the command prints as JSON."""
+    run = CliRunner().invoke(app, ["evaluate", "benchmark", *map(str, words), "--json"])
+    assert run.exit_code == 0, run.output
+    return dict(json.loads(run.stdout))
+
+
+def test_own_methods_twice(bench: Benchmark, made: Made, tmp_path: Path) -> None:
+    """Assert equal numbers if scored twice, and from the tables that the first run wrote; the report says simulated.
+
+    It takes some seconds, because everything from the tracker to touch maps runs twice.
+    """
+    words = (bench.folder, "--model", made.model)
+    first = scored(*words, "-o", tmp_path / "first.report.h5")
+    assert {row["task"] for row in first["rows"]} == {"onset", "warning", "force", "dots"}
+    assert first["simulated"]
+    header = header_of(tmp_path / "first.report.h5", "report")
+    assert header["simulated"] and header["method"] >= 1
+    assert scored(*words, "-o", tmp_path / "second.report.h5")["rows"] == first["rows"]
+    tables = tmp_path / "first.files" / "predictions"
+    assert scored(bench.folder, "--predictions", tables, "-o", tmp_path / "third.report.h5")["rows"] == first["rows"]
+    alone = scored(bench.folder, "--predictions", tables / "dots.csv", "-o", tmp_path / "dots.report.h5")
+    assert alone["rows"] == [row for row in first["rows"] if row["task"] == "dots"]
+    assert alone["summary"]["onset"] is None
+
+
+def test_a_table_made_without_evetac(bench: Benchmark, tmp_path: Path) -> None:
+    """Assert that the example, which cannot import evetac, writes tables that are scored."""
+    code = "import sys, runpy; sys.modules['evetac_cli'] = None; sys.argv = sys.argv[1:]; "
+    code += f"runpy.run_path({str(EXAMPLE)!r}, run_name='__main__')"
+    words = ["example", str(bench.folder), "--out", str(tmp_path / "mine")]
+    subprocess.run([sys.executable, "-P", "-c", code, *words], check=True, timeout=PATIENCE_S)
+    found = scored(bench.folder, "--predictions", tmp_path / "mine", "-o", tmp_path / "a.report.h5")
+    force = [row for row in found["rows"] if row["task"] == "force" and row["split"] == "all"]
+    assert force[0]["value"] == pytest.approx(force[0]["true_force_n"])  # it predicts none
+
+
+def test_lifts_of_an_own_loop(bench: Benchmark, made: Made, tmp_path: Path) -> None:
+    """Assert that recordings of the benchmark's lifts give a grip figure, and that another grasp is refused."""
+    shutil.copyfile(made.grasp, tmp_path / "g0.recording.h5")
+    words = ["--model", "none", "--shear-force", "none", "--lifts", tmp_path, "-o", tmp_path / "a.report.h5"]
+    found = scored(bench.folder, *words)
+    (grip,) = (row for row in found["rows"] if row["task"] == "grip" and row["split"] == "all")
+    assert grip["n"] == 1 and grip["kept"] in (0.0, 1.0)
+    lifts_path = bench.folder / "truth" / "lifts.json"
+    for key, other in (("seed", 1), ("lift_s", 2.0), ("sensor", "second")):
+        lift = json.loads(lifts_path.read_text())["g0"] | {key: other}
+        with pytest.raises(InputError, match=f"another lift: {key}"):
+            lifts.outcomes(bench, {"g0": lift}, tmp_path)
+    (tmp_path / "g0.recording.h5").unlink()
+    with pytest.raises(InputError, match="a lift is missing"):
+        lifts.outcomes(bench, lifts.read(bench), tmp_path)
+
+
+@pytest.mark.slow
+def test_a_controller_plays_the_lifts(bench: Benchmark, tmp_path: Path) -> None:
+    """Assert that a law plays every lift in closed loop, which takes as long as a grasp."""
+    words = ["--model", "none", "--shear-force", "none", "--controller", "fixed:10", "-o", tmp_path / "a.report.h5"]
+    (grip, _) = (row for row in scored(bench.folder, *words)["rows"] if row["task"] == "grip")
+    assert grip["n"] == 1
+    assert (tmp_path / "a.files" / "lifts" / "g0.recording.h5").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["{}", "--predictions", "{}", "--tracker", "paper"], "--tracker"),
+        (["{}", "--shear-force", "network"], "--force-model"),
+        (["{}", "--controller", "paper", "--lifts", "{}"], "--lifts"),
+        (["{}/inputs"], "benchmark.json"),
+        (["{}/recordings.csv"], "one folder"),
+        (["{}", "--predictions", "{}/inputs"], "onset.csv"),
+    ],
+)
+def test_refusals(words: list[str], said: str, bench: Benchmark, tmp_path: Path) -> None:
+    """Assert that contradictions and folders that are no benchmark are refused, and nothing is written."""
+    given = [word.replace("{}", str(bench.folder)) for word in words]
+    run = CliRunner().invoke(app, ["evaluate", "benchmark", *given, "-o", str(tmp_path / "a.report.h5")])
+    assert run.exit_code == 2
+    assert said in run.output
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,101 @@
+"""The recipe of evetac-bench: its trials, seeds, sensors and objects, and that no method learned from them."""
+
+import hashlib
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
+import benchmark
+import benchmark_files
+import benchmark_trials
+import motions
+
+ROOT = Path(__file__).resolve().parents[2]
+SAID = benchmark_trials.recipe()
+SIZES = ("small", "full")
+
+
+def test_the_small_version_is_part_of_the_full_one() -> None:
+    """Assert that its trials, with their names and seeds, are all in the full version, and names are unique."""
+    small, full = (benchmark_trials.slots(SAID, size) for size in SIZES)
+    assert set(small) < set(full)
+    assert len({slot.name for slot in full}) == len({slot.seed for slot in full}) == len(full)
+
+
+def test_seeds_and_sensors_are_those_of_the_benchmark() -> None:
+    """Assert that seeds and sensors are within 95000 to 95999, and two splits share none."""
+    full = benchmark_trials.slots(SAID, "full")
+    sensors = {
+        slot.split: {
+            name for one in full if one.split == slot.split for name, _ in benchmark_trials.candidates(SAID, one)
+        }
+        for slot in full
+    }
+    numbers = {int(name.partition(":")[2]) for names in sensors.values() for name in names if name != "evetac"}
+    assert all(95_000 <= number <= 95_999 for number in numbers | {slot.seed for slot in full})
+    assert sensors["known-sensor"] == {"evetac"}
+    assert not sensors["known-object"] & sensors["all-new"]
+
+
+def test_no_constant_saw_the_seeds() -> None:
+    """Assert that no group of scripts/seeds.json has a seed of the benchmark."""
+    for group in json.loads((ROOT / "scripts" / "seeds.json").read_text())["groups"]:
+        for one in group["seeds"] or []:
+            first, last = one if isinstance(one, list) else (one, one)
+            assert last < 95_000 or first > 95_999, group["name"]
+
+
+def test_known_objects_were_trained_on() -> None:
+    """Assert that the objects of `known-object` are among those that weights were fitted to, and new ones are not."""
+    assert set(SAID["known_objects"]) <= set(motions.TRAINED)
+    for slot in benchmark_trials.slots(SAID, "full"):
+        name = benchmark_trials.object_of(SAID, slot)[1]
+        assert name.startswith("paper-") == (slot.split == "known-object")
+
+
+def test_sensor_names_say_nothing() -> None:
+    """Assert that the names of random sensors are another's, in no order, and that evetac keeps its name."""
+    names = [benchmark_files.sensor_name(SAID, f"randomized:{number}") for number in range(95_000, 95_900)]
+    assert len(set(names)) == 900
+    assert names != sorted(names)
+    assert benchmark_files.sensor_name(SAID, "evetac") == "evetac"
+
+
+@pytest.mark.parametrize("size", [path.stem.partition("-")[2] for path in benchmark_trials.RECIPE.parent.glob("dig*")])
+def test_digests_are_those_of_the_recipe(size: str) -> None:
+    """Assert that the digests in the repository are of this recipe, and of all its recordings."""
+    about = json.loads(benchmark.digests_path(size).read_text())
+    recorded = {slot.name for slot in benchmark_trials.slots(SAID, size) if slot.kind != "grip"}
+    assert set(about["recordings"]) == recorded
+    assert about["method"] == benchmark_files.METHOD
+    assert about["recipe_sha256"] == hashlib.sha256(benchmark_trials.RECIPE.read_bytes()).hexdigest()
+
+
+def test_finished_recordings_are_kept_for_the_same_recipe_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that a recording whose row exists is not simulated again, unless the recipe is another one."""
+    parts = tmp_path / "a.parts"
+    benchmark_files._prepare_parts(parts)
+    slot = benchmark_trials.slots(SAID, "small")[0]
+    (parts / "rows" / f"{slot.name}.json").write_text('{"recording": "known"}')
+    benchmark_files._prepare_parts(parts)
+    assert benchmark_files._record((SAID, slot, parts)) == {"recording": "known"}
+    other = tmp_path / "recipe.toml"
+    other.write_text(benchmark_trials.RECIPE.read_text() + "\n")
+    monkeypatch.setattr(benchmark_files, "RECIPE", other)
+    benchmark_files._prepare_parts(parts)
+    assert list((parts / "rows").iterdir()) == []
+
+
+def test_other_contents_are_found(tmp_path: Path) -> None:
+    """Assert that a recording with another digest is named."""
+    about = json.loads(benchmark.digests_path("small").read_text())
+    name = next(iter(about["recordings"]))
+    (tmp_path / "benchmark.json").write_text(json.dumps(about))
+    benchmark.compare(tmp_path, write=False)
+    about["recordings"][name] = "0" * 64
+    (tmp_path / "benchmark.json").write_text(json.dumps(about))
+    with pytest.raises(SystemExit, match=name):
+        benchmark.compare(tmp_path, write=False)
