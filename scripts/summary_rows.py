@@ -24,10 +24,6 @@ SLIPS, GRASPS = "{trajectories} slips, {seeds} networks", "{trials} grasps"
 PAPER_GRASPS = {"setting": "paper", "detector": "`fast-slow` 10 ms, the paper's threshold"}
 
 
-def _robust(what: str, scene: str, detector: str = PAPER_GRASPS["detector"]) -> Figure:
-    return Figure(what, "grasp-robustness", {"setting": f"paper, {scene}", "detector": detector}, KEPT, GRASPS)
-
-
 SUMMARY = (
     Figure(
         "all dots return after a finger rubbed: the paper's tracker without its grid", "tracking-edge",
@@ -38,10 +34,6 @@ SUMMARY = (
     Figure(
         "tone identified within 1 s, five tones: the paper's method", "vibration",
         {"method": "paper", "tone": "all", "window_s": 1.0}, "{window_s:g} s", "{windows} windows",
-    ),
-    Figure(
-        "... evetac's method", "vibration",
-        {"method": "default", "tone": "all", "window_s": 1.0}, "{window_s:g} s", "{windows} windows",
     ),
     Figure(
         f"bytes per second over an RGB sensor's, {{columns}} columns (paper: {paper.COLUMNS})", "data-rate",
@@ -73,8 +65,7 @@ SUMMARY = (
         {"setting": "load-proportional", "detector": "pretrained"}, KEPT, GRASPS,
     ),
     Figure(
-        "... contact alone", "grasps", {"setting": "none"}, KEPT, GRASPS,
+        "... the paper's controller and detector, when 100 g fall on the object", "grasp-robustness",
+        {"setting": "paper, drop-100g", "detector": PAPER_GRASPS["detector"]}, KEPT, GRASPS,
     ),
-    _robust("... the paper's controller, held sideways", "sideways"),
-    _robust("... a weight of 100 g falls on it", "drop-100g"),
 )  # fmt: skip
