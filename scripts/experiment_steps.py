@@ -268,13 +268,15 @@ PAPER_DETECTOR = (
 # Controller and detector of each row of the grasp tables. The pretrained detector is the default of `grasp`; a model
 # trained by the paper's recipe has the threshold of the paper's rule unless a number of false alarms is given.
 GRASP_SETTINGS: dict[str, Command] = {
-    "paper": ["--controller", "paper", *map(str, PAPER_DETECTOR)],
-    "paper-false-alarms": ["--controller", "paper", *map(str, PAPER_DETECTOR), "--false-alarms-per-min", "4"],
+    "paper": ["--controller", "paper", *map(str, PAPER_DETECTOR), "--tracker", "paper"],
+    "paper-stable": ["--controller", "paper", *map(str, PAPER_DETECTOR)],
+    "paper-stable-false-alarms": ["--controller", "paper", *map(str, PAPER_DETECTOR), "--false-alarms-per-min", "4"],
     "paper-pretrained": ["--controller", "paper"],
-    "reset": ["--controller", "paper-reset", *map(str, PAPER_DETECTOR)],
+    "reset-stable": ["--controller", "paper-reset", *map(str, PAPER_DETECTOR)],
     "load-proportional": ["--controller", "load-proportional"],
 }
-ROBUST_SETTINGS = ("paper", "paper-pretrained", "load-proportional")  # those of the tests of robustness
+# Those of the tests of robustness.
+ROBUST_SETTINGS = ("paper", "paper-stable", "paper-pretrained", "load-proportional")
 
 
 def grasp_steps(sizes: Sizes) -> Iterator[Command]:

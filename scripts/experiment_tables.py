@@ -217,10 +217,11 @@ def force_rows(evaluations: Evaluations) -> Rows:
 
 
 DETECTORS = {
-    "paper": "`fast-slow` 10 ms, the paper's threshold",
-    "paper-false-alarms": "`fast-slow` 10 ms, 4 false alarms per min",
+    "paper": "`fast-slow` 10 ms, the paper's tracker and threshold",
+    "paper-stable": "`fast-slow` 10 ms, tracker `stable`, the paper's threshold",
+    "paper-stable-false-alarms": "`fast-slow` 10 ms, tracker `stable`, 4 false alarms per min",
     "paper-pretrained": "pretrained",
-    "reset": "`fast-slow` 10 ms, the paper's threshold",
+    "reset-stable": "`fast-slow` 10 ms, tracker `stable`, the paper's threshold",
     "load-proportional": "pretrained",
     "alone": "none",
 }
