@@ -39,14 +39,14 @@ def slip_begins(slips: Flags) -> list[int]:
     return begins(slips, APART_MS)
 
 
-class Judged(NamedTuple):
+class AlarmCounts(NamedTuple):
     """Results of a trial at one threshold: false alarms by rule, and how early each slip was warned of (None: not)."""
 
     false: dict[str, int]
     leads_ms: dict[str, list[int | None]]
 
 
-def judge(alarming: Flags, share: Singles, slips: Flags) -> Judged:
+def judge(alarming: Flags, share: Singles, slips: Flags) -> AlarmCounts:
     """Classify alarms by the true slipping share of the contact and by gross slip."""
     slips_at = slip_begins(slips)
     slides = slips.copy()  # slices at which an alarm would be late
@@ -68,4 +68,4 @@ def judge(alarming: Flags, share: Singles, slips: Flags) -> Judged:
         first = None if lead is None or lead < -LATE_MS else truths(begin - lead)
         for rule in RULES:
             leads[rule].append(lead if first is not None and first[rule] else None)
-    return Judged(false, leads)
+    return AlarmCounts(false, leads)

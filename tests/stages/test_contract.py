@@ -384,6 +384,7 @@ def test_every_stage_takes_part() -> None:
         "identify",
         "evaluate cost",
         "evaluate stability",
+        "evaluate benchmark",
     }
 
 

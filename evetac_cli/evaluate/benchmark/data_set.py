@@ -14,7 +14,7 @@ ABOUT = "benchmark.json"
 MADE_BY = "make benchmark (docs/benchmark.md)"
 
 
-class Entry(NamedTuple):
+class BenchmarkTrial(NamedTuple):
     """A recording to be judged."""
 
     name: str
@@ -31,11 +31,11 @@ class Benchmark:
     folder: Path
     size: str
     digest: str
-    entries: dict[str, Entry]
+    entries: dict[str, BenchmarkTrial]
     mm_per_px: dict[str, float]
     queries: dict[str, list[tuple[str, int]]]
 
-    def of_kinds(self, *kinds: str) -> list[Entry]:
+    def of_kinds(self, *kinds: str) -> list[BenchmarkTrial]:
         """Return the recordings of some kinds."""
         return [entry for entry in self.entries.values() if entry.kind in kinds]
 
@@ -46,7 +46,7 @@ def read(folder: Path) -> Benchmark:
     columns = read_columns(folder / "recordings.csv", ("recording", "kind", "split", "sensor"))
     rows = zip(*(columns[name] for name in ("recording", "kind", "split", "sensor")), strict=True)
     entries = {
-        name: Entry(name, kind, split, sensor, folder / "inputs" / f"{name}.recording.h5")
+        name: BenchmarkTrial(name, kind, split, sensor, folder / "inputs" / f"{name}.recording.h5")
         for name, kind, split, sensor in rows
     }
     if entries.keys() != about["recordings"].keys():

@@ -17,7 +17,7 @@ from evetac_cli.commands.featurize import Featurize
 from evetac_cli.commands.predict_touch import PredictTouch
 from evetac_cli.commands.track import Track
 from evetac_cli.errors import InputError
-from evetac_cli.evaluate.benchmark.data_set import Benchmark, Entry
+from evetac_cli.evaluate.benchmark.data_set import Benchmark, BenchmarkTrial
 from evetac_cli.evaluate.benchmark.predictions import ONSET_KINDS, WARNING_KINDS, Predictions
 from evetac_cli.evaluate.slip_models import Model
 from evetac_cli.jobs import Job, Outcome, Progress
@@ -91,14 +91,14 @@ def made_or_kept(run: Callable[..., Outcome], job: Job, params: Any) -> None:
         run(job, params, force=True)
 
 
-def _tracked(entry: Entry, preset: str, folder: Path) -> Path:
+def _tracked(entry: BenchmarkTrial, preset: str, folder: Path) -> Path:
     output = folder / preset / f"{entry.name}.tracks.h5"
     output.parent.mkdir(parents=True, exist_ok=True)
     made_or_kept(track.run, Job((entry.path,), output), Track(preset=preset))
     return output
 
 
-def _slip(entry: Entry, model: Model, tracks: Path) -> NDArray[np.float32]:
+def _slip(entry: BenchmarkTrial, model: Model, tracks: Path) -> NDArray[np.float32]:
     """Return the probability of slip in each ms, NaN until the history is full."""
     architecture = model.architecture
     sticks = "sticking" in model.detector().learned_extras
@@ -122,7 +122,7 @@ def _slip(entry: Entry, model: Model, tracks: Path) -> NDArray[np.float32]:
     return score
 
 
-def _onset(entry: Entry, score: NDArray[np.float32], methods: Methods) -> int | None:
+def _onset(entry: BenchmarkTrial, score: NDArray[np.float32], methods: Methods) -> int | None:
     """Return the first slice that reaches the threshold, after the current begins to fall, as in `evaluate slip`."""
     assert methods.slip is not None
     with open_recording(entry.path) as recording:
@@ -133,7 +133,7 @@ def _onset(entry: Entry, score: NDArray[np.float32], methods: Methods) -> int | 
     return None if found < 0 else found
 
 
-def _force(benchmark: Benchmark, entry: Entry, methods: Methods, tracks: Path) -> Floats:
+def _force(benchmark: Benchmark, entry: BenchmarkTrial, methods: Methods, tracks: Path) -> Floats:
     """Return the shear force in each ms, (slices, 2); 0 where touch maps know none."""
     if methods.force is None or methods.force_path is None:
         sensor = tracks.with_name(f"{entry.sensor}.sensor.toml")

@@ -37,7 +37,7 @@ UNITS = {"onset": "share", "warning": "share", "force": "N", "dots": "px", "grip
 TASKS = tuple(UNITS)
 
 
-class Part(NamedTuple):
+class TrialScore(NamedTuple):
     """The contribution of a recording or a slip to a score: `above` over `below`, and figures for further columns."""
 
     split: str
@@ -67,7 +67,7 @@ def all_rows(benchmark: Benchmark, truth: Mapping[str, Truth], made: Predictions
     return rows
 
 
-def task_rows(task: str, parts: Sequence[Part], of_ratio: Callable[[float], float] = float) -> Rows:
+def task_rows(task: str, parts: Sequence[TrialScore], of_ratio: Callable[[float], float] = float) -> Rows:
     """Return the rows of a task; of_ratio: converts the ratio of sums to the score."""
     rows = []
     for split in (*dict.fromkeys(part.split for part in parts), ALL):
@@ -91,7 +91,7 @@ def _mean(values: Sequence[float]) -> float | None:
     return float(np.mean(known)) if known else None
 
 
-def _estimate(parts: Sequence[Part]) -> Estimate | None:
+def _estimate(parts: Sequence[TrialScore]) -> Estimate | None:
     if not parts:
         return None
     weights = estimates.cluster_weights([part.sensor for part in parts], [part.touched for part in parts])
@@ -99,7 +99,9 @@ def _estimate(parts: Sequence[Part]) -> Estimate | None:
     return estimates.ratio_of_clusters(above, below, weights)
 
 
-def onset_parts(benchmark: Benchmark, truth: Mapping[str, Truth], onset_ms: Mapping[str, int | None]) -> list[Part]:
+def onset_parts(
+    benchmark: Benchmark, truth: Mapping[str, Truth], onset_ms: Mapping[str, int | None]
+) -> list[TrialScore]:
     """Return a part for each recording of kind slip whose object slips."""
     parts = []
     for name, detected in onset_ms.items():
@@ -109,7 +111,7 @@ def onset_parts(benchmark: Benchmark, truth: Mapping[str, Truth], onset_ms: Mapp
         timing = metrics.timing(-1 if detected is None else detected, true.onset_ms)
         more = {kind: float(timing == kind) for kind in ("early", "late")}
         split = benchmark.entries[name].split
-        parts.append(Part(split, true.sensor, true.touched, float(timing == "correct"), more=more))
+        parts.append(TrialScore(split, true.sensor, true.touched, float(timing == "correct"), more=more))
     return parts
 
 
@@ -147,7 +149,7 @@ def _thresholds(levels: NDArray[np.floating]) -> NDArray[np.floating]:
 
 def warning_parts(
     benchmark: Benchmark, truth: Mapping[str, Truth], scores: Mapping[str, NDArray[np.float32]], threshold: float | None
-) -> list[Part]:
+) -> list[TrialScore]:
     """Return a part for each gross slip; without a threshold there is no warning."""
     parts = []
     for name, score in scores.items():
@@ -160,12 +162,12 @@ def warning_parts(
             leads = alarm_rules.judge(alarming, true.share, true.slips).leads_ms[RULE]
         split = benchmark.entries[name].split
         parts += [
-            Part(split, true.sensor, true.touched, float(lead is not None and lead >= AHEAD_MS)) for lead in leads
+            TrialScore(split, true.sensor, true.touched, float(lead is not None and lead >= AHEAD_MS)) for lead in leads
         ]
     return parts
 
 
-def force_parts(benchmark: Benchmark, truth: Mapping[str, Truth], force_n: Mapping[str, NDArray]) -> list[Part]:
+def force_parts(benchmark: Benchmark, truth: Mapping[str, Truth], force_n: Mapping[str, NDArray]) -> list[TrialScore]:
     """Return a part for each press."""
     parts = []
     for name, forces in force_n.items():
@@ -174,22 +176,24 @@ def force_parts(benchmark: Benchmark, truth: Mapping[str, Truth], force_n: Mappi
         more = {"error_x_n": float(error_n[0]), "error_y_n": float(error_n[1])}
         more["true_force_n"] = float(np.abs(true.shear_n).mean())
         split = benchmark.entries[name].split
-        parts.append(Part(split, true.sensor, true.touched, float(error_n.mean()), more=more))
+        parts.append(TrialScore(split, true.sensor, true.touched, float(error_n.mean()), more=more))
     return parts
 
 
-def dots_parts(benchmark: Benchmark, truth: Mapping[str, Truth], dot_xy_px: Mapping[str, NDArray]) -> list[Part]:
+def dots_parts(benchmark: Benchmark, truth: Mapping[str, Truth], dot_xy_px: Mapping[str, NDArray]) -> list[TrialScore]:
     """Return a part for each recording, with the mean square."""
     parts = []
     for name, places in dot_xy_px.items():
         true = truth[name]
         squares = ((places - true.dot_xy_px) ** 2).sum(axis=2)
         more = {"median_px": float(np.sqrt(np.median(squares))), "worst_px": float(np.sqrt(squares.max()))}
-        parts.append(Part(benchmark.entries[name].split, true.sensor, true.touched, float(squares.mean()), more=more))
+        parts.append(
+            TrialScore(benchmark.entries[name].split, true.sensor, true.touched, float(squares.mean()), more=more)
+        )
     return parts
 
 
-def grip_parts(lifts: Rows) -> list[Part]:
+def grip_parts(lifts: Rows) -> list[TrialScore]:
     """Return a part for each lift; lifts: rows of `lifts.outcomes`."""
     parts = []
     for row in lifts:
@@ -197,5 +201,5 @@ def grip_parts(lifts: Rows) -> list[Part]:
         kept = bool(row["balanced"])
         lightly = kept and ratio is not None and ratio <= FIRMEST
         more = {"kept": float(kept), "force_over_holding": float("nan") if ratio is None else float(ratio)}
-        parts.append(Part(row["split"], row["sensor"], row["object"], float(lightly), more=more))
+        parts.append(TrialScore(row["split"], row["sensor"], row["object"], float(lightly), more=more))
     return parts

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from evetac_cli.evaluate.benchmark import scores
-from evetac_cli.evaluate.benchmark.data_set import Benchmark, Entry
+from evetac_cli.evaluate.benchmark.data_set import Benchmark, BenchmarkTrial
 from evetac_cli.evaluate.benchmark.predictions import Predictions
 from evetac_cli.evaluate.benchmark.truth import Truth
 from evetac_cli.jobs import Rows
@@ -33,7 +33,7 @@ def known() -> tuple[Benchmark, dict[str, Truth]]:
     """Two recordings of slip, one without, and a press."""
     kinds = {"a": "slip", "b": "slip", "quiet": "handling", "press": "press"}
     split = {"a": "all-new", "b": "known-sensor", "quiet": "all-new", "press": "all-new"}
-    entries = {name: Entry(name, kind, split[name], "s", Path(name)) for name, kind in kinds.items()}
+    entries = {name: BenchmarkTrial(name, kind, split[name], "s", Path(name)) for name, kind in kinds.items()}
     true = {name: contact(ONSET if kind == "slip" else None, name) for name, kind in kinds.items()}
     return Benchmark(Path(), "test", "", entries, {"s": 0.04}, {"dots": [], "force": []}), true
 
