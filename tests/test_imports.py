@@ -253,6 +253,7 @@ def test_looking_and_exporting_is_light(words: str, made: Made, tmp_path: Path) 
     assert [name for name in (*COMPILED, "pydantic") if name in loaded] == []
 
 
+@pytest.mark.slow
 def test_programs_that_are_started_load_nothing_from_the_working_folder() -> None:
     """Assert that whatever starts Python by a module's name or with code says -P.
 

@@ -140,6 +140,7 @@ def test_grasp_in_real_time(toy: Path, tmp_path: Path) -> None:
         assert set(file.read("control/goal_ticks")) == {402}
 
 
+@pytest.mark.slow
 def test_a_scene_is_recorded_exported_and_imported(toy: Path, tmp_path: Path) -> None:
     """Assert that a recording goes out in the format of a plug-in, and comes back from it event for event."""
     (made,) = rows(toy, "record", "--scene", "short-slip", "-o", tmp_path / "a.recording.h5")
@@ -155,6 +156,7 @@ def test_a_scene_is_recorded_exported_and_imported(toy: Path, tmp_path: Path) ->
     assert "toy" in refusal(toy, "export", made["output"], "--format", "toi")
 
 
+@pytest.mark.slow
 def test_all_that_a_simulated_grasp_takes(toy: Path, made: Made, tmp_path: Path) -> None:
     """Assert that a network of a plug-in is trained, evaluated, and grasps with its scene, sensor, object, controller.
 

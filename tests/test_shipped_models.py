@@ -73,6 +73,7 @@ def test_stages_take_the_packages_model(made: Made, tmp_path: Path) -> None:
     assert of_benchmark.slip is not None and of_benchmark.slip.path == MODEL
 
 
+@pytest.mark.slow
 def test_the_packages_detector_on_recordings_of_ones_own(made: Made, tmp_path: Path) -> None:
     """Assert that `evaluate slip FILES --model shipped` judges trials of one's own, as its own file does by path."""
     features = [str(made.beside(path, "features")) for path in made.recordings[:2]]
@@ -85,6 +86,7 @@ def test_the_packages_detector_on_recordings_of_ones_own(made: Made, tmp_path: P
     assert answers[0] == answers[1]
 
 
+@pytest.mark.slow
 def test_view_shows_the_packages_detector(made: Made, tmp_path: Path) -> None:
     """Assert that `view` takes the word among its files, wherever it stands, and names the page after the trial."""
     for name in ("recording", "features"):

@@ -79,6 +79,7 @@ def test_against_every_pair(events: list[tuple[int, int, int]], parts: int) -> N
     assert noise_filter.removed == np.count_nonzero(~expected)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("camera", [scanning, ideal])
 def test_a_camera_hands_on_what_its_filter_keeps(camera: Any) -> None:
     """Assert that either camera with a filter hands on what all of its events leave of it, to the last column."""

@@ -77,6 +77,7 @@ def test_rows_say_what_was_asked(trials: Any) -> None:
     assert rows[1]["model"] == "b.model.h5"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cries", few([False, True], False))
 def test_the_grip_is_safe_without_a_detector(trials: Any, monkeypatch: pytest.MonkeyPatch, cries: bool) -> None:
     """Assert that an object is lifted and held where no slip is ever told, and where it always is, within a bound."""

@@ -43,6 +43,7 @@ def run(monkeypatch: pytest.MonkeyPatch, *flags: str) -> None:
     stage_costs.main()
 
 
+@pytest.mark.slow
 def test_stages_are_measured_on_the_smallest_scene(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -62,6 +63,7 @@ def test_stages_are_measured_on_the_smallest_scene(
     assert "stage costs (simulated)" in shown and all(stage in shown for stage in chosen)
 
 
+@pytest.mark.slow
 def test_the_functions_of_a_stage_are_shown(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

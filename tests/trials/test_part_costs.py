@@ -185,6 +185,7 @@ def test_how_a_time_is_said(figure: float | None, noise: float | None, words: st
     assert shown == {"part": "dots", "built": "56", "time_us": words}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "words", [["--scene", "slip"], ["--scene", "edge"], ["--scene", "vibration"], ["--count", "9"]]
 )

@@ -16,7 +16,7 @@ from evetac_cli.arrays import Floats
 from evetac_cli.commands.featurize import Featurize
 from evetac_cli.commands.predict_touch import PredictTouch
 from evetac_cli.commands.track import Track
-from evetac_cli.errors import InputError
+from evetac_cli.errors import MAKE_MODEL, InputError
 from evetac_cli.evaluate.benchmark.data_set import Benchmark, BenchmarkTrial
 from evetac_cli.evaluate.benchmark.predictions import ONSET_KINDS, WARNING_KINDS, Predictions
 from evetac_cli.evaluate.slip_models import Model
@@ -115,7 +115,11 @@ def _slip(entry: BenchmarkTrial, model: Model, tracks: Path) -> NDArray[np.float
         if shape != model.dot_shape:
             expected, found = (" x ".join(map(str, one)) for one in (model.dot_shape, shape))
             raise InputError(
-                "the model is for another dot grid", where=str(model.path), expected=f"{found} dots", found=expected
+                "the model is for another dot grid",
+                where=str(model.path),
+                expected=f"{found} dots",
+                found=expected,
+                hint=MAKE_MODEL,
             )
         series = read_series(file, architecture)
         (score,) = probabilities([model.detector()], series, 0)

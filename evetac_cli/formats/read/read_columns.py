@@ -4,7 +4,7 @@ import csv
 import io
 from pathlib import Path
 
-from evetac_cli.errors import InputError, MissingLibrary
+from evetac_cli.errors import InputError, missing_extra
 from evetac_cli.text_files import read_text
 
 MOST_BYTES = 1 << 30
@@ -51,7 +51,7 @@ def _parquet(path: Path) -> Cells:
     try:
         from pyarrow import ArrowException, parquet
     except ImportError:
-        raise MissingLibrary("Parquet needs pyarrow", where=str(path), hint="pip install 'evetac[convert]'") from None
+        raise missing_extra("Parquet needs the library pyarrow", "convert", where=str(path)) from None
     try:
         table = parquet.read_table(path)
     except (OSError, ArrowException) as error:

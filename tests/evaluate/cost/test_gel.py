@@ -51,6 +51,7 @@ def falling():
 # -- convergence -------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_trial_sticks_slips_and_turns(falling):
     """Assert that the trial does all that is to be compared: hangs within 0.1 mm, falls by 1 mm later, and turns."""
     trial, reference, _ = falling
@@ -135,6 +136,7 @@ def test_order_under_a_slow_push():
     assert (errors[0.51][1:] < errors[1.0][1:]).all()
 
 
+@pytest.mark.slow
 def test_theta_055_is_better_than_1(falling):
     """Assert that theta 0.51 has the smaller error at every time step of 1 ms or less, slipping or not."""
     smooth = simulate(STICK, 2.5e-6, 0.5, tolerance=1e-10)

@@ -145,6 +145,7 @@ def test_refusals_are_ok() -> None:
     assert row["outcome"].startswith("refused: ")
 
 
+@pytest.mark.slow
 def test_the_report(tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert rows of real grasps, what is not ok first, and counted by controller, without those told the true slip."""
     monkeypatch.setattr(stability, "extreme_cases", lambda full: [GraspCase("as usual", timing=SHORT)])

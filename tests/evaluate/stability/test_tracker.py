@@ -82,6 +82,7 @@ def test_a_dot_astray_is_not_ok_unless_it_is_flagged(monkeypatch):
     assert "1 of 63 dots flagged lost, 0 others" in rows[0]["outcome"]
 
 
+@pytest.mark.slow
 def test_dots_that_leave_the_frame_are_as_far_off_as_they_are_until_they_are_flagged():
     """Assert that dots which jump out of the frame count until all are flagged, soon, and that their row says why."""
     worst, _ = track_rows(CASES["dots leave the frame at 5 px/ms"], "stable", slices=200)

@@ -74,6 +74,7 @@ def test_an_epoch_sees_every_busy_sample_once() -> None:
     assert sorted(drawn) == sorted([float(number) for number in range(6)] * BUSY * epochs)
 
 
+@pytest.mark.slow
 def test_a_group_leaves_memory_before_the_next_is_read() -> None:
     """Assert that nothing holds a group any more when the next one is read, in the middle of a training."""
     shelf = Shelf()

@@ -36,6 +36,7 @@ def test_even_pressure_moves_dots_by_parallax_alone() -> None:
     assert moved == pytest.approx([5.0 / 25.0 * thinner, 0.0], rel=0.02, abs=1e-3 * thinner)
 
 
+@pytest.mark.slow
 def test_a_point_load_far_from_the_back_is_that_of_a_half_space() -> None:
     """Assert that a cell of a thick layer moves dots as a point force on a half space does (Cerruti, Boussinesq).
 

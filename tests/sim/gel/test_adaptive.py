@@ -62,6 +62,7 @@ def test_slices_take_one_step_at_rest_and_more_while_they_let_go() -> None:
     assert let_go(Solver(tolerance_um=0.02))[1].sum() > steps.sum()
 
 
+@pytest.mark.slow
 def test_a_slice_that_is_too_coarse_is_taken_back_whole() -> None:
     """Assert that a step above its error changes nothing of the state, and that it is then made in halves."""
     state, shares = cylinder()

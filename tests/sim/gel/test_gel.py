@@ -183,6 +183,7 @@ def test_stop_distance_of_a_block(material):
         assert abs(state.pose[1]) < 1e-12
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("dt_s", "tolerated"), [(1e-4, 2e-3), (1e-5, 2.5e-4)])
 def test_stick_slip_oscillator(dt_s, tolerated):
     """Assert that a node dragged by a belt sticks and slips with the exact period, within 0.2 % at 0.1 ms."""

@@ -161,6 +161,7 @@ def test_silence_tone_silence(tmp_path: Path) -> None:
     assert not pulled[:50].any() and 0.01 < np.abs(pulled[70:130]).max() < 2.5
 
 
+@pytest.mark.slow
 def test_drawn_from_the_seed(tmp_path: Path) -> None:
     """Assert that a seed gives one and the same recording, and another seed or tone another one."""
     name = changed(tmp_path, {"tone_s": 0.05})

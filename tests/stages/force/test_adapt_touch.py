@@ -32,6 +32,7 @@ def own(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     return [write_contact(folder, number, contact(*one)) for number, one in enumerate(CONTACTS)]
 
 
+@pytest.mark.slow
 def test_adaptation_finds_the_gel(own: list[Path], tmp_path: Path) -> None:
     """Assert that ten contacts correct a modulus that is told 30 % too high, from truth as from a table, and forces."""
     told = replace(TOUCH, sensor=own_sensor(tmp_path, stiffer=1.3), stiffness_error=0.3)

@@ -72,6 +72,7 @@ def test_the_noise_of_a_simulated_sensor(resting: Path, tmp_path: Path) -> None:
     assert f"# {row['low']:.6g} to {row['high']:.6g}; rest.recording.h5, 0 to " in text
 
 
+@pytest.mark.slow
 def test_its_own_sensor_records(resting: Path, tmp_path: Path) -> None:
     """Assert that the file simulates, and that what it simulates is identified as the same again."""
     rows, path = identified([resting], tmp_path)
