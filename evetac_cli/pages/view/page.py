@@ -292,7 +292,7 @@ def _panel_figure(panel: Panel, x_range: Any, number: int, height: int) -> Any:
         chart.yaxis.ticker.desired_num_ticks = 4
     for at, line in enumerate(panel.lines):
         colour = shown_colour(line.colour)
-        columns = {"t": line.t_s, "v": line.value.astype(np.float32)}
+        columns: dict[str, Any] = {"t": line.t_s, "v": line.value.astype(np.float32)}
         if line.sd is not None:
             low, high = line.band
             columns |= {name: each.astype(np.float32) for name, each in (("sd", line.sd), ("low", low), ("high", high))}
