@@ -173,14 +173,18 @@ def text(result: Result) -> str:
 
 
 def summary(results: Path) -> str:
-    """Return the table `summary`: figures chosen from several tables, with their number of trials and the paper's."""
+    """Return the table `summary`: figures chosen from several tables, with their number of trials and the paper's.
+
+    A row of a table that was made before the freeze says so, with its commit.
+    """
     rows = []
     for figure in SUMMARY:
         result = json.loads((results / f"{figure.table}.json").read_text())
         (row,) = (each for each in result["rows"] if figure.row.items() <= each.items())
         columns = [*result["columns"], *([result["across"]] if result["across"] else [])]
         (column,) = (each for each in columns if each["heading"] == figure.heading)
-        what, ours, n = figure.what.format(**row), fill(column["cell"], row), figure.n.format(**row)
+        older = "" if result.get("frozen") else f" (before the freeze, {result['made']})"
+        what, ours, n = figure.what.format(**row) + older, fill(column["cell"], row), figure.n.format(**row)
         rows.append([what, ours, n, *published(column, row, result)])
     return "\n" + as_table(["what", "simulated", "n", "paper", "compared"], rows) + "\n"
 

@@ -20,7 +20,7 @@ class Figure(NamedTuple):
 
 
 RETURNED, KEPT, TIMELY = "all dots end where they began (paper)", "lifted and kept (paper)", "timing correct (paper)"
-SLIPS, GRASPS = "{trajectories} slips, {seeds} networks", "{trials} grasps"
+SLIPS, GRASPS = "{trajectories} slips; trained networks: {seeds}", "{trials} grasps"
 PAPER_GRASPS = {"setting": "paper", "detector": "`fast-slow` 10 ms, the paper's tracker and threshold"}
 
 

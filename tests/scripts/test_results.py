@@ -90,8 +90,9 @@ def test_the_summary_takes_cells_of_tables(tmp_path: Path, monkeypatch: pytest.M
     page = results.fill_page("x\n<!-- table summary -->\nold\n<!-- end of summary -->\n", tmp_path)
     assert page == (
         "x\n<!-- table summary -->\n\n| what | simulated | n | paper | compared |\n"
-        "| --- | --- | --- | --- | --- |\n| kept by a | 0.50 | 3 trials | 0.80 | fitted |\n"
-        "| kept by b | 1.00 | 3 trials |  |  |\n\n<!-- end of summary -->\n"
+        "| --- | --- | --- | --- | --- |\n"
+        "| kept by a (before the freeze, commit abc1234) | 0.50 | 3 trials | 0.80 | fitted |\n"
+        "| kept by b (before the freeze, commit abc1234) | 1.00 | 3 trials |  |  |\n\n<!-- end of summary -->\n"
     )
 
 
