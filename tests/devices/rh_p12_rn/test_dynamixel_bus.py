@@ -4,6 +4,7 @@ import os
 import pty
 import select
 import threading
+import time
 import tty
 from pathlib import Path
 
@@ -60,10 +61,11 @@ def test_a_late_answer_does_not_shift_those_that_follow() -> None:
     ours, theirs = pty.openpty()
     for end in (ours, theirs):
         tty.setraw(end)
-    done = threading.Event()
+    done, asked = threading.Event(), 0
 
     def slow_servo() -> None:
-        reader, held, asked = FrameReader(), b"", 0
+        nonlocal asked
+        reader, held = FrameReader(), b""
         while not done.is_set():
             ready = select.select([ours], [], [], 0.0005 if asked > 2 else 0.05)[0]
             if held and (asked > 2 or (asked == 2 and ready)):
@@ -79,12 +81,15 @@ def test_a_late_answer_does_not_shift_those_that_follow() -> None:
         with Bus(os.ttyname(theirs), 2_000_000, answer_ms=100) as bus:
             with pytest.raises(DeviceTimeout):
                 bus.read("LED Red")  # asked twice, and the answer to the second comes with the next question
-            right = 0
-            for _ in range(40):
-                right += bus.read("LED Red") == REGISTERS["LED Red"].address & 0xFF
-                right += bus.read("LED Blue") == REGISTERS["LED Blue"].address & 0xFF
+            while asked < 2:  # on a busy machine the servo may not have read the second question yet
+                time.sleep(0.001)
+            in_a_row = 0
+            for name in ["LED Red", "LED Blue"] * 500:  # a busy machine delays some answers again
+                in_a_row = in_a_row + 1 if bus.read(name) == REGISTERS[name].address & 0xFF else 0
+                if bus.counted["answers_stray"] and in_a_row >= 40:
+                    break
             assert bus.counted["answers_stray"] >= 1
-            assert right >= 60
+            assert in_a_row >= 40
     finally:
         done.set()
         servo.join()
