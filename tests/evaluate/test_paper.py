@@ -241,9 +241,9 @@ MODULES = [
 
 def texts(path: Path) -> Iterator[str]:
     """The texts of a module but its docstrings; of f-strings the fixed parts."""
-    tree = ast.parse(path.read_text())
-    docstrings = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
-    for node in ast.walk(tree):
+    nodes = list(ast.walk(ast.parse(path.read_text())))
+    docstrings = {id(node.value) for node in nodes if isinstance(node, ast.Expr)}
+    for node in nodes:
         if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in docstrings:
             yield node.value
 
@@ -280,7 +280,8 @@ def test_no_other_module_has_marks_or_figures_of_the_paper() -> None:
         for text in texts(path):
             is_mark = (text in MARKS and " " in text) or bool(in_brackets.search(text))
             wrong += [f"{path.name}: {text}"] if is_mark or numbers_of_the_paper(text) & figures else []
-        for node in ast.walk(ast.parse(path.read_text())):
+        text = path.read_text()
+        for node in ast.walk(ast.parse(text)) if '"paper_' in text else ():
             pairs = zip(node.keys, node.values, strict=True) if isinstance(node, ast.Dict) else ()
             for key, value in pairs:
                 of_paper = isinstance(key, ast.Constant) and str(key.value).startswith("paper_")

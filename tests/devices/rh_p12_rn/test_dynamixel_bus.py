@@ -111,7 +111,7 @@ def test_baud_rate_is_changed_and_found() -> None:
         assert scan(gripper.port, (57_600,), answer_ms=20) == []
         assert scan(gripper.port, (1_000_000,), (7, 1), answer_ms=1000) == [BusDevice(1_000_000, 1, 35074)]
         with Bus(gripper.port, 1_000_000) as bus:
-            assert bus.devices(least_ms=3000) == {1: (35074, 14)}
+            assert bus.devices(least_ms=1500) == {1: (35074, 14)}
         with pytest.raises(ValueError, match="baud"):
             change_baud(gripper.port, 1_000_000, 123)
 

@@ -12,6 +12,8 @@ from evetac_cli.evaluate.rows import Extent
 from evetac_cli.jobs import silent
 from evetac_cli.kernels.tracking.presets import PRESETS
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def rows() -> list[dict[str, object]]:

@@ -73,6 +73,7 @@ def test_the_contact_slips_later_and_faster() -> None:
     assert shares[0] > shares[1] > shares[2]
 
 
+@pytest.mark.slow
 def test_it_multiplies_what_the_gel_and_the_second_finger_have() -> None:
     """Assert that patches of friction and a second finger's factor stay, and that the slip limit knows them."""
     second = {"gripper": {"second_finger": {"friction_factor": 0.5, "stiffness_factor": 2.0}}}
