@@ -76,12 +76,19 @@ class Plan:
     hours: float  # estimated, on two cores
 
 
+def stored_of(name: str, evaluations: dict[str, Command]) -> dict[str, Command]:
+    """Return the evaluations that the stored table was made from: an experiment may have more, which were not run."""
+    path = RESULTS / f"{name}.json"
+    commands = json.loads(path.read_text())["commands"] if path.exists() else []
+    return {one: words for one, words in evaluations.items() if " ".join(words) in commands} or evaluations
+
+
 def planned(name: str) -> Plan:
     """Return the check of a table."""
     experiment, table = experiment_of(name)
     sizes = {**experiment.full, **SIZES.get(experiment.name, {})}
     of_table, check = only_for(experiment, table), CHECKS[name]
-    every, evaluations = list(of_table.steps(sizes)), of_table.evaluations(sizes)
+    every, evaluations = list(of_table.steps(sizes)), stored_of(name, of_table.evaluations(sizes))
     archives, kept, frozen_trainings = {}, [], []
     for words in every:
         archive = archive_of(words)

@@ -163,7 +163,7 @@ CHECKS: dict[str, Check] = {
         training=("--model", "fast-slow", "--horizon-ms", "10"),
     ),
     "paper-recipe-changes": Check(
-        ("change_words", "objects_words", "model"), SLIP, slip_trials, training=("--out", "models/tracker"),
+        ("change_words", "objects_words", "model"), SLIP, slip_trials, training=("--out", "models/size"),
     ),
     "model-cost": Check(("setting",), unpromised=("time_us_median", "step_us_median", "pareto")),
     # A tenth has one trial of each object, and its networks are trained again for paper-recipe.
