@@ -31,7 +31,7 @@ PAGES = (
         )
     ),
 )  # fmt: skip
-MARK = re.compile(r"<!-- figure ([\w-]+) ({.*?}) (\w+)(?::(\S+))? -->")
+MARK = re.compile(r"<!-- figure ([\w/-]+) ({.*?}) (\w[\w ]*?)(?::(\S+))? -->")
 GIVEN = re.compile(r"<!-- given ([\d. ]+) -->")
 DECIMAL = re.compile(r"(?<![\w.])(?<!Python )\d+\.\d+(?![\d.]|\w)")
 MADE = re.compile(r"<!-- (?:table|measured) ([\w-]+) -->.*?<!-- end of \1 -->", re.DOTALL)
@@ -54,7 +54,10 @@ class Figure(NamedTuple):
         found = [row for row in rows if self.row.items() <= row.items()]
         if len(found) != 1 or found[0].get(self.column) is None:
             raise ValueError(f"{self.table} {self.row} {self.column}: expected one row with it, found {len(found)}")
-        return format(found[0][self.column], self.form)
+        value = found[0][self.column]
+        if isinstance(value, list):  # as of a public fact, which may have several figures
+            (value,) = value
+        return format(value, self.form)
 
 
 class Sentence(NamedTuple):
