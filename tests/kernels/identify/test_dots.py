@@ -66,7 +66,7 @@ def test_the_model_is_the_cameras() -> None:
 
 
 def test_another_contrast_is_another_shape() -> None:
-    """Assert that a contrast that is 1.5 times wrong moves the radius by no more than docs/identify.md says."""
+    """Assert that a contrast that is 1.5 times wrong hardly changes the radius, as docs/identify.md says."""
     for factor in (1 / 1.5, 1.5):
         fitted, _ = dots.fit_rims(shown(15.0, 1.2), CENTRES, 15.0, LOG_CONTRAST * factor)
         assert np.abs(fitted.radius_px - 15.0).max() < 0.3
