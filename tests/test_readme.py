@@ -182,10 +182,7 @@ def test_figures_quoted_in_sentences_are_those_of_results(name: str) -> None:
 
 
 # Pages in which every decimal figure of a sentence has its mark; the others follow page by page.
-MARKED = [
-    "README.md",
-    *(f"docs/{name}.md" for name in ("results", "slip-detector", "labels", "touch-maps")),
-]
+MARKED = [name for name in figures.PAGES if name != "docs/simulator.md"]
 
 
 @pytest.mark.parametrize("name", MARKED)
