@@ -181,11 +181,7 @@ def test_figures_quoted_in_sentences_are_those_of_results(name: str) -> None:
     assert figures.absent(PAGES[name]) == []
 
 
-# Pages in which every decimal figure of a sentence has its mark; the others follow page by page.
-MARKED = [name for name in figures.PAGES if name != "docs/simulator.md"]
-
-
-@pytest.mark.parametrize("name", MARKED)
+@pytest.mark.parametrize("name", figures.PAGES)
 def test_sentences_of_these_pages_name_their_figures(name: str) -> None:
     """Assert that each decimal figure in a sentence comes from a table, or is said to be no result."""
     assert [sentence for sentence in figures.sentences(name, PAGES[name]) if sentence.unmarked] == []

@@ -33,7 +33,7 @@ PAGES = (
 )  # fmt: skip
 MARK = re.compile(r"<!-- figure ([\w/-]+) ({.*?}) (\w[\w ]*?)(?::(\S+))? -->")
 GIVEN = re.compile(r"<!-- given ([\d. ]+) -->")
-DECIMAL = re.compile(r"(?<![\w.])(?<!Python )\d+\.\d+(?![\d.]|\w)")
+DECIMAL = re.compile(r"(?<![\w.])(?<!Python )(?<!arXiv[ :])\d+\.\d+(?!\.?\d|\w)")
 MADE = re.compile(r"<!-- (?:table|measured) ([\w-]+) -->.*?<!-- end of \1 -->", re.DOTALL)
 
 
