@@ -107,7 +107,6 @@ SLIP_TIMING = Table(
     timing_rows,
     (Column("object", "{object}"), Column("slips", "{slips}")),
     across=Column("{bin_words} (paper)", "{share:.2f}; {by_its_end:.2f}", "{paper_timing_share:.2f}"),
-    kept=False,
     notes=("Means over the seeds of training. Slips that were never detected are in no column.",),
 )
 
@@ -118,7 +117,6 @@ SLIP_BY_OBJECT = Table(
     slip_object_rows,
     (Column("object", "{object}"), Column("trajectories", "{trajectories}")),
     across=Column("{setting} (paper)", "{slip_correct:.2f}", "{paper_slip_correct_of_object:.2f}"),
-    kept=False,
     notes=("The paper gives figures by object for the two objects on which its detector often fails.",),
 )
 
@@ -130,7 +128,6 @@ SLIP_OVER_TIME = Table(
     over_time_rows,
     (Column("network", "{model}"), Column("seeds", "{seeds}")),
     across=Column("{after_onset_ms:+d} ms", "{probability_mean:.2f}, {detected_share:.0%}"),
-    kept=False,
     notes=("The paper's figure shows a single trajectory. Labels end 20 ms after the onset; predictions go on.",),
 )
 
