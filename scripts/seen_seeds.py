@@ -86,25 +86,17 @@ def overlaps(groups: Iterable[Group], every: Mapping[str, Table]) -> dict[tuple[
 def faults(seen: Mapping[str, Any], every: Mapping[str, Table]) -> Iterator[str]:
     """Yield, in words, every table and every group that breaks the rule of seeds."""
     groups = seen["groups"]
-    allowed = {(name, one["group"]): seeds for one in seen["exceptions"] for name, seeds in one["tables"].items()}
-    found = overlaps(groups, every)
-    for (name, group), seeds in found.items():
-        if allowed.get((name, group)) != seeds:
-            yield f"{name}: reports the seeds {seeds[:5]}, which the constants `{group}` saw"
-    for name, group in allowed.keys() - found.keys():
-        yield f"{name}: is no exception for `{group}` any more: remove it from seeds.json"
+    for (name, group), seeds in overlaps(groups, every).items():
+        yield f"{name}: reports the seeds {seeds[:5]}, which the constants `{group}` saw"
     for group in groups:
         if judging := sorted(seen_by(group).intersection(frozen.SEEDS)):
             yield f"{group['name']}: its constants saw {judging[:5]}, on which frozen tables are judged"
-    excepted = {name for name, _ in allowed}
     for name, table in every.items():
         seeds = seeds_of(table)
         if table.get("frozen"):
             outside = sorted(seeds.difference(frozen.SEEDS))
             if outside or not seeds:
                 yield f"{name}: is frozen, but is judged on {outside[:5] or 'unknown seeds'}"
-            if name in excepted:
-                yield f"{name}: is frozen, and a frozen table has no exception"
         elif judging := sorted(seeds.intersection(frozen.SEEDS)):
             yield f"{name}: is judged on {judging[:5]}, but does not name the frozen commit"
 

@@ -27,14 +27,8 @@ FACTS = tomllib.loads((PACKAGE / "data" / "likeness.toml").read_text())["fact"]
 
 
 def test_no_table_reports_seeds_that_its_constants_saw() -> None:
-    """Assert that tables and groups keep the rule, but for the exceptions, each of which has a reason."""
+    """Assert that all tables and groups keep the rule."""
     assert list(faults(SEEN, TABLES)) == []
-    assert all(one["why"] for one in SEEN["exceptions"])
-
-
-def test_exceptions_are_counted() -> None:
-    """Assert that there are no more exceptions than the ten tables of an earlier edition's labels."""
-    assert sum(len(one["tables"]) for one in SEEN["exceptions"]) <= 10
 
 
 def test_what_was_fitted_is_named_by_its_constants() -> None:
@@ -65,17 +59,9 @@ JUDGED = {"frozen": "f9c755f9", "sizes": {"recording_seeds": [92_000]}}
 )
 def test_a_broken_rule_is_found(group: dict[str, Any], table: dict[str, Any], fault: str) -> None:
     """Assert that a constant that saw a judging seed, and a table that reports a seen seed, are found."""
-    seen = {"groups": [group], "exceptions": []}
+    seen = {"groups": [group]}
     assert any(fault in found for found in faults(seen, {"tracking-edge": table}))
-    assert list(faults({"groups": [group_with()], "exceptions": []}, {"tracking-edge": JUDGED})) == []
-
-
-def test_a_frozen_table_has_no_exception() -> None:
-    """Assert that an exception does not excuse a frozen table, and that one that is none any more is found."""
-    excused = {"group": "edge scene", "why": "x", "tables": {"tracking-edge": [92_000]}}
-    seen = {"groups": [group_with(seeds=[92_000])], "exceptions": [excused]}
-    assert "a frozen table has no exception" in " ".join(faults(seen, {"tracking-edge": JUDGED}))
-    assert "is no exception for `edge scene` any more" in " ".join(faults({**seen, "groups": []}, {}))
+    assert list(faults({"groups": [group_with()]}, {"tracking-edge": JUDGED})) == []
 
 
 def test_a_fit_that_is_not_named_is_found() -> None:
