@@ -23,6 +23,8 @@ def test_the_small_version_is_part_of_the_full_one() -> None:
     small, full = (benchmark_trials.slots(SAID, size) for size in SIZES)
     assert set(small) < set(full)
     assert len({slot.name for slot in full}) == len({slot.seed for slot in full}) == len(full)
+    few, all_of_them = (json.loads(benchmark.digests_path(size).read_text())["recordings"].items() for size in SIZES)
+    assert few < all_of_them
 
 
 def test_seeds_and_sensors_are_those_of_the_benchmark() -> None:
@@ -64,7 +66,7 @@ def test_sensor_names_say_nothing() -> None:
     assert benchmark_files.sensor_name(SAID, "evetac") == "evetac"
 
 
-@pytest.mark.parametrize("size", [path.stem.partition("-")[2] for path in benchmark_trials.RECIPE.parent.glob("dig*")])
+@pytest.mark.parametrize("size", SIZES)
 def test_digests_are_those_of_the_recipe(size: str) -> None:
     """Assert that the digests in the repository are of this recipe, and of all its recordings."""
     about = json.loads(benchmark.digests_path(size).read_text())
