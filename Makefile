@@ -22,7 +22,7 @@ USED := plot
 EVERY := camera,cluster,convert,log,plot,robot,view,dev,docs
 # Additional pip index or folder, for torch without CUDA: https://download.pytorch.org/whl/cpu
 TORCH_INDEX ?=
-# UV=1 installs with uv, in half the time; unlike pip, uv ignores the settings of pip.conf.
+# UV=1 installs with uv, in half the time. Of the settings of pip, uv gets PIP_INDEX_URL and PIP_FIND_LINKS alone.
 UV ?=
 LOWEST := .venv-lowest
 LEROBOT := .venv-lerobot
@@ -32,8 +32,8 @@ REPRODUCE = $(BIN)/python scripts/reproduce.py --jobs $(JOBS) $(if $(SMALL),--sm
 
 # Installs packages and prints a line for each large one. pip itself prints nothing for minutes, or hundreds of lines.
 PIP = $(BIN)/python -m pip install --no-compile --disable-pip-version-check --progress-bar off
-INSTALLER = $(if $(UV),$(PIP) --quiet uv && $(BIN)/uv pip install --python $(BIN)/python \
-	$(PIP_FIND_LINKS:%=--find-links %),$(PIP))
+INSTALLER = $(if $(UV),$(PIP) --quiet uv && $(BIN)/uv pip install --quiet --python $(BIN)/python \
+	--index-strategy unsafe-best-match $(PIP_INDEX_URL:%=--index-url %) $(PIP_FIND_LINKS:%=--find-links %),$(PIP))
 INSTALL = $(INSTALLER) --constraint constraints.txt $(if $(TORCH_INDEX),--extra-index-url $(TORCH_INDEX)) --editable
 SAYING = awk '/(Downloading|Using cached) .*MB\)/ {sub(/^ +/, ""); print "  " $$0} \
 	/^Installing collected packages/ {print "  unpacking " NF - 3 " packages"} {fflush()}' >&2

@@ -80,7 +80,10 @@ def stored_of(name: str, evaluations: dict[str, Command]) -> dict[str, Command]:
     """Return the evaluations that the stored table was made from: an experiment may have more, which were not run."""
     path = RESULTS / f"{name}.json"
     commands = json.loads(path.read_text())["commands"] if path.exists() else []
-    return {one: words for one, words in evaluations.items() if " ".join(words) in commands} or evaluations
+    found = {one: words for one, words in evaluations.items() if " ".join(words) in commands}
+    if found and (gone := set(commands) - {" ".join(words) for words in found.values()}):
+        raise Refusal(f"{name}: was made by `{min(gone)}`, which is no longer part of its experiment; make it again")
+    return found or evaluations
 
 
 def planned(name: str) -> Plan:

@@ -91,7 +91,7 @@ def recipe_rows(evaluations: Evaluations) -> Rows:
         _, change, role = name.split("-")
         what = {"change": change, "change_words": RECIPE_CHANGED.get(change, change)}
         what["objects_words"] = "trained on" if role == "known" else "unseen"
-        rows += [{**row, **what} for row in slip_rows({name: evaluation})]
+        rows += [{**row, **what, "evaluation": name} for row in slip_rows({name: evaluation})]
     return rows
 
 
@@ -311,7 +311,7 @@ MODEL_COST = Table(
         Column("F1", "{f1:.2f}"),
         Column("Pareto front", "{pareto}"),
     ),
-    notes=("There is one Pareto front for each of 0, 10 and 20 ms ahead.", TRUTH_NOTE),
+    notes=("There is one Pareto front for each of 0, 10 and 20 ms ahead.",),
 )
 TRACKING_EDGE = Table(
     "tracking-edge",

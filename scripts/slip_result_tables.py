@@ -123,11 +123,11 @@ SLIP_BY_OBJECT = Table(
 SLIP_OVER_TIME = Table(
     "slip-over-time",
     f"Predictions over time about the onset in the labels, object {OBJECT_OVER_TIME}: mean probability of slip, share"
-    " of trajectories and seeds above the network's threshold",
+    " of trajectories and seeds above the network's threshold, and their number",
     (KNOWN,),
     over_time_rows,
     (Column("network", "{model}"), Column("seeds", "{seeds}")),
-    across=Column("{after_onset_ms:+d} ms", "{probability_mean:.2f}, {detected_share:.0%}"),
+    across=Column("{after_onset_ms:+d} ms", "{probability_mean:.2f}, {detected_share:.0%} of {predictions}"),
     notes=("The paper's figure shows a single trajectory. Labels end 20 ms after the onset; predictions go on.",),
 )
 

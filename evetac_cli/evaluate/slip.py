@@ -52,7 +52,7 @@ from evetac_cli.stages.related_files import named_files
 from evetac_cli.store.files import StageFile
 
 OUTPUT = "report"
-METHOD = 8
+METHOD = 9
 
 SHOWN_MS = (-60, 40)  # range of the paper's figure of slip timing
 PANELS = 4  # distributions side by side

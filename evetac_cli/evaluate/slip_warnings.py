@@ -24,12 +24,16 @@ WITH_INTERVAL = ("slip_correct", "warned_10_ms", "false_alarms_per_min")
 
 
 class Judged(NamedTuple):
-    """Result of a detector on one trajectory; lead_ms is None without slip or without a warning."""
+    """Result of a detector on one trajectory.
+
+    is_correct is None without slip, or if the labels do not determine its onset precisely enough; lead_ms is None
+    without slip or without a warning.
+    """
 
     object: str
     sensor: str
     slips: bool
-    is_correct: bool
+    is_correct: bool | None
     lead_ms: int | None
     false_alarms: int
     quiet_slices: int
@@ -44,7 +48,7 @@ class Judged(NamedTuple):
             prediction.object,
             prediction.sensor,
             slips,
-            slips and metrics.timing(first, prediction.onset) == "correct",
+            metrics.timing(first, prediction.onset) == "correct" if slips and prediction.timed else None,
             alarms.lead_ms(alarming, prediction.onset) if slips else None,
             *warning_curve.false_alarms(prediction, threshold),
         )
@@ -92,13 +96,12 @@ def columns(judged: Seeds, predictions: Sequence[Sequence[Prediction]]) -> dict[
     figures: dict[str, Any] = {}
     if slips:
         shares = Shares.of([judged[0][place] for place in slips])
-        correct = shares.mean(_of_seeds([[seed[place].is_correct for place in slips] for seed in judged]))
         warned = {
             name: shares.mean(_of_seeds([[seed[place].warned(ahead_ms) for place in slips] for seed in judged]))
             for ahead_ms, name in WARNED.items()
         }
         figures |= {name: None if one is None else one.value for name, one in warned.items()}
-        figures |= _ends("slip_correct", correct) | _ends("warned_10_ms", warned["warned_10_ms"])
+        figures |= _ends("slip_correct", correct(judged)) | _ends("warned_10_ms", warned["warned_10_ms"])
     else:
         figures |= dict.fromkeys(WARNED.values()) | _ends("slip_correct", None) | _ends("warned_10_ms", None)
     false = false_alarms(judged)
@@ -161,9 +164,10 @@ def group(judged: Seeds, factor: str, name: str) -> dict[str, Any]:
     """Return plain shares over the trials of one object or one sensor, and all seeds."""
     members = [one for seed in judged for one in seed if getattr(one, factor) == name]
     slips = [one for one in members if one.slips]
+    timed = [one for one in slips if one.is_correct is not None]
     minutes = sum(one.quiet_slices for one in members) / warning_curve.SLICES_PER_MIN
     return {
-        "slip_correct": float(np.mean([one.is_correct for one in slips])) if slips else None,
+        "slip_correct": float(np.mean([bool(one.is_correct) for one in timed])) if timed else None,
         "warned_10_ms": float(np.mean([one.warned(10) for one in slips])) if slips else None,
         "false_alarms_per_min": sum(one.false_alarms for one in members) / minutes if minutes else None,
         "trials": len(members) // len(judged),
@@ -172,13 +176,16 @@ def group(judged: Seeds, factor: str, name: str) -> dict[str, Any]:
 
 def correct_of_object(judged: Seeds, name: str) -> dict[str, float | None]:
     """Return the ends of the interval of one object's share of correct timing, from resampling its trajectories."""
-    slips = [place for place, one in enumerate(judged[0]) if one.slips and one.object == name]
-    if not slips:
-        return _ends("slip_correct", None)
-    shares = Shares.of([judged[0][place]._replace(sensor="") for place in slips])
-    return _ends(
-        "slip_correct", shares.mean(_of_seeds([[seed[place].is_correct for place in slips] for seed in judged]))
-    )
+    of_object = [[one._replace(sensor="") for one in seed if one.object == name] for seed in judged]
+    return _ends("slip_correct", correct(of_object))
+
+
+def correct(judged: Seeds) -> Estimate | None:
+    """Return the share of slips with correct timing, of those whose labels determine the onset; None without any."""
+    timed = [[one for one in seed if one.is_correct is not None] for seed in judged]
+    if not timed[0]:
+        return None
+    return Shares.of(timed[0]).mean(_of_seeds([[float(bool(one.is_correct)) for one in seed] for seed in timed]))
 
 
 def _of_seeds(values: Sequence[Sequence[float]]) -> NDArray[np.float64]:

@@ -1,5 +1,6 @@
 """Warnings of detectors in reports: leads, false alarms, calibration, and intervals by object and sensor."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -48,6 +49,18 @@ def test_a_share_of_none_or_all_keeps_an_interval() -> None:
         low, high = estimates.share(round(2 * share), 2)[1:]
         assert (row["warned_10_ms"], row["warned_10_ms_low"], row["warned_10_ms_high"]) == (share, low, high)
         assert high - low > 0.6
+
+
+def test_timing_counts_what_labels_determine() -> None:
+    """Assert that the interval of timing, and timing of a group, leave out slips whose label abstains."""
+    trials = [prediction(object_, 5) for object_ in "112233"]
+    abstained = [replace(one, timed=False) for one in [prediction("1", None), prediction("4", None)]]
+    alone, with_others = of_seeds(trials), of_seeds([*trials, *abstained])
+    ends = ("slip_correct_low", "slip_correct_high")
+    assert [with_others[end] for end in ends] == [alone[end] for end in ends]
+    judged = [[slip_warnings.Judged.of(one, 0.5) for one in [*trials, *abstained]]]
+    assert [slip_warnings.group(judged, "object", name)["slip_correct"] for name in "14"] == [1.0, None]
+    assert slip_warnings.correct_of_object(judged, "4") == {"slip_correct_low": None, "slip_correct_high": None}
 
 
 def test_trials_without_slip_have_false_alarms_alone() -> None:

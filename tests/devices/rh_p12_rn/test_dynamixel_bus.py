@@ -18,6 +18,7 @@ from evetac_cli.devices.virtual.dynamixel_frames import FrameReader, Instruction
 from evetac_cli.devices.virtual.gripper import VirtualGripper
 from evetac_cli.errors import DeviceError, DeviceTimeout
 from tests.conftest import SLOW
+from tests.patience import PATIENCE_S
 
 
 def test_what_cannot_be_opened_is_said(gripper: VirtualGripper, tmp_path: Path) -> None:
@@ -85,7 +86,10 @@ def test_a_late_answer_does_not_shift_those_that_follow(monkeypatch: pytest.Monk
         with Bus(os.ttyname(theirs), 2_000_000, answer_ms=100) as bus:
             with pytest.raises(DeviceTimeout):
                 bus.read("LED Red")  # asked twice, and the answer to the second comes with the next question
-            while asked < 2:  # on a busy machine the servo may not have read the second question yet
+            deadline = time.monotonic() + PATIENCE_S
+            while (
+                asked < 2 and time.monotonic() < deadline
+            ):  # on a busy machine the servo may not have read the second question yet
                 time.sleep(0.001)
             in_a_row = 0
             for name in ["LED Red", "LED Blue"] * 40:  # a busy machine delays some answers again
