@@ -93,8 +93,10 @@ def planned(name: str) -> Plan:
     of_table, check = only_for(experiment, table), CHECKS[name]
     every, evaluations = list(of_table.steps(sizes)), stored_of(name, of_table.evaluations(sizes))
     archives, kept, frozen_trainings = {}, [], []
+    # archives are named by folders of models; another experiment may have folders of the same names
+    is_archived = any(CHECKS[one.name].training for one in experiment.tables if one.name in CHECKS)
     for words in every:
-        archive = archive_of(words)
+        archive = archive_of(words) if is_archived else None
         if archive is None:
             kept.append(words)
             continue

@@ -169,7 +169,7 @@ CHECKS: dict[str, Check] = {
     # A tenth has one trial of each object: the interval of a single object is wide.
     "slip-timing": Check(("object", "bin_words"), (Figure("share", count="slips"),)),
     "slip-by-object": Check(("object", "setting"), (Figure("slip_correct", count="trajectories"),)),
-    "slip-over-time": Check(("model", "after_onset_ms"), (Figure("detected_share", count="predictions"),)),
+    "slip-over-time": Check(("model", "after_onset_ms")),  # one trajectory, in which one time follows from another
     "true-slip-share": Check(("setting",), SLIP, slip_trials),
     "tracking-edge": Check(("preset",), (Figure("consistent", "trajectories"), Figure("dots_lost_mean")), edge_trials),
     "tracking-distance": Check(("scene", "gel", "preset"), (Figure("error_px_rms", squared=True),), distance_trials),

@@ -271,6 +271,8 @@ def test_frozen_models_take_the_place_of_trainings(made: Made, tmp_path: Path, m
     assert check_tables.contains(chosen.again, ["--model", "fast-slow", "--horizon-ms", "10"])
     assert any(check_tables.contains(words, ["--out", "nothing/learn"]) for words in commands)
     assert chosen.hours < check_tables.planned("paper-recipe-changes").hours  # of which no archive is there
+    strip_model.pack([made.model], tmp_path / "labels.tar.xz")
+    assert not check_tables.planned("true-slip-share").archives  # its models/labels are other networks
 
 
 @pytest.mark.parametrize("same", [True, False])
