@@ -207,13 +207,13 @@ SCRIPTS = {
     ),
     "sticking-share": ScriptCheck(
         (script("judge_sticking.py", "--seeds", "60000-60999", "--minutes", 1, "--rows", "rows", "--out", "tables"),),
-        15.0,
+        4.0,
         Check(("motion",), (Figure("network_in_time", count="slips"), Figure("rigid_in_time", count="slips"))),
     ),
     "slip-detectors-timing": ScriptCheck(
         (script("judge_slip.py", "judge", "--seed", 52000, "--minutes", 0.3, "--trials", 30, "--model",
                 f"ours 10 ms={SHIPPED}", "--rows", "rows", "--out", "tables"),),
-        15.0,
+        4.0,
         Check(("score",), tuple(Figure(name, count="slips") for name in ("correct", "early", "late"))),
     ),
 }  # fmt: skip
