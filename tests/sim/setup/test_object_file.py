@@ -222,6 +222,7 @@ def test_a_touch_sensor_takes_the_file(tmp_path: Path) -> None:
     assert np.array_equal(touched_px[0], touched_px[1]) and np.array_equal(touched_px[0], touched_px[2])
 
 
+@pytest.mark.slow
 def test_the_environment_takes_it(tmp_path: Path) -> None:
     """Assert that Lift-v0 draws among numbers and files, and that one is chosen by its name."""
     pytest.importorskip("gymnasium")
