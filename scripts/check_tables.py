@@ -76,7 +76,7 @@ class Plan:
     hours: float  # estimated, on two cores
 
 
-def stored_of(name: str, evaluations: dict[str, Command]) -> dict[str, Command]:
+def made_from(name: str, evaluations: dict[str, Command]) -> dict[str, Command]:
     """Return the evaluations that the stored table was made from: an experiment may have more, which were not run."""
     path = RESULTS / f"{name}.json"
     commands = json.loads(path.read_text())["commands"] if path.exists() else []
@@ -91,7 +91,7 @@ def planned(name: str) -> Plan:
     experiment, table = experiment_of(name)
     sizes = {**experiment.full, **SIZES.get(experiment.name, {})}
     of_table, check = only_for(experiment, table), CHECKS[name]
-    every, evaluations = list(of_table.steps(sizes)), stored_of(name, of_table.evaluations(sizes))
+    every, evaluations = list(of_table.steps(sizes)), made_from(name, of_table.evaluations(sizes))
     archives, kept, frozen_trainings = {}, [], []
     # archives are named by folders of models; another experiment may have folders of the same names
     is_archived = any(CHECKS[one.name].training for one in experiment.tables if one.name in CHECKS)
@@ -237,7 +237,7 @@ def by_script(name: str, chosen: ScriptCheck, out: Path, run: reproduce.Run = ru
         if code:
             raise Refusal(f"{' '.join(words)} ended with exit code {code}")
     made = json.loads((folder / "tables" / f"{name}.json").read_text())["rows"]
-    about = {"hours": hours([(folder, name)]), "whole": False, "models": []}
+    about = {"hours": hours([(folder, name)]), "whole": chosen.whole, "models": []}
     return compared_with(name, made, [], chosen.check, began) | about
 
 

@@ -195,6 +195,7 @@ class ScriptCheck:
     commands: tuple[Command, ...]
     minutes: float  # of a core, measured
     check: Check
+    whole: bool = False  # whether all trials of the table are repeated
 
 
 SHIPPED = ROOT / "evetac_cli" / "data" / "models" / "slip-10ms.model.h5"
@@ -218,13 +219,14 @@ SCRIPTS = {
     ),
     **{
         name: ScriptCheck((script("touch_contacts.py", "--seeds", "60000-60024", "--out", "tables"),), 2.0,
-                          Check(("what",)))  # whole
+                          Check(("what",)), whole=True)
         for name in ("touch-contacts", "touch-coverage")
     },
     "touch-wrong-injected": ScriptCheck(
-        (script("touch_wrong_dots.py", "--seeds", "60700-60703", "--out", "tables"),),  # whole
+        (script("touch_wrong_dots.py", "--seeds", "60700-60703", "--out", "tables"),),
         2.0,
         Check(("wrong", "off_px"), (Figure("found", count="n"),)),
+        whole=True,
     ),
 }  # fmt: skip
 # Tables that no check repeats, with the reason.

@@ -253,9 +253,9 @@ def test_only_what_a_table_was_made_from_is_made_again(tmp_path: Path, monkeypat
     """Assert that evaluations that the stored table lacks are left out, and that all are there without a table."""
     monkeypatch.setattr(check_tables, "RESULTS", tmp_path)
     evaluations = {"a": evetac("evaluate", "slip", "a"), "b": evetac("evaluate", "slip", "b")}
-    assert check_tables.stored_of("mine", evaluations) == evaluations
+    assert check_tables.made_from("mine", evaluations) == evaluations
     (tmp_path / "mine.json").write_text(json.dumps({"commands": ["evetac evaluate slip b"]}))
-    assert check_tables.stored_of("mine", evaluations) == {"b": evaluations["b"]}
+    assert check_tables.made_from("mine", evaluations) == {"b": evaluations["b"]}
 
 
 def test_frozen_models_take_the_place_of_trainings(made: Made, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
