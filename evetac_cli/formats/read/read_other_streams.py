@@ -30,9 +30,10 @@ from evetac_cli.formats.read.bags.open_bag import open_bag
 from evetac_cli.formats.read.bags.read_bag_stream import (
     COMPRESSED,
     IMAGE,
+    RECEPTION,
     TRIGGERS_OF_DV,
-    read_bag_stream,
     read_triggers,
+    stream_of_topic,
     trigger_topics,
 )
 from evetac_cli.formats.read.bags.read_rosbag import topics_of_events
@@ -50,7 +51,7 @@ CHANNELS = {"L": 1, "RGB": 3, "RGBA": 3}  # channels of an image that are kept
 class Other(NamedTuple):
     """A stream other than events, the name under which its samples are counted, and its unreadable packets.
 
-    note: on the conversion to the clock of the events.
+    note: on its samples and the conversion to the clock of the events.
     """
 
     stream: Stream
@@ -113,16 +114,19 @@ def bag_streams(
         try:
             if name in triggers:
                 what = TRIGGERS if kind in TRIGGERS_OF_DV else EDGES
-                stream = replace(read_triggers(path, name, folder), what=what)
+                stream, notes = replace(_in_order(read_triggers(path, name, folder)), what=what), []
             else:
-                stream, _ = read_bag_stream(path, name, folder)
+                stream, notes = stream_of_topic(bag, name, folder)
         except InputError:
             continue
         taken.append(free_name(name.strip("/"), taken))
-        stream, note = _in_order(replace(stream, name=taken[-1])), ""
+        stream = replace(stream, name=taken[-1])
+        notes = [f"times by {RECEPTION}", *notes] if stream.clock == RECEPTION else notes
+        notes = [f"{stream.name}: {note}" for note in notes]
         if clock is not None:
             stream, note = on_sensor_clock(stream, clock, span_us)
-        yield Other(stream, f"messages on {name} ({kind})", note=note)
+            notes += [note] if note else []
+        yield Other(stream, f"messages on {name} ({kind})", note="; ".join(notes))
 
 
 def _in_order(stream: Stream) -> Stream:

@@ -209,8 +209,9 @@ class TimeOrder:
         events = f"{self._late:,} event{'s' if self._late > 1 else ''} ({100 * self._late / self._total:.2g}%)"
         drop = f"--drop-late leaves out the {events} that are 1 ms or more older than an event before them"
         cut = f"--from-restart N keeps one part ({self._parts()})"
+        keep = "--sort keeps all events and sorts them by time, which is right if all times are on one clock"
         few = self._late <= FEW_LATE * self._total
-        return f"{drop}; {cut}" if few else f"{cut}; {drop}"
+        return f"{keep}; {drop}; {cut}" if few else f"{cut}; {keep}; {drop}"
 
     def _parts(self) -> str:
         """Return the parts between restarts with their sizes, for example `part 0: 3 events, part 1: 1 event`."""

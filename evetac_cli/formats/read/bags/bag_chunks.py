@@ -70,6 +70,8 @@ class Table:
     chunks: list[BagChunk] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     cut_short: bool = False
+    # Connections whose messages may lie in another order than they were received.
+    disordered: set[int] = field(default_factory=set)
 
 
 class ChunkedFile:
@@ -84,6 +86,7 @@ class ChunkedFile:
         self.table = Table()
         self.stated: int | None = None  # number of messages that the file states
         self._run: BagChunk | None = None  # of messages outside of chunks
+        self._latest_ns: dict[int, int] = {}  # reception of the last message of each connection
         self._listed: list[int] | None = None  # positions of chunks in the index of the file
         self._damages: list[tuple[int, int]] = []  # position and number of damaged bytes
         with path.open("rb") as file:
@@ -99,16 +102,19 @@ class ChunkedFile:
             for number, one in sorted(self.table.connections.items())
         ]
 
-    def messages(self, numbers: Collection[int], lost: Counter[str]) -> Iterator[Record]:
-        """Yield all messages of some connections in order of reception; damaged chunks are counted in `lost`.
+    def messages(self, numbers: Collection[int], lost: Counter[str], *, by_reception: bool) -> Iterator[Record]:
+        """Yield all messages of some connections in the file's order; damaged chunks are counted in `lost`.
 
-        Chunks overlap in time. A message waits until no later chunk can contain an earlier one, or too many wait.
+        by_reception: in order of reception instead. Chunks overlap in time. A message waits until no later chunk can
+        contain an earlier one, or too many wait.
         """
         waiting: list[tuple[int, int, int, bytes]] = []
         waiting_bytes = count = 0
-        wanted = (chunk for chunk in self.table.chunks if any((chunk.counts or {}).get(one) for one in numbers))
+        wanted = [chunk for chunk in self.table.chunks if any((chunk.counts or {}).get(one) for one in numbers)]
+        if by_reception:
+            wanted.sort(key=lambda chunk: chunk.start_ns)
         with self.path.open("rb") as file:
-            for chunk in sorted(wanted, key=lambda chunk: chunk.start_ns):
+            for chunk in wanted:
                 while waiting and (waiting[0][0] < chunk.start_ns or waiting_bytes > MOST_HELD_BYTES):
                     time_ns, _, number, message = heapq.heappop(waiting)
                     waiting_bytes -= len(message)
@@ -121,10 +127,14 @@ class ChunkedFile:
                     lost[str(error)] += 1
                     continue
                 for record in records:
-                    if not isinstance(record, Connection) and record[0] in numbers:
-                        message = bytes(record[2])
-                        heapq.heappush(waiting, (record[1], count, record[0], message))
-                        count, waiting_bytes = count + 1, waiting_bytes + len(message)
+                    if isinstance(record, Connection) or record[0] not in numbers:
+                        continue
+                    message = bytes(record[2])
+                    if not by_reception:
+                        yield record[0], record[1], message
+                        continue
+                    heapq.heappush(waiting, (record[1], count, record[0], message))
+                    count, waiting_bytes = count + 1, waiting_bytes + len(message)
         while waiting:
             time_ns, _, number, message = heapq.heappop(waiting)
             yield number, time_ns, message
@@ -146,6 +156,7 @@ class ChunkedFile:
 
     def _take_message(self, at: int, size: int, number: int, time_ns: int) -> None:
         """Add a message outside of chunks: it is joined with the messages right before it, as one chunk."""
+        self._take_times(number, [time_ns])
         run = self._run
         if run is None or run.at + run.size != at or run.size + size > RUN_BYTES:
             self._end_run()
@@ -164,15 +175,24 @@ class ChunkedFile:
         self._end_run()
         self.table.chunks.append(chunk)
 
-    def _take_index(self, number: int, count: int, start_ns: int | None = None) -> None:
-        """Store the number of messages of a connection in the last chunk, and the time of the first."""
+    def _take_index(self, number: int, rows: list[tuple[int, int]]) -> None:
+        """Store the messages of a connection in the last chunk, each with its time of reception and position."""
         if not self.table.chunks:
             return
         chunk = self.table.chunks[-1]
-        if start_ns is not None:
-            start_ns = start_ns if chunk.counts is None else min(start_ns, chunk.start_ns)
+        times = [time_ns for time_ns, _ in sorted(rows, key=lambda row: row[1])]
+        self._take_times(number, times)
+        if times:
+            start_ns = min(times) if chunk.counts is None else min(*times, chunk.start_ns)
             chunk = chunk._replace(start_ns=start_ns)
-        self.table.chunks[-1] = chunk._replace(counts={**(chunk.counts or {}), number: count})
+        self.table.chunks[-1] = chunk._replace(counts={**(chunk.counts or {}), number: len(rows)})
+
+    def _take_times(self, number: int, times_ns: list[int]) -> None:
+        """Note whether the next messages of a connection were received before those that lie before them."""
+        for time_ns in times_ns:
+            if time_ns < self._latest_ns.get(number, time_ns):
+                self.table.disordered.add(number)
+            self._latest_ns[number] = time_ns
 
     def _distrust_last_index(self) -> None:
         """Mark the last chunk before damaged bytes to be counted: some of its indexes may be missing."""
@@ -223,6 +243,7 @@ class ChunkedFile:
             except ValueError as error:
                 broken[str(error)] += 1
                 continue
+            self.table.disordered.update(counts)  # unknown without an index
             whole.append(chunk._replace(counts=dict(counts), start_ns=start_ns or 0))
         self.table.chunks = whole
         return broken

@@ -41,16 +41,21 @@ class Db3File:
             self._read(salvage=False)
         except sqlite3.DatabaseError as error:
             self._read(salvage=True, trouble=str(error))
-        numbers = self._rows["topic"]
         for number, one in self.table.connections.items():
-            count = int(np.count_nonzero(numbers == number))
-            self.table.connections[number] = one._replace(msgcount=count)
+            times = self._rows["time_ns"][self._rows["topic"] == number]
+            self.table.connections[number] = one._replace(msgcount=len(times))
+            if (times[1:] < times[:-1]).any():
+                self.table.disordered.add(number)
         self.connections = [one for _, one in sorted(self.table.connections.items())]
 
-    def messages(self, numbers: Collection[int], lost: Counter[str]) -> Iterator[Record]:
-        """Yield all messages of some connections in order of reception; damaged ones are counted in `lost`."""
+    def messages(self, numbers: Collection[int], lost: Counter[str], *, by_reception: bool) -> Iterator[Record]:
+        """Yield all messages of some connections in the file's order; damaged ones are counted in `lost`.
+
+        by_reception: in order of reception instead.
+        """
         rows = self._rows[np.isin(self._rows["topic"], list(numbers))]
-        rows = rows[np.argsort(rows["time_ns"], kind="stable")]
+        if by_reception:
+            rows = rows[np.argsort(rows["time_ns"], kind="stable")]
         with closing(self._connected(salvage=self.table.cut_short)) as database:
             for first in range(0, len(rows), MESSAGES_AT_ONCE):
                 some = rows[first : first + MESSAGES_AT_ONCE]

@@ -21,7 +21,8 @@ FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX, STATISTICS 
 HEAD = struct.Struct("<BQ")  # type and length
 CHUNK_HEAD = struct.Struct("<QQQII")  # first and last time, unpacked size, checksum, length of the compression's name
 MESSAGE_HEAD = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
-INDEX_HEAD = struct.Struct("<HI")  # channel, size of the rest: 16 bytes per message
+INDEX_HEAD = struct.Struct("<HI")  # channel, size of the rest
+INDEX_ROW = struct.Struct("<QQ")  # of a message: log time, position in the chunk
 SUMMARY_AT = struct.Struct("<Q")  # the first field of the footer
 COUNT = struct.Struct("<Q")  # the first field of the statistics
 FOOTER_BYTES = HEAD.size + 20 + len(MAGIC)
@@ -74,7 +75,8 @@ class McapFile(ChunkedFile):
         try:
             if kind == MESSAGE_INDEX:
                 number, index_bytes = INDEX_HEAD.unpack_from(content)
-                self._take_index(number, index_bytes // 16)
+                rows = content[INDEX_HEAD.size : INDEX_HEAD.size + index_bytes]
+                self._take_index(number, list(INDEX_ROW.iter_unpack(rows)))
             elif kind == STATISTICS:
                 (self.stated,) = COUNT.unpack_from(content)
             elif (connection := self._defined(kind, content)) is not None:

@@ -53,15 +53,29 @@ class Bag:
     def _where(self, file: Path) -> str:
         return str(file) if file == self.path else f"{self.path}: {file.name}"
 
-    def messages(self, connections: Collection[Connection]) -> Iterator[Message]:
-        """Yield all messages of some connections, file after file, in order of reception; InputError if damaged."""
+    def disordered(self, connections: Collection[Connection]) -> bool:
+        """Whether the messages of some connections may lie in another order than they were received."""
+        wanted = {_alike(one) for one in connections}
+        for file in self._files:
+            table, _, _ = bag_files.opened(file, self._where(file))
+            numbers = {one.number for one in table.connections if _alike(one) in wanted and one.msgcount}
+            if len(numbers) > 1 or numbers & table.table.disordered:
+                return True
+        return False
+
+    def messages(self, connections: Collection[Connection], *, by_reception: bool = False) -> Iterator[Message]:
+        """Yield all messages of some connections, file after file, in each file's order; InputError if damaged.
+
+        by_reception: in the order of reception within each file instead. It hangs on the recorder's clock, which may be
+        set back at any time.
+        """
         wanted = {_alike(one): one for one in connections}
         lost: Counter[str] = Counter()
         for file in self._files:
             with bag_in_words(str(self.path), "a message"):
                 table, _, _ = bag_files.opened(file, self._where(file))
                 numbers = {one.number: wanted[_alike(one)] for one in table.connections if _alike(one) in wanted}
-                for number, time_ns, message in table.messages(numbers, lost):
+                for number, time_ns, message in table.messages(numbers, lost, by_reception=by_reception):
                     connection = numbers[number]
                     packed = connection.ros2 and message[: len(bag_files.ZSTD)] == bag_files.ZSTD
                     yield connection, time_ns, unpack_message(bytes(message)) if packed else bytes(message)

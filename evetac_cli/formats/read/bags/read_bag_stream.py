@@ -2,7 +2,11 @@
 
 rosbags decodes the messages with its own definitions, never with those in a bag, which would be turned into code.
 Columns have the names of the fields, such as `pose.position.x`, and the units that the definitions state (REP 103).
-Images and numbers are stored on disk temporarily, so a bag of hours takes no more memory than a short one.
+Parts that have names, such as the joints of a JointState, are told by them and not by their place, which may change.
+
+Samples are sorted by their own stamps, because neither the order of a file nor the recorder's clock is reliable. A
+stamp of 0 among others was never set. Images and numbers are stored on disk temporarily, so a bag of hours takes no
+more memory than a short one.
 
 External triggers that bags store separately from the events are streams too; ROS does not define their types:
 
@@ -29,11 +33,17 @@ from evetac_cli.formats.read.bags.open_bag import Bag, bag_in_words, open_bag
 from evetac_cli.formats.read.bags.read_rosbag import PACKET, TRIGGER, is_of_triggers, layout
 from evetac_cli.formats.read.bags.ros_messages import NS, Fields, event_packet
 from evetac_cli.store.hdf5.disk import joined_on_disk
-from evetac_cli.store.recordings.streams import LARGEST_FRAME_PX, Stream, free_name
+from evetac_cli.store.recordings.streams import BLOCK_VALUES, LARGEST_FRAME_PX, Stream, free_name
 
 MESSAGES_AT_ONCE = 1000  # messages of numbers that become one part of an array
 MOST_NUMBERS = 512  # of a message
-MOST_NAMED = 12  # topics in a message
+MOST_NAMED = 12  # topics or columns in a message
+SIMULATED_START_US = 1_000_000  # a first stamp of 0 is one if the next is at most this
+RECEPTION = "the time at which the recorder received the message"
+LABELS = ("name", "joint_names")  # fields with names for the lists beside them: JointState, MultiDOFJointState
+STEP = "time_from_start"  # a field of the points of a trajectory, whose lists have the names of the joints
+# Fields with the name of a part of a list, by the parts' type.
+LABEL_OF_PART = {"sensor_msgs/msg/ChannelFloat32": "name", "geometry_msgs/msg/TransformStamped": "child_frame_id"}
 MOST_PACKED_PX = 1 << 26  # of a JPEG or PNG: some kB may unpack to four bytes per pixel, in two copies
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 # Encodings of images: the number of channels, and the indices of grey, or of red, green and blue.
@@ -66,20 +76,83 @@ def read_bag_stream(path: Path, topic: str, folder: Path | None) -> tuple[Stream
 
     topic: if empty, the only topic without events. folder: where the samples are stored temporarily.
     """
-    where = f"{path}: {topic}" if topic else str(path)
     bag = open_bag(path)
+    stream, notes = stream_of_topic(bag, topic, folder)
+    return stream, [*notes, *bag.notes]
+
+
+def stream_of_topic(bag: Bag, topic: str, folder: Path | None) -> tuple[Stream, list[str]]:
+    """Return a topic of an open bag as read_bag_stream does, with notes on its samples alone."""
+    where = f"{bag.path}: {topic}" if topic else str(bag.path)
     connections = _of_topic(bag.connections, topic, where)
     topic, kind = connections[0].topic, connections[0].msgtype
-    where = f"{path}: {topic}"
+    where = f"{bag.path}: {topic}"
     decode = _decoder(kind, connections, where)
-    messages = _decoded(bag.messages(connections), decode, where)
+
+    def columns() -> tuple[NDArray[Any], ...]:
+        return joined_on_disk(folder, reader_of.parts(_decoded(bag.messages(connections), decode, where)))
+
     reader_of = _Images(where) if kind in (IMAGE, COMPRESSED) else _Numbers(where)
-    t_us, *values = joined_on_disk(folder, reader_of.parts(messages)) or (np.empty(0, np.int64),)
-    if not len(t_us):
+    stored = columns()
+    if reader_of.incomplete:
+        stored = columns()
+    if not stored:
         raise InputError("the topic has no messages", where=where)
-    clock = "header.stamp" if reader_of.stamped else "the time at which the recorder received the message"
-    stream = Stream("", t_us, what=kind.replace("/msg/", "/"), source=f"{path.name}: {topic}", clock=clock)
-    return reader_of.filled(stream, values), bag.notes
+    times = _Times(*stored[:2])
+    rows = times.rows
+    if len(rows) == len(stored[0]) and (rows[1:] > rows[:-1]).all():
+        t_us, *values = times.t_us, *stored[2:]
+    else:
+        moved = (tuple(np.asarray(one[some]) for one in (times.t_us, *stored[2:])) for some in _parted(rows, stored))
+        t_us, *values = joined_on_disk(folder, moved)
+    source, what = f"{bag.path.name}: {topic}", kind.replace("/msg/", "/")
+    stream = Stream("", t_us, what=what, source=source, clock=times.clock, left_out=len(stored[0]) - len(rows))
+    return reader_of.filled(stream, values), [*times.notes, *reader_of.notes()]
+
+
+def _parted(rows: NDArray[np.int64], stored: tuple[NDArray[Any], ...]) -> Iterator[NDArray[np.int64]]:
+    """Yield rows in parts that fit in memory."""
+    at_once = max(1, BLOCK_VALUES // math.prod(stored[2].shape[1:]))
+    for first in range(0, len(rows), at_once):
+        yield rows[first : first + at_once]
+
+
+class _Times:
+    """The times of samples: their own stamps, or those of reception if no sample has one.
+
+    rows: indexes of the samples that are kept, in order of time.
+    """
+
+    def __init__(self, stamp_us: NDArray[np.int64], received_us: NDArray[np.int64]) -> None:
+        self.notes: list[str] = []
+        known = stamp_us != 0
+        if known.any():
+            self.t_us, self.clock, back = stamp_us, "header.stamp", "came late"
+            # the clock of a simulation starts at 0
+            known[0] |= len(known) > 1 and 0 < stamp_us[1] <= SIMULATED_START_US
+            if not known.all():
+                self.notes.append(f"left out {_samples(np.count_nonzero(~known))} whose stamp is 0, so never set")
+        else:
+            self.t_us, self.clock, back = (
+                received_us,
+                RECEPTION,
+                "were received after the recorder's clock went back",
+            )
+            known[:] = True
+        rows = np.flatnonzero(known)
+        times = self.t_us[rows]
+        late = times < np.maximum.accumulate(times)
+        early = times > np.minimum.accumulate(times[::-1])[::-1]  # fewer if a single stamp is ahead
+        if late.any():
+            most_s = int((np.maximum.accumulate(times) - times).max()) / 1e6
+            count = min(np.count_nonzero(late), np.count_nonzero(early))
+            self.notes.append(f"{_samples(count)} {back}, by up to {most_s:.6g} s: sorted by time")
+            rows = rows[np.argsort(times, kind="stable")]
+        self.rows = rows
+
+
+def _samples(count: Any) -> str:
+    return "1 sample" if count == 1 else f"{count:,} samples"
 
 
 def _of_topic(connections: list[Connection], topic: str, where: str) -> list[Connection]:
@@ -140,21 +213,25 @@ def _decoded(messages: Iterator[Any], decode: Callable[[bytes], Any], where: str
 
 
 class _MessageReader:
-    """Converts messages to parts of arrays; `stamped`: whether times are the messages' own stamps."""
+    """Converts messages to parts of arrays: stamps, times of reception, and values.
+
+    incomplete: whether the messages must be read once more, because a later one had what the first ones have not.
+    """
 
     def __init__(self, where: str) -> None:
         self.where = where
-        self.stamped = False
         self.number = -1  # index of the last message
+        self.incomplete = False
 
-    def time_us(self, received_ns: int, message: Any) -> int:
-        """Return a message's own time stamp if the first message has one, otherwise its time of reception; in us."""
+    def times_us(self, received_ns: int, message: Any) -> tuple[int, int]:
+        """Return the stamp of the next message, 0 without one, and its time of reception; both in us."""
         self.number += 1
         stamp = getattr(getattr(message, "header", None), "stamp", None)
-        stamp_us = 0 if stamp is None else stamp.sec * 10**6 + stamp.nanosec // 1000
-        if self.number == 0:
-            self.stamped = stamp_us != 0
-        return stamp_us if self.stamped else received_ns // 1000
+        return 0 if stamp is None else stamp.sec * 10**6 + stamp.nanosec // 1000, received_ns // 1000
+
+    def notes(self) -> list[str]:
+        """Return notes on values that are missing."""
+        return []
 
     def refuse(self, message: str, expected: str, what: str) -> None:
         """Raise InputError at the current message."""
@@ -167,62 +244,100 @@ class _Numbers(_MessageReader):
 
     def __init__(self, where: str) -> None:
         super().__init__(where)
-        self._names: list[str] = []
-        self._units: list[str] = []
+        self._units: dict[str, str] = {}  # of the columns
+        self._sizes: dict[str, str] = {}  # of lists, which must stay the same
+        self._lacking = 0  # messages
+        self._lacked: dict[str, None] = {}  # columns, in their order
 
     def parts(self, messages: Iterator[tuple[int, Any]]) -> Iterator[tuple[NDArray[Any], ...]]:
-        """Yield times and rows of numbers of the next messages."""
-        times: list[int] = []
+        """Yield times and rows of numbers of the next messages; NaN where a message lacks a column."""
+        self.number, self.incomplete, self._lacking = -1, False, 0
+        times: list[tuple[int, int]] = []
         rows: list[list[float]] = []
         for received_ns, message in messages:
-            times.append(self.time_us(received_ns, message))
-            numbers: dict[str, tuple[float, str]] = {}
-            _numbers(message, "", "", numbers)
-            if not self._names:
-                self._names, self._units = list(numbers), [unit for _, unit in numbers.values()]
-            if list(numbers) != self._names or not numbers or len(numbers) > MOST_NUMBERS:
-                expected = f"1 to {MOST_NUMBERS} numbers, the same in each message: {', '.join(self._names)}"
-                self.refuse("the message's fields do not fit into columns", expected, ", ".join(numbers) or "no number")
-            rows.append([value for value, _ in numbers.values()])
-            infinite = next((name for name, value in zip(numbers, rows[-1], strict=True) if math.isinf(value)), None)
+            times.append(self.times_us(received_ns, message))
+            numbers = _Found()
+            numbers.collect(message, "", "", [])
+            more = numbers.units.keys() - self._units.keys()
+            self._units |= {name: unit for name, unit in numbers.units.items() if name in more}
+            changed = [one for one, size in numbers.sizes.items() if self._sizes.setdefault(one, size) != size]
+            if changed or not self._units or len(self._units) > MOST_NUMBERS:
+                expected = f"1 to {MOST_NUMBERS} numbers, and lists that have the same length in each message"
+                found = f"{changed[0]}: {numbers.sizes[changed[0]]}" if changed else f"{len(self._units)} numbers"
+                self.refuse("the message's fields do not fit into columns", expected, found)
+            infinite = next((name for name, value in numbers.values.items() if math.isinf(value)), None)
             if infinite is not None:
                 self.refuse("a value is infinite", "finite values, or NaN", infinite)
+            self.incomplete |= bool(more) and self.number > 0
+            if self.incomplete:
+                times = []
+                continue
+            if len(numbers.values) < len(self._units):
+                self._lacking += 1
+                self._lacked |= dict.fromkeys(name for name in self._units if name not in numbers.values)
+            rows.append([numbers.values.get(name, math.nan) for name in self._units])
             if len(rows) == MESSAGES_AT_ONCE:
-                yield np.array(times, np.int64), np.array(rows)
+                yield *np.array(times, np.int64).T, np.array(rows)
                 times, rows = [], []
-        if rows:
-            yield np.array(times, np.int64), np.array(rows)
+        if rows and not self.incomplete:
+            yield *np.array(times, np.int64).T, np.array(rows)
+
+    def notes(self) -> list[str]:
+        """Return a note on columns that some messages lack."""
+        if not self._lacking:
+            return []
+        lacked = [name for name in self._units if name in self._lacked]
+        names = ", ".join(lacked[:MOST_NAMED]) + (" ..." if len(lacked) > MOST_NAMED else "")
+        return [f"{self._lacking:,} of {self.number + 1:,} messages lack a part of {names}: NaN there"]
 
     def filled(self, stream: Stream, values: list[NDArray[Any]]) -> Stream:
         """Return the stream with the values that were read."""
         columns: dict[str, NDArray[np.float64]] = {}
         units: dict[str, str] = {}
-        for at, (wanted, unit) in enumerate(zip(self._names, self._units, strict=True)):
+        for at, (wanted, unit) in enumerate(self._units.items()):
             name = free_name(wanted, columns)
             columns[name], units[name] = values[0][:, at], unit
         return replace(stream, columns=columns, units=units)
 
 
-def _numbers(value: Any, name: str, unit: str, numbers: dict[str, tuple[float, str]]) -> None:
-    """Collect the numbers in a field and its subfields, with their units, by path; skip texts and headers."""
-    if len(numbers) > MOST_NUMBERS:
-        return
-    if is_dataclass(value):
-        labels = getattr(value, "name", None)  # names of joints in a JointState
-        units = UNITS.get(getattr(value, "__msgtype__", ""), {})
-        for item in fields(value):
-            inner = getattr(value, item.name)
-            path = f"{name}.{item.name}" if name else item.name
-            if isinstance(inner, np.ndarray) and isinstance(labels, list) and len(labels) == len(inner):
-                for label, one in zip(labels, inner.tolist(), strict=True):
-                    numbers[f"{path}.{label}"] = float(one), ""
-            elif item.name != "header":
-                _numbers(inner, path, units.get(item.name, unit), numbers)
-    elif isinstance(value, (bool, int, float, np.number)):
-        numbers[name] = float(value), unit
-    elif isinstance(value, (list, np.ndarray)):
-        for at, one in enumerate(value[: MOST_NUMBERS + 1]):
-            _numbers(one, f"{name}.{at}", unit, numbers)
+class _Found:
+    """The numbers of one message with their units, by path; and the sizes of the lists that they are in."""
+
+    def __init__(self) -> None:
+        self.values: dict[str, float] = {}
+        self.units: dict[str, str] = {}
+        self.sizes: dict[str, str] = {}
+
+    def collect(self, value: Any, name: str, unit: str, labels: list[str]) -> None:
+        """Take the numbers in a field and its subfields; skip texts and headers.
+
+        labels: names of the parts of lists of this length, such as the joints of a JointState.
+        """
+        if len(self.values) > MOST_NUMBERS:
+            return
+        if is_dataclass(value):
+            units = UNITS.get(getattr(value, "__msgtype__", ""), {})
+            here = next((_unique(getattr(value, one, None)) for one in LABELS if hasattr(value, one)), labels)
+            for item in fields(value):
+                if item.name != "header":
+                    path = f"{name}.{item.name}" if name else item.name
+                    self.collect(getattr(value, item.name), path, units.get(item.name, unit), here)
+        elif isinstance(value, (bool, int, float, np.number)):
+            self.values[name], self.units[name] = float(value), unit
+        elif isinstance(value, (list, np.ndarray)) and len(value) and not isinstance(value[0], str):
+            label = LABEL_OF_PART.get(getattr(value[0], "__msgtype__", ""), "")
+            names = _unique([getattr(one, label) for one in value]) if label else []
+            if not names and len(labels) == len(value) and not hasattr(value[0], STEP):
+                names = labels
+            self.sizes[name] = "named" if names else f"{len(value):,} without names"
+            for label, one in zip(names or map(str, range(MOST_NUMBERS + 1)), value, strict=False):
+                self.collect(one, f"{name}.{label}", unit, labels)
+
+
+def _unique(labels: Any) -> list[str]:
+    """Return the labels if they are different texts, otherwise none."""
+    texts = isinstance(labels, list) and all(isinstance(one, str) and one for one in labels)
+    return labels if texts and len(set(labels)) == len(labels) else []
 
 
 class _Images(_MessageReader):
@@ -232,14 +347,14 @@ class _Images(_MessageReader):
         """Yield time and image of each message."""
         shape: tuple[int, ...] | None = None
         for received_ns, message in messages:
-            t_us = self.time_us(received_ns, message)
+            stamp_us, received_us = self.times_us(received_ns, message)
             image = self._plain(message) if hasattr(message, "step") else self._unpacked(message)
             shape = shape or image.shape
             if image.shape != shape:
                 self.refuse(
                     "the size of the images changes", "{1} x {0}, {2} channels".format(*shape), str(image.shape)
                 )
-            yield np.array([t_us], np.int64), image[None]
+            yield np.array([stamp_us], np.int64), np.array([received_us], np.int64), image[None]
 
     def filled(self, stream: Stream, values: list[NDArray[Any]]) -> Stream:
         """Return the stream with the images that were read."""

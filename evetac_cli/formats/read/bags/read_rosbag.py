@@ -243,7 +243,9 @@ def _contents(
     """
     lost, expected = 0, None
     bag = open_bag(path)
-    for number, (connection, message) in enumerate(_messages(bag, topic)):
+    by_reception, note = _order(bag, topic)
+    foreign.notes += [note] if note else []
+    for number, (connection, message) in enumerate(_messages(bag, topic, by_reception=by_reception)):
         where = f"{path}: message {number} on {topic}"
         if layout(connection) != kind:
             raise InputError("the layout of the messages changes", where=where, found=connection.msgtype)
@@ -282,9 +284,55 @@ def _layout_in_words(where: str) -> Iterator[None]:
         raise InputError("a message is damaged", where=where, found=str(error)) from None
 
 
-def _messages(bag: Bag, topic: str, *, of_type: str = "") -> Iterator[tuple[Connection, bytes]]:
-    """Yield the messages of a topic that have events, or a given type, in order of reception."""
+def _messages(
+    bag: Bag, topic: str, *, of_type: str = "", by_reception: bool = False
+) -> Iterator[tuple[Connection, bytes]]:
+    """Yield the messages of a topic that have events, or a given type."""
     of_topic = (one for one in bag.connections if one.topic == topic)
     connections = [one for one in of_topic if (one.msgtype == of_type if of_type else layout(one))]
-    for connection, _, message in bag.messages(connections):
+    for connection, _, message in bag.messages(connections, by_reception=by_reception):
         yield connection, message
+
+
+def _order(bag: Bag, topic: str) -> tuple[bool, str]:
+    """Return whether messages of events are read in order of reception instead of the file's, and a note.
+
+    The two differ if the recorder's clock was set back, or if the file was written in another order. The events' own
+    times decide: the order in which they go back more rarely is right, the file's if there is no difference.
+    """
+    connections = [one for one in bag.connections if one.topic == topic and layout(one)]
+    if not bag.disordered(connections):
+        return False, ""
+    steps = []
+    for by_reception in (False, True):
+        back, latest, received = 0, (0, 0), [0, 0]  # count, and largest step back of the time of reception
+        latest_ns = 0
+        for connection, time_ns, message in bag.messages(connections, by_reception=by_reception):
+            if time_ns < latest_ns:
+                received = [received[0] + 1, max(received[1], latest_ns - time_ns)]
+            latest_ns = time_ns
+            own = _own_place(connection, message)
+            if own is not None:
+                back, latest = back + (own < latest), own
+        steps.append((back, *received))
+    (of_file, count, most_ns), (of_reception, *_) = steps
+    if of_reception < of_file:
+        return (
+            True,
+            "the messages lie in the file in another order than that of their events: read as they were received",
+        )
+    times = "once" if count == 1 else f"{count:,} times"
+    said = f"the recorder's clock goes back {times}, by up to {most_ns / 1e9:.6g} s: the events' own times are used"
+    return False, said if count else ""
+
+
+def _own_place(connection: Connection, message: bytes) -> tuple[int, int] | None:
+    """Return what orders messages of one publisher: the number of a packet and its time, or the time of an event."""
+    try:
+        content = LAYOUTS[layout(connection)](Fields(message, ros2=connection.ros2))
+    except ValueError:  # refused when it is read
+        return None
+    if isinstance(content, Packet):
+        return content.sequence, 0 if content.encoding in PROPHESEE else content.time_base_ns
+    times = content[1].t
+    return (int(times[0]), 0) if len(times) else None

@@ -22,7 +22,7 @@ MESSAGE, BAG, INDEX, CHUNK, CHUNK_PLACE, CONNECTION = 2, 3, 4, 5, 6, 7
 LENGTH = struct.Struct("<I")
 PLACE = struct.Struct("<Q")
 TIME = struct.Struct("<II")  # s, ns
-INDEX_ROW_BYTES = 12
+INDEX_ROW = struct.Struct("<8sI")  # of a message: time, position in the chunk
 MOST_HEADER_BYTES = 1 << 16
 
 Header = Mapping[bytes, bytes]
@@ -71,8 +71,8 @@ class Rosbag1File(ChunkedFile):
                     connection = _connection(header, content)
                     self.table.connections.setdefault(connection.number, connection)
                 else:
-                    times = [_time_ns(content[row : row + 8]) for row in range(0, len(content), INDEX_ROW_BYTES)]
-                    self._take_index(_number(header, b"conn"), len(times), min(times, default=None))
+                    rows = [(_time_ns(time), at) for time, at in INDEX_ROW.iter_unpack(content)]
+                    self._take_index(_number(header, b"conn"), rows)
             return kind in (MESSAGE, BAG, INDEX, CHUNK, CHUNK_PLACE, CONNECTION)
         except (KeyError, struct.error, ValueError):
             return False
