@@ -248,6 +248,7 @@ def test_single_late_events_can_be_dropped(tmp_path: Path, name: str) -> None:
     words = refusal(path, frame_px=FRAME)
     assert "from 6.445000 s to 5.450000 s" in words
     assert "--drop-late leaves out the 1 event (0.25%)" in words
+    assert "--sort keeps all events" in words
     imported = read_events(path, frame_px=FRAME, order=OrderOptions(drop_late=True))
     assert imported.events.t.tolist() == (np.delete(t, 290) - t[0]).tolist()
     assert imported.counts["late"] == 1

@@ -61,6 +61,7 @@ class TimeOrder:
 
     def __init__(self, options: OrderOptions) -> None:
         self._options = options
+        self._first_us = 0  # of the file
         self._latest_us: int | None = None  # since the last restart
         self._top_us: int | None = None  # of all events
         self._restarts: list[Restart] = []
@@ -92,7 +93,7 @@ class TimeOrder:
         t = part.t
         self._total += part.size
         if self._latest_us is None:
-            self._latest_us = self._top_us = int(t[0])
+            self._first_us = self._latest_us = self._top_us = int(t[0])
         if t[0] >= self._latest_us and (t[1:] >= t[:-1]).all():
             yield from self._piece(part)
             return
@@ -211,7 +212,10 @@ class TimeOrder:
         cut = f"--from-restart N keeps one part ({self._parts()})"
         keep = "--sort keeps all events and sorts them by time, which is right if all times are on one clock"
         few = self._late <= FEW_LATE * self._total
-        return f"{keep}; {drop}; {cut}" if few else f"{cut}; {keep}; {drop}"
+        hints = [drop, cut] if few else [cut, drop]
+        if min(one.after_us for one in self._restarts) > self._first_us:  # otherwise the clock began anew
+            hints.insert(0, keep)
+        return "; ".join(hints)
 
     def _parts(self) -> str:
         """Return the parts between restarts with their sizes, for example `part 0: 3 events, part 1: 1 event`."""

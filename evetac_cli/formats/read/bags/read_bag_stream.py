@@ -127,17 +127,13 @@ class _Times:
         self.notes: list[str] = []
         known = stamp_us != 0
         if known.any():
-            self.t_us, self.clock, back = stamp_us, "header.stamp", "came late"
+            self.t_us, self.clock, what = stamp_us, "header.stamp", "came late"
             # the clock of a simulation starts at 0
             known[0] |= len(known) > 1 and 0 < stamp_us[1] <= SIMULATED_START_US
             if not known.all():
                 self.notes.append(f"left out {_samples(np.count_nonzero(~known))} whose stamp is 0, so never set")
         else:
-            self.t_us, self.clock, back = (
-                received_us,
-                RECEPTION,
-                "were received after the recorder's clock went back",
-            )
+            self.t_us, self.clock, what = received_us, RECEPTION, "came after the recorder's clock went back"
             known[:] = True
         rows = np.flatnonzero(known)
         times = self.t_us[rows]
@@ -146,8 +142,10 @@ class _Times:
         if late.any():
             most_s = int((np.maximum.accumulate(times) - times).max()) / 1e6
             count = min(np.count_nonzero(late), np.count_nonzero(early))
-            self.notes.append(f"{_samples(count)} {back}, by up to {most_s:.6g} s: sorted by time")
+            self.notes.append(f"{_samples(count)} {what}, by up to {most_s:.6g} s: sorted by time")
             rows = rows[np.argsort(times, kind="stable")]
+        elif (received_us[1:] < received_us[:-1]).any():
+            self.notes.append("the recorder's clock goes back: the samples' own stamps are used")
         self.rows = rows
 
 

@@ -89,7 +89,7 @@ Write = Callable[..., Path]
 
 
 def write_bag(folder: Path, bag: str, types: Types, topics: dict[str, Sequence[Any]], **options: Any) -> Path:
-    """Write a bag of a kind: topics, each with its messages, one a second."""
+    """Write a bag of a kind: topics, each with its messages, one a second or received at `times_us`."""
     name = options.get("name", "bag")
     path = folder / (f"{name}.bag" if bag == "ros1" else name)
     if bag == "ros1":
@@ -102,12 +102,14 @@ def write_bag(folder: Path, bag: str, types: Types, topics: dict[str, Sequence[A
         if options.get("compress"):
             mode = rosbag2.CompressionMode[options.get("mode", "MESSAGE")]
             writer.set_compression(mode, rosbag2.CompressionFormat.ZSTD)
+    times_us = options.get("times_us")
     with writer:
         for topic, messages in topics.items():
             kind = messages[0].__msgtype__ if messages else "dvs_msgs/msg/EventArray"
             connection = writer.add_connection(topic, kind, typestore=types.store)
             for number, message in enumerate(messages):
-                writer.write(connection, (START_S + number) * 10**9, types.raw(message))
+                time_us = times_us[number] if times_us is not None else (START_S + number) * 10**6
+                writer.write(connection, time_us * 1000, types.raw(message))
     return path
 
 

@@ -1,0 +1,217 @@
+"""Bags whose messages lie in another order than their own times or those of their reception, and parts told by name."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from evetac_cli.errors import InputError
+from evetac_cli.formats.imports import read_events
+from evetac_cli.formats.read.time_order import OrderOptions
+from evetac_cli.formats.streams import read_stream
+from evetac_cli.store.recordings.streams import Stream
+from tests.formats.read.bags.bag_writing import BAGS, ENCODERS, START_S, Types, Write
+from tests.importing import event_rows, refusal
+
+START_US = START_S * 10**6
+EVERY_US = 10_000
+MESSAGES = 100
+# the recorder's clock is set back by 0.2 s half-way
+STEPPED_US = [START_US + at * EVERY_US + 11_000 - (200_000 if at >= 50 else 0) for at in range(MESSAGES)]
+
+
+def arrays(types: Types, times_us: list[int]) -> list[Any]:
+    """A message of ten events, 1 ms apart, from each of these times on."""
+    return [types.array([(us + k * 1000, at * 3 % 640, k, k % 2) for k in range(10)]) for at, us in enumerate(times_us)]
+
+
+@pytest.mark.parametrize("bag", BAGS)
+def test_events_are_kept_if_the_recorders_clock_goes_back(write: Write, bag: str) -> None:
+    """Assert that all events come in the file's order without an option, and that a note says why."""
+    types = Types(bag)
+    own_us = [START_US + at * EVERY_US for at in range(MESSAGES)]
+    imported = read_events(write(bag, types, {"/e": arrays(types, own_us)}, times_us=STEPPED_US))
+    assert [row[:3] for row in event_rows(imported)] == [
+        (at * EVERY_US + k * 1000, at * 3 % 640, k) for at in range(MESSAGES) for k in range(10)
+    ]
+    assert imported.slices == 1000 and imported.sorted == 0
+    assert imported.notes == ["the recorder's clock goes back once, by up to 0.19 s: the events' own times are used"]
+
+
+@pytest.mark.parametrize("encoding", [*ENCODERS, "evt3"])
+def test_packets_are_kept_if_the_recorders_clock_goes_back(write: Write, encoding: str) -> None:
+    """Assert the same for packets, whose numbers are in the file's order."""
+    from tests.formats.read.bags.test_host_clock import events_of, packets
+
+    types, events = Types("db3"), events_of(1.0, 1000)
+    made = packets(types, events, encoding)
+    straight = read_events(write("db3", types, {"/e": made}, "straight"))
+    stepped = read_events(write("db3", types, {"/e": made}, "stepped", times_us=STEPPED_US))
+    assert event_rows(stepped) == event_rows(straight)
+    assert stepped.size == events.size
+
+
+@pytest.mark.parametrize("bag", BAGS)
+def test_events_of_a_camera_that_was_set_back_are_refused(write: Write, bag: str) -> None:
+    """Assert that own times that go back are refused in either order, and that the advice keeps all events first."""
+    types = Types(bag)
+    own_us = [us - 11_000 for us in STEPPED_US]
+    path = write(bag, types, {"/e": arrays(types, own_us)})
+    words = refusal(path)
+    assert "time goes backwards" in words and "--sort keeps all events" in words and "--drop-late" in words
+    assert read_events(path, order=OrderOptions(sort=True)).size == 10 * MESSAGES
+
+
+def joints(types: Types, us: int, names: list[str], position: list[float], velocity: list[float]) -> Any:
+    parts = (np.array(values, float) for values in (position, velocity, []))
+    return types.make("sensor_msgs/msg/JointState", types.header(us), names, *parts)
+
+
+def stream_of(path: Path) -> tuple[Stream, list[str]]:
+    return read_stream(f"{path}:/topic", "arm")
+
+
+@pytest.mark.parametrize("bag", BAGS)
+def test_joints_are_told_by_name(write: Write, bag: str) -> None:
+    """Assert that joints in another order are in their own columns."""
+    types = Types(bag)
+    made = [
+        joints(
+            types, at * EVERY_US, *((["b", "a"], [100 + at, at]) if at % 2 == 0 else (["a", "b"], [at, 100 + at])), []
+        )
+        for at in range(1, 100)
+    ]
+    stream, notes = stream_of(write(bag, types, {"/topic": made}))
+    assert {name: values.tolist() for name, values in stream.columns.items()} == {
+        "position.a": list(range(1, 100)),
+        "position.b": list(range(101, 200)),
+    }
+    assert notes == []
+
+
+def test_what_a_message_lacks_is_not_a_number(write: Write) -> None:
+    """Assert NaN and a note where messages lack a joint or a velocity, also if only a later message has it."""
+    types = Types("db3")
+    made = [
+        joints(types, 10_000, ["a"], [1], []),
+        joints(types, 20_000, ["b", "a"], [12, 2], [0.5, 0.25]),
+        joints(types, 30_000, ["a", "b"], [3, 13], []),
+    ]
+    stream, notes = stream_of(write("db3", types, {"/topic": made}))
+    wanted = {
+        "position.a": [1, 2, 3],
+        "position.b": [np.nan, 12, 13],
+        "velocity.a": [np.nan, 0.25, np.nan],
+        "velocity.b": [np.nan, 0.5, np.nan],
+    }
+    assert stream.columns.keys() == wanted.keys()
+    for name, values in wanted.items():
+        np.testing.assert_array_equal(stream.columns[name], values)
+    assert notes == ["2 of 3 messages lack a part of position.b, velocity.b, velocity.a: NaN there"]
+
+
+def test_other_parts_are_told_by_name(write: Write) -> None:
+    """Assert the columns of frames of /tf, of joints with poses, of channels of points, and of a trajectory."""
+    types = Types("db3")
+    vector, turned = types.make("geometry_msgs/msg/Vector3", 1.0, 2.0, 3.0), (0.0, 0.0, 0.0, 1.0)
+    at_rest = types.make("geometry_msgs/msg/Transform", vector, types.make("geometry_msgs/msg/Quaternion", *turned))
+    frames = [
+        types.make("geometry_msgs/msg/TransformStamped", types.header(1), one, at_rest) for one in ("hand", "arm")
+    ]
+    none = np.empty(0)
+    point = types.make(
+        "trajectory_msgs/msg/JointTrajectoryPoint",
+        np.array([4.0, 5.0]),
+        none,
+        none,
+        none,
+        types.make("builtin_interfaces/msg/Duration", 1, 0),
+    )
+    points = [types.make("geometry_msgs/msg/Point32", 1.0, 2.0, 3.0)]
+    channels = [types.make("sensor_msgs/msg/ChannelFloat32", one, np.ones(1, np.float32)) for one in ("u", "v")]
+    for name, fields, wanted in (
+        ("tf2_msgs/msg/TFMessage", [frames], "transforms.hand.transform.translation.x"),
+        (
+            "sensor_msgs/msg/MultiDOFJointState",
+            [types.header(1), ["hand"], [at_rest], [], []],
+            "transforms.hand.translation.x",
+        ),
+        ("sensor_msgs/msg/PointCloud", [types.header(1), points, channels], "channels.v.values.0"),
+        (
+            "trajectory_msgs/msg/JointTrajectory",
+            [types.header(1), ["a", "b"], [point, point]],
+            "points.1.positions.b",
+        ),
+    ):
+        path = write("db3", types, {"/topic": [types.make(name, *fields)]}, name.replace("/", "_"))
+        assert wanted in stream_of(path)[0].columns
+
+
+def test_lists_without_names_must_keep_their_length(write: Write) -> None:
+    """Assert that numbers that are told by their place alone do not become columns if their count changes."""
+    types = Types("db3")
+    layout = types.make("std_msgs/msg/MultiArrayLayout", [], 0)
+    made = [types.make("std_msgs/msg/Float64MultiArray", layout, np.zeros(count)) for count in (3, 2)]
+    path = write("db3", types, {"/topic": made})
+    with pytest.raises(InputError, match="do not fit into columns"):
+        stream_of(path)
+
+
+@pytest.mark.parametrize("bag", BAGS)
+@pytest.mark.parametrize("base_us", [0, START_US])
+def test_late_and_unset_stamps_do_not_stop_a_stream(write: Write, bag: str, base_us: int) -> None:
+    """Assert that a late sample is sorted and one without a stamp left out, that both are counted, for numbers."""
+    types = Types(bag)
+    numbers = list(range(1, 21))
+    stamps = [base_us + number * EVERY_US for number in numbers]
+    stamps[9], stamps[14] = 0, base_us + 5 * EVERY_US + 1
+    made = [joints(types, us, ["a"], [number], []) for us, number in zip(stamps, numbers, strict=True)]
+    stream, notes = stream_of(write(bag, types, {"/topic": made}))
+    assert stream.columns["position.a"].tolist() == [1, 2, 3, 4, 5, 15, 6, 7, 8, 9, 11, 12, 13, 14, *range(16, 21)]
+    assert stream.t_us.tolist() == sorted(us for us in stamps if us)
+    assert stream.clock == "header.stamp" and stream.left_out == 1
+    assert notes == [
+        "left out 1 sample whose stamp is 0, so never set",
+        "1 sample came late, by up to 0.089999 s: sorted by time",
+    ]
+
+
+def test_images_are_sorted_too(write: Write, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that images go with their stamps, in parts of less than all."""
+    from evetac_cli.formats.read.bags import read_bag_stream
+
+    monkeypatch.setattr(read_bag_stream, "BLOCK_VALUES", 12)
+    types = Types("db3")
+    made = [
+        types.make("sensor_msgs/msg/Image", types.header(us), 2, 3, "mono8", 0, 3, np.full(6, us // 1000, np.uint8))
+        for us in (1000, 2000, 9000, 0, 3000, 4000)
+    ]
+    stream, notes = stream_of(write("db3", types, {"/topic": made}))
+    assert stream.frames is not None
+    assert stream.frames[:, 1, 2, 0].tolist() == [1, 2, 3, 4, 9] == (stream.t_us // 1000).tolist()
+    assert notes[1] == "1 sample came late, by up to 0.006 s: sorted by time"
+
+
+def test_a_simulation_begins_at_0(write: Write) -> None:
+    """Assert that the first stamp of a simulation's clock is kept."""
+    types = Types("db3")
+    made = [joints(types, us, ["a"], [us], []) for us in (0, 10_000, 20_000)]
+    stream, notes = stream_of(write("db3", types, {"/topic": made}))
+    assert stream.t_us.tolist() == [0, 10_000, 20_000] and notes == []
+
+
+@pytest.mark.parametrize("stamped", [True, False])
+def test_streams_if_the_recorders_clock_goes_back(write: Write, stamped: bool) -> None:
+    """Assert that stamps are used if there are any, and times of reception otherwise, each with a word."""
+    types = Types("db3")
+    own_us = [START_US + at * EVERY_US for at in range(MESSAGES)]
+    made = [joints(types, us if stamped else 0, ["a"], [at], []) for at, us in enumerate(own_us)]
+    stream, notes = stream_of(write("db3", types, {"/topic": made}, times_us=STEPPED_US))
+    if stamped:
+        assert stream.t_us.tolist() == own_us
+        assert notes == ["the recorder's clock goes back: the samples' own stamps are used"]
+    else:
+        assert stream.t_us.tolist() == sorted(STEPPED_US)
+        assert "the recorder received" in stream.clock
+        assert notes == ["19 samples came after the recorder's clock went back, by up to 0.19 s: sorted by time"]
