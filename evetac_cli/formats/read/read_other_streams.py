@@ -111,10 +111,11 @@ def bag_streams(
     clock = host_clock(path, of_events) if topics else None
     taken: list[str] = []
     for name, kind in sorted(topics.items()):
+        notes: list[str] = []
         try:
             if name in triggers:
                 what = TRIGGERS if kind in TRIGGERS_OF_DV else EDGES
-                stream, notes = replace(_in_order(read_triggers(path, name, folder)), what=what), []
+                stream = replace(_in_order(read_triggers(path, name, folder)), what=what)
             else:
                 stream, notes = stream_of_topic(bag, name, folder)
         except InputError:

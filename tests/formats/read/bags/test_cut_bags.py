@@ -12,6 +12,7 @@ import pytest
 
 from evetac_cli.formats.imports import read_events
 from evetac_cli.formats.read.bags import bag_chunks, mcap_records, rosbag1_records
+from evetac_cli.formats.read.bags.open_bag import open_bag
 from evetac_cli.formats.read.bags.read_rosbag import open_rosbag
 from evetac_cli.formats.read.time_order import OrderOptions
 from evetac_cli.formats.streams import read_stream
