@@ -70,7 +70,7 @@ class Table:
     chunks: list[BagChunk] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     cut_short: bool = False
-    # Connections whose messages may lie in another order than they were received.
+    # Connections whose messages may be stored in another order than they were received.
     disordered: set[int] = field(default_factory=set)
 
 
@@ -188,7 +188,7 @@ class ChunkedFile:
         self.table.chunks[-1] = chunk._replace(counts={**(chunk.counts or {}), number: len(rows)})
 
     def _take_times(self, number: int, times_ns: list[int]) -> None:
-        """Note whether the next messages of a connection were received before those that lie before them."""
+        """Note whether the next messages of a connection were received before those stored before them."""
         for time_ns in times_ns:
             if time_ns < self._latest_ns.get(number, time_ns):
                 self.table.disordered.add(number)

@@ -319,7 +319,7 @@ def _order(bag: Bag, topic: str) -> tuple[bool, str]:
     if of_reception < of_file:
         return (
             True,
-            "the messages lie in the file in another order than that of their events: read as they were received",
+            "the messages are stored in another order than that of their events: read as they were received",
         )
     times = "once" if count == 1 else f"{count:,} times"
     said = f"the recorder's clock goes back {times}, by up to {most_ns / 1e9:.6g} s: the events' own times are used"
