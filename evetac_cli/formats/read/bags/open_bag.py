@@ -54,7 +54,7 @@ class Bag:
         return str(file) if file == self.path else f"{self.path}: {file.name}"
 
     def disordered(self, connections: Collection[Connection]) -> bool:
-        """Whether the messages of some connections may lie in another order than they were received."""
+        """Whether the messages of some connections may be stored in another order than they were received."""
         wanted = {_alike(one) for one in connections}
         for file in self._files:
             table, _, _ = bag_files.opened(file, self._where(file))

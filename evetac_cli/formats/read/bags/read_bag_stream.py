@@ -2,7 +2,7 @@
 
 rosbags decodes the messages with its own definitions, never with those in a bag, which would be turned into code.
 Columns have the names of the fields, such as `pose.position.x`, and the units that the definitions state (REP 103).
-Parts that have names, such as the joints of a JointState, are identified by them and not by their place, which may change.
+Parts with names, such as the joints of a JointState, are identified by name, because their place may change.
 
 Samples are sorted by their own stamps, because neither the order of a file nor the recorder's clock is reliable. A
 stamp of 0 among others was never set. Images and numbers are stored on disk temporarily, so a bag of hours takes no
