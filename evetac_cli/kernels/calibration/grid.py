@@ -15,6 +15,7 @@ TURNED = 0.8  # cosine of the largest angle of a step to the right from the x ax
 OBLIQUE = 0.34  # cosine of the angle between rows and columns: at most 20 degrees off a right angle
 LEAST_APART_PX = 1.0  # two dots that are closer are at the same position
 MOST_DOTS = 256  # of a gel: capacity of tracker and features
+MOST_FRAME_PX = 2048  # width or height of a frame with dots: capacity of the tracker
 MAX_NEIGHBOURS = 8
 NEIGHBOUR_PITCHES = 1.7  # between the diagonal (1.41) and the second next dot (2)
 

@@ -2,7 +2,7 @@
 
 A hot pixel in the ring of a dot would pull it for ever; a DVXplorer has hundreds, some above 1000 events/s. So the
 events of every pixel are counted, and a pixel with far more than all of its neighbours is ignored. The counts decay:
-every FADE_SLICES slices the next row is halved, so each count halves every 1.9 s. Edges are not mistaken for hot
+row after row is halved, so that each count halves every 1.9 s, in a frame of any height. Edges are not mistaken for hot
 pixels, even if they vibrate: along an edge, neighbouring pixels have about as many events.
 
 Reason for a separate loop: counting in the loop that assigns events to dots costs more, because its accesses to pixels
@@ -12,12 +12,10 @@ all over the frame would wait for each other. While no pixel is hot, the counts 
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.events import FRAME_PX
 from evetac_cli.kernels.compiled import njit
 
 HOT_RATIO = 4  # a hot pixel has at least this many times the events of each neighbour
-FADE_SLICES = 4  # slices after which the next row is halved
-COUNTS_SHAPE = (FRAME_PX[1] + 2, FRAME_PX[0] + 2)  # of pixel_events: the frame with a border of zeros
+FADE_SLICES = 1920  # slices in which every row is halved once
 HOT = np.uint16(0x8000)  # flag of a hot pixel in its entry pixel_events[y + 1, x + 1]
 _COUNT = np.uint16(0x7FFF)  # ... and the bits of its recent events
 _ONE = np.uint64(1)
@@ -25,8 +23,15 @@ _ROW_BITS = np.uint32(16)  # bit position of the row in an entry of `at_limit`, 
 
 
 @njit(cache=True)
+def counts(state: np.void) -> NDArray[np.uint16]:
+    """Return a state's pixel_events as (height + 2, width + 2), with a border of zeros; state: tracker.STATE."""
+    width, height = state["frame_px"][0] + 2, state["frame_px"][1] + 2
+    return state["pixel_events"][: width * height].reshape((height, width))
+
+
+@njit(cache=True)
 def _fade(pixel_events: NDArray[np.uint16], halved_row: int, limit: int) -> None:
-    """Halve the counts of one row of pixel_events, COUNTS_SHAPE, and find its hot pixels again."""
+    """Halve the counts of one row of pixel_events, and find its hot pixels again."""
     busiest = np.uint16(0)
     row = pixel_events[halved_row]
     for column in range(row.shape[0]):
@@ -50,15 +55,18 @@ def count(
 
     A pixel is checked when its count exceeds the limit, and when its row fades, so nearly every event costs one access.
     All events are counted before any pixel is checked, so that the order of events within the slice does not matter.
-    slices: number of slices before, from 0.
+    pixel_events: (height + 2, width + 2), the frame with a border of zeros. slices: number of slices before, from 0.
     """
-    if slices % FADE_SLICES == 0:
-        _fade(pixel_events, 1 + slices // FADE_SLICES % FRAME_PX[1], limit)
+    height, width = pixel_events.shape[0] - 2, pixel_events.shape[1] - 2
+    turn = slices % FADE_SLICES
+    # Rows r with turn <= r * FADE_SLICES / height < turn + 1.
+    for row_y in range(-(-turn * height // FADE_SLICES), -(-(turn + 1) * height // FADE_SLICES)):
+        _fade(pixel_events, 1 + row_y, limit)
     seen = np.uint16(0)
     judged = np.uint64(0)
     at_limit = np.empty(x.shape[0], np.uint32)
     for k in range(x.shape[0]):
-        if x[k] < FRAME_PX[0] and y[k] < FRAME_PX[1]:
+        if x[k] < width and y[k] < height:
             row = np.uint64(y[k]) + _ONE
             column = np.uint64(x[k]) + _ONE
             before = pixel_events[row, column]

@@ -25,7 +25,6 @@ from math import sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.events import FRAME_PX
 from evetac_cli.kernels.calibration.grid import MAX_NEIGHBOURS
 from evetac_cli.kernels.compiled import njit
 
@@ -233,8 +232,8 @@ def _put_back(
             continue
         displacement_x, displacement_y, count = _mean_displacement(i, centre_xy_px, rest_xy_px, neighbours, lost)
         if count > 0 and displacement_x * displacement_x + displacement_y * displacement_y < AT_REST_PX * AT_REST_PX:
-            centre_xy_px[i, 0] = min(max(rest_xy_px[i, 0] + displacement_x, 0.0), FRAME_PX[0] - 1.0)
-            centre_xy_px[i, 1] = min(max(rest_xy_px[i, 1] + displacement_y, 0.0), FRAME_PX[1] - 1.0)
+            centre_xy_px[i, 0] = min(max(rest_xy_px[i, 0] + displacement_x, 0.0), state["frame_px"][0] - 1.0)
+            centre_xy_px[i, 1] = min(max(rest_xy_px[i, 1] + displacement_y, 0.0), state["frame_px"][1] - 1.0)
             start_anew(state, i)
 
 

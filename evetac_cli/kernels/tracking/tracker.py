@@ -16,6 +16,7 @@ Reasons:
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import fields
 from math import inf, sqrt
 from typing import Any, NamedTuple
@@ -44,6 +45,7 @@ STATE = np.dtype(
     [
         ("dots", np.int64),  # n
         ("slices", np.int64),  # number so far
+        ("frame_px", np.int64, 2),  # width, height
         ("slices_at_rest", np.int64),  # consecutive, until now; see lost_dots.py
         *((item.name, np.int64) for item in fields(TrackerConstants) if item.type is int),
         *((item.name, np.float64) for item in fields(TrackerConstants) if item.type is float),
@@ -62,10 +64,10 @@ STATE = np.dtype(
         ("neighbours", np.int32, (CAPACITY, grid.MAX_NEIGHBOURS)),  # indices first, then -1
         ("neighbour_count", np.int32, CAPACITY),  # number of those indices
         ("events", np.int32, CAPACITY + 1),  # see events_per_dot; row n is the dummy dot
-        ("first_dot", np.uint32, buckets.BUCKETS + 1),  # the dot near a bucket, if only one is
-        ("bucket_start", np.uint32, buckets.BUCKETS + 1),  # index in bucket_dots at which each bucket's dots begin
+        ("first_dot", np.uint32, buckets.MOST_BUCKETS + 1),  # the dot near a bucket, if only one is
+        ("bucket_start", np.uint32, buckets.MOST_BUCKETS + 1),  # index in bucket_dots at which each bucket's dots begin
         ("bucket_dots", np.uint32, buckets.most_entries(CAPACITY, MAX_REACH_PX)),
-        ("pixel_events", np.uint16, hot_pixels.COUNTS_SHAPE),  # recent events of every pixel, see hot_pixels.py
+        ("pixel_events", np.uint16, (grid.MOST_FRAME_PX + 2) ** 2),  # recent events of every pixel, see hot_pixels.py
         ("lost", np.uint8, CAPACITY),  # 1: not to be trusted, see lost_dots.py
         ("left_behind", np.uint8, CAPACITY),  # 1: lost for a reason other than its distance
         ("too_far", np.uint8, CAPACITY),  # 1: in this slice both rims show more motion than may be followed
@@ -109,16 +111,20 @@ class TrackerState:
 
 
 def start(
-    dot_xy_px: NDArray[np.float64], constants: TrackerConstants, neighbours: NDArray[np.int32] | None = None
+    dot_xy_px: NDArray[np.float64],
+    constants: TrackerConstants,
+    neighbours: NDArray[np.int32] | None = None,
+    *,
+    frame_px: Sequence[int] = FRAME_PX,
 ) -> TrackerState:
     """Start tracking dots from their centres at rest.
 
     dot_xy_px: (n, 2) in any order, n up to CAPACITY, inside the frame and all different. A row of NaN is a missing dot,
     which never moves, has no events and is not a neighbour of any dot. neighbours: (n, 8) indices filled up with -1; by
-    default from `grid.neighbours`. ValueError if the dots or the neighbours are not valid, or if the constants
+    default from `grid.neighbours`. frame_px: width and height. ValueError if the dots or the neighbours are not valid, or if the constants
     overshoot or stall on these dots (`require_followable`).
     """
-    rest = _checked_dots(dot_xy_px)
+    rest = _checked_dots(dot_xy_px, frame_px)
     n = len(rest)
     pairs = grid.neighbours(rest) if neighbours is None else _checked_neighbours(neighbours, rest)
     rest_distance_px2 = np.where(pairs >= 0, np.sum((rest[:, None] - rest[pairs]) ** 2, axis=2), 0.0)
@@ -128,6 +134,7 @@ def start(
     for item in fields(TrackerConstants):
         record[item.name] = getattr(constants, item.name)
     record["dots"] = n
+    record["frame_px"] = frame_px
     record["centre_xy_px"][:n] = rest
     record["centre_xy_px"][n] = buckets.DUMMY_DOT_XY_PX
     record["rest_xy_px"][:n] = rest
@@ -221,7 +228,7 @@ def place(state: TrackerState, dot_xy_px: NDArray[np.float64], share: float = 1.
     seen = ~np.isnan(dot_xy_px).any(axis=1)
     if not np.isfinite(dot_xy_px[seen]).all() or np.isnan(state.rest_xy_px[seen]).any():
         raise ValueError("dot_xy_px: expected finite positions, and NaN for missing dots")
-    most_px = np.array(FRAME_PX) - 1.0
+    most_px = state.record["frame_px"][0] - 1.0
     moved = state.dot_xy_px[seen] + share * (dot_xy_px[seen] - state.dot_xy_px[seen])
     state.dot_xy_px[seen] = np.clip(moved, 0.0, most_px)
     _start_anew(state.record, seen)
@@ -299,11 +306,9 @@ def take_slice(record: NDArray[np.void], x: NDArray[np.uint16], y: NDArray[np.ui
     events, ring_events = state["events"][: dots + 1], np.empty(dots + 1, np.int32)
     any_hot = False
     if state["hot_pixel_events"] > 0:
-        any_hot = hot_pixels.count(x, y, state["pixel_events"][:], state["slices"], state["hot_pixel_events"])
+        any_hot = hot_pixels.count(x, y, hot_pixels.counts(state), state["slices"], state["hot_pixel_events"])
     if buckets.left_margin(centre_xy_px, listed_xy_px):
-        first_dot, bucket_start, bucket_dots = state["first_dot"][:], state["bucket_start"][:], state["bucket_dots"][:]
-        reach_px = max(state["ring_outer_px"], state["count_radius_px"])
-        buckets.fill(centre_xy_px, reach_px, listed_xy_px, first_dot, bucket_start, bucket_dots)
+        buckets.fill(state)
     shift_px = np.empty((dots, 2))
     if state["fit"]:
         sums = np.zeros((dots + 1, fit.SUMS), np.int64)
@@ -321,10 +326,11 @@ def take_slice(record: NDArray[np.void], x: NDArray[np.uint16], y: NDArray[np.ui
             buckets.split_counts(sums[:, descent.COUNTS].copy(), np.empty(dots + 1, np.int32), ring_events)
         moved = due and descent.gradient_step(state, sums, ring_events, shift_px)
     if moved:
+        most_x, most_y = state["frame_px"][0] - 1.0, state["frame_px"][1] - 1.0
         for i in range(dots):
             if ring_events[i] > state["min_events"]:
-                centre_xy_px[i, 0] = min(max(centre_xy_px[i, 0] + shift_px[i, 0], 0.0), FRAME_PX[0] - 1.0)
-                centre_xy_px[i, 1] = min(max(centre_xy_px[i, 1] + shift_px[i, 1], 0.0), FRAME_PX[1] - 1.0)
+                centre_xy_px[i, 0] = min(max(centre_xy_px[i, 0] + shift_px[i, 0], 0.0), most_x)
+                centre_xy_px[i, 1] = min(max(centre_xy_px[i, 1] + shift_px[i, 1], 0.0), most_y)
     lost_dots.update(state, moved, ring_events, shift_px)
     state["slices"] += 1
 
@@ -370,7 +376,7 @@ def turn_px(record: NDArray[np.void]) -> float:
     return moment / math.sqrt(present * square) if square > 0.0 else 0.0
 
 
-def _checked_dots(dot_xy_px: NDArray[np.float64]) -> NDArray[np.float64]:
+def _checked_dots(dot_xy_px: NDArray[np.float64], frame_px: Sequence[int]) -> NDArray[np.float64]:
     dots = np.array(dot_xy_px, dtype=np.float64, order="C")
     if dots.ndim != 2 or dots.shape[1] != 2:
         raise ValueError(f"dot_xy_px: expected shape (n, 2), found {dots.shape}")
@@ -382,8 +388,12 @@ def _checked_dots(dot_xy_px: NDArray[np.float64]) -> NDArray[np.float64]:
     present = dots[~missing[:, 0]]
     if len(present) == 0:
         raise ValueError(f"dot_xy_px: expected at least one dot, found {len(dots)} rows, all missing")
-    if not ((present >= 0) & (present <= np.array(FRAME_PX) - 1)).all():
-        raise ValueError(f"dot_xy_px: expected centres inside the frame {FRAME_PX}, found {present.tolist()}")
+    width, height = frame_px
+    if not 0 < min(width, height) <= max(width, height) <= grid.MOST_FRAME_PX:
+        most = grid.MOST_FRAME_PX
+        raise ValueError(f"frame_px: expected a width and height from 1 to {most} px, found {width} x {height}")
+    if not ((present >= 0) & (present <= np.array(frame_px) - 1)).all():
+        raise ValueError(f"dot_xy_px: expected centres inside {width} x {height} px, found {present.tolist()}")
     if len(np.unique(present, axis=0)) != len(present):
         raise ValueError("dot_xy_px: expected all dots at different positions, found two at the same position")
     return dots
