@@ -143,6 +143,7 @@ class Gel(NamedTuple):
     - dot_radius_px: radius of the printed dots.
     - window_px: x0, y0, x1, y1 of a cut gel's window; None for a closed gel.
     - sensitivity: contrast, threshold and stiffness from `evetac identify`, which slip detectors use.
+    - frame_px: width and height of the camera's frame.
 
     >>> with evetac.open_recording("a.recording.h5") as recording:
     ...     gel = evetac.Gel(recording.dot_xy_px, recording.dot_radius_px, recording.window_px)
@@ -154,6 +155,7 @@ class Gel(NamedTuple):
     dot_radius_px: float | None
     window_px: tuple[int, int, int, int] | None = None
     sensitivity: Sensitivity = UNKNOWN
+    frame_px: tuple[int, int] = FRAME_PX
 
 
 class _HasGel(Protocol):
@@ -167,6 +169,8 @@ class _HasGel(Protocol):
     def window_px(self) -> tuple[int, int, int, int] | None: ...
     @property
     def sensitivity(self) -> Sensitivity: ...
+    @property
+    def frame_px(self) -> tuple[int, int]: ...
 
 
 class DotTracker:
@@ -186,7 +190,7 @@ class DotTracker:
 
     def __init__(self, gel: _HasGel, preset: str = "stable") -> None:
         dot_xy_px, constants = _known_dots(gel, preset)
-        self._state = tracker.start(dot_xy_px.reshape(-1, 2), constants)
+        self._state = tracker.start(dot_xy_px.reshape(-1, 2), constants, frame_px=gel.frame_px)
 
     def step(self, events: Events) -> NDArray[np.float64]:
         """Process one slice and return the dot centres, (n, 2) in px, as a view that the next step overwrites."""
@@ -229,7 +233,9 @@ class SlipDetector:
             if why := why_useless(file):
                 warnings.warn(f"{file.path} is not a slip detector: {why}", stacklevel=2)
             try:
-                self._detector = OnlineSlipDetector.start(file, dot_xy_px, gel.window_px, constants, gel.sensitivity)
+                self._detector = OnlineSlipDetector.start(
+                    file, dot_xy_px, gel.window_px, constants, gel.sensitivity, frame_px=gel.frame_px
+                )
             except InputError as error:
                 error.hint = no_rows or error.hint
                 raise
@@ -302,13 +308,12 @@ class TouchMap:
         modulus = gel.sensitivity.shear_modulus_pa if shear_modulus_pa is None else shear_modulus_pa
         if stiffness_error is None:
             stiffness_error = SHEAR_LOG_SD if modulus is None else 0.0
-        frame_px = getattr(gel, "frame_px", FRAME_PX)
-        self._scale, self._middle_px = mm_per_px, np.array(frame_px) / 2
+        self._scale, self._middle_px = mm_per_px, np.array(gel.frame_px) / 2
         self.rest_xy_px = dot_xy_px.reshape(-1, 2)  # the dots at rest, (n, 2)
         rest_mm = (self.rest_xy_px - self._middle_px) * mm_per_px
         noise = DotNoise(TRACKER_PX * mm_per_px, DRIFT_PX * mm_per_px)
         shape = GelShape(height_mm, print_depth_mm, lens_mm, edges_mm)
-        shape = at_window(shape, gel.window_px, frame_px, mm_per_px, rest_mm)
+        shape = at_window(shape, gel.window_px, gel.frame_px, mm_per_px, rest_mm)
         layer = shape.layer(modulus or SHEAR_MODULUS_PA)
         self._state = touch_map.start(rest_mm, layer, noise, stiffness_error, compares=leave_out_wrong)
         self.x_mm, self.y_mm = self._state.cells  # middles of the columns and rows of cells

@@ -90,7 +90,7 @@ def run(job: Job, params: Track, *, force: bool = False, progress: Progress = si
         rows, columns = calibration.dot_xy_px.shape[:2]
         try:
             fitting = tracker_constants.for_dots(calibration.dot_radius_px)
-            state = tracker.start(calibration.dot_xy_px.reshape(-1, 2), fitting)
+            state = tracker.start(calibration.dot_xy_px.reshape(-1, 2), fitting, frame_px=recording.frame_px)
         except ValueError as error:
             raise InputError(f"the dots cannot be tracked: {error}", where=str(recording.path)) from error
         slices, dots = len(recording), rows * columns

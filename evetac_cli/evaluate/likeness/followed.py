@@ -50,7 +50,7 @@ def _follow(
     recording: Recording, rest: Floats, constants: presets.TrackerConstants, length_ms: int
 ) -> Iterator[NDArray[np.float32]]:
     """Yield the tracker's dot positions after every slice of `length_ms`, in blocks."""
-    state = tracker.start(rest, constants)
+    state = tracker.start(rest, constants, frame_px=recording.frame_px)
     whole = len(recording) // length_ms * length_ms
     yield np.empty((0, len(rest), 2), np.float32)
     for first, stop in row_blocks(whole, BLOCK_MS):

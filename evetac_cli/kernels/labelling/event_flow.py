@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.arrays import Floats
 from evetac_cli.checks import check_range
-from evetac_cli.events import FRAME_PX, Events
+from evetac_cli.events import Events
 from evetac_cli.kernels.labelling import slide, window_travel
 from evetac_cli.kernels.labelling.flow import Between, Labels, Region, apart
 from evetac_cli.kernels.labelling.slide import Evidence, LastingSlip, Odds
@@ -123,22 +123,16 @@ def follow(
 ) -> Iterator[tuple[int, Events, Floats]]:
     """Track the dots: yield blocks of first slice, events, and distances of the dots from rest (slices + 1, dots).
 
-    The distances are those at the start of every slice, and after the last. ValueError for a frame that is too large
-    for the tracker.
+    The distances are those at the start of every slice, and after the last.
     """
-    upright = frame_px[0] <= FRAME_PX[0] and frame_px[1] <= FRAME_PX[1]
-    if not upright and not (frame_px[1] <= FRAME_PX[0] and frame_px[0] <= FRAME_PX[1]):
-        raise ValueError("dots: expected a frame of at most {} x {} px, found {} x {}".format(*FRAME_PX, *frame_px))
-    rest_xy_px = dots if upright else np.ascontiguousarray(dots[:, ::-1])
-    state = tracker.start(rest_xy_px, PRESETS[PRESET].for_dots(radius_px))
+    state = tracker.start(dots, PRESETS[PRESET].for_dots(radius_px), frame_px=frame_px)
     before = np.zeros((1, len(dots)))
     for first in range(0, slices, BLOCK_SLICES):
         stop = min(first + BLOCK_SLICES, slices)
         events = between(first, stop)
         starts = np.searchsorted(events.t, np.arange(first, stop + 1) * 1000)
-        x, y = (events.x, events.y) if upright else (events.y, events.x)
-        tracks = tracker.fold(state, x, y, events.p, starts)
-        away_px = np.concatenate([before, np.hypot(*np.moveaxis(tracks.dot_xy_px - rest_xy_px, 2, 0))])
+        tracks = tracker.fold(state, events.x, events.y, events.p, starts)
+        away_px = np.concatenate([before, np.hypot(*np.moveaxis(tracks.dot_xy_px - dots, 2, 0))])
         before = away_px[-1:]
         yield first, events, away_px
 

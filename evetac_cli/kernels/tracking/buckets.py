@@ -29,7 +29,9 @@ UNITS = 2.0**36  # the integer that represents 1 in a sum
 DUMMY_DOT_XY_PX = (-1000.0, -1000.0)  # farther from every pixel than the reach of any dot
 _BITS = 4  # log2 of the bucket size
 SIZE_PX = 1 << _BITS
-MOST_BUCKETS = (MOST_FRAME_PX >> _BITS) ** 2  # of the largest frame
+COLUMNS = MOST_FRAME_PX >> _BITS  # in every frame, because multiplying by a variable takes longer
+BUCKETS = COLUMNS**2
+OUTSIDE = np.uint16(BUCKETS)  # bucket of events outside the frame
 
 RING_EVENT = np.int64(1) << np.int64(32)  # in a count: one event in the ring
 _EVENTS = RING_EVENT - np.int64(1)
@@ -39,13 +41,7 @@ _ONE = np.uint64(1)
 def most_entries(dots: int, reach_px: float) -> int:
     """Return the largest number of entries that the lists of this many dots can have."""
     across = int(2 * (reach_px + MARGIN_PX)) // SIZE_PX + 2
-    return dots * min(MOST_BUCKETS, across**2)
-
-
-@njit(cache=True)
-def layout(state: np.void) -> tuple[int, int]:
-    """Return the number of columns and rows of buckets that cover the frame; state: tracker.STATE."""
-    return (state["frame_px"][0] + SIZE_PX - 1) >> _BITS, (state["frame_px"][1] + SIZE_PX - 1) >> _BITS
+    return dots * min(BUCKETS, across**2)
 
 
 @njit(cache=True)
@@ -68,12 +64,12 @@ def left_margin(centre_xy_px: NDArray[np.float64], listed_xy_px: NDArray[np.floa
 
 
 @njit(cache=True)
-def _within(x_px: float, y_px: float, reach_px: float, columns: int, rows: int) -> tuple[int, int, int, int]:
+def _within(x_px: float, y_px: float, reach_px: float, rows: int) -> tuple[int, int, int, int]:
     """Return the first and one past the last bucket row, then column, of a square of half width reach_px."""
     first_row = max(0, int(y_px - reach_px) >> _BITS)
     first_column = max(0, int(x_px - reach_px) >> _BITS)
     last_row = min(rows - 1, int(y_px + reach_px) >> _BITS)
-    last_column = min(columns - 1, int(x_px + reach_px) >> _BITS)
+    last_column = min(COLUMNS - 1, int(x_px + reach_px) >> _BITS)
     return first_row, last_row + 1, first_column, last_column + 1
 
 
@@ -82,26 +78,24 @@ def fill(state: np.void) -> None:
     """List the dots within reach plus the margin of bucket b in bucket_dots[bucket_start[b]:bucket_start[b + 1]].
 
     listed_xy_px is set to their present positions. first_dot[b] is the only dot, n (the dummy dot) for none, n + 1 for
-    several. The bucket after the last is that of events outside the frame. A missing dot (NaN) is on no list. state:
-    tracker.STATE.
+    several. A missing dot (NaN) is on no list. state: tracker.STATE.
     """
     dots = state["dots"]
-    columns, rows = layout(state)
-    buckets = columns * rows
     centre_xy_px, listed_xy_px = state["centre_xy_px"][:dots], state["listed_xy_px"][:dots]
-    first_dot, bucket_start = state["first_dot"][: buckets + 1], state["bucket_start"][: buckets + 1]
-    bucket_dots = state["bucket_dots"][:]
+    first_dot, bucket_start, bucket_dots = state["first_dot"][:], state["bucket_start"][:], state["bucket_dots"][:]
+    rows = (state["frame_px"][1] + SIZE_PX - 1) >> _BITS
+    buckets = COLUMNS * rows  # those below the frame are never read
     reach_px = max(state["ring_outer_px"], state["count_radius_px"]) + MARGIN_PX
-    bucket_start[:] = 0
+    bucket_start[: buckets + 1] = 0
     for i in range(dots):
         if np.isnan(centre_xy_px[i, 0]):
             continue
         listed_xy_px[i, 0] = centre_xy_px[i, 0]
         listed_xy_px[i, 1] = centre_xy_px[i, 1]
-        row, row_stop, column, column_stop = _within(centre_xy_px[i, 0], centre_xy_px[i, 1], reach_px, columns, rows)
+        row, row_stop, column, column_stop = _within(centre_xy_px[i, 0], centre_xy_px[i, 1], reach_px, rows)
         for r in range(row, row_stop):
             for c in range(column, column_stop):
-                bucket_start[r * columns + c] += 1
+                bucket_start[r * COLUMNS + c] += 1
     # Turn the counts into the end of every bucket; filling from the end then leaves its beginning.
     total = 0
     for b in range(buckets):
@@ -111,13 +105,14 @@ def fill(state: np.void) -> None:
     for i in range(dots):
         if np.isnan(centre_xy_px[i, 0]):
             continue
-        row, row_stop, column, column_stop = _within(centre_xy_px[i, 0], centre_xy_px[i, 1], reach_px, columns, rows)
+        row, row_stop, column, column_stop = _within(centre_xy_px[i, 0], centre_xy_px[i, 1], reach_px, rows)
         for r in range(row, row_stop):
             for c in range(column, column_stop):
-                b = r * columns + c
+                b = r * COLUMNS + c
                 bucket_start[b] -= 1
                 bucket_dots[bucket_start[b]] = i
-    first_dot[:] = dots
+    first_dot[:buckets] = dots
+    first_dot[OUTSIDE] = dots
     for b in range(buckets):
         listed = bucket_start[b + 1] - bucket_start[b]
         if listed > 0:
@@ -142,19 +137,17 @@ def nearby_dot(
     """
     centre_xy_px, first_dot = state["centre_xy_px"][: state["dots"] + 1], state["first_dot"][:]
     width, height = np.uint16(state["frame_px"][0]), np.uint16(state["frame_px"][1])
-    bucket_columns, bucket_rows = layout(state)
-    columns, outside = np.uint16(bucket_columns), np.uint16(bucket_columns * bucket_rows)
     for k in range(x.shape[0]):
         inside = (x[k] < width) & (y[k] < height)
-        b = (y[k] >> np.uint16(_BITS)) * columns + (x[k] >> np.uint16(_BITS))
-        bucket[k] = b if inside else outside
+        b = (y[k] >> np.uint16(_BITS)) * np.uint16(COLUMNS) + (x[k] >> np.uint16(_BITS))
+        bucket[k] = b if inside else OUTSIDE
     if any_hot:
         pixel_events = hot_pixels.counts(state)
         for k in range(x.shape[0]):
-            # Outside the frame any pixel can be read: the bucket is `outside` already.
+            # Outside the frame any pixel can be read: the bucket is OUTSIDE already.
             row = np.uint64(min(y[k], np.uint16(height - 1))) + _ONE
             column = np.uint64(min(x[k], np.uint16(width - 1))) + _ONE
-            bucket[k] = outside if pixel_events[row, column] & hot_pixels.HOT else bucket[k]
+            bucket[k] = OUTSIDE if pixel_events[row, column] & hot_pixels.HOT else bucket[k]
     dummy_dot = np.uint32(centre_xy_px.shape[0] - 1)
     several = False
     for k in range(x.shape[0]):

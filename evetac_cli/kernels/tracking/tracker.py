@@ -64,8 +64,8 @@ STATE = np.dtype(
         ("neighbours", np.int32, (CAPACITY, grid.MAX_NEIGHBOURS)),  # indices first, then -1
         ("neighbour_count", np.int32, CAPACITY),  # number of those indices
         ("events", np.int32, CAPACITY + 1),  # see events_per_dot; row n is the dummy dot
-        ("first_dot", np.uint32, buckets.MOST_BUCKETS + 1),  # the dot near a bucket, if only one is
-        ("bucket_start", np.uint32, buckets.MOST_BUCKETS + 1),  # index in bucket_dots at which each bucket's dots begin
+        ("first_dot", np.uint32, buckets.BUCKETS + 1),  # the dot near a bucket, if only one is
+        ("bucket_start", np.uint32, buckets.BUCKETS + 1),  # index in bucket_dots at which each bucket's dots begin
         ("bucket_dots", np.uint32, buckets.most_entries(CAPACITY, MAX_REACH_PX)),
         ("pixel_events", np.uint16, (grid.MOST_FRAME_PX + 2) ** 2),  # recent events of every pixel, see hot_pixels.py
         ("lost", np.uint8, CAPACITY),  # 1: not to be trusted, see lost_dots.py
@@ -121,8 +121,8 @@ def start(
 
     dot_xy_px: (n, 2) in any order, n up to CAPACITY, inside the frame and all different. A row of NaN is a missing dot,
     which never moves, has no events and is not a neighbour of any dot. neighbours: (n, 8) indices filled up with -1; by
-    default from `grid.neighbours`. frame_px: width and height. ValueError if the dots or the neighbours are not valid, or if the constants
-    overshoot or stall on these dots (`require_followable`).
+    default from `grid.neighbours`. frame_px: width and height. ValueError if the dots, the neighbours or the frame are
+    not valid, or if the constants overshoot or stall on these dots (`require_followable`).
     """
     rest = _checked_dots(dot_xy_px, frame_px)
     n = len(rest)

@@ -215,7 +215,8 @@ def _tracked(recording: Recording) -> NDArray[np.float32]:
     """Return the position of every dot at the end of each slice, (slices, dots, 2)."""
     dots, radius_px = recording.dot_xy_px, recording.dot_radius_px
     assert dots is not None and radius_px is not None
-    state = tracker.start(dots.reshape(-1, 2), presets.PRESETS["stable"].for_dots(radius_px))
+    constants = presets.PRESETS["stable"].for_dots(radius_px)
+    state = tracker.start(dots.reshape(-1, 2), constants, frame_px=recording.frame_px)
     slices = min(len(recording), LONGEST_MS)
     place = np.empty((slices, len(dots.reshape(-1, 2)), 2), np.float32)
     for events, at_end in zip(recording, place, strict=False):

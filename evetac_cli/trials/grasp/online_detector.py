@@ -7,7 +7,7 @@ A closed gel has one more column of dots than a cut one, where the window would 
 stabilise each other. A network for a cut gel only gets the dots that a cut gel has.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from evetac_cli import resources
 from evetac_cli.errors import MAKE_MODEL, InputError
-from evetac_cli.events import Events
+from evetac_cli.events import FRAME_PX, Events
 from evetac_cli.kernels.calibration.grid import in_words
 from evetac_cli.kernels.grip.control import SlipSignal
 from evetac_cli.kernels.sensitivity import UNKNOWN, Sensitivity, sensitivity_of
@@ -81,13 +81,15 @@ class OnlineSlipDetector:
         window_px: NDArray[np.int32] | tuple[int, int, int, int] | None,
         constants: presets.TrackerConstants,
         sensor: Sensitivity = UNKNOWN,
+        *,
+        frame_px: Sequence[int] = FRAME_PX,
     ) -> "OnlineSlipDetector":
         """Load a model for a gel whose dots are at rest at (rows, columns, 2); InputError if it is for another grid.
 
-        sensor: the known sensitivity of the sensor.
+        sensor: the known sensitivity of the sensor; frame_px: width and height of its frame.
         """
         dots = dots_for(model, dot_xy_px)
-        tracking = tracker.start(dot_xy_px.reshape(-1, 2), constants)
+        tracking = tracker.start(dot_xy_px.reshape(-1, 2), constants, frame_px=frame_px)
         detector = load_detector(model)
         live = Live(detector, tracking, window_px, sensor, dots)
         tracker.mean_displacement_px(tracking.record)  # compiles or loads it now instead of in the first slice
@@ -170,7 +172,12 @@ def open_detector(
     """
     constants = constants.for_dots(float(sensor["sensor/dot_radius_px"]))
     detector = OnlineSlipDetector.start(
-        model, sensor["sensor/dot_xy_px"], sensor.get("sensor/window_px"), constants, sensitivity_of(sensor)
+        model,
+        sensor["sensor/dot_xy_px"],
+        sensor.get("sensor/window_px"),
+        constants,
+        sensitivity_of(sensor),
+        frame_px=sensor["sensor/frame_px"],
     )
     detector.threshold = controller_threshold(model) if threshold is None else threshold
     if sticking:

@@ -81,7 +81,7 @@ class Follower:
         except InputError as error:
             self.notes = [f"no slip: {str(error).splitlines()[0]}"]
             constants = presets.PRESETS["stable"].for_dots(float(sensor["sensor/dot_radius_px"]))
-            self._tracking = tracker.start(sensor["sensor/dot_xy_px"].reshape(-1, 2), constants)
+            self._tracking = tracker.start(sensor["sensor/dot_xy_px"].reshape(-1, 2), constants, frame_px=self.frame_px)
         try:
             self._touch = LiveTouch(sensor, self._tracking, PERIOD_S)
         except ValueError as error:
