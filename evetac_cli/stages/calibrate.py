@@ -29,7 +29,8 @@ from evetac_cli.store.layout.provenance import Recipe, time_host_versions
 from evetac_cli.store.recordings.read import Recording, open_recording
 
 OUTPUT = "calibration"
-METHOD = 4
+METHOD = 5
+LEFT_OUT = "positions_left_out"
 LEAST_DOTS = 4
 WORST_JITTER_PX = 1.0
 
@@ -92,10 +93,10 @@ def run(job: Job, params: Calibrate, *, force: bool = False, progress: Progress 
         radius = float(np.median(places.radius_px))
         if default is None:
             dots, window = calibrated_gel.arranged(_found(recording, places.centre_xy_px, radius), params)
-            from_default = 0
+            from_default, left_out = 0, _left_out(places.centre_xy_px, dots)
         else:
             dots, from_default = _refined(default.dot_xy_px, places.centre_xy_px, where)
-            window = default.window_px
+            window, left_out = default.window_px, {}
         jitter = gel_at_rest.jitter_px(halves, dots, radius)
         if not jitter <= WORST_JITTER_PX:
             raise InputError(
@@ -105,7 +106,8 @@ def run(job: Job, params: Calibrate, *, force: bool = False, progress: Progress 
                 found=f"{jitter:.2f} px" if np.isfinite(jitter) else "too few strokes to measure it",
                 hint=calibrated_gel.PRESS,
             )
-        figures = {"jitter_px_rms": jitter, "kept_from_default": from_default, **_against_stored(recording, dots)}
+        figures = {"jitter_px_rms": jitter, "kept_from_default": from_default, **left_out}
+        figures |= _against_stored(recording, dots)
         calibration = Calibration(recording.frame_px, dots, radius, window)
         hot = gel_at_rest.hot_pixels(recording)
         if hot is not None:
@@ -117,15 +119,21 @@ def run(job: Job, params: Calibrate, *, force: bool = False, progress: Progress 
 def _import(job: Job, params: Calibrate, force: bool) -> Outcome:
     """Read the official software's pickle, JSON, or a sensor's TOML file, and write a calibration file."""
     (source,) = job.inputs
+    left_out = {}
     if source.suffix == ".json":
-        calibration = calibrated_gel.rearranged(read_calibration(source), params, str(source))
+        given = read_calibration(source)
+        calibration = calibrated_gel.rearranged(given, params, str(source))
+        left_out = _left_out(given.dot_xy_px, calibration.dot_xy_px)
     elif source.suffix == sensor_file.SUFFIX:
         calibration = _of_sensor(source, params)
     else:
         centres, radius = read_pickle(source)
         if (centres < 0).any() or (centres > np.array(FRAME_PX) - 1).any():
             raise InputError(
-                "a dot is outside the frame", where=str(source), expected=f"{FRAME_PX[0]} x {FRAME_PX[1]} px"
+                "a dot is outside the frame of the official software, whose files do not state one",
+                where=str(source),
+                expected=f"{FRAME_PX[0]} x {FRAME_PX[1]} px",
+                hint="write the dots as JSON with frame_px, see docs/recordings.md",
             )
         dots, window = calibrated_gel.arranged(FoundDots(centres, radius, FRAME_PX, str(source)), params)
         if np.isfinite(dots[..., 0]).sum() != len(centres):
@@ -140,8 +148,14 @@ def _import(job: Job, params: Calibrate, force: bool) -> Outcome:
     recipe = Recipe(OUTPUT, METHOD, recipe_of(params) | {"source": source.name}, content=calibration.digest())
     if up_to_date(job.output, recipe, force=force):
         return _outcome(job, recipe, made_now=False)
-    _write(job, calibration, recipe, {})
+    _write(job, calibration, recipe, left_out)
     return _outcome(job, recipe, made_now=True)
+
+
+def _left_out(places: Grid, dots: Grid) -> dict[str, int]:
+    """Return the number of known positions that are not in the grid, as a figure; nothing if all are."""
+    count = int(np.isfinite(places[..., 0]).sum() - np.isfinite(dots[..., 0]).sum())
+    return {LEFT_OUT: count} if count else {}
 
 
 def _of_sensor(source: Path, params: Calibrate) -> Calibration:
@@ -179,7 +193,7 @@ def _write(job: Job, calibration: Calibration, recipe: Recipe, figures: dict[str
 
 def _outcome(job: Job, recipe: Recipe, *, made_now: bool) -> Outcome:
     """Return the outcome for a calibration file, which may have been made now or earlier."""
-    calibration = read_calibration(job.output)
+    calibration, quality = read_calibration(job.output), read_quality(job.output)
     rows, columns = calibration.dot_xy_px.shape[:2]
     missing = int(np.isnan(calibration.dot_xy_px[..., 0]).sum())
     figures = {
@@ -191,10 +205,10 @@ def _outcome(job: Job, recipe: Recipe, *, made_now: bool) -> Outcome:
         "window_px": " ".join(map(str, calibration.window_px or ())) or None,
         "radius_px": calibration.dot_radius_px,
         "hot_pixels": len(calibration.hot_xy_px),
-        "notes": "; ".join(calibrated_gel.notes(calibration)) or None,
+        "notes": "; ".join(calibrated_gel.notes(calibration, int(quality.get(LEFT_OUT, 0)))) or None,
     }
     result = outcome(job, made=made_now, simulated=recipe.simulated, **figures)
-    result.rows[0].update(read_quality(job.output))
+    result.rows[0].update(quality)
     return result
 
 

@@ -107,18 +107,21 @@ def rearranged(calibration: Calibration, params: Calibrate, where: str) -> Calib
     """Return a calibration from a file with its dots arranged by the flags; unchanged without flags."""
     if params.gel is None and params.rows is None and not params.irregular:
         return calibration
-    dots = calibration.dot_xy_px.reshape(-1, 2)
-    places = dots[np.isfinite(dots[:, 0])]
+    dots = calibration.dot_xy_px
+    places = dots[np.isfinite(dots[..., 0])]
     gel = None if calibration.window_px is None else "cut"
     seen = FoundDots(places, calibration.dot_radius_px, calibration.frame_px, where, "", gel, calibration.window_px)
+    if dots.shape[:2] == (params.rows, params.columns):
+        return replace(calibration, window_px=_window(dots, params.gel or gel, seen))
     arranged_dots, window = arranged(seen, params)
     return replace(calibration, dot_xy_px=arranged_dots, window_px=window)
 
 
-def notes(calibration: Calibration) -> list[str]:
-    """Return notes on a grid for the user, in addition to its figures."""
+def notes(calibration: Calibration, left_out: int) -> list[str]:
+    """Return notes on a grid for the user, in addition to its figures. left_out: positions that are not in it."""
     dots = calibration.dot_xy_px
-    lines = [gel_layout.mounting(dots, calibration.frame_px, calibration.window_px)]
+    lines = [f"positions left out, because they are not on the grid: {left_out}"] if left_out else []
+    lines += [gel_layout.mounting(dots, calibration.frame_px, calibration.window_px)]
     if len(dots) == 1:
         lines.append(_as_a_grid(dots[0]))
     else:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from evetac_cli.kernels.tracking.tracker import TrackerState, Tracks
 
 OUTPUT = "tracks"
-METHOD = 5
+METHOD = 6
 COLUMNS = ("dot_xy_px", "events_per_dot", "lost")  # one row per slice
 
 

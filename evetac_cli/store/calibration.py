@@ -136,7 +136,11 @@ def _parsed(text: str, where: str, frame_px: tuple[int, int] | None = None) -> C
         ) from None
     x0, y0, x1, y1 = window or (0, 0, width, height)
     for key, holds, expected in (
-        ("frame_px", 0 < width <= MOST_PX and 0 < height <= MOST_PX, f"width and height from 1 to {MOST_PX}"),
+        (
+            "frame_px",
+            0 < min(width, height) and max(width, height) <= grid.MOST_FRAME_PX,
+            f"width and height from 1 to {grid.MOST_FRAME_PX}, the limit of the tracker",
+        ),
         (
             "radius_px",
             _is_number(radius) and LEAST_RADIUS_PX <= radius <= max(width, height),
@@ -314,7 +318,7 @@ def _dots(values: Any) -> NDArray[np.float64]:
         raise ValueError("dot_xy_px contains something other than numbers")
     dots = np.asarray(values, dtype=np.float64) + 0.0  # a 0 without a sign
     if dots.size > 2 * grid.MOST_DOTS:
-        raise ValueError(f"more than {grid.MOST_DOTS} dots")
+        raise ValueError(f"{dots.size // 2} dots, more than {grid.MOST_DOTS}, the limit of the tracker")
     if (np.isfinite(dots) & (np.abs(dots) > MOST_PX)).any():
         raise ValueError(f"a dot is outside the frame, more than {MOST_PX} px away")
     return dots

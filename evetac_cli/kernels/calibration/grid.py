@@ -9,8 +9,15 @@ Dots in no grid are one row of all of them, (1, n, 2), in any order.
 import numpy as np
 from numpy.typing import NDArray
 
-NEXT_DOOR = 0.3  # in pitches: largest deviation of a step to the next dot from the usual step
-OFF_LATTICE = 0.35  # ... and of a dot from the plane through all dots
+NEXT_DOOR = 0.3  # in pitches: largest deviation of a step to the next dot from the usual step of
+NEARBY = 9  # ... this many positions around it
+OFF_LATTICE = 0.35  # in pitches: largest deviation of a dot from the smooth surface through all dots
+CORE = 2  # the grid grows from the dots within this many rows and columns of one of them
+STARTS = 12  # number of dots it may start from
+MOST_ROUNDS = 100  # one for each row or column that is added, and some that only exchange dots
+# The smooth surface is a cubic polynomial of row and column: exact for a lens with radial distortion of the third order.
+POWERS = [(down, right) for down in range(4) for right in range(4 - down)]
+STIFFNESS = 0.15  # holds its bends to what many dots show, so that few dots continue as a plane
 TURNED = 0.8  # cosine of the largest angle of a step to the right from the x axis
 OBLIQUE = 0.34  # cosine of the angle between rows and columns: at most 20 degrees off a right angle
 LEAST_APART_PX = 1.0  # two dots that are closer are at the same position
@@ -59,10 +66,11 @@ def lattice(places_xy_px: NDArray[np.float64], least: tuple[int, int] = (0, 0)) 
     """Find the grid in positions (n, 2) in any order: (rows, columns, 2) like `arrange`, NaN for a missing dot.
 
     Steps from dot to dot connect the largest piece of a grid that is tilted by up to about 20 degrees; its rows may be
-    farther apart than its columns. A plane through that piece gives the row and column of every position. Positions off
-    the lattice are dropped, and so is a first or last row or column with less than half of its dots, as long as `least`
-    rows and columns remain. ValueError if there are not two rows and two columns at about right angles: staggered rows
-    are not a grid.
+    farther apart than its columns. From the middle of that piece the grid grows over all positions, also where a lens
+    bends it: the next row or column is expected on a smooth surface through the dots so far. Positions off the lattice
+    are dropped, and so is a first or last row or column with less than half of its dots, as long as `least` rows and
+    columns remain. ValueError if there are not two rows and two columns at about right angles: staggered rows are not a
+    grid.
     """
     places = np.asarray(places_xy_px, dtype=np.float64)
     if places.ndim != 2 or places.shape[1] != 2 or not np.isfinite(places).all():
@@ -70,40 +78,22 @@ def lattice(places_xy_px: NDArray[np.float64], least: tuple[int, int] = (0, 0)) 
     too_few = ValueError(f"expected at least two rows and two columns of dots, found none in {len(places)} positions")
     if len(places) < 4:
         raise too_few
-    offset = places[None] - places[:, None]
-    cells: dict[int, tuple[int, int]] = {}
-    oblique = False
-    # The row pitch is equal to the column pitch, or independent of it: the choice that connects more positions wins.
-    for usual_px in (pitch(places), None):
-        right, below = (_next_door(offset, axis, usual_px) for axis in (0, 1))
-        if not right.any() or not below.any():
-            continue
-        steps = [(near, np.median(offset[near], axis=0), cell) for near, cell in ((right, (0, 1)), (below, (1, 0)))]
-        along, down = (step / np.linalg.norm(step) for _, step, _ in steps)
-        if abs(along @ down) > OBLIQUE:
-            oblique = True
-            continue
-        shorter_px = min(float(np.linalg.norm(step)) for _, step, _ in steps)
-        piece = _largest_piece(steps, offset, shorter_px)
-        if len(piece) > len(cells):
-            cells, step_px = piece, shorter_px
-    if not cells:
-        if oblique:
-            raise ValueError("expected columns at about right angles to rows, found staggered rows")
+    right, below = (_next_door(places, axis) for axis in (0, 1))
+    usual_right, usual_below = (_usual_nearby(steps, places) for steps in (right, below))
+    if not (known := np.isfinite(usual_right + usual_below).all(axis=1)).any():
         raise too_few
-    members = np.array(list(cells))
-    index = np.array([cells[member] for member in members])
-    if (np.ptp(index, axis=0) < 1).any():
+    lengths = [np.linalg.norm(usual[known], axis=1) for usual in (usual_right, usual_below)]
+    cosine = np.abs((usual_right[known] * usual_below[known]).sum(axis=1)) / (lengths[0] * lengths[1])
+    if np.median(cosine) > OBLIQUE:
+        raise ValueError("expected columns at about right angles to rows, found staggered rows")
+    cells = _grown(places, _largest_piece(places, (right, below), (usual_right, usual_below)))
+    index = np.array([*cells]).reshape(-1, 2)
+    if not cells or (np.ptp(index, axis=0) < 1).any():
         raise too_few
-    plane = np.linalg.lstsq(np.column_stack([index, np.ones(len(index))]), places[members], rcond=None)[0]
-    exact = (places - plane[2]) @ np.linalg.inv(plane[:2])
-    cell = np.round(exact).astype(np.int64)
-    off = np.linalg.norm((cell - exact) @ plane[:2], axis=1)
-    on_lattice = np.flatnonzero(off < OFF_LATTICE * step_px)
-    cell -= cell[on_lattice].min(axis=0)
-    grid = np.full((*(cell[on_lattice].max(axis=0) + 1), 2), np.nan)
-    for place in on_lattice[np.argsort(-off[on_lattice], kind="stable")]:  # of two in one cell the better one remains
-        grid[tuple(cell[place])] = places[place]
+    first = index.min(axis=0)
+    grid = np.full((*(index.max(axis=0) - first + 1), 2), np.nan)
+    for cell, place in cells.items():
+        grid[tuple(np.array(cell) - first)] = places[place]
     grid = _without_weak_borders(grid, least)
     if min(grid.shape[:2]) < 2:
         raise too_few
@@ -144,42 +134,50 @@ def in_words(rows: int, columns: int) -> str:
     return f"{rows} rows x {columns} columns" if rows > 1 else f"{columns} dots in no grid"
 
 
-def _next_door(offset: NDArray[np.float64], axis: int, step_px: float | None) -> NDArray[np.bool_]:
-    """Return which positions (n, n) are about a step from others along +x or +y, by offsets (n, n, 2) between them.
-
-    step_px: None for the usual distance to the nearest position in that direction.
-    """
+def _next_door(places: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
+    """Return the step (n, 2) from each position to the nearest along +x or +y; NaN unless that one leads back to it."""
+    offset = places[None] - places[:, None]
     distance = np.linalg.norm(offset, axis=2)
-    towards = offset[..., axis] > TURNED * distance
-    if step_px is None:
-        nearest = np.where(towards, distance, np.inf).min(axis=1)
-        if not np.isfinite(nearest).any():
-            return np.asarray(towards, np.bool_)
-        step_px = float(np.median(nearest[np.isfinite(nearest)]))
-    return np.asarray(towards & (np.abs(distance - step_px) < NEXT_DOOR * step_px), np.bool_)
+    ahead = np.where(offset[..., axis] > TURNED * distance, distance, np.inf)
+    nearest, back = ahead.argmin(axis=1), ahead.argmin(axis=0)
+    every = np.arange(len(places))
+    mutual = np.isfinite(ahead[every, nearest]) & (back[nearest] == every)
+    return np.where(mutual[:, None], offset[every, nearest], np.nan)
+
+
+def _usual_nearby(steps: NDArray[np.float64], places: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the median of the steps (n, 2) of the NEARBY positions around each; NaN if they have none."""
+    distance = np.linalg.norm(places[None] - places[:, None], axis=2)
+    around = steps[np.argsort(distance, axis=1, kind="stable")[:, :NEARBY]]
+    usual = np.full_like(steps, np.nan)
+    known = np.isfinite(around[..., 0]).any(axis=1)
+    usual[known] = np.nanmedian(around[known], axis=1)
+    return usual
 
 
 def _largest_piece(
-    steps: list[tuple[NDArray[np.bool_], NDArray[np.float64], tuple[int, int]]],
-    offset: NDArray[np.float64],
-    step_px: float,
-) -> dict[int, tuple[int, int]]:
-    """Return position -> (row, column) for the largest set that single steps to the right or down connect."""
-    links: dict[int, list[tuple[int, int, int]]] = {place: [] for place in range(len(offset))}
-    for near, step, (down, right) in steps:
-        fits = near & (np.linalg.norm(offset - step, axis=2) < NEXT_DOOR * step_px)
-        for first, second in np.argwhere(fits).tolist():
+    places: NDArray[np.float64],
+    steps: tuple[NDArray[np.float64], NDArray[np.float64]],
+    usual: tuple[NDArray[np.float64], NDArray[np.float64]],
+) -> dict[tuple[int, int], int]:
+    """Return (row, column) -> position for the largest set that usual steps to the right and down connect."""
+    links: list[list[tuple[int, int, int]]] = [[] for _ in places]
+    shorter_px = np.fmin(*(np.linalg.norm(each, axis=1) for each in usual))
+    for step, expected, (down, right) in zip(steps, usual, ((0, 1), (1, 0)), strict=True):
+        fits = np.linalg.norm(step - expected, axis=1) < NEXT_DOOR * shorter_px
+        for first in np.flatnonzero(fits).tolist():
+            second = int(np.linalg.norm(places - places[first] - step[first], axis=1).argmin())
             links[first].append((second, down, right))
             links[second].append((first, -down, -right))
     best: dict[int, tuple[int, int]] = {}
     seen: set[int] = set()
-    for place in links:
+    for place in range(len(places)):
         if place in seen:
             continue
         piece = {place: (0, 0)}
         waiting = [place]
         while waiting:
-            here = waiting.pop()
+            here = waiting.pop(0)
             row, column = piece[here]
             for other, down, right in links[here]:
                 if other not in piece:
@@ -187,7 +185,75 @@ def _largest_piece(
                     waiting.append(other)
         seen |= piece.keys()
         best = max(best, piece, key=len)
+    return {cell: place for place, cell in best.items()}
+
+
+def _grown(places: NDArray[np.float64], piece: dict[tuple[int, int], int]) -> dict[tuple[int, int], int]:
+    """Return (row, column) -> position of all positions on the lattice, from a part of a piece of it.
+
+    A piece may contain wrong steps, next to missing dots. So the grid grows from up to STARTS parts of it in turn, the
+    middle one first, until it has all positions; otherwise the largest result counts.
+    """
+    index = np.array([*piece])
+    best: dict[tuple[int, int], int] = {}
+    from_middle = np.abs(index - np.median(index, axis=0)).max(axis=1)
+    for start in index[np.argsort(from_middle, kind="stable")][:: -(-len(index) // STARTS)]:
+        core = {cell: place for cell, place in piece.items() if np.abs(cell - start).max() <= CORE}
+        best = max(best, _grown_from(places, core), key=len)
+        if len(best) == len(places):
+            break
     return best
+
+
+def _grown_from(places: NDArray[np.float64], cells: dict[tuple[int, int], int]) -> dict[tuple[int, int], int]:
+    """Return (row, column) -> position of all positions on a lattice of which some cells are known.
+
+    Each round expects dots in all cells so far and next to them, or, if that finds none, up to two cells away.
+    """
+    for _ in range(MOST_ROUNDS):
+        for away in (1, 2):
+            near = {(row + d, column) for row, column in cells for d in range(-away, away + 1)}
+            near |= {(row, column + d) for row, column in cells for d in range(-away, away + 1)}
+            found = _matched(places, cells, np.array(sorted(near)))
+            if not found.keys() <= cells.keys():
+                break
+        if found == cells or not found:
+            break
+        cells = found
+    return cells
+
+
+def _matched(
+    places: NDArray[np.float64], cells: dict[tuple[int, int], int], wanted: NDArray[np.int64]
+) -> dict[tuple[int, int], int]:
+    """Return the position that fits best in each of the wanted cells (n, 2), by a surface through the known cells."""
+    index = np.array([*cells])
+    middle = index.mean(axis=0)
+    half = np.maximum(np.ptp(index, axis=0).max() / 2, 1)
+    bends = np.diag([STIFFNESS / half * (sum(powers) > 1) for powers in POWERS])
+    terms = np.concatenate([_terms((index - middle) / half), bends])
+    known_px = np.concatenate([places[[*cells.values()]], np.zeros((len(POWERS), 2))])
+    surface = np.linalg.lstsq(terms, known_px, rcond=None)[0]
+    expected = _terms((wanted - middle) / half) @ surface
+    # At a corner that a lens bends, the step to the dot inside counts: the one outwards may be next to nothing.
+    steps = np.array([[(0, -1), (0, 1)], [(-1, 0), (1, 0)]])
+    next_px = np.stack([_terms((wanted + step - middle) / half) @ surface - expected for step in steps.reshape(-1, 2)])
+    pitch_px = np.linalg.norm(next_px, axis=2).reshape(2, 2, -1).max(axis=1).min(axis=0)
+    off = np.linalg.norm(places[None] - expected[:, None], axis=2) / np.maximum(pitch_px, 1e-9)[:, None]
+    found: dict[tuple[int, int], int] = {}
+    used: set[int] = set()
+    pairs = np.argwhere(off < OFF_LATTICE)
+    for number, place in pairs[np.argsort(off[tuple(pairs.T)], kind="stable")].tolist():
+        row, column = wanted[number].tolist()
+        if (row, column) not in found and place not in used:
+            found[row, column] = place
+            used.add(place)
+    return found
+
+
+def _terms(cells: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the terms (n, terms) of a cubic polynomial in row and column."""
+    return np.stack([cells[:, 0] ** down * cells[:, 1] ** right for down, right in POWERS], axis=1)
 
 
 def _without_weak_borders(grid: NDArray[np.float64], least: tuple[int, int]) -> NDArray[np.float64]:

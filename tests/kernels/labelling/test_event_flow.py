@@ -211,8 +211,8 @@ def test_an_object_without_texture_is_refused() -> None:
 
 def test_a_frame_in_which_dots_cannot_be_followed_is_refused() -> None:
     """Assert that a frame larger than the tracker's is an error that says so."""
-    with pytest.raises(ValueError, match="640 x 480 px, found 1280 x 720"):
-        event_flow.label(lambda a, b: empty(), 5, WINDOW, (1280, 720), DOTS, RADIUS_PX, CONSTANTS)
+    with pytest.raises(ValueError, match="from 1 to 2048 px, found 2049 x 720"):
+        event_flow.label(lambda a, b: empty(), 5, WINDOW, (2049, 720), DOTS, RADIUS_PX, CONSTANTS)
 
 
 def test_missing_dots_are_left_out() -> None:

@@ -14,7 +14,7 @@ class Filter:
     """Feeds slices and returns the events that are not left out."""
 
     def __init__(self) -> None:
-        self.pixel_events = np.zeros(hot_pixels.COUNTS_SHAPE, np.uint16)
+        self.pixel_events = np.zeros((FRAME_PX[1] + 2, FRAME_PX[0] + 2), np.uint16)
         self.slices = 0
 
     def step(self, xy: NDArray[np.integer]) -> NDArray[np.integer]:
@@ -56,7 +56,7 @@ def test_a_hot_pixel_counts_again_after_a_while() -> None:
     for _ in range(40):
         hot_filter.step(np.array([[7, 400]]))
     assert len(hot_filter.step(np.array([[7, 400]]))) == 0
-    for _ in range(2 * 480 * hot_pixels.FADE_SLICES):
+    for _ in range(2 * hot_pixels.FADE_SLICES):
         hot_filter.step(np.empty((0, 2)))
     assert hot_filter.pixel_events[401, 8] == 41 // 4
     assert len(hot_filter.step(np.array([[7, 400]]))) == 1

@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 
-from evetac_cli.kernels.tracking import presets, tracker
+from evetac_cli.kernels.tracking import buckets, presets, tracker
 from evetac_cli.kernels.tracking.presets import PRESETS, TrackerConstants
 from evetac_cli.kernels.tracking.tracker import CAPACITY, STATE, TrackerState
 
@@ -677,7 +677,7 @@ def test_the_reach_of_every_dot_at_once_fits() -> None:
     wide = replace(PRESETS["unregularised"], ring_outer_px=presets.MAX_REACH_PX)
     state = tracker.start(middle, wide)
     step(state, *columns([(320, 240)]))
-    listed = int(state.record["bucket_start"][0, -1])
+    listed = int(state.record["bucket_start"][0, buckets.COLUMNS * 480 // buckets.SIZE_PX])
     assert 16 * 16 * 16 * 16 < listed <= STATE["bucket_dots"].shape[0]
 
 
