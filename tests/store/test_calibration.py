@@ -96,7 +96,7 @@ def test_dots_in_no_grid(tmp_path: Path) -> None:
     np.testing.assert_array_equal(
         read(tmp_path, {**GOOD, "radius_px": 0.5, "dot_xy_px": [places.tolist()]}).dot_xy_px, places[None]
     )
-    with pytest.raises(InputError, match="more than 256 dots"):
+    with pytest.raises(InputError, match="more than 256, the limit"):
         read(tmp_path, {**GOOD, "radius_px": 0.5, "dot_xy_px": [[*places.tolist(), [1.0, 1.0]]]})
     with pytest.raises(InputError, match="dots without a grid as one row"):
         read(tmp_path, {**GOOD, "radius_px": 0.5, "dot_xy_px": places.tolist()})

@@ -78,15 +78,27 @@ def lattice(places_xy_px: NDArray[np.float64], least: tuple[int, int] = (0, 0)) 
     too_few = ValueError(f"expected at least two rows and two columns of dots, found none in {len(places)} positions")
     if len(places) < 4:
         raise too_few
-    right, below = (_next_door(places, axis) for axis in (0, 1))
-    usual_right, usual_below = (_usual_nearby(steps, places) for steps in (right, below))
-    if not (known := np.isfinite(usual_right + usual_below).all(axis=1)).any():
-        raise too_few
-    lengths = [np.linalg.norm(usual[known], axis=1) for usual in (usual_right, usual_below)]
-    cosine = np.abs((usual_right[known] * usual_below[known]).sum(axis=1)) / (lengths[0] * lengths[1])
-    if np.median(cosine) > OBLIQUE:
+    cells: dict[tuple[int, int], int] = {}
+    oblique = False
+    # Steps are of any length, or as long as the pitch: the choice that finds more dots wins.
+    for usual_px in (None, pitch(places)):
+        right, below = (_next_door(places, axis, usual_px) for axis in (0, 1))
+        usual_right, usual_below = (_usual_nearby(steps, places) for steps in (right, below))
+        known = np.isfinite(usual_right + usual_below).all(axis=1)
+        if not known.any():
+            continue
+        lengths = [np.linalg.norm(usual[known], axis=1) for usual in (usual_right, usual_below)]
+        cosine = np.abs((usual_right[known] * usual_below[known]).sum(axis=1)) / (lengths[0] * lengths[1])
+        if np.median(cosine) > OBLIQUE:
+            oblique = True
+            continue
+        cells = max(
+            cells, _grown(places, _largest_piece(places, (right, below), (usual_right, usual_below))), key=len
+        )
+        if len(cells) == len(places):
+            break
+    if oblique and not cells:
         raise ValueError("expected columns at about right angles to rows, found staggered rows")
-    cells = _grown(places, _largest_piece(places, (right, below), (usual_right, usual_below)))
     index = np.array([*cells]).reshape(-1, 2)
     if not cells or (np.ptp(index, axis=0) < 1).any():
         raise too_few
@@ -134,11 +146,16 @@ def in_words(rows: int, columns: int) -> str:
     return f"{rows} rows x {columns} columns" if rows > 1 else f"{columns} dots in no grid"
 
 
-def _next_door(places: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
-    """Return the step (n, 2) from each position to the nearest along +x or +y; NaN unless that one leads back to it."""
+def _next_door(places: NDArray[np.float64], axis: int, usual_px: float | None) -> NDArray[np.float64]:
+    """Return the step (n, 2) from each position to the nearest along +x or +y; NaN unless that one leads back to it.
+
+    usual_px: about the length of all steps, None for any.
+    """
     offset = places[None] - places[:, None]
     distance = np.linalg.norm(offset, axis=2)
     ahead = np.where(offset[..., axis] > TURNED * distance, distance, np.inf)
+    if usual_px is not None:
+        ahead[np.abs(distance - usual_px) >= NEXT_DOOR * usual_px] = np.inf
     nearest, back = ahead.argmin(axis=1), ahead.argmin(axis=0)
     every = np.arange(len(places))
     mutual = np.isfinite(ahead[every, nearest]) & (back[nearest] == every)
