@@ -1,4 +1,4 @@
-"""Frames of any size: a moving grid is calibrated, recorded, tracked, labelled, featurized and shown in each of them."""
+"""Frames of any size: a moving grid is calibrated, recorded, tracked, labelled, featurized and shown in each."""
 
 import json
 from pathlib import Path

@@ -138,7 +138,7 @@ def _parsed(text: str, where: str, frame_px: tuple[int, int] | None = None) -> C
     for key, holds, expected in (
         (
             "frame_px",
-            0 < min(width, height) and max(width, height) <= grid.MOST_FRAME_PX,
+            min(width, height) > 0 and max(width, height) <= grid.MOST_FRAME_PX,
             f"width and height from 1 to {grid.MOST_FRAME_PX}, the limit of the tracker",
         ),
         (

@@ -15,7 +15,7 @@ OFF_LATTICE = 0.35  # in pitches: largest deviation of a dot from the smooth sur
 CORE = 2  # the grid grows from the dots within this many rows and columns of one of them
 STARTS = 12  # number of dots it may start from
 MOST_ROUNDS = 100  # one for each row or column that is added, and some that only exchange dots
-# The smooth surface is a cubic polynomial of row and column: exact for a lens with radial distortion of the third order.
+# The smooth surface is a cubic polynomial of row and column: exact for a lens with third-order radial distortion.
 POWERS = [(down, right) for down in range(4) for right in range(4 - down)]
 STIFFNESS = 0.15  # holds its bends to what many dots show, so that few dots continue as a plane
 TURNED = 0.8  # cosine of the largest angle of a step to the right from the x axis
@@ -92,9 +92,7 @@ def lattice(places_xy_px: NDArray[np.float64], least: tuple[int, int] = (0, 0)) 
         if np.median(cosine) > OBLIQUE:
             oblique = True
             continue
-        cells = max(
-            cells, _grown(places, _largest_piece(places, (right, below), (usual_right, usual_below))), key=len
-        )
+        cells = max(cells, _grown(places, _largest_piece(places, (right, below), (usual_right, usual_below))), key=len)
         if len(cells) == len(places):
             break
     if oblique and not cells:

@@ -176,6 +176,21 @@ def test_lattice_with_holes_and_strangers() -> None:
     np.testing.assert_array_equal(result, grid)
 
 
+@pytest.mark.parametrize("bend", [-0.3, 0.1, 0.2, 0.3])
+@pytest.mark.parametrize("shape", [(7, 9), (8, 14), (4, 5)])
+def test_lattice_through_a_lens(shape: tuple[int, int], bend: float) -> None:
+    """Assert that no dot is lost if a lens moves those at the corners by up to 30 % of their distance to the middle."""
+    rng = np.random.default_rng(3)
+    for angle in (0.0, 0.2):
+        flat = tilted(regular(*shape), angle)
+        flat -= flat.mean(axis=(0, 1))
+        off = np.linalg.norm(flat, axis=2, keepdims=True)
+        grid = flat * (1 - bend * (off / off.max()) ** 2) + 600.0
+        grid[1, 2] = grid[2, -1] = np.nan
+        places = grid.reshape(-1, 2)
+        np.testing.assert_array_equal(lattice(rng.permutation(places[np.isfinite(places[:, 0])])), grid)
+
+
 def test_lattice_takes_the_better_of_two() -> None:
     """Assert that of two places for one dot the one that fits the lattice stays."""
     grid = regular(5, 5)
