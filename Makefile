@@ -18,7 +18,7 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 ALL := $(VENV)/.ready-to-develop
 # Extras for the commands of README and the first hour; setup-all installs the others.
-USED := plot
+USED := plot,convert
 EVERY := camera,cluster,convert,log,plot,robot,view,dev,docs
 # Additional pip index or folder, for torch without CUDA: https://download.pytorch.org/whl/cpu
 TORCH_INDEX ?=
