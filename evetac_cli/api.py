@@ -343,8 +343,8 @@ class EventImager:
     - kind: frames, histogram, voxels or surface.
     - frame_px: width and height of the sensor's frame.
     - size_px: width and height of the images; default: those of the frame.
-    - window_ms: length of the time window that an image covers; default: the time between images. In a surface the last
-      event of each pixel counts, however long ago it was.
+    - window_ms: length of the time window that an image covers; default: from the end of the image before. In a
+      surface the last event of each pixel counts, however long ago it was.
     - bins, polarity, decay_ms: as in `Recording.histogram`, `Recording.frames` and `Recording.time_surface`.
     - ValueError: a number is out of range.
 

@@ -48,7 +48,8 @@ class Export:
     )
     window_ms: int | None = parameter(
         None,
-        "Length of the time window that an image covers; default: the time between two images.",
+        "Length of the time window that an image covers; default: from the end of the image before, so that"
+        " each event counts once.",
         unit="ms",
         low=1,
         high=100_000,

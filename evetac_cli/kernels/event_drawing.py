@@ -1,8 +1,9 @@
 """Events as images for networks, at a fixed rate: counts, histograms, voxels and time surfaces, online and offline.
 
-The images are those of tonic (ToFrame, to_voxel_grid, to_timesurface), except that a voxel grid covers a window of
-fixed length instead of the time from its first to its last event. `start` and `step` take one slice after the other,
-and return an image whenever one is due. `fold` takes blocks of slices, and returns identical bits.
+The images are those of tonic (ToFrame, to_voxel_grid, to_timesurface), except that a voxel grid covers a window
+that does not depend on its events, instead of the time from the first to the last of them. `start` and `step` take one
+slice after the other, and return an image whenever one is due. `fold` takes blocks of slices, and returns identical
+bits.
 """
 
 from collections import deque
@@ -56,7 +57,7 @@ def start(of: Representation) -> ImageState:
         np.arange(frame, dtype=np.int64) * size // frame for frame, size in zip(of.frame_px, of.size_px, strict=True)
     )
     last_us = np.full(of.shape if of.kind == "surface" else (0, 0, 0), NEVER, np.int64)
-    window: deque[Events] = deque(maxlen=1 if of.kind == "surface" else of.window_ms)
+    window: deque[Events] = deque(maxlen=1 if of.kind == "surface" else of.longest_ms)
     return ImageState(of, column, row, last_us, window)
 
 
@@ -74,7 +75,8 @@ def step(state: ImageState, events: Events) -> NDArray[Any] | None:
     due = state.slices >= state.of.end(state.images)
     images = np.zeros((int(due), *state.of.shape), state.of.dtype)
     if due or state.of.kind == "surface":  # a surface must see every event; its window holds only the newest slice
-        _draw(state, concatenate(list(state.window)), np.full(int(due), state.slices), images)
+        begins = np.full(int(due), state.of.begin(state.images))
+        _draw(state, concatenate(list(state.window)), begins, np.full(int(due), state.slices), images)
     state.images += due
     return images[0] if due else None
 
@@ -87,33 +89,35 @@ def fold(of: Representation, blocks: Iterable[SliceBlock]) -> Iterator[ImageBloc
         events = concatenate([kept, block.events])
         due = range(state.images, of.images(block.stop))
         for first in range(0, len(due), at_once):
-            ends = np.array([of.end(image) for image in due[first : first + at_once]], np.int64)
+            numbers = due[first : first + at_once]
+            begins, ends = (np.array([edge(image) for image in numbers], np.int64) for edge in (of.begin, of.end))
             images = np.zeros((len(ends), *of.shape), of.dtype)
-            _draw(state, events, ends, images)
+            _draw(state, events, begins, ends, images)
             if of.kind == "surface":
                 events = events.part(int(np.searchsorted(events.t, ends[-1] * SLICE_US)), events.size)
             yield ImageBlock(ends * SLICE_US, images)
         state.images = due.stop
-        oldest = of.end(due.stop) - of.window_ms
-        kept = (
-            events
-            if of.kind == "surface"
-            else events.part(int(np.searchsorted(events.t, oldest * SLICE_US)), events.size)
-        )
+        kept = events
+        if of.kind != "surface":
+            oldest_us = of.begin(due.stop) * SLICE_US
+            kept = events.part(int(np.searchsorted(events.t, oldest_us)), events.size)
 
 
 def images_ending(of: Representation, events: Events, ends: NDArray[np.int64]) -> NDArray[Any]:
     """Return the images (n, ...) that end before these slices, in order; times of events count from slice 0.
 
-    A surface only uses these events. ValueError for events outside the frame.
+    Each covers the longest window of the representation. A surface only uses these events. ValueError for events
+    outside the frame.
     """
     images = np.zeros((len(ends), *of.shape), of.dtype)
-    _draw(start(of), events, ends, images)
+    _draw(start(of), events, ends - of.longest_ms, ends, images)
     return images
 
 
-def _draw(state: ImageState, events: Events, ends: NDArray[np.int64], images: NDArray[Any]) -> None:
-    """Draw the images that end before these slices, from the events of their windows.
+def _draw(
+    state: ImageState, events: Events, begins: NDArray[np.int64], ends: NDArray[np.int64], images: NDArray[Any]
+) -> None:
+    """Draw the images of the slices [begins, ends).
 
     For a surface, the events are those since its last image; without an image they are only stored.
     """
@@ -127,9 +131,8 @@ def _draw(state: ImageState, events: Events, ends: NDArray[np.int64], images: ND
         of_channel = of.polarity == "split", edges, end_us, of.decay_ms * SLICE_US, state.last_us
         inside = _remember_and_decay(t, x, y, p, *places, *of_channel, images)
     else:
-        window_us = of.window_ms * SLICE_US
-        begin_us = end_us - window_us
-        windows = np.searchsorted(t, begin_us), last, begin_us, window_us
+        begin_us = begins * SLICE_US
+        windows = np.searchsorted(t, begin_us), last, begin_us, end_us - begin_us
         if of.kind == "voxels":
             inside = _share(t, x, y, p, *places, *windows, images)
         else:
@@ -145,7 +148,7 @@ def _draw(state: ImageState, events: Events, ends: NDArray[np.int64], images: ND
 def _count(
     t: NDArray[np.int64], x: NDArray[np.uint16], y: NDArray[np.uint16], p: NDArray[np.uint8],
     column: NDArray[np.int64], row: NDArray[np.int64], first: NDArray[np.int64], last: NDArray[np.int64],
-    begin_us: NDArray[np.int64], window_us: int, polarity: int, images: NDArray[np.int16],
+    begin_us: NDArray[np.int64], window_us: NDArray[np.int64], polarity: int, images: NDArray[np.int16],
 ) -> bool:  # fmt: skip
     """Count the events [first, last) of each image by channel and bin; return whether all were within the frame.
 
@@ -157,7 +160,7 @@ def _count(
         for i in range(first[number], last[number]):
             if not (0 <= x[i] < column.shape[0] and 0 <= y[i] < row.shape[0]):
                 return False
-            place = (t[i] - begin_us[number]) * bins // window_us if bins > 1 else 0
+            place = (t[i] - begin_us[number]) * bins // window_us[number] if bins > 1 else 0
             channel = 1 if polarity == 0 and p[i] > 0 else 0
             more = -1 if polarity == 1 and p[i] == 0 else 1
             value = image[channel, place, row[y[i]], column[x[i]]] + more
@@ -170,7 +173,7 @@ def _count(
 def _share(
     t: NDArray[np.int64], x: NDArray[np.uint16], y: NDArray[np.uint16], p: NDArray[np.uint8],
     column: NDArray[np.int64], row: NDArray[np.int64], first: NDArray[np.int64], last: NDArray[np.int64],
-    begin_us: NDArray[np.int64], window_us: int, images: NDArray[np.float32],
+    begin_us: NDArray[np.int64], window_us: NDArray[np.int64], images: NDArray[np.float32],
 ) -> bool:  # fmt: skip
     """Distribute each event of an image over the two nearest bins; return whether all were within the frame."""
     bins = images.shape[1]
@@ -179,7 +182,7 @@ def _share(
         for i in range(first[number], last[number]):
             if not (0 <= x[i] < column.shape[0] and 0 <= y[i] < row.shape[0]):
                 return False
-            place = (t[i] - begin_us[number]) * bins / window_us
+            place = (t[i] - begin_us[number]) * bins / window_us[number]
             left = int(place)
             right = place - left
             sign = 1.0 if p[i] > 0 else -1.0

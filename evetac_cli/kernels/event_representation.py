@@ -32,7 +32,8 @@ class Representation:
 
     `frame_px`: width and height of the sensor's frame. `size_px`: of the images, whose pixels sum those of the sensor.
     `rate_hz`: image k ends with slice floor((k + 1) * 1000 / rate_hz). `window_ms`: time that an image covers (not
-    `surface`); the first images may cover less. `polarity`: `split` has two channels, OFF and ON; `signed` has one, ON
+    `surface`), the first images perhaps less; None: an image begins where the one before it ended, so that every event
+    counts once. `polarity`: `split` has two channels, OFF and ON; `signed` has one, ON
     minus OFF; `sum` has one of both. Voxels are always signed, surfaces never.
     """
 
@@ -40,7 +41,7 @@ class Representation:
     frame_px: tuple[int, int]
     size_px: tuple[int, int]
     rate_hz: float
-    window_ms: int
+    window_ms: int | None = None
     bins: int = 5
     polarity: Polarity = "split"
     decay_ms: float = 10.0
@@ -57,8 +58,9 @@ class Representation:
             check_range(f"{name} of size_px", self.size_px[place], 1, self.frame_px[place], "px")
             check_whole(f"{name} of size_px", self.size_px[place], 1, self.frame_px[place])
         check_range("rate_hz", self.rate_hz, 0.0, SLICES_PER_S, "1/s", above=True)
-        check_range("window_ms", self.window_ms, 1, MOST_WINDOW_MS, "ms")
-        check_whole("window_ms", self.window_ms, 1, MOST_WINDOW_MS)
+        if self.window_ms is not None:
+            check_range("window_ms", self.window_ms, 1, MOST_WINDOW_MS, "ms")
+            check_whole("window_ms", self.window_ms, 1, MOST_WINDOW_MS)
         check_whole("bins", self.bins, 1, MOST_BINS)
         check_range("decay_ms", self.decay_ms, 0.0, MOST_DECAY_MS, "ms", above=True)
 
@@ -87,6 +89,15 @@ class Representation:
         """Type of the values."""
         return np.int16 if self.kind in ("frames", "histogram") else np.float32
 
+    @property
+    def longest_ms(self) -> int:
+        """The most slices that an image covers."""
+        return math.ceil(SLICES_PER_S / self.rate_hz - 1e-9) if self.window_ms is None else self.window_ms
+
+    def begin(self, image: int) -> int:
+        """Return the slice with which an image, counted from 0, begins; below 0 if before the recording."""
+        return self.end(image - 1) if self.window_ms is None else self.end(image) - self.window_ms
+
     def end(self, image: int) -> int:
         """Return the slice before which an image, counted from 0, ends."""
         return math.floor((image + 1) * SLICES_PER_S / self.rate_hz + 1e-9)
@@ -101,7 +112,5 @@ def representation(
     kind: Kind, frame_px: tuple[int, int], size_px: tuple[int, int] | None, rate_hz: float, window_ms: int | None,
     **more: Any,
 ) -> Representation:  # fmt: skip
-    """Return a Representation; by default images have the size of the frame, and windows last until the next image."""
-    check_range("rate_hz", rate_hz, 0.0, SLICES_PER_S, "1/s", above=True)
-    window_ms = math.ceil(SLICES_PER_S / rate_hz - 1e-9) if window_ms is None else window_ms
+    """Return a Representation; by default images have the size of the frame."""
     return Representation(kind, frame_px, frame_px if size_px is None else size_px, rate_hz, window_ms, **more)

@@ -114,22 +114,6 @@ def test_levels_are_exact_up_to_the_full_scale() -> None:
     assert (scaled.min(), scaled.max(), scaled[20]) == (-0.5, 0.5, 0.0)
 
 
-def test_statistics_of_event_frames_are_those_of_their_pixels(whole: Path) -> None:
-    """Assert mean, deviation, least and greatest of a place in the stack over all frames."""
-    _, frames = read(whole)
-    key = f"observation.images.tactile_{DEPTH - 1:02d}"
-    pixels = np.stack([levels(cell) for cell in frames[key]]) / 255
-    stats = json.loads((whole / "meta/stats.json").read_text())[key]
-    for name, expected in (
-        ("mean", pixels.mean()),
-        ("std", pixels.std()),
-        ("min", pixels.min()),
-        ("max", pixels.max()),
-    ):
-        np.testing.assert_allclose(stats[name], np.full((3, 1, 1), expected), rtol=1e-9)
-    assert stats["count"] == [len(frames)]
-
-
 def test_points_are_displacements_and_shares_of_the_touch_map(whole: Path, sources: list[Path]) -> None:
     """Assert dx, dy as tracked, dz 0 and named so, forces of the last map that add up to it, and the wrench."""
     info, frames = read(whole)

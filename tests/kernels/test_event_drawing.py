@@ -42,7 +42,9 @@ def plainly(of: Representation, events: Events, end: int) -> NDArray[np.float64]
     """The image that ends before a slice, event by event."""
     image = np.zeros(of.shape)
     (frame_x, frame_y), (size_x, size_y) = of.frame_px, of.size_px
-    begin_us = (end - of.window_ms) * 1000
+    before = max(one for one in (0, *map(of.end, range(SLICES))) if one < end)
+    window_ms = end - before if of.window_ms is None else of.window_ms
+    begin_us = (end - window_ms) * 1000
     for t, x, y, p in zip(*(column.tolist() for column in events), strict=True):
         place = y * size_y // frame_y, x * size_x // frame_x
         channel = p if of.polarity == "split" else 0
@@ -51,7 +53,7 @@ def plainly(of: Representation, events: Events, end: int) -> NDArray[np.float64]
         if of.kind == "surface":
             image[channel, *place] = np.exp(-(end * 1000 - t) / (of.decay_ms * 1000))
         elif t >= begin_us:
-            at = (t - begin_us) / (of.window_ms * 1000) * of.bins
+            at = (t - begin_us) / (window_ms * 1000) * of.bins
             sign = 2 * p - 1
             if of.kind == "voxels":
                 image[int(at), *place] += sign * (1 - at % 1)
@@ -66,9 +68,12 @@ def plainly(of: Representation, events: Events, end: int) -> NDArray[np.float64]
 CASES = (
     ("frames", 200.0, None, {}),
     ("frames", 1000.0, 1, {"polarity": "sum"}),
+    ("frames", 240.0, None, {}),
     ("frames", 60.0, 40, {"polarity": "signed"}),
     ("histogram", 50.0, 35, {"bins": 7}),
+    ("histogram", 333.0, None, {"bins": 2}),
     ("voxels", 100.0, 10, {"bins": 5}),
+    ("voxels", 30.0, None, {"bins": 4}),
     ("voxels", 33.3, 50, {"bins": 1}),
     ("surface", 100.0, None, {"decay_ms": 4.0}),
     ("surface", 60.0, None, {"polarity": "sum"}),
@@ -96,6 +101,18 @@ def test_images_are_as_defined(
     online = [event_drawing.step(state, one) for block in blocks(events, SLICES) for one in block.slices()]
     np.testing.assert_array_equal([image for image in online if image is not None], images)
     assert [k + 1 for k, image in enumerate(online) if image is not None] == (ends // 1000).tolist()
+
+
+@pytest.mark.parametrize("rate_hz", [30, 60, 120, 240, 333, 600, 999, 1000, 62.5])
+@pytest.mark.parametrize("kind", ["frames", "histogram"])
+def test_without_a_window_each_event_counts_once(kind: Any, rate_hz: float) -> None:
+    """Assert that images follow each other without gap or overlap at any rate, however blocks are cut."""
+    events = random_events()
+    of = representation(kind, FRAME_PX, (1, 1), rate_hz, None)
+    for cut in (1, 13, SLICES):
+        ends, images = joined(fold(of, blocks(events, cut)))
+        edges = np.searchsorted(events.t, np.append(0, ends))
+        assert images.reshape(len(ends), -1).sum(axis=1).tolist() == np.diff(edges).tolist()
 
 
 @pytest.mark.parametrize("kind", KINDS)

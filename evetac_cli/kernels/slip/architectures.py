@@ -259,7 +259,7 @@ class PluginImageArchitecture(PluginLayers):
     @property
     def history(self) -> int:
         """Number of slices that one prediction needs."""
-        return (self.images - 1) * self.every + self.of.window_ms
+        return (self.images - 1) * self.every + self.of.longest_ms
 
     @property
     def input_shape(self) -> tuple[int, int, int]:

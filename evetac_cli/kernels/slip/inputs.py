@@ -159,7 +159,7 @@ def at(architecture: Architecture, series: Series, slices: NDArray[np.integer]) 
 def _stack(architecture: PluginImageArchitecture, events: GelEvents) -> NDArray[Any]:
     """Return the images of one sample, newest first, from the events of its history."""
     t_us = np.repeat(np.arange(architecture.history) * SLICE_US, np.diff(events.start)) + events.t_us
-    ends = np.arange(architecture.of.window_ms, architecture.history + 1, architecture.every)
+    ends = np.arange(architecture.of.longest_ms, architecture.history + 1, architecture.every)
     images = images_ending(architecture.of, Events(t_us, *events[2:]), ends)
     return images[::-1].reshape(architecture.input_shape)
 

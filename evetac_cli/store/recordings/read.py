@@ -133,7 +133,7 @@ class Recording(StageFile):
         """Iterate over blocks of event-count images (channels, height, width) at a fixed rate; see `Representation`.
 
         - size_px: width and height; default: the sensor's.
-        - window_ms: length of the time window that an image covers; default: the time between images.
+        - window_ms: length of the time window that an image covers; default: from the end of the image before.
         - InputError: a number is out of range.
 
         >>> with evetac.open_recording("a.recording.h5") as recording:

@@ -43,6 +43,7 @@ def data_card(
         " values.",
         "## Episodes",
         table(_episodes(outlines, info["splits"])),
+        "meta/stats.json has the statistics of all frames of the training episodes, without those of the split `test`.",
         "Tasks: " + "; ".join(dict.fromkeys(inline(one.task) for one in outlines)) + ".",
         *([f"Left out: {inline('; '.join(left_out), 2000)}."] if left_out else []),
         "## Limitations",

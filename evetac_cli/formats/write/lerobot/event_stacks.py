@@ -11,6 +11,7 @@ not exact, and 16 videos would have to be opened for each frame.
 """
 
 import io
+import math
 import re
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -64,10 +65,12 @@ class EventStacks(NamedTuple):
         info = {"events.rate_hz": self.rate_hz, "events.no_event": NO_EVENT, "events.full_scale": self.full_scale}
         axes = ("height", "width", "channels")
         keys = self.keys()
+        shortest, longest = (round_(SLICES_PER_S / self.rate_hz) for round_ in (math.floor, math.ceil))
+        length = f"{shortest} ms" if shortest == longest else f"{shortest} or {longest} ms"
         words = (
-            f"event frames of {1e3 / self.rate_hz:g} ms, ON minus OFF: of the last {self.depth} frames, the oldest is"
-            f" `{keys[0]}`, the youngest `{keys[-1]}`. (level - {NO_EVENT}) / {2 * FULL} is 0 without events, and"
-            f" 0.5 or -0.5 for {self.full_scale} or more"
+            f"event frames of {length} at {self.rate_hz:g} Hz, each from the end of the one before, ON minus OFF: of"
+            f" the last {self.depth} frames, the oldest is `{keys[0]}`, the youngest `{keys[-1]}`."
+            f" (level - {NO_EVENT}) / {2 * FULL} is 0 without events, and 0.5 or -0.5 for {self.full_scale} or more"
         )
         return {key: Feature("image", (height, width, 3), axes, words, info) for key in keys}
 

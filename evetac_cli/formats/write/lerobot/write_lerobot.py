@@ -11,8 +11,9 @@ card; meta/evetac.json has the header of each file of each episode's trial. lero
 Source: LeRobotDataset v3.0 as written by lerobot 0.4.4 and 0.6.1 (lerobot/datasets); slow tests run both.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,10 +25,10 @@ from evetac_cli.formats.write.lerobot import event_stacks, other_streams
 from evetac_cli.formats.write.lerobot.contents import Choices, FrameContents, choose
 from evetac_cli.formats.write.lerobot.data_card import data_card
 from evetac_cli.formats.write.lerobot.episode_files import EpisodePlace, Numbered, Tables, Videos
-from evetac_cli.formats.write.lerobot.episodes import GREYS, episode, outline, pictures
+from evetac_cli.formats.write.lerobot.episodes import episode, outline, pictures
 from evetac_cli.formats.write.lerobot.features import VIDEO, Feature
 from evetac_cli.formats.write.lerobot.meta_files import episode_table, place_columns, write_json, write_tasks
-from evetac_cli.formats.write.lerobot.statistics import Figures, as_lists, of_columns, of_pictures, together
+from evetac_cli.formats.write.lerobot.statistics import as_lists, as_table, of_columns, of_many, of_pictures
 from evetac_cli.formats.write.slice_columns import Opener, TrialFiles, WrittenFolder
 from evetac_cli.formats.write.write_table import load_pyarrow, provenance, typed
 from evetac_cli.jobs import Progress
@@ -38,7 +39,6 @@ DATA_MB, VIDEO_MB = 100, 200  # file size above which the next episode begins a 
 DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 VIDEO_PATH = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
 EPISODES_PATH = "meta/episodes/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
-LEVELS = np.arange(256)
 
 
 def write(
@@ -72,9 +72,11 @@ def write(
     if test_objects and train == len(outlines):
         objects = ", ".join(sorted({str(one.facts["object"]) for one in outlines}))
         raise InputError("no trial has any of these objects", where="--test-objects", expected=f"some of {objects}")
+    if not train:
+        raise InputError("no trial is left to train on", where="--test-objects", expected="trials of other objects too")
     tasks = list(dict.fromkeys(one.task for one in outlines))
     headers: dict[str, Any] = {}
-    total: Mapping[str, Figures] = {}
+    train_frames, levels = 0, dict[str, NDArray[np.int64]]()  # of the training episodes; levels: pixels of each level
     done, slices = 0, sum(one.slices for one in outlines)
     with _video_errors(av, folder), ExitStack() as stack:
         data = stack.enter_context(Tables(arrow, Numbered(folder, DATA_PATH, CHUNK_FILES, DATA_MB)))
@@ -90,29 +92,28 @@ def write(
                 episode_frames = episode(files, contents.vectors, contents.points, fps, per_frame)
                 headers[str(number)] = provenance(files, one.facts)
                 places = {key: each.begin() for key, each in videos.items()}
-                statistics = {
-                    key: _film(files, contents, key, episode_frames.edges, each) for key, each in videos.items()
-                }
+                pixels = {key: _film(files, contents, key, episode_frames.edges, each) for key, each in videos.items()}
                 stacks = contents.stacks
                 stills = None if stacks is None else stacks.stills(files.recording, episode_frames.edges)
                 notes += [f"{one.facts['trial']}: {note}" for note in files.notes]
             rows = contents.rows(episode_frames, number, data.rows, tasks.index(one.task))
-            statistics |= {name: of_columns(values) for name, values in rows.items()}
             columns = {name: _column(arrow, values) for name, values in rows.items()}
             if stacks is not None and stills is not None:
-                of_places = zip(stacks.keys(), event_stacks.pixels_of(stills), strict=True)
-                statistics |= {
-                    key: of_pictures(LEVELS / 255, pixels, len(episode_frames.state)) for key, pixels in of_places
-                }
+                pixels |= zip(stacks.keys(), event_stacks.pixels_of(stills), strict=True)
                 columns |= {key: event_stacks.column(arrow, stills, at) for at, key in enumerate(stacks.keys())}
-            total = together(total, statistics)
+            frames = len(episode_frames.state)
+            statistics = {key: of_pictures(counts, frames) for key, counts in pixels.items()}
+            statistics |= {name: of_columns(values) for name, values in rows.items()}
+            if number < train:
+                train_frames += frames
+                levels = {key: counts + levels.get(key, 0) for key, counts in pixels.items()}
             table = arrow.table({key: columns[key] for key in contents.features if key in columns})
             lies = {
                 "episode_index": number,
                 "tasks": [one.task],
-                "length": len(episode_frames.state),
+                "length": frames,
                 "dataset_from_index": data.rows,
-                "dataset_to_index": data.rows + len(episode_frames.state),
+                "dataset_to_index": data.rows + frames,
                 **place_columns("data", data.append(table)),
                 **place_columns("meta/episodes", EpisodePlace(0, 0)),
             }
@@ -121,6 +122,11 @@ def write(
                 lies |= {f"videos/{key}/from_timestamp": place.start_s, f"videos/{key}/to_timestamp": videos[key].now_s}
             episodes.append(episode_table(arrow, lies, statistics, {**one.facts, "recording_id": one.id}, types))
             done += one.slices
+    total = {key: of_pictures(counts, train_frames) for key, counts in levels.items()}
+    for name, each in rows.items():
+        per_frame_rows, width = as_table(each[:1]).shape
+        parts = partial(_parts, arrow, folder, name, width, train_frames)
+        total[name] = of_many(parts, train_frames * per_frame_rows, width, train_frames)
     write_tasks(arrow, folder / "meta" / "tasks.parquet", tasks)
     splits = {"train": f"0:{train}", "test": f"{train}:{len(outlines)}"}
     splits = {name: part for name, part in splits.items() if part.split(":")[0] != part.split(":")[1]}
@@ -172,21 +178,31 @@ def _videos(av: Any, folder: Path, key: str, feature: Feature, fps: int) -> Vide
     return Videos(av, files, fps, feature.shape)
 
 
-def _film(files: TrialFiles, contents: FrameContents, key: str, edges: NDArray[np.int64], video: Videos) -> Figures:
-    """Write the pictures of an episode, of the tactile sensor or a stream; return their statistics."""
-    frames = len(edges) - 1
+def _film(
+    files: TrialFiles, contents: FrameContents, key: str, edges: NDArray[np.int64], video: Videos
+) -> NDArray[np.int64]:
+    """Write the pictures of an episode, of the tactile sensor or a stream; return the pixels of each level."""
     if key == VIDEO:
-        levels = np.zeros(len(GREYS), np.int64)
-        for picture in pictures(files.recording, edges):
-            video.add(picture)
-            levels += np.bincount(picture.ravel(), minlength=256)[GREYS]
-        return of_pictures(GREYS / 255, levels, frames)
-    pixels = np.zeros((3, 256), np.int64)
-    for picture in other_streams.pictures(files.recording, contents.stream_videos[key], edges):
+        shown = pictures(files.recording, edges)
+    else:
+        shown = other_streams.pictures(files.recording, contents.stream_videos[key], edges)
+    pixels = np.zeros((1 if key == VIDEO else 3, 256), np.int64)
+    for picture in shown:
         video.add(picture)
-        for channel in range(3):
-            pixels[channel] += np.bincount(picture[:, :, channel].ravel(), minlength=256)
-    return of_pictures(LEVELS / 255, pixels, frames)
+        pixels += [np.bincount(channel.ravel(), minlength=256) for channel in np.atleast_3d(picture).transpose(2, 0, 1)]
+    return pixels
+
+
+def _parts(arrow: Any, folder: Path, name: str, columns: int, frames: int) -> Iterator[NDArray[Any]]:
+    """Yield the values of the first frames of a column of the written files, as tables of `columns` columns."""
+    for path in sorted(folder.glob("data/*/*.parquet")):
+        with arrow.parquet.ParquetFile(path) as file:
+            for batch in file.iter_batches(columns=[name]):
+                values = batch.column(name)[:frames]
+                frames -= len(values)
+                while values.type.num_fields:  # a list
+                    values = values.flatten()
+                yield values.to_numpy(zero_copy_only=False).reshape(-1, columns)
 
 
 def _column(arrow: Any, values: NDArray[Any]) -> Any:
