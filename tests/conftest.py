@@ -1,9 +1,10 @@
 """Files of every kind, made by the real stages from the smallest scene and shared by the tests of a session."""
 
+import os
 import shutil
 import signal
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -44,7 +45,8 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
-DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+# Files made by others, which are not in the repository. EVETAC_OUTSIDE_FILES names another folder.
+OUTSIDE = Path(os.environ.get("EVETAC_OUTSIDE_FILES") or Path(__file__).resolve().parents[2] / "shared" / "data")
 
 # The slip scene, but with slip within a second and a coarse gel.
 SHORT = {
@@ -70,6 +72,25 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     """Add options for real devices to test the device contract on, named as on evetac's command line."""
     parser.addoption("--camera", default=None, help="a camera on this machine, such as dvxplorer")
     parser.addoption("--gripper", default=None, help="a gripper on this machine, such as /dev/ttyUSB0; it will move")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark the tests that want files from outside the repository, so that CI can run them where there are none."""
+    for item in items:
+        if "outside_file" in getattr(item, "fixturenames", ()):
+            item.add_marker("outside")
+
+
+@pytest.fixture(scope="session")
+def outside_file() -> Callable[[str], Path]:
+    """Return the path of a file from outside the repository by its name; without it, the test is skipped."""
+
+    def path_of(name: str) -> Path:
+        if not (OUTSIDE / name).is_file():
+            pytest.skip(f"{name}, from outside the repository, is not there")
+        return OUTSIDE / name
+
+    return path_of
 
 
 @dataclass

@@ -10,17 +10,8 @@ import pytest
 from evetac_cli.errors import InputError
 from evetac_cli.events import Events
 from evetac_cli.formats.imports import Imported, read_events
-from tests.conftest import DATA
 
 FRAME = (640, 480)
-
-
-def real(name: str) -> Path:
-    """A recording made by others; the test is skipped where the folder is absent."""
-    path = DATA / name
-    if not path.is_file():
-        pytest.skip(f"{name} is not there")
-    return path
 
 
 def tonic_io() -> Any:

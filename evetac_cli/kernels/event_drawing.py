@@ -1,9 +1,8 @@
 """Events as images for networks, at a fixed rate: counts, histograms, voxels and time surfaces, online and offline.
 
-The images are those of tonic (ToFrame, to_voxel_grid, to_timesurface), except that a voxel grid covers a window
-that does not depend on its events, instead of the time from the first to the last of them. `start` and `step` take one
-slice after the other, and return an image whenever one is due. `fold` takes blocks of slices, and returns identical
-bits.
+The images are those of tonic (ToFrame, to_voxel_grid, to_timesurface), with one exception: the window of a voxel grid
+does not begin and end with its first and last event. `start` and `step` take one slice after the other, and return an
+image whenever one is due. `fold` takes blocks of slices, and returns identical bits.
 """
 
 from collections import deque

@@ -32,7 +32,7 @@ class Representation:
 
     `frame_px`: width and height of the sensor's frame. `size_px`: of the images, whose pixels sum those of the sensor.
     `rate_hz`: image k ends with slice floor((k + 1) * 1000 / rate_hz). `window_ms`: time that an image covers (not
-    `surface`), the first images perhaps less; None: an image begins where the one before it ended, so that every event
+    `surface`); the first images may cover less. With None, an image begins where the one before it ended, so each event
     counts once. `polarity`: `split` has two channels, OFF and ON; `signed` has one, ON
     minus OFF; `sum` has one of both. Voxels are always signed, surfaces never.
     """

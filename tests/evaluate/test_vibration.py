@@ -1,6 +1,7 @@
 """evaluate vibration: recordings without dots, with truth, of noise, too short; what the rows say; memory."""
 
 import tracemalloc
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,6 @@ from evetac_cli.evaluate import vibration
 from evetac_cli.events import SLICE_US, Events
 from evetac_cli.jobs import Outcome
 from evetac_cli.trials import record
-from tests.conftest import DATA
 from tests.make import event_arrays, run_stage, truth_arrays, write_recording
 
 FRAME_PX = (64, 48)
@@ -112,10 +112,9 @@ def test_noise_is_no_vibration(tmp_path: Path) -> None:
     assert "share" not in rows[2]
 
 
-@pytest.mark.skipif(not DATA.is_dir(), reason="no shared data")
-def test_a_real_recording_of_noise(tmp_path: Path) -> None:
+def test_a_real_recording_of_noise(tmp_path: Path, outside_file: Callable[[str], Path]) -> None:
     """Assert that a real camera's noise, with its hot pixels, is no vibration, in any window."""
-    params = Record(source=DATA / "dvxplorer_static_noise.aedat4")
+    params = Record(source=outside_file("dvxplorer_static_noise.aedat4"))
     output, _ = run_stage(record, [], params, tmp_path)
     rows = evaluated(output, windows="2,1,0.25").rows
     assert rows[0]["frequency_hz"] is None

@@ -29,7 +29,7 @@ from evetac_cli.formats.read.time_order import OrderOptions
 from evetac_cli.jobs import Outcome
 from evetac_cli.store.files import StageFile
 from evetac_cli.trials import record
-from tests.importing import FRAME, event_rows, real, refusal, same
+from tests.importing import FRAME, event_rows, refusal, same
 from tests.make import event_arrays, events_at, run_stage, write_recording
 from tests.patience import PATIENCE_S
 
@@ -755,19 +755,19 @@ def test_our_own_files_need_no_import(tmp_path: Path) -> None:
 # --- recordings made by others ------------------------------------------------------------------------------------
 
 
-def test_real_text() -> None:
+def test_real_text(outside_file: Callable[[str], Path]) -> None:
     """Assert that a text file of a data set is read: 50,000 events in 0.17 s on a frame of 240 x 180."""
-    path = real("slider_depth_50k.txt")
+    path = outside_file("slider_depth_50k.txt")
     imported = read_events(path, frame_px=(240, 180))
     assert (imported.events.size, imported.slices, imported.t_offset_us) == (50_000, 171, 3811)
     assert sum(imported.counts.values()) == 0
     assert read_events(path, frame_px=(120, 180)).counts["out_of_frame"] > 0
 
 
-def test_real_pickle_is_not_loaded(tmp_path: Path) -> None:
+def test_real_pickle_is_not_loaded(tmp_path: Path, outside_file: Callable[[str], Path]) -> None:
     """Assert that a pickle is refused whatever its name is."""
     path = tmp_path / "calibration.h5"
-    path.write_bytes(real("evetac_base_calibration.pkl").read_bytes())
+    path.write_bytes(outside_file("evetac_base_calibration.pkl").read_bytes())
     assert "never loads pickles" in refusal(path)
 
 

@@ -1,6 +1,8 @@
 """The host's filter against noise: which events it keeps, and that it leaves nothing behind where there is none."""
 
 import dataclasses
+from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,10 +16,8 @@ from evetac_cli.kernels.noise_filter import NoiseFilter
 from evetac_cli.sim.camera.event_keys import Columns
 from evetac_cli.sim.camera.ideal import camera as ideal
 from evetac_cli.sim.camera.scanning import camera as scanning
-from tests.conftest import DATA
 from tests.sim.camera.small_frames import FRAME, QUIET, line, play, start
 
-NOISE = DATA / "dvxplorer_static_noise.aedat4"
 NOISY = dataclasses.replace(QUIET, noise_rate_hz=20.0, hot_pixels=3, hot_rate_hz=(500.0, 900.0))
 
 
@@ -99,14 +99,13 @@ def test_a_time_that_is_none(support_ms: float) -> None:
         NoiseFilter(support_ms, FRAME)
 
 
-@pytest.mark.skipif(not NOISE.exists(), reason="the recording of noise is not here")
 @pytest.mark.parametrize("support_ms", [2.0, 100.0])
-def test_the_makers_filter_keeps_the_same(support_ms: float) -> None:
+def test_the_makers_filter_keeps_the_same(outside_file: Callable[[str], Path], support_ms: float) -> None:
     """Assert on real noise that the filter keeps, event by event, what the camera maker's library keeps."""
     import datetime
 
     dv = pytest.importorskip("dv_processing")
-    recorded = read_events(NOISE).events
+    recorded = read_events(outside_file("dvxplorer_static_noise.aedat4")).events
     events = recorded._replace(t=recorded.t + 10**10)  # theirs takes all pixels to have had an event at 0
     store = dv.EventStore()
     for t, x, y, p in zip(*(column.tolist() for column in events), strict=True):

@@ -29,7 +29,6 @@ from evetac_cli.store.layout.provenance import Recipe
 from evetac_cli.store.recordings.read import open_recording
 from evetac_cli.text_files import as_toml
 from evetac_cli.trials import record
-from tests.conftest import DATA
 from tests.make import event_arrays, run_stage, write_recording
 from tests.quick import few
 
@@ -38,17 +37,10 @@ Show = Callable[[NDArray[np.bool_]], Path]
 
 Y, X = np.mgrid[:480, :640]
 
-REAL = DATA / "evetac_base_calibration.json"
-PICKLE = DATA / "evetac_base_calibration.pkl"
-NOISE = DATA / "dvxplorer_static_noise.aedat4"
-needs_data = pytest.mark.skipif(not PICKLE.exists(), reason="the official calibration is not here")
-
 
 @pytest.fixture(scope="module")
 def truth() -> Grid:
-    """The grid of the real sensor; without it, that of the simulated one."""
-    if REAL.exists():
-        return read_calibration(REAL).dot_xy_px
+    """The grid of the simulated sensor."""
     return gel_camera.dot_grid(one_sensor("evetac"), cut=False)
 
 
@@ -415,7 +407,6 @@ def test_nothing_moved(tmp_path: Path, events: Events) -> None:
         assert not path.with_suffix(".json").exists()
 
 
-@pytest.mark.skipif(not NOISE.exists(), reason="the recording of noise is not here")
 def resting(path: Path, hot_xy: NDArray[np.integer], seconds: float) -> Path:
     """A gel that is at rest but for a stroke in the middle, behind a camera with hot pixels of 60 events per second."""
     rng = np.random.default_rng(5)
@@ -443,9 +434,9 @@ def test_hot_pixels_between_strokes(tmp_path: Path) -> None:
         assert gel_at_rest.hot_pixels(recording) is None
 
 
-def test_noise_is_no_dot(tmp_path: Path) -> None:
+def test_noise_is_no_dot(tmp_path: Path, outside_file: Callable[[str], Path]) -> None:
     """Assert that a real camera's noise at a still scene is refused, also when taken for strokes."""
-    importing = Record(source=NOISE)
+    importing = Record(source=outside_file("dvxplorer_static_noise.aedat4"))
     output, _ = run_stage(record, [], importing, tmp_path / "noise.recording.h5")
     with pytest.raises(InputError, match="no dot was seen to move"):
         calibrated(output)
@@ -456,14 +447,15 @@ def test_noise_is_no_dot(tmp_path: Path) -> None:
         calibrated(recorded(tmp_path / "strokes.recording.h5", rests))
 
 
-@needs_data
-def test_official_files_give_one_grid(tmp_path: Path, truth: Grid) -> None:
+def test_official_files_give_one_grid(tmp_path: Path, outside_file: Callable[[str], Path]) -> None:
     """Assert that pickle and JSON of the official calibration become the same grid, with neighbours along rows.
 
     Only the pickle is known to hold diameters; the JSON is taken at its word.
     """
     tables = []
-    for source in (PICKLE, REAL):
+    sources = [outside_file(name) for name in ("evetac_base_calibration.pkl", "evetac_base_calibration.json")]
+    truth = read_calibration(sources[1]).dot_xy_px
+    for source in sources:
         chosen = Calibrate(source=source)
         output, outcome = run_stage(calibrate, [], chosen, tmp_path / f"{source.suffix[1:]}.json")
         assert not outcome.simulated

@@ -1,7 +1,7 @@
 """track: the sensor's own dot radius, and what a real camera's noise does to real dots and to a simulated slip."""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,28 +18,27 @@ from evetac_cli.kernels.tracking.presets import PRESETS
 from evetac_cli.stages import track
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.recordings.read import open_recording
-from tests.conftest import DATA, Made
+from tests.conftest import Made
 from tests.make import run_stage
-
-NOISE = DATA / "dvxplorer_static_noise.aedat4"
-GRID = DATA / "evetac_base_calibration.json"
-needs_noise = pytest.mark.skipif(not NOISE.exists(), reason="the recording of noise is not here")
 
 
 @pytest.fixture(scope="module")
-def noise() -> list[Events]:
+def noise(outside_file: Callable[[str], Path]) -> list[Events]:
     """A real DVXplorer at a still scene, slice by slice: 2.7 s, 94 events a slice, 385 hot pixels."""
-    events = read_events(NOISE).events
+    events = read_events(outside_file("dvxplorer_static_noise.aedat4")).events
     edges = np.searchsorted(events.t - events.t[0], np.arange(0, events.t[-1] - events.t[0] + SLICE_US, SLICE_US))
     return [events.part(int(first), int(last)) for first, last in zip(edges, edges[1:], strict=False)]
 
 
-@needs_noise
 @pytest.mark.parametrize("dot_radius_px", [15.0, 20.62])
 @pytest.mark.parametrize("gate", [10, 0])
-def test_real_noise_moves_no_dot_of_the_real_grid(noise: list[Events], gate: int, dot_radius_px: float) -> None:
+def test_real_noise_moves_no_dot_of_the_real_grid(
+    noise: list[Events], outside_file: Callable[[str], Path], gate: int, dot_radius_px: float
+) -> None:
     """Assert that it moves no dot by more than 0.5 px at any time, whether few events may move a dot or not."""
-    rest_px = np.array(json.loads(GRID.read_text())["dot_xy_px"], np.float64).reshape(-1, 2)
+    rest_px = np.array(
+        json.loads(outside_file("evetac_base_calibration.json").read_text())["dot_xy_px"], np.float64
+    ).reshape(-1, 2)
     state = tracker.start(rest_px, replace(PRESETS["stable"], min_events=gate).for_dots(dot_radius_px))
     moved_px = []
     for events in noise:
@@ -56,7 +55,6 @@ def with_noise(recording: Iterator[Events], noise: list[Events]) -> Iterator[Eve
         yield Events(*(np.concatenate([one, other.astype(one.dtype)]) for one, other in both))
 
 
-@needs_noise
 def test_real_noise_hardly_disturbs_a_simulated_slip(made: Made, noise: list[Events]) -> None:
     """Assert that noise of about as many events changes the rms error of a simulated slip by less than 0.1 px."""
     with open_recording(made.recordings[0]) as recording:

@@ -1,6 +1,7 @@
 """Dot grids as JSON: good ones in any order, and every kind of fault."""
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,6 @@ from evetac_cli.store.layout.provenance import Recipe
 from evetac_cli.store.recordings.read import open_recording
 from tests.make import event_arrays, write_recording
 
-REAL = Path(__file__).resolve().parents[3] / "shared" / "data" / "evetac_base_calibration.json"
 GRID = np.stack(np.meshgrid(50.0 + 60 * np.arange(4), 40.0 + 60 * np.arange(3)), axis=-1)
 GOOD: dict[str, Any] = {"frame_px": [640, 480], "radius_px": 20.5, "dot_xy_px": GRID.reshape(-1, 2).tolist()}
 
@@ -38,16 +38,15 @@ def read(folder: Path, table: Any) -> Calibration:
     return read_calibration(path)
 
 
-@pytest.mark.skipif(not REAL.exists(), reason="the real calibration is not here")
-def test_the_real_evetac() -> None:
+def test_the_real_evetac(outside_file: Callable[[str], Path]) -> None:
     """Assert that the official base calibration is a grid of 7 rows and 9 columns with the pitch of the real gel."""
-    calibration = read_calibration(REAL)
+    calibration = read_calibration(outside_file("evetac_base_calibration.json"))
     dots = calibration.dot_xy_px
     assert dots.shape == (7, 9, 2)
     assert calibration.frame_px == (640, 480)
     assert calibration.window_px is None
     assert calibration.dot_radius_px == pytest.approx(20.62, abs=0.005)
-    stored = {tuple(dot) for dot in json.loads(REAL.read_text())["dot_xy_px"]}
+    stored = {tuple(dot) for dot in json.loads(outside_file("evetac_base_calibration.json").read_text())["dot_xy_px"]}
     assert {tuple(dot) for dot in dots.reshape(-1, 2).tolist()} == stored
     assert np.median(np.diff(dots[..., 0], axis=1)) == pytest.approx(62.7, abs=0.5)
     assert np.median(np.diff(dots[..., 1], axis=0)) == pytest.approx(62.7, abs=0.5)

@@ -1,6 +1,7 @@
 """Event words of the DVXplorer Mini: the maker's vectors, round trips, any cut, and what is left after damage."""
 
 from collections.abc import Callable, Iterable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +12,6 @@ from numpy.typing import NDArray
 from evetac_cli.devices.dvxplorer import event_words
 from evetac_cli.devices.dvxplorer.event_word_loops import REFUSED_IN_A_ROW
 from evetac_cli.events import Events, concatenate
-from tests.conftest import DATA
 
 # Hardware notes, 3.1: words and what the maker's parser (dv-processing 2.0.4) makes of them.
 VECTOR = bytes.fromhex(
@@ -93,12 +93,9 @@ def test_vector_of_the_document() -> None:
     assert lost(decoder) == {}
 
 
-def test_what_the_makers_parser_made() -> None:
+def test_what_the_makers_parser_made(outside_file: Callable[[str], Path]) -> None:
     """Assert the maker's 70,789 events, as sets per time and column; its parser keeps back the last interval."""
-    path = DATA / "dvxplorer_mini_words.npz"
-    if not path.exists():
-        pytest.skip("no shared data")
-    with np.load(path) as made:
+    with np.load(outside_file("dvxplorer_mini_words.npz")) as made:
         expected = Events(made["t_us"], made["x"], made["y"], made["p"])
         events, decoder = whole(made["words"])
     given_out = events.t <= expected.t[-1]

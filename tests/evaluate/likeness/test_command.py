@@ -1,6 +1,7 @@
 """evaluate likeness: a real and a simulated recording by the same measures, what neither tells, and what is refused."""
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,6 @@ from evetac_cli.evaluate.likeness.facts import facts
 from evetac_cli.events import Events
 from evetac_cli.jobs import Outcome, Row
 from evetac_cli.trials import record
-from tests.conftest import DATA
 from tests.make import answer_of, event_arrays, run_stage, truth_arrays, write_recording
 
 ONSET, SLICES = 1200, 1600
@@ -93,10 +93,9 @@ def test_a_real_recording_is_not_mixed_with_simulated_ones(tmp_path: Path) -> No
     assert not outcome.simulated and alone["quiet-before-slip"]["real"] is None  # it has neither truth nor labels
 
 
-@pytest.mark.skipif(not DATA.is_dir(), reason="no shared data")
-def test_a_real_camera_at_rest(tmp_path: Path) -> None:
+def test_a_real_camera_at_rest(tmp_path: Path, outside_file: Callable[[str], Path]) -> None:
     """Assert that the noise of a real DVXplorer is measured as its maker's library counts it, and beside the facts."""
-    source = Record(source=DATA / "dvxplorer_static_noise.aedat4")
+    source = Record(source=outside_file("dvxplorer_static_noise.aedat4"))
     output, _ = run_stage(record, [], source, tmp_path / "noise.recording.h5")
     rows, outcome = evaluated([output], tmp_path)
     real = {name: json.loads(row["real_values"]) for name, row in rows.items()}

@@ -18,9 +18,7 @@ from evetac_cli.errors import InputError
 from evetac_cli.formats.read import calibration_pickle
 from evetac_cli.formats.read.calibration_pickle import read_pickle
 from evetac_cli.store.calibration import read_calibration
-from tests.conftest import DATA
 
-OFFICIAL = DATA / "evetac_base_calibration.pkl"
 CENTRES = np.arange(24.0).reshape(12, 2)
 RADII = np.full((12, 1), 20.5)
 
@@ -41,12 +39,11 @@ class Calls:
         return self.call
 
 
-@pytest.mark.skipif(not OFFICIAL.exists(), reason="the official calibration is not here")
-def test_the_official_file() -> None:
+def test_the_official_file(outside_file: Callable[[str], Path]) -> None:
     """Assert that the official file holds the centres of its JSON twin, and diameters."""
-    centres, radius = read_pickle(OFFICIAL)
+    centres, radius = read_pickle(outside_file("evetac_base_calibration.pkl"))
     assert 2 * radius == pytest.approx(20.62, abs=0.005)
-    twin = read_calibration(OFFICIAL.with_suffix(".json")).dot_xy_px.reshape(-1, 2)
+    twin = read_calibration(outside_file("evetac_base_calibration.json")).dot_xy_px.reshape(-1, 2)
     order = np.lexsort(centres.round(3).T), np.lexsort(twin.T)
     np.testing.assert_allclose(centres[order[0]], twin[order[1]], atol=5.1e-4)
 

@@ -15,7 +15,7 @@ from evetac_cli.events import Events
 from evetac_cli.formats.imports import read_events
 from evetac_cli.formats.read import read_numpy
 from evetac_cli.formats.read.time_order import OrderOptions
-from tests.importing import FRAME, assert_equal, drawn, event_rows, real, refusal
+from tests.importing import FRAME, assert_equal, drawn, event_rows, refusal
 
 EVENTS = drawn(3000)
 
@@ -306,9 +306,9 @@ def test_bytes_after_an_array_are_counted(tmp_path: Path) -> None:
     assert read_events(tmp_path / "a.npy", frame_px=FRAME).left_out == {"bytes after the array": 4}
 
 
-def test_the_words_of_a_camera() -> None:
+def test_the_words_of_a_camera(outside_file: Callable[[str], Path]) -> None:
     """Assert that the npz of a DVXplorer Mini gives its 70,789 events, sorted, and counts the words beside them."""
-    path = real("dvxplorer_mini_words.npz")
+    path = outside_file("dvxplorer_mini_words.npz")
     imported = read_events(path, order=OrderOptions(sort=True))
     with np.load(path) as given:
         assert imported.events.size == len(given["t_us"]) == 70_789

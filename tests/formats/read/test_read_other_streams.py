@@ -2,6 +2,7 @@
 
 import json
 import struct
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,6 @@ from evetac_cli.inspect import info
 from evetac_cli.store.recordings.read import open_recording
 from evetac_cli.trials import record
 from tests.formats.read.aedat.test_read_aedat4 import store
-from tests.importing import real
 from tests.make import run_stage
 
 START_US = 1_600_000_000_000_000
@@ -136,10 +136,10 @@ REAL = {"dvxplorer_static_noise": (2188, 0, 0), "davis346": (2363, 236, 59), "mu
 
 
 @pytest.mark.parametrize("name", REAL)
-def test_real_files_drop_nothing_unsaid(name: str) -> None:
+def test_real_files_drop_nothing_unsaid(name: str, outside_file: Callable[[str], Path]) -> None:
     """Assert that every sample of the makers' files is kept or counted."""
     pytest.importorskip("faery")
-    imported = read_events(real(f"{name}.aedat4"), frames=True)
+    imported = read_events(outside_file(f"{name}.aedat4"), frames=True)
     kept = {one.name: len(one.t_us) for one in imported.streams}
     names = {"imu": "IMU samples", "triggers": "triggers", "frames": "frames"}
     for (stream, spoken), count in zip(names.items(), REAL[name], strict=True):
@@ -147,10 +147,10 @@ def test_real_files_drop_nothing_unsaid(name: str) -> None:
     assert set(imported.left_out) <= {f"{spoken} outside the recording" for spoken in names.values()}
 
 
-def test_as_dv_processing_reads_them() -> None:
+def test_as_dv_processing_reads_them(outside_file: Callable[[str], Path]) -> None:
     """Assert equal times, values and images with dv-processing on the file of a DAVIS346."""
     dv: Any = pytest.importorskip("dv_processing")
-    path = real("davis346.aedat4")
+    path = outside_file("davis346.aedat4")
     imported = read_events(path, frames=True)
     streams = streams_of(imported)
     reader = dv.io.MonoCameraRecording(str(path))

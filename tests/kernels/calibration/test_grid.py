@@ -1,6 +1,8 @@
 """The dot grid: any order in, rows, columns and neighbours out; what is no grid is refused."""
 
 import json
+from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,10 +11,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from evetac_cli.kernels.calibration.grid import arrange, lattice, neighbours, one_row, pitch
-from tests.conftest import DATA
 
 Grid = NDArray[np.float64]
-CALIBRATION = DATA / "evetac_base_calibration.json"
 
 
 def regular(rows: int, columns: int, pitch_px: float = 60.0) -> Grid:
@@ -240,10 +240,9 @@ def neighbour_counts(dots_px: Grid) -> list[int]:
     return [int((counts == wanted).sum()) for wanted in (3, 5, 8)]
 
 
-@pytest.mark.skipif(not CALIBRATION.exists(), reason="the real calibration is not here")
-def test_neighbours_of_the_real_grid() -> None:
+def test_neighbours_of_the_real_grid(outside_file: Callable[[str], Path]) -> None:
     """Assert that on the real 9 x 7 grid, dots in no order, corners have 3 neighbours, edges 5 and all others 8."""
-    dots = np.array(json.loads(CALIBRATION.read_text())["dot_xy_px"])
+    dots = np.array(json.loads(outside_file("evetac_base_calibration.json").read_text())["dot_xy_px"])
     assert neighbour_counts(dots) == [4, 24, 35]
     corner = int(np.argmin(dots.sum(axis=1)))
     assert (neighbours(dots)[corner] >= 0).sum() == 3

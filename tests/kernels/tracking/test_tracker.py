@@ -27,7 +27,6 @@ from evetac_cli.kernels.tracking.tracker import CAPACITY, STATE, TrackerState
 PAPER = PRESETS["paper"]
 DESCENTS = [name for name, constants in PRESETS.items() if not constants.fit and constants.slices_per_step == 1]
 ROWS, COLUMNS, PITCH_PX = 7, 9, 62.0
-CALIBRATION = Path(__file__).resolve().parents[3].parent / "shared" / "data" / "evetac_base_calibration.json"
 
 Column = NDArray[np.uint16]
 
@@ -355,10 +354,11 @@ def test_missing_dot_takes_no_part() -> None:
     assert (np.delete(state.events_per_dot, missing) > 0).all()
 
 
-@pytest.mark.skipif(not CALIBRATION.exists(), reason="the real calibration is not here")
-def test_the_real_grid_is_taken() -> None:
+def test_the_real_grid_is_taken(outside_file: Callable[[str], Path]) -> None:
     """Assert that the tracker starts on the real 9 x 7 grid, with the neighbours of its dots."""
-    state = tracker.start(np.array(json.loads(CALIBRATION.read_text())["dot_xy_px"]), PAPER)
+    state = tracker.start(
+        np.array(json.loads(outside_file("evetac_base_calibration.json").read_text())["dot_xy_px"]), PAPER
+    )
     assert np.bincount((state.neighbours >= 0).sum(axis=1)).tolist() == [0, 0, 0, 4, 0, 24, 0, 0, 35]
 
 

@@ -1,6 +1,7 @@
 """Scenes in which a face is driven over the gel: shear forces, strokes, and the noise of sensors."""
 
 import tomllib
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,6 @@ from evetac_cli.resources import SCENES
 from evetac_cli.sim.scenes.pressing import Pressing
 from evetac_cli.sim.setup.plan import first_plan, one_sensor
 from evetac_cli.text_files import as_toml
-from tests.conftest import DATA
 from tests.make import play_trial
 from tests.sim.camera.gel_cameras import gel_camera
 
@@ -72,12 +72,10 @@ def test_sensor_is_the_same_in_every_trial(name: str) -> None:
     assert gel_camera(sensor, cut=False, seed=1).grid_xy_px.shape == (7, 9, 2)
 
 
-def test_bare_camera_is_as_noisy_as_the_real_one() -> None:
+def test_bare_camera_is_as_noisy_as_the_real_one(outside_file: Callable[[str], Path]) -> None:
     """Assert that a static scene has the real recording's rate (5 %), share of hot pixels (4 %) and flat spectrum."""
-    real = DATA / "dvxplorer_static_noise.aedat4"
+    real = outside_file("dvxplorer_static_noise.aedat4")
     pytest.importorskip("dv_processing")
-    if not real.exists():
-        pytest.skip("the real recording is not here")
     bare = gel_camera(one_sensor("bare-dvxplorer"), cut=True)
     still = np.zeros_like(bare.rest_m)
     made = concatenate([bare.render(still, np.zeros(2), 0.0, 1000 * ms) for ms in range(2700)])

@@ -1,7 +1,9 @@
 """Rows of sensors.toml: each is whole, from its own keys and those of the sensor that it is like."""
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,9 +17,6 @@ from evetac_cli.sim.camera.lens import Lens
 from evetac_cli.sim.setup.plan import one_sensor
 from evetac_cli.sim.setup.sampling import DISTRIBUTIONS, sample_sensor
 from evetac_cli.sim.setup.sensor_rows import FOR_EACH_TRIAL, over, rows, whole
-from tests.conftest import DATA
-
-CALIBRATION = DATA / "evetac_base_calibration.json"
 
 TABLE = {
     "plain": {"noise_hz": 1.0, "dot_columns_px": [1.0, 2.0], "gripper": {"mass_kg": 1.0, "friction_n": 2.0}},
@@ -121,10 +120,9 @@ def test_a_number_is_the_same_sensor_but_for_what_is_wider() -> None:
     }
 
 
-@pytest.mark.skipif(not CALIBRATION.exists(), reason="the calibration file is not here")
-def test_the_grid_of_the_authors_calibration() -> None:
+def test_the_grid_of_the_authors_calibration(outside_file: Callable[[str], Path]) -> None:
     """Assert that `official-dots`, but for its jitter, is within 1 px rms of the authors' file, and `evetac` is not."""
-    known = grid.arrange(np.array(json.loads(CALIBRATION.read_text())["dot_xy_px"]))
+    known = grid.arrange(np.array(json.loads(outside_file("evetac_base_calibration.json").read_text())["dot_xy_px"]))
     off_px = []
     for name in ("official-dots", "evetac"):
         sensor = replace(one_sensor(name), dot_jitter_px=0.0)

@@ -3,6 +3,7 @@
 import contextlib
 import shutil
 import tomllib
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -25,11 +26,9 @@ from evetac_cli.stages.identify import pressed
 from evetac_cli.stages.identify.sensor_text import Entry
 from evetac_cli.store.recordings.read import open_recording
 from evetac_cli.trials import record
-from tests.conftest import DATA
 from tests.make import run_stage
 
 TRUE_RATIO = 1.61 / 0.2  # of the sensor evetac
-NOISE = DATA / "dvxplorer_static_noise.aedat4"
 HALF_MS = 1350
 
 
@@ -197,14 +196,13 @@ def test_a_damaged_press(resting: Path, monkeypatch: pytest.MonkeyPatch) -> None
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not NOISE.exists(), reason="the recording of a real camera is not here")
-def test_a_real_camera_at_rest(tmp_path: Path) -> None:
+def test_a_real_camera_at_rest(tmp_path: Path, outside_file: Callable[[str], Path]) -> None:
     """Assert that a DVXplorer identified from the first half of a recording simulates its second half, within 10 %.
 
     Rates, hot pixels and their share of all events, and median and 90th percentile of the times between two events of a
     hot pixel, and between two of one polarity. Simulated with seed 10,000, which chose nothing.
     """
-    asked = Record(source=NOISE)
+    asked = Record(source=outside_file("dvxplorer_static_noise.aedat4"))
     output, _ = run_stage(record, [], asked, tmp_path / "noise.recording.h5")
     halves = []
     for number in range(2):

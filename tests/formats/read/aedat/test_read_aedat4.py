@@ -5,6 +5,7 @@ import struct
 import subprocess
 import tempfile
 import tracemalloc
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from evetac_cli.formats.imports import read_events
 from evetac_cli.formats.read.aedat import aedat4_packets, aedat4_payloads, read_aedat4
 from evetac_cli.formats.read.event_validation import NOT_RECORDED
 from evetac_cli.formats.write import write_aedat4
-from tests.importing import FRAME, real, refusal, same
+from tests.importing import FRAME, refusal, same
 from tests.quick import few
 
 
@@ -207,10 +208,10 @@ def test_payloads_as_faery_reads_them(tmp_path: Path, compression: Any) -> None:
 
 
 @pytest.mark.parametrize("name", ["davis346", "multistream", "dvxplorer_static_noise"])
-def test_other_payloads_as_faery_reads_them(name: str) -> None:
+def test_other_payloads_as_faery_reads_them(name: str, outside_file: Callable[[str], Path]) -> None:
     """Assert equal IMU samples, triggers and frames with another library, on files of the makers."""
     aedat = pytest.importorskip("faery").extension.aedat
-    path = real(f"{name}.aedat4")
+    path = outside_file(f"{name}.aedat4")
     with path.open("rb") as handle:
         header = aedat4_packets.read_header(handle, str(path))
         ours = {
@@ -266,10 +267,12 @@ def test_streams_are_chosen_by_name(tmp_path: Path) -> None:
         ("multistream.aedat4", 9_193, (346, 260), 3814, 25),
     ],
 )
-def test_real_aedat4(name: str, events: int, frame: tuple[int, int], slices: int, frames: int) -> None:
+def test_real_aedat4(
+    name: str, events: int, frame: tuple[int, int], slices: int, frames: int, outside_file: Callable[[str], Path]
+) -> None:
     """Assert that the makers' test files give their known numbers of events, and what else they hold is counted."""
     pytest.importorskip("faery")
-    imported = read_events(real(name))
+    imported = read_events(outside_file(name))
     assert (imported.events.size, imported.frame_px, imported.slices) == (events, frame, slices)
     assert sum(imported.counts.values()) == imported.sorted == 0
     assert imported.left_out.get("frames", 0) == frames
@@ -279,7 +282,7 @@ def test_real_aedat4(name: str, events: int, frame: tuple[int, int], slices: int
 
 @pytest.mark.parametrize("name", few(["dvxplorer_static_noise", "davis346", "multistream"], "davis346"))
 def test_damage_costs_no_more_than_the_packets_it_hits(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, outside_file: Callable[[str], Path]
 ) -> None:
     """Assert that truncated and damaged copies give every event of every packet that was not hit.
 
@@ -287,7 +290,7 @@ def test_damage_costs_no_more_than_the_packets_it_hits(
     """
     pytest.importorskip("faery")
     monkeypatch.setattr(read_aedat4, "BATCH_EVENTS", 0)  # a batch a packet
-    source = real(f"{name}.aedat4")
+    source = outside_file(f"{name}.aedat4")
     raw = source.read_bytes()
     with source.open("rb") as handle:
         header = aedat4_packets.read_header(handle, "")
@@ -322,17 +325,17 @@ def test_damage_costs_no_more_than_the_packets_it_hits(
     assert refused < 12
 
 
-def test_real_aedat4_without_events() -> None:
+def test_real_aedat4_without_events(outside_file: Callable[[str], Path]) -> None:
     """Assert that a file of two streams without a packet is a recording without events."""
-    imported = read_events(real("empty_stereo.aedat4"))
+    imported = read_events(outside_file("empty_stereo.aedat4"))
     assert (imported.events.size, imported.slices) == (0, 0)
     assert imported.notes[-1] == "the file has no events"
 
 
-def test_real_noise_is_the_noise_described() -> None:
+def test_real_noise_is_the_noise_described(outside_file: Callable[[str], Path]) -> None:
     """Assert that columns are not mixed up: 385 pixels above 20 events a second make 66.5 % of all."""
     pytest.importorskip("faery")
-    imported = read_events(real("dvxplorer_static_noise.aedat4"))
+    imported = read_events(outside_file("dvxplorer_static_noise.aedat4"))
     image = np.zeros((480, 640), np.int64)
     np.add.at(image, (imported.events.y, imported.events.x), 1)
     hot = image > 20 * imported.events.t[-1] / 1e6
@@ -341,9 +344,9 @@ def test_real_noise_is_the_noise_described() -> None:
     assert image[hot].sum() / image.sum() == pytest.approx(0.665, abs=5e-4)
 
 
-def test_real_frames_are_no_events() -> None:
+def test_real_frames_are_no_events(outside_file: Callable[[str], Path]) -> None:
     """Assert that a file of frames is refused in words."""
-    words = refusal(real("frames_only.aedat4"))
+    words = refusal(outside_file("frames_only.aedat4"))
     assert "frames but no event stream" in words and "found:    frames 20" in words
     assert f"try:      {NOT_RECORDED}" in words
 
