@@ -3,6 +3,7 @@
 import itertools
 import json
 import math
+import os
 import re
 import shlex
 import sys
@@ -21,6 +22,7 @@ MOST_PASTED = 3  # files that are listed individually at the end
 MOST_NAMING = 3  # columns that are repeated when a table is split
 # A long word may be broken after these characters, but not within a number.
 SEPARATORS = re.compile(r"(?<=[/_])|(?<=\w-)|(?<=[.,:;=])(?!\d)")
+_stdout: Any = None  # the stream for JSON while stdout is kept for it
 MOST_SHORT, EXPONENT_FROM = 9999.5, 1e9  # between these, a number is printed whole, with more than four digits
 
 
@@ -166,8 +168,26 @@ def counted(outcomes: Sequence[Outcome]) -> str:
     return ", ".join(parts)
 
 
+@contextmanager
+def stdout_for_json() -> Iterator[None]:
+    """Keep stdout for the JSON object that ends a command.
+
+    All else that is printed within this block goes to stderr, whether by plug-ins, libraries or child processes.
+    """
+    global _stdout
+    before, kept = (_stdout, sys.stdout), os.dup(1)
+    _stdout, sys.stdout = _stdout or sys.stdout, sys.stderr
+    os.dup2(2, 1)
+    try:
+        yield
+    finally:
+        os.dup2(kept, 1)
+        os.close(kept)
+        _stdout, sys.stdout = before
+
+
 def _print_json(result: dict[str, Any]) -> None:
-    print(json.dumps(plain(result), allow_nan=False))
+    print(json.dumps(plain(result), allow_nan=False), file=_stdout)
 
 
 def print_table(

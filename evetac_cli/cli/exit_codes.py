@@ -12,7 +12,7 @@ import tempfile
 import traceback
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -81,6 +81,7 @@ class CommandExit:
         self.title = title
         self.as_json, self.verbose = running.as_json, running.verbose
         self.results: dict[Path, Outcome | EvetacError] = {}  # of the jobs, by output
+        self._kept = ExitStack()
 
     def outcomes(self) -> list[Outcome]:
         """Return the outcomes of the jobs, including those of jobs that failed later (errors.attach_outcome)."""
@@ -94,6 +95,8 @@ class CommandExit:
         return [result for result in self.results.values() if isinstance(result, EvetacError)]
 
     def __enter__(self) -> "CommandExit":
+        if self.as_json:
+            self._kept.enter_context(console.stdout_for_json())
         try:
             kernel_cache.refuse_settings_in_the_working_folder()
         except InputError as error:
@@ -101,6 +104,10 @@ class CommandExit:
         return self
 
     def __exit__(self, kind: Any, error: BaseException | None, trace: Any) -> None:
+        with self._kept:
+            self._end(error)
+
+    def _end(self, error: BaseException | None) -> None:
         error = missing_library(error) or error
         if self.as_json and error is not None and not isinstance(error, (typer.Exit, OutputClosed, OutputError)):
             errors = self.errors()

@@ -66,7 +66,8 @@ def open_streams() -> None:
             OSError
         ):  # closed, e.g. by `>&-`: reserved, so that no other file gets this number and writing still fails
             os.set_inheritable(os.open(os.devnull, mode), True)
-    output, messages = _Output(1, "w", closefd=False), _Messages(2, "w", closefd=False)
+    # a copy of 1: the file of this number is another one while stdout is kept for JSON (console.stdout_for_json)
+    output, messages = _Output(os.dup(1), "w"), _Messages(2, "w", closefd=False)
     sys.stdout = _text(output, sys.stdout, line_buffering=output.isatty())
     sys.stderr = _text(messages, sys.stderr, line_buffering=True)
 

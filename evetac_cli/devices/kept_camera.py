@@ -13,6 +13,7 @@ import numpy as np
 
 from evetac_cli.devices import EventCamera
 from evetac_cli.devices.cameras import CameraSettings, NamedCamera, OpenedCamera
+from evetac_cli.devices.plugin_devices import open_camera
 from evetac_cli.errors import DeviceError
 from evetac_cli.events import SLICE_US, Events
 from evetac_cli.names import Capability
@@ -139,7 +140,7 @@ class KeptCamera(NamedCamera):
         state = self._state
         if not self._is_current():
             self.close()
-            state.opened, state.read = self.camera.open(settings, world, seeds), 0
+            state.opened, state.read = open_camera(self.camera, settings, world, seeds), 0
         assert state.opened is not None
         state.part = CameraPart(state.opened.camera, state.read)
         return OpenedCamera(state.part, state.opened.setup, state.opened.parents)

@@ -11,6 +11,7 @@ import numpy as np
 from evetac_cli.devices import Rig
 from evetac_cli.devices.cameras import CameraSettings, NamedCamera
 from evetac_cli.devices.grippers import Mode, NamedGripper
+from evetac_cli.devices.plugin_devices import open_camera, open_gripper
 from evetac_cli.errors import InputError
 from evetac_cli.names import Capability
 from evetac_cli.sim.setup.plan import Plan
@@ -93,10 +94,10 @@ def open_rig(
         return rig(plan, seeds)
     with ExitStack() as opened:
         world, servo = open_peers(camera, gripper, plan, seeds, opened, armed=armed, tells_truth=False)
-        driver, gripper_setup = gripper.open(mode, gripper.port if servo is None else servo.port)
+        driver, gripper_setup = open_gripper(gripper, mode, gripper.port if servo is None else servo.port)
         if driver is not None:
             opened.callback(driver.close)
-        running, camera_setup, parents = camera.open(settings, world, seeds)
+        running, camera_setup, parents = open_camera(camera, settings, world, seeds)
         opened.pop_all()
     return Rig(
         running,

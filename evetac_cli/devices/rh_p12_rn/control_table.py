@@ -13,6 +13,7 @@ MODEL_NUMBER = 35074  # RH-P12-RN(A)
 OLD_MODEL_NUMBER = 35073  # RH-P12-RN: looks the same, has a different control table
 RAM_START = 512  # addresses below are EEPROM, which is locked while torque is on
 TABLE_SIZE = 762
+BEYOND_TICKS = 64  # positions this far beyond the limits are measured where fingers bend, see measurements.py
 CURRENT_MODE, POSITION_MODE = 0, 5  # values of Operating Mode; in position mode Goal Current limits the current
 WATCHDOG_MS = 20  # unit of Bus Watchdog
 WATCHDOG_TRIPPED = -1  # the value of Bus Watchdog after it tripped

@@ -38,6 +38,8 @@ WARY_S = 2.0  # how long stray answers are watched for after a lost answer
 FOLLOWS_S = 1e-3  # an answer follows its question within this, plus the time on the wire
 LONGEST_ANSWER = 40  # bytes, including its question
 PAUSE_S = 100e-6  # servos miss an instruction that follows too closely on one without an answer
+VIRTUAL_PORTS = "/dev/pts/"  # a virtual servo answers at a pseudo terminal, once the computer runs its process
+VIRTUAL_IS_LATE = "the virtual gripper's process got no core: is the computer overloaded?"
 _FAULTS = {
     1: "could not carry it out",
     2: "does not know the instruction",
@@ -251,7 +253,9 @@ class Bus(AbstractContextManager["Bus"]):
             f"no answer to: {what}",
             where=self._where,
             expected="an answer at the first or second try",
-            hint=f"is the 24 V supply on? evetac doctor --gripper {self.port} reports which id and rate answer",
+            hint=VIRTUAL_IS_LATE
+            if self.port.startswith(VIRTUAL_PORTS)
+            else f"is the 24 V supply on? evetac doctor --gripper {self.port} reports which id and rate answer",
         )
 
     def _once(self, instruction: int, parameters: bytes) -> tuple[list[int], int, int]:

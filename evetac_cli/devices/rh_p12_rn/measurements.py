@@ -19,7 +19,7 @@ from collections.abc import Callable
 from typing import TypeVar
 
 from evetac_cli.devices import GripperReading
-from evetac_cli.devices.rh_p12_rn.control_table import REGISTERS
+from evetac_cli.devices.rh_p12_rn.control_table import BEYOND_TICKS, REGISTERS
 from evetac_cli.devices.rh_p12_rn.dynamixel_bus import Bus
 from evetac_cli.devices.rh_p12_rn.torque import Torque
 from evetac_cli.errors import DeviceError
@@ -27,7 +27,6 @@ from evetac_cli.errors import DeviceError
 TICK_EVERY = 10  # readings: 20 ms at 500 per second
 TICK_WRAPS_MS = 32768
 TICK_SLACK_MS = 1000.0  # a servo's clock that is ahead of the host's by less than this did not restart
-BEYOND_TICKS = 64
 FASTEST_TICKS_MS = 6.0
 MOST_MA = 4000
 SUPPLY_SHARES = 0.8, 1.2  # factors on the lower and the upper limit

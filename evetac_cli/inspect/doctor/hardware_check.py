@@ -29,6 +29,7 @@ from evetac_cli.devices import grippers as named_grippers
 from evetac_cli.devices.cameras import CameraSettings, NamedCamera
 from evetac_cli.devices.grippers import NamedGripper, RhP12RnGripper
 from evetac_cli.devices.opening import require_arm
+from evetac_cli.devices.plugin_devices import open_camera, open_gripper
 from evetac_cli.devices.rh_p12_rn.control_table import (
     CURRENT_MODE,
     MODEL_NUMBER,
@@ -182,7 +183,7 @@ def _try_camera(steps: Steps, camera: NamedCamera) -> None:
 
         def open_() -> tuple[bool, str]:
             nonlocal running
-            running, setup, _ = camera.open(CameraSettings(), None, np.random.SeedSequence(0))
+            running, setup, _ = open_camera(camera, CameraSettings(), None, np.random.SeedSequence(0))
             opened.callback(running.close)
             return True, json.dumps(dict(setup), default=str)
 
@@ -249,7 +250,7 @@ def _try_gripper_of_plugin(steps: Steps, gripper: NamedGripper) -> None:
 
         def open_() -> tuple[bool, str]:
             nonlocal running
-            running, setup = gripper.open("current", gripper.port)
+            running, setup = open_gripper(gripper, "current", gripper.port)
             opened.callback(running.close)
             return True, json.dumps(setup, default=str)
 

@@ -34,6 +34,7 @@ from typing import Any, NamedTuple
 from evetac_cli import console
 from evetac_cli.devices import Gripper
 from evetac_cli.devices.grippers import NamedGripper
+from evetac_cli.devices.plugin_devices import open_gripper
 from evetac_cli.devices.rh_p12_rn.driver import RhP12RnSettings
 from evetac_cli.errors import DeviceError, EvetacError
 from evetac_cli.events import SLICE_US
@@ -186,7 +187,7 @@ def run_controller(
         while not take_order(orders, ORDER_S):
             _raise_if_ended(ending)
         scheduling = set_realtime_priority(PRIORITY)
-        gripper, setup = settings.gripper.open("position", settings.port, settings.driver)
+        gripper, setup = open_gripper(settings.gripper, "position", settings.port, settings.driver)
         assert gripper is not None
         with contextlib.closing(gripper):
             outbox.put(GripperReady(setup, scheduling))

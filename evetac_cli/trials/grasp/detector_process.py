@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.devices import EventCamera
 from evetac_cli.devices.cameras import CameraSettings, NamedCamera
+from evetac_cli.devices.plugin_devices import open_camera
 from evetac_cli.errors import DeviceError, EvetacError
 from evetac_cli.events import FRAME_PX, SLICE_US, Events, empty
 from evetac_cli.interrupts import ignore_interrupts, remember_signals
@@ -166,7 +167,7 @@ def run_detector(
             _raise_if_ended(ending)
         gc.collect()  # collect now, because it takes long and would delay slices once the camera runs
         scheduling = set_niceness(NICE)  # before the camera's thread starts, which inherits it
-        camera, setup, _ = settings.camera.open(CameraSettings(flush_us=FLUSH_US), world, settings.seeds)
+        camera, setup, _ = open_camera(settings.camera, CameraSettings(flush_us=FLUSH_US), world, settings.seeds)
         outbox.put(CameraReady(camera.sensor, setup, camera.notes, scheduling))
         gc.freeze()
         gc.disable()  # the loop creates no reference cycles

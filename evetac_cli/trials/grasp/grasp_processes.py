@@ -15,6 +15,7 @@ from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from evetac_cli.devices.plugin_devices import release_gripper
 from evetac_cli.errors import DeviceError
 from evetac_cli.interrupts import signals_held
 from evetac_cli.realtime.core_use import CoreUse
@@ -157,7 +158,7 @@ class GraspProcesses:
         """
         self.controller.kill()
         self.controller.join(END_S)
-        return self._settings.gripper.release(self._settings.port, self._settings.driver)
+        return release_gripper(self._settings.gripper, self._settings.port, self._settings.driver)
 
     def _wait_for(self, kind: type[_T], inbox: MessageReader, process: Any, most_s: float, signals: list[int]) -> _T:
         """Return the first message of a kind; raise any error that occurs before it arrives."""
