@@ -3,15 +3,20 @@
 import os
 import shutil
 import signal
+import sys
 import tomllib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from importlib import metadata
 from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
 
+from evetac_cli import plugins
 from evetac_cli.commands.featurize import Featurize
 from evetac_cli.commands.grasp import Grasp
 from evetac_cli.commands.label import Label
@@ -204,3 +209,28 @@ def fresh(gripper: VirtualGripper) -> VirtualGripper:
 
 def is_off(gripper: VirtualGripper) -> bool:
     return gripper.read_register("Torque Enable") == 0 and gripper.read_register("Goal Current") == 0
+
+
+Add = Callable[..., None]
+
+
+@pytest.fixture
+def add(monkeypatch: pytest.MonkeyPatch) -> Iterator[Add]:
+    """Add plug-ins to a group, by name, as of a package `lab` (or another) whose module they are in."""
+    entries: list[metadata.EntryPoint] = []
+    module = ModuleType("lab_parts")
+
+    def to(group: str, package: str = "lab", **parts: Any) -> None:
+        vars(module).update(parts)
+        about = SimpleNamespace(name=package, version="2.0")
+        for name in parts:
+            entry = metadata.EntryPoint(name, f"lab_parts:{name}", group)
+            entries.append(entry._for(about))  # type: ignore[attr-defined]
+        plugins.installed.cache_clear()
+
+    plugins.installed.cache_clear()
+    monkeypatch.setitem(sys.modules, "lab_parts", module)
+    monkeypatch.setattr(plugins, "_used", {})
+    monkeypatch.setattr(metadata, "entry_points", lambda group: [entry for entry in entries if entry.group == group])
+    yield to
+    plugins.installed.cache_clear()

@@ -30,7 +30,7 @@ from evetac_cli.resources import PACKAGE
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.layout.provenance import time_host_versions
 from evetac_cli.trials.grasp import settings
-from tests.conftest import Made
+from tests.conftest import Add, Made
 from tests.patience import PATIENCE_S
 
 TOY = PACKAGE.parent / "tests" / "plugin"
@@ -337,31 +337,6 @@ class Numbered(PluginLaw):
     """A law that does."""
 
     method = 3
-
-
-Add = Callable[..., None]
-
-
-@pytest.fixture
-def add(monkeypatch: pytest.MonkeyPatch) -> Iterator[Add]:
-    """Add plug-ins to a group, by name, as of a package `lab` (or another) whose module they are in."""
-    entries: list[metadata.EntryPoint] = []
-    module = ModuleType("lab_parts")
-
-    def to(group: str, package: str = "lab", **parts: Any) -> None:
-        vars(module).update(parts)
-        about = SimpleNamespace(name=package, version="2.0")
-        for name in parts:
-            entry = metadata.EntryPoint(name, f"lab_parts:{name}", group)
-            entries.append(entry._for(about))  # type: ignore[attr-defined]
-        plugins.installed.cache_clear()
-
-    plugins.installed.cache_clear()
-    monkeypatch.setitem(sys.modules, "lab_parts", module)
-    monkeypatch.setattr(plugins, "_used", {})
-    monkeypatch.setattr(metadata, "entry_points", lambda group: [entry for entry in entries if entry.group == group])
-    yield to
-    plugins.installed.cache_clear()
 
 
 def test_a_class_for_devices_and_an_instance_for_all_else(add: Add) -> None:

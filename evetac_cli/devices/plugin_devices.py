@@ -139,7 +139,7 @@ def setup_fault(setup: Any) -> str:
 
 
 def sensor_fault(camera: EventCamera, frame_px: tuple[int, int]) -> str:
-    """Return what is wrong with what an open camera reports, "" if nothing; frame_px: as the named camera reports it."""
+    """Return what is wrong with what an open camera reports, "" if nothing; frame_px: that of the named camera."""
     found_px = tuple(np.ravel(camera.sensor.get("sensor/frame_px", ())).tolist())
     if found_px != tuple(frame_px):
         return f"sensor/frame_px is {found_px}, but frame_px() returned {tuple(frame_px)}"
@@ -165,9 +165,7 @@ class _Maker:
         message = f"the plug-in {kind} {self._name} of {package} {does}"
         return DeviceError(message, expected=expected, found=found, hint=hint)
 
-    def ask(
-        self, what: str, call: Callable[..., _T], *arguments: Any, passes: type[EvetacError] = DeviceError
-    ) -> _T:
+    def ask(self, what: str, call: Callable[..., _T], *arguments: Any, passes: type[EvetacError] = DeviceError) -> _T:
         """Return the result of a call; an exception that does not pass becomes a DeviceError, and is its cause."""
         try:
             return call(*arguments)
@@ -233,9 +231,9 @@ class CheckedCamera:
                 raise self._maker.fault("returned no slice", "slices until it is closed or its stream ends", "None")
             return None
         if fault := slice_fault(events, self._slices, self._frame_px):
-            expected = "events of [{0}, {1}) us in order of time, in a frame of {2} x {3} px, p 0 or 1; {4}".format(
-                self._slices * SLICE_US, (self._slices + 1) * SLICE_US, *self._frame_px, ", ".join(map(str, DTYPES))
-            )
+            first_us, (width, height) = self._slices * SLICE_US, self._frame_px
+            within = f"[{first_us}, {first_us + SLICE_US}) us, in order of time, in a frame of {width} x {height} px"
+            expected = f"events of {within}, with p 0 or 1, as {', '.join(map(str, DTYPES))}"
             raise self._maker.fault(f"returned an invalid slice {self._slices}", expected, fault)
         self._slices += 1
         if self._slices % CLOCK_SLICES == 0:

@@ -17,7 +17,13 @@ from evetac_cli.devices.dvxplorer import protocol
 from evetac_cli.devices.dvxplorer.camera import SUPER_SPEED, FoundCamera
 from evetac_cli.devices.grippers import BAUD, ID, Serial, parse_port
 from evetac_cli.devices.probe import FTDI, Host, SerialPort
-from evetac_cli.devices.rh_p12_rn.control_table import MODEL_NUMBER, OLD_MODEL_NUMBER, RETURN_DELAY_US, hardware_errors
+from evetac_cli.devices.rh_p12_rn.control_table import (
+    BEYOND_TICKS,
+    MODEL_NUMBER,
+    OLD_MODEL_NUMBER,
+    RETURN_DELAY_US,
+    hardware_errors,
+)
 from evetac_cli.devices.rh_p12_rn.dynamixel_bus import BusDevice
 from evetac_cli.errors import EXTRAS, DeviceError, install_hint, pip
 from evetac_cli.events import FRAME_PX

@@ -30,6 +30,7 @@ from evetac_cli.kernels.slip.architectures import (
     PluginLayers,
     channels,
 )
+from evetac_cli.kernels.slip.detector import Detector
 
 
 class SlipNet(nn.Module):
@@ -231,6 +232,20 @@ def onnx_graph(network: Network) -> bytes:
     """Return the ONNX file of the network: features (batch, ...) float32, as `inputs.at`, -> probability (batch,)."""
     grid = (network.rows, network.columns) if not isinstance(network, ImageNet) else (0, 0)
     return onnx_graphs.build(network.architecture, weights(network), *grid)
+
+
+def difference_of_forms(
+    architecture: Architecture,
+    arrays: Mapping[str, NDArray[np.float32]],
+    rows: int,
+    columns: int,
+    batch: NDArray[np.float32],
+) -> float:
+    """Return the largest difference in probability between a network in torch and its ONNX graph, for these inputs."""
+    with torch.no_grad():
+        logits = from_weights(architecture, arrays, rows, columns).eval()(torch.from_numpy(batch))
+    graph = onnx_graphs.build(architecture, arrays, rows, columns)
+    return float(np.abs(Detector(graph, architecture).probability(batch) - torch.sigmoid(logits).numpy()).max())
 
 
 def _channels(values: ArrayLike, wide: int) -> Tensor:

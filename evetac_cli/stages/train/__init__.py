@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from evetac_cli import plugins
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.commands.train import Train
 from evetac_cli.errors import InputError, made_by
@@ -30,6 +31,7 @@ from evetac_cli.kernels.calibration import grid
 from evetac_cli.kernels.slip.architectures import (
     LEAST_COLUMNS,
     LEAST_ROWS,
+    Architecture,
     DotArchitecture,
     PluginLayers,
     joined,
@@ -59,12 +61,15 @@ from evetac_cli.store.layout.provenance import Header, Recipe
 from evetac_cli.store.layout.rules import named_architecture
 from evetac_cli.store.recordings.onset import PERSON, abstains
 
-if TYPE_CHECKING:  # torch takes more than a second to import
+if TYPE_CHECKING:  # torch takes more than a second to import, numba half of it
+    from evetac_cli.kernels.slip.inputs import Trajectory
     from evetac_cli.kernels.slip.training import SlipTraining
 
 OUTPUT = "model"
 METHOD = 9
 VALIDATE_EVERY = 8
+COMPARED = 64  # inputs of a file on which the two forms of a plug-in's network are compared
+FORMS_AGREE = 1e-4  # probability; float32 alone made a difference of at most XXX
 FEWEST_VALIDATED_ON = 4  # trajectories; with fewer, a far too low threshold may score as well as a good one
 
 
@@ -300,6 +305,8 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
     if isinstance(architecture, DotArchitecture):
         _check_grid(shape, job.inputs[0])
     start = None if adapted is None else adapted.weights
+    if isinstance(architecture, PluginLayers):  # before hours of training, and again on the result
+        _require_same_forms(architecture, None, shape, read_trajectory(job.inputs[0], architecture), job.inputs[0])
     networks = Networks(output, job.inputs, memory_bytes, folds, recipe, shape, start, log)
     predictions: list[list[Prediction]] = []
     resumed: int | None = None
@@ -323,6 +330,7 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
             for done, index in enumerate(fold.evaluated_on):
                 progress(done, len(fold.evaluated_on), "files evaluated")
                 trajectory = read_trajectory(job.inputs[index], architecture)
+                _require_same_forms(architecture, last[-1], shape, trajectory, job.inputs[index])
                 found = predict(detectors, trajectory, headers[index], settings.horizon_ms)
                 for of_detector, prediction in zip(predictions, found, strict=True):
                     of_detector.append(prediction)
@@ -389,6 +397,37 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
         detected_share=choice.detected_share,
         warning=_warning(job.output),
     )
+
+
+def _require_same_forms(
+    architecture: Architecture,
+    weights: dict[str, NDArray[np.float32]] | None,
+    shape: tuple[int, int],
+    trajectory: "Trajectory",
+    path: Path,
+) -> None:
+    """Raise InputError if a plug-in's network computes another probability in torch than as an ONNX graph.
+
+    weights: of all networks of the detector; None for new ones. trajectory: the inputs of a file, of which some are
+    compared; path: that file.
+    """
+    import torch
+
+    from evetac_cli.kernels.slip import inputs, networks
+
+    plugin = plugins.by_name(plugins.NETWORKS, architecture.name)
+    slices = inputs.length(trajectory.series)
+    if plugin is None or slices < architecture.history:
+        return
+    ends = np.unique(np.linspace(architecture.history - 1, slices - 1, COMPARED).astype(np.int64))
+    batch = inputs.at(architecture, trajectory.series, ends)
+    with torch.random.fork_rng(devices=[]):  # new weights are drawn, and a training may draw later
+        drawn = networks.weights(networks.build(architecture, *shape)) if weights is None else weights
+    for each in parted(drawn):
+        difference = networks.difference_of_forms(architecture, each, *shape, batch)
+        if not difference <= FORMS_AGREE:
+            found = f"for inputs from {path}, torch and ONNX return probabilities up to {difference:.3g} apart"
+            raise plugin.error(f"{found}: its `hidden` and `add_layers` are not the same network")
 
 
 def _learned_truth(params: Train, adapted: TrainedModel | None) -> bool:
