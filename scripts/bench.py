@@ -27,9 +27,10 @@ import numpy as np
 from evetac_cli.commands.grasp import Grasp
 from evetac_cli.console import show
 from evetac_cli.devices import Rig
+from evetac_cli.devices.plugin_devices import slice_fault
 from evetac_cli.devices.simulated import rig
 from evetac_cli.evaluate.cost.tracker import DOTS_PX, rim_events
-from evetac_cli.events import SLICE_US, SLICES_PER_S, Events
+from evetac_cli.events import FRAME_PX, SLICE_US, SLICES_PER_S, Events
 from evetac_cli.kernels.grip import paper
 from evetac_cli.kernels.labelling import flow
 from evetac_cli.kernels.slip import features
@@ -43,6 +44,7 @@ from evetac_cli.trials.grasp.online_detector import OnlineSlipDetector
 
 ROOT = Path(__file__).resolve().parents[1]
 TOUCH_MS, LIFT_MS = 1500, 10_000
+CHECKS = 100  # calls timed together: one takes about as long as reading the clock
 OBJECTS = (8, 11, 17, 18)
 
 
@@ -214,6 +216,17 @@ def events_near(rng: np.random.Generator, count: int) -> Events:
     return Events(np.sort(rng.integers(0, 1000, len(left))), x[left], y[left], p[left])
 
 
+def plugin_check() -> list[dict[str, object]]:
+    """Time the check of a slice of a plug-in's camera; evetac's own cameras are not checked."""
+    rng, rows = np.random.default_rng(0), []
+    for count in (0, 100, 1000):
+        x, y, p = rim_events(rng, count)
+        events = Events(np.sort(rng.integers(0, SLICE_US, len(x))), x, y, p)
+        calls = timed(lambda e=events: [slice_fault(e, 0, FRAME_PX) for _ in range(CHECKS)], 200)
+        rows.append(row(f"check a plug-in's slice, {count} events", calls, CHECKS))
+    return rows
+
+
 def all_simulations(name: str) -> list[dict[str, object]]:
     return [entry for number in OBJECTS for entry in simulation(name, number)]
 
@@ -240,6 +253,7 @@ GROUPS: dict[str, Callable[[], list[dict[str, object]]]] = {
     "network": network,
     "online": online_step,
     "baselines": baselines,
+    "plug-in": plugin_check,
     "commands": commands,
 }
 

@@ -1,6 +1,8 @@
 """Plug-ins: a package from outside is used from the command line, and broken ones are refused in words."""
 
+import importlib.util
 import json
+import os
 import pickle
 import shutil
 import subprocess
@@ -26,7 +28,10 @@ from evetac_cli.formats.imports import ImportFormat, read_events
 from evetac_cli.inspect.doctor import plugin_check
 from evetac_cli.kernels.grip.control import PluginLaw
 from evetac_cli.kernels.grip.load_law import MARGIN
+from evetac_cli.kernels.slip.architectures import weight_shapes
+from evetac_cli.kernels.slip.inputs import Trajectory
 from evetac_cli.resources import PACKAGE
+from evetac_cli.stages import train
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.layout.provenance import time_host_versions
 from evetac_cli.trials.grasp import settings
@@ -470,3 +475,46 @@ def test_a_worker_without_the_package(add: Add, tmp_path: Path) -> None:
     del sys.modules["lab_parts"].one  # type: ignore[attr-defined]
     assert "cannot use the plug-in camera one of lab: AttributeError" in answer(part)
     assert answer(part._replace(name="two")) == "lacks the package lab with the plug-in camera two"
+
+
+def test_a_network_whose_forms_differ(add: Add) -> None:
+    """Assert that `train` refuses a network that takes the maximum in torch and the mean in ONNX, new and trained."""
+    spec = importlib.util.spec_from_file_location("toy_network", TOY / "evetac_toy" / "network.py")
+    assert spec is not None and spec.loader is not None
+    spec.loader.exec_module(module := importlib.util.module_from_spec(spec))
+
+    class MaxOfDots(module.MeanOfDots):  # type: ignore[misc, name-defined]
+        def hidden(self, modules: Any, inputs: Any) -> Any:
+            return modules["code"](inputs).relu().amax(1)
+
+    views = module.MEAN_OF_DOTS.views
+    odd, fine = MaxOfDots("odd", views), module.MeanOfDots("fine", views)
+    add(plugins.NETWORKS, odd=odd, fine=fine)
+    rng, slices = np.random.default_rng(0), 100
+    zeros = np.zeros(slices, np.int8)
+    series = rng.normal(0, 1, (slices, 56, 2)).astype(np.float32)
+    trajectory = Trajectory(series, zeros, zeros, -1)
+    weights = {name: rng.normal(0, 1, shape).astype(np.float32) for name, shape in weight_shapes(odd, 7, 8).items()}
+    for each in (None, weights):
+        train._require_same_forms(fine, each, (7, 8), trajectory, Path("a.features.h5"))
+        with pytest.raises(InputError, match=r"plug-in network odd cannot be used(?s:.*)inputs from a\.features\.h5"):
+            train._require_same_forms(odd, each, (7, 8), trajectory, Path("a.features.h5"))
+
+
+def test_what_a_plug_in_prints_is_not_json(add: Add, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """Assert that --json prints one object on stdout, whatever a plug-in, its libraries or processes print."""
+
+    class Loud(OneCamera):
+        @classmethod
+        def parse(cls, text: str) -> Any:
+            print("hello from Python")
+            os.write(1, b"hello from C\n")
+            subprocess.run(["echo", "hello from a process"], check=True)
+            raise InputError("not this camera")
+
+    add(plugins.CAMERAS, one=Loud)
+    with pytest.raises(SystemExit):
+        main.app(["record", "--camera", "one", "--seconds", "1", "-o", str(tmp_path / "a.recording.h5"), "--json"])
+    written = capfd.readouterr()
+    assert json.loads(written.out)["error"]["message"] == "not this camera"
+    assert written.err.count("hello from") == 3

@@ -6,15 +6,16 @@ from pathlib import Path
 from typing import Any
 
 from evetac_cli.console import print_table
-from evetac_cli.errors import InputError, UnavailableError
+from evetac_cli.errors import EvetacError, InputError, UnavailableError
 from evetac_cli.inspect.header_rules import follows
 from evetac_cli.jobs import Outcome, Progress, silent
 from evetac_cli.resources import schemas
-from evetac_cli.store.files import StageFile
+from evetac_cli.store.files import StageFile, header_of
 from evetac_cli.store.layout import contents, rules
 from evetac_cli.store.layout.provenance import ContentDigest
 from evetac_cli.store.recordings.read import Recording
 
+OF_A_TRIAL = ("labels", "tracks", "features", "touch")  # kinds that lie beside their recording, under its name
 EVENTS = 1 << 18  # read at once
 
 
@@ -31,6 +32,7 @@ def run(files: list[Path], progress: Progress = silent) -> Outcome:
                 faults = _faults(file)
                 kind = file.kind
                 simulated |= bool(file.header["simulated"])
+                faults += _relation_faults(file, files)
         except InputError as error:
             faults = [" ".join(str(error).split())]
         except UnavailableError as error:
@@ -64,6 +66,24 @@ def _faults(file: StageFile) -> list[str]:
         return check(file) if check else []
     except InputError as error:
         return [" ".join(str(error).split())]
+
+
+def _relation_faults(file: StageFile, files: list[Path]) -> list[str]:
+    """Return a fault if a file was made from another recording than the one of its name among the files.
+
+    A recording that was made from that one, for example by attaching a stream, is the same trial.
+    """
+    name, _, _ = file.path.name.rpartition(f".{file.kind}.")
+    beside = file.path.with_name(f"{name}.recording.h5")
+    if file.kind not in OF_A_TRIAL or beside not in files:
+        return []
+    try:
+        header = header_of(beside, "recording")
+    except EvetacError:  # reported in its own row
+        return []
+    if file.header["history"].keys() & {header["id"], *header["history"]}:
+        return []
+    return [f"made from another recording than {beside.name}: were files renamed, or was it recorded again?"]
 
 
 def _recording(file: StageFile) -> list[str]:

@@ -69,7 +69,7 @@ OUTPUT = "model"
 METHOD = 9
 VALIDATE_EVERY = 8
 COMPARED = 64  # inputs of a file on which the two forms of a plug-in's network are compared
-FORMS_AGREE = 1e-4  # probability; float32 alone made a difference of at most XXX
+FORMS_AGREE = 1e-4  # probability; ten times the limit of evetac_cli.testing, because trained logits are larger
 FEWEST_VALIDATED_ON = 4  # trajectories; with fewer, a far too low threshold may score as well as a good one
 
 
