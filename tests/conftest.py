@@ -231,6 +231,15 @@ def add(monkeypatch: pytest.MonkeyPatch) -> Iterator[Add]:
     plugins.installed.cache_clear()
     monkeypatch.setitem(sys.modules, "lab_parts", module)
     monkeypatch.setattr(plugins, "_used", {})
-    monkeypatch.setattr(metadata, "entry_points", lambda group: [entry for entry in entries if entry.group == group])
+    others = metadata.entry_points
+    monkeypatch.setattr(
+        metadata,
+        "entry_points",
+        lambda **named: (
+            [entry for entry in entries if entry.group == named["group"]]
+            if named.get("group", "").startswith("evetac.")
+            else others(**named)  # such as numba's
+        ),
+    )
     yield to
     plugins.installed.cache_clear()
