@@ -60,9 +60,11 @@ def slice_fault(events: Any, index: int, frame_px: tuple[int, int]) -> str:
 
 @cache
 def _kernel() -> Callable[..., bool]:
-    from evetac_cli.kernels.slices import is_slice  # loads numba, which evetac's own devices may not need
+    # loads numba, which evetac's own devices may not need
+    from evetac_cli.kernels.slices import is_slice
 
-    return is_slice
+    kernel: Callable[..., bool] = is_slice
+    return kernel
 
 
 def _slice_fault(events: Any, index: int, frame_px: tuple[int, int]) -> str:
