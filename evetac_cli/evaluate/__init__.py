@@ -62,8 +62,8 @@ def report(
         return Outcome(rows, recipe.simulated, summary, made=False)
     rows, summary = measure()
     arrays = {"command": command, "rows": json.dumps(plain(rows)), "summary": json.dumps(plain(summary))}
-    write_stage(job.output, recipe, arrays)
-    return Outcome(rows, recipe.simulated, {**summary, "report": str(job.output)})
+    made = write_stage(job.output, recipe, arrays, force=force) is not None
+    return Outcome(rows, recipe.simulated, {**summary, "report": str(job.output)}, made=made)
 
 
 def own_report(part: str, subject: str, out: Path | None) -> Path:

@@ -6,8 +6,8 @@ out where the format cannot store them, and the export reports this. Tables and 
 the recording and everything computed from it, one row per slice or frame, without single events.
 """
 
-import os
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -30,7 +30,7 @@ from evetac_cli.formats.write.slice_columns import Opener, WrittenFolder, record
 from evetac_cli.jobs import Progress, require_possible_name, silent
 from evetac_cli.kernels.event_representation import Kind
 from evetac_cli.store.files import stem
-from evetac_cli.store.hdf5.disk import taking_the_place_of, utf8_path
+from evetac_cli.store.hdf5.disk import check_free, taking_the_place_of, utf8_path
 from evetac_cli.store.made_folders import new_folder
 from evetac_cli.store.recordings.read import Recording
 
@@ -146,20 +146,14 @@ def export(
     options: of the format. opened: opens the files of the recording's trial. Raises InputError if the target exists and
     `force` is not set, or if the recording lacks data that the format requires.
     """
-    require_possible_name(target)
-    if target.is_dir():
-        raise InputError("the output is a folder", where=str(target))
-    if os.path.lexists(target) and not force:
-        raise InputError(
-            "the output exists", where=str(target), hint="--force replaces it, -o NAME writes to another file"
-        )
+    check_free(target, force=force)
     row = named_format(format_)
     assert row.write is not None
     with (opened if row.of_trial else recording_alone)(source) as files:
         recording = files.recording
         if target.exists() and target.samefile(source):
             raise InputError("the output would replace the recording", where=str(target))
-        with taking_the_place_of(target, target.suffix) as temporary:
+        with taking_the_place_of(target, target.suffix, partial(check_free, target, force=force)) as temporary:
             with utf8_path(temporary) as plain:
                 left_out = row.write(files if row.of_trial else recording, plain, progress, **options) or []
             size = temporary.stat().st_size

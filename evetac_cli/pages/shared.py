@@ -6,17 +6,16 @@ from files is escaped, also on the axes of charts, which Bokeh draws as text and
 
 import html
 import json
-import os
 import re
 from collections.abc import Iterable, Mapping
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 from evetac_cli.errors import EvetacError, InputError, missing_extra
-from evetac_cli.jobs import require_possible_name
 from evetac_cli.resources import DATA
-from evetac_cli.store.hdf5.disk import taking_the_place_of
+from evetac_cli.store.hdf5.disk import check_free, taking_the_place_of
 
 INK, BLUE, ORANGE, GREEN, PINK = "ink", "#2f82c4", "#d55e00", "#009e73", "#cc79a7"  # distinct to the colour-blind
 NEUTRAL = "#7f8790"  # replaces INK in charts: legible on white and on black
@@ -53,20 +52,9 @@ def with_suffix(path: Path, suffix: str, flag: str) -> Path:
     return path
 
 
-def check_free(path: Path, force: bool) -> None:
-    """Raise InputError if a page cannot be written to this path, or exists there, unless `force`."""
-    require_possible_name(path)
-    if os.path.isdir(path):
-        raise InputError("the output is a folder", where=str(path))
-    if os.path.lexists(path) and not force:
-        raise InputError(
-            "the output exists", where=str(path), hint="--force replaces it, -o NAME writes to another file"
-        )
-
-
-def write_page(path: Path, content: bytes) -> None:
-    """Write next to the target, then rename, so that no partial page is ever left."""
-    with taking_the_place_of(path) as temporary:
+def write_page(path: Path, content: bytes, *, force: bool) -> None:
+    """Write next to the target, then rename, so that no partial page is ever left; InputError as for `check_free`."""
+    with taking_the_place_of(path, check=partial(check_free, path, force=force)) as temporary:
         temporary.write_bytes(content)
 
 

@@ -78,15 +78,16 @@ def run(job: Job, params: Attach, *, force: bool = False, progress: Progress = s
         about = {one.name: {"source": one.source, "offset_s": one.offset_s} for one in added}
         parameters = {**header["parameters"], "attached": {**header["parameters"].get("attached", {}), **about}}
         recipe = Recipe(OUTPUT, METHOD, parameters, seed=header["seed"], parents=(header,), content=digest.hexdigest())
-        is_new = not up_to_date(job.output, recipe, force=force)
-        if is_new:
+        made = not up_to_date(job.output, recipe, force=force)
+        if made:
             lengths = {path: shape[0] for path, shape in _with_rows(recording).items()}
             for one in added:
                 lengths |= one.lengths()
-            write_stage(job.output, recipe, _whole(recording, added), _blocks(recording, added, progress), lengths)
+            whole, blocks = _whole(recording, added), _blocks(recording, added, progress)
+            made = write_stage(job.output, recipe, whole, blocks, lengths, force=force) is not None
     return outcome(
         job,
-        made=is_new,
+        made=made,
         simulated=bool(header["simulated"]),
         streams=len(added),
         samples=sum(len(one.t_us) for one in added),

@@ -6,6 +6,7 @@ they belong, closed or cut.
 """
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,7 @@ from evetac_cli.stages import calibrated_gel
 from evetac_cli.stages.calibrated_gel import FoundDots
 from evetac_cli.store.calibration import Calibration, read_calibration, read_quality, up_to_date, write_calibration
 from evetac_cli.store.files import stem
+from evetac_cli.store.hdf5.disk import Recheck
 from evetac_cli.store.layout.provenance import Recipe, time_host_versions
 from evetac_cli.store.recordings.read import Recording, open_recording
 
@@ -112,8 +114,8 @@ def run(job: Job, params: Calibrate, *, force: bool = False, progress: Progress 
         hot = gel_at_rest.hot_pixels(recording)
         if hot is not None:
             calibration = replace(calibration, hot_xy_px=hot)
-    _write(job, calibration, recipe, figures)
-    return _outcome(job, recipe, made_now=True)
+    made = _write(job, calibration, recipe, figures, force=force)
+    return _outcome(job, recipe, made_now=made)
 
 
 def _import(job: Job, params: Calibrate, force: bool) -> Outcome:
@@ -148,8 +150,8 @@ def _import(job: Job, params: Calibrate, force: bool) -> Outcome:
     recipe = Recipe(OUTPUT, METHOD, recipe_of(params) | {"source": source.name}, content=calibration.digest())
     if up_to_date(job.output, recipe, force=force):
         return _outcome(job, recipe, made_now=False)
-    _write(job, calibration, recipe, left_out)
-    return _outcome(job, recipe, made_now=True)
+    made = _write(job, calibration, recipe, left_out, force=force)
+    return _outcome(job, recipe, made_now=made)
 
 
 def _left_out(places: Grid, dots: Grid) -> dict[str, int]:
@@ -184,11 +186,13 @@ def _found(recording: Recording, places: Grid, radius_px: float) -> FoundDots:
     return FoundDots(places, radius_px, recording.frame_px, str(recording.path), calibrated_gel.PRESS, gel, window)
 
 
-def _write(job: Job, calibration: Calibration, recipe: Recipe, figures: dict[str, Any]) -> None:
+def _write(job: Job, calibration: Calibration, recipe: Recipe, figures: dict[str, Any], *, force: bool) -> bool:
     pairs = grid.neighbours(calibration.dot_xy_px.reshape(-1, 2))
     neighbours = [[int(other) for other in row if other >= 0] for row in pairs]
     provenance = recipe.identity | {"id": recipe.id, "made": time_host_versions()}
-    write_calibration(job.output, calibration, neighbours, figures, provenance, str(job.inputs[0]))
+    recheck = Recheck(partial(up_to_date, job.output, recipe, force=force))
+    write_calibration(job.output, calibration, neighbours, figures, provenance, str(job.inputs[0]), recheck)
+    return recheck.made
 
 
 def _outcome(job: Job, recipe: Recipe, *, made_now: bool) -> Outcome:

@@ -112,11 +112,11 @@ def run(job: Job, params: Featurize, *, force: bool = False, progress: Progress 
         blocks = _blocks(recording, tracks, rest_xy_px.reshape(-1, 2), window, params, progress)
         lengths = dict.fromkeys(COLUMNS, slices) | ({"image/start": slices + 1} if params.images else {})
         lengths |= {"gel_events/start": slices + 1} if params.events else {}
-        write_stage(job.output, recipe, arrays, blocks, lengths)
+        made = write_stage(job.output, recipe, arrays, blocks, lengths, force=force) is not None
     onset = int(arrays.get("onset_slice", -1))  # a slice is a millisecond
     return outcome(
         job,
-        made=True,
+        made=made,
         simulated=simulated,
         slices=slices,
         labelled="label" in arrays,

@@ -99,10 +99,10 @@ def run(job: Job, params: Label, *, force: bool = False, progress: Progress = si
         "confidence": np.float64(labels.confidence),
         "flow_pairs_computed": np.int64(labels.flow_pairs),
     }
-    write_stage(job.output, recipe, arrays)
+    made = write_stage(job.output, recipe, arrays, force=force) is not None
     return outcome(
         job,
-        made=True,
+        made=made,
         simulated=simulated,
         method=params.method,
         slices=slices,

@@ -108,10 +108,12 @@ def run(job: Job, params: Track, *, force: bool = False, progress: Progress = si
                 farthest_px = np.fmax(farthest_px, np.fmax.reduce(moved, axis=None, initial=np.nan))
                 yield block._asdict()
 
-        write_stage(job.output, recipe, arrays, tracked(), dict.fromkeys(COLUMNS, slices))
+        made = (
+            write_stage(job.output, recipe, arrays, tracked(), dict.fromkeys(COLUMNS, slices), force=force) is not None
+        )
     return outcome(
         job,
-        made=True,
+        made=made,
         simulated=simulated,
         slices=slices,
         dots=dots,

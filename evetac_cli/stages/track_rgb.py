@@ -107,10 +107,12 @@ def run(job: Job, params: TrackRgb, *, force: bool = False, progress: Progress =
                     "lost": lost,
                 }
 
-        write_stage(job.output, recipe, arrays, followed(), dict.fromkeys(COLUMNS, slices))
+        made = (
+            write_stage(job.output, recipe, arrays, followed(), dict.fromkeys(COLUMNS, slices), force=force) is not None
+        )
     return outcome(
         job,
-        made=True,
+        made=made,
         simulated=True,
         frames=-(-slices // camera.frame_ms),
         dots=dots,

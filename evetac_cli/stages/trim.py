@@ -86,11 +86,13 @@ def run(job: Job, params: Trim, *, force: bool = False, progress: Progress = sil
         if up_to_date(job.output, recipe, force=force):
             return outcome(job, made=False, simulated=simulated)
         piece = _CutDatasets(recording, first, end, noise)
-        write_stage(job.output, recipe, piece.whole, piece.blocks(progress), piece.lengths)
+        made = (
+            write_stage(job.output, recipe, piece.whole, piece.blocks(progress), piece.lengths, force=force) is not None
+        )
         before = int(recording.starts[end] - recording.starts[first])
     events = int(piece.whole["ms_to_idx"][-1])
     left_out = {"left_out": before - events} if params.denoise else {}
-    return outcome(job, made=True, simulated=simulated, slices=end - first, events=events, **left_out)
+    return outcome(job, made=made, simulated=simulated, slices=end - first, events=events, **left_out)
 
 
 class _Noise(NamedTuple):

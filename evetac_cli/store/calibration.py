@@ -8,7 +8,7 @@ files written by `evetac calibrate` list them for other programs, and nothing he
 """
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -216,12 +216,14 @@ def write_calibration(
     quality: dict[str, Any],
     provenance: dict[str, Any],
     source: str,
+    check: Callable[[], bool] | None = None,
 ) -> None:
     """Write a calibration as JSON, atomically; InputError, with `source`, if the result would not be readable.
 
     - neighbours: indices of dots, counted row by row, a list for each dot.
     - quality: figures on the detection of the dots, with units in their names.
     - provenance: the recipe's identity, its id, and when and where it was made.
+    - check: of a file that it would replace, as for `taking_the_place_of`.
     """
     dots = calibration.dot_xy_px
     present = np.isfinite(dots).all(axis=2)
@@ -242,7 +244,7 @@ def write_calibration(
     lines = ",\n".join(f'  "{key}": {_in_lines(value)}' for key, value in table.items())
     text = f"{{\n{lines}\n}}\n"
     _parsed(text, source)
-    with taking_the_place_of(path) as temporary:
+    with taking_the_place_of(path, check=check) as temporary:
         temporary.write_text(text)
 
 

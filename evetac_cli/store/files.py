@@ -5,15 +5,14 @@ other files. Each dataset is checked before it is first read: the location of it
 its values are valid and fit those of other datasets. Not all datasets are checked at once: for the 32 datasets of a
 recording this would take ten times as long, and most commands read only a few. Use `check` to check a whole file.
 
-A file is written atomically: to a temporary file next to the target, which is renamed when it is complete. Two writers
-of the same target do not disturb each other: the later rename wins, and with the same recipe both wrote the same
-arrays.
+A file is written atomically: to a temporary file next to the target, which is renamed when it is complete. If another
+run has put a file there in the meantime, this ends as it would have, had that file been there before (`up_to_date`).
 """
 
 import json
 import math
 import os
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -28,7 +27,7 @@ from evetac_cli.interrupts import leave_if_interrupted
 from evetac_cli.kernels.sensitivity import DATASETS, Sensitivity, sensitivity_of
 from evetac_cli.store.hdf5.checked_hdf5 import MOST_READ_BYTES, CheckedHdf5, damage_in_words
 from evetac_cli.store.hdf5.chunks import RowReader, RowWriter, put
-from evetac_cli.store.hdf5.disk import existing_folder, new_file, taking_the_place_of
+from evetac_cli.store.hdf5.disk import Recheck, existing_folder, new_file, taking_the_place_of
 from evetac_cli.store.layout import contents, netcdf, schema
 from evetac_cli.store.layout.header import FOREIGN, check_kind, read_header
 from evetac_cli.store.layout.new_contents import NewContents
@@ -199,7 +198,7 @@ def up_to_date(path: Path, recipe: Recipe, *, force: bool = False) -> bool:
     """Return whether `path` already has the result of this recipe.
 
     If it has anything else: InputError with the first difference, or False with `force`, to replace it. This is checked
-    before any work is done, so that a refusal comes immediately and not after an hour.
+    before any work is done, so that a refusal comes immediately and not after an hour, and again by `write_stage`.
     """
     if os.path.isdir(path):
         raise InputError("the output is a folder", where=str(path))
@@ -251,9 +250,12 @@ def stem(path: Path) -> str:
 
 
 @contextmanager
-def replacing(path: Path) -> Iterator[h5py.File]:
-    """Yield a new HDF5 file that replaces `path` if the block succeeds, and is removed if it fails."""
-    with taking_the_place_of(path) as temporary, new_file(temporary) as h5:
+def replacing(path: Path, check: Callable[[], bool | None] | None = None) -> Iterator[h5py.File]:
+    """Yield a new HDF5 file that replaces `path` if the block succeeds, and is removed if it fails.
+
+    check: of the file that it would replace, as for `taking_the_place_of`.
+    """
+    with taking_the_place_of(path, check=check) as temporary, new_file(temporary) as h5:
         yield h5
 
 
@@ -263,57 +265,63 @@ def write_stage(
     arrays: Mapping[str, Any],
     blocks: Iterable[Mapping[str, Any]] = (),
     lengths: Mapping[str, int] | None = None,
-) -> Header:
+    *,
+    force: bool = False,
+) -> Header | None:
     """Check arrays against the schema of the kind and its limits, and write them with their header, atomically.
+
+    Returns the header; None if another run has made the file with this recipe since `up_to_date`. InputError if another
+    run has put anything else there, unless `force`.
 
     blocks: the next rows of further datasets, for results that do not fit in memory. Each of these datasets must be in
     at least one block, possibly with no rows. lengths: number of rows of each; a dataset without one grows.
     """
     if lengths is not None:
-        with writing(path, recipe.kind, arrays, lengths) as growing:
+        with writing(path, recipe.kind, arrays, lengths, force=force) as growing:
             for block in blocks:
                 growing.append(block)
-            return growing.finish(recipe)
+            header = growing.finish(recipe)
+        return header if growing.made else None
     schema.check(recipe.kind, arrays)
     NewContents(path, recipe.kind, arrays).check_rest()
     header = recipe.header()
-    with replacing(path) as h5:
+    recheck = Recheck(partial(up_to_date, path, recipe, force=force))
+    with replacing(path, recheck) as h5:
         for name, value in arrays.items():
             put(h5, name, value)
         put_header(h5, header)
-    return header
+    return header if recheck.made else None
 
 
 @contextmanager
 def writing(
-    path: Path, kind: str, arrays: Mapping[str, Any], lengths: Mapping[str, int] | None = None
+    path: Path, kind: str, arrays: Mapping[str, Any], lengths: Mapping[str, int] | None = None, *, force: bool
 ) -> Iterator["StageWriter"]:
     """Yield a writer for a new file whose rows come in blocks; the file appears only if the writer was finished.
+
+    If another run has put a file there in the meantime, the block ends as `up_to_date` does.
 
     arrays: the datasets that are known, including those that others are checked against, as events against the frame.
     lengths: number of rows of each other dataset; a dataset without one grows.
     """
-    try:
-        with replacing(path) as h5:
-            writer = StageWriter(h5, path, kind, arrays, lengths or {})
-            yield writer
-            if not writer.finished:
-                raise _NotFinished
-    except _NotFinished:
-        pass
-
-
-class _NotFinished(Exception):
-    """The file was not finished, because its writer does not need it."""
+    recheck = Recheck(lambda: writer.recipe is None or up_to_date(path, writer.recipe, force=force))
+    with replacing(path, recheck) as h5:
+        writer = StageWriter(h5, path, kind, arrays, lengths or {})
+        yield writer
+    writer.made = recheck.made
 
 
 class StageWriter:
-    """Writes the datasets of a file whose recipe may be known only at the end."""
+    """Writes the datasets of a file whose recipe may be known only at the end.
+
+    made: after the block of `writing`, whether the file was made; False if another run made it with this recipe.
+    """
 
     def __init__(
         self, h5: h5py.File, path: Path, kind: str, arrays: Mapping[str, Any], lengths: Mapping[str, int]
     ) -> None:
-        self.finished = False
+        self.recipe: Recipe | None = None
+        self.made = False
         self._h5, self._kind, self._lengths = h5, kind, lengths
         self._arrays = dict(arrays)
         self._new = NewContents(path, kind, self._arrays)
@@ -348,7 +356,7 @@ class StageWriter:
         self._new.check_rest(self._h5)
         header = recipe.header()
         put_header(self._h5, header)
-        self.finished = True
+        self.recipe = recipe
         return header
 
 

@@ -22,6 +22,7 @@ from evetac_cli.errors import InputError, UnavailableError
 from evetac_cli.store import index
 from evetac_cli.store.hdf5.disk import (
     existing_folder,
+    locked,
     missing_folders,
     remove_empty,
     remove_with_contents,
@@ -77,9 +78,11 @@ def new_folder(folder: Path, *, force: bool) -> Iterator[Path]:
     try:
         temporary.mkdir(parents=True)
         yield temporary
-        with taking_the_place_of(list_path(folder)) as unfinished:
-            files = {name: _look(temporary / name) for name, _ in _entries(temporary)}
+        files = {name: _look(temporary / name) for name, _ in _entries(temporary)}
+        with locked(folder), taking_the_place_of(list_path(folder)) as unfinished:
             unfinished.write_text(json.dumps({"files": files}, indent=0) + "\n")
+            if not force:
+                require_replaceable(folder, force=False)
             if folder.is_dir():
                 folder.replace(before)  # after this no program can add to it by its name
                 listed = _listed(folder)

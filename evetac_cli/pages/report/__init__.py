@@ -10,6 +10,7 @@ from evetac_cli.pages import shared
 from evetac_cli.pages.report.figures import TIMING_MS
 from evetac_cli.pages.report.page import render
 from evetac_cli.pages.report.study import read_study, remark
+from evetac_cli.store.hdf5.disk import check_free
 
 
 def run(
@@ -23,13 +24,13 @@ def run(
     else:
         place, name = folders[0], "report.html"
     target = shared.page_path(place, name, out)
-    shared.check_free(target, force)
+    check_free(target, force=force)
     studies = [read_study(folder, progress) for folder in folders]
     if len({study.name for study in studies}) < len(studies):
         for study in studies:
             study.name = str(study.folder)
     content = render(studies, target)
-    shared.write_page(target, content)
+    shared.write_page(target, content, force=force)
     row: dict[str, Any] = {
         "page": str(target),
         "size_bytes": len(content),

@@ -1,5 +1,6 @@
 """view: show a recording and its results on one self-contained page, as an animation, or in rerun."""
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,7 @@ from evetac_cli.pages.view.trial_files import OpenTrial, open_trial
 from evetac_cli.pages.view.view_data import ViewData
 from evetac_cli.resources import with_shipped
 from evetac_cli.store.files import stem
-from evetac_cli.store.hdf5.disk import taking_the_place_of
+from evetac_cli.store.hdf5.disk import check_free, taking_the_place_of
 from evetac_cli.store.recordings import marks
 from evetac_cli.store.recordings.onset import PERSON, labelled_onset
 
@@ -55,17 +56,17 @@ def run(
     target = shared.page_path(files[0].parent, stem(files[0]) + ending, out)
     outputs = [target] if params.film is None else [target, shared.with_suffix(params.film, ".gif", "--film")]
     for path in outputs:
-        shared.check_free(path, force)
+        check_free(path, force=force)
     with open_trial(files) as trial:
         view = collect_view(trial, params, progress)
         written = {} if params.rrd else {target: render_page(trial, view)}
         if params.film is not None:
             written[params.film] = _film(trial, view)
         if params.rrd:
-            with taking_the_place_of(target, ending) as temporary:
+            with taking_the_place_of(target, ending, partial(check_free, target, force=force)) as temporary:
                 rerun_file.write_rrd(trial, view, temporary, progress)
     for path, content in written.items():
-        shared.write_page(path, content)
+        shared.write_page(path, content, force=force)
     row: dict[str, Any] = {
         "output" if params.rrd else "page": str(target),
         "size_bytes": target.stat().st_size,

@@ -78,10 +78,10 @@ def run(job: Job, params: TrainForce, *, force: bool, progress: Progress = silen
     force_readings, unused = known_forces(gel, job.inputs, params.noise_n, rng, progress)
     after = adapted(gel, force_readings, params.noise_n)
     arrays = {"sensor": "events", "sensor_name": sensors[0], **touch_model.arrays_of(after)}
-    write_stage(job.output, recipe, arrays)
+    made = write_stage(job.output, recipe, arrays, force=force) is not None
     return outcome(
         job,
-        made=True,
+        made=made,
         simulated=recipe.simulated,
         sensor_name=sensors[0],
         contacts=len(np.unique(force_readings.contact)),

@@ -143,10 +143,10 @@ def run(job: Job, params: TrainForce, *, force: bool = False, progress: Progress
     }
     for number, layer in enumerate(trained.network.layers):
         arrays |= {f"network/{number}/weight": layer.weight, f"network/{number}/bias": layer.bias}
-    write_stage(job.output, recipe, arrays)
+    made = write_stage(job.output, recipe, arrays, force=force) is not None
     return outcome(
         job,
-        made=True,
+        made=made,
         simulated=simulated,
         sensor=sensors[0],
         sensor_name=arrays["sensor_name"],

@@ -6,6 +6,7 @@ keep the value of the sensor given by `--like`.
 """
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ from evetac_cli.sim.setup.sensor import Sensor
 from evetac_cli.sim.setup.sensor_rows import FOR_EACH_TRIAL
 from evetac_cli.stages.identify.sensor_text import NOT_ESTIMATED, Entry, EstimateRow, sensor_text
 from evetac_cli.store.files import stem
-from evetac_cli.store.hdf5.disk import taking_the_place_of
+from evetac_cli.store.hdf5.disk import Recheck, taking_the_place_of
 from evetac_cli.store.layout.provenance import Header, Recipe
 from evetac_cli.store.recordings.read import UNKNOWN_SENSOR, open_recording
 
@@ -89,7 +90,8 @@ def run(job: Job, params: Identify, *, force: bool = False, progress: Progress =
     if params.pixel_mm is not None:
         values["mm_per_px"] = Entry(mm_per_px, None, "as given")
     text = sensor_text(params.name, params.like, values, recipe, [path.name for path in job.inputs])
-    with taking_the_place_of(job.output, sensor_file.SUFFIX) as temporary:
+    recheck = Recheck(partial(_up_to_date, job.output, recipe, force=force))
+    with taking_the_place_of(job.output, sensor_file.SUFFIX, recheck) as temporary:
         temporary.write_text(text)
         try:
             sensor_file.read(temporary, plan.one_sensor)  # a sensor that record would refuse is not written
@@ -101,10 +103,11 @@ def run(job: Job, params: Identify, *, force: bool = False, progress: Progress =
                 found=error.found,
                 hint=error.hint,
             ) from None
-    summary = {"sensor": str(job.output), "status": "made", "all_other_keys": f"as in {params.like}; {NOT_ESTIMATED}"}
+    status = "made" if recheck.made else "up to date"
+    summary = {"sensor": str(job.output), "status": status, "all_other_keys": f"as in {params.like}; {NOT_ESTIMATED}"}
     if unused := _unused(job.inputs, rows):
         summary["nothing_is_taken_from"] = ", ".join(unused)
-    return Outcome(table(rows), recipe.simulated, summary)
+    return Outcome(table(rows), recipe.simulated, summary, made=recheck.made)
 
 
 def _headers(paths: Sequence[Path]) -> tuple[Header, ...]:

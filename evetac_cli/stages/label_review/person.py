@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from evetac_cli.errors import InputError
-from evetac_cli.store.files import StageFile, write_stage
+from evetac_cli.store.files import StageFile, header_of, write_stage
 from evetac_cli.store.layout.provenance import Header, Recipe
 from evetac_cli.store.recordings.onset import PERSON, labelled_onset
 from evetac_cli.store.recordings.read import Recording, ramp_start
@@ -74,7 +74,8 @@ def keep(recording: Recording, labels: Path, verdict: Verdict, by: str, after_ms
     }
     details = {**onset_slices, "can_tell": verdict.can_tell, "after_ms": after_ms}
     parameters = {"method": PERSON, "by": by, **details, "replaced": replaced}
-    header = write_stage(labels, Recipe("labels", METHOD, parameters, parents=(recording.header,)), arrays)
+    recipe = Recipe("labels", METHOD, parameters, parents=(recording.header,))
+    write_stage(labels, recipe, arrays, force=True)
     before = replaced[-1]["onset_slice"] if replaced else -1
     return {
         "output": str(labels),
@@ -84,7 +85,7 @@ def keep(recording: Recording, labels: Path, verdict: Verdict, by: str, after_ms
         "abstained": abstained,
         "replaced_method": replaced[-1]["method"] if replaced else None,
         "replaced_onset_ms": before if before >= 0 else None,
-        "kept_at": header["made"].get("at"),
+        "kept_at": header_of(labels)["made"].get("at"),
     }
 
 

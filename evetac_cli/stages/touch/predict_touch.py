@@ -65,9 +65,9 @@ def run(job: Job, params: PredictTouch, *, force: bool = False, progress: Progre
         if up_to_date(job.output, recipe, force=force):
             return outcome(job, made=False, simulated=recipe.simulated)
         summary = _Summary()
-        _write(job.output, recipe, gel, tracks, params, summary, progress)
+        made = _write(job.output, recipe, gel, tracks, params, summary, progress, force=force)
     modulus = "adapted" if own is not None else "unknown" if gel_values.shear_modulus_pa is None else "known"
-    return outcome(job, made=True, simulated=recipe.simulated, shear_modulus=modulus, **summary.row())
+    return outcome(job, made=made, simulated=recipe.simulated, shear_modulus=modulus, **summary.row())
 
 
 def _recipe(params: PredictTouch, gel_values: KnownGel, tracks: Header, own: Header | None) -> Recipe:
@@ -135,7 +135,9 @@ def _write(
     params: PredictTouch,
     summary: _Summary,
     progress: Progress,
-) -> None:
+    *,
+    force: bool,
+) -> bool:
     from evetac_cli.stages.touch import touch_fold  # brings scipy
 
     slices = tracks.length("dot_xy_px")
@@ -154,7 +156,7 @@ def _write(
             yield columns
             progress(stop, slices)
 
-    write_stage(output, recipe, arrays, blocks(), lengths)
+    return write_stage(output, recipe, arrays, blocks(), lengths, force=force) is not None
 
 
 STAGE = Stage(jobs, run)

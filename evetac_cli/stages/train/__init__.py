@@ -365,7 +365,7 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
         "checkpoint/onnx": np.stack([np.frombuffer(graph, np.uint8) for graph in graphs]),
         **validated.arrays("objects left out in turn" if params.folds else "named or held back"),
     }
-    write_stage(job.output, recipe, arrays)
+    made = write_stage(job.output, recipe, arrays, force=force) is not None
     write_course(job.output)
     if log is not None:
         about = {**parameters, "recipe id": recipe.id, "simulated": "yes" if simulated else "no"}
@@ -373,7 +373,7 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
     networks.remove_states()
     return outcome(
         job,
-        made=True,
+        made=made,
         simulated=simulated,
         model=settings.model,
         preset=settings.preset,

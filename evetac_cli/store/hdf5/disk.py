@@ -4,6 +4,10 @@ A file is written next to its target, under a name with this machine and process
 Leftovers of a killed process are removed by the next process that writes the same file. A part of the name is random:
 in a folder that others can write to, a predictable name could be a link to any of the user's files.
 
+Two runs may write the same target at once. So whether the target may be replaced is checked before the work, and again
+just before the file is renamed, under a lock that is held only for this. The lock file `.NAME.lock` is next to the
+target, the only place that all machines of a shared folder see, and its holder removes it.
+
 If HDF5 cannot write, it cannot close the file either, and crashes the process at its end. So HDF5 writes through a
 file object that never fails: it keeps the first error, which is raised once HDF5 has closed the file. For the same
 reason Ctrl-C is delayed until then; it would otherwise be raised inside that object.
@@ -18,7 +22,7 @@ import secrets
 import shutil
 import stat
 import tempfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from glob import escape
 from pathlib import Path
@@ -30,10 +34,13 @@ from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
 from evetac_cli.interrupts import interrupts_wait, leave_if_interrupted
+from evetac_cli.jobs import require_possible_name
 from evetac_cli.text_files import as_utf8
 
 # HDF5 1.14 and newer open this; `latest` would need HDF5 2.0, which h5py bundles but other programs do not have.
 LIBVER = ("earliest", "v114")
+LOCK_WAIT_S = 120  # a lock is held while an existing file is checked, which takes seconds for the largest
+NO_LOCKS = (errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOLCK)  # some network file systems
 
 
 class _Disk(io.FileIO):
@@ -92,12 +99,69 @@ def require_room(path: Path, needed_bytes: float, hint: str) -> None:
         )
 
 
+def check_free(path: Path, *, force: bool) -> None:
+    """Raise InputError if a file without a recipe cannot be written to this path, or exists there, unless `force`."""
+    require_possible_name(path)
+    if os.path.isdir(path):
+        raise InputError("the output is a folder", where=str(path))
+    if os.path.lexists(path) and not force:
+        raise InputError(
+            "the output exists", where=str(path), hint="--force replaces it, -o NAME writes to another file"
+        )
+
+
 @contextmanager
-def taking_the_place_of(path: Path, ending: str = "") -> Iterator[Path]:
+def locked(path: Path) -> Iterator[None]:
+    """Keep other runs from checking and replacing `path` within the block; InputError if another does not end."""
+    import filelock  # here, as most commands that load this module write nothing
+
+    place = path.with_name(f".{path.name}.lock")
+    lock: filelock.BaseFileLock = filelock.FileLock(place, LOCK_WAIT_S, 0o666, fallback_to_soft=False)
+    try:
+        try:
+            lock.acquire()
+        except OSError as error:
+            if error.errno not in NO_LOCKS:
+                raise
+            place.unlink(missing_ok=True)  # no process can have locked it
+            place = place.with_suffix(".exclusive-lock")
+            lock = filelock.SoftFileLock(place, LOCK_WAIT_S)
+            lock.acquire()
+    except filelock.Timeout:
+        hint = "wait for it or end it; if there is none, remove this file"
+        raise InputError("another run is writing this output", where=str(place), hint=hint) from None
+    try:
+        yield
+    finally:
+        if isinstance(lock, filelock.FileLock):
+            # Before it is unlocked: whoever waits for the removed file sees that it is gone, and locks a new one.
+            with suppress(OSError):
+                place.unlink()
+        lock.release()
+
+
+class Recheck:
+    """Asks again, just before a file is put in place, whether it is there; `made` is False if another run made it."""
+
+    def __init__(self, is_made: Callable[[], bool]) -> None:
+        self._is_made, self.made = is_made, False
+
+    def __call__(self) -> bool:
+        """Return whether the file is there."""
+        self.made = not self._is_made()
+        return not self.made
+
+
+@contextmanager
+def taking_the_place_of(path: Path, ending: str = "", check: Callable[[], bool | None] | None = None) -> Iterator[Path]:
     """Yield a path to write to, which replaces `path` if the block succeeds, and is removed if it fails.
 
-    ending: required end of the name, for libraries that depend on it. InputError if writing fails, or if `path` is a
-    device, a pipe or a folder. A link at `path` is replaced and not followed.
+    - ending: required end of the name, for libraries that depend on it.
+    - check: called just before, while no other run can replace `path`. It raises InputError if an existing file must
+      not be replaced, and returns True if that has this very result and stays.
+
+    InputError if writing fails, or if `path` is a device, a pipe or a folder. A link at `path` is replaced and not
+    followed.
     """
     with suppress(OSError):
         kind = os.lstat(path).st_mode
@@ -112,7 +176,9 @@ def taking_the_place_of(path: Path, ending: str = "") -> Iterator[Path]:
         except (FileExistsError, NotADirectoryError):
             raise InputError("the output folder is a file", where=str(path.parent)) from None
         yield temporary
-        temporary.replace(path)
+        with locked(path):
+            if check is None or not check():
+                temporary.replace(path)
     except KeyboardInterrupt:  # folders are removed only here: after an error, another job may be about to write there
         with suppress(OSError):
             temporary.unlink()

@@ -12,10 +12,12 @@ the recorder must not leave its devices unread for that long. Each dataset has i
 
 import fcntl
 import json
+import os
 import re
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -27,7 +29,7 @@ from evetac_cli.events import Events
 from evetac_cli.store.files import put_header, replacing
 from evetac_cli.store.hdf5.checked_hdf5 import CheckedHdf5, row_blocks
 from evetac_cli.store.hdf5.chunks import RowWriter, put
-from evetac_cli.store.hdf5.disk import make_own_folder, missing_folders, new_file, open_lock, remove_empty
+from evetac_cli.store.hdf5.disk import check_free, make_own_folder, missing_folders, new_file, open_lock, remove_empty
 from evetac_cli.store.layout import schema
 from evetac_cli.store.layout.netcdf import describe_dataset
 from evetac_cli.store.layout.provenance import ContentDigest, Header, Recipe
@@ -59,6 +61,7 @@ class RecordingWriter:
         """
         self.path = path
         self.folder = _part_folder(path)
+        self._replaces = os.path.lexists(path)  # an existing file was allowed to be replaced
         self._made = missing_folders(path.parent)
         self._lock: BinaryIO | None = None
         try:
@@ -139,7 +142,7 @@ class RecordingWriter:
         """Close, join all segments to `path` and remove the folder; late: datasets that are known only at the end."""
         self.close_segment()
         parts = [self.folder / f"{number:06d}.h5" for number in range(self._segments)]
-        header = join(self.folder, self.path, recipe, late or {}, parts)
+        header = join(self.folder, self.path, recipe, late or {}, parts, replaces=self._replaces)
         with suppress(OSError):  # on a full disk
             (self.folder / JOINED).touch()
         self.discard()
@@ -231,19 +234,28 @@ def checksum(value: Any) -> int:
     return int(isal_zlib.crc32(np.ascontiguousarray(value).reshape(-1).view(np.uint8)))
 
 
-def join(folder: Path, path: Path, recipe: Recipe, late: Mapping[str, Any], parts: Sequence[Path | int]) -> Header:
+def join(
+    folder: Path,
+    path: Path,
+    recipe: Recipe,
+    late: Mapping[str, Any],
+    parts: Sequence[Path | int],
+    *,
+    replaces: bool = False,
+) -> Header:
     """Join segments of NAME.part/ to one recording, block by block, so that memory does not grow with its length.
 
     parts: the segments in their order. A number is a number of lost slices, which are empty, with NaN in datasets that
     have a row per slice. Values are not checked: the data of devices are kept as they are. The digest of the stored
-    arrays is part of the recipe, because such a recording cannot be made again.
+    arrays is part of the recipe, because such a recording cannot be made again. InputError if `path` exists, unless
+    `replaces`.
     """
     per_slice = _float_of_every_slice(parts)
     digest = ContentDigest()
     events = 0
     whole = {**_static(folder), **late}
     shapes = {name: schema.describe(value) for name, value in whole.items()}
-    with replacing(path) as h5:
+    with replacing(path, partial(check_free, path, force=replaces)) as h5:
         for name, value in whole.items():
             put(h5, name, value)
             digest.update(name, value)

@@ -20,7 +20,7 @@ from evetac_cli.events import Events, concatenate
 from evetac_cli.interrupts import leave_if_interrupted
 from evetac_cli.store.files import StageWriter, writing
 from evetac_cli.store.layout import schema
-from evetac_cli.store.layout.provenance import Header, Recipe
+from evetac_cli.store.layout.provenance import Recipe
 
 BLOCK_SLICES = 20_000  # each with some 2 kB in addition to its events
 BLOCK_EVENTS = 2_000_000  # of 13 bytes each
@@ -71,9 +71,10 @@ def slice_starts_of(counts: NDArray[np.int64]) -> NDArray[np.int64]:
 class TrialWriter:
     """Appends slices and rows; `path` is written only by `finish`, and nothing is left without it."""
 
-    def __init__(self, path: Path, initial: Mapping[str, Any]) -> None:
-        """initial: the datasets that are known beforehand (sensor/..., t_offset)."""
+    def __init__(self, path: Path, initial: Mapping[str, Any], *, force: bool = False) -> None:
+        """initial: the datasets that are known beforehand (sensor/..., t_offset); force: as for `write_stage`."""
         self.path, self.blocks = path, 0  # number of blocks written
+        self._force = force
         self._initial = initial
         self._buffer = TrialBuffer()
         self._counts: list[NDArray[np.int64]] = []
@@ -96,19 +97,24 @@ class TrialWriter:
         if len(self._buffer.events) >= BLOCK_SLICES or self._buffer.event_count >= BLOCK_EVENTS:
             self._write_block()
 
-    def finish(self, recipe: Recipe) -> Header:
-        """Write the remaining data and complete the file; SchemaError if it is not a valid recording."""
+    def finish(self, recipe: Recipe) -> bool:
+        """Write the remaining data, complete the file and return whether it was made, as `write_stage` does.
+
+        SchemaError if it is not a valid recording.
+        """
         file = self._write_block(is_last=True)
-        header = file.finish(recipe, {"ms_to_idx": slice_starts_of(np.concatenate(self._counts))})
+        file.finish(recipe, {"ms_to_idx": slice_starts_of(np.concatenate(self._counts))})
         self._stack.close()
-        return header
+        return file.made
 
     def _write_block(self, *, is_last: bool = False) -> StageWriter:
         """Write the data in memory and return the file, which the first block opens, with all lengths if it is last."""
         columns = self._buffer.columns()
         if self._file is None:
             lengths = {name: len(rows) for name, rows in columns.items()} if is_last else {}
-            self._file = self._stack.enter_context(writing(self.path, "recording", self._initial, lengths))
+            self._file = self._stack.enter_context(
+                writing(self.path, "recording", self._initial, lengths, force=self._force)
+            )
         self._file.append(columns)
         self._counts.append(self._buffer.counts())
         self._buffer = TrialBuffer()

@@ -183,12 +183,13 @@ def run(trial: ReplayGrasp, *, force: bool, progress: Progress) -> Outcome:
         lengths = dict.fromkeys((f"events/{column}" for column in Events._fields), recording.event_count)
         lengths |= dict.fromkeys(("control/probability", *(["control/second_probability"] if others else [])), slices)
         try:
-            write_stage(trial.output, recipe, {**sensor, "ms_to_idx": recording.starts}, blocks(), lengths)
+            arrays = {**sensor, "ms_to_idx": recording.starts}
+            made = write_stage(trial.output, recipe, arrays, blocks(), lengths, force=force) is not None
         finally:
             devices.close()
     return outcome(
         trial,
-        made=True,
+        made=made,
         simulated=recipe.simulated,
         slices=slices,
         slices_with_slip=detector.count if detector is not None else 0,

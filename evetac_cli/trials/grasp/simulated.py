@@ -68,20 +68,21 @@ def run(trial: SimulatedGrasp, *, force: bool, progress: Progress) -> Outcome:
         sensor = {**devices.second.camera.sensor, "truth/sampled_parameters": devices.sampled}
         of_second = {**sensor, **second.arrays(), "t_offset": np.int64(0), **SAME_CLOCK}
         second_slip_share = of_second["truth/visible_slip_share"]
-        write_stage(trial.second_output, others[0], of_second)
+        write_stage(trial.second_output, others[0], of_second, force=force)
     arrays = buffer.arrays()
     figures = grasp_outcome.outcome(
         arrays, trial.plan.sensor.mm_per_px, trial.timing.end_ms, second_slip_share=second_slip_share
     )
     arrays |= {"control/outcome": json.dumps(figures), "truth/sampled_parameters": devices.sampled}
-    write_stage(trial.output, recipe, {**devices.camera.sensor, **arrays, "t_offset": np.int64(0)})
+    arrays = {**devices.camera.sensor, **arrays, "t_offset": np.int64(0)}
+    made = write_stage(trial.output, recipe, arrays, force=force) is not None
     slices = len(buffer.events)
     if trial.second_output is not None:
         figures |= {"second_output": str(trial.second_output)}
     solver = SolverFigures()
     solver.add(arrays)
     figures |= solver.figures(trial.plan.scene.solver)
-    return outcome(trial, made=True, simulated=True, slices=slices, slices_with_slip=slipping, **figures)
+    return outcome(trial, made=made, simulated=True, slices=slices, slices_with_slip=slipping, **figures)
 
 
 def play(

@@ -15,7 +15,7 @@ from evetac_cli.errors import EvetacError, InputError
 from evetac_cli.events import Events, SliceStarts, empty
 from evetac_cli.jobs import Job, Outcome, Progress, outcome
 from evetac_cli.store.calibration import read_calibration
-from evetac_cli.store.files import up_to_date, writing
+from evetac_cli.store.files import writing
 from evetac_cli.store.hdf5.disk import existing_folder, missing_folders, remove_empty
 from evetac_cli.store.layout.provenance import ContentDigest, Recipe
 from evetac_cli.store.recordings.read import UNKNOWN_SENSOR
@@ -58,8 +58,8 @@ def run(job: ImportJob, params: Record, *, force: bool, progress: Progress) -> O
     if params.calibration is not None:
         datasets |= read_calibration(params.calibration, file.frame_px).recorded()
     digest, starts = ContentDigest(), SliceStarts()
-    is_made, folders = False, missing_folders(job.output.parent)
-    with _removed_if_refused(folders), writing(job.output, OUTPUT, datasets) as recording:
+    folders = missing_folders(job.output.parent)
+    with _removed_if_refused(folders), writing(job.output, OUTPUT, datasets, force=force) as recording:
         for block in _blocks(file):
             recording.append(block)
             digest.update_all(block)
@@ -81,11 +81,10 @@ def run(job: ImportJob, params: Record, *, force: bool, progress: Progress) -> O
             "notes": list(facts.notes),
         }
         recipe = Recipe(OUTPUT, METHOD, parameters, content=digest.hexdigest(), simulated_source=facts.simulated)
-        if is_made := not up_to_date(job.output, recipe, force=force):
-            recording.finish(recipe, late)
+        recording.finish(recipe, late)
     return outcome(
         job,
-        made=is_made,
+        made=recording.made,
         simulated=facts.simulated,
         slices=facts.slices,
         events=facts.size,

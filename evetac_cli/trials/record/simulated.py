@@ -46,10 +46,12 @@ def run(trial: SimulatedTrial, *, force: bool, progress: Progress) -> Outcome:
         return outcome(trial, made=False, simulated=True)
     refuse_leftover(trial.output)
     with live_view.opened(trial, f"record {trial.output.name}", moves=False) as view:
-        return _record(trial, recipe, view, progress)
+        return _record(trial, recipe, view, progress, force=force)
 
 
-def _record(trial: SimulatedTrial, recipe: Recipe, view: LiveView | None, progress: Progress) -> Outcome:
+def _record(
+    trial: SimulatedTrial, recipe: Recipe, view: LiveView | None, progress: Progress, *, force: bool
+) -> Outcome:
     devices, slices = play(trial)
     expected = _expected_slices(devices, GripperSchedule.of_scene(trial.plan.scene))
     datasets = {**devices.camera.sensor, "t_offset": np.int64(0), "truth/sampled_parameters": devices.sampled}
@@ -58,7 +60,7 @@ def _record(trial: SimulatedTrial, recipe: Recipe, view: LiveView | None, progre
     written = event_count = 0
     solver = SolverFigures()
     try:
-        with TrialWriter(trial.output, datasets) as writer:
+        with TrialWriter(trial.output, datasets, force=force) as writer:
             append = shown_in_real_time(view, writer.append)
             for events, rows in slices:
                 append(events, rows)
@@ -68,11 +70,11 @@ def _record(trial: SimulatedTrial, recipe: Recipe, view: LiveView | None, progre
                 if written % 100 == 0:
                     progress(written, max(written, expected))
             progress(written, written)
-            writer.finish(recipe)
+            made = writer.finish(recipe)
     finally:
         devices.close()
     figures = solver.figures(trial.plan.scene.solver)
-    return outcome(trial, made=True, simulated=True, slices=written, events=event_count, **figures)
+    return outcome(trial, made=made, simulated=True, slices=written, events=event_count, **figures)
 
 
 def play(trial: SimulatedTrial, timer: Timer = untimed) -> tuple[Rig, Iterator[tuple[Events, dict[str, Any]]]]:
