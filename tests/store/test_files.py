@@ -9,6 +9,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ from evetac_cli.store import files
 from evetac_cli.store.files import StageFile, output_path, put_header, replacing, stem, up_to_date, write_stage
 from evetac_cli.store.hdf5 import chunks, disk
 from evetac_cli.store.hdf5.chunks import RowWriter, put
-from evetac_cli.store.layout.provenance import Recipe
+from evetac_cli.store.layout.provenance import Header, Recipe
 from evetac_cli.store.layout.schema import KINDS
 from tests.patience import PATIENCE_S
 
@@ -407,7 +408,7 @@ def test_a_recording_of_devices_in_the_way(tmp_path: Path) -> None:
     write_stage(path, Recipe("recording", 1, {}, content="0"), arrays)
     with pytest.raises(InputError, match="another recipe"):
         up_to_date(path, wanted)
-    write_stage(path, Recipe("recording", 1, {}, content="0"), {**arrays, "capture/ended": "interrupted"})
+    write_stage(path, Recipe("recording", 1, {}, content="0"), {**arrays, "capture/ended": "interrupted"}, force=True)
     with pytest.raises(InputError, match="a recording of devices, which cannot be made again") as refused:
         up_to_date(path, wanted)
     assert "--force" in str(refused.value) and "method" not in str(refused.value)
@@ -422,8 +423,10 @@ def test_output_that_is_garbage(tmp_path: Path, content: bytes) -> None:
     with pytest.raises(InputError, match=r"(?s)not a valid evetac file.*cannot be opened.*--force"):
         up_to_date(path, RECIPE)
     assert not up_to_date(path, RECIPE, force=True)
+    with pytest.raises(InputError, match="not a valid evetac file"):
+        write_stage(path, RECIPE, labels())
     assert path.read_bytes() == content
-    write_stage(path, RECIPE, labels())
+    write_stage(path, RECIPE, labels(), force=True)
     assert up_to_date(path, RECIPE)
 
 
@@ -589,19 +592,35 @@ def test_full_disk(tmp_path: Path) -> None:
         assert file.read("label").shape == (200000,)
 
 
-def test_two_writers_of_one_target(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that two processes writing one target do not disturb each other, and the later one wins."""
-    path = tmp_path / "a.labels.h5"
-    process = iter((1, 2))
-    monkeypatch.setattr(files.os, "getpid", lambda: next(process))
-    with replacing(path) as slow:
-        put(slow, "who", "slow")
-        with replacing(path) as fast:
-            put(fast, "who", "fast")
-        with h5py.File(path) as h5:
-            assert h5["who"].asstr()[()] == "fast"
-    with h5py.File(path) as h5:
-        assert h5["who"].asstr()[()] == "slow"
+@pytest.mark.parametrize("in_blocks", [False, True])
+def test_of_two_runs_onto_one_output_the_second_ends_as_if_it_came_later(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, in_blocks: bool
+) -> None:
+    """Assert that it is refused, skipped for the same recipe, or replaces the file with --force, and says so."""
+    path, other, held = tmp_path / "a.labels.h5", Recipe("labels", 1, {"other": 1}), disk.locked
+    arrays = labels()
+    late = {"label": arrays.pop("label")} if in_blocks else None
+    blocks, lengths = ([], None) if late is None else ([late], {"label": SLICES})
+
+    def second(recipe: Recipe, *, force: bool = False) -> Header | None:
+        """Write, while the first run puts its file there just before."""
+        path.unlink(missing_ok=True)
+        first = [labels()]
+
+        def locked(target: Path) -> AbstractContextManager[None]:
+            if first:
+                write_stage(path, RECIPE, first.pop())
+            return held(target)
+
+        monkeypatch.setattr(disk, "locked", locked)
+        return write_stage(path, recipe, arrays, blocks, lengths, force=force)
+
+    with pytest.raises(InputError, match="another recipe"):
+        second(other)
+    assert up_to_date(path, RECIPE)
+    assert second(RECIPE) is None
+    assert second(other, force=True) is not None
+    assert up_to_date(path, other)
     assert everything(tmp_path) == ["a.labels.h5"]
 
 

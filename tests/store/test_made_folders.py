@@ -156,3 +156,17 @@ def test_names_that_are_no_text(tmp_path: Path) -> None:
     (folder / os.fsdecode(b"\xfd.h5")).write_bytes(b"1")
     with pytest.raises(InputError, match="is not replaced"):
         require_replaceable(folder, force=True)
+
+
+def test_of_two_runs_onto_one_folder_the_second_is_refused(tmp_path: Path) -> None:
+    """Assert that a folder that another run put there meanwhile stays, and nothing else is left."""
+    folder = tmp_path / "data"
+    with pytest.raises(InputError, match="the output exists"), new_folder(folder, force=False) as late:
+        (late / "a.txt").write_text("late")
+        with new_folder(folder, force=False) as early:
+            (early / "a.txt").write_text("early")
+    assert (folder / "a.txt").read_text() == "early"
+    assert sorted(one.name for one in tmp_path.iterdir()) == [".data.evetac-files.json", "data"]
+    with new_folder(folder, force=True) as again:
+        (again / "a.txt").write_text("again")
+    assert (folder / "a.txt").read_text() == "again"
