@@ -164,7 +164,7 @@ def compute(recording: Recording, params: Label, progress: Progress = silent) ->
         raise InputError(
             f"slip cannot be labelled: {error}",
             where=str(recording.path),
-            hint="the object needs a texture that is visible in the window: --texture on, if the scene has none",
+            hint="the object needs a texture that is visible in the window; a scene has one with record --texture on",
         ) from error
 
 

@@ -408,7 +408,7 @@ def test_a_recording_of_devices_in_the_way(tmp_path: Path) -> None:
     write_stage(path, Recipe("recording", 1, {}, content="0"), arrays)
     with pytest.raises(InputError, match="another recipe"):
         up_to_date(path, wanted)
-    write_stage(path, Recipe("recording", 1, {}, content="0"), {**arrays, "capture/ended": "interrupted"}, force=True)
+    write_stage(path, Recipe("recording", 1, {}, content="2"), {**arrays, "capture/ended": "interrupted"}, force=True)
     with pytest.raises(InputError, match="a recording of devices, which cannot be made again") as refused:
         up_to_date(path, wanted)
     assert "--force" in str(refused.value) and "method" not in str(refused.value)
