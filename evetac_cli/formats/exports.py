@@ -146,6 +146,7 @@ def export(
     options: of the format. opened: opens the files of the recording's trial. Raises InputError if the target exists and
     `force` is not set, or if the recording lacks data that the format requires.
     """
+    require_possible_name(target)
     check_free(target, force=force)
     row = named_format(format_)
     assert row.write is not None

@@ -5,7 +5,7 @@ from typing import Any
 
 from evetac_cli.commands.report import Report
 from evetac_cli.errors import InputError
-from evetac_cli.jobs import Outcome, Progress, silent
+from evetac_cli.jobs import Outcome, Progress, require_possible_name, silent
 from evetac_cli.pages import shared
 from evetac_cli.pages.report.figures import TIMING_MS
 from evetac_cli.pages.report.page import render
@@ -24,6 +24,7 @@ def run(
     else:
         place, name = folders[0], "report.html"
     target = shared.page_path(place, name, out)
+    require_possible_name(target)
     check_free(target, force=force)
     studies = [read_study(folder, progress) for folder in folders]
     if len({study.name for study in studies}) < len(studies):

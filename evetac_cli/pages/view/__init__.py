@@ -9,7 +9,7 @@ import numpy as np
 from evetac_cli.commands.view import View
 from evetac_cli.errors import InputError
 from evetac_cli.events import SLICES_PER_S
-from evetac_cli.jobs import Outcome, Progress, silent
+from evetac_cli.jobs import Outcome, Progress, require_possible_name, silent
 from evetac_cli.pages import shared
 from evetac_cli.pages.view import gripper, rerun_file, streams, touch
 from evetac_cli.pages.view.event_images import (
@@ -56,6 +56,7 @@ def run(
     target = shared.page_path(files[0].parent, stem(files[0]) + ending, out)
     outputs = [target] if params.film is None else [target, shared.with_suffix(params.film, ".gif", "--film")]
     for path in outputs:
+        require_possible_name(path)
         check_free(path, force=force)
     with open_trial(files) as trial:
         view = collect_view(trial, params, progress)

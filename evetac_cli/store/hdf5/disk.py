@@ -34,7 +34,6 @@ from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
 from evetac_cli.interrupts import interrupts_wait, leave_if_interrupted
-from evetac_cli.jobs import require_possible_name
 from evetac_cli.text_files import as_utf8
 
 # HDF5 1.14 and newer open this; `latest` would need HDF5 2.0, which h5py bundles but other programs do not have.
@@ -101,7 +100,6 @@ def require_room(path: Path, needed_bytes: float, hint: str) -> None:
 
 def check_free(path: Path, *, force: bool) -> None:
     """Raise InputError if a file without a recipe cannot be written to this path, or exists there, unless `force`."""
-    require_possible_name(path)
     if os.path.isdir(path):
         raise InputError("the output is a folder", where=str(path))
     if os.path.lexists(path) and not force:
