@@ -32,7 +32,8 @@ Commands = list[str]  # commands of one case, run one after the other in a folde
 
 RECORDED = ("slip", "shear", "press", "edge", "data-rate")
 GRASPED = ("lift", "sideways", "drop-20g", "drop-100g")
-LAWS = ("load-proportional", "paper-reset", "none", "fixed:8")
+PAPER = "--controller paper --model shipped"
+LAWS = ("load-proportional", "paper-reset --model shipped", "none", "fixed:8")
 SENSORS = ("second", "bare-dvxplorer", "soft-gel", "stiff-gel", "randomized:7")
 TRAINED = (
     ("paper", "hist10"),
@@ -51,15 +52,18 @@ def cases() -> Iterator[tuple[str, Commands]]:
     for scene in ("vibration", "vibration-randomized"):
         yield scene, [f"record --scene {scene} --tone 200 --count 2 --out ."]
     for scene in GRASPED:
-        yield scene, [f"grasp --scene {scene} --object 16 --count 2 --out ."]
+        yield scene, [f"grasp --scene {scene} --object 16 {PAPER} --count 2 --out ."]
     for law in LAWS:
-        yield law.replace(":", "-"), [f"grasp --object 11 --controller {law} --balance-s 5 --out ."]
+        yield law.partition(" ")[0].replace(":", "-"), [f"grasp --object 11 --controller {law} --balance-s 5 --out ."]
     for sensor in SENSORS:
         yield f"sensor-{sensor.replace(':', '-')}", [f"record --sensor {sensor} --out ."]
     yield "sensor-randomized", ["record --sensor randomized --seed 3 --count 2 --out ."]
     yield (
         "closed",
-        ["record --gel closed --out .", "grasp --gel closed --object 17 --sensor second --balance-s 3 --out ."],
+        [
+            "record --gel closed --out .",
+            f"grasp --gel closed --object 17 --sensor second {PAPER} --balance-s 3 --out .",
+        ],
     )
     yield "ideal", ["record --readout ideal --out .", "record --scene edge --readout ideal --out edge"]
     yield "stages", list(_stages())

@@ -33,8 +33,8 @@ def demo_steps(sizes: Sizes) -> Iterator[Command]:
     yield evetac("featurize", "*/*.recording.h5")
     yield evetac("train", "learn/*.features.h5", "--validate", "choose", "--model", "disp-xy", "--preset", "adam",
                  "--epochs", sizes["epochs"], "--seed", seed, "--out", "slip.model.h5")  # fmt: skip
-    yield evetac("grasp", "--object", 11, "--seed", seed, "--model", "slip.model.h5", "--lift-s", 7, "--balance-s", 5,
-                 "--out", "with-detector.recording.h5")  # fmt: skip
+    yield evetac("grasp", "--object", 11, "--seed", seed, "--controller", "paper", "--model", "slip.model.h5",
+                 "--lift-s", 7, "--balance-s", 5, "--out", "with-detector.recording.h5")  # fmt: skip
     yield evetac("grasp", "--object", 11, "--seed", seed, "--controller", "none", "--lift-s", 7, "--balance-s", 0,
                  "--out", "without-detector.recording.h5")  # fmt: skip
 
@@ -265,15 +265,15 @@ PAPER_DETECTOR = (
     "--model",
     FROZEN_MODELS / "nothing" / "fast-slow-10ms-s9000.model.h5",
 )  # of the experiment paper-recipe
-# Controller and detector of each row of the grasp tables. The pretrained detector is the default of `grasp`; a model
-# trained by the paper's recipe has the threshold of the paper's rule unless a number of false alarms is given.
+# Controller and detector of each row of the grasp tables. A model trained by the paper's recipe has the threshold of
+# the paper's rule unless a number of false alarms is given.
 GRASP_SETTINGS: dict[str, Command] = {
     "paper": ["--controller", "paper", *map(str, PAPER_DETECTOR), "--tracker", "paper"],
     "paper-stable": ["--controller", "paper", *map(str, PAPER_DETECTOR)],
     "paper-stable-false-alarms": ["--controller", "paper", *map(str, PAPER_DETECTOR), "--false-alarms-per-min", "4"],
-    "paper-pretrained": ["--controller", "paper"],
+    "paper-pretrained": ["--controller", "paper", "--model", "shipped"],
     "reset-stable": ["--controller", "paper-reset", *map(str, PAPER_DETECTOR)],
-    "load-proportional": ["--controller", "load-proportional"],
+    "load-proportional": ["--controller", "load-proportional", "--model", "shipped"],
 }
 # Those of the tests of robustness.
 ROBUST_SETTINGS = ("paper", "paper-stable", "paper-pretrained", "load-proportional")
@@ -335,15 +335,15 @@ def strip_steps(sizes: Sizes) -> Iterator[Command]:
     yield evetac("record", "--scene", "vibration.toml", "--tone", 200, "--seed", seed,
                  "--out", "vibration.recording.h5")  # fmt: skip
     for scene in ("lift", "sideways", "drop-20g", "drop-100g"):
-        yield evetac("grasp", "--scene", scene, "--object", 16, "--seed", seed, "--model", "../demo/slip.model.h5",
-                     "--out", f"{scene}.recording.h5")  # fmt: skip
+        yield evetac("grasp", "--scene", scene, "--object", 16, "--seed", seed, "--controller", "paper",
+                     "--model", "../demo/slip.model.h5", "--out", f"{scene}.recording.h5")  # fmt: skip
     yield script("pictures/strips.py", "*.recording.h5", "--out", ".")
 
 
 def film_steps(sizes: Sizes) -> Iterator[Command]:
     """Record the catch for the film, which shows the farthest slide that was caught."""
-    yield evetac("grasp", "--object", 17, "--seed", 0, "--lift-s", 7, "--balance-s", 5,
-                 "--texture", "on", "--out", "catch.recording.h5")  # fmt: skip
+    yield evetac("grasp", "--object", 17, "--seed", 0, "--controller", "paper", "--model", "shipped",
+                 "--lift-s", 7, "--balance-s", 5, "--texture", "on", "--out", "catch.recording.h5")  # fmt: skip
     yield evetac("track", "catch.recording.h5")
     yield script("pictures/film.py", "catch.recording.h5", "--out", "catch.gif")
 

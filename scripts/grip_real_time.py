@@ -20,6 +20,7 @@ from grip_trials import BALANCE_S, LIFT_S, Drawn, drawn
 from script_rows import add_rows, rows_in, seeds_of
 
 from evetac_cli.jobs import Row
+from evetac_cli.kernels.grip.control import LAWS
 from evetac_cli.store.files import StageFile
 
 DEVICES = {"real_time": ("--camera", "virtual", "--gripper", "virtual"), "simulated": ("--camera", "sim")}
@@ -46,7 +47,9 @@ def grasped(one: Drawn, law: str, how: str, folder: Path) -> Row:
     (folder / "object.toml").write_text(object_text(one))
     out = folder / f"{how}.recording.h5"
     words = [
-        *("grasp", *DEVICES[how], "--controller", law, "--object", "object.toml", "--sensor", one.plan.sensor_name),
+        *("grasp", *DEVICES[how], "--controller", law, "--object", "object.toml"),
+        *(("--model", "shipped") if law in LAWS else ()),
+        *("--sensor", one.plan.sensor_name),
         *("--lift-s", f"{LIFT_S:g}", "--balance-s", f"{BALANCE_S:g}", "--seed", str(one.seed), "-q", "-o", str(out)),
     ]
     done = subprocess.run(

@@ -40,6 +40,7 @@ from evetac_cli.devices.simulated import SimulatedGripper, rig
 from evetac_cli.evaluate.grip_forces import firmness
 from evetac_cli.jobs import Row, Rows
 from evetac_cli.kernels.grip.control import Control, uses_detector
+from evetac_cli.resources import SHIPPED
 from evetac_cli.sim import grasp_outcome
 from evetac_cli.sim.parts import untimed
 from evetac_cli.sim.scenes.gripped import GraspSimulation
@@ -175,8 +176,8 @@ AS_SHIPPED = Asked()
 def settings_of(law: str, latency_ms: int, asked: Asked) -> GraspSettings:
     """Return law, detector and timing for the flags of `grasp`; for an oracle, without the law."""
     named = "none" if law.startswith(grip_oracle.NAME) else law
-    lasts = {"lift_s": LIFT_S, "balance_s": BALANCE_S}
-    return GraspSettings.of(Grasp(controller=named, latency_ms=latency_ms, **lasts, **asked.flags()))
+    flags = {"model": Path(SHIPPED), "lift_s": LIFT_S, "balance_s": BALANCE_S} | asked.flags()
+    return GraspSettings.of(Grasp(controller=named, latency_ms=latency_ms, **flags))
 
 
 def play(law: str, seed: int, asked: Asked = AS_SHIPPED) -> tuple[dict[str, Any], Row]:

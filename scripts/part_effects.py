@@ -9,7 +9,7 @@ Every part is added alone to the quiet sensor `evetac` in the scenes `slip` (obj
 part is compared with that one alone.
 
 Every slip is labelled, tracked, featurized and evaluated by the pretrained detector, with the default methods. A grasp
-uses the default controller. A trial is a line of data/part-effects/effects.jsonl; trials that already have a line are
+uses the paper's controller. A trial is a line of data/part-effects/effects.jsonl; trials that already have a line are
 not run again.
 
 All figures are averages over the trials, against the truth of the same simulation:
@@ -143,7 +143,10 @@ def planned(part: Part, kind: str, object_: int, seed: int, folder: Path) -> tup
     stage: Any = record
     params: Any = Record(**chosen)
     if kind == "lift":
-        stage, params = grasp, Grasp(**chosen, lift_s=LIFT_S, balance_s=BALANCE_S)
+        stage, params = (
+            grasp,
+            Grasp(**chosen, controller="paper", model=Path("shipped"), lift_s=LIFT_S, balance_s=BALANCE_S),
+        )
     (made,) = stage.jobs([], params, folder)
     return made, params
 

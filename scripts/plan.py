@@ -47,6 +47,7 @@ TONES = 5  # number of tones in the scenes `vibration` and `vibration-randomized
 VIBRATION_S = 102.2  # seconds of the scene `vibration`; the other scene differs only in its length
 TOUCH_S = 1.5  # of a grasp, before it lifts
 LIFT_S, BALANCE_S = 10.0, 20.0
+LOOP = ("--controller", "paper", "--model", "shipped")
 LABEL_METHODS = ("farneback", "event-flow")
 PRESETS = ("unregularised", "paper", "official", "stable")
 RECORDED = ("slip", "edge", "shear", "data-rate", "vibration-randomized")
@@ -286,13 +287,13 @@ def measure(folder: Path) -> Costs:
         print(scene, costs[scene], flush=True)
 
     cpu_of("record", "--object", "3,8", "--seed", 1, "--out", folder / "warm")  # loads the modules; evaluated later
-    cpu_of("grasp", "--lift-s", 1, "--balance-s", 0, "--out", folder / "warm")
+    cpu_of("grasp", *LOOP, "--lift-s", 1, "--balance-s", 0, "--out", folder / "warm")
     for scene in RECORDED:
         tone = ("--tone", 200) if scene.startswith("vibration") else ()
         several = {"slip": 4, "shear": 3}.get(scene, 1)
         trials = ("--count", 3) if scene == "shear" else ("--object", "3,8,11,16") if several == 4 else ()
         recorded(scene, ("record", "--scene", scene, *trials, *tone), several)
-    recorded("grasp", ("grasp", "--object", 11), 1)
+    recorded("grasp", ("grasp", "--object", 11, *LOOP), 1)
     slips = sorted((folder / "slip").glob("*.recording.h5"))
     warm = sorted((folder / "warm").glob("slip*.recording.h5"))
     seconds = len(slips) * costs["slip"]["seconds"]

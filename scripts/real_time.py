@@ -107,6 +107,7 @@ def one(checkout: Path, plan: Row, folder: Path, half: HalfSpeed | None) -> Row:
     out = folder / "run.recording.h5"
     words = [
         *("grasp", "--camera", f"virtual:prepared={plan['events_per_s']}", "--gripper", "virtual"),
+        *("--controller", "paper", "--model", "shipped"),
         *("--calibration", str(grid(folder)), "--slip-threshold", f"{plan['slip_threshold']:g}"),
         *("--lift-s", f"{lift_s:g}", "--balance-s", f"{phases_s - lift_s:g}"),
         *("--max-seconds", f"{2 * plan['seconds']:g}"),

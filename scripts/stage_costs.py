@@ -33,6 +33,7 @@ from evetac_cli.console import print_table, say
 from evetac_cli.jobs import Row
 from evetac_cli.resources import MODEL
 
+LOOP = ("--controller", "paper", "--model", "shipped")
 FEW = 2  # trials of the first run: the least that train needs to train and to choose a threshold
 SEED = 10_000  # object of the first trial, which the pretrained detector was not trained on
 MOST_FUNCTIONS = 20  # functions that --inside shows
@@ -73,7 +74,7 @@ def steps(scene: str, grasp_s: float) -> dict[str, Step]:
         ),
         "validate": Step(("validate",), "recording"),
         "info": Step(("info",), "recording"),
-        "grasp": Step(("grasp", "--object", "11", *lasts, "-o", "grasps"), "", "grasps/*.recording.h5", ()),
+        "grasp": Step(("grasp", "--object", "11", *LOOP, *lasts, "-o", "grasps"), "", "grasps/*.recording.h5", ()),
     }
 
 

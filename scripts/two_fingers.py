@@ -51,7 +51,8 @@ from evetac_cli.trials.grasp.online_detector import OnlineSlipDetector
 from evetac_cli.trials.grasp.settings import GraspSettings
 from evetac_cli.trials.grasp.two_fingers import TwoFingers
 
-LAW = "load-proportional"
+LOOP = ("--controller", "load-proportional", "--model", "shipped")
+PAPER_LOOP = ("--controller", "paper", "--model", "shipped")  # for timing with random events
 SHOWN = ("balanced", "failure", "force_end_n", "over_holding_end", "moved_mm", "slip_events", "false_slip_events")
 # Chosen on seeds 1 to 7: the second finger slips some px as the object leaves the table, and the first sticks. The
 # object slips at the second finger by as much as the first gel shears, so the first gel is soft.
@@ -105,7 +106,7 @@ def drawn_grasp(seed: int, how: str, device: str) -> Row:
         (Path(folder) / "object.toml").write_text(object_text(one))
         devices = ["--camera", CAMERAS[how].format(device), "--sensor", first if how == "one" else f"{first},{other}"]
         times = ["--lift-s", f"{LIFT_S:g}", "--balance-s", f"{BALANCE_S:g}", "--seed", str(seed)]
-        return figures(command(Path(folder), *devices, "--controller", LAW, "--object", "object.toml", *times))
+        return figures(command(Path(folder), *devices, *LOOP, "--object", "object.toml", *times))
 
 
 def prepared_grasp(seed: int, how: str) -> Row:
@@ -114,7 +115,7 @@ def prepared_grasp(seed: int, how: str) -> Row:
         devices = ["--camera", CAMERAS[how].format(f"virtual:prepared={EVENTS_S}"), "--gripper", "virtual"]
         lift_s = PREPARED_S / 2
         times = ["--lift-s", f"{lift_s:g}", "--balance-s", f"{PREPARED_S - lift_s:g}", "--seed", str(seed)]
-        return figures(command(Path(folder), *devices, "--calibration", str(grid(Path(folder))), *times))
+        return figures(command(Path(folder), *devices, *PAPER_LOOP, "--calibration", str(grid(Path(folder))), *times))
 
 
 @dataclass
@@ -174,7 +175,9 @@ def unlike_grasp(seed: int, how: str) -> Row:
     touched = replace(plan.touched, static_friction=FRICTION, mass_g=MASS_G)
     plan = replace(plan, scene=scene, touched=touched, second=NamedSensor(plan.sensor_name, plan.sensor))
     times = {"lift_s": UNLIKE_LIFT_S, "balance_s": 0.0}
-    settings = GraspSettings.of(Grasp(slip_threshold=UNLIKE_THRESHOLD, **times))
+    settings = GraspSettings.of(
+        Grasp(controller="paper", model=Path("shipped"), slip_threshold=UNLIKE_THRESHOLD, **times)
+    )
     devices = rig(plan, np.random.SeedSequence(seed), **times)
     assert settings.detector is not None and devices.second is not None
     first, second = (settings.detector.open(each.sensor) for each in (devices.camera, devices.second.camera))

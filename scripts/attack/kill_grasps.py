@@ -44,6 +44,7 @@ TRIES = 6
 WORDS_S = 5.0  # limit after that, for a command to end by itself
 SETTLED_S = 0.3  # without current for this long, the motor counts as off
 LONGEST_S = 60.0  # limit for a command
+LOOP = ("--controller", "paper", "--model", "shipped")
 PARTS = ("recorder", "detector", "controller")
 TICK_S = 1e-3  # of the servo; a real servo is not slower
 SERVO_PRIORITY, CLOSE_MA = 40, 0.5
@@ -189,7 +190,7 @@ def command_line(name: str, port: str, watchdog_ms: int, folder: Path) -> list[s
         grid.write_text(json.dumps({"frame_px": [640, 480], "radius_px": 11.0, "dot_xy_px": dots}))
     common = ["--camera", "virtual:prepared=10000", "--gripper", port, "--arm", "--watchdog-ms", str(watchdog_ms)]
     more = {
-        "grasp": ["--calibration", str(grid), "--lift-s", "1", "--balance-s", "0"],
+        "grasp": ["--calibration", str(grid), *LOOP, "--lift-s", "1", "--balance-s", "0"],
         "record": ["--seconds", "1.5", "--expected-event-rate", "1e5"],
     }[name]
     out = folder / f"{name}.recording.h5"

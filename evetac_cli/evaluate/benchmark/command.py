@@ -79,6 +79,7 @@ def run(job: BenchmarkJob, params: EvaluateBenchmark, *, force: bool = False, pr
         parameters |= {"methods": methods.for_recipe(), "threshold": params.threshold}
         parents = methods.parents()
     played: Rows | None = None
+    chosen = _of_controller(params) if params.controller else {}
     every_lift = lifts.read(benchmark) if params.lifts is not None or params.controller else {}
     if params.lifts is not None:
         played = lifts.outcomes(benchmark, every_lift, params.lifts)
@@ -91,7 +92,6 @@ def run(job: BenchmarkJob, params: EvaluateBenchmark, *, force: bool = False, pr
             made = own_methods.predict(benchmark, methods, work, progress)
             predictions.write(work / "predictions", made, true)
         if params.controller:
-            chosen = _of_controller(params)
             played = lifts.play(benchmark, every_lift, chosen, work / "lifts", progress)
         rows = scores.all_rows(benchmark, true, made, played)
         return rows, _summary(benchmark.size, rows)
@@ -105,10 +105,9 @@ def _of_controller(params: EvaluateBenchmark) -> Row:
     from evetac_cli.kernels.grip.control import uses_detector
     from evetac_cli.trials.grasp.settings import GraspSettings
 
-    law = GraspSettings.of(Grasp(controller=params.controller)).law
+    model = None if str(params.model) == "none" else params.model
     chosen: Row = {"controller": params.controller}
-    if uses_detector(law):
-        model = None if params.model is None or str(params.model) == "none" else params.model
+    if uses_detector(GraspSettings.of(Grasp(controller=params.controller, model=model)).law):
         chosen |= {"tracker": params.tracker, "model": model, "slip_threshold": params.threshold}
     return chosen
 

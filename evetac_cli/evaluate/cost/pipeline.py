@@ -259,7 +259,8 @@ def summary(rows: Rows) -> dict[str, Any]:
         "trials": settings[0]["trials"],
         "reference": settings[0]["flags"],
         "trial": "evetac record --scene slip TRIAL_FLAGS",
-        "grasp": f"evetac grasp --object GRASPED_OBJECT --seed N --lift-s {LIFT_S:g} --balance-s {BALANCE_S:g} FLAGS",
+        "grasp": "evetac grasp --object GRASPED_OBJECT --seed N --controller paper --model shipped"
+        f" --lift-s {LIFT_S:g} --balance-s {BALANCE_S:g} FLAGS",
     }
 
 

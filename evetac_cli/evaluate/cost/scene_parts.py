@@ -8,6 +8,7 @@ from evetac_cli.commands.evaluate import EvaluateCost
 from evetac_cli.commands.grasp import Grasp
 from evetac_cli.commands.record import Record
 from evetac_cli.evaluate import picture
+from evetac_cli.evaluate.cost.chain import GRASP_CHOICES
 from evetac_cli.evaluate.rows import Extent, run_times
 from evetac_cli.jobs import Progress, Row, Rows
 from evetac_cli.trials import grasp, record
@@ -36,7 +37,7 @@ def measure(params: EvaluateCost, inputs: Sequence[Path], progress: Progress) ->
 def _trials(seed: int) -> Iterator[tuple[str, SimulatedTrial, Play[Any]]]:
     """Yield slip, lift with the pretrained detector, and rubbed edges: scenes that are slow for different reasons."""
     slip, edge = (Record(scene=name, seed=seed) for name in ("slip", "edge"))
-    lift: tuple[Any, Any, Play[Any]] = (grasp, Grasp(seed=seed), play_grasp)
+    lift: tuple[Any, Any, Play[Any]] = (grasp, Grasp(seed=seed, **GRASP_CHOICES), play_grasp)
     stages = [(record, slip, play_through), lift, (record, edge, play_through)]
     for stage, params, play in stages:
         (trial,) = stage.jobs([], params, None)

@@ -33,7 +33,7 @@ train-force first.tracks.h5 second.tracks.h5 --samples 10 --epochs 2 --out f.for
 train-force first.tracks.h5 --method touch --out own.force-model.h5
 predict-touch first.tracks.h5 --out first.touch.h5
 evaluate slip third.features.h5 --model m.model.h5 --out slip.report.h5
-grasp --model m.model.h5 --lift-s 1 --balance-s 0.2 --out grasp.recording.h5
+grasp --controller paper --model m.model.h5 --lift-s 1 --balance-s 0.2 --out grasp.recording.h5
 record --camera virtual:prepared --gripper virtual --seconds 0.5 --out device.recording.h5
 trim first.recording.h5 --to-ms 60 --out piece.recording.h5
 export piece.recording.h5 --format dsec --out events.h5
@@ -141,7 +141,7 @@ KINDS = (
         (
             *_INSPECT,
             "evaluate slip third.features.h5 --model {f} --out {o}/a.report.h5",
-            "grasp --model {f} --lift-s 1 --balance-s 0.1 --out {o}/a.recording.h5",
+            "grasp --controller paper --model {f} --lift-s 1 --balance-s 0.1 --out {o}/a.recording.h5",
             "share {f} --out {o}/hub",
         ),
         ("third.features.h5",),
