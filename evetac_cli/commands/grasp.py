@@ -48,8 +48,8 @@ class Grasp(Devices, Trials):
         panel=GRIP,
     )
     controller: str = parameter(
-        "paper",
-        f"Grip controller; {names.words(names.CONTROLLERS)}; or a plug-in's.",
+        "load-proportional",
+        f"Grip controller; {names.words(names.CONTROLLERS)}; or a plug-in's. The paper's need --model.",
     )
     gain: float = parameter(
         1.0,
@@ -77,7 +77,14 @@ class Grasp(Devices, Trials):
         panel=GRIP,
     )
     tracker: str = parameter("stable", "Preset of the dot tracker.", choices=tuple(names.TRACKERS), panel=GRIP)
-    lift_s: float = parameter(10.0, "Duration of the lifting phase.", unit="s", low=1.0, high=600.0, panel=GRIP)
+    lift_s: float = parameter(
+        10.0,
+        "Duration of the lifting phase. A lifted object hangs 50 mm high, which takes 3.1 s in the scene lift.",
+        unit="s",
+        low=1.0,
+        high=600.0,
+        panel=GRIP,
+    )
     balance_s: float = parameter(20.0, "Duration of the balancing phase.", unit="s", low=0.0, high=600.0, panel=GRIP)
     max_current_ma: int = parameter(
         100,
@@ -108,7 +115,7 @@ COMMAND = Command(
     "",
     examples=(
         "evetac grasp --object 11-13 --count 2 -o grasps",
-        "evetac grasp --object 11 --controller load-proportional -o grasps",
+        "evetac grasp --object 11 --controller paper --model paper.model.h5 -o grasps",
         "evetac grasp --camera dvxplorer --gripper /dev/ttyUSB0 --arm",
     ),
 )

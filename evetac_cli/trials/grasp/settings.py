@@ -15,6 +15,7 @@ from evetac_cli.events import SLICES_PER_S
 from evetac_cli.kernels.grip import control as grip_control
 from evetac_cli.kernels.grip.control import Control, Law, PluginLaw
 from evetac_cli.kernels.grip.load_law import MARGIN
+from evetac_cli.kernels.grip.paper import GripLaw
 from evetac_cli.kernels.tracking import presets
 from evetac_cli.kernels.tracking.presets import TrackerConstants
 from evetac_cli.stages.model_files import controller_threshold, require_useful
@@ -28,6 +29,9 @@ from evetac_cli.trials.trial import DeviceTrial, ReplayTrial, SimulatedTrial, Tr
 
 if TYPE_CHECKING:
     from evetac_cli.devices.rh_p12_rn.driver import RhP12RnSettings
+
+
+TRAINS_PAPERS = "evetac train FEATURES --model fast-slow --horizon-ms 10 --preset paper -o paper.model.h5"
 
 
 @dataclass(frozen=True)
@@ -111,8 +115,18 @@ class GraspSettings:
 
     @classmethod
     def of(cls, params: Grasp) -> "GraspSettings":
-        """Return the settings of the flags; InputError if the controller, its gain or the model does not exist."""
+        """Return the settings of the flags; InputError if the controller, its gain or the model does not exist.
+
+        The paper's controllers have no default detector: with the pretrained one, they are not the paper's method.
+        """
         law = _law(params.controller, params.gain, params.grip_margin)
+        if isinstance(law, GripLaw) and params.model is None:
+            raise InputError(
+                f"--controller {params.controller} needs a slip detector",
+                where="--model",
+                expected="a model trained by the paper's recipe, or `shipped` for the pretrained one",
+                hint=f"train the paper's: {TRAINS_PAPERS}; without --controller, evetac's own is used",
+            )
         sticking = grip_control.uses_sticking(law)
         detector = DetectorModel.of(params, sticking=sticking) if grip_control.uses_detector(law) else None
         lasts_s = params.lift_s, params.balance_s

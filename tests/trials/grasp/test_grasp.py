@@ -49,6 +49,14 @@ def test_the_package_has_a_detector() -> None:
     assert made["simulated"]
 
 
+@pytest.mark.parametrize("controller", ["paper", "paper-reset"])
+def test_the_papers_controllers_need_a_model(tmp_path: Path, controller: str) -> None:
+    """Assert that they are refused without a model, with the command that trains the paper's, and not with one."""
+    with pytest.raises(InputError, match=r"--model(.|\n)*evetac train .*--model fast-slow .*--preset paper"):
+        grasp.jobs([], Grasp(controller=controller), tmp_path)
+    assert grasp.jobs([], Grasp(controller=controller, model=Path("shipped")), tmp_path)
+
+
 @pytest.mark.parametrize("controller", ["none", "fixed:6"])
 def test_no_detector_without_feeling(tmp_path: Path, controller: str) -> None:
     """Assert that what belongs to a detector is refused where none is used, and that no model is taken then."""
@@ -166,7 +174,7 @@ def test_known_dots() -> None:
 @pytest.mark.slow
 def test_a_closed_gel_is_felt_by_the_network_for_a_cut_one(tmp_path: Path) -> None:
     """Assert that 63 dots are tracked and evaluated: the file has them all, and a probability for every slice."""
-    path, row = made(tmp_path, gel="closed")
+    path, row = made(tmp_path, gel="closed", controller="paper", model=Path("shipped"))
     with StageFile(path, "recording") as recording:
         assert recording.read("sensor/dot_xy_px").shape == (7, 9, 2)
         assert not recording.has("sensor/window_px")

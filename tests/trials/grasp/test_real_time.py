@@ -328,7 +328,8 @@ def test_a_gripper_that_is_not_there(
 @pytest.mark.slow
 def test_a_virtual_grasp(tmp_path: Path) -> None:
     """Assert that it is whole: every slice with its truth, every step with its command and its times, valid."""
-    params = Grasp(camera="virtual", **PATIENT)  # type: ignore[arg-type]
+    paper: dict[str, Any] = {"controller": "paper", "model": Path("shipped")}
+    params = Grasp(camera="virtual", **paper, **PATIENT)  # type: ignore[arg-type]
     (job,) = grasp.jobs([], params, tmp_path)
     assert job.output.name.startswith("virtual-lift-obj11")
     row = grasp.run(job, params).rows[0]

@@ -95,7 +95,7 @@ def test_decisions_are_those_of_the_pipeline(grasped: Path, tmp_path: Path) -> N
     The network is told where the fingers are, what they were commanded, and which share of the contact sticks.
     """
     told = untrained(tmp_path / "told.model.h5")
-    again = replay(grasped, tmp_path / "again.recording.h5", model=told)
+    again = replay(grasped, tmp_path / "again.recording.h5", controller="paper", model=told)
     tracking = Track()
     (job,) = track.jobs([again], tracking, tmp_path)
     track.run(job, tracking)

@@ -111,7 +111,7 @@ def test_both_files_are_one_grasp_to_evaluate(grasped: tuple[Path, Path], tmp_pa
     with open_recording(grasped[0]) as file:
         row = evaluate_grasp.trial_row(grasped[0], file.header)
         stored = json.loads(file.read("control/outcome"))
-    assert row["setting"] == "paper, two fingers, randomized:7"
+    assert row["setting"] == "load-proportional, two fingers, randomized:7"
     assert row["false_slip_events"] == stored["false_slip_events"]
 
 
@@ -163,13 +163,14 @@ def test_a_calibration_for_each_finger(tmp_path: Path) -> None:
         columns(",".join(map(str, (*grids, grids[0]))))
 
 
+PAPER = {"controller": "paper", "model": Path("shipped")}
 PATIENT = {"watchdog_ms": 500, "lift_s": 1.0, "balance_s": 0.2}
 
 
 @pytest.mark.slow
 def test_a_virtual_grasp_of_two_fingers(tmp_path: Path) -> None:
     """Assert that both files are whole and of one clock, and that the law over both detectors gives the goals."""
-    params = Grasp(camera="virtual,virtual", sensor=UNLIKE, slip_threshold=0.2, **PATIENT)  # type: ignore[arg-type]
+    params = Grasp(camera="virtual,virtual", sensor=UNLIKE, slip_threshold=0.2, **PAPER, **PATIENT)  # type: ignore[arg-type]
     (job,) = grasp.jobs([], params, tmp_path)
     row = grasp.run(job, params).rows[0]
     assert row["ended"] == "the grasp is over"
