@@ -104,8 +104,8 @@ def _size(text: str) -> tuple[int, int]:
 def trial_files(path: Path, model: Path | None = None) -> Iterator[TrialFiles]:
     """Open the files of a recording's trial, found next to it as in `view`; features of other tracks are left out.
 
-    With a model, its slip probability is included. Raises InputError if there are no features, or if the model is for
-    another dot grid.
+    With a model, its slip probability is included. Raises InputError if its features can neither be found nor computed,
+    or if the model is for another dot grid.
     """
     with open_trial([path] if model is None else [path, model]) as trial:
         if trial.recording is None:
@@ -120,13 +120,10 @@ def trial_files(path: Path, model: Path | None = None) -> Iterator[TrialFiles]:
         if model is None:
             yield TrialFiles(by_kind, notes, mm_per_px=scale)
             return
-        if "features" not in by_kind:
-            hint = "run evetac track, then evetac featurize"
+        if trial.model_input is None or (trial.features is not None and "features" not in by_kind):
+            expected = "features next to the recording, made from the tracks there, or none"
             raise InputError(
-                "the model needs features of this recording",
-                where=str(path),
-                expected="features next to the recording",
-                hint=hint,
+                "the model needs features of this recording", where=str(path), expected=expected, found=" ".join(notes)
             )
         probability = model_output(trial, (0, trial.slices))
         yield TrialFiles(by_kind, notes, probability, scale)

@@ -58,7 +58,7 @@ def run(
     for path in outputs:
         require_possible_name(path)
         check_free(path, force=force)
-    with open_trial(files) as trial:
+    with open_trial(files, progress) as trial:
         view = collect_view(trial, params, progress)
         written = {} if params.rrd else {target: render_page(trial, view)}
         if params.film is not None:

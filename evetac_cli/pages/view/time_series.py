@@ -259,20 +259,20 @@ def _length(file: StageFile, path: str, span: tuple[int, int]) -> int:
 
 def model_output(trial: OpenTrial, span: tuple[int, int]) -> NDArray[np.float32] | None:
     """Return the slip probability of each slice of the span, NaN before the first; None without a model or features."""
-    if trial.model is None or trial.features is None:
+    if trial.model is None or trial.model_input is None:
         return None
     from evetac_cli.stages.slip_detectors import load_detector, read_series
 
     detector = load_detector(trial.model)
     start = span[0]
-    length = _length(trial.features, "displacement_px", span)
+    length = _length(trial.model_input, "displacement_px", span)
     probability = np.full(length, np.nan, np.float32)
     for first in range(0, length, BLOCK_ROWS):
         last = min(first + BLOCK_ROWS, length)
         # the full history, and the slices for which a prediction is held
         before = min(start + first, detector.architecture.history + detector.architecture.every - 2)
         rows = slice(start + first - before, start + last)
-        series = read_series(trial.features, detector.architecture, rows.start, rows.stop)
+        series = read_series(trial.model_input, detector.architecture, rows.start, rows.stop)
         probability[first:last] = detector.over(series, rows.start)[before:]
     return probability
 

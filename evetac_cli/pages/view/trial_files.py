@@ -4,12 +4,19 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
+from evetac_cli.commands.featurize import Featurize
+from evetac_cli.commands.track import Track
 from evetac_cli.errors import MAKE_MODEL, InputError, UnavailableError, made_by
+from evetac_cli.jobs import Job, Progress, silent
+from evetac_cli.kernels.slip.architectures import ImageArchitecture, PluginImageArchitecture
+from evetac_cli.stages import featurize, track
 from evetac_cli.stages.model_files import why_useless
 from evetac_cli.store.files import StageFile, stem
 from evetac_cli.store.index import recording_of
+from evetac_cli.store.layout.rules import named_architecture
 from evetac_cli.store.recordings.read import Recording
 
 KINDS = ("recording", "tracks", "labels", "features", "touch")
@@ -27,6 +34,7 @@ class OpenTrial:
     features: StageFile | None = None
     touch: StageFile | None = None
     model: StageFile | None = None
+    model_input: StageFile | None = None  # the features, or those computed for the page
     notes: list[str] = field(default_factory=list)
 
     @property
@@ -68,8 +76,10 @@ def inner(table: Any, *names: str) -> Any:
 
 
 @contextmanager
-def open_trial(paths: list[Path]) -> Iterator[OpenTrial]:
+def open_trial(paths: list[Path], progress: Progress = silent) -> Iterator[OpenTrial]:
     """Open the given files and those next to them; raise InputError if the given files are not of one trial.
+
+    Features for a given model are computed from the recording if there are none.
 
     A file next to them that is damaged or of another recording is left out, with a note.
     """
@@ -97,9 +107,10 @@ def open_trial(paths: list[Path]) -> Iterator[OpenTrial]:
                 trial.add(file)
             else:
                 trial.notes.append(f"Left out: {path.name} was made from another recording.")
-        _check_model(trial)
         if trial.recording is None:
             _search_recording(trial, files[0].path.parent, stack)
+        _find_model_input(trial, stack, progress)
+        _check_model(trial)
         yield trial
 
 
@@ -151,12 +162,44 @@ def _one_recording(files: list[StageFile]) -> str:
     return first
 
 
+def _find_model_input(trial: OpenTrial, stack: ExitStack, progress: Progress) -> None:
+    """Set the features for the model, which are computed if there are none; a note says so, or why that failed."""
+    trial.model_input = trial.features
+    if trial.model is None or trial.features is not None:
+        return
+    if trial.recording is None:
+        trial.notes.append("No slip probability: it needs the recording or its features.")
+        return
+    folder = Path(stack.enter_context(TemporaryDirectory(prefix="evetac-view-")))
+    path = trial.recording.path
+    tracks, features = (folder / f"{stem(path)}.{kind}.h5" for kind in ("tracks", "features"))
+    try:
+        if trial.tracks is None:
+            track.run(Job((path,), tracks), Track(), progress=progress)
+        else:
+            tracks = trial.tracks.path
+        featurize.run(Job((path, tracks), features), _needed_features(trial.model), progress=progress)
+    except (InputError, UnavailableError) as error:
+        trial.notes.append(f"No slip probability: {str(error).splitlines()[0]}")
+        return
+    trial.model_input = stack.enter_context(StageFile(features, "features"))
+    by = "evetac featurize" if trial.tracks is not None else "evetac track and evetac featurize"
+    trial.notes.append(f"The features for {trial.model.path.name} were computed as by {by}, and are not stored.")
+
+
+def _needed_features(model: StageFile) -> Featurize:
+    """Return the flags of `featurize` that make the inputs of a model."""
+    architecture = named_architecture(model.read("architecture"))
+    images, events = (isinstance(architecture, one) for one in (ImageArchitecture, PluginImageArchitecture))
+    return Featurize(images=images, events=events)
+
+
 def _check_model(trial: OpenTrial) -> None:
     if trial.model is not None and (why := why_useless(trial.model)):
         trial.notes.append(f"{trial.model.path.name} is not a slip detector: {why}.")
-    if trial.model is None or trial.features is None:
+    if trial.model is None or trial.model_input is None:
         return
-    of_features, of_model = (file.read("dot_shape").tolist() for file in (trial.features, trial.model))
+    of_features, of_model = (file.read("dot_shape").tolist() for file in (trial.model_input, trial.model))
     if of_features != of_model:
         raise InputError(
             "the model is for another dot grid",

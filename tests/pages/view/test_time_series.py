@@ -87,8 +87,8 @@ def test_model_output(trial: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     )
     model = SimpleNamespace(read=lambda path: 0.5)
     with open_trial([trial]) as real:
-        real.features, real.model = features, model  # type: ignore[assignment]
-        real_files = [file for file in real.files if file not in (features, model)]
+        real.model_input, real.model = features, model  # type: ignore[assignment]
+        real_files = [file for file in real.files if file is not model]
         monkeypatch.setattr(type(real), "files", real_files)
         whole = collect_view(real, View(), lambda done, total: None)
         monkeypatch.setattr(time_series, "BLOCK_ROWS", 7)
