@@ -54,7 +54,8 @@ def outcome(
     The figures moved_* are in mm, opening_* in ticks and mm, and force_* in N of one finger.
 
     reopened_share: the share of the closing during the lift by which the gripper opened again in balance; None if it
-    did not close. failure: how the object was lost, "" if it was held.
+    did not close. failure: how the object was lost, or that it hung too low because the lift was too short; "" if it
+    was held.
     """
     gap_mm, force_n = rows["truth/table_gap_mm"], rows["truth/normal_force_n"]
     object_mm = rows["truth/object_xy_px"] * mm_per_px
@@ -84,7 +85,7 @@ def outcome(
     return {
         "lifted": is_held,
         "balanced": balanced,
-        "failure": "" if balanced else _lost(gap_mm, lifted_ms, is_held=is_held),
+        "failure": "" if balanced else _lost(gap_mm, force_n, lifted_ms, moved_mm(lifted_ms), is_held=is_held),
         "moved_lift_mm": moved_mm(lifted_ms),
         "moved_mm": moved_mm(last_ms),
         "opening_after_lift_ticks": -closed,
@@ -102,11 +103,17 @@ def outcome(
     }
 
 
-def _lost(gap_mm: NDArray[Any], lifted_ms: int, *, is_held: bool) -> str:
-    """Describe how an object was lost."""
+def _lost(gap_mm: NDArray[Any], force_n: NDArray[Any], lifted_ms: int, moved_lift_mm: float, *, is_held: bool) -> str:
+    """Describe how an object was lost, or that the hand had no time to lift it."""
     if is_held:
         return "fell in balance"
-    return "fell in the lift" if gap_mm[: lifted_ms + 1].max() > HANGS_MM * 10 else "stayed on the table"
+    highest_mm = gap_mm[: lifted_ms + 1].max()
+    if highest_mm <= HANGS_MM * 10:
+        return "stayed on the table"
+    hangs = gap_mm[lifted_ms] > HANGS_MM and force_n[lifted_ms] > 0
+    if hangs and gap_mm[lifted_ms] + moved_lift_mm <= LIFTED_MM:  # the object is where the hand carried it
+        return f"the hand rose less than {LIFTED_MM:g} mm in the lift"
+    return "fell in the lift"
 
 
 def _over_holding(rows: Mapping[str, NDArray[Any]], *, balanced: bool) -> dict[str, float | None]:

@@ -98,6 +98,24 @@ def test_how_a_grasp_fails() -> None:
     assert not outcome(rows(), MM_PER_PX, END_MS + 1)["balanced"]  # it ended before its time
 
 
+@pytest.mark.parametrize(
+    ("low_mm", "slid_px", "force_n", "failure"),
+    [
+        (30.0, 10.0, 1.5, "the hand rose less than 50 mm in the lift"),
+        (30.0, 20.0 / MM_PER_PX + 10.0, 1.5, "fell in the lift"),
+        (30.0, 10.0, 0.0, "fell in the lift"),
+        (0.0, 10.0, 1.5, "stayed on the table"),
+    ],
+)
+def test_a_held_object_did_not_fall(low_mm: float, slid_px: float, force_n: float, failure: str) -> None:
+    """Assert that an object that hangs low has fallen only if it slid or is not gripped, not if the lift was short."""
+    slides_px = rows()["truth/object_xy_px"]
+    slides_px[TOUCH_MS + 1 :, 0] += slid_px
+    low = {"truth/table_gap_mm": np.full(END_MS, low_mm), "truth/object_xy_px": slides_px}
+    low["truth/normal_force_n"] = np.full(END_MS, force_n)
+    assert outcome(rows(**low), MM_PER_PX, END_MS)["failure"] == failure
+
+
 def test_a_grasp_that_never_closed_has_no_reduction() -> None:
     """Assert that nothing is divided by no closing."""
     still = np.full(END_MS // 2, 200)
