@@ -69,7 +69,9 @@ def execute(command: Command, title: str, flag_values: dict[str, Any]) -> None:
                 # A stage may select the rows that people want to see, and add a verdict.
                 shown_rows, verdict = stage.for_people(rows, params)
                 verbose = running.verbose
-                shown_rows = shown_rows if verbose else first_rows(shown_rows)
+                if not verbose:
+                    short = ({name: row[name] for name in row if name not in stage.details} for row in shown_rows)
+                    shown_rows = first_rows(list(short))
                 console.print_table(title, shown_rows, own, simulated=simulated, verbose=verbose)
                 if not own:
                     console.print_text(console.counted(outcomes))

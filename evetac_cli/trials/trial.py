@@ -26,6 +26,9 @@ from evetac_cli.store.recordings import slip_grid
 from evetac_cli.store.recordings.segments import refuse_leftover
 
 OUTPUT = "recording"
+DETAILS = frozenset(  # columns of SolverFigures
+    ("mechanical_steps_a_slice", "estimated_error_um_median", "slices_over_tolerance", slip_grid.COLUMN)
+)
 
 
 @dataclass(frozen=True)

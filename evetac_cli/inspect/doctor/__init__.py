@@ -118,7 +118,7 @@ def show(result: Outcome) -> None:
         for row in group:
             sign = {True: "ok", False: "WRONG", None: "-"}[row["ok"]]
             expected = f"  (expected: {row['expected']})" if row["ok"] is not True and row["expected"] else ""
-            print_text(f"  {sign:<6}{row['check']:<16}{row['found']}{expected}")
+            print_text(f"  {sign:<6}{row['check']:<15} {row['found']}{expected}")
             if row["fix"]:
                 print_text(f"        {'':<16}try: {row['fix']}")
     if counts.get("cameras") == 0:

@@ -27,7 +27,7 @@ from evetac_cli.trials.grasp import simulated
 from evetac_cli.trials.grasp.settings import DeviceGrasp, GraspSettings, ReplayGrasp, SimulatedGrasp
 from evetac_cli.trials.listen import Listening, listen, listening
 from evetac_cli.trials.trial import OUTPUT as OUTPUT
-from evetac_cli.trials.trial import for_people, simulated_trials
+from evetac_cli.trials.trial import DETAILS, for_people, simulated_trials
 
 METHOD = simulated.METHOD
 OF_DETECTOR = ("model", "slip_threshold", "false_alarms_per_min", "tracker")
@@ -157,6 +157,7 @@ STAGE = Stage(
     jobs,
     run,
     for_people=for_people,
+    details=DETAILS,
     warnings=slip_grid.once,
     dry_run=dry_run,
     dry_run_for_people=part_costs.for_people,

@@ -30,7 +30,7 @@ from evetac_cli.trials.record.capture_plan import DeviceRecording
 from evetac_cli.trials.record.imported import ImportJob
 from evetac_cli.trials.record.preview import Preview
 from evetac_cli.trials.trial import OUTPUT as OUTPUT
-from evetac_cli.trials.trial import SimulatedTrial, device_trials, for_people, simulated_trials
+from evetac_cli.trials.trial import DETAILS, SimulatedTrial, device_trials, for_people, simulated_trials
 
 METHOD = simulated.METHOD
 WATCHDOG_STEP_MS = 20  # unit of the register Bus Watchdog
@@ -153,6 +153,7 @@ STAGE = Stage(
     jobs,
     run,
     for_people=for_people,
+    details=DETAILS,
     warnings=slip_grid.once,
     dry_run=dry_run,
     dry_run_for_people=part_costs.for_people,
