@@ -446,12 +446,13 @@ def test_what_was_made_is_the_last_line(label_is: Any, files: list[str]) -> None
 
 
 def test_what_people_see_and_its_verdict(monkeypatch: pytest.MonkeyPatch, files: list[str]) -> None:
-    """Assert that a stage can choose rows for people, say what they amount to, and warn; --json has all rows."""
-    answer = Outcome([{"a": 1}, {"b": 2}], True, {"count": 2})
+    """Assert that a stage can choose rows for people, say what they amount to, and warn; -v and --json have more."""
+    answer = Outcome([{"a": 1}, {"b": 2, "steps_a_slice": 3}], True, {"count": 2})
     stage = module_of(
         lambda files, chosen, out: [Job(tuple(files), Path("x.report.h5"))],
         lambda *_, **__: answer,
         for_people=lambda rows, chosen: (rows[1:], ["early in 1 of 2"]),
+        details=frozenset({"steps_a_slice"}),
         cautions=lambda jobs, chosen: ["few files"],
         warnings=lambda rows: [f"too coarse in {len(rows)}"],
     )
@@ -460,7 +461,8 @@ def test_what_people_see_and_its_verdict(monkeypatch: pytest.MonkeyPatch, files:
     assert result.stdout.splitlines()[-2:] == ["count: 2", "early in 1 of 2"]
     assert result.stderr.splitlines()[0] == "note: few files"
     assert result.stderr.splitlines()[-1] == "warning: too coarse in 2"
-    assert " a " not in result.stdout
+    assert " a " not in result.stdout and "steps_a_slice" not in result.stdout
+    assert "steps_a_slice" in evetac("evaluate", "slip", *files, "-v").stdout
     shown = evetac("evaluate", "slip", *files, "--json", "-q")
     assert (json.loads(shown.stdout)["rows"], shown.stderr) == (answer.rows, "")
 

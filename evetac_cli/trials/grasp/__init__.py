@@ -26,8 +26,8 @@ from evetac_cli.trials import part_costs
 from evetac_cli.trials.grasp import simulated
 from evetac_cli.trials.grasp.settings import DeviceGrasp, GraspSettings, ReplayGrasp, SimulatedGrasp
 from evetac_cli.trials.listen import Listening, listen, listening
-from evetac_cli.trials.trial import OUTPUT as OUTPUT
 from evetac_cli.trials.trial import DETAILS, for_people, simulated_trials
+from evetac_cli.trials.trial import OUTPUT as OUTPUT
 
 METHOD = simulated.METHOD
 OF_DETECTOR = ("model", "slip_threshold", "false_alarms_per_min", "tracker")

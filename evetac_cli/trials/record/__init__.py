@@ -29,8 +29,8 @@ from evetac_cli.trials.record import capture, capture_plan, imported, preview, s
 from evetac_cli.trials.record.capture_plan import DeviceRecording
 from evetac_cli.trials.record.imported import ImportJob
 from evetac_cli.trials.record.preview import Preview
-from evetac_cli.trials.trial import OUTPUT as OUTPUT
 from evetac_cli.trials.trial import DETAILS, SimulatedTrial, device_trials, for_people, simulated_trials
+from evetac_cli.trials.trial import OUTPUT as OUTPUT
 
 METHOD = simulated.METHOD
 WATCHDOG_STEP_MS = 20  # unit of the register Bus Watchdog

@@ -1,5 +1,6 @@
 """Series and stretches of slip: decimated without losing extremes, and the output of a model."""
 
+import shutil
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -18,6 +19,7 @@ from evetac_cli.pages.view.trial_files import open_trial
 from evetac_cli.pages.view.view_data import Panel, ViewData
 from evetac_cli.store.layout import schema
 from evetac_cli.store.recordings.read import open_recording
+from tests.conftest import Made
 from tests.pages.view.trials import ONSET, SLICES, moving, shown, write_labels, write_touch, write_tracks
 
 
@@ -259,3 +261,20 @@ def test_lost_dots_are_no_displacement(trial: Path, away_px: float) -> None:
     for line in panel.lines:
         np.testing.assert_allclose(line.value[:250], np.linspace(0, 4, SLICES)[:250], atol=1e-5)
         assert np.isnan(line.value[250:]).all()
+
+
+@pytest.mark.parametrize("with_tracks", [False, True])
+def test_missing_features_are_computed(made: Made, tmp_path: Path, with_tracks: bool) -> None:
+    """Assert that a model has the same probability without a features file as with it, and that none is left behind."""
+    beside = Path(shutil.copy(made.recordings[0], tmp_path))
+    if with_tracks:
+        shutil.copy(made.beside(made.recordings[0], "tracks"), tmp_path)
+    before = sorted(tmp_path.iterdir())
+    with open_trial([made.recordings[0], made.model]) as stored, open_trial([beside, made.model]) as computed:
+        assert stored.notes == []
+        assert computed.features is None and "were computed as by evetac" in computed.notes[0]
+        span = (0, stored.slices)
+        of_file, of_recording = (time_series.model_output(one, span) for one in (stored, computed))
+    assert of_file is not None and of_recording is not None and np.isfinite(of_recording).any()
+    np.testing.assert_array_equal(of_recording, of_file)
+    assert sorted(tmp_path.iterdir()) == before
