@@ -54,8 +54,9 @@ def outcome(
     The figures moved_* are in mm, opening_* in ticks and mm, and force_* in N of one finger.
 
     reopened_share: the share of the closing during the lift by which the gripper opened again in balance; None if it
-    did not close. failure: how the object was lost, or that it hung too low because the lift was too short; "" if it
-    was held.
+    did not close.
+
+    failure: how the object was lost, or that the lift was too short; "" if it was held.
     """
     gap_mm, force_n = rows["truth/table_gap_mm"], rows["truth/normal_force_n"]
     object_mm = rows["truth/object_xy_px"] * mm_per_px
