@@ -3,6 +3,7 @@
 The format is recognized by content, not by file name: a bag of ROS 1 or ROS 2, Parquet, otherwise CSV.
 """
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,10 +20,13 @@ from evetac_cli.store.recordings.streams import Stream
 from evetac_cli.text_files import open_regular, steady
 
 
-def read_stream(source: str, name: str, folder: Path | None = None) -> tuple[Stream, list[str]]:
+def read_stream(
+    source: str, name: str, folder: Path | None = None, length_s: float = math.inf
+) -> tuple[Stream, list[str]]:
     """Return a stream in its own clock, and notes on what was left out; raise InputError if it cannot be read.
 
     source: a file, or FILE:/TOPIC of a bag. folder: where the samples are stored temporarily.
+    length_s: length of the recording, which an assumed unit of time has to fit.
     """
     path, topic = _parted(source)
     try:
@@ -32,7 +36,7 @@ def read_stream(source: str, name: str, folder: Path | None = None) -> tuple[Str
             elif topic:
                 raise InputError("a topic was given, but the file is not a bag", where=str(path), found=topic)
             else:
-                stream, notes = read_table(path, folder)
+                stream, notes = read_table(path, folder, length_s)
     except OSError as error:
         raise cannot_read(error, path) from error
     except MemoryError as error:

@@ -60,8 +60,8 @@ def run(job: Job, params: Attach, *, force: bool = False, progress: Progress = s
             )
         for number, (name, source) in enumerate(sources.items()):
             progress(number, len(sources), "streams read")
-            stream, remarks = read_stream(source, name, folder)
             start_us, slices = int(recording.read("t_offset")), len(recording)
+            stream, remarks = read_stream(source, name, folder, slices * SLICE_US / 1e6)
             if name not in offsets:
                 stream, brought = on_clock_of_events(stream, source, (start_us, start_us + slices * SLICE_US))
                 remarks = [*remarks, brought] if brought else remarks

@@ -163,10 +163,12 @@ def test_columns_keep_their_names_and_order(tmp_path: Path) -> None:
     assert stream.t_us.tolist() == [0, 1, 2, 3, 4]
     assert {name: values.tolist() for name, values in stream.columns.items()} == {
         "x": [0.0, 1.0, 2.0, 3.0, 4.0],
+        "list_0": [0.0, 1.0, 2.0, 3.0, 4.0],
+        "list_1": [0.0, 1.0, 2.0, 3.0, 4.0],
         "x_2": [0.0, 10.0, 20.0, 30.0, 40.0],
         "flag": [1.0, 0.0, 1.0, 0.0, 1.0],
     }
-    assert notes == ["left out: columns struct, list, words, which are not numeric"]
+    assert notes == ["left out: columns struct, words, which are not numeric"]
 
 
 def test_damaged_page_headers_end_in_words(tmp_path: Path) -> None:
@@ -215,7 +217,7 @@ def test_times_that_64_bits_do_not_hold(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="impossible time"):
         read(path)
     stamps = pa.array([2**61, 2**61 + 1], pa.timestamp("ms"))
-    with pytest.raises(InputError, match="the table cannot be read(.|\n)*out of bounds"):
+    with pytest.raises(InputError, match="impossible time"):
         read(written(tmp_path / "b.parquet", {"t": stamps, "x": X[:2]}))
     stamps = pa.array([1001, 2999], pa.timestamp("ns"))
     assert read(written(tmp_path / "c.parquet", {"t": stamps, "x": X[:2]})).t_us.tolist() == [1, 2]
