@@ -24,7 +24,7 @@ TIME = re.compile(
     rf"(?:(?P<stamp>{OWN})|(?:(?P<received>{RECEIVED})|msg_?)?(?:t|time|timestamp|stamp))"
     rf"(?:[_ ](?P<unit>{'|'.join(SPOKEN_UNITS)}))?"
 )
-PARTS = re.compile(r"(?:.*[._/])?stamp[._/](?P<part>secs?|nanosecs?|nsecs?)")
+PARTS = re.compile(r"(?P<whole>(?:.*[._/])?stamp)[._/](?P<part>secs?|nanosecs?|nsecs?)")
 BRACKETS = re.compile(r"(?P<name>.*?)\s*[\[(](?P<unit>[^\])]{1,20})[\])]")
 INDEX = re.compile(r"\s*[\[(]\s*([-+]?\d[\d\s,;:.]*|[xyzw])\s*[\])]")  # of an element: q[0], pose[0][1], force[x]
 # Units that a name may end in, for example `force_n`.
@@ -55,16 +55,21 @@ class _Candidate(NamedTuple):
 def find_times(names: Sequence[str], types: Sequence[Any], where: str) -> Times:
     """Return the columns of times, found by name, or by a type that is a time; raise InputError if there are none."""
     plain = [name_and_unit(name) for name in names]
-    parts = {match["part"][0]: at for at, (name, _) in enumerate(plain) if (match := PARTS.fullmatch(name.lower()))}
     candidates = []
+    parts: dict[str, dict[str, int]] = {}
     for at, (name, in_brackets) in enumerate(plain):
         if match := TIME.fullmatch(name.lower()):
             unit = SPOKEN_UNITS.get(match["unit"] or in_brackets.lower(), "")
             received = bool(match["received"]) or names[at].strip().startswith("%")
-            usable = is_time(types[at])
-            candidates.append(_Candidate(not usable, received, not unit, not match["stamp"], (at,), unit))
-    if len(parts) == 2:
-        candidates.append(_Candidate(False, False, True, False, (parts["s"], parts["n"]), "ns"))
+            candidates.append(_Candidate(not is_time(types[at]), received, not unit, not match["stamp"], (at,), unit))
+        elif match := PARTS.fullmatch(name.lower()):
+            parts.setdefault(match["whole"], {})[match["part"][0]] = at
+    candidates += [
+        _Candidate(False, False, True, False, (pair["s"], pair["n"]), "ns") for pair in parts.values() if len(pair) == 2
+    ]
+    of_topics = [one for one in candidates if not one.is_no_stamp and "/" in plain[one.columns[0]][0]]
+    if len(of_topics) > 1:  # PlotJuggler joins several topics; the stamp of one is empty in the rows of the others
+        candidates = [one._replace(is_unusable=one.is_unusable or one in of_topics) for one in candidates]
     candidates = candidates or [
         _Candidate(False, False, False, True, (at,), "") for at, kind in enumerate(types) if has_unit(kind)
     ]
@@ -76,7 +81,7 @@ def find_times(names: Sequence[str], types: Sequence[Any], where: str) -> Times:
             found=", ".join(names)[:200],
         )
     best = min(candidates)
-    clock = " and ".join(names[at].strip() if len(best.columns) > 1 else plain[at][0] for at in best.columns)
+    clock = " and ".join(plain[at][0] for at in best.columns) or "without a name"
     stated = f", in {best.unit}" if best.unit and len(best.columns) == 1 else ""
     others = [at for one in candidates for at in one.columns if at not in best.columns]
     return Times(best.columns, best.unit, f"column {clock}{stated}", tuple(others))
@@ -104,6 +109,6 @@ def name_and_unit(name: str) -> tuple[str, str]:
     plain = name.strip().lstrip("%#").strip()
     indexed = INDEX.sub(lambda match: "_" + "_".join(re.findall(r"[-\w.]+", match[1])), plain)
     if match := BRACKETS.fullmatch(indexed):
-        return match["name"], match["unit"].strip()
+        return match["name"].rstrip(" ,"), match["unit"].strip()
     without = INDEX.sub("", plain).lower()
     return indexed, ENDINGS.get(without.rpartition("_")[2], "") if "_" in without else ""

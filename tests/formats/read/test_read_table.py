@@ -221,3 +221,56 @@ def test_times_that_64_bits_do_not_hold(tmp_path: Path) -> None:
         read(written(tmp_path / "b.parquet", {"t": stamps, "x": X[:2]}))
     stamps = pa.array([1001, 2999], pa.timestamp("ns"))
     assert read(written(tmp_path / "c.parquet", {"t": stamps, "x": X[:2]})).t_us.tolist() == [1, 2]
+
+
+LIST_TYPES = [pa.list_(pa.float32(), 3), pa.list_(pa.float32()), pa.large_list(pa.float64()), pa.list_(pa.int64(), 3)]
+
+
+def lerobot(path: Path, type_: Any, states: list[Any], episodes: list[int], times: list[float]) -> Path:
+    """A table with the columns of LeRobot's data files."""
+    columns = {
+        "observation.state": pa.array(states, type_),
+        "action": pa.array([[float(row)] * 2 for row in range(len(states))], pa.list_(pa.float32(), 2)),
+        "timestamp": pa.array(times, pa.float32()),
+        "episode_index": episodes,
+    }
+    return written(path, columns, row_group_size=4)
+
+
+@pytest.mark.parametrize("type_", LIST_TYPES, ids=str)
+def test_a_list_is_a_column_per_element(tmp_path: Path, type_: Any) -> None:
+    """Assert that elements are columns with their index, over several groups of rows; a missing list is NaN."""
+    states: list[Any] = [[row, 10 + row, 20 + row] for row in range(10)]
+    states[6] = None
+    path = lerobot(tmp_path / "a.parquet", type_, states, [3] * 10, [row / 50 for row in range(10)])
+    stream = read(path)
+    assert stream.t_us.tolist() == [20_000 * row for row in range(10)]
+    names = [f"observation.state_{at}" for at in range(3)]
+    assert list(stream.columns) == [*names, "action_0", "action_1", "episode_index"]
+    for at, name in enumerate(names):
+        expected = [10.0 * at + row if row != 6 else np.nan for row in range(10)]
+        np.testing.assert_array_equal(stream.columns[name], expected)
+    assert stream.columns["action_1"].tolist() == list(range(10))
+
+
+def test_lists_that_are_no_columns_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that a row with another number of elements is named, and elements count as columns."""
+    states = [[1.0, 2.0]] * 6 + [[1.0]] + [[1.0, 2.0]] * 3
+    times = [row / 50 for row in range(10)]
+    path = lerobot(tmp_path / "a.parquet", pa.list_(pa.float32()), states, [0] * 10, times)
+    with pytest.raises(InputError, match=r"row 7: lists of different lengths in the column observation.state"):
+        read(path)
+    path = lerobot(tmp_path / "b.parquet", pa.list_(pa.float32()), [[1.0] * 5] * 10, [0] * 10, times)
+    monkeypatch.setattr(read_table, "MOST_COLUMNS", 6)
+    with pytest.raises(InputError, match="too many columns"):
+        read(path)
+
+
+def test_several_episodes_are_refused(tmp_path: Path) -> None:
+    """Assert that times that begin again in another episode are refused as that, also after an episode of one row."""
+    for ends in (5, 1):
+        episodes = [4] * ends + [5] * (10 - ends)
+        times = [row / 50 for row in (*range(ends), *range(10 - ends))]
+        path = lerobot(tmp_path / "a.parquet", LIST_TYPES[0], [[1, 2, 3]] * 10, episodes, times)
+        with pytest.raises(InputError, match=rf"row {ends + 1}: the table has several episodes(.|\n)*4(.|\n)*5"):
+            read(path)
