@@ -268,8 +268,8 @@ def test_a_table_that_grows_while_it_is_read(tmp_path: Path, monkeypatch: pytest
 
     read = streams.read_table
 
-    def grow(path: Path, folder: Path | None) -> Any:
-        result = read(path, folder)
+    def grow(path: Path, *given: Any) -> Any:
+        result = read(path, *given)
         with path.open("a") as file:
             file.write("5,6\n")
         return result

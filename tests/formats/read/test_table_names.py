@@ -49,7 +49,7 @@ def test_columns_are_found_by_name_in_every_order(tmp_path: Path, times: dict[st
 )
 @pytest.mark.parametrize("name", ["timestamp", "__index_level_0__"])
 def test_a_type_of_times_states_its_unit(tmp_path: Path, kind: str, name: str) -> None:
-    """Assert that dates, durations and times of day are read in their unit, also as the last column that pandas adds."""
+    """Assert that dates, durations and times of day are read in their unit, also as the last column of pandas."""
     ticks = {"ns": 10**9, "us": 10**6, "ms": 10**3}[kind.split("[")[1][:2]] // 100
     type_ = pa.timestamp("us", "UTC") if "tz" in kind else pa.type_for_alias(kind)
     stream, _ = by_parquet(
