@@ -168,7 +168,7 @@ class CommandOfFlags(PlainFlags, TyperCommand):
         times = Counter(flag.opts[-1] for flag in order if not getattr(flag, "is_flag", True) and not flag.multiple)
         twice = next((name for name, count in times.items() if count > 1), None)
         if twice is not None and not ctx.resilient_parsing:
-            more = ": name the others among the files, or all by a glob" if twice == "--model" else ""
+            more = ": several models of `evaluate slip` are given with commas" if twice == "--model" else ""
             ctx.fail(f"{twice} is given {times[twice]} times but takes one value{more}.")
         return list(super().parse_args(ctx, args))
 

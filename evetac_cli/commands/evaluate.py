@@ -14,7 +14,18 @@ class EvaluateSlip:
 
     model: Path | None = parameter(
         None,
-        "Model file, folder of models, glob, or `shipped` for the pretrained one. Models may also be among the files.",
+        "Model file, folder of models, glob, or `shipped` for the pretrained one; several with commas. Models may also be"
+        " among the files.",
+        recipe=False,
+    )
+    truth: bool = parameter(
+        False,
+        "Judge simulated trials by the true onset of slip instead of the labels'. No trial abstains then.",
+    )
+    by: str | None = parameter(
+        None,
+        "Print a row per sensor, object or model file. --json always includes these rows.",
+        choices=("sensor", "object", "model"),
         recipe=False,
     )
     threshold: float | None = parameter(None, "Use this threshold instead of each model's own.", low=0.0, high=1.0)
@@ -29,8 +40,8 @@ class EvaluateSlip:
     )
     recordings: Path | None = parameter(
         None,
-        "Folder of the recordings, if they are not next to the features. Covariates of the slips are taken from the"
-        " ground truth of simulated recordings.",
+        "Folder of the recordings. Default: the features' folder, the one above and its sub-folders, where they are"
+        " recognized by their ids. Covariates of the slips, and --truth, need simulated recordings.",
         recipe=False,
     )
     all_tables: bool = parameter(
@@ -123,7 +134,9 @@ class EvaluateTracking:
     """Measure whether tracked dots return to where they started, and their error (simulated recordings)."""
 
     recordings: Path | None = parameter(
-        None, "Folder of the recordings, if they are not next to the tracks.", recipe=False
+        None,
+        "Folder of the recordings. Default: the tracks' folder, the one above and its sub-folders.",
+        recipe=False,
     )
 
 
@@ -280,7 +293,8 @@ COMMANDS = (
         unit="files",
         examples=(
             "evetac evaluate slip unseen --model hist10.model.h5",
-            "evetac evaluate slip unseen --model shipped --all",
+            "evetac evaluate slip unseen --model hist10.model.h5,shipped",
+            "evetac evaluate slip soft stiff --model shipped --by sensor --truth",
         ),
     ),
     Command(

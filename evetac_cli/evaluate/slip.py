@@ -16,11 +16,16 @@ The rows form nine tables with different columns:
 - the times from the labels' onset to the first detection;
 - reliability: predicted probability against frequency of slip;
 - predictions over time about the onset, by object (slip_over_time.py);
-- the figures by object; by sensor, if there are several; by model; by trajectory.
+- the figures by object; by sensor; by model; by trajectory.
+
+With --truth, simulated trials are judged by the true onset instead of the labels'. Then no trial is left out, and the
+paper's figures, which are relative to labels, are not shown.
 """
 
 import math
+import re
 import textwrap
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -42,17 +47,18 @@ from evetac_cli.evaluate import (
     slip_warnings,
 )
 from evetac_cli.evaluate.slip_models import AT_ONCE, Model, check, predict_all
-from evetac_cli.evaluate.slip_tables import tables
+from evetac_cli.evaluate.slip_tables import LABELS, TRUTH, tables
 from evetac_cli.evaluate.source import Source
 from evetac_cli.jobs import Job, Outcome, Progress, Rows, Stage, silent
 from evetac_cli.kernels.slip import metrics
 from evetac_cli.resources import with_shipped
 from evetac_cli.stages.model_files import why_useless
-from evetac_cli.stages.related_files import named_files
+from evetac_cli.stages.related_files import OTHER_FOLDER, Origins, named_files
 from evetac_cli.store.files import StageFile
+from evetac_cli.store.recordings.onset import abstains, labelled_onset
 
 OUTPUT = "report"
-METHOD = 9
+METHOD = 10
 
 SHOWN_MS = (-60, 40)  # range of the paper's figure of slip timing
 PANELS = 4  # distributions side by side
@@ -61,6 +67,7 @@ TITLE_WIDTH = 38  # characters per line of a panel's title
 # On a terminal: up to this many trajectories are listed, with these columns and their short names.
 FEW_TRAJECTORIES = 10
 MOST_VERDICTS = 8
+BY = {"sensor": {"sensor", "counted"}, "object": {"object", "counted"}, "model": {"seed", "slips"}}  # columns of rows
 OF_TRAJECTORIES = {
     "file": "file",
     "setting": "model",
@@ -68,11 +75,26 @@ OF_TRAJECTORIES = {
     "t_m_ms": "t_m_ms",
     "t_m_minus_t_c_ms": "late_by_ms",
     "timing": "timing",
+    "abstained": "abstained",
+}
+COUNTED = {"trajectories": "trajectories", "counted": "n", "abstained": "abstained", "no_slip": "no_slip"}
+OF_GROUPS = {  # of --by
+    "sensor": "sensor",
+    "object": "object",
+    "file": "model_file",
+    "setting": "model",
+    **COUNTED,
+    "slip_early": "early",
+    "slip_correct": "correct",
+    "slip_late": "late",
+    "warned_10_ms": "warned_10_ms",
+    "false_alarms_per_min": "false/min",
+    "f1": "f1",
 }
 OF_SETTINGS = {
     "setting": "setting",
     "seeds": "seeds",
-    "trajectories": "trajectories",
+    **COUNTED,
     "slip_early": "early",
     "slip_correct": "correct",
     "slip_late": "late",
@@ -93,7 +115,7 @@ def jobs(files: list[Path], params: EvaluateSlip, out: Path | None) -> list[Mode
             expected="labelled features of trajectories that the models were not trained on",
             hint=made_by("features"),
         )
-    (job,) = report_job(features, "slip", out, *models)
+    (job,) = report_job(features, "slip-truth" if params.truth else "slip", out, *models)
     return [ModelsReportJob(job.inputs, job.output, len(models))]
 
 
@@ -129,10 +151,12 @@ def _kept(job: Job) -> Path:
 def split_models(files: list[Path], model_path: Path | None) -> tuple[list[Path], list[Path]]:
     """Separate models from other files: a shell puts all but the first of `--model models/*.model.h5` among the files.
 
-    `model_path` is a model file, a folder of them, a glob or `shipped`. A model that is given twice, even as two files,
-    counts once. Raises InputError if there is no model.
+    `model_path` is a model file, a folder of them, a glob or `shipped`, or several of these with commas. A model that is
+    given twice, even as two files, counts once. Raises InputError if there is no model.
     """
-    model_files = named_files(model_path, "model", "--model") if model_path is not None else []
+    given = str(model_path or "")
+    names = [given] if Path(given).exists() else [name for name in given.split(",") if name]
+    model_files = [path for name in names for path in named_files(name, "model", "--model")]
     models: dict[str, Path] = {}
     others: list[Path] = []
     for path, kind in [*((path, "model") for path in model_files), *((path, None) for path in with_shipped(files))]:
@@ -153,19 +177,24 @@ def run(job: ModelsReportJob, params: EvaluateSlip, *, force: bool = False, prog
     split = len(job.inputs) - job.models
     paths = job.inputs[:split]
     models = [Model.read(path) for path in job.inputs[split:]]
-    headers = check(models, paths)
+    headers = check(models, paths, labels_needed=not params.truth)
+    recordings = slip_covariates.with_truth(paths, params.recordings)
+    true = _all_with_truth(paths, recordings) if params.truth else None
     if isinstance(job, JudgingJob):
-        predict_all(models, paths, headers, progress, job.output.parent)
+        predict_all(models, paths, headers, progress, job.output.parent, true)
         return Outcome([], simulated=False)
     thresholds = [model.threshold_for(params.threshold, params.false_alarms_per_min) for model in models]
     # A report that has the truth of more or fewer recordings is a different report.
-    truth_count = sum(slip_covariates.with_truth(paths, params.recordings))
+    truth_count = len(recordings) - recordings.count(None)
     parameters: dict[str, Any] = {**recipe_of(params), "thresholds": thresholds, "with_truth": truth_count}
 
     def measure() -> tuple[Rows, dict[str, Any]]:
-        predictions = predict_all(models, paths, headers, progress, _kept(job))
-        rows, summary = tables(models, thresholds, predictions, paths)
-        return [*slip_covariates.rows(paths, params.recordings), *rows], {**summary, "with_truth": truth_count}
+        predictions = predict_all(models, paths, headers, progress, _kept(job), true)
+        doubts = {} if params.truth else _doubts(paths)
+        judged_by = TRUTH if params.truth else LABELS
+        rows, summary = tables(models, thresholds, predictions, paths, doubts=doubts, judged_by=judged_by)
+        covariates = slip_covariates.rows(paths, recordings, doubts)
+        return [*covariates, *rows], {**summary, "with_truth": truth_count}
 
     parents = [*(model.header for model in models), *headers]
     outcome = report(job, "evaluate slip", METHOD, parameters, parents, measure, force=force)
@@ -173,16 +202,53 @@ def run(job: ModelsReportJob, params: EvaluateSlip, *, force: bool = False, prog
     return picture.beside(outcome, job.output, lambda figure: _draw(figure, outcome, Source.of(parents)), size_in)
 
 
+def _all_with_truth(paths: Sequence[Path], recordings: Sequence[Path | None]) -> list[Path]:
+    """Return the simulated recordings; InputError if one of them is missing or has no truth."""
+    for path, recording in zip(paths, recordings, strict=True):
+        if recording is None:
+            with StageFile(path, "features") as features:
+                real = not features.header["simulated"]
+                at = None if real else Origins("recording").must_find(features, OTHER_FOLDER)
+            raise InputError(
+                "a trial cannot be judged by its truth",
+                where=str(path),
+                expected="a simulated recording, with its ground truth",
+                found="a trial of a real sensor" if real else f"{at}, which has no truth or is another recording",
+                hint="leave out --truth: trials are then judged by their labels",
+            )
+    return [recording for recording in recordings if recording is not None]
+
+
+def _doubts(paths: Sequence[Path]) -> dict[Path, str]:
+    """Return for features whose labels abstain the reason, which their labels file contains."""
+    origins = Origins("labels")
+    doubts = {}
+    for path in paths:
+        with StageFile(path, "features") as features:
+            if not abstains(features):
+                continue
+            doubts[path] = "the labels file with the reason was not found"
+            found = origins.find(features)
+        if found is not None:
+            with StageFile(found, "labels") as labels:
+                if labels.header["id"] in features.header["parents"]:
+                    doubts[path] = labelled_onset(labels).doubt
+    return doubts
+
+
 def for_people(rows: Rows, params: EvaluateSlip) -> tuple[Rows, list[str]]:
     """Return the rows for a terminal, and the results in sentences.
 
-    With few trajectories there is a row for each, otherwise a row per setting.
+    With few trajectories there is a row for each, otherwise a row per setting; with --by, a row per group.
     """
     settings = _settings(rows)
     trajectories = [row for row in rows if "t_c_ms" in row]
     verdict = [_verdict(row) for row in settings[:MOST_VERDICTS]]
+    verdict += _left_out(settings[0], trajectories)
+    by_truth = settings[0]["judged_by"] == TRUTH
+    onset = "true onset of gross slip, t_s" if by_truth else "labels' onset, t_c"
     verdict.append(
-        f"Correct: from {-metrics.EARLIEST_MS} ms before the labels' onset, t_c, to {metrics.LATEST_MS} ms after it,"
+        f"Correct: from {-metrics.EARLIEST_MS} ms before the {onset}, to {metrics.LATEST_MS} ms after it,"
         " as in the paper. Earlier is early; later or never is late."
     )
     verdict += slip_covariates.in_words(rows)
@@ -191,20 +257,49 @@ def for_people(rows: Rows, params: EvaluateSlip) -> tuple[Rows, list[str]]:
     verdict.append("--all prints every table; --json prints every row.")
     few = len(trajectories) <= FEW_TRAJECTORIES
     shown, names = (trajectories, OF_TRAJECTORIES) if few else (settings, OF_SETTINGS)
-    columns = [name for name in names if any(row[name] is not None for row in shown) or not name.startswith("paper_")]
-    covariates = [row for row in rows if "covariate" in row]
-    return [*covariates, *({names[name]: row[name] for name in columns} for row in shown)], verdict
+    if params.by:
+        shown, names = [row for row in rows if BY[params.by] <= row.keys()], OF_GROUPS
+        names = {name: short for name, short in names.items() if any(name in row for row in shown)}
+    columns = [
+        name
+        for name in names
+        if not name.startswith(("paper_", "abstained", "no_slip")) or any(row[name] for row in shown)
+    ]
+    if by_truth:
+        names = names | {key: short.replace("t_c", "t_s") for key, short in names.items()}
+    covariates = [] if params.by else [row for row in rows if "covariate" in row]
+    return [*covariates, *({names[name]: row.get(name) for name in columns} for row in shown)], verdict
 
 
 def _verdict(row: dict[str, Any]) -> str:
     """Return the result of a setting in a sentence."""
-    count = f"{row['trajectories']} trajectories" + (f", {row['seeds']} models" if row["seeds"] > 1 else "")
+    count = f"n = {row['counted']} of {row['trajectories']} trajectories"
+    left_out = [f"{row[key]} {words}" for key, words in (("abstained", "abstained"), ("no_slip", "without slip"))]
+    count = ", ".join([count, *(words for words in left_out if not words.startswith("0 "))])
+    count += f"; {row['seeds']} models" if row["seeds"] > 1 else ""
+    count += "; judged by truth of the simulation" if row["judged_by"] == TRUTH else ""
     if row["slip_correct"] is None:
-        return f"{row['setting']}: no trajectory slips ({count}), so timing is undefined."
+        return f"{row['setting']}: no slip with a known onset, so timing is undefined; {count}."
     f1 = "" if row["f1"] is None else f", F1 {row['f1']:.2f}"
     shares = ", ".join(f"{name} {row[f'slip_{name}']:.0%}" for name in ("early", "late") if row[f"slip_{name}"])
     timing = f"slip timing correct {row['slip_correct']:.0%}" + (f" ({shares})" if shares else "")
     return f"{row['setting']}: {timing}{f1}{_warned(row)}; {count}."
+
+
+def _left_out(row: dict[str, Any], trajectories: Rows) -> list[str]:
+    """Return why trajectories are left out of timing and warnings, and over how many objects the means are."""
+    whys = {one["file"]: one["abstained_because"] for one in trajectories if one["abstained"]}
+    # The part that is equal for all trials: `the onset is uncertain within 9 ms, ...` has numbers of one trial.
+    reasons = Counter(re.split("[:,;]| within [0-9]", why or "unknown")[0] for why in whys.values())
+    lines = []
+    if row["abstained"]:
+        lines.append(
+            f"Timing and warnings leave out the {row['abstained']} trajectories whose labels abstain:"
+            f" {'; '.join(f'{reason} ({count})' for reason, count in reasons.most_common())}."
+        )
+    if len({one["object"] for one in trajectories}) > 1:
+        lines.append(f"Shares are means over the objects with such slips, {row['objects_counted']} here.")
+    return lines
 
 
 def _warned(row: dict[str, Any]) -> str:
@@ -237,11 +332,12 @@ def _draw(figure: Any, outcome: Outcome, source: Source) -> None:
     above, below, last = figure.subfigures(3, 1, height_ratios=_heights_in(len(settings)))
     timing, f1 = above.subplots(1, 2, sharey=True, width_ratios=[3, 2])
     above.suptitle("Timing and F1 of slip detectors" + (" (simulated)" if outcome.simulated else ""))
+    by_truth = settings[0]["judged_by"] == TRUTH
     names = []
     for place, row in enumerate(settings):
-        slips = sum(one["t_c_ms"] is not None for one in trajectories if one["setting"] == row["setting"])
-        slips //= row["seeds"]
-        names.append(f"{picture.plain(_wrapped(row['setting']))}\nslips: {slips}, seeds: {row['seeds']}")
+        slips = row["counted"]
+        left_out = f" of {row['trajectories']}, {row['abstained']} abstained" if row["abstained"] else ""
+        names.append(f"{picture.plain(_wrapped(row['setting']))}\nslips: {slips}{left_out}; seeds: {row['seeds']}")
         _draw_timing(timing, place, row, slips)
         _draw_f1(f1, place, row, [one for one in outcome.rows if "object" in one and "trajectories" in one])
     for axes, key in ((timing, "paper_slip_correct"), (f1, "paper_f1")):
@@ -256,7 +352,7 @@ def _draw(figure: Any, outcome: Outcome, source: Source) -> None:
     panels = picture.panels(below, len(settings), PANELS, sharex=True, sharey=True)
     for axes, row in zip(panels, settings, strict=True):
         _draw_onsets(axes, [one for one in trajectories if one["setting"] == row["setting"]], row["setting"])
-    picture.label_x(panels, "onset by the model minus\nonset in the labels [ms]")
+    picture.label_x(panels, f"onset by the model minus\n{'true onset' if by_truth else 'onset in the labels'} [ms]")
     below.supylabel("share of slips detected by then", fontsize=9)
     picture.legend(below, panels)
     _draw_warnings(last, settings, [row for row in outcome.rows if "said_from" in row])

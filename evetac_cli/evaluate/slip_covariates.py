@@ -1,41 +1,65 @@
 """Covariates of the slips on which detectors are evaluated, shown above the tables of `evaluate slip`.
 
-They come from the truth of the simulated recordings behind the features, which are next to them or in a given folder.
-Without truth they come from labels and events in the features. These contain less: they have no event positions, so
-events outside the window's strip are counted too.
+They come from the truth of the simulated recordings behind the features. Without truth they come from labels and events
+in the features. These contain less: they have no event positions, so events outside the window's strip are counted too.
 """
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.errors import EvetacError, InputError
+from evetac_cli.errors import EvetacError
 from evetac_cli.jobs import Rows
 from evetac_cli.kernels.slip.covariates import WORDS, SlipCovariates, of_labels, summary
-from evetac_cli.stages.related_files import check_made_from
-from evetac_cli.store.files import StageFile, output_path
-from evetac_cli.store.recordings.read import Recording, open_recording
+from evetac_cli.stages.related_files import OTHER_FOLDER, Origins, check_made_from
+from evetac_cli.store.files import StageFile
+from evetac_cli.store.recordings.read import open_recording
 from evetac_cli.store.recordings.slip_covariates import covariates_of_truth
 
 
-def with_truth(paths: Sequence[Path], folder: Path | None) -> list[bool]:
-    """Return for each features file whether its simulated recording exists; raise InputError if missing in `folder`."""
-    has_truth = []
+def with_truth(paths: Sequence[Path], folder: Path | None) -> list[Path | None]:
+    """Return for each features file its simulated recording; None if it is not found, not readable or has no truth.
+
+    With a folder (--recordings), InputError if a recording is not found there or cannot be read.
+    """
+    origins = Origins("recording", folder)
+    found = []
     for path in paths:
-        with StageFile(path, "features") as features, _truth(features, folder) as recording:
-            has_truth.append(recording is not None)
-    return has_truth
+        with StageFile(path, "features") as features:
+            recording = origins.find(features) if folder is None else origins.must_find(features, OTHER_FOLDER)
+            found.append(recording if recording and _has_truth(features, recording, folder) else None)
+    return found
 
 
-def rows(paths: Sequence[Path], folder: Path | None) -> Rows:
-    """Return a row for each covariate that these labelled features provide, over those that slip."""
+def _has_truth(features: StageFile, path: Path, folder: Path | None) -> bool:
+    try:
+        with open_recording(path) as recording:
+            if folder is not None:
+                check_made_from(features, recording)
+            return recording.header["id"] in features.header["parents"] and recording.has("truth")
+    except EvetacError:
+        if folder is not None:
+            raise
+        return False  # features can do without
+
+
+def rows(paths: Sequence[Path], recordings: Sequence[Path | None], left_out: Collection[Path] = ()) -> Rows:
+    """Return a row for each covariate that these labelled features provide, over the slips that are evaluated.
+
+    recordings: those with truth, from `with_truth`. left_out: features whose labels abstain.
+    """
     slips = []
-    for path in paths:
-        with StageFile(path, "features") as features, _truth(features, folder) as recording:
-            slip = _of_features(features) if recording is None else covariates_of_truth(recording)
+    for path, simulated in zip(paths, recordings, strict=True):
+        if path in left_out:
+            continue
+        if simulated is None:
+            with StageFile(path, "features") as features:
+                slip = _of_features(features)
+        else:
+            with open_recording(simulated) as recording:
+                slip = covariates_of_truth(recording)
         slips += [slip] if slip is not None else []
     return summary(slips)
 
@@ -50,34 +74,6 @@ def in_words(rows: Rows) -> list[str]:
         "Unknown for these slips (the truth of simulated recordings has most of them, see --recordings):"
         f" {'; '.join(missing)}."
     ]
-
-
-@contextmanager
-def _truth(features: StageFile, folder: Path | None) -> Iterator[Recording | None]:
-    """Yield the simulated recording behind features, next to them or in a folder; None if there is none.
-
-    Raises InputError if a folder is given and the recording is missing there or is a different one.
-    """
-    path = output_path(features.path, "recording", folder)
-    if not path.exists():
-        if folder is not None:
-            raise InputError(
-                "no such recording", where=str(path), hint="give the folder of the recordings with --recordings"
-            )
-        yield None
-        return
-    try:
-        opened = open_recording(path)
-    except EvetacError:
-        if folder is not None:
-            raise
-        yield None  # features can do without
-        return
-    with opened as recording:
-        if folder is not None:
-            check_made_from(features, recording)
-        own = recording.header["id"] in features.header["parents"]
-        yield recording if own and recording.has("truth") else None
 
 
 def _of_features(features: StageFile) -> SlipCovariates | None:

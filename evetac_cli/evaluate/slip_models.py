@@ -17,12 +17,14 @@ from zipfile import ZIP_STORED, BadZipFile, ZipFile
 import numpy as np
 from numpy.typing import NDArray
 
+from evetac_cli.commands.label import Label
 from evetac_cli.errors import MAKE_MODEL, InputError
 from evetac_cli.jobs import Progress
 from evetac_cli.kernels.slip.architectures import Architecture
 from evetac_cli.kernels.slip.detector import Detector
 from evetac_cli.kernels.slip.labels import shift_labels
 from evetac_cli.kernels.slip.metrics import Prediction
+from evetac_cli.stages.label import from_truth
 from evetac_cli.stages.model_files import (
     chosen_threshold,
     labelled_by,
@@ -31,11 +33,12 @@ from evetac_cli.stages.model_files import (
     training_ancestors,
 )
 from evetac_cli.stages.slip_detectors import first_labelled, first_needed, load_detector, probabilities, read_series
-from evetac_cli.stages.splits import check_disjoint, object_name, sensor_name
+from evetac_cli.stages.splits import check_disjoint, object_name, sensor_names
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.hdf5.disk import taking_the_place_of
 from evetac_cli.store.layout.provenance import Header
 from evetac_cli.store.recordings.onset import abstains
+from evetac_cli.store.recordings.read import open_recording
 
 AT_ONCE = 8  # trajectories per parallel task
 MOST_SLICES = 1 << 17  # in memory at once; trajectories of hours are split
@@ -124,7 +127,7 @@ class Model:
         return json.dumps([parameters, self.header["parents"]], sort_keys=True)
 
 
-def check(models: Sequence[Model], paths: Sequence[Path]) -> list[Header]:
+def check(models: Sequence[Model], paths: Sequence[Path], *, labels_needed: bool = True) -> list[Header]:
     """Return the headers of features on which these models can be evaluated.
 
     Raises InputError for features without labels, with another dot grid, or of a recording that a model was trained on.
@@ -132,7 +135,7 @@ def check(models: Sequence[Model], paths: Sequence[Path]) -> list[Header]:
     headers = []
     for path in paths:
         with StageFile(path, "features") as file:
-            if not file.has("label"):
+            if labels_needed and not file.has("label"):
                 raise InputError(
                     "the features have no labels", where=str(path), hint="run evetac label, then evetac featurize"
                 )
@@ -158,38 +161,57 @@ def predict_all(
     headers: Sequence[Header],
     progress: Progress,
     folder: Path | None = None,
+    recordings: Sequence[Path] | None = None,
 ) -> list[list[Prediction]]:
-    """Return the predictions of each model for all trajectories; results stored in `folder` are reused."""
+    """Return the predictions of each model for all trajectories; results stored in `folder` are reused.
+
+    recordings: of each trajectory; then labels and onsets are those of their truth, as by `label --method truth`.
+    """
+    sensors = sensor_names(headers)
     by_model: list[list[Prediction]] = [[] for _ in models]
     for begin in range(0, len(paths), AT_ONCE):
         chunk = slice(begin, begin + AT_ONCE)
         with ExitStack() as stack:
             files = [stack.enter_context(StageFile(path, "features")) for path in paths[chunk]]
-            probabilities = _judge(models, files, headers[chunk], folder)
-            for file, header, of_models in zip(files, headers[chunk], probabilities, strict=True):
-                label, onset = file.read("label"), int(file.read("onset_slice"))
+            if recordings is None:
+                found = [(file.read("label"), int(file.read("onset_slice")), not abstains(file)) for file in files]
+            else:
+                found = [(*_by_truth(path), True) for path in recordings[chunk]]
+            # Slices that one of the two labels and the other does not have a probability in one alone.
+            names = [f"{header['id']}{'' if recordings is None else '-truth'}.zip" for header in headers[chunk]]
+            places = [None if folder is None else folder / name for name in names]
+            probabilities = _judge(models, files, [label for label, *_ in found], places)
+            every = zip(found, headers[chunk], sensors[chunk], probabilities, strict=True)
+            for (label, onset, timed), header, sensor, of_models in every:
                 for model, predictions, probability in zip(models, by_model, of_models, strict=True):
                     shifted = shift_labels(label, model.horizon_ms)
-                    names = object_name(header), sensor_name(header)
-                    predictions.append(Prediction(probability, shifted, onset, *names, not abstains(file)))
+                    predictions.append(Prediction(probability, shifted, onset, object_name(header), sensor, timed))
         progress(min(begin + AT_ONCE, len(paths)), len(paths))
     return by_model
 
 
+def _by_truth(path: Path) -> tuple[NDArray[np.int8], int]:
+    """Return the labels (slices,) and the onset, -1 for none, of a simulated recording by its truth."""
+    with open_recording(path) as recording:
+        labels = from_truth(recording, Label().after_ms)
+    return labels.label, labels.onset
+
+
 def _judge(
-    models: Sequence[Model], files: Sequence[StageFile], headers: Sequence[Header], folder: Path | None
+    models: Sequence[Model],
+    files: Sequence[StageFile],
+    labels: Sequence[NDArray[np.int8]],
+    places: Sequence[Path | None],
 ) -> list[list[NDArray[np.float32]]]:
-    """Return the probabilities of each model for a few trajectories, by trajectory; store them in `folder`, if given.
+    """Return the probabilities of each model for a few trajectories, by trajectory; store them in `places`, if given.
 
     A trajectory is read once per architecture that has not been evaluated on it.
     """
-    places = [None if folder is None else folder / f"{header['id']}.zip" for header in headers]
     stored = [{} if place is None else _read_kept(place) for place in places]
     spans: list[tuple[int, int]] = []
     by_path: list[list[NDArray[np.float32]]] = []
     missing: list[set[int]] = []
-    for file, kept in zip(files, stored, strict=True):
-        label = file.read("label")
+    for label, kept in zip(labels, stored, strict=True):
         kept_values = [_probabilities(kept.get(model.key), len(label)) for model in models]
         missing.append({index for index, one in enumerate(kept_values) if one is None})
         spans.append((first_labelled(label), len(label)))

@@ -1,10 +1,14 @@
 """The tables of a report on slip: timing, F1 and warnings by setting, object, sensor, model and trajectory.
 
+Every share of slips is over `counted` trajectories. Beside it stand those that are left out: `abstained`, whose labels
+cannot determine the onset, and `no_slip`. F1 and false alarms are over the slices of all trajectories, without the
+interval of an uncertain onset.
+
 Trajectories of an object are alike, so intervals come from resampling objects (and sensors, for timing); those of one
 object's row from resampling its trajectories. Seeds of training are averaged first.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +33,9 @@ TIMING_BINS = (
 )
 
 
+LABELS, TRUTH = "labels", "truth of the simulation"  # by which trials are judged
+COUNTS = {"trajectories": "trajectories", "counted": "slips", "abstained": "abstained", "no_slip": "no_slip"}
+OF_GROUP = ("slip_early", "slip_correct", "slip_late", "f1")
 TRUE_SLIP_SHARE = "true slip share"  # in the name of a setting that also learned this
 ALWAYS = ("model", "truth")  # traits that are always part of a setting's name
 
@@ -66,9 +73,19 @@ def _traits(model: Model) -> dict[str, str]:
 
 
 def tables(
-    models: Sequence[Model], thresholds: Sequence[float], predictions: Sequence[list[Prediction]], paths: Sequence[Path]
+    models: Sequence[Model],
+    thresholds: Sequence[float],
+    predictions: Sequence[list[Prediction]],
+    paths: Sequence[Path],
+    *,
+    doubts: Mapping[Path, str],
+    judged_by: str,
 ) -> tuple[Rows, dict[str, Any]]:
-    """Return all rows and a summary; `predictions`: for each model, one per path."""
+    """Return all rows and a summary.
+
+    predictions: for each model, one per path. doubts: why labels abstain. judged_by: where the onsets come from, LABELS
+    or TRUTH; the paper's figures are only for those of labels.
+    """
     scores = [metrics.score(of_model, at) for of_model, at in zip(predictions, thresholds, strict=True)]
     settings: Rows = []
     timing_bins: Rows = []
@@ -82,7 +99,10 @@ def tables(
     ]
     for setting, members in group_by_setting(models).items():
         first = models[members[0]]
-        cells = [by_object(predictions[index], thresholds[index]) for index in members]
+        cells, of_sensors = (
+            [by_group(predictions[index], thresholds[index], factor) for index in members]
+            for factor in ("object", "sensor")
+        )
         late_by = [
             (prediction.object, _late_by(prediction, thresholds[index]))
             for index in members
@@ -92,7 +112,16 @@ def tables(
         seeds, of_seeds = [judged[index] for index in members], [predictions[index] for index in members]
         settings.append(setting_row(setting, first, cells) | slip_warnings.columns(seeds, of_seeds) | _f1_ends(cells))
         over_time += slip_over_time.rows(setting, of_seeds, [thresholds[index] for index in members])
-        sensors += slip_warnings.sensor_rows(setting, seeds)
+        sensors += [
+            {
+                "setting": setting,
+                "sensor": name,
+                **_counts(score),
+                **{figure: _mean(_values([one[name] for one in of_sensors], figure)) for figure in OF_GROUP},
+                **slip_warnings.group(seeds, "sensor", name),
+            }
+            for name, score in of_sensors[0].items()
+        ]
         steps += slip_warnings.reliability_rows(setting, of_seeds)
         timing_bins.append({"setting": setting, **_timing_bins(late_by), **_paper_timing_bins(first, set(cells[0]))})
         for name in cells[0]:
@@ -102,15 +131,14 @@ def tables(
                 {
                     "setting": setting,
                     "object": name,
-                    "trajectories": of_object[0]["trajectories"],
+                    **_counts(of_object[0]),
                     "slip_early": _mean(_values(of_object, "slip_early")),
                     "slip_correct": _mean(correct),
                     "slip_correct_sd_seeds": _sd(correct),
                     "slip_late": _mean(_values(of_object, "slip_late")),
                     "f1": _mean(f1),
                     "f1_sd_seeds": _sd(f1),
-                    **slip_warnings.correct_of_object(seeds, name),
-                    **_warned(slip_warnings.group(seeds, "object", name)),
+                    **slip_warnings.group(seeds, "object", name),
                     **_papers_object(first, name, len(members)),
                 }
             )
@@ -120,18 +148,23 @@ def tables(
         for index in members
     ]
     trajectories = [
-        _trajectory_row(setting, models[index], thresholds[index], prediction, path) | _of_judged(one)
+        _trajectory_row(setting, models[index], thresholds[index], prediction, path)
+        | {"abstained_because": doubts.get(path), **_of_judged(one)}
         for setting, members in group_by_setting(models).items()
         for index in members
         for prediction, one, path in zip(predictions[index], judged[index], paths, strict=True)
     ]
     tables_ = [*settings, *timing_bins, *steps, *over_time, *objects, *sensors, *by_model, *trajectories]
-    return tables_, _summary(scores, settings)
+    for row in tables_:
+        row["judged_by"] = judged_by
+        if judged_by == TRUTH:
+            row |= dict.fromkeys(name for name in row if name.startswith("paper_"))
+    return tables_, {**_summary(scores, settings), "judged_by": judged_by}
 
 
-def _warned(of_object: dict[str, Any]) -> dict[str, Any]:
-    """Return the figures of an object that its score lacks."""
-    return {name: of_object[name] for name in ("warned_10_ms", "false_alarms_per_min")}
+def _counts(score: dict[str, Any]) -> dict[str, int]:
+    """Return how many trajectories are behind shares of slips, and how many are left out."""
+    return {name: score[key] for name, key in COUNTS.items()}
 
 
 def _papers_object(model: Model, name: str, models: int) -> dict[str, Any]:
@@ -162,11 +195,11 @@ def _seed(model: Model) -> int | None:
     return seed
 
 
-def by_object(predictions: Sequence[Prediction], threshold: float) -> dict[str, dict[str, Any]]:
-    """Return the score of one model on each object's trajectories."""
+def by_group(predictions: Sequence[Prediction], threshold: float, factor: str) -> dict[str, dict[str, Any]]:
+    """Return the score of one model on the trajectories of each object or each sensor (factor)."""
     groups: dict[str, list[Prediction]] = {}
     for prediction in predictions:
-        groups.setdefault(prediction.object, []).append(prediction)
+        groups.setdefault(getattr(prediction, factor), []).append(prediction)
     return {name: metrics.score(members, threshold) for name, members in groups.items()}
 
 
@@ -195,7 +228,8 @@ def setting_row(setting: str, model: Model, cells: list[dict[str, Any]]) -> dict
         "max_steps": parameters.get("max_steps"),
         "folds": parameters.get("folds", 0),
         "seeds": len(cells),
-        "trajectories": sum(score["trajectories"] for score in cells[0].values()),
+        **{name: sum(score[key] for score in cells[0].values()) for name, key in COUNTS.items()},
+        "objects_counted": sum(score["slips"] > 0 for score in cells[0].values()),
         "slip_early": _mean(_values(every, "slip_early")),
         "slip_late": _mean(_values(every, "slip_late")),
     }
@@ -243,7 +277,10 @@ def _timing_bins(late_by: Sequence[tuple[str, int | None]]) -> dict[str, Any]:
         name: np.array([value is not None and low <= value <= high for _, value in late_by], np.float64)
         for name, low, high in TIMING_BINS
     } | {"never_detected": np.array([value is None for _, value in late_by], np.float64)}
-    row: dict[str, Any] = {"t_m_minus_t_c_ms_median": float(np.median(detected)) if detected else None}
+    row: dict[str, Any] = {
+        "pairs_counted": len(late_by),
+        "t_m_minus_t_c_ms_median": float(np.median(detected)) if detected else None,
+    }
     row |= {name: float(one.mean()) if len(one) else None for name, one in inside.items()}
     weights = estimates.cluster_weights([name for name, _ in late_by])
     for name, one in inside.items():
@@ -270,6 +307,7 @@ def _trajectory_row(setting: str, model: Model, threshold: float, prediction: Pr
         "t_m_ms": first if first >= 0 else None,
         "t_m_minus_t_c_ms": first - prediction.onset if labelled and first >= 0 else None,
         "timing": metrics.timing(first, prediction.onset) if labelled else None,
+        "abstained": not prediction.timed,
         "f1": prediction.counts(threshold).f1,
     }
 
@@ -283,7 +321,7 @@ def _summary(scores: Rows, settings: Rows) -> dict[str, Any]:
         scored = [row for row in settings if row[figure] is not None]
         top = max(scored, key=lambda row: row[figure], default=None)
         best |= {f"best_{figure}_setting": top and top["setting"], f"best_{figure}": top and top[figure]}
-    return {"models": len(scores), "settings": len(settings), "trajectories": scores[0]["trajectories"], **best}
+    return {"models": len(scores), "settings": len(settings), **_counts(scores[0]), **best}
 
 
 def _values(scores: Iterable[dict[str, Any]], key: str) -> list[float]:

@@ -26,13 +26,12 @@ WITH_INTERVAL = ("slip_correct", "warned_10_ms", "false_alarms_per_min")
 class Judged(NamedTuple):
     """Result of a detector on one trajectory.
 
-    is_correct is None without slip, or if the labels do not determine its onset precisely enough; lead_ms is None
-    without slip or without a warning.
+    is_correct is None if it does not count as a slip; lead_ms also without a warning.
     """
 
     object: str
     sensor: str
-    slips: bool
+    slips: bool  # at an onset that the labels determine; neither timing nor warnings count where they abstain
     is_correct: bool | None
     lead_ms: int | None
     false_alarms: int
@@ -42,13 +41,13 @@ class Judged(NamedTuple):
     def of(cls, prediction: Prediction, threshold: float) -> "Judged":
         """Evaluate a prediction at a threshold."""
         alarming = alarms.alarming(prediction.probability, threshold)
-        slips = prediction.onset >= 0
+        slips = prediction.onset >= 0 and prediction.timed
         first = metrics.onset(prediction.detected(threshold))
         return cls(
             prediction.object,
             prediction.sensor,
             slips,
-            metrics.timing(first, prediction.onset) == "correct" if slips and prediction.timed else None,
+            metrics.timing(first, prediction.onset) == "correct" if slips else None,
             alarms.lead_ms(alarming, prediction.onset) if slips else None,
             *warning_curve.false_alarms(prediction, threshold),
         )
@@ -154,38 +153,29 @@ def reliability_rows(setting: str, predictions: Sequence[Sequence[Prediction]]) 
     ]
 
 
-def sensor_rows(setting: str, judged: Seeds) -> Rows:
-    """Return a row per sensor if there are several."""
-    names = list(dict.fromkeys(one.sensor for one in judged[0]))
-    return [{"setting": setting, "sensor": name, **group(judged, "sensor", name)} for name in names if len(names) > 1]
-
-
 def group(judged: Seeds, factor: str, name: str) -> dict[str, Any]:
-    """Return plain shares over the trials of one object or one sensor, and all seeds."""
-    members = [one for seed in judged for one in seed if getattr(one, factor) == name]
+    """Return plain shares over the trials of one object or one sensor (factor), and all seeds.
+
+    The interval of correct timing comes from resampling the trajectories of an object, or the objects of a sensor.
+    """
+    of_seeds = [[one._replace(sensor="") for one in seed if getattr(one, factor) == name] for seed in judged]
+    members = [one for seed in of_seeds for one in seed]
     slips = [one for one in members if one.slips]
-    timed = [one for one in slips if one.is_correct is not None]
     minutes = sum(one.quiet_slices for one in members) / warning_curve.SLICES_PER_MIN
     return {
-        "slip_correct": float(np.mean([bool(one.is_correct) for one in timed])) if timed else None,
+        **_ends("slip_correct", correct(of_seeds)),
         "warned_10_ms": float(np.mean([one.warned(10) for one in slips])) if slips else None,
         "false_alarms_per_min": sum(one.false_alarms for one in members) / minutes if minutes else None,
-        "trials": len(members) // len(judged),
+        "minutes_without_slip": minutes / len(judged),
     }
 
 
-def correct_of_object(judged: Seeds, name: str) -> dict[str, float | None]:
-    """Return the ends of the interval of one object's share of correct timing, from resampling its trajectories."""
-    of_object = [[one._replace(sensor="") for one in seed if one.object == name] for seed in judged]
-    return _ends("slip_correct", correct(of_object))
-
-
 def correct(judged: Seeds) -> Estimate | None:
-    """Return the share of slips with correct timing, of those whose labels determine the onset; None without any."""
-    timed = [[one for one in seed if one.is_correct is not None] for seed in judged]
-    if not timed[0]:
+    """Return the share of slips with correct timing; None without any."""
+    slips = [[one for one in seed if one.slips] for seed in judged]
+    if not slips[0]:
         return None
-    return Shares.of(timed[0]).mean(_of_seeds([[float(bool(one.is_correct)) for one in seed] for seed in timed]))
+    return Shares.of(slips[0]).mean(_of_seeds([[float(bool(one.is_correct)) for one in seed] for seed in slips]))
 
 
 def _of_seeds(values: Sequence[Sequence[float]]) -> NDArray[np.float64]:

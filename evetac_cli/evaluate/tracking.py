@@ -27,8 +27,8 @@ from evetac_cli.evaluate import paper, picture, report, report_job
 from evetac_cli.evaluate.source import Source
 from evetac_cli.jobs import Job, Outcome, Progress, Rows, Stage, silent
 from evetac_cli.stages import row_blocks
-from evetac_cli.stages.related_files import check_made_from
-from evetac_cli.store.files import StageFile, output_path
+from evetac_cli.stages.related_files import OTHER_FOLDER, Origins, check_made_from
+from evetac_cli.store.files import StageFile
 from evetac_cli.store.recordings import slip_grid
 from evetac_cli.store.recordings.read import Recording, open_recording
 
@@ -117,18 +117,15 @@ def for_people(rows: Rows, params: EvaluateTracking) -> tuple[Rows, list[str]]:
 
 @contextmanager
 def _truth(tracks: StageFile, folder: Path | None) -> Iterator[Recording | None]:
-    """Yield the recording with the true dots, next to the tracks or in a folder; None without truth.
+    """Yield the recording with the true dots; None if it is not found, or has no truth.
 
     Raises InputError if it is a different recording, or if it is missing in the given folder.
     """
-    path = output_path(tracks.path, "recording", folder)
-    if not path.exists():
-        if folder is None:
-            yield None
-            return
-        raise InputError(
-            "no such recording", where=str(path), hint="give the folder of the recordings with --recordings"
-        )
+    origins = Origins("recording", folder)
+    path = origins.find(tracks) if folder is None else origins.must_find(tracks, OTHER_FOLDER)
+    if path is None:
+        yield None
+        return
     with open_recording(path) as recording:
         check_made_from(tracks, recording)
         if not recording.has("truth"):

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from evetac_cli.errors import InputError
 from evetac_cli.store.layout.provenance import Header
@@ -16,12 +16,33 @@ def object_name(header: Header) -> str:
     return "unknown"
 
 
-def sensor_name(header: Header) -> str:
-    """Return the sensor of the recording from which a file was made, or `unknown`."""
+def sensor_names(headers: Sequence[Header]) -> list[str]:
+    """Return the sensor of the recording from which each file was made, or `unknown`.
+
+    Different sensors of one name, such as sensor files without `name`, are told apart by the values that differ.
+    """
+    named = [_sensor(header) for header in headers]
+    rows: dict[str, list[dict[str, Any]]] = {}
+    for name, row in named:
+        of_name = rows.setdefault(name, [])
+        of_name += [] if row in of_name else [row]
+    differ = {
+        name: [
+            key
+            for key in dict.fromkeys(key for row in of_name for key in row)
+            if any(row.get(key) != of_name[0].get(key) for row in of_name)
+        ]
+        for name, of_name in rows.items()
+    }
+    return [", ".join([name, *(f"{key} {row.get(key)}" for key in differ[name])]) for name, row in named]
+
+
+def _sensor(header: Header) -> tuple[str, dict[str, Any]]:
+    """Return the name and the values of a sensor, as far as the recording's recipe has them."""
     for ancestor in (header, *header["history"].values()):
         if ancestor["kind"] == "recording" and "sensor" in ancestor["parameters"]:
-            return str(ancestor["parameters"]["sensor"])
-    return "unknown"
+            return str(ancestor["parameters"]["sensor"]), ancestor["parameters"].get("sensor_row") or {}
+    return "unknown", {}
 
 
 def recording_ids(header: Header) -> set[str]:

@@ -127,8 +127,9 @@ class Prediction:
 def score(predictions: Sequence[Prediction], threshold: float) -> dict[str, float | int | None]:
     """Return the scores of a detector over trajectories at one threshold, as a flat row.
 
-    - slip_early, slip_correct, slip_late: shares of the trajectories with an onset that their labels determine; None
-      if there is no such trajectory.
+    - slips: trajectories with an onset that their labels determine. abstained: those whose labels abstain. no_slip: the
+      rest. The three add up to trajectories.
+    - slip_early, slip_correct, slip_late: shares of slips; None without any.
     - f1: counts are pooled over each object's trajectories, and the F1 of all objects are averaged, as in the paper's
       bars.
     - f1_pooled, precision, recall and the counts pool all trajectories; with one object f1 equals f1_pooled.
@@ -145,16 +146,18 @@ def score(predictions: Sequence[Prediction], threshold: float) -> dict[str, floa
         first = onset(prediction.detected(threshold))
         if prediction.onset >= 0 and prediction.timed:
             timings.append(timing(first, prediction.onset))
-        elif first >= 0 and prediction.onset < 0:
+        elif first >= 0 and prediction.timed:
             alarms += 1
         by_object.setdefault(prediction.object, []).append(prediction.counts(threshold))
     per_object = [_pool(outcomes) for outcomes in by_object.values()]
     pooled = _pool(per_object)
-    slips = len(timings)
+    slips, abstained = len(timings), sum(not prediction.timed for prediction in predictions)
     return {
         "trajectories": len(predictions),
         "objects": len(per_object),
         "slips": slips,
+        "abstained": abstained,
+        "no_slip": len(predictions) - slips - abstained,
         "threshold": float(threshold),
         "slip_early": timings.count("early") / slips if slips else None,
         "slip_correct": timings.count("correct") / slips if slips else None,
