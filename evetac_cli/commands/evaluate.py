@@ -14,8 +14,8 @@ class EvaluateSlip:
 
     model: Path | None = parameter(
         None,
-        "Model file, folder of models, glob, or `shipped` for the pretrained one; several with commas. Models may also be"
-        " among the files.",
+        "Model file, folder of models, glob, or `shipped` for the pretrained one; several with commas. Models may also"
+        " be among the files.",
         recipe=False,
     )
     truth: bool = parameter(

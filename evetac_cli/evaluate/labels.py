@@ -23,11 +23,11 @@ from evetac_cli.jobs import Job, Outcome, Progress, Row, Rows, Stage, silent
 from evetac_cli.stages.related_files import recording_with_truth
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.recordings import slip_grid
-from evetac_cli.store.recordings.onset import LabelledOnset, labelled_onset
+from evetac_cli.store.recordings.onset import LabelledOnset, in_short, labelled_onset
 from evetac_cli.store.recordings.read import Recording, first_slice, ramp_start, true_onset
 
 OUTPUT = "report"
-METHOD = 4
+METHOD = 5
 EARLIEST_MS = -4  # labels look 4 ms ahead
 LATEST_MS = 3
 NEAR_PX = 0.5  # of true sliding, early or late: an onset this near is correct ...
@@ -107,6 +107,8 @@ def summary(rows: Rows) -> dict[str, Any]:
     return {
         "method": ", ".join(sorted({row["method"] for row in rows})),
         "trajectories": len(rows),
+        "slips": len(slipped),
+        "counted": len(rest),
         "onsets_found": len(errors),
         "abstained": sum(row["abstained"] for row in rows),
         "abstained_share": _share(row["abstained"] for row in slipped),
@@ -114,6 +116,7 @@ def summary(rows: Rows) -> dict[str, Any]:
         "rest_over_10_ms_early": sum((row["onset_error_ms"] or 0) < -EARLY_MS for row in rest),
         "rest_within_minus4_plus3_ms": _share(_in_time(row) for row in rest),
         "within_half_px": _share(is_near(row) for row in slipped),
+        "intervals_counted": len(judged_rest),
         "interval_coverage": _share(row["interval_covers"] for row in judged_rest),
         "interval_width_px_median": _median(row["interval_width_px"] for row in judged_rest),
         "interval_width_ms_median": _median(row["interval_width_ms"] for row in judged_rest),
@@ -167,7 +170,8 @@ def for_people(rows: Rows, params: EvaluateLabels) -> tuple[Rows, list[str]]:
     sentences.append(f"Within {EARLIEST_MS} to +{LATEST_MS} ms: {in_time} of {len(rest)}.")
     if abstained := len(slipped) - len(rest):
         sentences.append(
-            f"The labels abstain in {abstained} of {len(slipped)} trials that slip; these are not evaluated."
+            f"The labels abstain in {abstained} of {len(slipped)} trials that slip; these are not evaluated:"
+            f" {in_short(row['doubt'] for row in slipped if row['abstained'])}."
         )
     return rows, [*sentences, *slip_grid.resting_on(rows)]
 

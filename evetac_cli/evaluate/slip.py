@@ -23,9 +23,7 @@ paper's figures, which are relative to labels, are not shown.
 """
 
 import math
-import re
 import textwrap
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -47,15 +45,15 @@ from evetac_cli.evaluate import (
     slip_warnings,
 )
 from evetac_cli.evaluate.slip_models import AT_ONCE, Model, check, predict_all
-from evetac_cli.evaluate.slip_tables import LABELS, TRUTH, tables
-from evetac_cli.evaluate.source import Source
+from evetac_cli.evaluate.slip_tables import tables
+from evetac_cli.evaluate.source import LABELS, TRUTH, Source
 from evetac_cli.jobs import Job, Outcome, Progress, Rows, Stage, silent
 from evetac_cli.kernels.slip import metrics
 from evetac_cli.resources import with_shipped
 from evetac_cli.stages.model_files import why_useless
 from evetac_cli.stages.related_files import OTHER_FOLDER, Origins, named_files
 from evetac_cli.store.files import StageFile
-from evetac_cli.store.recordings.onset import abstains, labelled_onset
+from evetac_cli.store.recordings.onset import abstains, in_short, labelled_onset
 
 OUTPUT = "report"
 METHOD = 10
@@ -151,11 +149,11 @@ def _kept(job: Job) -> Path:
 def split_models(files: list[Path], model_path: Path | None) -> tuple[list[Path], list[Path]]:
     """Separate models from other files: a shell puts all but the first of `--model models/*.model.h5` among the files.
 
-    `model_path` is a model file, a folder of them, a glob or `shipped`, or several of these with commas. A model that is
-    given twice, even as two files, counts once. Raises InputError if there is no model.
+    `model_path` is a model file, a folder of them, a glob or `shipped`, or several of these with commas. A model
+    that is given twice, even as two files, counts once. Raises InputError if there is no model.
     """
     given = str(model_path or "")
-    names = [given] if Path(given).exists() else [name for name in given.split(",") if name]
+    names = [given] if given and Path(given).exists() else [name for name in given.split(",") if name]
     model_files = [path for name in names for path in named_files(name, "model", "--model")]
     models: dict[str, Path] = {}
     others: list[Path] = []
@@ -288,14 +286,12 @@ def _verdict(row: dict[str, Any]) -> str:
 
 def _left_out(row: dict[str, Any], trajectories: Rows) -> list[str]:
     """Return why trajectories are left out of timing and warnings, and over how many objects the means are."""
-    whys = {one["file"]: one["abstained_because"] for one in trajectories if one["abstained"]}
-    # The part that is equal for all trials: `the onset is uncertain within 9 ms, ...` has numbers of one trial.
-    reasons = Counter(re.split("[:,;]| within [0-9]", why or "unknown")[0] for why in whys.values())
+    of_one = [one for one in trajectories if one["model_file"] == trajectories[0]["model_file"]]
+    whys = [one["abstained_because"] for one in of_one if one["abstained"]]
     lines = []
     if row["abstained"]:
         lines.append(
-            f"Timing and warnings leave out the {row['abstained']} trajectories whose labels abstain:"
-            f" {'; '.join(f'{reason} ({count})' for reason, count in reasons.most_common())}."
+            f"Timing and warnings leave out the {row['abstained']} trajectories whose labels abstain: {in_short(whys)}."
         )
     if len({one["object"] for one in trajectories}) > 1:
         lines.append(f"Shares are means over the objects with such slips, {row['objects_counted']} here.")

@@ -17,6 +17,7 @@ import numpy as np
 from evetac_cli.evaluate import paper, slip_over_time, slip_warnings
 from evetac_cli.evaluate.slip_models import Model
 from evetac_cli.evaluate.slip_warnings import Judged
+from evetac_cli.evaluate.source import TRUTH
 from evetac_cli.jobs import Rows
 from evetac_cli.kernels import estimates
 from evetac_cli.kernels.slip import metrics
@@ -33,7 +34,6 @@ TIMING_BINS = (
 )
 
 
-LABELS, TRUTH = "labels", "truth of the simulation"  # by which trials are judged
 COUNTS = {"trajectories": "trajectories", "counted": "slips", "abstained": "abstained", "no_slip": "no_slip"}
 OF_GROUP = ("slip_early", "slip_correct", "slip_late", "f1")
 TRUE_SLIP_SHARE = "true slip share"  # in the name of a setting that also learned this
@@ -158,7 +158,7 @@ def tables(
     for row in tables_:
         row["judged_by"] = judged_by
         if judged_by == TRUTH:
-            row |= dict.fromkeys(name for name in row if name.startswith("paper_"))
+            row.update(dict.fromkeys(name for name in row if name.startswith("paper_")))
     return tables_, {**_summary(scores, settings), "judged_by": judged_by}
 
 

@@ -8,6 +8,7 @@ from typing import Any
 from evetac_cli.store.index import scene_words
 
 Row = Mapping[str, Any]
+LABELS, TRUTH = "labels", "truth of the simulation"  # by which onsets `evaluate slip` judges trials
 
 
 @dataclass(frozen=True)

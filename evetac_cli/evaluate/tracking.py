@@ -33,7 +33,7 @@ from evetac_cli.store.recordings import slip_grid
 from evetac_cli.store.recordings.read import Recording, open_recording
 
 OUTPUT = "report"
-METHOD = 6
+METHOD = 7
 DOTS, TRUE_DOTS = "dot_xy_px", "truth/dot_xy_px"
 CONSISTENT_PX = 20.0  # as in the paper
 ROUNDING_PX = 0.1  # margin for positions stored as float32
@@ -244,9 +244,10 @@ def _lengths(rows: Rows) -> dict[str, Any]:
     """Return errors over trajectories with equal weights; None without truth."""
     with_truth = [row for row in rows if row["error_px_rms"] is not None]
     if not with_truth:
-        return dict.fromkeys(("error_px_rms", "error_px_worst", "still_px_rms"))
+        return {"error_px_rms": None, "with_truth": 0, "error_px_worst": None, "still_px_rms": None}
     return {
         "error_px_rms": float(np.sqrt(np.mean([row["error_px_rms"] ** 2 for row in with_truth]))),
+        "with_truth": len(with_truth),
         "error_px_worst": max(row["error_px_worst"] for row in with_truth),
         "still_px_rms": float(np.sqrt(np.mean([row["still_px_rms"] ** 2 for row in with_truth]))),
     }
@@ -260,6 +261,7 @@ def _preset(name: str, rows: Rows) -> dict[str, Any]:
     return {
         "preset": name,
         "trajectories": len(rows),
+        "decided": len(decided),
         "consistent": len(decided) - len(failed) if decided else None,
         "consistent_share": (len(decided) - len(failed)) / len(decided) if decided else None,
         "paper_consistent_share": paper.value("consistent", name),

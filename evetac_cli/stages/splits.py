@@ -34,7 +34,11 @@ def sensor_names(headers: Sequence[Header]) -> list[str]:
         ]
         for name, of_name in rows.items()
     }
-    return [", ".join([name, *(f"{key} {row.get(key)}" for key in differ[name])]) for name, row in named]
+    return [", ".join([name, *(f"{key} {_text(row.get(key))}" for key in differ[name])]) for name, row in named]
+
+
+def _text(value: Any) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def _sensor(header: Header) -> tuple[str, dict[str, Any]]:

@@ -106,7 +106,9 @@ def test_a_flag_given_twice_is_refused(arguments: list[str]) -> None:
 def test_two_values_of_model_say_what_to_do() -> None:
     """Assert that who gives --model twice learns how several models are named."""
     result = evetac("evaluate", "slip", "--model", "a", "--model", "b", "c")
-    assert "several models of `evaluate slip` are given with commas" in " ".join(result.stderr.replace("│", " ").split())
+    assert "several models of `evaluate slip` are given with commas" in " ".join(
+        result.stderr.replace("│", " ").split()
+    )
 
 
 def test_switches_of_a_command_are_whole_after_its_help() -> None:

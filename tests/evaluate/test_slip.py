@@ -15,6 +15,7 @@ import pytest
 from numpy.typing import NDArray
 
 from evetac_cli.commands.evaluate import EvaluateSlip
+from evetac_cli.commands.label import Label
 from evetac_cli.commands.train import Train
 from evetac_cli.errors import InputError
 from evetac_cli.evaluate import slip, slip_models, slip_over_time, slip_tables
@@ -27,6 +28,7 @@ from evetac_cli.kernels.slip.inputs import Series
 from evetac_cli.kernels.slip.labels import is_slip
 from evetac_cli.kernels.slip.metrics import Prediction
 from evetac_cli.stages import slip_detectors, train
+from evetac_cli.stages.splits import sensor_names
 from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.layout.provenance import Recipe
 from tests.make import event_arrays, events_at, run_stage, truth_arrays
@@ -270,7 +272,7 @@ def prediction(detected: NDArray[np.bool_], onset: int, object_: str) -> Predict
 def test_an_object_that_never_slips_has_no_timing(world: dict[str, Any]) -> None:
     """Assert that means leave out the timing of an object without an onset, but not its F1."""
     at = np.arange(200)
-    cell = slip_tables.by_object([prediction(at >= 100, 100, "1"), prediction(at >= 300, -1, "2")], 0.5)
+    cell = slip_tables.by_group([prediction(at >= 100, 100, "1"), prediction(at >= 300, -1, "2")], 0.5, "object")
     row = slip_tables.setting_row("a", Model.read(world["seeds"][0]), [cell])
     assert row["slip_correct"] == 1.0
     assert row["f1"] == 0.5
@@ -320,7 +322,7 @@ def test_a_terminal_gets_one_table_and_a_verdict(world: dict[str, Any], tmp_path
     shown, verdict = slip.for_people(rows, EvaluateSlip())
     shown = [row for row in shown if "covariate" not in row]
     assert [row["setting"] for row in shown] == [row["setting"] for row in rows if "seeds" in row]
-    assert {"early", "correct", "late", "f1"} <= set(shown[0]) and len(shown[0]) <= 9
+    assert {"early", "correct", "late", "f1"} <= set(shown[0]) and len(shown[0]) <= 10
     assert [line.split(":")[0] for line in verdict[: len(shown)]] == [row["setting"] for row in shown]
 
 
@@ -475,18 +477,95 @@ def test_covariates_from_the_truth(world: dict[str, Any], tmp_path: Path, named:
 
 
 def test_recordings_that_do_not_fit(world: dict[str, Any], tmp_path: Path) -> None:
-    """Assert that beside features another or a broken recording is passed over, and refused in a named folder."""
+    """Assert that another or a broken recording is passed over beside features, and refused in a named folder."""
     files = [Path(shutil.copy(path, tmp_path)) for path in world["known"][:2]]
     first, second = (path.name.replace(".features.", ".recording.") for path in files)
-    shutil.move(recording_of_features(files[0], tmp_path), tmp_path / second)
+    shutil.move(recording_of_features(world["known"][2], tmp_path), tmp_path / second)
     (tmp_path / first).write_text("no")
     _, summary = evaluated([*files, world["seeds"][0]], tmp_path / "a.report.h5")
     assert summary["with_truth"] == 0
     for path in files:
         with pytest.raises(InputError):
             evaluated([path, world["seeds"][0]], tmp_path / "b.report.h5", recordings=tmp_path)
-    with pytest.raises(InputError, match="no such recording"):
+    with pytest.raises(InputError, match="no recording of this file"):
         evaluated([files[0], world["seeds"][0]], tmp_path / "b.report.h5", recordings=tmp_path / "none")
+
+
+@pytest.mark.parametrize("place", ["..", "../recordings"])
+def test_recordings_in_other_folders_are_found(world: dict[str, Any], tmp_path: Path, place: str) -> None:
+    """Assert that recordings are found by their ids, under any name, above the features and in folders beside them."""
+    folder = tmp_path / "features"
+    folder.mkdir()
+    (folder / place).mkdir(exist_ok=True)
+    path = Path(shutil.copy(world["known"][0], folder))
+    recording_of_features(path, folder).rename(folder / place / "another-name.recording.h5")
+    _, summary = evaluated([path, world["seeds"][0]], tmp_path / "a.report.h5")
+    assert summary["with_truth"] == 1
+
+
+def abstaining(path: Path, folder: Path) -> Path:
+    """A copy of features whose labels abstain."""
+    copied = Path(shutil.copy(path, folder))
+    with h5py.File(copied, "r+") as h5:
+        h5["abstained"] = np.uint8(1)
+    return copied
+
+
+def test_n_is_what_was_counted(world: dict[str, Any], tmp_path: Path) -> None:
+    """Assert that every table, and the sentence, say how many trials are behind shares of slips, and why not more."""
+    files = [abstaining(world["known"][0], tmp_path), *world["known"][1:], world["seeds"][0]]
+    rows, summary = evaluated(files, tmp_path / "a.report.h5")
+    assert [summary[key] for key in ("trajectories", "slips", "abstained", "no_slip")] == [4, 3, 1, 0]
+    counts = [tuple(row[key] for key in ("trajectories", "counted", "abstained")) for row in table_of(rows, "counted")]
+    assert counts == [(4, 3, 1), (2, 1, 1), (2, 2, 0), (4, 3, 1)]  # the setting, two objects, the sensor
+    assert [row["abstained"] for row in table_of(rows, "t_c_ms")] == [True, False, False, False]
+    _, verdict = slip.for_people(rows, EvaluateSlip())
+    assert "n = 3 of 4 trajectories, 1 abstained" in verdict[0]
+    assert "the labels file with the reason was not found (1)" in verdict[1]
+    shown, _ = slip.for_people(rows, EvaluateSlip(by="object"))
+    assert [(row["object"], row["n"], row["abstained"]) for row in shown] == [("1", 1, 1), ("2", 2, 0)]
+
+
+def test_judged_by_truth(world: dict[str, Any], tmp_path: Path) -> None:
+    """Assert that --truth judges as labels of --method truth, has its own report, and refuses trials without truth."""
+    path = abstaining(world["known"][0], tmp_path)
+    with pytest.raises(InputError, match="no recording of this file"):
+        evaluated([path, world["seeds"][0]], tmp_path, truth=True)
+    recording_of_features(path, tmp_path)
+    rows, summary = evaluated([path, world["seeds"][0]], tmp_path, truth=True)
+    assert summary["report"] == str(tmp_path / "trial-100.slip-truth.report.h5")
+    assert {row["judged_by"] for row in rows if "covariate" not in row} == {"truth of the simulation"}
+    same = Path(shutil.copy(path, tmp_path / "same.features.h5"))
+    with h5py.File(same, "r+") as h5:
+        del h5["abstained"]
+        slips = np.arange(SLICES) >= ONSET - 2
+        h5["label"][:] = np.where(np.arange(SLICES) >= ONSET - 2 + Label().after_ms, -1, slips)
+        h5["onset_slice"][()] = ONSET - 2
+    labelled, _ = evaluated([same, world["seeds"][0]], tmp_path / "labels.report.h5")
+    (by_truth,), (by_labels,) = (table_of(some, "t_c_ms") for some in (rows, labelled))
+    differ = {"file", "judged_by"}
+    assert {key: by_truth[key] for key in by_truth.keys() - differ} == {
+        key: by_labels[key] for key in by_labels.keys() - differ
+    }
+    _, verdict = slip.for_people(rows, EvaluateSlip(truth=True))
+    assert "judged by truth of the simulation" in verdict[0]
+
+
+def test_several_models_with_commas(world: dict[str, Any], tmp_path: Path) -> None:
+    """Assert that --model A,B evaluates both, and that the rows of all trials are in the result."""
+    both = Path(f"{world['seeds'][0]},{world['ahead'][0]}")
+    rows, summary = evaluated(world["known"], tmp_path, model=both)
+    assert (summary["models"], len(table_of(rows, "t_c_ms"))) == (2, 2 * len(world["known"]))
+
+
+def test_sensors_of_one_name_are_told_apart() -> None:
+    """Assert that sensor files without a name are named by the values in which they differ."""
+    headers = [
+        Recipe("recording", 1, {"sensor": name, "sensor_row": {"shear_modulus_pa": pa, "seed": 1}}, seed=0).header()
+        for name, pa in (("own-sensor", 72e3), ("own-sensor", 290e3), ("evetac", 145e3))
+    ]
+    named = ["own-sensor, shear_modulus_pa 72000", "own-sensor, shear_modulus_pa 290000", "evetac"]
+    assert sensor_names(headers) == named
 
 
 def test_truth_beside_the_labels_is_named(tmp_path: Path) -> None:

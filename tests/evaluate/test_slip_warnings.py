@@ -59,8 +59,9 @@ def test_timing_counts_what_labels_determine() -> None:
     ends = ("slip_correct_low", "slip_correct_high")
     assert [with_others[end] for end in ends] == [alone[end] for end in ends]
     judged = [[slip_warnings.Judged.of(one, 0.5) for one in [*trials, *abstained]]]
-    assert [slip_warnings.group(judged, "object", name)["slip_correct"] for name in "14"] == [1.0, None]
-    assert slip_warnings.correct_of_object(judged, "4") == {"slip_correct_low": None, "slip_correct_high": None}
+    assert with_others["warned_10_ms"] == alone["warned_10_ms"]  # nor are they slips without a warning
+    first, fourth = (slip_warnings.group(judged, "object", name) for name in "14")
+    assert first["slip_correct_high"] == 1.0 and fourth["slip_correct_low"] is fourth["warned_10_ms"] is None
 
 
 def test_trials_without_slip_have_false_alarms_alone() -> None:
@@ -98,13 +99,12 @@ def test_no_trial_has_no_interval() -> None:
     assert estimates.ratio_of_clusters(empty, empty, estimates.cluster_weights([])) is None
 
 
-def test_sensors_have_rows_where_there_are_several() -> None:
-    """Assert that each sensor has its share and price, and a single one no row of its own."""
+def test_groups_have_their_own_shares() -> None:
+    """Assert that each sensor has its share of warnings, and its false alarms."""
     judged = [[Judged.of(one, 0.8) for one in (prediction("1", 30), prediction("1", None, 1, "b"))]]
-    first, second = slip_warnings.sensor_rows("x", judged)
-    assert (first["sensor"], first["warned_10_ms"], first["false_alarms_per_min"]) == ("a", 1.0, 0.0)
-    assert (second["sensor"], second["warned_10_ms"], second["trials"]) == ("b", 0.0, 1)
-    assert slip_warnings.sensor_rows("x", [judged[0][:1]]) == []
+    first, second = (slip_warnings.group(judged, "sensor", name) for name in "ab")
+    assert (first["warned_10_ms"], first["false_alarms_per_min"]) == (1.0, 0.0)
+    assert second["warned_10_ms"] == 0.0 and second["false_alarms_per_min"] > 0
 
 
 def test_reliability_is_told_in_steps() -> None:

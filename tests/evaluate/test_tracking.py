@@ -100,6 +100,7 @@ def test_a_dot_off_by_20_px_is_lost(recording: Path, px: float, lost: int) -> No
     """Assert that without truth the dots that end more than 20 px off are counted, over the trajectories with any."""
     files = [tracked(recording, name, preset="paper") for name in ("one", "two")]
     push(files[0], 3, px)
+    recording.unlink()
     outcome = evaluate(*files)
     preset, first, second = outcome.rows
     assert (first["consistent"], first["dots_lost"]) == (lost == 0, lost)
@@ -147,7 +148,7 @@ def test_another_recording_is_refused(made: Made, recording: Path) -> None:
     path = tracked(recording, "paper", preset="paper")
     elsewhere = recording.parent / "elsewhere"
     elsewhere.mkdir()
-    with pytest.raises(InputError, match="no such recording"):
+    with pytest.raises(InputError, match="no recording of this file"):
         evaluate(path, recordings=elsewhere)
     shutil.copy(made.recordings[1], elsewhere / recording.name)
     with pytest.raises(InputError, match="belong to another recording"):
@@ -157,10 +158,12 @@ def test_another_recording_is_refused(made: Made, recording: Path) -> None:
 def test_truth_found_since_is_another_report(recording: Path) -> None:
     """Assert that a report made without truth is not taken for one with truth."""
     path = tracked(recording, "paper", preset="paper")
+    away = recording.rename(recording.with_suffix(".away"))
     assert evaluate(path).made
     assert not evaluate(path).made
+    away.rename(recording.with_name("renamed.recording.h5"))  # recognized by its id
     with pytest.raises(InputError, match="with_truth"):
-        evaluate(path, recordings=recording.parent)
+        evaluate(path)
     assert evaluate(path, recordings=recording.parent, force=True).summary["with_truth"] == 1
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from evetac_cli.evaluate.paper import Beside
 from evetac_cli.evaluate.picture import wilson
 from evetac_cli.jobs import Rows
-from evetac_cli.pages.report.study import Found, Study, StudyTrial
+from evetac_cli.pages.report.study import Found, Study, StudyTrial, by_truth
 from evetac_cli.pages.shared import (
     BLUE,
     GREEN,
@@ -89,9 +89,9 @@ def onset_chart(
 
 def detection_charts(evaluation: Found, window_ms: tuple[int, int]) -> list[Chart]:
     """Return for each of the first models the share of trajectories detected by each time: all, and by object."""
-    rows = [
-        row for row in evaluation.rows if "t_c_ms" in row and "t_m_minus_t_c_ms" in row and row["t_c_ms"] is not None
-    ]
+    timed = [row for row in evaluation.rows if "t_c_ms" in row and "t_m_minus_t_c_ms" in row]
+    rows = [row for row in timed if row["t_c_ms"] is not None]
+    onset = "true onset" if by_truth(evaluation) else "labels' onset"
     charts = []
     for setting in list(dict.fromkeys(str(row["setting"]) for row in rows))[:MOST_MODELS]:
         members = [row for row in rows if str(row["setting"]) == setting]
@@ -100,7 +100,7 @@ def detection_charts(evaluation: Found, window_ms: tuple[int, int]) -> list[Char
             height=230,
             x_range=CDF_MS,
             y_range=(-0.09, 1.03),
-            x_axis_label="first detection after the labels' onset [ms]",
+            x_axis_label=f"first detection after the {onset} [ms]",
             y_axis_label="share detected",
         )
         _window(chart, window_ms)
@@ -114,7 +114,9 @@ def detection_charts(evaluation: Found, window_ms: tuple[int, int]) -> list[Char
             x=detected, y=[-0.05] * len(detected), marker="dash", angle=np.pi / 2, size=9, color=NEUTRAL, alpha=0.6
         )
         never = len(members) - len(detected)
-        keys = {f"all {len(members)}": NEUTRAL}
+        left_out = sum(str(row["setting"]) == setting for row in timed) - len(members)
+        beside = f" of {len(members) + left_out}, without {left_out} that abstain or do not slip" if left_out else ""
+        keys = {f"all {len(members)}{beside}": NEUTRAL}
         if 1 < len(objects) <= len(OBJECT_COLOURS):
             keys |= {f"object {name}": colour for name, colour in zip(objects, OBJECT_COLOURS, strict=False)}
         beyond = sum(not CDF_MS[0] <= ms <= CDF_MS[1] for ms in detected)

@@ -42,8 +42,10 @@ SECTIONS = (
     Section(
         "slip",
         "Slip detection by model",
-        "A first detection is correct from 50 ms before to 20 ms after the labels' onset; earlier is early, later"
-        " or never is late. Means over objects and trainings, as in the paper.",
+        "A first detection is correct from 50 ms before to 20 ms after the onset of labels or, where a row says so, of"
+        " the simulation's truth; earlier is early, later or never is late. Shares are over the n trajectories that"
+        " count, without those whose labels abstain or that do not slip."
+        " Means over objects and trainings, as in the paper.",
     ),
     Section("labels", "Labels against the truth", "t_c - t_s, in simulations only."),
     Section(
@@ -165,16 +167,17 @@ def _cases(evaluation: Found) -> Rows:
     return sorted(worst, key=lambda row: bool(row["ok"]))
 
 
-def slips_of(row: Row, evaluation: Found) -> int:
-    """Return the number of slips behind the timing of a setting, independent of the number of seeds."""
-    own = [one for one in evaluation.rows if "t_c_ms" in one and one["setting"] == row["setting"]]
-    return int(sum(one["t_c_ms"] is not None for one in own) // max(row["seeds"], 1))
-
-
 def _summary(evaluation: Found) -> Rows:
     return [evaluation.summary]
 
 
+# Of rows of `evaluate slip`: how many trajectories are behind the shares, and how many are left out.
+COUNTS = (
+    ReportColumn("trajectories", "trajectories"),
+    ReportColumn("n", "counted"),
+    ReportColumn("abstained", "abstained"),
+    ReportColumn("no slip", "no_slip"),
+)
 SUBJECTS = (
     Subject(
         "evaluate slip",
@@ -196,8 +199,9 @@ SUBJECTS = (
         having("setting", "seeds"),
         (
             ReportColumn("model", "setting"),
+            ReportColumn("judged by", "judged_by"),
             ReportColumn("seeds", "seeds"),
-            ReportColumn("trajectories", "trajectories"),
+            *COUNTS,
             ReportColumn("timing correct", "slip_correct", "paper_slip_correct"),
             ReportColumn("sd", "slip_correct_sd"),
             ReportColumn("early", "slip_early"),
@@ -209,10 +213,30 @@ SUBJECTS = (
     Subject(
         "evaluate slip",
         "slip",
-        "First detection relative to the labels' onset, shares of trajectories",
+        "By sensor",
+        having("setting", "sensor", "counted"),
+        (
+            ReportColumn("model", "setting"),
+            ReportColumn("judged by", "judged_by"),
+            ReportColumn("sensor", "sensor"),
+            *COUNTS,
+            ReportColumn("timing correct", "slip_correct"),
+            ReportColumn("early", "slip_early"),
+            ReportColumn("late", "slip_late"),
+            ReportColumn("warned 10 ms ahead", "warned_10_ms"),
+            ReportColumn("false alarms per min", "false_alarms_per_min"),
+            ReportColumn("F1", "f1"),
+        ),
+    ),
+    Subject(
+        "evaluate slip",
+        "slip",
+        "First detection relative to the onset, shares of pairs of slip and model",
         _timing,
         (
             ReportColumn("model", "setting"),
+            ReportColumn("judged by", "judged_by"),
+            ReportColumn("n", "pairs_counted"),
             ReportColumn("median [ms]", "t_m_minus_t_c_ms_median"),
             ReportColumn("over 50 ms ahead", "over_50_ms_ahead"),
             ReportColumn("50 to 31", "50_to_31_ms_ahead"),
@@ -231,11 +255,14 @@ SUBJECTS = (
         (
             ReportColumn("method", "method"),
             ReportColumn("trajectories", "trajectories"),
-            ReportColumn("onsets found", "onsets_found"),
+            ReportColumn("that slip", "slips"),
+            ReportColumn("n", "counted"),
             ReportColumn("abstained", "abstained"),
+            ReportColumn("onsets found", "onsets_found"),
             ReportColumn("others: within 0.5 px of sliding", "rest_within_half_px"),
             ReportColumn("others: over 10 ms early", "rest_over_10_ms_early"),
             ReportColumn("others: within -4..+3 ms", "rest_within_minus4_plus3_ms"),
+            ReportColumn("n of intervals", "intervals_counted"),
             ReportColumn("interval covers onset", "interval_coverage"),
             ReportColumn("interval width, median [px]", "interval_width_px_median"),
             ReportColumn("median error [ms]", "onset_error_ms_median"),
@@ -251,8 +278,10 @@ SUBJECTS = (
         (
             ReportColumn("preset", "preset"),
             ReportColumn("trajectories", "trajectories"),
+            ReportColumn("n", "decided"),
             ReportColumn("all dots end at their start", "consistent_share", "paper_consistent_share"),
             ReportColumn("dots lost otherwise", "dots_lost_mean", "paper_dots_lost_mean"),
+            ReportColumn("n with truth", "with_truth"),
             ReportColumn("error, rms [px]", "error_px_rms"),
             ReportColumn("worst dot [px]", "error_px_worst"),
             ReportColumn("standing still [px]", "still_px_rms"),

@@ -1,6 +1,7 @@
 """Headline figures of a study, shown at the top of the report, and those of two studies side by side."""
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -56,27 +57,39 @@ def headline(study: Study) -> list[StudyFigure]:
         StudyFigure("sensors", len({trial.row.sensor for trial in trials if trial.row.sensor is not None})),
     ]
     slipping = [trial for trial in trials if trial.t_s is not None and trial.labelled_by is not None]
-    errors = [trial.label_error_ms for trial in slipping if trial.label_error_ms is not None]
-    if slipping:
-        over = f"{len(slipping)} trials that slip"
+    counted = [trial for trial in slipping if not trial.doubt]
+    errors = [trial.label_error_ms for trial in counted if trial.label_error_ms is not None]
+    abstained = f" of {len(slipping)} trials that slip; labels abstain in {len(slipping) - len(counted)}"
+    if counted:
+        over = f"{len(counted)}{abstained}"
         right = sum(LABELS_MS[0] <= error <= LABELS_MS[1] for error in errors)
         figures += [
-            StudyFigure("onsets with a label", len(errors) / len(slipping), over, kind="share"),
-            StudyFigure("labels within -4..+3 ms of the truth", right / len(slipping), over, kind="share"),
+            StudyFigure("onsets with a label", len(errors) / len(counted), over, kind="share"),
+            StudyFigure("labels within -4..+3 ms of the truth", right / len(counted), over, kind="share"),
         ]
+    elif slipping:
+        figures.append(StudyFigure("onsets with a label", 0, f"0{abstained}", kind="count"))
     if errors:
-        figures.append(StudyFigure("t_c - t_s, median [ms]", float(np.median(errors)), str(len(errors))))
-    judged = [ms for trial in trials for ms in trial.late_by]
-    if judged:
-        over = f"{len(judged)} pairs of trial and model"
+        figures.append(StudyFigure("t_c - t_s, median [ms]", float(np.median(errors)), f"{len(errors)}{abstained}"))
+    for words, symbol, of_trials, left_out in (
+        ("timing correct, all models", "t_c", [trial.late_by for trial in trials], sum(t.not_timed for t in trials)),
+        ("timing correct by truth, all models", "t_s", [trial.late_by_truth for trial in trials], 0),
+    ):
+        judged = [ms for of_trial in of_trials for ms in of_trial]
+        if not judged:
+            continue
+        more = f" of {len(judged) + left_out}" if left_out else ""
+        why = f"; {left_out} whose labels abstain or have no onset are left out" if left_out else ""
         known_ms = [ms for ms in judged if ms is not None]
         correct = sum(TIMING_MS[0] <= ms <= TIMING_MS[1] for ms in known_ms)
-        figures.append(StudyFigure("timing correct, all models", correct / len(judged), over, kind="share"))
-        figures += (
-            [StudyFigure("t_m - t_c, median [ms]", float(np.median(known_ms)), str(len(known_ms)))] if known_ms else []
-        )
+        over = f"{len(judged)}{more} pairs of trial and model{why}"
+        figures.append(StudyFigure(words, correct / len(judged), over, kind="share"))
+        if known_ms:
+            never = f"; {len(judged) - len(known_ms)} never detected" if len(judged) > len(known_ms) else ""
+            over = f"{len(known_ms)}{more} pairs{never}{why}"
+            figures.append(StudyFigure(f"t_m - {symbol}, median [ms]", float(np.median(known_ms)), over))
     figures += [
-        StudyFigure("F1 of the best model", report.summary[key])
+        StudyFigure("F1 of the best model", report.summary[key], f"slices of {report.summary['trajectories']} trials")
         for report in study.reports("evaluate slip")
         for key in ("f1", "best_f1")
         if report.summary.get(key) is not None
@@ -97,19 +110,54 @@ def headline(study: Study) -> list[StudyFigure]:
     return figures
 
 
-def matched(studies: Sequence[Study]) -> list[tuple[StudyTrial, StudyTrial]]:
-    """Return the trials in both studies, matched by recipe, else by scene, object, sensor, seed and trial number."""
-    one, other = (study.trials for study in studies)
-    by_id = {trial.recording_id: trial for trial in other}
-    by_name = {_identity(trial): trial for trial in other if trial.row.seed is not None}
-    pairs = []
-    for trial in one:
-        match = by_id.get(trial.recording_id) or by_name.get(_identity(trial))
-        if match is not None:
-            pairs.append((trial, match))
-    return pairs
+class Pairing(NamedTuple):
+    """The trials of two studies that belong together, and in words how they were paired and what is left over."""
+
+    pairs: list[tuple[StudyTrial, StudyTrial]]
+    words: str
 
 
 def _identity(trial: StudyTrial) -> tuple[Any, ...]:
     row = trial.row
-    return row.scene, row.object, row.sensor, row.seed, row.trial
+    return row.scene, row.object, row.seed, row.trial
+
+
+# What is the same in two trials of a pair, the strictest first. The sensor is what many studies compare.
+SAME: tuple[tuple[str, Callable[[StudyTrial], tuple[Any, ...]]], ...] = (
+    ("recipe", lambda trial: (trial.recording_id,)),
+    ("scene, object, sensor, seed and trial number", lambda trial: (*_identity(trial), trial.row.sensor)),
+    ("scene, object, seed and trial number", _identity),
+)
+
+
+def matched(studies: Sequence[Study]) -> Pairing:
+    """Pair the trials of two studies by what is the same in them, if that is one trial in each."""
+    left = [list(study.trials) for study in studies]
+    pairs: list[tuple[StudyTrial, StudyTrial]] = []
+    words = []
+    for what, key_of in SAME:
+        one, other = (_unique(trials, key_of) for trials in left)
+        new = [(trial, other[key]) for key, trial in one.items() if key in other]
+        if new:
+            words.append(f"{len(new)} by the same {what}")
+            paired = {id(trial) for pair in new for trial in pair}
+            left = [[trial for trial in trials if id(trial) not in paired] for trials in left]
+        pairs += new
+    unpaired = " and ".join(
+        f"{len(trials)} of {len(study.trials)} of {study.name}" for trials, study in zip(left, studies, strict=True)
+    )
+    how = ", ".join(words) or f"none has the same {' or '.join(what for what, _ in SAME)}"
+    return Pairing(pairs, f"{len(pairs)} pairs of trials: {how}. Without a partner: {unpaired}.")
+
+
+def _unique(
+    trials: Sequence[StudyTrial], key_of: Callable[[StudyTrial], tuple[Any, ...]]
+) -> dict[tuple[Any, ...], StudyTrial]:
+    """Return the trials whose key no other one has; a key of an unknown seed is none."""
+    keys = [key_of(trial) for trial in trials]
+    times = Counter(keys)
+    return {
+        key: trial
+        for key, trial in zip(keys, trials, strict=True)
+        if times[key] == 1 and (len(key) == 1 or trial.row.seed is not None)
+    }

@@ -183,7 +183,7 @@ def _charts_of(section: str, evaluation: Found) -> list[Chart | None]:
                 parts,
                 [paper.beside("paper_slip_correct", row, evaluation.source) for row in rows],
                 f"Timing, {evaluation.path}",
-                [evaluations.slips_of(row, evaluation) for row in rows],
+                [row.get("counted", 0) for row in rows],
             ),
             *charts.detection_charts(evaluation, TIMING_MS),
         ]

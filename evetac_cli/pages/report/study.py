@@ -13,13 +13,14 @@ import numpy as np
 from evetac_cli.console import say
 from evetac_cli.errors import InputError, UnavailableError
 from evetac_cli.evaluate.labels import EARLIEST_MS, LATEST_MS
-from evetac_cli.evaluate.source import Source
+from evetac_cli.evaluate.source import LABELS, Source
 from evetac_cli.events import SLICE_US
 from evetac_cli.jobs import Progress, Rows
 from evetac_cli.kernels.grip.paper import GraspPhase
 from evetac_cli.pages.view.event_images import picture
 from evetac_cli.store.files import StageFile, stem
 from evetac_cli.store.index import IndexRow, foreign_note, open_index, recording_of
+from evetac_cli.store.recordings.onset import labelled_onset
 from evetac_cli.store.recordings.read import Recording, open_recording, true_onset
 from evetac_cli.text_files import open_regular
 
@@ -71,9 +72,12 @@ class StudyTrial:
     has_window: bool = False
     frame_px: tuple[int, int] | None = None
     t_s: int | None = None  # ms; truth
-    t_c: int | None = None  # ms; labels
+    t_c: int | None = None  # ms; labels; None if they abstain
+    doubt: str = ""  # why the labels abstain
     labelled_by: str | None = None
     late_by: list[int | None] = field(default_factory=list)  # t_m - t_c in ms for each model; None: never detected
+    late_by_truth: list[int | None] = field(default_factory=list)  # the same for t_m - t_s
+    not_timed: int = 0  # models without t_m - t_c, as the labels abstain or have no onset
     tracking_px: float | None = None
     grasp: dict[str, Any] | None = None
     thumbnail: bytes | None = None
@@ -94,9 +98,18 @@ class StudyTrial:
     @property
     def model_error_ms(self) -> float | None:
         """t_m - t_c, median over the models; infinite if most of them never detect the slip."""
-        if not self.late_by:
-            return None
-        return float(np.quantile([np.inf if ms is None else ms for ms in self.late_by], 0.5, method="higher"))
+        return _median(self.late_by)
+
+    @property
+    def model_truth_error_ms(self) -> float | None:
+        """t_m - t_s, like `model_error_ms`."""
+        return _median(self.late_by_truth)
+
+
+def _median(late_by: list[int | None]) -> float | None:
+    if not late_by:
+        return None
+    return float(np.quantile([np.inf if ms is None else ms for ms in late_by], 0.5, method="higher"))
 
 
 @dataclass
@@ -200,8 +213,9 @@ def _read_trial(folder: Path, trial: StudyTrial, *, draw: bool) -> None:
     try:
         if "labels" in trial.files:
             with StageFile(folder / trial.files["labels"], "labels") as labels:
-                onset = int(labels.read("onset_slice"))
-                trial.t_c = onset if onset >= 0 else None
+                onset = labelled_onset(labels)
+                trial.doubt = onset.doubt
+                trial.t_c = None if onset.abstained else onset.slice_
                 trial.labelled_by = str(labels.header["parameters"].get("method", "farneback"))
         if "recording" in trial.files:
             with open_recording(folder / trial.files["recording"]) as recording:
@@ -248,19 +262,31 @@ def _detected_while_grasping(recording: Recording) -> Iterator[int]:
         yield from (int(recording.read("control/t_us")[at] // SLICE_US) for at in np.flatnonzero(slip)[:1])
 
 
+def by_truth(report: Found) -> bool:
+    """Whether a report of `evaluate slip` judged trials by the simulation's truth instead of labels."""
+    return bool(report.summary.get("judged_by", LABELS) != LABELS)
+
+
 def _judge(study: Study) -> None:
     """Add the reports' results to the trials: detections of every model, distance of the dots from truth."""
     trials = {trial.recording_id: trial for trial in study.trials}
-    late_by: dict[str, dict[tuple[str, str], int | None]] = {}
+    late_by: dict[bool, dict[str, dict[tuple[str, str], int | None]]] = {False: {}, True: {}}  # by truth or not
+    not_timed: dict[str, set[tuple[str, str]]] = {}
     for report in study.reports("evaluate slip"):
         rows = [row for row in report.rows if "t_m_minus_t_c_ms" in row and "t_c_ms" in row]
         recordings = report.recordings("features")
         for row, id_ in zip(rows, recordings * (len(rows) // max(len(recordings), 1)), strict=False):
-            if id_ in trials and row["t_c_ms"] is not None:
-                model = (str(row["setting"]), str(row["model_file"]))
-                late_by.setdefault(id_, {})[model] = row["t_m_minus_t_c_ms"]
-    for id_, by_model in late_by.items():
-        trials[id_].late_by = list(by_model.values())
+            if id_ not in trials:
+                continue
+            model = (str(row["setting"]), str(row["model_file"]))
+            if row["t_c_ms"] is not None:
+                late_by[by_truth(report)].setdefault(id_, {})[model] = row["t_m_minus_t_c_ms"]
+            elif not by_truth(report):
+                not_timed.setdefault(id_, set()).add(model)
+    for id_, trial in trials.items():
+        trial.late_by = list(late_by[False].get(id_, {}).values())
+        trial.late_by_truth = list(late_by[True].get(id_, {}).values())
+        trial.not_timed = len(not_timed.get(id_, set()) - late_by[False].get(id_, {}).keys())
     for report in study.reports("evaluate tracking"):
         rows = [row for row in report.rows if "file" in row]
         for row, id_ in zip(rows, report.recordings("tracks"), strict=False):
@@ -285,7 +311,7 @@ def remark(trial: StudyTrial, timing_ms: tuple[int, int]) -> tuple[float, str]:
         reasons.append((LOST, "lost in balance" if trial.grasp.get("lifted") else "not lifted"))
     if trial.events == 0:
         reasons.append((LOST, "no events"))
-    if trial.t_s is not None and trial.labelled_by is not None and trial.t_c is None:
+    if trial.t_s is not None and trial.labelled_by is not None and trial.t_c is None and not trial.doubt:
         reasons.append((NEVER, "slips, but the labels have no onset"))
     if trial.has_truth and trial.t_s is None and trial.t_c is not None:
         reasons.append((NEVER, "does not slip, but the labels have an onset"))

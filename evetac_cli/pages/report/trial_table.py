@@ -32,16 +32,17 @@ MODEL_AXIS = "first detection after the labels' onset [ms]"
 
 def trials_of_both(studies: Sequence[Study]) -> str:
     """Return the table of trials of both studies, largest differences first."""
-    pairs = figures.matched(studies)
+    pairs, words = figures.matched(studies)
+    hint = f"<p class='hint'>{html.escape(words)}"
     if not pairs:
-        return (
-            "<p class='hint'>None: the studies share no recipe, and no combination of scene, object, sensor, seed and"
-            " trial number.</p>"
-        )
+        return f"{hint}</p>"
+    errors = {"t_c - t_s": "label_error_ms", "t_m - t_c": "model_error_ms", "t_m - t_s": "model_truth_error_ms"}
+    both = [trial for pair in pairs for trial in pair]
+    errors = {name: kind for name, kind in errors.items() if any(getattr(trial, kind) is not None for trial in both)}
     rows = []
     for one, other in pairs:
         cells, differences = [cell(one.name)], []
-        for kind in ("label_error_ms", "model_error_ms"):
+        for kind in errors.values():
             values = getattr(one, kind), getattr(other, kind)
             both_known = None not in values and all(map(math.isfinite, values))
             difference = values[1] - values[0] if both_known else None
@@ -49,15 +50,17 @@ def trials_of_both(studies: Sequence[Study]) -> str:
             cells += [cell(values[0]), cell(values[1]), cell(difference)]
         cells += [cell(one.row.outcome), cell(other.row.outcome)]
         changed = one.row.outcome != other.row.outcome
-        rows.append((changed, max(differences), f"<tr>{''.join(cells)}</tr>"))
+        rows.append((changed, max(differences, default=0), f"<tr>{''.join(cells)}</tr>"))
     rows.sort(key=lambda row: row[:2], reverse=True)
     names = [html.escape(study.name) for study in studies]
     heads = ["trial"]
-    for error in ("t_c - t_s", "t_m - t_c"):
+    for error in errors:
         heads += [f"{error} [ms], {names[0]}", f"{names[1]}", "difference [ms]"]
     heads += [f"outcome, {names[0]}", names[1]]
-    hint = f"{len(pairs)} trials; those whose outcomes or onsets differ most come first."
-    return f"<p class='hint'>{hint}</p>" + table(heads, (row for _, _, row in rows[:MOST_TRIALS]))
+    abstained = sum(bool(trial.doubt) for trial in both)
+    dashes = f" A dash: not known; the labels of {abstained} of these trials abstain." if abstained else ""
+    hint += f"{dashes} Those whose outcomes or onsets differ most come first.</p>"
+    return hint + table(heads, (row for _, _, row in rows[:MOST_TRIALS]))
 
 
 def onset_charts(studies: Sequence[Study]) -> list[tuple[str, list[Chart | None]]]:
@@ -183,9 +186,10 @@ def _cells(study: Study, trial: StudyTrial, remarked: str, page: Path) -> dict[s
         "sensor": cell(row.sensor),
         "outcome": cell(row.outcome),
         "t_s [ms]": cell(trial.t_s),
-        "t_c [ms]": cell(trial.t_c),
+        "t_c [ms]": cell("abstained") if trial.doubt else cell(trial.t_c),
         "t_c - t_s [ms]": cell(trial.label_error_ms),
         "t_m - t_c [ms]": cell(trial.model_error_ms),
+        "t_m - t_s [ms]": cell(trial.model_truth_error_ms),
         "dots from truth [px]": cell(trial.tracking_px),
         "moved [mm]": cell(grasp.get("moved_mm")),
         "grip at the end [N]": cell(grasp.get("force_end_n")),

@@ -1,5 +1,8 @@
 """The labelled onset of slip: its interval, its confidence, and the reason if the labels abstain."""
 
+import re
+from collections import Counter
+from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -54,6 +57,12 @@ def labelled_onset(labels: StageFile) -> LabelledOnset:
     )
     doubt = str(labels.read("doubt")) if labels.has("doubt") else ""
     return told_onset(int(labels.read("onset_slice")), earliest, latest, float(labels.read("confidence")), doubt)
+
+
+def in_short(doubts: Iterable[str]) -> str:
+    """Return the reasons why labels abstain with their numbers, without the figures of a single trial."""
+    reasons = Counter(re.split("[:,;]| within [0-9]", doubt)[0] for doubt in doubts)
+    return "; ".join(f"{reason} ({count})" for reason, count in reasons.most_common())
 
 
 def abstains(file: StageFile) -> bool:

@@ -171,11 +171,30 @@ def test_two_side_by_side(folder: Path, tmp_path: Path, monkeypatch: pytest.Monk
     row = report.run([folder, other], Report(compare=True), None).rows[0]
     assert (row["page"], row["trials"]) == ("study-other.report.html", 8)
     text = Path("study-other.report.html").read_text()
-    assert "3 trials; those whose outcome" in text
+    assert "3 pairs of trials: 3 by the same recipe. Without a partner: 2 of 5 of study and 0 of 3 of other." in text
     both = text[text.index("id='both'") : text.index("id='trials'")]
     assert re.findall(r"<tr><td>(slip-00\d)</td>", both) == ["slip-002", "slip-000", "slip-001"]
-    pairs = figures.matched([read_study(folder, silent), read_study(other, silent)])
+    studies = [read_study(folder, silent), read_study(other, silent)]
+    pairs = figures.matched(studies).pairs
     assert [(one.name, two.name) for one, two in pairs] == [(f"slip-00{n}", f"again-{n}") for n in range(3)]
+    for number, trial in enumerate(studies[1].trials):  # the same trials with another sensor
+        trial.recording_id, trial.row = f"other-{number}", trial.row._replace(sensor="softer")
+    assert figures.matched(studies).pairs == pairs
+    assert "3 by the same scene, object, seed and trial number" in figures.matched(studies).words
+    studies[1].trials.append(studies[1].trials[0])  # ambiguous
+    assert len(figures.matched(studies).pairs) == 2
+
+
+def test_abstentions_are_not_counted(study: Study) -> None:
+    """Assert that a trial whose labels abstain is in no share, is no outlier, and is counted beside them."""
+    last = study.trials[4]
+    last.doubt, last.t_c, last.late_by, last.not_timed = "the slide stopped", None, [], 1
+    of_name = {figure.name: figure for figure in figures.headline(study)}
+    labelled, timed = of_name["onsets with a label"], of_name["timing correct, all models"]
+    assert (labelled.value, labelled.over) == (3 / 4, "4 of 5 trials that slip; labels abstain in 1")
+    assert timed.value == 2 / 4
+    assert timed.over.startswith("4 of 5 pairs of trial and model; 1 whose labels abstain")
+    assert remark(last, figures.TIMING_MS) == (0.0, "")
 
 
 def test_command(folder: Path, tmp_path: Path) -> None:
