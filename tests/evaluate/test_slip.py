@@ -494,8 +494,8 @@ def test_recordings_that_do_not_fit(world: dict[str, Any], tmp_path: Path) -> No
 @pytest.mark.parametrize("place", ["..", "../recordings"])
 def test_recordings_in_other_folders_are_found(world: dict[str, Any], tmp_path: Path, place: str) -> None:
     """Assert that recordings are found by their ids, under any name, above the features and in folders beside them."""
-    folder = tmp_path / "features"
-    folder.mkdir()
+    folder = tmp_path / "study" / "features"
+    folder.mkdir(parents=True)
     (folder / place).mkdir(exist_ok=True)
     path = Path(shutil.copy(world["known"][0], folder))
     recording_of_features(path, folder).rename(folder / place / "another-name.recording.h5")
@@ -508,6 +508,7 @@ def abstaining(path: Path, folder: Path) -> Path:
     copied = Path(shutil.copy(path, folder))
     with h5py.File(copied, "r+") as h5:
         h5["abstained"] = np.uint8(1)
+        h5["label"][ONSET - 3 : ONSET + 2] = -1  # the interval of the onset
     return copied
 
 
@@ -528,14 +529,16 @@ def test_n_is_what_was_counted(world: dict[str, Any], tmp_path: Path) -> None:
 
 def test_judged_by_truth(world: dict[str, Any], tmp_path: Path) -> None:
     """Assert that --truth judges as labels of --method truth, has its own report, and refuses trials without truth."""
-    path = abstaining(world["known"][0], tmp_path)
+    folder = tmp_path / "study" / "a"  # the folders around tmp_path have recordings of other tests
+    folder.mkdir(parents=True)
+    path = abstaining(world["known"][0], folder)
     with pytest.raises(InputError, match="no recording of this file"):
-        evaluated([path, world["seeds"][0]], tmp_path, truth=True)
-    recording_of_features(path, tmp_path)
-    rows, summary = evaluated([path, world["seeds"][0]], tmp_path, truth=True)
-    assert summary["report"] == str(tmp_path / "trial-100.slip-truth.report.h5")
+        evaluated([path, world["seeds"][0]], folder, truth=True)
+    recording_of_features(path, folder)
+    rows, summary = evaluated([path, world["seeds"][0]], folder, truth=True)
+    assert summary["report"] == str(folder / "trial-100.slip-truth.report.h5")
     assert {row["judged_by"] for row in rows if "covariate" not in row} == {"truth of the simulation"}
-    same = Path(shutil.copy(path, tmp_path / "same.features.h5"))
+    same = Path(shutil.copy(path, folder / "same.features.h5"))
     with h5py.File(same, "r+") as h5:
         del h5["abstained"]
         slips = np.arange(SLICES) >= ONSET - 2

@@ -125,7 +125,7 @@ def _identity(trial: StudyTrial) -> tuple[Any, ...]:
 # What is the same in two trials of a pair, the strictest first. The sensor is what many studies compare.
 SAME: tuple[tuple[str, Callable[[StudyTrial], tuple[Any, ...]]], ...] = (
     ("recipe", lambda trial: (trial.recording_id,)),
-    ("scene, object, sensor, seed and trial number", lambda trial: (*_identity(trial), trial.row.sensor)),
+    ("scene, object, sensor name, seed and trial number", lambda trial: (*_identity(trial), trial.row.sensor)),
     ("scene, object, seed and trial number", _identity),
 )
 
