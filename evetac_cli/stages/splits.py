@@ -19,7 +19,7 @@ def object_name(header: Header) -> str:
 def sensor_names(headers: Sequence[Header]) -> list[str]:
     """Return the sensor of the recording from which each file was made, or `unknown`.
 
-    Different sensors of one name, such as sensor files without `name`, are told apart by the values that differ.
+    Different sensors of one name, such as sensor files without `name`, get the values that differ in their names.
     """
     named = [_sensor(header) for header in headers]
     rows: dict[str, list[dict[str, Any]]] = {}

@@ -79,7 +79,7 @@ def headline(study: Study) -> list[StudyFigure]:
         if not judged:
             continue
         more = f" of {len(judged) + left_out}" if left_out else ""
-        why = f"; {left_out} whose labels abstain or have no onset are left out" if left_out else ""
+        why = f"; {left_out} left out: labels abstain or have no onset" if left_out else ""
         known_ms = [ms for ms in judged if ms is not None]
         correct = sum(TIMING_MS[0] <= ms <= TIMING_MS[1] for ms in known_ms)
         over = f"{len(judged)}{more} pairs of trial and model{why}"

@@ -193,7 +193,7 @@ def test_abstentions_are_not_counted(study: Study) -> None:
     labelled, timed = of_name["onsets with a label"], of_name["timing correct, all models"]
     assert (labelled.value, labelled.over) == (3 / 4, "4 of 5 trials that slip; labels abstain in 1")
     assert timed.value == 2 / 4
-    assert timed.over.startswith("4 of 5 pairs of trial and model; 1 whose labels abstain")
+    assert timed.over.startswith("4 of 5 pairs of trial and model; 1 left out: labels abstain")
     assert remark(last, figures.TIMING_MS) == (0.0, "")
 
 
