@@ -1,8 +1,8 @@
 """The tables of a report on slip: timing, F1 and warnings by setting, object, sensor, model and trajectory.
 
-Every share of slips is over `counted` trajectories. Its row also counts those that are left out: `abstained`, whose labels
-cannot determine the onset, and `no_slip`. F1 and false alarms are over the slices of all trajectories, without the
-interval of an uncertain onset.
+Every share of slips is over `counted` trajectories. Its row also counts those that are left out: `abstained`, whose
+labels cannot determine the onset, and `no_slip`. F1 and false alarms are over the slices of all trajectories, without
+the interval of an uncertain onset.
 
 Trajectories of an object are alike, so intervals come from resampling objects (and sensors, for timing); those of one
 object's row from resampling its trajectories. Seeds of training are averaged first.
