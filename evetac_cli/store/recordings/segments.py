@@ -95,7 +95,7 @@ class RecordingWriter:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
             self._unlock()
-            raise InputError("another process is recording here", where=str(self.folder)) from None
+            raise _in_use(self.folder) from None
         try:
             part_folder.refuse_strange(self.folder)
         except InputError:
@@ -103,7 +103,7 @@ class RecordingWriter:
             self._unlock()
             raise
         try:
-            refuse_leftover(self.path)
+            _refuse_segments(self.folder)
         except InputError:
             self._unlock()
             raise
@@ -213,9 +213,31 @@ class RecordingWriter:
 
 
 def refuse_leftover(path: Path) -> None:
-    """Raise InputError if a recording of this name was interrupted and its segments wait for repair."""
+    """Raise InputError if a recording of this name is in progress, or was interrupted and waits for repair."""
     folder = _part_folder(path)
-    if not folder.is_dir() or (folder / JOINED).exists():
+    if not folder.is_dir():
+        return
+    if (folder / LOCK).is_file():
+        try:
+            with open_lock(folder / LOCK) as lock:
+                fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise _in_use(folder) from None
+        except OSError:  # not a lock of a recorder: refused when the folder is claimed
+            pass
+    _refuse_segments(folder)
+
+
+def _in_use(folder: Path) -> InputError:
+    return InputError(
+        "another process is recording here",
+        where=str(folder),
+        hint="wait until it ends, or use another name with -o",
+    )
+
+
+def _refuse_segments(folder: Path) -> None:
+    if (folder / JOINED).exists():
         return
     if any(re.fullmatch(SEGMENT, file.name) for file in folder.iterdir()):
         raise InputError(

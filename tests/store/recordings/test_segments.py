@@ -318,6 +318,8 @@ def test_second_writer_is_refused(tmp_path: Path) -> None:
     first.close_segment()
     with pytest.raises(InputError, match="another process is recording here"):
         RecordingWriter(path, STATIC)
+    with pytest.raises(InputError, match="another process is recording here"):
+        segments.refuse_leftover(path)
     first.append(some_events(1, 6))
     first.finish(RECIPE)
     with open_recording(path) as recording:
