@@ -10,6 +10,7 @@ Segments are not compressed: this would take a tenth of the time in which they f
 the recorder must not leave its devices unread for that long. Each dataset has its CRC-32 instead, to detect damage.
 """
 
+import errno
 import fcntl
 import json
 import os
@@ -42,6 +43,10 @@ SEGMENT_EVENTS = 4_000_000  # ... unless this many events wait in memory
 COUNTS = "events_per_slice"
 STARTS = "ms_to_idx"
 BLOCK_ROWS = 1 << 16  # rows of lost slices written at a time
+WRITE_HINTS = {
+    **dict.fromkeys((errno.ENOSPC, errno.EDQUOT, errno.EFBIG), "free some space on this disk"),
+    errno.ENOENT: "the folder was moved or removed during the recording; if moved, evetac repair recovers what it has",
+}
 # Attributes of a segment, of its datasets, and of STATIC.
 FIRST_SLICE = "first_slice"
 CRC = "crc32"
@@ -208,7 +213,7 @@ class RecordingWriter:
             raise InputError(
                 f"a segment cannot be written: {error.strerror or error}",
                 where=str(path.parent),
-                hint="free some space on this disk",
+                hint=WRITE_HINTS.get(error.errno or 0, ""),
             ) from error
 
 

@@ -451,6 +451,17 @@ def test_full_disk(tmp_path: Path) -> None:
     assert everything(tmp_path) == ["a.recording.h5"]
 
 
+def test_moved_folder(tmp_path: Path) -> None:
+    """Assert that a folder that was moved during a recording is named as the cause, not a full disk."""
+    writer = RecordingWriter(tmp_path / "here" / "a.recording.h5", STATIC)
+    writer.append(some_events(0, 5))
+    (tmp_path / "here").rename(tmp_path / "there")
+    with pytest.raises(InputError, match="moved or removed") as refused:
+        writer.close_segment()
+    assert "free some space" not in str(refused.value)
+    writer.leave()
+
+
 def test_segments_are_plain_hdf5(tmp_path: Path) -> None:
     """Assert that a segment holds its own events with the number of each slice: any HDF5 tool can rescue it."""
     writer = RecordingWriter(tmp_path / "a.recording.h5", STATIC)
