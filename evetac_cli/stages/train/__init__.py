@@ -93,6 +93,7 @@ class TrainJob(Job):
 
     learned: int
     seed: int
+    withheld: int  # inputs not trained on because --validate names them, too
 
 
 @dataclass(frozen=True)
@@ -107,10 +108,13 @@ def jobs(files: list[Path], params: Train, out: Path | None) -> list[TrainJob]:
     """Return a job for every seed, each with all features files."""
     validate = named_files(params.validate, "features", "--validate") if params.validate else []
     files, validate = _with_objects(files, params), _with_objects(validate, params)
+    withheld = len(set(files) & set(validate))
     if not validate:
         validate = files[VALIDATE_EVERY - 1 :: VALIDATE_EVERY] or files[-1:]
     learn = [file for file in files if file not in validate]
     if not learn:
+        for file in files:  # a missing file, or one of another kind, is the likelier cause
+            header_of(file, "features")
         raise InputError(
             "no file is left to train on",
             expected="at least two features files",
@@ -125,7 +129,7 @@ def jobs(files: list[Path], params: Train, out: Path | None) -> list[TrainJob]:
         number = f"-s{seed}" if params.seeds > 1 else ""
         name = f"{settings.model}{horizon_ms}{number}.model.h5"
         output = out if out is not None and out.suffix == ".h5" else (out or learn[0].parent) / name
-        trainings.append(TrainJob((*learn, *validate), output, len(learn), seed))
+        trainings.append(TrainJob((*learn, *validate), output, len(learn), seed, withheld))
     return trainings
 
 
@@ -135,13 +139,22 @@ def parts(job: TrainJob, params: Train) -> list[NetworkJob]:
     count = settings.networks * (params.folds + 1)
     numbers = range(count if count > 1 else 0)
     places = [state_file(job.output, number, count) for number in numbers]
-    return [NetworkJob(job.inputs, places[number], job.learned, job.seed, number, job.output) for number in numbers]
+    return [
+        NetworkJob(job.inputs, places[number], job.learned, job.seed, job.withheld, number, job.output)
+        for number in numbers
+    ]
 
 
 def cautions(jobs: Sequence[TrainJob], params: Train) -> list[str]:
     """Return notes to print before a training, which may take long."""
-    few = {_few(len(job.inputs) if params.folds else len(job.inputs) - job.learned) for job in jobs}
-    return sorted(few - {""})
+    notes = {_few(len(job.inputs) if params.folds else len(job.inputs) - job.learned) for job in jobs}
+    notes |= {
+        f"{job.withheld} of the given files {'is' if job.withheld == 1 else 'are'} not trained on, because --validate"
+        f" names {'it' if job.withheld == 1 else 'them'}, too"
+        for job in jobs
+        if job.withheld
+    }
+    return sorted(notes - {""})
 
 
 def for_people(rows: list[dict[str, Any]], params: Train) -> tuple[list[dict[str, Any]], list[str]]:

@@ -231,6 +231,27 @@ def test_few_trajectories_to_choose_a_threshold_on_are_said(trials: list[Path], 
     assert train.cautions([job], small(folds=2)) == []
 
 
+def test_files_that_only_validate_are_said(trials: list[Path], tmp_path: Path) -> None:
+    """Assert a note on inputs that --validate takes out of the training, and none on other files."""
+    both = small(validate=trials[0])
+    assert any(
+        "1 of the given files is not trained on" in note
+        for note in train.cautions(train.jobs(trials, both, tmp_path), both)
+    )
+    assert not any(
+        "trained on, because" in note for note in train.cautions(train.jobs(trials[1:], both, tmp_path), both)
+    )
+
+
+def test_what_is_no_features_file_is_said(tmp_path: Path) -> None:
+    """Assert that a missing file and one of another kind are named, not that all files validate."""
+    missing = tmp_path / "a.features.h5"
+    with pytest.raises(InputError, match="no such file"):
+        train.jobs([missing], small(), tmp_path)
+    with pytest.raises(InputError, match="wrong kind of file"):
+        train.jobs([MODEL], small(), tmp_path)
+
+
 @pytest.mark.parametrize("preset", ["paper", "adamw"])
 @pytest.mark.slow
 def test_it_goes_on_after_an_interruption(
