@@ -318,7 +318,12 @@ def _dots(values: Any) -> NDArray[np.float64]:
     """Return centres as numbers, null for a missing dot; text and booleans are refused, although numpy accepts them."""
     if not _are_numbers(values):
         raise ValueError("dot_xy_px contains something other than numbers")
-    dots = np.asarray(values, dtype=np.float64) + 0.0  # a 0 without a sign
+    try:
+        dots = np.asarray(values, dtype=np.float64) + 0.0  # a 0 without a sign
+    except ValueError:
+        raise ValueError(
+            "the rows of dot_xy_px differ in length, or a dot is not [x, y]; a missing dot is [null, null]"
+        ) from None
     if dots.size > 2 * grid.MOST_DOTS:
         raise ValueError(f"{dots.size // 2} dots, more than {grid.MOST_DOTS}, the limit of the tracker")
     if (np.isfinite(dots) & (np.abs(dots) > MOST_PX)).any():

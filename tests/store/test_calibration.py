@@ -101,6 +101,12 @@ def test_dots_in_no_grid(tmp_path: Path) -> None:
         read(tmp_path, {**GOOD, "radius_px": 0.5, "dot_xy_px": places.tolist()})
 
 
+def test_ragged_rows(tmp_path: Path) -> None:
+    """Assert that rows of different lengths are refused in words."""
+    with pytest.raises(InputError, match="rows of dot_xy_px differ in length"):
+        read(tmp_path, {**GOOD, "dot_xy_px": [FLAT[:4], FLAT[4:7]]})
+
+
 def test_mask(tmp_path: Path) -> None:
     """Assert that a dot is missing where the mask is false, also in a list in any order, or its centre null."""
     mask = np.ones((3, 4), bool)
