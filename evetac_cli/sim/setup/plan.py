@@ -262,6 +262,14 @@ def named_sensor(name_or_path: str) -> tuple[str, Sensor | SensorRanges]:
 
     For `randomized` and `randomized-narrow`, which sample a sensor for each trial, return the ranges.
     """
+    if "," in name_or_path and not Path(name_or_path).exists():
+        raise InputError(
+            "no such sensor",
+            where="--sensor",
+            expected="one sensor, or one per camera, as in --camera sim,sim",
+            found=name_or_path,
+            hint="run the command once for each sensor",
+        )
     if name_or_path.endswith(sensor_file.SUFFIX):
         return sensor_file.read(Path(name_or_path), one_sensor)
     return name_or_path, sensor_ranges(name_or_path) if name_or_path in FOR_EACH_TRIAL else one_sensor(name_or_path)

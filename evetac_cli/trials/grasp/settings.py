@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -97,7 +98,13 @@ def _law(name: str, gain: float, margin: float) -> Law:
     except ValueError as error:
         where = "--controller" + ", --gain" * (gain != 1.0) + ", --grip-margin" * (margin != MARGIN)
         more = "".join(f", or {other}" for other in plugins.usable(plugins.CONTROLLERS))
-        raise InputError("unknown value", where=where, expected=f"{error}{more}".removeprefix("expected ")) from None
+        near = get_close_matches(name, (*grip_control.LAWS, *plugins.usable(plugins.CONTROLLERS)), n=1)
+        raise InputError(
+            "unknown value",
+            where=where,
+            expected=f"{error}{more}".removeprefix("expected "),
+            hint=f"did you mean {near[0]}?" if near and name not in grip_control.LAWS else "",
+        ) from None
 
 
 @dataclass(frozen=True)

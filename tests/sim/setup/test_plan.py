@@ -50,6 +50,12 @@ def test_which_sensor_is_sampled() -> None:
             one_sensor(wrong)
 
 
+def test_a_list_of_sensors_is_refused_in_words() -> None:
+    """Assert that several sensors are named as the cause, not a file that cannot be read."""
+    with pytest.raises(InputError, match="one sensor, or one per camera"):
+        plans("slip", "8", "a.toml,b.toml", ("ramp",))
+
+
 def test_whether_the_window_shows_a_texture() -> None:
     """Assert that --texture overrides what the scene says, and that saying what it says anyway is the same recipe."""
     shown, default = (first_plan("slip", texture=given).parameters() for given in ("on", None))

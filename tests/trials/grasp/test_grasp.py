@@ -257,3 +257,9 @@ def test_phases_follow_the_clock() -> None:
     assert [timing.phase(k) for k in (30, 59)] == [GraspPhase.BALANCE] * 2
     assert timing.end_ms == 60
     assert replace(timing, control_hz=250.0).every_ms == 4
+
+
+def test_a_misspelt_controller_has_a_suggestion() -> None:
+    """Assert that the nearest controller is suggested."""
+    with pytest.raises(InputError, match=r"did you mean paper\?"):
+        GraspSettings.of(Grasp(controller="papr"))
