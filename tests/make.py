@@ -89,7 +89,7 @@ def truth_arrays(dots_px: Any, slip: Any = 0, normal_n: Any = 0.0, shear_n: Any 
 def write_recording(path: Path, arrays: dict[str, Any], *, simulated: bool = False, **parameters: Any) -> Path:
     """Write a recording of these datasets, like an import does, and return its path."""
     recipe = Recipe("recording", 1, parameters, content=content_digest(arrays), simulated_source=simulated)
-    write_stage(path, recipe, arrays)
+    write_stage(path, recipe, arrays, force=True)
     return path
 
 

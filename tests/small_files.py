@@ -109,7 +109,7 @@ def recording(path: Path, *, lost_slices: bool = True) -> Header:
         "streams/wrist/about": '{"what": "camera at the wrist"}',
         "streams/wrist/frames": np.zeros((2, 6, 8, 3), np.uint8),
     }
-    return write_stage(path, Recipe("recording", 1, {}, seed=1, simulated_source=True), arrays)
+    return write_stage(path, Recipe("recording", 1, {}, seed=1, simulated_source=True), arrays, force=True)
 
 
 def tracks(path: Path, of: Header) -> Header:
@@ -120,7 +120,7 @@ def tracks(path: Path, of: Header) -> Header:
         "lost": np.zeros((SLICES, DOTS), np.uint8),
         **_sensor(),
     }
-    return write_stage(path, Recipe("tracks", 1, TRACKER, parents=(of,)), arrays)
+    return write_stage(path, Recipe("tracks", 1, TRACKER, parents=(of,)), arrays, force=True)
 
 
 def _label() -> Any:
@@ -136,7 +136,7 @@ def labels(path: Path, of: Header) -> Header:
         "confidence": np.float64(1.0),
         "flow_pairs_computed": np.int64(0),
     }
-    return write_stage(path, Recipe("labels", 1, {"method": "truth"}, parents=(of,)), arrays)
+    return write_stage(path, Recipe("labels", 1, {"method": "truth"}, parents=(of,)), arrays, force=True)
 
 
 def unsure_labels(path: Path, of: Header) -> Header:
@@ -153,7 +153,7 @@ def unsure_labels(path: Path, of: Header) -> Header:
         "confidence": np.float64(1.0),
         "flow_pairs_computed": np.int64(0),
     }
-    return write_stage(path, Recipe("labels", 1, {"method": "event-flow"}, parents=(of,)), arrays)
+    return write_stage(path, Recipe("labels", 1, {"method": "event-flow"}, parents=(of,)), arrays, force=True)
 
 
 def features(path: Path, of: tuple[Header, ...]) -> Header:
@@ -179,7 +179,7 @@ def features(path: Path, of: tuple[Header, ...]) -> Header:
         "image/pixel": np.tile(np.array([0, 539], np.uint32), SLICES),
         "image/sign": np.tile(np.array([1, -1], np.int8), SLICES),
     }
-    return write_stage(path, Recipe("features", 1, {}, parents=of), arrays)
+    return write_stage(path, Recipe("features", 1, {}, parents=of), arrays, force=True)
 
 
 def force_model(path: Path, of: Header) -> Header:
@@ -203,7 +203,7 @@ def force_model(path: Path, of: Header) -> Header:
         "curve/held_out_n": np.array([2.0, 1.0]),
         "curve/chosen": np.int64(1),
     }
-    return write_stage(path, Recipe("force-model", 1, {}, parents=(of,)), arrays)
+    return write_stage(path, Recipe("force-model", 1, {}, parents=(of,)), arrays, force=True)
 
 
 def touch_arrays(slices: int = SLICES) -> dict[str, Any]:
@@ -230,13 +230,13 @@ def touch_arrays(slices: int = SLICES) -> dict[str, Any]:
 
 def touch(path: Path, of: Header) -> Header:
     """Write the touch of `touch_arrays`."""
-    return write_stage(path, Recipe("touch", 1, {}, parents=(of,)), touch_arrays())
+    return write_stage(path, Recipe("touch", 1, {}, parents=(of,)), touch_arrays(), force=True)
 
 
 def report(path: Path) -> Header:
     """Write a report of one row."""
     arrays = {"command": "evaluate slip", "rows": '[{"f1": 0.5, "object": "8"}]', "summary": '{"f1": 0.5}'}
-    return write_stage(path, Recipe("report", 1, {}), arrays)
+    return write_stage(path, Recipe("report", 1, {}), arrays, force=True)
 
 
 def every_kind(folder: Path, *, lost_slices: bool = True) -> dict[str, Path]:

@@ -36,6 +36,7 @@ DOORS = {
     "realtime/bell.py": {"Pipe"},
     "realtime/last_words.py": {"RawArray"},
     "testing.py": {"TemporaryDirectory"},
+    "pages/view/trial_files.py": {"TemporaryDirectory"},
     "page_server.py": {"bind_sockets"},
     "trials/live_view/shared_view.py": {"RawArray"},
     "realtime/shared_status.py": {"RawArray"},

@@ -77,9 +77,9 @@ def test_a_target_sets_up_what_it_needs(target: str) -> None:
 
 
 def test_setup_all_brings_every_extra() -> None:
-    """Assert that setup-all installs all that is there, and setup not more than what draws pictures and pages."""
+    """Assert that setup-all installs all that is there, and setup not more than pictures, pages and formats need."""
     assert extras_of("EVERY") == set(PROJECT["optional-dependencies"]) == {*EXTRAS, "dev", "docs"}
-    assert extras_of("USED") == {"plot"}
+    assert extras_of("USED") == {"plot", "convert"}
 
 
 def test_torch_comes_from_the_index_that_is_named() -> None:

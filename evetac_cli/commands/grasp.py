@@ -27,7 +27,7 @@ class Grasp(Devices, Trials):
     )
     model: Path | None = parameter(
         None,
-        "Slip detector; default: `shipped`, the pretrained disp-xy-grip 10 ms ahead.",
+        "Slip detector; default: `shipped`, pretrained; the paper's controllers need one.",
         recipe=False,
     )
     slip_threshold: float | None = parameter(
@@ -49,7 +49,7 @@ class Grasp(Devices, Trials):
     )
     controller: str = parameter(
         "load-proportional",
-        f"Grip controller; {names.words(names.CONTROLLERS)}; or a plug-in's. The paper's need --model.",
+        f"Grip controller; {names.words(names.CONTROLLERS)}; or a plug-in's.",
     )
     gain: float = parameter(
         1.0,

@@ -59,7 +59,7 @@ def labels_file(recording: Path, onset: int, *, of: Path | None = None) -> None:
         "flow_pairs_computed": np.int64(0),
     }
     path = recording.with_name(recording.name.replace(".recording.", ".labels."))
-    write_stage(path, Recipe("labels", 1, {}, parents=(header,)), arrays)
+    write_stage(path, Recipe("labels", 1, {}, parents=(header,)), arrays, force=True)
 
 
 @pytest.fixture(autouse=True)

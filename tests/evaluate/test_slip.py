@@ -57,7 +57,7 @@ def features_file(
     recording = Recipe("recording", 1, chosen, seed=number, simulated_source=True).header()
     labels = Recipe("labels", 1, {"method": method}, parents=(recording,)).header()
     path = folder / f"trial-{number:03d}.features.h5"
-    write_stage(path, Recipe("features", 2, {}, parents=(recording, labels)), arrays)
+    write_stage(path, Recipe("features", 2, {}, parents=(recording, labels)), arrays, force=True)
     return path
 
 
@@ -429,7 +429,7 @@ def recording_of_features(path: Path, folder: Path, *, simulated: bool = True) -
         arrays["truth/visible_slip_share"] = np.where(at >= ONSET - 7, 0.9, 0.2).astype(np.float32)
     recording = folder / path.name.replace(".features.", ".recording.")
     recipe = Recipe("recording", 1, parent["parameters"], seed=parent["seed"], simulated_source=True)
-    write_stage(recording, recipe, arrays)
+    write_stage(recording, recipe, arrays, force=True)
     return recording
 
 

@@ -230,7 +230,7 @@ def test_no_text_of_a_csv_is_a_formula(text: str, tmp_path: Path) -> None:
     with StageFile(path) as file:
         arrays = {item: file.read(item) for item in file.contents()}
     parameters = {"sensor": text, "object": text}
-    write_stage(path, Recipe("recording", 1, parameters, seed=-3, simulated_source=True), arrays)
+    write_stage(path, Recipe("recording", 1, parameters, seed=-3, simulated_source=True), arrays, force=True)
     target = tmp_path / "out.csv"
     export(path, "csv", target)
     with target.open(newline="", encoding="utf-8") as file:

@@ -45,7 +45,7 @@ def write_grasp(
         "sensor": name_of_sensor,
         "scene": {"name": "lift", "summary": "an object is lifted"},
     }
-    of = write_stage(path, Recipe("recording", 1, parameters, seed=seed, simulated_source=True), arrays)
+    of = write_stage(path, Recipe("recording", 1, parameters, seed=seed, simulated_source=True), arrays, force=True)
     beside = {kind: folder / f"{name}.{kind}.h5" for kind in ("tracks", "labels", "features", "touch")}
     of_tracks = small_files.tracks(beside["tracks"], of)
     of_labels = small_files.labels(beside["labels"], of)

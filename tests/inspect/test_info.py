@@ -32,7 +32,7 @@ def captured(path: Path, **more: Any) -> Path:
     """A recording of two silent slices from devices."""
     arrays = event_arrays(events_at([]), 2)
     arrays |= {f"capture/{name.replace('__', '/')}": value for name, value in more.items()}
-    write_stage(path, Recipe("recording", 1, {}, content="0"), arrays)
+    write_stage(path, Recipe("recording", 1, {}, content="0"), arrays, force=True)
     return path
 
 
@@ -102,7 +102,7 @@ def test_many_parents_are_counted(tmp_path: Path, capsys: pytest.CaptureFixture[
     parents = tuple(Recipe("report", 1, {"number": number}).header() for number in range(30))
     path = tmp_path / "a.slip.report.h5"
     rows = {"command": "evaluate slip", "rows": "[]", "summary": "{}"}
-    write_stage(path, Recipe("report", 1, {}, parents=parents), rows)
+    write_stage(path, Recipe("report", 1, {}, parents=parents), rows, force=True)
     lines = shown(path, capsys)
     assert sum(line.startswith("from report") for line in lines) == info.MOST_PARENTS
     assert "and from 20 report (all: --json)" in lines
@@ -124,7 +124,7 @@ def test_an_onset_that_is_not_there_is_empty(tmp_path: Path) -> None:
             "confidence": np.float64(1.0),
             "flow_pairs_computed": np.int64(4),
         }
-        write_stage(path, Recipe("labels", 1, {"onset": onset}, parents=(parent,)), arrays)
+        write_stage(path, Recipe("labels", 1, {"onset": onset}, parents=(parent,)), arrays, force=True)
         (row,) = info.run([path]).rows
         assert row["onset_ms"] == (None if onset < 0 else onset)
 
@@ -156,7 +156,7 @@ def test_touch_at_a_glance(tmp_path: Path) -> None:
     known = {"known": {"shear_modulus_pa": 9e4}, "stiffness_error": 0.1}
     path = tmp_path / "a.touch.h5"
     for parameters, stiffness in ((known, "known, 90 kPa within 10 %"), ({}, "not known")):
-        write_stage(path, Recipe("touch", 1, parameters, parents=(tracks,)), arrays)
+        write_stage(path, Recipe("touch", 1, parameters, parents=(tracks,)), arrays, force=True)
         (row,) = info.run([path]).rows
         assert row["stiffness"] == stiffness
     assert (row["contacts"], row["contact_s"], row["first_contact_ms"]) == (2, 0.018, 3)
@@ -178,7 +178,7 @@ def test_touch_without_one(tmp_path: Path) -> None:
             values[...] = 0
     maps = {name: values for name, values in arrays.items() if not name.startswith("map/")}
     path = tmp_path / "a.touch.h5"
-    write_stage(path, Recipe("touch", 1, {}, parents=(tracks,)), maps)
+    write_stage(path, Recipe("touch", 1, {}, parents=(tracks,)), maps, force=True)
     (row,) = info.run([path]).rows
     assert (row["contacts"], row["slices_unknown"], row["maps"]) == (0, small_files.SLICES, "none")
     assert {row[f"{name}_most"] for name in ("shear_n", "normal_n", "torsion_n_mm", "area_mm2")} == {None}

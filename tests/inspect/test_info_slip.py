@@ -40,7 +40,7 @@ def real_slip(path: Path) -> Path:
         "flow_pairs_computed": np.int64(0),
     }
     labels = path.with_name(path.name.replace(".recording.", ".labels."))
-    write_stage(labels, Recipe("labels", 1, {}, parents=(header,)), arrays)
+    write_stage(labels, Recipe("labels", 1, {}, parents=(header,)), arrays, force=True)
     return labels
 
 

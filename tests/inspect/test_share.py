@@ -111,7 +111,7 @@ def test_model_card_with_a_report(made: Made, tmp_path: Path) -> None:
     assert "This card has no evaluation" not in (tmp_path / "hub" / "README.md").read_text()
     other = tmp_path / "other.slip.report.h5"
     arrays = {"command": "evaluate slip", "rows": "[]", "summary": "{}"}
-    write_stage(other, Recipe("report", 1, {}), arrays)
+    write_stage(other, Recipe("report", 1, {}), arrays, force=True)
     with pytest.raises(InputError, match="not on this model"):
         shared(made.model, other, out=tmp_path / "hub2")
     assert not (tmp_path / "hub2").exists()

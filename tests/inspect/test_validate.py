@@ -15,7 +15,7 @@ from tests.small_files import recording_of, tracks
 def write_long(path: Path, slices: int, events_a_slice: int) -> Path:
     """A recording with so many events in each slice, at the slice's beginning."""
     arrays = event_arrays(events_at(np.repeat(np.arange(slices) * 1000, events_a_slice)), slices)
-    write_stage(path, Recipe("recording", 1, {}, content="0" * 64), arrays)
+    write_stage(path, Recipe("recording", 1, {}, content="0" * 64), arrays, force=True)
     return path
 
 

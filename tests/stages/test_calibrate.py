@@ -173,7 +173,7 @@ def test_a_recording_says_what_its_gel_is(seen: Show, tmp_path: Path, truth: Gri
     arrays |= {"sensor/name": "known", "sensor/dot_xy_px": truth[:, :8], "sensor/dot_radius_px": np.float64(15.0)}
     for window, expected in (((550, 0, 640, 480), "550 0 640 480"), (None, None), ((300, 0, 640, 480), "asked")):
         known = arrays if window is None else arrays | {"sensor/window_px": np.array(window, np.int32)}
-        write_stage(path, Recipe("recording", 1, {"made": str(window)}, content="0" * 64), known)
+        write_stage(path, Recipe("recording", 1, {"made": str(window)}, content="0" * 64), known, force=True)
         if expected == "asked":
             with pytest.raises(InputError, match="is the gel cut"):
                 calibrated(path)

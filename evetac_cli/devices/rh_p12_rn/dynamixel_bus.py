@@ -249,13 +249,12 @@ class Bus(AbstractContextManager["Bus"]):
             time.sleep(self.settle_s)
         if lost == "answers_damaged":
             raise DeviceError(f"damaged answers to: {what}", where=self._where, hint="check the cable and its length")
+        cause = VIRTUAL_IS_LATE if self.port.startswith(VIRTUAL_PORTS) else "is the 24 V supply on?"
         raise DeviceTimeout(
             f"no answer to: {what}",
             where=self._where,
             expected="an answer at the first or second try",
-            hint=VIRTUAL_IS_LATE
-            if self.port.startswith(VIRTUAL_PORTS)
-            else f"is the 24 V supply on? evetac doctor --gripper {self.port} reports which id and rate answer",
+            hint=f"{cause} evetac doctor --gripper {self.port} reports which id and rate answer",
         )
 
     def _once(self, instruction: int, parameters: bytes) -> tuple[list[int], int, int]:

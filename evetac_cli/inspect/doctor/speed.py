@@ -117,7 +117,7 @@ class Computer:
 
     def steps_us(self, events: int) -> NDArray[np.float64]:
         """Measure online steps of the pretrained detector, on slices with this many events at the rims of the dots."""
-        sensor = {"sensor/dot_xy_px": DOTS_PX, "sensor/dot_radius_px": DOT_RADIUS_PX}
+        sensor = {"sensor/frame_px": FRAME_PX, "sensor/dot_xy_px": DOTS_PX, "sensor/dot_radius_px": DOT_RADIUS_PX}
         with StageFile(resources.MODEL, "model") as model:
             detector = open_detector(model, sensor, presets.PRESETS["stable"])
         rng = np.random.default_rng(0)

@@ -17,7 +17,7 @@ def write_report(
     """A report as `evaluate` writes it."""
     arrays = {"command": command, "rows": json.dumps(rows), "summary": json.dumps(summary)}
     recipe = Recipe("report", 1, {"command": command, "of": path.name}, parents=parents, simulated_source=True)
-    write_stage(path, recipe, arrays)
+    write_stage(path, recipe, arrays, force=True)
 
 
 def write_trials(

@@ -53,7 +53,9 @@ def slips(folder: Path, seeds: tuple[int, ...] = (1, 2)) -> None:
             "onset_slice": np.int64(10),
             "dot_shape": np.array([2, 3], np.int32),
         }
-        write_stage(folder / f"slip-{seed}.features.h5", Recipe("features", 1, {}, parents=(tracks, labels)), arrays)
+        write_stage(
+            folder / f"slip-{seed}.features.h5", Recipe("features", 1, {}, parents=(tracks, labels)), arrays, force=True
+        )
 
 
 def test_only_what_suits_the_folder_is_offered(tmp_path: Path) -> None:

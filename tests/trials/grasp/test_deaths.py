@@ -37,7 +37,7 @@ PATIENCE_S = 60.0
 class Camera(StillCamera):
     """Empty slices, and then what a test wants."""
 
-    sensor: dict[str, Any] = {}
+    sensor: dict[str, Any] = {"sensor/frame_px": (640, 480)}
     counted = {"late_events": 3}
 
     def __init__(self, then: Callable[[], None]) -> None:

@@ -197,6 +197,7 @@ from evetac_cli.trials.grasp.settings import DetectorModel
 
 x, y = np.meshgrid(60.0 * np.arange(8) + 60.0, 60.0 * np.arange(7) + 50.0)
 sensor = {"sensor/dot_xy_px": np.stack([x, y], axis=-1), "sensor/dot_radius_px": 11.0}
+sensor["sensor/frame_px"] = (640, 480)
 seeds = np.random.SeedSequence(0)
 detector = open_detector(DetectorSettings(parse("virtual"), seeds, sensor, DetectorModel.of(Grasp()), 1))
 assert detector.count == 0 and np.isnan(detector.probability)
