@@ -178,5 +178,5 @@ profile: $(READY)  ## measure each stage: processor time, memory and bytes per t
 	$(BIN)/python scripts/stage_costs.py $(if $(COSTS),-o $(COSTS))
 
 clean:  ## remove files from demo, tests and builds; keep the environment
-	rm -rf demo strips film small dist site docs/reference .cache .pytest_cache .ruff_cache .mypy_cache .hypothesis
+	rm -rf demo strips film small dist site .cache .pytest_cache .ruff_cache .mypy_cache .hypothesis
 	find . -name __pycache__ -not -path './$(VENV)/*' -prune -exec rm -rf {} +

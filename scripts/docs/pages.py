@@ -2,10 +2,9 @@
 
     python scripts/docs/pages.py [--out docs/reference]
 
-CONTRIBUTING and the two lists of changes, whose sources are elsewhere in the repository, become pages too.
-
-The folder is not committed. `make docs` writes it again before each build of the site, so the pages always match the
-code, and a changed option or scene needs no second commit.
+The folder is committed, so that links work for readers of a clone. `make docs` writes it again before each build of the
+site; a test asserts that it matches the code. CONTRIBUTING and the two lists of changes become pages of the site too;
+these copies are not committed.
 """
 
 import argparse

@@ -118,6 +118,14 @@ def test_every_public_name_of_python_has_a_place(every: dict[str, str]) -> None:
     assert sorted(named) == sorted(evetac_cli.__all__)
 
 
+def test_committed_pages_are_those_of_the_code(every: dict[str, str]) -> None:
+    """Assert that docs/reference/ is what scripts/docs/pages.py writes, but for copies of files of the repository."""
+    folder = ROOT / "docs" / "reference"
+    made = {path: text for path, text in every.items() if path not in pages.OF_THE_REPOSITORY}
+    found = {str(path.relative_to(folder)): path.read_text("utf-8") for path in folder.rglob("*.md")}
+    assert {path: text for path, text in found.items() if path not in pages.OF_THE_REPOSITORY} == made
+
+
 def test_every_page_is_in_the_navigation(every: dict[str, str]) -> None:
     """Assert that mkdocs.yml leads to each page of the reference, and to each page of docs/."""
     nav = (ROOT / "mkdocs.yml").read_text().partition("\nnav:")[2].split()
