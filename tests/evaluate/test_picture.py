@@ -105,6 +105,7 @@ def slip_outcome(settings: int, objects: int, *, published: bool) -> Outcome:
         name = f"fast-slow, {number} ms ahead, adamw, up to 10000 steps"
         shares = {"slip_early": 0.25, "slip_correct": 0.5, "slip_late": 0.25}
         what = {"model": "fast-slow", "horizon_ms": 0, "preset": "adamw", "trajectories": 4 * objects, "seeds": 1}
+        what |= {"judged_by": "labels", "counted": 3 * objects, "abstained": objects}
         papers = dict.fromkeys(("paper_slip_correct", "paper_f1"), 0.9 if published else None)
         warned = {column: 0.9 - ahead_ms / 50 for ahead_ms, column in slip_warnings.WARNED.items()}
         intervals = {

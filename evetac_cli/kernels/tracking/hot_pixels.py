@@ -26,7 +26,8 @@ _ROW_BITS = np.uint32(16)  # bit position of the row in an entry of `at_limit`, 
 def counts(state: np.void) -> NDArray[np.uint16]:
     """Return a state's pixel_events as (height + 2, width + 2), with a border of zeros; state: tracker.STATE."""
     width, height = state["frame_px"][0] + 2, state["frame_px"][1] + 2
-    return state["pixel_events"][: width * height].reshape((height, width))
+    pixels: NDArray[np.uint16] = state["pixel_events"]
+    return pixels[: width * height].reshape((height, width))
 
 
 @njit(cache=True)

@@ -88,7 +88,8 @@ def write_recording(
             "object_row": {"material": "paper", "width_mm": 35.0, "height_mm": 145.0},
             "sensor_row": {"mm_per_px": 0.05},
         }
-    return write_stage(path, Recipe("recording", 1, parameters, seed=seed, simulated_source=truth), arrays, force=True)
+    path.unlink(missing_ok=True)
+    return write_stage(path, Recipe("recording", 1, parameters, seed=seed, simulated_source=truth), arrays)
 
 
 def _grasp(slices: int) -> dict[str, Any]:
@@ -120,7 +121,8 @@ def write_tracks(path: Path, parent: Header, dots: np.ndarray, lost: np.ndarray 
         "lost": np.zeros(dots.shape[:2], np.uint8) if lost is None else lost,
         **SENSOR,
     }
-    return write_stage(path, Recipe("tracks", 1, {"preset": "paper"}, parents=(parent,)), arrays, force=True)
+    path.unlink(missing_ok=True)
+    return write_stage(path, Recipe("tracks", 1, {"preset": "paper"}, parents=(parent,)), arrays)
 
 
 def moving(slices: int = SLICES) -> np.ndarray:
@@ -159,7 +161,8 @@ def write_labels(
         "flow_pairs_computed": np.int64(9),
         **arrays,
     }
-    return write_stage(path, Recipe("labels", 1, {"threshold_px": 0.3, **more}, parents=(parent,)), written, force=True)
+    path.unlink(missing_ok=True)
+    return write_stage(path, Recipe("labels", 1, {"threshold_px": 0.3, **more}, parents=(parent,)), written)
 
 
 def write_touch(trial: Path, changes: dict[str, Any] | None = None, *, adapted: bool = False, **chosen: Any) -> Path:
@@ -171,7 +174,8 @@ def write_touch(trial: Path, changes: dict[str, Any] | None = None, *, adapted: 
         parents += (Recipe("force-model", 1, {"method": "touch"}).header(),)
     path = trial.with_name(trial.name.replace("recording", "touch"))
     arrays = {**small_files.touch_arrays(SLICES), **(changes or {})}
-    write_stage(path, Recipe("touch", 1, chosen, parents=parents), arrays, force=True)
+    path.unlink(missing_ok=True)
+    write_stage(path, Recipe("touch", 1, chosen, parents=parents), arrays)
     return path
 
 
