@@ -75,13 +75,11 @@ OF_TRAJECTORIES = {
     "timing": "timing",
     "abstained": "abstained",
 }
-COUNTED = {"trajectories": "trajectories", "counted": "n", "abstained": "abstained", "no_slip": "no_slip"}
-OF_GROUPS = {  # of --by
-    "sensor": "sensor",
-    "object": "object",
-    "file": "model_file",
-    "setting": "model",
-    **COUNTED,
+SHARES = {  # of a group of trials, with how many they are
+    "trajectories": "trajectories",
+    "counted": "n",
+    "abstained": "abstained",
+    "no_slip": "no_slip",
     "slip_early": "early",
     "slip_correct": "correct",
     "slip_late": "late",
@@ -89,16 +87,17 @@ OF_GROUPS = {  # of --by
     "false_alarms_per_min": "false/min",
     "f1": "f1",
 }
+OF_GROUPS = {  # of --by
+    "sensor": "sensor",
+    "object": "object",
+    "file": "model_file",
+    "setting": "model",
+    **SHARES,
+}
 OF_SETTINGS = {
     "setting": "setting",
     "seeds": "seeds",
-    **COUNTED,
-    "slip_early": "early",
-    "slip_correct": "correct",
-    "slip_late": "late",
-    "warned_10_ms": "warned_10_ms",
-    "false_alarms_per_min": "false/min",
-    "f1": "f1",
+    **SHARES,
     "paper_slip_correct": "paper_correct",
     "paper_f1": "paper_f1",
 }
