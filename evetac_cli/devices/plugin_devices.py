@@ -1,9 +1,9 @@
 """Open named cameras and grippers; those of plug-ins are checked while they run.
 
 Reason: code of another package may return anything, and what it returns is recorded and commands a gripper. The rules
-are those of `evetac_cli.testing`, which calls the same functions. A violation is a DeviceError that names the plug-in,
-so that what was recorded before is kept and torque is switched off, as after any failure of a device. evetac's own
-devices keep the rules by their tests, and are not wrapped.
+are those of `evetac_cli.testing`, which calls the same functions. A violation is a DeviceError that names the plug-in:
+what was recorded before is kept and torque is switched off. evetac's own devices keep the rules by their tests, and
+are not wrapped.
 """
 
 import json

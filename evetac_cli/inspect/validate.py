@@ -15,7 +15,7 @@ from evetac_cli.store.layout import contents, rules
 from evetac_cli.store.layout.provenance import ContentDigest
 from evetac_cli.store.recordings.read import Recording
 
-OF_A_TRIAL = ("labels", "tracks", "features", "touch")  # kinds that lie beside their recording, under its name
+OF_A_TRIAL = ("labels", "tracks", "features", "touch")  # kinds stored beside their recording, under its name
 EVENTS = 1 << 18  # read at once
 
 

@@ -16,7 +16,7 @@ def is_slice(
     width: int,
     height: int,
 ) -> bool:
-    """Whether all events lie in [start_us, start_us + 1000), in order of time, in the frame, with p 0 or 1."""
+    """Whether all events are in [start_us, start_us + 1000), in order of time, in the frame, with p 0 or 1."""
     count = t.shape[0]
     if x.shape[0] != count or y.shape[0] != count or p.shape[0] != count:
         return False

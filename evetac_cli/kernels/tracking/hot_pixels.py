@@ -55,7 +55,8 @@ def count(
     """Count the events of every pixel into pixel_events; return whether any of them comes from a hot pixel.
 
     A pixel is checked when its count exceeds the limit, and when its row fades, so nearly every event costs one access.
-    All events are counted before any pixel is checked, so that the order of events within the slice does not matter.
+    The order of events within the slice does not matter: all are counted before any pixel is checked.
+
     pixel_events: (height + 2, width + 2), the frame with a border of zeros. slices: number of slices before, from 0.
     """
     height, width = pixel_events.shape[0] - 2, pixel_events.shape[1] - 2

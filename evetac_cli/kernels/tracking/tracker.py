@@ -119,8 +119,8 @@ def start(
 ) -> TrackerState:
     """Start tracking dots from their centres at rest.
 
-    dot_xy_px: (n, 2) in any order, n up to CAPACITY, inside the frame and all different. A row of NaN is a missing dot,
-    which never moves, has no events and is not a neighbour of any dot. neighbours: (n, 8) indices filled up with -1; by
+    dot_xy_px: (n, 2) in any order, n up to CAPACITY, inside the frame and all different. A row of NaN is a missing dot:
+    no motion, no events, no neighbour of another dot. neighbours: (n, 8) indices filled up with -1; by
     default from `grid.neighbours`. frame_px: width and height. ValueError if the dots, the neighbours or the frame are
     not valid, or if the constants overshoot or stall on these dots (`require_followable`).
     """

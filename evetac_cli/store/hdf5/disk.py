@@ -132,7 +132,7 @@ def locked(path: Path) -> Iterator[None]:
         yield
     finally:
         if isinstance(lock, filelock.FileLock):
-            # Before it is unlocked: whoever waits for the removed file sees that it is gone, and locks a new one.
+            # Before it is unlocked: a process waiting for the removed file sees that it is gone, and locks a new one.
             with suppress(OSError):
                 place.unlink()
         lock.release()
