@@ -250,7 +250,7 @@ def identify_one(work: Path, number: int, grip_count: int) -> None:
             gripped = ("--scene", work / "grip-steps.toml", "--object", OBJECT, "--sensor", sensor)
             evetac("record", *gripped, "--seed", number + place * GRIP_SEED, "--force", "-o", grips[-1])
         grips.append(folder / "grasp.recording.h5")
-        moves = ("--controller", "fixed:6", "--lift-s", 2, "--balance-s", 0)
+        moves = ("--controller", "fixed:6", "--lift-s", 2, "--balance-s", 0, "--node-pitch-mm", 1.45)
         evetac("grasp", *moves, "--sensor", sensor, "--seed", number, "--force", "-o", grips[-1])
         known = ["--object-mass-g", OBJECT_G, "--pixel-mm", round(true.mm_per_px, 4)]
     twin = folder / "twin.sensor.toml"

@@ -32,7 +32,8 @@ Commands = list[str]  # commands of one case, run one after the other in a folde
 
 RECORDED = ("slip", "shear", "press", "edge", "data-rate")
 GRASPED = ("lift", "sideways", "drop-20g", "drop-100g")
-PAPER = "--controller paper --model shipped"
+GRID = "--node-pitch-mm 1.45"
+PAPER = f"{GRID} --controller paper --model shipped"
 LAWS = ("load-proportional", "paper-reset --model shipped", "none", "fixed:8")
 SENSORS = ("second", "bare-dvxplorer", "soft-gel", "stiff-gel", "randomized:7")
 TRAINED = (
@@ -54,7 +55,8 @@ def cases() -> Iterator[tuple[str, Commands]]:
     for scene in GRASPED:
         yield scene, [f"grasp --scene {scene} --object 16 {PAPER} --count 2 --out ."]
     for law in LAWS:
-        yield law.partition(" ")[0].replace(":", "-"), [f"grasp --object 11 --controller {law} --balance-s 5 --out ."]
+        name = law.partition(" ")[0].replace(":", "-")
+        yield name, [f"grasp --object 11 {GRID} --controller {law} --balance-s 5 --out ."]
     for sensor in SENSORS:
         yield f"sensor-{sensor.replace(':', '-')}", [f"record --sensor {sensor} --out ."]
     yield "sensor-randomized", ["record --sensor randomized --seed 3 --count 2 --out ."]

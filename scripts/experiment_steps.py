@@ -12,6 +12,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 Sizes = dict[str, Any]  # name -> int, text such as "1-9", or a tuple of names
 Command = list[str]
+GRID = ("--node-pitch-mm", 1.45)  # of every simulated grasp: its tables are of one grid
 
 
 def evetac(*words: object) -> Command:
@@ -33,10 +34,10 @@ def demo_steps(sizes: Sizes) -> Iterator[Command]:
     yield evetac("featurize", "*/*.recording.h5")
     yield evetac("train", "learn/*.features.h5", "--validate", "choose", "--model", "disp-xy", "--preset", "adam",
                  "--epochs", sizes["epochs"], "--seed", seed, "--out", "slip.model.h5")  # fmt: skip
-    yield evetac("grasp", "--object", 11, "--seed", seed, "--controller", "paper", "--model", "slip.model.h5",
+    yield evetac("grasp", "--object", 11, "--seed", seed, *GRID, "--controller", "paper", "--model", "slip.model.h5",
                  "--lift-s", 7, "--balance-s", 5, "--out", "with-detector.recording.h5")  # fmt: skip
-    yield evetac("grasp", "--object", 11, "--seed", seed, "--controller", "none", "--lift-s", 7, "--balance-s", 0,
-                 "--out", "without-detector.recording.h5")  # fmt: skip
+    yield evetac("grasp", "--object", 11, "--seed", seed, *GRID, "--controller", "none", "--lift-s", 7,
+                 "--balance-s", 0, "--out", "without-detector.recording.h5")  # fmt: skip
 
 
 def demo_evaluations(sizes: Sizes) -> dict[str, Command]:
@@ -284,7 +285,8 @@ def grasp_steps(sizes: Sizes) -> Iterator[Command]:
     trials, half = sizes["trials"], (sizes["trials"] + 1) // 2
 
     def grasp(out: str, count: int, objects: str, *words: object) -> Command:
-        return evetac("grasp", *words, "--object", objects, "--count", count, "--seed", sizes["seed"], "--out", out)
+        named = ("--object", objects, "--count", count, "--seed", sizes["seed"], *GRID)
+        return evetac("grasp", *words, *named, "--out", out)
 
     for name in sizes["settings"]:
         setting = GRASP_SETTINGS[name]
@@ -335,14 +337,14 @@ def strip_steps(sizes: Sizes) -> Iterator[Command]:
     yield evetac("record", "--scene", "vibration.toml", "--tone", 200, "--seed", seed,
                  "--out", "vibration.recording.h5")  # fmt: skip
     for scene in ("lift", "sideways", "drop-20g", "drop-100g"):
-        yield evetac("grasp", "--scene", scene, "--object", 16, "--seed", seed, "--controller", "paper",
+        yield evetac("grasp", "--scene", scene, "--object", 16, "--seed", seed, *GRID, "--controller", "paper",
                      "--model", "../demo/slip.model.h5", "--out", f"{scene}.recording.h5")  # fmt: skip
     yield script("pictures/strips.py", "*.recording.h5", "--out", ".")
 
 
 def film_steps(sizes: Sizes) -> Iterator[Command]:
     """Record the catch for the film, which shows the farthest slide that was caught."""
-    yield evetac("grasp", "--object", 17, "--seed", 0, "--controller", "paper", "--model", "shipped",
+    yield evetac("grasp", "--object", 17, "--seed", 0, *GRID, "--controller", "paper", "--model", "shipped",
                  "--lift-s", 7, "--balance-s", 5, "--texture", "on", "--out", "catch.recording.h5")  # fmt: skip
     yield evetac("track", "catch.recording.h5")
     yield script("pictures/film.py", "catch.recording.h5", "--out", "catch.gif")

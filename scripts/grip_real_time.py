@@ -47,7 +47,7 @@ def grasped(one: Drawn, law: str, how: str, folder: Path) -> Row:
     (folder / "object.toml").write_text(object_text(one))
     out = folder / f"{how}.recording.h5"
     words = [
-        *("grasp", *DEVICES[how], "--controller", law, "--object", "object.toml"),
+        *("grasp", *DEVICES[how], "--controller", law, "--object", "object.toml", "--node-pitch-mm", "1.45"),
         *(("--model", "shipped") if law in LAWS else ()),
         *("--sensor", one.plan.sensor_name),
         *("--lift-s", f"{LIFT_S:g}", "--balance-s", f"{BALANCE_S:g}", "--seed", str(one.seed), "-q", "-o", str(out)),

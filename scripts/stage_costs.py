@@ -33,7 +33,7 @@ from evetac_cli.console import print_table, say
 from evetac_cli.jobs import Row
 from evetac_cli.resources import MODEL
 
-LOOP = ("--controller", "paper", "--model", "shipped")
+LOOP = ("--controller", "paper", "--model", "shipped", "--node-pitch-mm", "1.45")
 FEW = 2  # trials of the first run: the least that train needs to train and to choose a threshold
 SEED = 10_000  # object of the first trial, which the pretrained detector was not trained on
 MOST_FUNCTIONS = 20  # functions that --inside shows

@@ -51,6 +51,7 @@ from evetac_cli.trials.grasp.online_detector import OnlineSlipDetector
 from evetac_cli.trials.grasp.settings import GraspSettings
 from evetac_cli.trials.grasp.two_fingers import TwoFingers
 
+GRID = ("--node-pitch-mm", "1.45")
 LOOP = ("--controller", "load-proportional", "--model", "shipped")
 PAPER_LOOP = ("--controller", "paper", "--model", "shipped")  # for timing with random events
 SHOWN = ("balanced", "failure", "force_end_n", "over_holding_end", "moved_mm", "slip_events", "false_slip_events")
@@ -105,7 +106,7 @@ def drawn_grasp(seed: int, how: str, device: str) -> Row:
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "object.toml").write_text(object_text(one))
         devices = ["--camera", CAMERAS[how].format(device), "--sensor", first if how == "one" else f"{first},{other}"]
-        times = ["--lift-s", f"{LIFT_S:g}", "--balance-s", f"{BALANCE_S:g}", "--seed", str(seed)]
+        times = ["--lift-s", f"{LIFT_S:g}", "--balance-s", f"{BALANCE_S:g}", "--seed", str(seed), *GRID]
         return figures(command(Path(folder), *devices, *LOOP, "--object", "object.toml", *times))
 
 

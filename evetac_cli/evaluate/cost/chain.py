@@ -36,7 +36,7 @@ from evetac_cli.trials.trial import SimulatedTrial
 
 Result = TypeVar("Result")
 
-GRASP_CHOICES: dict[str, Any] = {"controller": "paper", "model": Path(resources.SHIPPED)}
+GRASP_CHOICES: dict[str, Any] = {"controller": "paper", "model": Path(resources.SHIPPED), "node_pitch_mm": 1.45}
 LIFT_S, BALANCE_S = 3.5, 0.5  # of a grasp: the hand reaches 50 mm, the least that counts as held, after 3.1 s
 
 
@@ -156,7 +156,7 @@ def run_grasp(trial: ChainTrial, setting: SolverSetting, folder: Path) -> Lifted
     """Run the grasp of `evetac grasp --object N --seed N` with the flags of GRASP_CHOICES and of a setting."""
     options: dict[str, Any] = dict(setting.solver)
     times: dict[str, Any] = {"count": trial.number + 1, "lift_s": LIFT_S, "balance_s": BALANCE_S}
-    params = Grasp(objects=str(trial.grasped), seed=trial.seed, **GRASP_CHOICES, **times, **options)
+    params = Grasp(objects=str(trial.grasped), seed=trial.seed, **times, **(GRASP_CHOICES | options))
     job = grasp.jobs([], params, folder)[trial.number]
     assert isinstance(job, SimulatedGrasp)
     outcome, seconds = timed(lambda: simulated_grasp.run(job, force=False, progress=silent))
