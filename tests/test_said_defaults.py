@@ -32,12 +32,13 @@ from evetac_cli.formats.write.lerobot import event_stacks, write_lerobot
 from evetac_cli.kernels.event_representation import Representation
 from evetac_cli.sim.gel import gel
 from evetac_cli.sim.setup.plan import HIGHEST_TONE_HZ
-from evetac_cli.sim.setup.solver import Solver
+from evetac_cli.sim.setup.solver import LIFT_PITCH_MM, Solver
 from evetac_cli.stages import model_files, train, trim
 from evetac_cli.stages.identify import gripper_rows
 from evetac_cli.stages.train import validating
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.recordings.read import RATE_HZ
+from evetac_cli.trials import gel_grid
 from evetac_cli.trials.grasp import real_time
 from evetac_cli.trials.record import capture_plan
 
@@ -66,7 +67,10 @@ def _time_unit(seconds: list[float]) -> str:
 SAID: dict[tuple[str, str], Callable[[], str]] = {
     ("trials", "tolerance_um"): lambda: f"the scene's, or {Solver.tolerance_um}",
     ("trials", "theta"): lambda: f"the scene's, or {Solver.theta}",
-    ("trials", "node_pitch_mm"): lambda: f"the scene's, or {Solver.node_pitch_mm}",
+    ("trials", "node_pitch_mm"): lambda: (
+        f"the scene's, or {Solver.node_pitch_mm}; a simulated `grasp` takes the coarsest of {LIFT_PITCH_MM} to"
+        f" {gel_grid.FINEST_MM} that"
+    ),
     ("trials", "camera_substeps"): lambda: f"the scene's, or {Solver.camera_substeps}",
     ("trials", "scans_per_ms"): lambda: f"the scene's, or {Solver.scans_per_ms}",
     ("trials", "watchdog_ms"): lambda: f"{RhP12RnSettings.watchdog_ms} to record, {real_time.WATCHDOG_MS} to grasp",

@@ -79,7 +79,8 @@ class Trials:
     )
     node_pitch_mm: float | None = parameter(
         None,
-        "Distance between the gel's nodes; default: the scene's, or 0.833.",
+        "Distance between the gel's nodes; default: the scene's, or 0.833; a simulated `grasp` takes the coarsest of"
+        " 1.45 to 0.5 that resolves slip.",
         unit="mm",
         low=0.05,
         high=5.0,

@@ -22,6 +22,7 @@ from evetac_cli.jobs import Outcome, Progress, silent
 from evetac_cli.sim.parts import Call, Timer, rows_of, switched
 from evetac_cli.sim.setup.scene import Scene
 from evetac_cli.store.recordings.slip_grid import FEWEST_NODES
+from evetac_cli.trials import gel_grid
 from evetac_cli.trials.trial import SimulatedTrial
 
 REPEATS = 3  # most repeats in a dry run
@@ -117,11 +118,15 @@ BESIDE_SCENE = {
 def dry_run(trials: Sequence[SomeTrial], play: Play[SomeTrial], progress: Progress = silent) -> Outcome:
     """Return what the first trial builds and leaves out, and the cost of each part on this machine."""
     costs = measure(trials[0], play, REPEATS, moving_s=DRY_MOVING_S, budget_s=BUDGET_S, progress=progress)
-    coarse = {f"{called}": nodes for called, nodes in nodes_of_slip(trials).items() if nodes < FEWEST_NODES}
+    coarse = {called: nodes for called, nodes in nodes_of_slip(trials).items() if nodes < FEWEST_NODES}
     files: dict[str, Any] = {"files": sum(len(trial.outputs) for trial in trials), "first_file": str(trials[0].output)}
+    if notes := gel_grid.notes(trials):
+        files["gel_grid"] = notes[0]
     if coarse:
-        pitch_mm = trials[0].plan.scene.solver.node_pitch_mm
-        files |= {"nodes_of_slip": coarse, "resolving_pitch_mm": pitch_mm * min(coarse.values()) / FEWEST_NODES}
+        first = _first_of_objects(trials)
+        pitches_mm = [first[called].plan.scene.solver.node_pitch_mm * coarse[called] for called in coarse]
+        files["nodes_of_slip"] = {f"{called}": nodes for called, nodes in coarse.items()}
+        files["resolving_pitch_mm"] = min(pitches_mm) / FEWEST_NODES
     if not costs.slices:  # the trial ended before anything could be measured
         return Outcome(rows_of(trials[0].plan), True, files, made=False)
     rows, total_us = costs.rows(), float(costs.whole.mean())
@@ -140,18 +145,16 @@ def nodes_of_slip(trials: Sequence[SimulatedTrial]) -> dict[int | str, float]:
 
     Below FEWEST_NODES the onset of slip depends on the grid.
     """
-    from evetac_cli.sim.scenes.building import simulation_of  # imports numba
-    from evetac_cli.sim.scenes.gripped import GraspSimulation
+    return {called: gel_grid.nodes_of_slip(trial) for called, trial in _first_of_objects(trials).items()}
 
-    nodes: dict[int | str, float] = {}
+
+def _first_of_objects(trials: Sequence[SimulatedTrial]) -> dict[int | str, SimulatedTrial]:
+    """Return the first trial of each gripped object."""
+    first: dict[int | str, SimulatedTrial] = {}
     for trial in trials:
-        called = trial.plan.called
-        if called is None or called in nodes:
-            continue
-        simulation = simulation_of(trial.plan, trial.seeds())
-        if isinstance(simulation, GraspSimulation):
-            nodes[called] = simulation.nodes_of_slip()
-    return nodes
+        if trial.plan.called is not None:
+            first.setdefault(trial.plan.called, trial)
+    return first
 
 
 def for_people(shown: Outcome) -> tuple[list[dict[str, Any]], list[str]]:
@@ -181,6 +184,8 @@ def for_people(shown: Outcome) -> tuple[list[dict[str, Any]], list[str]]:
             f"A slice takes {summary['time_us_a_slice']:.0f} us here, which is {summary['times_real_time']:.2g} x real"
             f" time, measured on {summary['slices_measured']:,} slices."
         ]
+    if "gel_grid" in summary:
+        sentences += [f"{summary['gel_grid'].capitalize()}."]
     if "nodes_of_slip" in summary:
         objects = ", ".join(f"{called} ({nodes:.1f})" for called, nodes in summary["nodes_of_slip"].items())
         sentences += [

@@ -75,11 +75,13 @@ class Trial(Job):
 class SimulatedTrial(Trial):
     """A trial in a simulated scene, whose time passes as its slices are read.
 
-    second_output: the file of the second finger's camera, if the plan has one.
+    second_output: the file of the second finger's camera, if the plan has one; usual_pitch_mm: pitch of the gel's nodes
+    in its scene, if a finer one was chosen (gel_grid.py).
     """
 
     plan: Plan
     second_output: Path | None = field(default=None, kw_only=True)
+    usual_pitch_mm: float | None = field(default=None, kw_only=True)
 
     @property
     def outputs(self) -> tuple[Path, ...]:

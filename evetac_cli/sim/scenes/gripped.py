@@ -276,9 +276,13 @@ class GraspSimulation:
             self._pressure_law,
         )
 
-    def nodes_of_slip(self) -> float:
-        """Return half the wavelength of unstable slip at the slip limit, in nodes; infinity if slip is stable."""
-        return nodes_of_slip(self._slip_limit_n, self._curve, self._gaps, self._gel, self._friction, self._pressure_law)
+    def nodes_of_slip(self, grip: float = 1.0) -> float:
+        """Return half the wavelength of unstable slip, in nodes; infinity if slip is stable.
+
+        grip: normal force over the slip limit.
+        """
+        force_n = grip * self._slip_limit_n
+        return nodes_of_slip(force_n, self._curve, self._gaps, self._gel, self._friction, self._pressure_law)
 
     def step(self) -> Events:
         """Advance by one slice and return its events; sets `finished` with the last one."""

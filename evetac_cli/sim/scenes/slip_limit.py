@@ -41,18 +41,18 @@ def slip_limit_n(
 
 
 def nodes_of_slip(
-    limit_n: float,
+    force_n: float,
     curve: contact.ForceCurve,
     gaps: CellGaps,
     state: gel.GelState,
     friction: gel.Friction,
     law: PressureLaw | None,
 ) -> float:
-    """Return half the wavelength of unstable slip, in nodes, at the highest pressure at the slip limit.
+    """Return half the wavelength of unstable slip, in nodes, at the highest pressure under a normal force.
 
     Infinity if slip is stable there. A recording contains it for nodes that slipped (truth/slip_half_wavelength_nodes).
     """
-    most_n = limit_n * float(_gripping(limit_n, curve.force_n, curve.indentation_m, gaps, law).max())
+    most_n = force_n * float(_gripping(force_n, curve.force_n, curve.indentation_m, gaps, law).max())
     return gel.slip_half_wavelength_nodes(state, friction, most_n)
 
 

@@ -2,6 +2,7 @@
 
 import shlex
 from collections.abc import Mapping
+from dataclasses import replace
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from evetac_cli.resources import SCENES
 from evetac_cli.sim.setup.driven import Speaker
 from evetac_cli.sim.setup.held import GripperCurrent, GripperSettings
 from evetac_cli.sim.setup.scene import Scene
+from evetac_cli.sim.setup.solver import LIFT_PITCH_MM
 from evetac_cli.sim.setup.tables import as_table, build, check
 from evetac_cli.text_files import as_toml, read_toml
 
@@ -24,12 +26,19 @@ IN_PLACE_OF = {"start_n": ("start_factor", "start_more_n"), "open_s": ("ramp_s",
 
 def load(name_or_path: str) -> Scene:
     """Read a scene by its name (from evetac or a plug-in) or from a TOML file; SceneError if it is invalid."""
-    path = Path(name_or_path) if name_or_path.endswith(SUFFIX) else _path_of_name(name_or_path)
+    path = _path_of(name_or_path)
     return of_table(read_toml(path, SceneError), str(path))
 
 
-def _path_of_name(name: str) -> Path:
-    """Return the file of a scene by its name; SceneError if there is no such scene."""
+def states_pitch(name_or_path: str) -> bool:
+    """Return whether the file of a scene states the distance of the gel's nodes; SceneError as for `load`."""
+    return "node_pitch_mm" in read_toml(_path_of(name_or_path), SceneError).get("solver", {})
+
+
+def _path_of(name: str) -> Path:
+    """Return the file of a scene by its name or path; SceneError if there is no scene of this name."""
+    if name.endswith(SUFFIX):
+        return Path(name)
     if name in plugins.OURS[plugins.SCENES]:
         return SCENES / f"{name}{SUFFIX}"
     path = plugins.find_file(plugins.SCENES, name)
@@ -68,6 +77,8 @@ def of_table(table: Mapping[str, Any], where: str) -> Scene:
         scene = build(Scene, table)
     except ValueError as error:  # a fixed step that does not divide a slice
         raise SceneError(f"solver: {error}", where=where) from None
+    if scene.kind == "lift" and "node_pitch_mm" not in table.get("solver", {}):
+        scene = replace(scene, solver=replace(scene.solver, node_pitch_mm=LIFT_PITCH_MM))
     _check_gripper(scene.gripper, table.get("gripper", {}), where)
     if scene.gripper.current is not None:
         _check_current(scene, scene.gripper.current, table["gripper"], where)

@@ -13,6 +13,7 @@ from evetac_cli.checks import check_range
 from evetac_cli.errors import InputError, SceneError
 from evetac_cli.sim.setup.tables import number, read_table, whole
 
+LIFT_PITCH_MM = 1.45  # distance of the gel's nodes in a lift scene that states none
 HALVINGS = 3  # most halvings of a 1 ms slice at the default tolerance: steps of 1/8 ms
 MOST_HALVINGS = 7  # most halvings at any tolerance
 
@@ -42,7 +43,9 @@ class Solver:
         1,
         default=0.51,
     )
-    node_pitch_mm: float = number("distance between neighbouring nodes of the gel", 0.05, 5, default=0.833)
+    node_pitch_mm: float = number(
+        "distance between neighbouring nodes of the gel; chosen by `grasp` if left out", 0.05, 5, default=0.833
+    )
     camera_substeps: int = whole("number of straight segments of a dot's path within a slice", 1, 100, default=1)
     scans_per_ms: int = whole("scans per ms of the simulated readout; the DVXplorer has 5", 1, 100, default=5)
     residual: float = number(

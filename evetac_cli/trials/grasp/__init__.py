@@ -21,8 +21,9 @@ from evetac_cli.devices.grippers import NamedGripper
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job, Outcome, Progress, Stage, silent
 from evetac_cli.names import Capability
+from evetac_cli.sim.setup import scene_file
 from evetac_cli.store.recordings import slip_grid
-from evetac_cli.trials import part_costs
+from evetac_cli.trials import gel_grid, part_costs
 from evetac_cli.trials.grasp import simulated
 from evetac_cli.trials.grasp.settings import DeviceGrasp, GraspSettings, ReplayGrasp, SimulatedGrasp
 from evetac_cli.trials.listen import Listening, listen, listening
@@ -55,13 +56,16 @@ def jobs(files: list[Path], params: Grasp, out: Path | None) -> Sequence[Job]:
         if params.listen:  # only with devices, as _refuse_unused ensures
             return [listening([each for each in grasps if isinstance(each, DeviceGrasp)], out, params.listen_port)]
         return grasps
+    trials = simulated_trials(("lift",), params, out, fingers=len(cameras))
+    if params.node_pitch_mm is None and not scene_file.states_pitch(params.scene):
+        trials = [gel_grid.chosen(trial) for trial in trials]
     return [
         SimulatedGrasp(
             **vars(trial) | {"view": settings.view(params)},
             settings=settings,
             timing=settings.timing(trial.plan.scene.time.touch_s),
         )
-        for trial in simulated_trials(("lift",), params, out, fingers=len(cameras))
+        for trial in trials
     ]
 
 
@@ -133,6 +137,11 @@ def dry_run(jobs: Sequence[Job], params: Grasp, *, force: bool = False, progress
     return part_costs.dry_run(trials, simulated.play, progress)
 
 
+def cautions(jobs: Sequence[Job], params: Grasp) -> list[str]:
+    """Return a sentence on the gel's grids that were chosen."""
+    return gel_grid.notes([job for job in jobs if isinstance(job, SimulatedGrasp)])
+
+
 def run(job: Job, params: Grasp, *, force: bool = False, progress: Progress = silent) -> Outcome:
     """Grasp one object and record everything: in simulation, in real time, or on a recording."""
     match job:
@@ -156,6 +165,7 @@ def run(job: Job, params: Grasp, *, force: bool = False, progress: Progress = si
 STAGE = Stage(
     jobs,
     run,
+    cautions=cautions,
     for_people=for_people,
     details=DETAILS,
     warnings=slip_grid.once,

@@ -1,0 +1,80 @@
+"""Choose the gel's grid of a grasp for which neither a flag nor its scene states the pitch of the nodes.
+
+It is the coarsest that resolves the slip of the object, so that the onset of slip does not depend on it. The choice
+follows from the trial's plan and seeds alone, before anything is simulated. A trial with virtual devices keeps the
+usual grid, because it has to run in real time.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+from evetac_cli.errors import SceneError
+from evetac_cli.sim.setup.sensor import PAD_M
+from evetac_cli.sim.setup.solver import Solver
+from evetac_cli.store.recordings.slip_grid import FEWEST_NODES, resolving_mm
+from evetac_cli.trials.trial import SimulatedTrial
+
+GRIP = 2.5  # margin: normal force over the slip limit at which slip is resolved; objects also slip in too tight a grip
+FINEST_MM = 0.5  # finest pitch that is chosen
+NODES_OF_REST = 800  # the rest of a simulated slice takes the time of this many nodes
+
+
+def nodes_of_slip(trial: SimulatedTrial, grip: float = 1.0) -> float:
+    """Return half the shortest wavelength of unstable slip, in grid nodes; infinity if slip is stable.
+
+    grip: normal force over the slip limit. SceneError if the trial cannot be simulated.
+    """
+    from evetac_cli.sim.scenes.building import simulation_of  # imports numba
+    from evetac_cli.sim.scenes.gripped import GraspSimulation
+
+    simulation = simulation_of(trial.plan, trial.seeds())
+    return simulation.nodes_of_slip(grip) if isinstance(simulation, GraspSimulation) else math.inf
+
+
+def chosen(trial: SimulatedTrial) -> SimulatedTrial:
+    """Return the trial on the coarsest grid that resolves the slip of its object with the margin GRIP.
+
+    The grid is not coarser than the scene's, nor finer than FINEST_MM; the finest may do without the margin. The trial
+    itself if its own grid resolves the slip, or if none does.
+    """
+    usual_mm = trial.plan.scene.solver.node_pitch_mm
+    pitch_mm, finer = usual_mm, trial
+    try:
+        while (nodes := nodes_of_slip(finer, GRIP)) < FEWEST_NODES:
+            if pitch_mm <= FINEST_MM:
+                return finer if nodes_of_slip(finer) >= FEWEST_NODES else trial
+            pitch_mm = max(resolving_mm(nodes, pitch_mm), FINEST_MM)
+            scene = trial.plan.scene
+            scene = replace(scene, solver=replace(scene.solver, node_pitch_mm=pitch_mm))
+            finer = replace(trial, plan=replace(trial.plan, scene=scene), usual_pitch_mm=usual_mm)
+    except SceneError:  # reported when the trial is run
+        return trial
+    return finer
+
+
+def notes(trials: Sequence[SimulatedTrial]) -> list[str]:
+    """Return a sentence on the grids that were chosen and what they cost; none if all trials have their scene's."""
+    finer = [trial for trial in trials if trial.usual_pitch_mm is not None]
+    if not finer:
+        return []
+    pitches_mm = sorted({trial.plan.scene.solver.node_pitch_mm for trial in finer})
+    span = " to ".join(f"{pitch_mm:.2f}" for pitch_mm in dict.fromkeys((pitches_mm[0], pitches_mm[-1])))
+    objects = list(dict.fromkeys(str(trial.plan.called) for trial in finer))
+    which = f"object{'s' if len(objects) > 1 else ''} {', '.join(objects)}"
+    which += f", {len(finer)} of {len(trials)} trials" if len(trials) > 1 else ""
+    times = sum(map(_times, finer)) / len(finer)
+    usual = f"default {finer[0].usual_pitch_mm:g}"
+    return [f"gel grid {span} mm for {which} ({usual}): slip resolved, about {times:.1f} times the time"]
+
+
+def _times(trial: SimulatedTrial) -> float:
+    """Return the simulation time of a trial relative to that on its scene's grid."""
+    assert trial.usual_pitch_mm is not None
+    solver = trial.plan.scene.solver
+    finer, usual = (_nodes(one) for one in (solver, replace(solver, node_pitch_mm=trial.usual_pitch_mm)))
+    return (NODES_OF_REST + finer) / (NODES_OF_REST + usual)
+
+
+def _nodes(solver: Solver) -> int:
+    return math.prod(solver.nodes(PAD_M))

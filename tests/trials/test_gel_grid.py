@@ -1,0 +1,93 @@
+"""The gel's grid that a grasp chooses, and when it chooses none."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from evetac_cli.commands.grasp import Grasp
+from evetac_cli.jobs import Job
+from evetac_cli.sim.setup import scene_file
+from evetac_cli.sim.setup.solver import LIFT_PITCH_MM, Solver
+from evetac_cli.store.recordings.slip_grid import FEWEST_NODES
+from evetac_cli.trials import gel_grid, grasp
+from evetac_cli.trials.grasp.settings import SimulatedGrasp
+from evetac_cli.trials.grasp.simulated import make_recipe
+from evetac_cli.trials.part_costs import for_people
+
+OTHER = {"time": {"before_rise_s": 0.4}}
+
+
+def grasps(**flags: Any) -> list[SimulatedGrasp]:
+    """The grasps of some flags."""
+    return [job for job in grasp.jobs([], Grasp(**flags), None) if isinstance(job, SimulatedGrasp)]
+
+
+def solver(job: Job) -> Solver:
+    """The settings of a trial's simulation."""
+    plan = getattr(job, "plan", None)
+    assert plan is not None
+    return plan.scene.solver
+
+
+def nodes_at(trial: SimulatedGrasp, pitch_mm: float) -> float:
+    """The nodes of a trial's slip on another grid, with the margin."""
+    scene = replace(trial.plan.scene, solver=Solver(node_pitch_mm=pitch_mm))
+    return gel_grid.nodes_of_slip(replace(trial, plan=replace(trial.plan, scene=scene)), gel_grid.GRIP)
+
+
+def test_the_coarsest_grid_that_resolves_slip_is_chosen() -> None:
+    """Assert that the grid of each trial resolves slip with the margin, and that a coarser one would not."""
+    for trial in grasps(objects="11", count=2):
+        pitch_mm = solver(trial).node_pitch_mm
+        assert gel_grid.FINEST_MM < pitch_mm < LIFT_PITCH_MM
+        assert nodes_at(trial, pitch_mm) >= FEWEST_NODES > nodes_at(trial, 1.15 * pitch_mm)
+
+
+@pytest.mark.parametrize("object_", ["16", "18"])
+def test_a_grid_that_suffices_or_cannot_be_mended_is_kept(object_: str) -> None:
+    """Assert the usual grid, and so the recipe, of an object whose slip it resolves, and of one that none resolves."""
+    (trial,), (named,) = grasps(objects=object_), grasps(objects=object_, node_pitch_mm=LIFT_PITCH_MM)
+    assert make_recipe(trial).id == make_recipe(named).id
+    assert (gel_grid.nodes_of_slip(trial) < FEWEST_NODES) == (object_ == "18")
+    assert not grasp.cautions([trial], Grasp())
+
+
+def test_the_finest_grid_may_do_without_the_margin() -> None:
+    """Assert the finest grid for an object whose slip it resolves, but not in a tighter grip."""
+    (trial,) = grasps(objects="14", seed=500)
+    assert solver(trial).node_pitch_mm == gel_grid.FINEST_MM
+    assert gel_grid.nodes_of_slip(trial) >= FEWEST_NODES > gel_grid.nodes_of_slip(trial, gel_grid.GRIP)
+
+
+def test_a_stated_grid_wins(tmp_path: Path) -> None:
+    """Assert that a pitch by flag or in a scene's file is kept, and that a chosen one enters the recipe like a flag."""
+    stated, free = tmp_path / "stated.toml", tmp_path / "free.toml"
+    stated.write_text(scene_file.changed("lift", OTHER))
+    free.write_text(scene_file.changed("lift", OTHER | {"solver": {"node_pitch_mm": None}}))
+    assert solver(*grasps(objects="11", scene=str(stated))).node_pitch_mm == LIFT_PITCH_MM
+    assert solver(*grasps(objects="11", node_pitch_mm=2.0)).node_pitch_mm == 2.0
+    (chosen,) = grasps(objects="11", scene=str(free))
+    pitch_mm = solver(chosen).node_pitch_mm
+    assert pitch_mm < LIFT_PITCH_MM
+    (named,) = grasps(objects="11", scene=str(free), node_pitch_mm=pitch_mm)
+    assert make_recipe(chosen).id == make_recipe(named).id
+
+
+def test_virtual_devices_keep_the_usual_grid() -> None:
+    """Assert that a grasp in real time has no finer grid, which may be too slow for it."""
+    (job,) = grasp.jobs([], Grasp(camera="virtual", objects="11"), None)
+    assert solver(job).node_pitch_mm == LIFT_PITCH_MM
+
+
+def test_the_choice_is_said_with_its_cost() -> None:
+    """Assert the note before a run and in a dry run, of one trial and of several."""
+    one, several = grasps(objects="11"), grasps(objects="11,14,16", count=2, seed=500)
+    (said,) = grasp.cautions(one, Grasp())
+    pitch_mm = solver(*one).node_pitch_mm
+    assert said.startswith(f"gel grid {pitch_mm:.2f} mm for object 11 (default 1.45): slip resolved, about 1.")
+    assert "for objects 11, 14, 4 of 6 trials" in grasp.cautions(several, Grasp())[0]
+    shown = grasp.dry_run(one, Grasp(), force=True)
+    assert shown.summary["gel_grid"] == said
+    assert f"G{said[1:]}." in for_people(shown)[1]
