@@ -17,7 +17,7 @@ from evetac_cli.trials.trial import SimulatedTrial
 
 GRIP = 2.5  # margin: normal force over the slip limit at which slip is resolved; objects also slip in too tight a grip
 FINEST_MM = 0.5  # finest pitch that is chosen
-NODES_OF_REST = 800  # the rest of a simulated slice takes the time of this many nodes
+NODES_OF_REST = 1000  # the rest of a simulated slice takes the time of this many nodes
 
 
 def nodes_of_slip(trial: SimulatedTrial, grip: float = 1.0) -> float:

@@ -15,6 +15,7 @@ from evetac_cli.trials import gel_grid, grasp
 from evetac_cli.trials.grasp.settings import SimulatedGrasp
 from evetac_cli.trials.grasp.simulated import make_recipe
 from evetac_cli.trials.part_costs import for_people
+from evetac_cli.trials.trial import Trial
 
 OTHER = {"time": {"before_rise_s": 0.4}}
 
@@ -26,9 +27,8 @@ def grasps(**flags: Any) -> list[SimulatedGrasp]:
 
 def solver(job: Job) -> Solver:
     """The settings of a trial's simulation."""
-    plan = getattr(job, "plan", None)
-    assert plan is not None
-    return plan.scene.solver
+    assert isinstance(job, Trial) and job.plan is not None
+    return job.plan.scene.solver
 
 
 def nodes_at(trial: SimulatedGrasp, pitch_mm: float) -> float:
