@@ -65,7 +65,8 @@ def notes(trials: Sequence[SimulatedTrial]) -> list[str]:
     which += f", {len(finer)} of {len(trials)} trials" if len(trials) > 1 else ""
     times = sum(map(_times, finer)) / len(finer)
     usual = f"default {finer[0].usual_pitch_mm:g}"
-    return [f"gel grid {span} mm for {which} ({usual}): slip resolved, about {times:.1f} times the time"]
+    resolved = "slip resolved" + ", unless the grip is tight" * (pitches_mm[0] <= FINEST_MM)
+    return [f"gel grid {span} mm for {which} ({usual}): {resolved}, about {times:.1f} times the time"]
 
 
 def _times(trial: SimulatedTrial) -> float:
