@@ -87,8 +87,8 @@ def test_the_choice_is_said_with_its_cost() -> None:
     (said,) = grasp.cautions(one, Grasp())
     pitch_mm = solver(*one).node_pitch_mm
     assert said.startswith(f"gel grid {pitch_mm:.2f} mm for object 11 (default 1.45): slip resolved, about 1.")
-    (said_of_several,) = grasp.cautions(several, Grasp())
-    assert "for objects 11, 14, 4 of 6 trials (default 1.45): slip resolved, unless the grip is tight" in said_of_several
+    (of_several,) = grasp.cautions(several, Grasp())
+    assert "for objects 11, 14, 4 of 6 trials (default 1.45): slip resolved, unless the grip is tight" in of_several
     shown = grasp.dry_run(one, Grasp(), force=True)
     assert shown.summary["gel_grid"] == said
     assert f"G{said[1:]}." in for_people(shown)[1]
