@@ -100,7 +100,7 @@ def test_a_page_fits_its_window(browser: Browser, trial: Path) -> None:
     write_touch(trial, {"shear_n": force, "shear_sd_n": force / 3, **normal})
     view.run([trial], View(), None)
     readouts = "[...document.querySelectorAll('output[data-series]')].map((out) => out.textContent).join(' | ')"
-    for width, columns in ((420, 1), (1280, 1), (1920, 2)):
+    for width, columns in ((420, 1), (1280, 2), (1920, 2)):
         browser.resize(width)
         browser.open(trial.with_name("a.html"), DRAWN)
         assert browser.run("document.documentElement.scrollWidth <= innerWidth"), width
@@ -112,8 +112,8 @@ def test_a_page_fits_its_window(browser: Browser, trial: Path) -> None:
             " document.getElementById('viewer').offsetHeight, document.getElementById('series').offsetHeight]"
         )
         assert across == columns
-        assert image > (0.8 if width == 420 else 0.4) * page
-        if width == 1920:
+        assert image > (0.8 if width == 420 else 0.39) * page
+        if width > 420:
             assert 0.6 < left / right < 1.6
         assert browser.run("Bokeh.documents[0].roots().every((f) => f.below[0].visible)")
         assert "1.5 \u00b1 0.75" in browser.run(readouts)
