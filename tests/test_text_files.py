@@ -157,7 +157,7 @@ def test_text_in_toml_may_hold_dots_and_brackets(tmp_path: Path) -> None:
     path = tmp_path / "a.toml"
     many = "a." * 100 + "[" * 100
     path.write_text(
-        f"# {many}\n[record]\nscene = '{many}' # {many}\nobjects = \"{many}\\\"{many}\"\nstream = '''\n{many}\n'''\n"
+        f"# {many}\n[record]\nscene = '{many}' # {many}\nobject = \"{many}\\\"{many}\"\nstream = '''\n{many}\n'''\n"
     )
     chosen = config.resolve(Record, "record", {}, path)
     assert (chosen.scene, chosen.objects, chosen.stream) == (many, f'{many}"{many}', f"{many}\n")

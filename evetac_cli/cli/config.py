@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from evetac_cli import plugins
-from evetac_cli.commands.parameter import flag_of
+from evetac_cli.commands.parameter import flag_of, key_of
 from evetac_cli.errors import InputError
 from evetac_cli.text_files import plain_number, read_toml
 
@@ -47,22 +47,25 @@ def _read_config(path: Path, cls: type, command: str) -> dict[str, Any]:
         table = table.get(word, {})
         if not isinstance(table, dict):
             raise InputError(f"`{word}` is not a table", where=str(path), expected=f"[{command.replace(' ', '.')}]")
-    consents = {item.name: item for item in fields(cls) if item.metadata["consent"]}
-    valid_keys = [item.name for item in fields(cls) if item.name not in consents]
+    items = {key_of(item): item for item in fields(cls)}
     hints = typing.get_type_hints(cls)
-    values = {}
+    values: dict[str, Any] = {}
     for key, value in table.items():
-        if key in consents:
+        item = items.get(key.replace("-", "_"))
+        if item is None:
+            valid_keys = [name for name, known in items.items() if not known.metadata["consent"]]
+            raise _unknown("key", key, valid_keys, where=f"{path}: [{command.replace(' ', '.')}]")
+        if item.metadata["consent"]:
             raise InputError(
                 "cannot be set in a config file",
                 where=f"{path}: {command}.{key}",
-                expected=f"{flag_of(consents[key])} on the command line, each time",
+                expected=f"{flag_of(item)} on the command line, each time",
                 found=f"{key} = {value!r}",
                 hint="remove it from the file",
             )
-        if key not in valid_keys:
-            raise _unknown("key", key, valid_keys, where=f"{path}: [{command.replace(' ', '.')}]")
-        values[key] = _coerce(value, hints[key], f"{path}: {command}.{key}")
+        if item.name in values:
+            raise InputError("set twice, with `-` and with `_`", where=f"{path}: {command}.{key}")
+        values[item.name] = _coerce(value, hints[item.name], f"{path}: {command}.{key}")
     return values
 
 

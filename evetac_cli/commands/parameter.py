@@ -53,6 +53,11 @@ def flag_of(item: "dataclasses.Field[Any]") -> str:
     return str(item.metadata["flag"]) or "--" + item.name.replace("_", "-")
 
 
+def key_of(item: "dataclasses.Field[Any]") -> str:
+    """Return the key of a field in a config file: its flag without leading dashes, step_size for --step-size."""
+    return flag_of(item).removeprefix("--").replace("-", "_").lower()
+
+
 def refuse_unused(params: Any, has: Collection[str], flags: str, *, never: Collection[str] = ()) -> None:
     """Raise InputError for an option that differs from its default but needs a capability that this run lacks.
 

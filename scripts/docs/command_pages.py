@@ -12,7 +12,6 @@ from page_text import bounds, code, fenced, prose, sentence, table
 from evetac_cli import commands
 from evetac_cli.cli.main import app
 from evetac_cli.commands import WITH_CONFIG
-from evetac_cli.commands.parameter import flag_of
 from evetac_cli.errors import DeviceError, EvetacError, InputError
 
 FOLDER = "commands"
@@ -97,17 +96,14 @@ def _page(name: str, command: Any) -> str:
     for panel, rows in panels.items():
         parts += [f"## {panel}\n", table(("option", "what it does", "values", "default"), rows)]
     if name in WITH_CONFIG:
-        parts.append(_in_a_file(name, known))
+        parts.append(_in_a_file(name))
     return "\n".join(parts)
 
 
-def _in_a_file(name: str, known: Mapping[str, Field[Any]]) -> str:
-    """Explain how to write the options in a file for --config, where a key is the name of the parameter."""
-    flags = {flag_of(item): item.name for item in known.values() if flag_of(item).startswith("--")}
-    others = [f"{code(key)} for {code(flag)}" for flag, key in flags.items() if flag[2:].replace("-", "_") != key]
+def _in_a_file(name: str) -> str:
+    """Explain how to write the options in a file for --config."""
     table_of = code(f"[{name.replace(' ', '.')}]")
-    text = f"In a `--config` file, write these options in the table {table_of}, with `_` instead of `-`"
-    return text + (f", except {', '.join(others)}" if others else "") + ".\n"
+    return f"In a `--config` file, write these options in the table {table_of}, with `_` instead of `-`.\n"
 
 
 def _argument(param: Any) -> str:
