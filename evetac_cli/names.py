@@ -51,7 +51,7 @@ EXPORTS = {
 }
 CONTROLLERS = {
     "paper": "balancing sets its reference at the first slip",
-    "paper-reset": "at every slip",
+    "paper-reset": "at every slip (both need --model)",
     "load-proportional": "evetac's own",
     "none": "contact only, no detector",
     "fixed:N": "N ticks beyond light contact",

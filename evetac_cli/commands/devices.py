@@ -27,7 +27,7 @@ class Devices:
     )
     arm: bool = parameter(
         False,
-        "Move a real gripper. Torque goes off at the end and on any failure, so a held object falls.",
+        "Move a real gripper. Torque goes off at the end and on any failure: a held object falls.",
         recipe=False,
         consent=True,
         needs=(Capability.MOVED, Capability.GRASPED),
