@@ -39,7 +39,7 @@ RESULTS = sorted((ROOT / "docs" / "results").glob("*.json"), key=lambda path: pa
 def shown_lines(page: str) -> list[str]:
     """The lines of a page's code, indented or fenced, without comments; a line that goes on is joined to the next."""
     fenced = re.findall(r"^```(\w*)\n(.*?)^```$", page, re.DOTALL | re.MULTILINE)
-    code = "\n".join(text for language, text in fenced if language == "sh")
+    code = "\n".join(text for language, text in fenced if language in ("sh", "bash"))
     lines = [*code.splitlines(), *(line[4:] for line in page.splitlines() if line.startswith("    "))]
     return re.sub(r"\\\n\s*", "", "\n".join(re.sub(r"\s#.*", "", line) for line in lines)).splitlines()
 
