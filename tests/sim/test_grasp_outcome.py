@@ -1,7 +1,5 @@
 """What became of a grasp, from rows made by hand."""
 
-import re
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -37,14 +35,6 @@ def rows(**changes: Any) -> dict[str, Any]:
     }
     assert set(whole) == {*NEEDED, HOLDING}
     return {**whole, **changes}
-
-
-def test_every_figure_is_explained() -> None:
-    """Assert that the page of concepts has a row for each figure of a grasp, and for no other."""
-    page = (Path(__file__).parents[2] / "docs" / "concepts.md").read_text()
-    table = page.partition("### Outcome of a grasp")[2].partition("### Two fingers")[0]
-    first_cells = [line.split("|")[1] for line in table.splitlines() if line.startswith("| `")]
-    assert sorted(re.findall("`([a-z_]+)`", " ".join(first_cells))) == sorted(outcome(rows(), MM_PER_PX, END_MS))
 
 
 def test_a_grasp_that_holds() -> None:

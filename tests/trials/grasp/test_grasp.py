@@ -1,6 +1,7 @@
 """grasp: which detector and controller, their timing, a closed gel, and the outcome."""
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -116,8 +117,11 @@ def test_dry_run_refuses_what_a_run_does(tmp_path: Path) -> None:
     assert grasp.dry_run(grasp.jobs([], Grasp(), out), Grasp(), force=True).summary["files"] == 1
 
 
-def test_the_outcome_is_in_the_file(tmp_path: Path) -> None:
-    """Assert that the row's figures are those of the file, which is whole, and that contact alone lifts nothing."""
+def test_the_outcome_is_in_the_file(tmp_path: Path, explained: Callable[[str, str], set[str]]) -> None:
+    """Assert that the row's figures are those of the file, and each in the docs, and that contact alone lifts nothing.
+
+    The file is whole.
+    """
     path, row = made(tmp_path, controller="none", lift_s=1.5)
     with StageFile(path, "recording") as recording:
         stored = json.loads(recording.read("control/outcome"))
@@ -126,6 +130,8 @@ def test_the_outcome_is_in_the_file(tmp_path: Path) -> None:
     assert not row["lifted"]
     assert row["force_end_n"] == pytest.approx(row["force_touch_n"], rel=0.05)
     assert [each["faults"] for each in validate.run([path]).rows] == [None]
+    legends = explained("concepts.md", "Outcome of a grasp")
+    assert {*row, "second_output"} == {"output", "status", "warning", *legends}
 
 
 def test_a_fixed_grip_closes_by_its_ticks(tmp_path: Path) -> None:

@@ -225,9 +225,15 @@ def test_motion_is_announced_when_all_is_ready(
 
 
 def test_a_file_says_how_time_was_kept(
-    armed: tuple[Grasp, DeviceTrial], recorder_is: Callable[[Any], None], capsys: pytest.CaptureFixture[str]
+    armed: tuple[Grasp, DeviceTrial],
+    recorder_is: Callable[[Any], None],
+    capsys: pytest.CaptureFixture[str],
+    explained: Callable[[str, str], set[str]],
 ) -> None:
-    """Assert that misses, latency, losses and scheduling are in file and row, and that both processes are ended."""
+    """Assert that misses, latency, losses and scheduling are in file and row, and that both processes are ended.
+
+    The docs explain each figure of the row.
+    """
     recorder_is(lambda processes, world, writers, *more: some(writers[0], "the grasp is over"))
     row = grasp.run(armed[1], armed[0]).rows[0]
     assert GraspProcesses.closed
@@ -238,6 +244,7 @@ def test_a_file_says_how_time_was_kept(
     assert row["late_slices"] == 0
     assert row["too_slow"].startswith("this computer was too slow: 3 of 5 commands were missed")
     assert row["too_slow"] in capsys.readouterr().err.splitlines()
+    assert {*row} - {"output", "status"} <= explained("hardware.md", "Figures of a grasp")
     with open_recording(armed[1].output) as file:
         assert file.read("capture/latency_us").tolist() == [2500.0] * 3
         assert file.read("capture/slice_late_us").tolist() == [600.0] * 3
