@@ -86,6 +86,7 @@ class Stage(Generic[P]):
     - parts: return parts of a job that can be made at the same time, before the job itself.
     - for_people: return the rows for a terminal, and a verdict in sentences.
     - details: columns of these rows that a terminal shows only with -v.
+    - details_of_many: ... only with -v if there are too many rows to list the columns of each below each other.
     - warnings: return warnings on all rows together, which are printed once on stderr.
     - dry_run: return what would be made and its cost, (jobs, params, *, force, progress) -> Outcome.
     - dry_run_for_people: return the part of this that fits a screen.
@@ -99,6 +100,7 @@ class Stage(Generic[P]):
     parts: Callable[[Any, P], Sequence[Job]] = no_parts
     for_people: Callable[[Rows, P], tuple[Rows, list[str]]] = all_rows
     details: frozenset[str] = frozenset()
+    details_of_many: frozenset[str] = frozenset()
     warnings: Callable[[Rows], list[str]] = no_warnings
     dry_run: Callable[..., Outcome] | None = None
     dry_run_for_people: Callable[[Outcome], tuple[Rows, list[str]]] = lambda shown: (shown.rows, [])

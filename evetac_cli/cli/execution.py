@@ -70,8 +70,12 @@ def execute(command: Command, title: str, flag_values: dict[str, Any]) -> None:
                 shown_rows, verdict = stage.for_people(rows, params)
                 verbose = running.verbose
                 if not verbose:
-                    short = ({name: row[name] for name in row if name not in stage.details} for row in shown_rows)
-                    shown_rows = first_rows(list(short))
+                    many = stage.details_of_many if len(shown_rows) > console.FEW_ROWS else frozenset()
+                    if any(many & row.keys() for row in shown_rows):
+                        console.say("-v and --json print all columns")
+                    details = stage.details | many
+                    short = [{name: row[name] for name in row if name not in details} for row in shown_rows]
+                    shown_rows = first_rows(short)
                 console.print_table(title, shown_rows, own, simulated=simulated, verbose=verbose)
                 if not own:
                     console.print_text(console.counted(outcomes))

@@ -27,6 +27,7 @@ from evetac_cli.commands import EVALUATE, PIPELINE
 from evetac_cli.commands.command import Command
 from evetac_cli.commands.label import Label
 from evetac_cli.commands.parameter import flag_of
+from evetac_cli.console import FEW_ROWS
 from evetac_cli.errors import (
     DeviceError,
     DeviceTimeout,
@@ -465,6 +466,21 @@ def test_what_people_see_and_its_verdict(monkeypatch: pytest.MonkeyPatch, files:
     assert "steps_a_slice" in evetac("evaluate", "slip", *files, "-v").stdout
     shown = evetac("evaluate", "slip", *files, "--json", "-q")
     assert (json.loads(shown.stdout)["rows"], shown.stderr) == (answer.rows, "")
+
+
+@pytest.mark.parametrize("count", [FEW_ROWS, FEW_ROWS + 1])
+def test_many_rows_show_fewer_columns(monkeypatch: pytest.MonkeyPatch, files: list[str], count: int) -> None:
+    """Assert that a stage can leave out columns if its rows are many, which is said; -v has them."""
+    stage = module_of(
+        lambda files, chosen, out: [Job(tuple(files), Path("x.report.h5"))],
+        lambda *_, **__: Outcome([{"a": at, "work_j": 2.0} for at in range(count)], True),
+        details_of_many=frozenset({"work_j", "absent"}),
+    )
+    monkeypatch.setitem(sys.modules, "evetac_cli.evaluate.slip", stage)
+    result = evetac("evaluate", "slip", *files)
+    many = count > FEW_ROWS
+    assert ("work_j" not in result.stdout) is ("-v and --json print all columns" in result.stderr) is many
+    assert "work_j" in evetac("evaluate", "slip", *files, "-v").stdout
 
 
 def test_up_to_date_is_said(label_is: Any, files: list[str]) -> None:

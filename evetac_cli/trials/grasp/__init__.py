@@ -33,6 +33,14 @@ from evetac_cli.trials.trial import OUTPUT as OUTPUT
 METHOD = simulated.METHOD
 OF_DETECTOR = ("model", "slip_threshold", "false_alarms_per_min", "tracker")
 FINGERS = 2
+DETAILS_OF_MANY = frozenset(  # columns of grasp_outcome, of which a terminal of 80 columns shows two at a time
+    (
+        *("slices", "slices_with_slip", "moved_lift_mm", "reopened_share", "motor_work_j"),
+        *("opening_after_lift_ticks", "opening_after_balance_ticks", "opening_after_lift_mm"),
+        *("opening_after_balance_mm", "force_touch_n", "force_lift_n", "holding_end_n", "over_holding_mean"),
+        *("over_holding_peak", "slip_events", "false_slip_events"),
+    )
+)
 # must be the same for both cameras
 _OF_A_KIND = (Capability.STEPPED, Capability.REPLAY, Capability.SCENE, Capability.SIMULATED)
 NOT_OF_GRASP = frozenset(
@@ -168,6 +176,7 @@ STAGE = Stage(
     cautions=cautions,
     for_people=for_people,
     details=DETAILS,
+    details_of_many=DETAILS_OF_MANY,
     warnings=slip_grid.once,
     dry_run=dry_run,
     dry_run_for_people=part_costs.for_people,
