@@ -30,13 +30,12 @@ from evetac_cli.formats.read.bags.open_bag import open_bag
 from evetac_cli.formats.read.bags.read_bag_stream import (
     COMPRESSED,
     IMAGE,
-    RECEPTION,
     TRIGGERS_OF_DV,
     read_triggers,
     stream_of_topic,
     trigger_topics,
 )
-from evetac_cli.formats.read.bags.read_rosbag import topics_of_events
+from evetac_cli.formats.read.bags.read_rosbag import RECEPTION, topics_of_events
 from evetac_cli.formats.read.prophesee.read_prophesee import TRIGGERS as EDGES
 from evetac_cli.store.hdf5.disk import joined_on_disk
 from evetac_cli.store.recordings.streams import Stream, free_name

@@ -72,6 +72,7 @@ class Table:
     cut_short: bool = False
     # Connections whose messages may be stored in another order than they were received.
     disordered: set[int] = field(default_factory=set)
+    spans_ns: dict[int, tuple[int, int]] = field(default_factory=dict)  # reception of their first and last message
 
 
 class ChunkedFile:
@@ -86,7 +87,6 @@ class ChunkedFile:
         self.table = Table()
         self.stated: int | None = None  # number of messages that the file states
         self._run: BagChunk | None = None  # of messages outside of chunks
-        self._latest_ns: dict[int, int] = {}  # reception of the last message of each connection
         self._listed: list[int] | None = None  # positions of chunks in the index of the file
         self._damages: list[tuple[int, int]] = []  # position and number of damaged bytes
         with path.open("rb") as file:
@@ -190,9 +190,10 @@ class ChunkedFile:
     def _take_times(self, number: int, times_ns: list[int]) -> None:
         """Note whether the next messages of a connection were received before those stored before them."""
         for time_ns in times_ns:
-            if time_ns < self._latest_ns.get(number, time_ns):
+            first_ns, latest_ns = self.table.spans_ns.get(number, (time_ns, time_ns))
+            if time_ns < latest_ns:
                 self.table.disordered.add(number)
-            self._latest_ns[number] = time_ns
+            self.table.spans_ns[number] = first_ns, time_ns
 
     def _distrust_last_index(self) -> None:
         """Mark the last chunk before damaged bytes to be counted: some of its indexes may be missing."""

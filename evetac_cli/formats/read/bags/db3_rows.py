@@ -46,6 +46,8 @@ class Db3File:
             self.table.connections[number] = one._replace(msgcount=len(times))
             if (times[1:] < times[:-1]).any():
                 self.table.disordered.add(number)
+            if len(times):
+                self.table.spans_ns[number] = int(times[0]), int(times[-1])
         self.connections = [one for _, one in sorted(self.table.connections.items())]
 
     def messages(self, numbers: Collection[int], lost: Counter[str], *, by_reception: bool) -> Iterator[Record]:

@@ -175,6 +175,7 @@ def _pair(connection: Connection, received_ns: int, message: bytes) -> tuple[Pai
             times = decode(content).t if decode is not None else np.empty(0, np.int64)
     except ValueError:
         return None
+    times = times[times != 0]  # 0: never set
     return (Pair(stamp_us, int(times[0])), 0) if len(times) else None
 
 

@@ -5,6 +5,7 @@ rosbag1_records, mcap_records and db3_rows. rosbags, of the extra `convert`, pro
 and the modules that unpack chunks.
 """
 
+import math
 from collections import Counter
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
@@ -56,11 +57,16 @@ class Bag:
     def disordered(self, connections: Collection[Connection]) -> bool:
         """Whether the messages of some connections may be stored in another order than they were received."""
         wanted = {_alike(one) for one in connections}
+        latest_ns = -math.inf
         for file in self._files:
-            table, _, _ = bag_files.opened(file, self._where(file))
+            table = bag_files.opened(file, self._where(file))[0]
             numbers = {one.number for one in table.connections if _alike(one) in wanted and one.msgcount}
             if len(numbers) > 1 or numbers & table.table.disordered:
                 return True
+            for first_ns, last_ns in (table.table.spans_ns[number] for number in numbers):
+                if first_ns < latest_ns:
+                    return True
+                latest_ns = last_ns
         return False
 
     def messages(self, connections: Collection[Connection], *, by_reception: bool = False) -> Iterator[Message]:

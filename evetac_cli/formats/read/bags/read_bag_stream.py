@@ -30,7 +30,14 @@ from evetac_cli.errors import InputError, missing_extra
 from evetac_cli.formats.read.bags.bag_chunks import Connection
 from evetac_cli.formats.read.bags.message_definitions import checksum
 from evetac_cli.formats.read.bags.open_bag import Bag, bag_in_words, open_bag
-from evetac_cli.formats.read.bags.read_rosbag import PACKET, TRIGGER, is_of_triggers, layout
+from evetac_cli.formats.read.bags.read_rosbag import (
+    PACKET,
+    RECEPTION,
+    SIMULATED_START_US,
+    TRIGGER,
+    is_of_triggers,
+    layout,
+)
 from evetac_cli.formats.read.bags.ros_messages import NS, Fields, event_packet
 from evetac_cli.store.hdf5.disk import joined_on_disk
 from evetac_cli.store.recordings.streams import BLOCK_VALUES, LARGEST_FRAME_PX, Stream, free_name
@@ -38,8 +45,6 @@ from evetac_cli.store.recordings.streams import BLOCK_VALUES, LARGEST_FRAME_PX, 
 MESSAGES_AT_ONCE = 1000  # messages of numbers that become one part of an array
 MOST_NUMBERS = 512  # of a message
 MOST_NAMED = 12  # topics or columns in a message
-SIMULATED_START_US = 1_000_000  # a first stamp of 0 is one if the next is at most this
-RECEPTION = "the time at which the recorder received the message"
 LABELS = ("name", "joint_names")  # fields with names for the lists beside them: JointState, MultiDOFJointState
 STEP = "time_from_start"  # a field of the points of a trajectory, whose lists have the names of the joints
 # Fields with the name of a part of a list, by the parts' type.

@@ -22,8 +22,9 @@ from evetac_cli.formats.note import Note, read_note
 from evetac_cli.formats.read.bags import db3_rows, mcap_records, rosbag1_records
 from evetac_cli.formats.read.bags.bag_chunks import Connection
 from evetac_cli.formats.read.bags.message_definitions import checksum
-from evetac_cli.formats.read.bags.open_bag import Bag, open_bag
+from evetac_cli.formats.read.bags.open_bag import Bag, Message, open_bag
 from evetac_cli.formats.read.bags.ros_messages import (
+    NS,
     Fields,
     MessageEvents,
     Packet,
@@ -39,6 +40,9 @@ from evetac_cli.formats.read.prophesee.read_prophesee import decoded
 SIGNS = (rosbag1_records.MAGIC, db3_rows.MAGIC, mcap_records.MAGIC)
 EVENTS_TOPIC, NOTE_TOPIC = "/evetac/events", "/evetac/note"  # in exports of evetac
 NOTE_TYPE = "std_msgs/msg/String"
+SIMULATED_START_US = 1_000_000  # a first time of 0 is one if the next is at most this
+RECEPTION = "the time at which the recorder received the message"
+UNSET = "events whose time is 0, so never set"
 PROPHESEE = ("evt2", "evt3")
 KNOWN_ENCODINGS = ("mono", "libcaer", "libcaer_cmp", *PROPHESEE)
 TRIGGER = "trigger"  # the encoding of packets without events
@@ -94,7 +98,7 @@ def open_rosbag(path: Path, frame_px: tuple[int, int] | None, stream: str | None
         raise InputError(
             f"the topic {topic} has no messages", where=where, hint="was the camera running during the recording?"
         )
-    frame, content = _read(*first, f"{where}: message 0")
+    frame, content = _read(first[0], first[2], f"{where}: message 0")
     encoding = content.encoding if isinstance(content, Packet) else ""
     foreign.frame_px = choose_frame(frame, frame_px, where)
     if encoding in PROPHESEE:
@@ -169,7 +173,7 @@ def _note(bag: Bag, where: str) -> Note | None:
     if message is None:
         return None
     with _layout_in_words(f"{where}: {NOTE_TOPIC}"):
-        text = Fields(message[1], ros2=message[0].ros2).text()
+        text = Fields(message[2], ros2=message[0].ros2).text()
     return read_note(text, where)
 
 
@@ -241,11 +245,13 @@ def _contents(
 
     Raises InputError if layout, frame size or encoding change.
     """
-    lost, expected = 0, None
+    lost, unset, expected = 0, 0, None
     bag = open_bag(path)
-    by_reception, note = _order(bag, topic)
-    foreign.notes += [note] if note else []
-    for number, (connection, message) in enumerate(_messages(bag, topic, by_reception=by_reception)):
+    times = None if kind == PACKET else _EventTimes(_messages(bag, topic))
+    by_reception, order_note = _order(bag, topic, times)
+    foreign.notes += [note for note in (times.note if times else "", order_note) if note]
+    for number, found in enumerate(_messages(bag, topic, by_reception=by_reception)):
+        connection, _, message = found
         where = f"{path}: message {number} on {topic}"
         if layout(connection) != kind:
             raise InputError("the layout of the messages changes", where=where, found=connection.msgtype)
@@ -262,9 +268,15 @@ def _contents(
                 raise InputError("the encoding changes", where=where, expected=encoding, found=content.encoding[:40])
             lost += expected is not None and content.sequence > expected and content.sequence - expected
             expected = content.sequence + 1
+        elif times is not None:
+            own = times.completed(content, found)
+            unset += len(content.t) - len(own.t)
+            content = own
         yield where, content
     foreign.notes += [note for note in bag.notes if note not in foreign.notes]
     foreign.cut_short |= bag.cut_short
+    if unset:
+        foreign.left_out[UNSET] = unset
     if lost:
         foreign.notes.append(f"{lost} messages are missing: they were lost before they were recorded")
 
@@ -284,17 +296,55 @@ def _layout_in_words(where: str) -> Iterator[None]:
         raise InputError("a message is damaged", where=where, found=str(error)) from None
 
 
-def _messages(
-    bag: Bag, topic: str, *, of_type: str = "", by_reception: bool = False
-) -> Iterator[tuple[Connection, bytes]]:
+def _messages(bag: Bag, topic: str, *, of_type: str = "", by_reception: bool = False) -> Iterator[Message]:
     """Yield the messages of a topic that have events, or a given type."""
     of_topic = (one for one in bag.connections if one.topic == topic)
     connections = [one for one in of_topic if (one.msgtype == of_type if of_type else layout(one))]
-    for connection, _, message in bag.messages(connections, by_reception=by_reception):
-        yield connection, message
+    return bag.messages(connections, by_reception=by_reception)
 
 
-def _order(bag: Bag, topic: str) -> tuple[bool, str]:
+class _EventTimes:
+    """Completes the times of events in messages that are not packets: a time of 0 was never set.
+
+    If no event of the topic has a time, each gets that of its message: its header's, or that of its reception if no
+    header has one either. Otherwise events without a time are left out, unless a simulation's clock begins with them.
+    note: on times that were replaced.
+    """
+
+    def __init__(self, messages: Iterator[Message]) -> None:
+        """Read messages until an event has a time."""
+        first_us = first_stamp_us = 0
+        for connection, _, message in messages:
+            with suppress(ValueError):  # refused when it is read
+                first_stamp_us = first_stamp_us or _stamp_us(connection, message)
+                content = LAYOUTS[layout(connection)](Fields(message, ros2=connection.ros2))
+                if not isinstance(content, Packet) and content[1].t.any():
+                    first_us = int(content[1].t[content[1].t != 0][0])
+                    break
+        self.by_header = not first_us and first_stamp_us != 0
+        self.by_reception = not first_us and not first_stamp_us
+        self._begun = not 0 < (first_us or first_stamp_us) <= SIMULATED_START_US
+        source = "header.stamp of its message" if self.by_header else RECEPTION
+        self.note = "" if first_us else f"no event has a time of its own: used {source}"
+
+    def completed(self, events: MessageEvents, message: Message) -> MessageEvents:
+        """Return the events of the next message that have a time."""
+        if self.by_header or self.by_reception:
+            connection, received_ns, content = message
+            t_us = received_ns // NS if self.by_reception else _stamp_us(connection, content)
+            events = events._replace(t=np.full(len(events.t), t_us))
+        known = events.t != 0
+        if not self._begun:
+            self._begun = bool(known.any())
+            known[: np.argmax(known) if self._begun else None] = True
+        return events if known.all() else MessageEvents(*(column[known] for column in events))
+
+
+def _stamp_us(connection: Connection, message: bytes) -> int:
+    return Fields(message, ros2=connection.ros2).header()
+
+
+def _order(bag: Bag, topic: str, times: _EventTimes | None) -> tuple[bool, str]:
     """Return whether messages of events are read in order of reception instead of the file's, and a note.
 
     The two differ if the recorder's clock was set back, or if the file was written in another order. The events' own
@@ -311,22 +361,24 @@ def _order(bag: Bag, topic: str) -> tuple[bool, str]:
             if time_ns < latest_ns:
                 received = [received[0] + 1, max(received[1], latest_ns - time_ns)]
             latest_ns = time_ns
-            own = _own_place(connection, message)
+            own = _own_place(connection, message, times)
             if own is not None:
                 back, latest = back + (own < latest), own
         steps.append((back, *received))
     (of_file, count, most_ns), (of_reception, *_) = steps
+    often = "once" if count == 1 else f"{count:,} times"
+    said = f"the recorder's clock goes back {often}, by up to {most_ns / 1e9:.6g} s: "
+    if times is not None and times.by_reception:
+        return True, said + "the messages are read in the order of its times" if count else ""
     if of_reception < of_file:
         return (
             True,
             "the messages are stored in another order than that of their events: read as they were received",
         )
-    times = "once" if count == 1 else f"{count:,} times"
-    said = f"the recorder's clock goes back {times}, by up to {most_ns / 1e9:.6g} s: the events' own times are used"
-    return False, said if count else ""
+    return False, said + "the events' own times are used" if count else ""
 
 
-def _own_place(connection: Connection, message: bytes) -> tuple[int, int] | None:
+def _own_place(connection: Connection, message: bytes, times: _EventTimes | None) -> tuple[int, int] | None:
     """Return what orders messages of one publisher: the number of a packet and its time, or the time of an event."""
     try:
         content = LAYOUTS[layout(connection)](Fields(message, ros2=connection.ros2))
@@ -334,5 +386,7 @@ def _own_place(connection: Connection, message: bytes) -> tuple[int, int] | None
         return None
     if isinstance(content, Packet):
         return content.sequence, 0 if content.encoding in PROPHESEE else content.time_base_ns
-    times = content[1].t
-    return (int(times[0]), 0) if len(times) else None
+    if times is not None and times.by_header:
+        return (_stamp_us(connection, message), 0)
+    known = content[1].t[content[1].t != 0]
+    return (int(known[0]), 0) if len(known) else None

@@ -18,7 +18,7 @@ from evetac_cli.formats.imports import read_events
 from evetac_cli.formats.read.bags import bag_files
 from evetac_cli.formats.read.bags.rosbag_unpacking import zstd_module
 from evetac_cli.formats.streams import read_stream
-from tests.formats.read.bags.bag_writing import Types, Write, drawn, listed, mono, shifted, write_mcap
+from tests.formats.read.bags.bag_writing import START_S, Types, Write, drawn, listed, mono, shifted, write_mcap
 from tests.importing import event_rows, refusal
 from tests.patience import PATIENCE_S
 
@@ -230,7 +230,9 @@ def split(folder: Path, parts: int = 3, start: int = 0) -> Path:
     folder.mkdir()
     size = -(-len(every) // parts)
     for number in range(parts):
-        write_mcap(folder / f"trial_{start + number}.mcap", types, {"/e": every[size * number : size * (number + 1)]})
+        some = range(size * number, min(size * (number + 1), len(every)))
+        topics, times = {"/e": [every[at] for at in some]}, [START_S + at for at in some]
+        write_mcap(folder / f"trial_{start + number}.mcap", types, topics, times=times)
     return folder
 
 

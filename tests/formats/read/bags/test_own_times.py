@@ -11,7 +11,7 @@ from evetac_cli.formats.imports import read_events
 from evetac_cli.formats.read.time_order import OrderOptions
 from evetac_cli.formats.streams import read_stream
 from evetac_cli.store.recordings.streams import Stream
-from tests.formats.read.bags.bag_writing import BAGS, ENCODERS, START_S, Types, Write
+from tests.formats.read.bags.bag_writing import BAGS, ENCODERS, START_S, Types, Write, write_bag
 from tests.importing import event_rows, refusal
 
 START_US = START_S * 10**6
@@ -61,6 +61,68 @@ def test_events_of_a_camera_that_was_set_back_are_refused(write: Write, bag: str
     words = refusal(path)
     assert "time goes backwards" in words and "--sort keeps all events" in words and "--drop-late" in words
     assert read_events(path, order=OrderOptions(sort=True)).size == 10 * MESSAGES
+
+
+def test_a_clock_that_goes_back_between_the_files_of_a_bag_is_noted(tmp_path: Path) -> None:
+    """Assert the same note if the step is between two files of one bag."""
+    types = Types("db3")
+    own_us = [START_US + at * EVERY_US for at in range(MESSAGES)]
+    made = arrays(types, own_us)
+    folder = tmp_path / "split"
+    for part in range(2):
+        rows = slice(50 * part, 50 * (part + 1))
+        bag = write_bag(tmp_path, "mcap", types, {"/e": made[rows]}, name=f"part_{part}", times_us=STEPPED_US[rows])
+        folder.mkdir(exist_ok=True)
+        next(bag.glob("*.mcap")).rename(folder / f"split_{part}.mcap")
+    imported = read_events(folder)
+    assert imported.size == 1000 and imported.sorted == 0
+    assert imported.notes[-1] == (
+        "the recorder's clock goes back once, by up to 0.19 s: the events' own times are used"
+    )
+
+
+@pytest.mark.parametrize("bag", BAGS)
+@pytest.mark.parametrize("stamped", [True, False])
+def test_events_without_times_get_those_of_their_message(write: Write, bag: str, stamped: bool) -> None:
+    """Assert the time of the header, or else that of reception, in order also if the recorder's clock goes back."""
+    types = Types(bag)
+    own_us = [START_US + at * EVERY_US for at in range(MESSAGES)]
+    made = arrays(types, [0] * MESSAGES)
+    for us, message in zip(own_us, made, strict=True):
+        message.header = types.header(us if stamped else 0)
+        message.events = [types.make("dvs_msgs/msg/Event", one.x, one.y, types.time(0), True) for one in message.events]
+    imported = read_events(write(bag, types, {"/e": made}, times_us=STEPPED_US))
+    wanted_us = own_us if stamped else sorted(STEPPED_US)
+    assert [row[0] for row in event_rows(imported)] == [us - wanted_us[0] for us in wanted_us for _ in range(10)]
+    source = "header.stamp of its message" if stamped else "the time at which the recorder received the message"
+    order = "the events' own times are used" if stamped else "the messages are read in the order of its times"
+    assert imported.notes == [
+        f"no event has a time of its own: used {source}",
+        f"the recorder's clock goes back once, by up to 0.19 s: {order}",
+    ]
+
+
+@pytest.mark.parametrize("bag", BAGS)
+def test_images_without_stamps_get_the_times_of_reception(write: Write, bag: str) -> None:
+    """Assert the same for EvetacMsg, and that a single image without a stamp is left out and counted."""
+    types, grey = Types(bag), np.full((640, 480), 127, np.uint8)
+    grey[3, 4] = 142
+    times_us = [START_US + at * EVERY_US for at in range(20)]
+    imported = read_events(write(bag, types, {"/e": [types.image(0, grey)] * 20}, times_us=times_us))
+    assert [row[0] for row in event_rows(imported)] == list(range(0, 20 * EVERY_US, EVERY_US))
+    assert imported.notes[0].endswith(": used the time at which the recorder received the message")
+    made = [types.image(0 if at == 7 else us, grey) for at, us in enumerate(times_us)]
+    imported = read_events(write(bag, types, {"/e": made}, "one", times_us=times_us))
+    assert imported.size == 19 and imported.left_out == {"events whose time is 0, so never set": 1}
+
+
+@pytest.mark.parametrize(("first_us", "kept"), [(1000, 4), (START_US, 2)])
+def test_single_events_without_a_time_are_left_out(write: Write, first_us: int, kept: int) -> None:
+    """Assert that events at 0 are kept only where a simulation's clock begins with them."""
+    types = Types("db3")
+    times_us = [0, 0, first_us, 0, first_us + 1000]
+    imported = read_events(write("db3", types, {"/e": [types.array([(us, 1, 2, 1)]) for us in times_us]}))
+    assert imported.size == kept and sum(imported.left_out.values()) == 5 - kept
 
 
 def joints(types: Types, us: int, names: list[str], position: list[float], velocity: list[float]) -> Any:
