@@ -207,6 +207,19 @@ def _decoder(kind: str, connections: list[Connection], where: str) -> Callable[[
     return lambda message: store.deserialize_ros1(message, kind)
 
 
+def _stamped(message: Any) -> Iterator[tuple[int, Any]]:
+    """Yield stamp in us and message; transforms without a common header in parts, one per stamp. 0: no stamp."""
+    headed = [message] if hasattr(message, "header") else getattr(message, "transforms", [])
+    stamps_us = [one.header.stamp.sec * 10**6 + one.header.stamp.nanosec // NS for one in headed]
+    distinct = sorted(set(stamps_us))
+    if len(distinct) <= 1:
+        yield distinct[0] if distinct else 0, message
+        return
+    for stamp_us in distinct:
+        some = [one for one, own_us in zip(headed, stamps_us, strict=True) if own_us == stamp_us]
+        yield stamp_us, replace(message, transforms=some)
+
+
 def _decoded(messages: Iterator[Any], decode: Callable[[bytes], Any], where: str) -> Iterator[tuple[int, Any]]:
     """Yield the time of reception in ns and the content of each message."""
     for number, (_, received_ns, message) in enumerate(messages):
@@ -218,19 +231,20 @@ def _decoded(messages: Iterator[Any], decode: Callable[[bytes], Any], where: str
 class _MessageReader:
     """Converts messages to parts of arrays: stamps, times of reception, and values.
 
+    number: index of the current message.
     incomplete: whether the messages must be read once more, because a later one had what the first ones have not.
     """
 
     def __init__(self, where: str) -> None:
         self.where = where
-        self.number = -1  # index of the last message
+        self.number = 0
         self.incomplete = False
 
-    def times_us(self, received_ns: int, message: Any) -> tuple[int, int]:
-        """Return the stamp of the next message, 0 without one, and its time of reception; both in us."""
-        self.number += 1
-        stamp = getattr(getattr(message, "header", None), "stamp", None)
-        return 0 if stamp is None else stamp.sec * 10**6 + stamp.nanosec // 1000, received_ns // 1000
+    def samples(self, messages: Iterator[tuple[int, Any]]) -> Iterator[tuple[tuple[int, int], Any]]:
+        """Yield stamp and time of reception in us, and the message or part of it that has this stamp."""
+        for self.number, (received_ns, message) in enumerate(messages):
+            for stamp_us, part in _stamped(message):
+                yield (stamp_us, received_ns // NS), part
 
     def notes(self) -> list[str]:
         """Return notes on values that are missing."""
@@ -249,16 +263,17 @@ class _Numbers(_MessageReader):
         super().__init__(where)
         self._units: dict[str, str] = {}  # of the columns
         self._sizes: dict[str, str] = {}  # of lists, which must stay the same
-        self._lacking = 0  # messages
+        self._samples = self._lacking = 0
         self._lacked: dict[str, None] = {}  # columns, in their order
 
     def parts(self, messages: Iterator[tuple[int, Any]]) -> Iterator[tuple[NDArray[Any], ...]]:
         """Yield times and rows of numbers of the next messages; NaN where a message lacks a column."""
-        self.number, self.incomplete, self._lacking = -1, False, 0
+        self.incomplete, self._samples, self._lacking = False, 0, 0
         times: list[tuple[int, int]] = []
         rows: list[list[float]] = []
-        for received_ns, message in messages:
-            times.append(self.times_us(received_ns, message))
+        for stamp_and_reception_us, message in self.samples(messages):
+            times.append(stamp_and_reception_us)
+            self._samples += 1
             numbers = _Found()
             numbers.collect(message, "", "", [])
             more = numbers.units.keys() - self._units.keys()
@@ -271,7 +286,7 @@ class _Numbers(_MessageReader):
             infinite = next((name for name, value in numbers.values.items() if math.isinf(value)), None)
             if infinite is not None:
                 self.refuse("a value is infinite", "finite values, or NaN", infinite)
-            self.incomplete |= bool(more) and self.number > 0
+            self.incomplete |= bool(more) and self._samples > 1
             if self.incomplete:
                 times = []
                 continue
@@ -286,12 +301,12 @@ class _Numbers(_MessageReader):
             yield *np.array(times, np.int64).T, np.array(rows)
 
     def notes(self) -> list[str]:
-        """Return a note on columns that some messages lack."""
+        """Return a note on columns that some samples lack."""
         if not self._lacking:
             return []
         lacked = [name for name in self._units if name in self._lacked]
         names = ", ".join(lacked[:MOST_NAMED]) + (" ..." if len(lacked) > MOST_NAMED else "")
-        return [f"{self._lacking:,} of {self.number + 1:,} messages lack a part of {names}: NaN there"]
+        return [f"{self._lacking:,} of {self._samples:,} samples lack a part of {names}: NaN there"]
 
     def filled(self, stream: Stream, values: list[NDArray[Any]]) -> Stream:
         """Return the stream with the values that were read."""
@@ -349,8 +364,7 @@ class _Images(_MessageReader):
     def parts(self, messages: Iterator[tuple[int, Any]]) -> Iterator[tuple[NDArray[Any], ...]]:
         """Yield time and image of each message."""
         shape: tuple[int, ...] | None = None
-        for received_ns, message in messages:
-            stamp_us, received_us = self.times_us(received_ns, message)
+        for (stamp_us, received_us), message in self.samples(messages):
             image = self._plain(message) if hasattr(message, "step") else self._unpacked(message)
             shape = shape or image.shape
             if image.shape != shape:

@@ -170,7 +170,7 @@ def test_what_a_message_lacks_is_not_a_number(write: Write) -> None:
     assert stream.columns.keys() == wanted.keys()
     for name, values in wanted.items():
         np.testing.assert_array_equal(stream.columns[name], values)
-    assert notes == ["2 of 3 messages lack a part of position.b, velocity.b, velocity.a: NaN there"]
+    assert notes == ["2 of 3 samples lack a part of position.b, velocity.b, velocity.a: NaN there"]
 
 
 def test_other_parts_are_told_by_name(write: Write) -> None:
@@ -208,6 +208,31 @@ def test_other_parts_are_told_by_name(write: Write) -> None:
     ):
         path = write("db3", types, {"/topic": [types.make(name, *fields)]}, name.replace("/", "_"))
         assert wanted in stream_of(path)[0].columns
+
+
+@pytest.mark.parametrize("stamped", [True, False])
+def test_transforms_have_their_own_times(write: Write, stamped: bool) -> None:
+    """Assert that samples of /tf have the stamps of its transforms, each its own, and of reception without stamps."""
+    types = Types("db3")
+
+    def transform(us: int, frame: str) -> Any:
+        vector = types.make("geometry_msgs/msg/Vector3", us / 1e6, 0.0, 0.0)
+        turned = types.make("geometry_msgs/msg/Quaternion", 0.0, 0.0, 0.0, 1.0)
+        moved = types.make("geometry_msgs/msg/Transform", vector, turned)
+        return types.make("geometry_msgs/msg/TransformStamped", types.header(us * stamped), frame, moved)
+
+    both = [transform(START_US, "hand"), transform(START_US, "arm")]
+    apart = [transform(START_US + 2000, "hand"), transform(START_US + 1000, "arm")]
+    made = [types.make("tf2_msgs/msg/TFMessage", one) for one in (both, apart)]
+    stream, notes = stream_of(write("db3", types, {"/topic": made}))
+    hand = stream.columns["transforms.hand.transform.translation.x"]
+    if stamped:
+        assert stream.t_us.tolist() == [START_US, START_US + 1000, START_US + 2000]
+        assert stream.clock == "header.stamp"
+        np.testing.assert_array_equal(hand, [START_S, np.nan, START_S + 0.002])
+        assert notes[0].startswith("2 of 3 samples lack a part of transforms.hand.")
+    else:
+        assert len(hand) == 2 and "the recorder received" in stream.clock and notes == []
 
 
 def test_lists_without_names_must_keep_their_length(write: Write) -> None:
