@@ -2,10 +2,12 @@
 
 Text is UTF-8, UTF-16, or else Latin-1. The separator is the one by which the first rows have as many cells as the line
 of names. A separator at the end of each line adds a column without a name; it may be missing in the line of names.
+Excel may state the separator in a line before the names, `sep=;`.
 """
 
 import codecs
 import csv
+import io
 import re
 from pathlib import Path
 from typing import NamedTuple
@@ -14,19 +16,21 @@ from evetac_cli.errors import InputError
 from evetac_cli.text_files import open_regular
 
 MOST_HEAD_BYTES = 1 << 16  # of the line of names
-SAMPLE_BYTES = 1 << 18  # read for the separator and the decimal sign
+SAMPLE_BYTES = 1 << 18  # read for the separator; the decimal sign is searched in further parts of this size
+OVERLAP = 100  # characters of two parts, more than a number has
 SEPARATORS = ";\t, "  # in this order: names and decimal numbers have commas and blanks, hardly ever semicolons
 NUMBER = re.compile(r"\s*[-+]?[.\d][\d.eE+-]*\s*")
-DECIMAL = {sign: re.compile(rf"\s*[-+]?\d*\{sign}\d+(?:[eE][-+]?\d+)?\s*") for sign in ".,"}
+STATED = re.compile(r"\"?sep=(.)\"?")
 
 
 class Dialect(NamedTuple):
-    """How a CSV file is written; names: one per column, in order."""
+    """How a CSV file is written; names: one per column, in order. head_lines: before the numbers."""
 
     encoding: str
     separator: str
     decimal_sign: str
     names: list[str]
+    head_lines: int
 
 
 def find_dialect(path: Path, where: str) -> Dialect:
@@ -36,6 +40,9 @@ def find_dialect(path: Path, where: str) -> Dialect:
     encoding = _encoding(sample)
     text = codecs.getincrementaldecoder(encoding)("replace").decode(sample)
     head, *lines = re.split(r"\r\n?|\n", text.removeprefix("\ufeff"))
+    stated = STATED.fullmatch(head.strip("\r\n "))
+    if stated and lines:
+        head, *lines = lines
     if len(sample) == SAMPLE_BYTES:  # the last line may be cut
         lines = lines[:-1]
     head = head.strip("\r\n ")
@@ -44,7 +51,7 @@ def find_dialect(path: Path, where: str) -> Dialect:
             "the file is neither a table nor a bag", where=where, expected="CSV, Parquet, or a bag of ROS 1 or ROS 2"
         )
     lines = [line for line in lines if line.strip()]
-    separator = next((sign for sign in SEPARATORS if _fits(head, lines[:20], sign)), None)
+    separator = stated[1] if stated else next((sign for sign in SEPARATORS if _fits(head, lines[:20], sign)), None)
     separator = separator or max(",;\t", key=head.count)
     separator = separator if separator in head else " "
     names = _cells(head, separator)
@@ -56,9 +63,25 @@ def find_dialect(path: Path, where: str) -> Dialect:
         more = len(_cells(lines[0], separator)) - len(names)
         names = [*names, ""] if more == 1 and lines[0].endswith(separator) else names
         names = names[:-1] if more == -1 and not names[-1].strip() else names
-    cells = [cell for line in lines for cell in _cells(line, separator)]
-    has_commas, has_points = (any(map(DECIMAL[sign].fullmatch, cells)) for sign in ",.")
-    return Dialect(encoding, separator, "," if has_commas and not has_points else ".", names)
+    return Dialect(encoding, separator, _decimal_sign(path, encoding, separator), names, 2 if stated else 1)
+
+
+def _decimal_sign(path: Path, encoding: str, separator: str) -> str:
+    """Return the decimal sign of the first part of the file that has one; a point if both or none occur."""
+    number = {}
+    for sign in ".,":
+        edge = f'["\r\n{re.escape(separator)}]' if sign != separator else '"'
+        number[sign] = re.compile(rf"{edge}\s*[-+]?\d*\{sign}\d+(?:[eE][-+]?\d+)?\s*{edge}")
+    before = ""
+    with open_regular(path) as file, io.TextIOWrapper(file, encoding, "replace") as texts:
+        texts.readline(MOST_HEAD_BYTES)  # names may have numbers
+        while part := texts.read(SAMPLE_BYTES):
+            text = f"{before or chr(10)}{part}" + ("" if len(part) == SAMPLE_BYTES else "\n")
+            has_commas, has_points = (sign in text and bool(number[sign].search(text)) for sign in ",.")
+            if has_commas or has_points:
+                return "." if has_points else ","
+            before = text[-OVERLAP:]
+    return "."
 
 
 def _encoding(sample: bytes) -> str:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError, missing_extra
-from evetac_cli.formats.arrow_columns import is_known, to_numpy
+from evetac_cli.formats.arrow_columns import is_known, to_arrow, to_numpy
 from evetac_cli.formats.read.csv_dialect import find_dialect
 from evetac_cli.formats.read.parquet_pages import MAGIC, RowGroup, footer_bytes, row_groups, unpacked_bytes
 from evetac_cli.formats.read.table_names import TICKS_S, Times, find_times, has_unit, is_time, name_and_unit
@@ -40,6 +40,7 @@ YEARS_S = (946_684_800, 4_102_444_800)  # the years 2000 to 2100 in Unix time
 # Sense of times with fractions whose unit is not stated. In seconds: shorter steps are a rate that a device has.
 SHORT_STEP, LONG_STEP = 0.05, 1.0
 MOST_LENGTHS = 30  # a table is at most this many times as long as the recording
+DURATION = r"^\s*(?:(?P<d>-?\d{1,6}) days?)? ?\+?(?P<h>\d{1,6}):(?P<m>\d\d):(?P<s>\d\d(?:\.\d+)?)\s*$"
 EPISODES = "episode_index"  # of LeRobot
 
 Batches = Callable[[Sequence[int], str], Iterator[Any]]  # arguments: indices of the columns, in order; the file's path
@@ -66,11 +67,18 @@ def read_table(path: Path, folder: Path | None, length_s: float = math.inf) -> t
         names, types, batches_of, notes = _parquet(place) if is_parquet(path) else _csv(place, where)
         if len(names) > MOST_COLUMNS:
             raise _too_wide(len(names), where)
-        times = find_times(names, types, where)
-        for at in times.columns:
-            if not is_time(types[at]):
-                what = f"{times.clock} of type {types[at]}"
-                raise InputError("the times are not numbers", where=where, found=what)
+        unset: list[int] = []
+        while True:
+            times = find_times(names, types, where, unset)
+            for at in times.columns:
+                if not is_time(types[at]):
+                    what = f"{times.clock} of type {types[at]}"
+                    raise InputError("the times are not numbers", where=where, found=what)
+            tried = not times.others or times.columns[0] in unset
+            if tried or not _never_set(batches_of(times.columns, where)):
+                break
+            notes.append(f"{times.clock} is 0 or empty in all rows, so never set")
+            unset += times.columns
         numbers = [
             at
             for at, kind in enumerate(types)
@@ -103,6 +111,18 @@ def read_table(path: Path, folder: Path | None, length_s: float = math.inf) -> t
     ]
     notes += [f"left out: {_some(others)}, which {'are' if len(others) > 1 else 'is'} not numeric"] if others else []
     return Stream("", t_us, columns, units=units, source=path.name, clock=read.clock), notes
+
+
+def _never_set(batches: Iterator[Any]) -> bool:
+    """Whether columns of times have several rows, and in each 0 or nothing."""
+    rows = 0
+    for batch in batches:
+        rows += batch.num_rows
+        for column in batch.columns:
+            ticks = column.view(f"int{column.type.bit_width}") if has_unit(column.type) else column
+            if np.nan_to_num(to_numpy(ticks)).any():
+                return False
+    return rows > 1
 
 
 def _is_number(kind: Any) -> bool:
@@ -253,17 +273,21 @@ def _csv(path: Path, where: str) -> tuple[list[str], list[Any], Batches, list[st
     from pyarrow import csv
 
     # Columns are read by their place as text: two may have the same name.
-    encoding, separator, decimal_sign, names = find_dialect(path, where)
+    encoding, separator, decimal_sign, names, head_lines = find_dialect(path, where)
     options = csv.ReadOptions(
         use_threads=False,
         block_size=BLOCK_BYTES,
-        skip_rows=1,
+        skip_rows=head_lines,
         column_names=list(map(str, range(len(names)))),
         encoding=encoding,
     )
     how = options, csv.ParseOptions(delimiter=separator)
     with csv.open_csv(path, *how, csv.ConvertOptions(decimal_point=decimal_sign)) as first:
         types = list(first.schema.types)
+        row = next((batch.slice(0, 1) for batch in first), None)
+    texts = [at for at, kind in enumerate(types) if kind == pyarrow.string()]
+    spans = {at for at in texts if row is not None and not _durations(row.column(at)).null_count}
+    types = [pyarrow.duration("us") if at in spans else kind for at, kind in enumerate(types)]
     times = find_times(names, types, where).columns
     # A column may begin with whole numbers and continue with fractions, so all except the times are read as floats.
     types = [
@@ -278,10 +302,29 @@ def _csv(path: Path, where: str) -> tuple[list[str], list[Any], Batches, list[st
         included = [str(at) for at in wanted]
         convert = csv.ConvertOptions(column_types=floats, include_columns=included, decimal_point=decimal_sign)
         with csv.open_csv(path, *how, convert) as reader:
-            yield from reader
+            for batch in reader:
+                columns = zip(wanted, batch.columns, strict=True)
+                yield pyarrow.record_batch(
+                    [_durations(column) if at in spans else column for at, column in columns], included
+                )
 
     notes = ["the text is not UTF-8; assumed to be Latin-1"] if encoding == "latin-1" else []
     return names, types, batches, notes
+
+
+def _durations(texts: Any) -> Any:
+    """Return durations in us that are written as pandas does, `1 days 00:00:01.5`, days optional; null for others."""
+    import pyarrow
+    from pyarrow import compute
+
+    parts = compute.extract_regex(compute.replace_substring(texts, ",", "."), DURATION)
+    days, hours, minutes, seconds = (
+        to_numpy(compute.if_else(compute.equal(part, ""), "0", part).cast("float64"))
+        for part in (parts.field(at) for at in range(4))
+    )
+    known = is_known(parts)
+    us = np.rint(np.where(known, ((days * 24 + hours) * 60 + minutes) * 60 + seconds, 0) * 1e6).astype(np.int64)
+    return to_arrow(pyarrow, us, ~known).view(pyarrow.duration("us"))
 
 
 def _parquet(path: Path) -> tuple[list[str], list[Any], Batches, list[str]]:

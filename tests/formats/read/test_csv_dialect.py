@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from evetac_cli.errors import InputError
+from evetac_cli.formats.read.csv_dialect import SAMPLE_BYTES
 from evetac_cli.formats.read.read_table import read_table
 
 pytest.importorskip("pyarrow")
@@ -19,6 +20,10 @@ SAME = {
     "UTF-16": ("t_s;Force [N];ü\r\n0,01;1,5;a\r\n0,02;2,5;b\r\n", "utf-16"),
     "UTF-16 without a mark": ("t_s;Force [N];ü\r\n0,01;1,5;a\r\n0,02;2,5;b\r\n", "utf-16-le"),
     "UTF-8 with a mark": ("t_s,Force [N]\n0.01,1.5\n0.02,2.5\n", "utf-8-sig"),
+    "Excel's line before the names": ("sep=;\r\nt_s;Force [N]\r\n0,01;1,5\r\n0,02;2,5\r\n", "utf-8-sig"),
+    "a stated separator that also fits otherwise": ("sep=,\nt_s,Force [N]\n0.01,1.5\n0.02,2.5\n", "utf-8"),
+    "durations of pandas": ("t,Force [N]\n0 days 00:00:00.010000,1.5\n0 days 00:00:00.020000,2.5\n", "utf-8"),
+    "durations without days": ("t;Force [N]\n00:00:00,01;1,5\n00:00:00,02;2,5\n", "utf-8"),
     "an empty last column": ("t_s,Force [N],\n0.01,1.5,\n0.02,2.5,\n", "utf-8"),
     "a separator after each row": ("t_s;Force [N]\n0,01;1,5;\n0,02;2,5;\n", "utf-8"),
     "a separator after the names": ("t_s,Force [N],\n0.01,1.5\n0.02,2.5\n", "utf-8"),
@@ -39,6 +44,31 @@ def test_ways_of_writing_do_not_change_the_values(tmp_path: Path, case: str) -> 
     assert name.startswith("Force") and values.tolist() == [1.5, 2.5]
     assert stream.units[name] == ("" if case == "a comma in a name" else "N")
     assert notes == (["left out: column ü, which is not numeric"] if "ü" in text else [])
+
+
+@pytest.mark.parametrize("separator", [";", ","])
+def test_decimal_commas_may_come_late(tmp_path: Path, separator: str) -> None:
+    """Assert that decimal commas are found beyond the part of the file that shows the separator."""
+    quote = '"' if separator == "," else ""
+    rows = [f"{at}{separator}{at}" for at in range(40_000)]
+    rows[-1] = f"39999{separator}{quote}39999,5{quote}"
+    text = f"t_ms{separator}x\n" + "\n".join(rows)
+    assert len(text) > SAMPLE_BYTES
+    (tmp_path / "a.csv").write_text(text)
+    stream, notes = read_table(tmp_path / "a.csv", None)
+    assert stream.columns["x"][[0, -2, -1]].tolist() == [0, 39998, 39999.5] and notes == []
+
+
+def test_durations_of_pandas_may_be_negative(tmp_path: Path) -> None:
+    """Assert days, hours and a sign, in a column without a name, and that a row without a duration is refused."""
+    rows = ["-1 days +23:59:59.5,1", "0 days 00:00:00,2", "1 days 02:00:00.25,3"]
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join([",x", *rows]))
+    stream, _ = read_table(path, None)
+    assert stream.t_us.tolist() == [-500_000, 0, 93_600_250_000]
+    path.write_text("\n".join([",x", *rows, "NaT,4"]))
+    with pytest.raises(InputError, match=r"row 4(.|\n)*the row has no time|the row has no time(.|\n)*row 4"):
+        read_table(path, None)
 
 
 def test_latin_1_is_assumed_and_said(tmp_path: Path) -> None:
