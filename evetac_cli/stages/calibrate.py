@@ -31,7 +31,7 @@ from evetac_cli.store.layout.provenance import Recipe, time_host_versions
 from evetac_cli.store.recordings.read import Recording, open_recording
 
 OUTPUT = "calibration"
-METHOD = 5
+METHOD = 6
 LEFT_OUT = "positions_left_out"
 LEAST_DOTS = 4
 WORST_JITTER_PX = 1.0

@@ -100,14 +100,18 @@ def lattice(places_xy_px: NDArray[np.float64], least: tuple[int, int] = (0, 0)) 
     index = np.array([*cells]).reshape(-1, 2)
     if not cells or (np.ptp(index, axis=0) < 1).any():
         raise too_few
-    first = index.min(axis=0)
-    grid = np.full((*(index.max(axis=0) - first + 1), 2), np.nan)
-    for cell, place in cells.items():
-        grid[tuple(np.array(cell) - first)] = places[place]
-    grid = _without_weak_borders(grid, least)
-    if min(grid.shape[:2]) < 2:
+    place_of = np.full(np.ptp(index, axis=0) + 1, -1)
+    place_of[tuple((index - index.min(axis=0)).T)] = [*cells.values()]
+    place_of = _without_weak_borders(place_of, least)
+    if min(place_of.shape) < 2:
         raise too_few
-    return grid
+    if (place_of >= 0).sum() < len(places):
+        # Beyond the borders of a grid that a lens bends a lot, the surface folds back: cells there may have taken dots.
+        cells = {tuple(cell): int(place_of[tuple(cell)]) for cell in np.argwhere(place_of >= 0).tolist()}
+        found = _matched(places, cells, np.argwhere(place_of >= -1))
+        if len(found) > len(cells):
+            place_of[tuple(np.array([*found]).T)] = [*found.values()]
+    return np.where((place_of >= 0)[..., None], places[place_of], np.nan)
 
 
 def impossible(dot_xy_px: NDArray[np.float64], radius_px: float | None = None) -> tuple[str, str] | None:
@@ -271,20 +275,23 @@ def _terms(cells: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.stack([cells[:, 0] ** down * cells[:, 1] ** right for down, right in POWERS], axis=1)
 
 
-def _without_weak_borders(grid: NDArray[np.float64], least: tuple[int, int]) -> NDArray[np.float64]:
-    """Remove first and last rows and columns with less than half of their dots, the emptiest first."""
-    while grid.size:
-        present = np.isfinite(grid[..., 0])
+def _without_weak_borders(place_of: NDArray[np.int64], least: tuple[int, int]) -> NDArray[np.int64]:
+    """Remove first and last rows and columns with less than half of their dots, the emptiest first.
+
+    place_of: (rows, columns) index of a position, -1 for none.
+    """
+    while place_of.size:
+        present = place_of >= 0
         borders = []
-        if len(grid) > least[0]:
-            borders += [(present[0].mean(), grid[1:]), (present[-1].mean(), grid[:-1])]
-        if grid.shape[1] > least[1]:
-            borders += [(present[:, 0].mean(), grid[:, 1:]), (present[:, -1].mean(), grid[:, :-1])]
-        share, rest = min(borders, key=lambda border: border[0], default=(1.0, grid))
+        if len(place_of) > least[0]:
+            borders += [(present[0].mean(), place_of[1:]), (present[-1].mean(), place_of[:-1])]
+        if place_of.shape[1] > least[1]:
+            borders += [(present[:, 0].mean(), place_of[:, 1:]), (present[:, -1].mean(), place_of[:, :-1])]
+        share, rest = min(borders, key=lambda border: border[0], default=(1.0, place_of))
         if share >= 0.5:
             break
-        grid = rest
-    return grid
+        place_of = rest
+    return place_of
 
 
 def pitch(dot_xy_px: NDArray[np.float64]) -> float:

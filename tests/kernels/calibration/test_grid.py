@@ -191,6 +191,16 @@ def test_lattice_through_a_lens(shape: tuple[int, int], bend: float) -> None:
         np.testing.assert_array_equal(lattice(rng.permutation(places[np.isfinite(places[:, 0])])), grid)
 
 
+@pytest.mark.parametrize("seed", [1, 2, 10])
+def test_lattice_where_a_lens_folds_the_border(seed: int) -> None:
+    """Assert that all dots are kept, also if what is expected beyond the border falls onto dots of the grid."""
+    rng = np.random.default_rng(seed)
+    flat = np.stack(np.meshgrid(np.linspace(-272, 272, 9), np.linspace(-204, 204, 7)), axis=-1)
+    grid = flat * (1 - 0.3 * (flat**2).sum(axis=2, keepdims=True) / 320**2) + (320, 240)
+    grid += rng.normal(0, 1.0, grid.shape)
+    np.testing.assert_array_equal(lattice(rng.permutation(grid.reshape(-1, 2)), (7, 9)), grid)
+
+
 def test_lattice_takes_the_better_of_two() -> None:
     """Assert that of two places for one dot the one that fits the lattice stays."""
     grid = regular(5, 5)
