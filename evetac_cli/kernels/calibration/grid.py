@@ -107,7 +107,7 @@ def lattice(places_xy_px: NDArray[np.float64], least: tuple[int, int] = (0, 0)) 
         raise too_few
     if (place_of >= 0).sum() < len(places):
         # Beyond the borders of a grid that a lens bends a lot, the surface folds back: cells there may have taken dots.
-        cells = {tuple(cell): int(place_of[tuple(cell)]) for cell in np.argwhere(place_of >= 0).tolist()}
+        cells = {(row, column): int(place_of[row, column]) for row, column in np.argwhere(place_of >= 0).tolist()}
         found = _matched(places, cells, np.argwhere(place_of >= -1))
         if len(found) > len(cells):
             place_of[tuple(np.array([*found]).T)] = [*found.values()]
