@@ -56,7 +56,7 @@ from evetac_cli.store.files import StageFile
 from evetac_cli.store.recordings.onset import abstains, in_short, labelled_onset
 
 OUTPUT = "report"
-METHOD = 10
+METHOD = 11
 
 SHOWN_MS = (-60, 40)  # range of the paper's figure of slip timing
 PANELS = 4  # distributions side by side

@@ -33,7 +33,7 @@ from evetac_cli.stages.model_files import (
     training_ancestors,
 )
 from evetac_cli.stages.slip_detectors import first_labelled, first_needed, load_detector, probabilities, read_series
-from evetac_cli.stages.splits import check_disjoint, object_name, sensor_names
+from evetac_cli.stages.splits import check_disjoint, object_name, sensor_names, sensor_of
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.hdf5.disk import taking_the_place_of
 from evetac_cli.store.layout.provenance import Header
@@ -167,7 +167,7 @@ def predict_all(
 
     recordings: of each trajectory; then labels and onsets are those of their truth, as by `label --method truth`.
     """
-    sensors = sensor_names(headers)
+    sensors = sensor_names([sensor_of(header) for header in headers])
     by_model: list[list[Prediction]] = [[] for _ in models]
     for begin in range(0, len(paths), AT_ONCE):
         chunk = slice(begin, begin + AT_ONCE)

@@ -1,5 +1,7 @@
 """Splits of trajectories into training and evaluation, which never overlap, and are by object on request."""
 
+import hashlib
+import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,12 +18,30 @@ def object_name(header: Header) -> str:
     return "unknown"
 
 
-def sensor_names(headers: Sequence[Header]) -> list[str]:
-    """Return the sensor of the recording from which each file was made, or `unknown`.
+class RecordedSensor(NamedTuple):
+    """The name of a sensor, and its values as far as the recipe of a recording has them."""
+
+    name: str
+    values: dict[str, Any]
+
+
+UNKNOWN_SENSOR = RecordedSensor("unknown", {})
+
+
+def sensor_of(header: Header) -> RecordedSensor:
+    """Return the sensor of the recording from which a file was made; its name is `unknown` if the recipe has none."""
+    for ancestor in (header, *header["history"].values()):
+        if ancestor["kind"] == "recording" and "sensor" in ancestor["parameters"]:
+            return RecordedSensor(str(ancestor["parameters"]["sensor"]), ancestor["parameters"].get("sensor_row") or {})
+    return UNKNOWN_SENSOR
+
+
+def sensor_names(sensors: Sequence[RecordedSensor]) -> list[str]:
+    """Return the name of each sensor.
 
     Different sensors of one name, such as sensor files without `name`, get the values that differ in their names.
     """
-    named = [_sensor(header) for header in headers]
+    named = [(sensor.name, sensor.values) for sensor in sensors]
     rows: dict[str, list[dict[str, Any]]] = {}
     for name, row in named:
         of_name = rows.setdefault(name, [])
@@ -34,19 +54,16 @@ def sensor_names(headers: Sequence[Header]) -> list[str]:
         ]
         for name, of_name in rows.items()
     }
-    return [", ".join([name, *(f"{key} {_text(row.get(key))}" for key in differ[name])]) for name, row in named]
+    return [
+        ", ".join([name, *(f"{key} {_text(row[key])}" for key in differ[name] if key in row)]) for name, row in named
+    ]
 
 
 def _text(value: Any) -> str:
+    """Return a value in a name; a list or a table, which would be too long, as a digest."""
+    if isinstance(value, (list, dict)):
+        return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()[:6]
     return f"{value:g}" if isinstance(value, float) else str(value)
-
-
-def _sensor(header: Header) -> tuple[str, dict[str, Any]]:
-    """Return the name and the values of a sensor, as far as the recording's recipe has them."""
-    for ancestor in (header, *header["history"].values()):
-        if ancestor["kind"] == "recording" and "sensor" in ancestor["parameters"]:
-            return str(ancestor["parameters"]["sensor"]), ancestor["parameters"].get("sensor_row") or {}
-    return "unknown", {}
 
 
 def recording_ids(header: Header) -> set[str]:

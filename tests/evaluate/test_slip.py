@@ -28,7 +28,7 @@ from evetac_cli.kernels.slip.inputs import Series
 from evetac_cli.kernels.slip.labels import is_slip
 from evetac_cli.kernels.slip.metrics import Prediction
 from evetac_cli.stages import slip_detectors, train
-from evetac_cli.stages.splits import sensor_names
+from evetac_cli.stages.splits import RecordedSensor, sensor_names, sensor_of
 from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.layout.provenance import Recipe
 from tests.make import event_arrays, events_at, run_stage, truth_arrays
@@ -568,7 +568,10 @@ def test_sensors_of_one_name_are_told_apart() -> None:
         for name, pa in (("own-sensor", 72e3), ("own-sensor", 290e3), ("evetac", 145e3))
     ]
     named = ["own-sensor, shear_modulus_pa 72000", "own-sensor, shear_modulus_pa 290000", "evetac"]
-    assert sensor_names(headers) == named
+    assert sensor_names([sensor_of(header) for header in headers]) == named
+    lists = [RecordedSensor("own-sensor", {"hot_pixel_hz": [float(rate)] * 100}) for rate in (1, 2)]
+    first, second = sensor_names(lists)
+    assert first != second and len(first) < 40
 
 
 def test_truth_beside_the_labels_is_named(tmp_path: Path) -> None:

@@ -2,7 +2,7 @@
 
 import json
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -18,6 +18,7 @@ from evetac_cli.events import SLICE_US
 from evetac_cli.jobs import Progress, Rows
 from evetac_cli.kernels.grip.paper import GraspPhase
 from evetac_cli.pages.view.event_images import picture
+from evetac_cli.stages.splits import UNKNOWN_SENSOR, RecordedSensor, sensor_names, sensor_of
 from evetac_cli.store.files import StageFile, stem
 from evetac_cli.store.index import IndexRow, foreign_note, open_index, recording_of
 from evetac_cli.store.recordings.onset import labelled_onset
@@ -71,6 +72,7 @@ class StudyTrial:
     has_dots: bool = False  # a grid of dots to follow
     has_window: bool = False
     frame_px: tuple[int, int] | None = None
+    sensor: RecordedSensor = UNKNOWN_SENSOR
     t_s: int | None = None  # ms; truth
     t_c: int | None = None  # ms; labels; None if they abstain
     doubt: str = ""  # why the labels abstain
@@ -186,6 +188,13 @@ def read_study(folder: Path, progress: Progress) -> Study:
     return study
 
 
+def tell_sensors_apart(studies: Sequence[Study]) -> None:
+    """Name the sensors of all trials as `evaluate slip --by sensor` does: different ones never have the same name."""
+    trials = [trial for study in studies for trial in study.trials if trial.sensor != UNKNOWN_SENSOR]
+    for trial, name in zip(trials, sensor_names([trial.sensor for trial in trials]), strict=True):
+        trial.row = trial.row._replace(sensor=name)
+
+
 def _nothing(folder: Path, holds: str) -> InputError:
     return InputError(
         "no evetac files in this folder",
@@ -219,6 +228,7 @@ def _read_trial(folder: Path, trial: StudyTrial, *, draw: bool) -> None:
                 trial.labelled_by = str(labels.header["parameters"].get("method", "farneback"))
         if "recording" in trial.files:
             with open_recording(folder / trial.files["recording"]) as recording:
+                trial.sensor = sensor_of(recording.header)
                 trial.events = recording.event_count
                 if recording.has("control/outcome"):
                     trial.grasp = json.loads(recording.read("control/outcome"))
@@ -229,6 +239,9 @@ def _read_trial(folder: Path, trial: StudyTrial, *, draw: bool) -> None:
                 trial.t_s = true_onset(recording) if trial.has_truth else None
                 if draw and len(recording):
                     trial.thumbnail = _thumbnail(trial, recording)
+        else:
+            with StageFile(folder / trial.row.path) as file:
+                trial.sensor = sensor_of(file.header)
     except (InputError, UnavailableError) as error:
         trial.broken = error.message
 

@@ -177,9 +177,9 @@ def _cells(study: Study, trial: StudyTrial, remarked: str, page: Path) -> dict[s
         link = quote(os.path.relpath(trial.page.resolve(), page.resolve().parent))
         image, name = (f"<a href='{link}'>{part}</a>" if part else "" for part in (image, name))
     return {
+        "trial": f"<td class='name'>{name}</td>",
         "study": cell(study.name),
         "onset, else busiest": f"<td>{image}</td>",
-        "trial": f"<td class='name'>{name}</td>",
         "stands out": f"<td class='remark'>{shared.short(remarked)}</td>" if remarked else cell(None),
         "object": cell(row.object),
         "scene": cell(row.scene),

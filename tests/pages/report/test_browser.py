@@ -70,6 +70,25 @@ def test_report_in_a_browser(browser: Browser, page: Path, record_property: Call
 
 
 @pytest.mark.slow
+def test_a_wide_table_is_within_reach(browser: Browser, page: Path) -> None:
+    """Assert that on 1,280 px the bar which scrolls the table is in the window, and names and headings stay in sight."""
+    browser.resize(1280)
+    browser.open(page)
+    browser.run("document.getElementById('all-trials').style.width = '2000px'")
+    box = "document.getElementById('all-trials').parentNode"
+    browser.run(f"{box}.scrollIntoView({{block: 'end'}})")
+    browser.run(f"{box}.scrollTo(500, 900)")
+    of_box, name, head = browser.run(
+        f"[{box}, {SHOWN}[40].cells[0], document.querySelector('#all-trials th')]"
+        ".map((one) => one.getBoundingClientRect().toJSON())"
+    )
+    assert 0 <= of_box["top"] < of_box["bottom"] <= browser.run("innerHeight")
+    assert name["left"] == head["left"] == of_box["left"]
+    assert head["top"] == of_box["top"]
+    assert browser.run(f"{SHOWN}[40].cells[0].textContent").startswith("slip-")
+
+
+@pytest.mark.slow
 def test_a_point_shows_its_trial(browser: Browser, page: Path) -> None:
     """Assert that a click on a point of the first chart marks the trial of that point."""
     browser.open(page)

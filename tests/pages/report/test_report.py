@@ -197,6 +197,26 @@ def test_abstentions_are_not_counted(study: Study) -> None:
     assert remark(last, figures.TIMING_MS) == (0.0, "")
 
 
+def test_sensors_of_one_name_are_told_apart(tmp_path: Path) -> None:
+    """Assert that the filter has an entry for each of two sensor files without a name.
+
+    So has a comparison of two folders in which each sensor is alone.
+    """
+    entries = []
+    for name, pa in (("soft", 72e3), ("stiff", 290e3)):
+        (tmp_path / name).mkdir()
+        sensor = {"sensor": "own-sensor", "sensor_row": {"shear_modulus_pa": pa}}
+        write_recording(tmp_path / name / f"{name}.recording.h5", 60, sensor=sensor)
+        entries.append(f"<option value='own-sensor, shear_modulus_pa {pa:g}'>")
+    text = page_of(tmp_path, tmp_path / "r.html")
+    assert [text.count(entry) for entry in entries] == [1, 1]
+    assert text.count("data-sensor='own-sensor, shear_modulus_pa 72000'") == 1
+    report.run([tmp_path / "soft", tmp_path / "stiff"], Report(compare=True), tmp_path / "both.html")
+    both = (tmp_path / "both.html").read_text(encoding="utf-8")
+    assert [both.count(entry) for entry in entries] == [1, 1]
+    assert "1 by the same scene, object, seed and trial number" in both
+
+
 def test_command(folder: Path, tmp_path: Path) -> None:
     """Assert that the command writes the page, says so in the one shape, and keeps what exists."""
     page = tmp_path / "r.html"

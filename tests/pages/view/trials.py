@@ -45,10 +45,11 @@ def write_recording(
     number: int = 8,
     seed: int = 1,
     more: dict[str, Any] | None = None,
+    sensor: dict[str, Any] | None = None,
 ) -> Header:
     """A recording whose events wander over the frame, `rate` a slice; of a grasp, or of a slip of object `number`.
 
-    more: datasets beside.
+    more: datasets beside. sensor: parameters of another sensor.
     """
     rng = np.random.default_rng(5)
     t = np.repeat(np.arange(slices, dtype=np.int64) * 1000, rate)
@@ -88,6 +89,7 @@ def write_recording(
             "object_row": {"material": "paper", "width_mm": 35.0, "height_mm": 145.0},
             "sensor_row": {"mm_per_px": 0.05},
         }
+    parameters |= sensor or {}
     path.unlink(missing_ok=True)
     return write_stage(path, Recipe("recording", 1, parameters, seed=seed, simulated_source=truth), arrays)
 
