@@ -95,6 +95,8 @@ def shown(sensors: str, method: str, rows: list[Row]) -> Row:
     """Return a row of the table."""
     near = interval([(row["object"], is_near(row)) for row in rows if _counts(row)])
     figures = summary(rows)
+    of_all = summary([row | {"abstained": False} for row in rows])
+    figures |= {name: of_all[name] for name in ("onsets_found", "onset_error_px_median", "onset_error_ms_median")}
     return {
         "sensors": sensors,
         "slips": sum(row["t_s_ms"] is not None for row in rows),

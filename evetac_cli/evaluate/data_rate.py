@@ -17,6 +17,7 @@ in the paper.
 """
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -27,7 +28,7 @@ from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.errors import InputError
 from evetac_cli.evaluate import paper, picture, report, report_job
 from evetac_cli.events import SLICES_PER_S
-from evetac_cli.jobs import Job, Outcome, Progress, Rows, Stage, silent
+from evetac_cli.jobs import Job, Outcome, Progress, Row, Rows, Stage, silent
 from evetac_cli.kernels.slip.covariates import TOUCH_N
 from evetac_cli.stages.related_files import check_made_from
 from evetac_cli.stages.splits import object_name
@@ -36,10 +37,11 @@ from evetac_cli.store.index import scene_words
 from evetac_cli.store.layout.provenance import Header
 from evetac_cli.store.recordings import slip_grid
 from evetac_cli.store.recordings.gel_columns import gel_counts
+from evetac_cli.store.recordings.onset import LabelledOnset, in_short, labelled_onset
 from evetac_cli.store.recordings.read import Recording, open_recording, true_onset
 
 OUTPUT = "report"
-METHOD = 3
+METHOD = 4
 PAPERS_SCENE = "data-rate"  # grasp, hold, push, let slip: the motions of the paper's figures
 INTERVALS = ("whole", "contact", "slip")
 ALL = "all"  # in the column `object` of a row over all recordings
@@ -53,6 +55,9 @@ class SliceInterval(NamedTuple):
     start: int
     stop: int
     missing_because: str = ""
+
+
+Intervals = dict[str, SliceInterval]
 
 
 def jobs(files: list[Path], params: EvaluateDataRate, out: Path | None) -> list[Job]:
@@ -76,23 +81,26 @@ def run(job: Job, params: EvaluateDataRate, *, force: bool = False, progress: Pr
     parameters = recipe_of(params) | ({} if as_papers else {"beside_the_paper": False})
 
     def measure() -> tuple[Rows, dict[str, Any]]:
-        rows: Rows = []
+        trials: list[tuple[Row, Intervals]] = []
         for number, path in enumerate(job.inputs):
             with open_recording(path) as recording:
-                rows.append(_row(recording, params))
+                spans = intervals(recording, params.around_s)
+                trials.append((_row(recording, spans, params), spans))
             progress(number + 1, len(job.inputs))
-        intervals = [_interval_row(interval, rows, as_papers=as_papers) for interval in INTERVALS]
+        rows = [row for row, _ in trials]
+        of_intervals = [_interval_row(interval, trials, as_papers=as_papers) for interval in INTERVALS]
         objects = list(dict.fromkeys(row["object"] for row in rows))
         by_object = [
-            _interval_row(interval, [row for row in rows if row["object"] == name], as_papers=as_papers, called=name)
+            _interval_row(interval, [one for one in trials if one[0]["object"] == name], as_papers, called=name)
             for name in objects
             for interval in INTERVALS
             if len(objects) > 1
         ]
-        shares = {f"share_{row['interval']}": row["share_mean"] for row in intervals}
-        shares |= {f"window_share_{row['interval']}": row["window_share_mean"] for row in intervals}
+        shares = {f"share_{row['interval']}": row["share_mean"] for row in of_intervals}
+        shares |= {f"trajectories_{row['interval']}": row["trajectories"] for row in of_intervals}
+        shares |= {f"window_share_{row['interval']}": row["window_share_mean"] for row in of_intervals}
         rgb = {"columns": paper.COLUMNS, "rgb_bytes_s": _rgb_bytes_s(params)}
-        return [*rows, *intervals, *by_object], {"trajectories": len(rows), **shares, **rgb}
+        return [*rows, *of_intervals, *by_object], {"trajectories": len(rows), **shares, **rgb}
 
     outcome = report(job, "evaluate data-rate", METHOD, parameters, parents, measure, force=force)
     shown = min(len(job.inputs), SHOWN)
@@ -105,16 +113,25 @@ def for_people(rows: Rows, params: EvaluateDataRate) -> tuple[Rows, list[str]]:
     """Return all rows, and sentences with the mean share of the RGB sensor's bytes."""
     of_intervals = [row for row in rows if "interval" in row and row["object"] == ALL]
     lines = [
-        f"{row['interval']}: {row['share_mean']:.1%} of the RGB sensor's bytes per second in {row['columns']} columns,"
-        f" plus {row['window_share_mean']:.1%} in the columns beyond (the window of a cut gel)."
+        f"{row['interval']}: {_share_in_words(row)}; n = {row['trajectories']} of"
+        f" {row['trajectories'] + row['left_out']} recordings"
+        + (f", left out: {row['left_out_because']}." if row["left_out"] else ".")
         for row in of_intervals
-        if row["share_mean"] is not None
     ]
     if all(row["paper_share_mean"] is None for row in of_intervals):
         lines.append(
             f"The paper's figures are not shown: they apply to the motions of `evetac record --scene {PAPERS_SCENE}`."
         )
     return rows, lines + slip_grid.resting_on(rows)
+
+
+def _share_in_words(row: Row) -> str:
+    if row["share_mean"] is None:
+        return "unknown"
+    return (
+        f"{row['share_mean']:.1%} of the RGB sensor's bytes per second in {row['columns']} columns,"
+        f" plus {row['window_share_mean']:.1%} in the columns beyond (the window of a cut gel)"
+    )
 
 
 def _rgb_bytes_s(params: EvaluateDataRate) -> float:
@@ -130,10 +147,9 @@ def _rgb_bytes_s(params: EvaluateDataRate) -> float:
     return width * height * pixel * params.rgb_hz
 
 
-def _row(recording: Recording, params: EvaluateDataRate) -> dict[str, Any]:
+def _row(recording: Recording, spans: Intervals, params: EvaluateDataRate) -> dict[str, Any]:
     bytes_a_slice = gel_counts(recording, columns=paper.COLUMNS) * params.event_bytes
     of_window = np.diff(recording.starts) * params.event_bytes - bytes_a_slice
-    spans = intervals(recording, params.around_s)
     row: dict[str, Any] = {
         "file": recording.path.name,
         "object": object_name(recording.header),
@@ -157,7 +173,7 @@ def _row(recording: Recording, params: EvaluateDataRate) -> dict[str, Any]:
     return row | {slip_grid.COLUMN: slip_grid.nodes_of(recording), "not_answered": "; ".join(reasons) or None}
 
 
-def intervals(recording: Recording, around_s: float) -> dict[str, SliceInterval]:
+def intervals(recording: Recording, around_s: float) -> Intervals:
     """Return the slices of the whole recording, of contact, and of `around_s` around the onset of slip."""
     slices = len(recording)
     contact = SliceInterval(0, 0, "no truth; contact is known only in simulations")
@@ -182,19 +198,22 @@ def _about_slip(recording: Recording, around_s: float) -> SliceInterval:
         labels = labels_beside(recording)
         if labels is None:
             return SliceInterval(0, 0, "neither truth nor labels next to the recording")
-        onset = labels.onset
-        if onset < 0:
+        if labels.onset.abstained:
+            return SliceInterval(0, 0, f"the labels abstain: {labels.onset.doubt}")
+        if labels.onset.slice_ is None:
             return SliceInterval(0, 0, "no slip in the labels")
+        onset = labels.onset.slice_
     first, last = onset - half, onset + half
     if first < 0 or last > len(recording):
         held_s = (min(last, len(recording)) - max(first, 0)) / SLICES_PER_S
-        return SliceInterval(0, 0, f"{held_s:g} s of {around_s:g} s around the onset at {onset} ms are recorded")
+        of_all = f"{held_s:g} s of {around_s:g} s around the onset at {onset} ms are recorded"
+        return SliceInterval(0, 0, f"too little around the onset: {of_all}")
     return SliceInterval(first, last)
 
 
 class _Labels(NamedTuple):
     header: Header
-    onset: int
+    onset: LabelledOnset
 
 
 def labels_beside(recording: Recording) -> _Labels | None:
@@ -204,7 +223,7 @@ def labels_beside(recording: Recording) -> _Labels | None:
         return None
     with StageFile(path, "labels") as labels:
         check_made_from(labels, recording)
-        return _Labels(labels.header, int(labels.read("onset_slice")))
+        return _Labels(labels.header, labelled_onset(labels))
 
 
 def _as_the_papers(header: Header) -> bool:
@@ -217,17 +236,20 @@ def _as_the_papers(header: Header) -> bool:
     return all(name == PAPERS_SCENE for name in names if name is not None)
 
 
-def _interval_row(interval: str, rows: Rows, *, as_papers: bool, called: str = ALL) -> dict[str, Any]:
+def _interval_row(
+    interval: str, trials: Sequence[tuple[Row, Intervals]], as_papers: bool, called: str = ALL
+) -> dict[str, Any]:
     """Return mean and standard deviation of the share of the RGB sensor's bytes over the trajectories that have it.
 
-    `called`: the object of these trajectories, or ALL. The row has the paper's figures only if the motions are like the
-    paper's.
+    The others are `left_out`. `called`: the object of these trajectories, or ALL. The row has the paper's figures only
+    if the motions are like the paper's.
     """
     shares, of_window = (
-        [row[f"{name}_{interval}"] for row in rows if row[f"{name}_{interval}"] is not None]
+        [row[f"{name}_{interval}"] for row, _ in trials if row[f"{name}_{interval}"] is not None]
         for name in ("share", "window_share")
     )
     mean = float(np.mean(shares)) if shares else None
+    whys = [spans[interval].missing_because for _, spans in trials if spans[interval].missing_because]
     paper_mean = paper.value("data rate", interval) if as_papers else None
     paper_sd = paper.value("data rate, sd", interval) if as_papers else None
     off = None if mean is None or paper_mean is None or paper_sd is None else (mean - paper_mean) / paper_sd
@@ -235,6 +257,8 @@ def _interval_row(interval: str, rows: Rows, *, as_papers: bool, called: str = A
         "interval": interval,
         "object": called,
         "trajectories": len(shares),
+        "left_out": len(whys),
+        "left_out_because": in_short(whys) or None,
         "share_mean": mean,
         "share_sd": float(np.std(shares, ddof=1)) if len(shares) > 1 else None,
         "window_share_mean": float(np.mean(of_window)) if of_window else None,

@@ -46,7 +46,7 @@ from evetac_cli.store.files import StageFile
 from evetac_cli.store.layout.provenance import Header
 
 OUTPUT = "report"
-METHOD = 3
+METHOD = 4
 SENSORS = ("events", "frames")  # in which dots are tracked; both are in the paper's table
 STYLES = {"regression": (picture.COLOURS[0], "linear regression"), "network": (picture.COLOURS[3], "network")}
 
@@ -121,16 +121,18 @@ def for_people(rows: Rows, params: EvaluateForce) -> tuple[Rows, list[str]]:
     """Return all rows, and the mean error of shear force by model, or for touch maps by knowledge of the gel."""
     by = "stiffness" if "stiffness" in rows[0] else "model"
     columns = {"mae_n": "", **{f"mae_n_{axis}": f"{axis} " for axis in forces.AXES}}
-    lines = []
+    lines, row_0 = [], rows[0]
     for name in dict.fromkeys(row[by] for row in rows):
         of_name = [row for row in rows if row[by] == name]
-        means = {
-            word: np.mean([row[column] for row in of_name if row[column] is not None])
-            for column, word in columns.items()
-            if column in rows[0]
-        }
-        words = ", ".join(f"{word}{mean:.3g} N" for word, mean in means.items())
-        lines.append(f"{by} {name}: mean absolute error of shear force {words}; {len(of_name)} trajectories.")
+        known = [row for row in of_name if row["mae_n_x"] is not None]
+        means = {word: np.mean([row[key] for row in known]) for key, word in columns.items() if known and key in row_0}
+        words = ", ".join(f"{word}{mean:.3g} N" for word, mean in means.items()) or "unknown"
+        count = f"n = {len(known)} of {len(of_name)} trajectories"
+        if left := len(of_name) - len(known):
+            count += f"; {left} without a slice in which a contact is found and enough dots are tracked"
+        if others := sum(not row.get("fitted", True) for row in known):
+            count += f"; {others} of sensors that the model was not fitted on"
+        lines.append(f"{by} {name}: mean absolute error of shear force {words}; {count}.")
     return rows, lines
 
 
@@ -221,7 +223,7 @@ def _row(trial: TrialForce, name: str) -> dict[str, Any]:
 def _summary(trials: list[TrialForce], rows: Rows, params: EvaluateForce) -> dict[str, Any]:
     """Return the range of the true forces, and mean errors over trajectories of sensors that models were fitted on.
 
-    With several trackers of a sensor, the names of the means contain the tracker.
+    With several trackers of a sensor, the names of the means and of their numbers of trajectories contain the tracker.
     """
     fitted_rows = [row for row in rows if row["fitted"]]
     trackers = {sensor: {row["tracker"] for row in fitted_rows if row["sensor"] == sensor} for sensor in SENSORS}
@@ -239,9 +241,18 @@ def _summary(trials: list[TrialForce], rows: Rows, params: EvaluateForce) -> dic
             ]
         )
     }
+    counts = {
+        f"{sensor}{f'_{tracker}' * (len(of_sensor) > 1)}_trajectories": sum(
+            (one.fitted, one.sensor, one.tracker) == (True, sensor, tracker) for one in trials
+        )
+        for sensor, of_sensor in trackers.items()
+        for tracker in sorted(of_sensor)
+    }
     force = np.concatenate([one.samples.force_n for one in trials])
     return {
         "trajectories": len(trials),
+        "trajectories_of_other_sensors": sum(not one.fitted for one in trials),
+        **counts,
         "samples_per_trajectory": params.samples,
         "true_force_min_x_n": float(force[:, 0].min()),
         "true_force_max_x_n": float(force[:, 0].max()),

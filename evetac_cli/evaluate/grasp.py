@@ -35,7 +35,7 @@ from evetac_cli.store.layout.provenance import Header
 from evetac_cli.store.recordings import slip_grid
 
 OUTPUT = "report"
-METHOD = 4
+METHOD = 5
 ALIKE = ("scene", "sensor", "gel", "slip_detector", "tracker", "slip_threshold")  # of all trials of a setting
 MEANS = (
     "opening_after_lift_ticks",
@@ -107,8 +107,13 @@ def for_people(rows: Rows, params: EvaluateGrasp) -> tuple[Rows, list[str]]:
         if "columns" in row:
             published = row.get("paper_success")
             beside = "" if published is None else f" (paper, on its own objects: {published:.2f})"
-            held_count = round(row["success"] * row["trials"])
-            lines.append(f"{row['setting']}: lifted and held to the end in {held_count} of {row['trials']}{beside}.")
+            held, trials = row["held_trials"], row["trials"]
+            words = f"{row['setting']}: lifted and held to the end in {held} of {trials}{beside}"
+            if held < trials:
+                words += f"; force and motion are over n = {held}, without {row['lost']}"
+            if row["over_holding_counted"] < held:
+                words += f"; the least force that holds the object is known in {row['over_holding_counted']} of these"
+            lines.append(f"{words}.")
     return rows, lines + slip_grid.resting_on(rows)
 
 
@@ -153,6 +158,7 @@ def tables(trials: Rows) -> tuple[Rows, dict[str, Any]]:
         objects += [_with_papers(row, "paper_success", "paper_opening_after_balance_ticks") for row in rows]
         row = {"setting": name, "columns": len(columns), **_alike(members), **figures(members)}
         row["reopened_share"] = _mean([each["reopened_share"] for each in rows])  # every column counts the same
+        row["reopened_columns"] = sum(each["reopened_share"] is not None for each in rows)
         row |= _ends(members, rows)
         row |= {key: value for key, value in grip_forces.firmness(members).items() if key not in ("grasps", "kept")}
         whole.append(_with_papers(row, "paper_success", "paper_reopened_share"))
@@ -190,12 +196,18 @@ def _alike(trials: Rows) -> dict[str, Any]:
 
 
 def figures(trials: Rows) -> dict[str, Any]:
-    """Return success rates over all trials, and figures over those that held their object to the end."""
+    """Return success rates over all trials, and figures over those that held their object to the end.
+
+    `held_trials` are behind these figures, except that `reopened_share` exists only if the gripper closed in the lift.
+    """
     lifted = [row for row in trials if row["lifted"]]
     held_trials = [row for row in trials if row["balanced"]]
     moved = [row["moved_mm"] for row in held_trials]
     return {
         "trials": len(trials),
+        "lifted_trials": len(lifted),
+        "held_trials": len(held_trials),
+        "reopened_trials": sum(row["reopened_share"] is not None for row in held_trials),
         "success": len(held_trials) / len(trials),
         "lifted": len(lifted) / len(trials),
         "balanced": len(held_trials) / len(lifted) if lifted else None,

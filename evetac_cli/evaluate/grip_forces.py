@@ -22,7 +22,8 @@ STAYED_MM = 3.0  # an object that moved less counts as not moved
 def firmness(trials: Rows) -> Row:
     """Return how many grasps of one controller kept their object, and with how much excess force; None where unknown.
 
-    Excess force is relative to the least force that holds the object.
+    Excess force is relative to the least force that holds the object, in the `over_holding_counted` grasps that kept
+    it and of which this force is known.
     """
     held_trials = [row for row in trials if row["balanced"]]
     with_excess = [row for row in held_trials if row.get("over_holding_end") is not None]
@@ -31,6 +32,7 @@ def firmness(trials: Rows) -> Row:
         "kept": len(held_trials) / len(trials),
         "lost": ", ".join(f"{count} {how}" for how, count in Counter(_losses(trials)).most_common()),
     }
+    row["over_holding_counted"] = len(with_excess)
     for name in ("end", "mean", "peak"):
         values = [one[f"over_holding_{name}"] for one in with_excess]
         row |= {
@@ -39,6 +41,7 @@ def firmness(trials: Rows) -> Row:
         }
     for low, high in CLASSES_G:
         values = [one["over_holding_end"] for one in with_excess if low <= one["carried_g"] < high]
+        row[f"over_holding_counted_{low:g}_{high:g}_g"] = len(values)
         row[f"over_holding_end_p95_{low:g}_{high:g}_g"] = _quantile(values, 0.95)
     row["force_follows_weight"] = rank_correlation(
         [one["carried_g"] for one in with_excess], [one["force_end_n"] for one in with_excess]

@@ -27,7 +27,7 @@ from evetac_cli.store.recordings.onset import LabelledOnset, in_short, labelled_
 from evetac_cli.store.recordings.read import Recording, first_slice, ramp_start, true_onset
 
 OUTPUT = "report"
-METHOD = 5
+METHOD = 6
 EARLIEST_MS = -4  # labels look 4 ms ahead
 LATEST_MS = 3
 NEAR_PX = 0.5  # of true sliding, early or late: an onset this near is correct ...
@@ -91,17 +91,17 @@ def slid_so_far(slid_px: NDArray[np.float32]) -> Floats:
 
 
 def summary(rows: Rows) -> dict[str, Any]:
-    """Return the summary of rows; shares are of trajectories that slip, and `rest_` marks those without abstentions."""
+    """Return the summary of rows.
+
+    `rest_` marks shares of the `counted` trajectories, which slip and whose labels do not abstain; errors are over the
+    `onsets_found` among these. Other shares are of all that slip, where the best guess of an abstention counts.
+    """
     slipped = [row for row in rows if row["t_s_ms"] is not None]
     rest = [row for row in slipped if not row["abstained"]]
-    found = [row for row in slipped if row["onset_error_ms"] is not None]
+    found = [row for row in rest if row["onset_error_ms"] is not None]
     errors = np.array([row["onset_error_ms"] for row in found], float)
     any_error = len(errors) > 0
-    early = [
-        row
-        for row in rows
-        if row["onset_before_gross_slip_ms"] is not None and row["onset_before_gross_slip_ms"] > -EARLIEST_MS
-    ]
+    early = [row for row in rows if not row["abstained"] and (row["onset_before_gross_slip_ms"] or 0) > -EARLIEST_MS]
     later = [row["t_every_node_ms"] - row["t_s_ms"] for row in slipped if row["t_every_node_ms"] is not None]
     judged_rest = [row for row in rest if row["interval_covers"] is not None]
     return {
@@ -125,6 +125,7 @@ def summary(rows: Rows) -> dict[str, Any]:
         "onset_error_ms_worst": float(errors[np.argmax(np.abs(errors))]) if any_error else None,
         "within_minus4_plus3_ms": _share(_in_time(row) for row in slipped),
         "earlier_than_4_ms_before_gross_slip": len(early),
+        "every_node_counted": len(later),
         "every_node_after_t_s_ms_median": float(np.median(later)) if later else None,
         "every_node_after_t_s_ms_most": max(later, key=abs) if later else None,
     }
@@ -173,6 +174,8 @@ def for_people(rows: Rows, params: EvaluateLabels) -> tuple[Rows, list[str]]:
             f"The labels abstain in {abstained} of {len(slipped)} trials that slip; these are not evaluated:"
             f" {in_short(row['doubt'] for row in slipped if row['abstained'])}."
         )
+    if still := len(rows) - len(slipped):
+        sentences.append(f"{still} of {len(rows)} trials do not slip and are not evaluated.")
     return rows, [*sentences, *slip_grid.resting_on(rows)]
 
 

@@ -34,7 +34,7 @@ from evetac_cli.store.layout.provenance import Header
 from evetac_cli.store.recordings.read import Recording, open_recording
 
 OUTPUT = "report"
-METHOD = 3
+METHOD = 4
 MOST_WINDOWS = 240  # per recording, for the classifier: two minutes
 NEAR = 0.10  # distances up to this count as near in the summary
 EDGES = ("dot_radius_px", "edge_sigma_px", "contrast_over_threshold")  # figures of the dots' edges
@@ -81,15 +81,16 @@ def run(job: Job, params: EvaluateRealism, *, force: bool = False, progress: Pro
                 where=f"{job.inputs[0]}, {job.inputs[1]}",
                 expected=f"{SHORTEST_REST} ms at rest, or {SHORTEST_MOTION} ms of motion, in both",
             )
-        compared = [row for row in rows if row["distance"] is not None]
-        as_halves = [row for row in compared if row["distance"] <= (row["distance_of_halves"] or 0.0)]
+        compared, with_halves, as_halves = _counts(rows)
         apart = _told_apart(job.inputs, progress)
         beside = "auc_of_halves" if params.same is None else "auc_of_same"
-        of_auc = {"auc": "distance", beside: "distance_of_halves", "windows": "real"}
+        of_auc = {"auc": "distance", beside: "distance_of_halves", "windows": "real", "windows_simulated": "simulated"}
         return [*rows, *apart], {
             "figures": len(compared),
+            "figures_unknown": len(rows) - len(compared),
+            "figures_with_halves": with_halves,
             f"figures_within_{100 * NEAR:.0f}_percent": sum(row["distance"] <= NEAR for row in compared),
-            "figures_as_near_as_halves": len(as_halves),
+            "figures_as_near_as_halves": as_halves,
             **{name: apart[0][key] if apart else None for name, key in of_auc.items()},
         }
 
@@ -99,19 +100,32 @@ def run(job: Job, params: EvaluateRealism, *, force: bool = False, progress: Pro
 
 def for_people(rows: Rows, params: EvaluateRealism) -> tuple[Rows, list[str]]:
     """Return all rows, the number of figures that are near, and how well a classifier distinguishes the recordings."""
-    compared = [row for row in rows if row["distance"] is not None and row["measure"] != HELD_OUT]
+    of_figures = [row for row in rows if row["measure"] != HELD_OUT]
+    compared, with_halves, as_halves = _counts(of_figures)
     near = sum(row["distance"] <= NEAR for row in compared)
-    as_halves = sum(row["distance"] <= (row["distance_of_halves"] or 0.0) for row in compared)
     lines = [
         f"{near} of {len(compared)} figures are within {NEAR:.0%} of the real recording's;"
-        f" {as_halves} differ no more than its own halves do."
+        f" {as_halves} of {with_halves} differ no more than its own halves do."
     ]
+    if unknown := len(of_figures) - len(compared):
+        lines.append(f"{unknown} figures are left out, because a recording has too few events or the real value is 0.")
+    if len(of_figures) == len(rows):
+        lines.append("No AUC: a recording has too few windows of 0.5 s.")
     for row in rows:
         if row["measure"] == HELD_OUT:
             same = row["distance_of_halves"]
             beside = "" if same is None else f"; two recordings of the real sensor: {same:.2f}"
-            lines.append(f"Distinguished with an AUC of {row['distance']:.2f} (0.5: never, 1: always){beside}.")
+            windows = f"{row['real']:.0f} real and {row['simulated']:.0f} simulated windows"
+            auc_words = f"an AUC of {row['distance']:.2f} (0.5: never, 1: always)"
+            lines.append(f"{windows}: distinguished with {auc_words}{beside}.")
     return rows, lines
+
+
+def _counts(rows: Rows) -> tuple[Rows, int, int]:
+    """Return rows with a distance, how many of them have one between the halves, and how many differ no more."""
+    compared = [row for row in rows if row["distance"] is not None]
+    with_halves = [row for row in compared if row["distance_of_halves"] is not None]
+    return compared, len(with_halves), sum(row["distance"] <= row["distance_of_halves"] for row in with_halves)
 
 
 def _headers(paths: Sequence[Path]) -> tuple[list[Header], tuple[int, int]]:

@@ -11,7 +11,8 @@ Each tracks file has a row for each of these states of knowledge:
 Truth is compared without the noise of a force sensor, every 40 ms of the contact. Readings used for adaptation have
 that noise. `shear_within_sd` and `normal_within_sd` are the shares of errors within one estimated standard deviation
 (68 % if that is correct). `contact_right` is the share of slices in which contact is detected correctly. `usable` is
-the share of slices in contact with enough tracked dots and a detected contact; errors are over these slices.
+the share of slices in contact with enough tracked dots and a detected contact; errors are over these slices
+(`slices_counted` of `slices_in_contact`). A trajectory without such slices has no errors; means are over the others.
 """
 
 import zlib
@@ -45,7 +46,11 @@ from evetac_cli.store.recordings.read import Recording
 if TYPE_CHECKING:
     from evetac_cli.stages.touch.touch_fold import Slices
 
-METHOD = 3
+METHOD = 4
+ERRORS = (
+    *("mae_n_x", "mae_n_y", "mae_n", "normal_mae_n", "normal_mae_of_range"),
+    *("shear_within_sd", "normal_within_sd"),
+)
 
 
 @dataclass(frozen=True)
@@ -232,23 +237,26 @@ def _row(trial: ForceTrial, name: str, range_n: float) -> dict[str, Any]:
     forces, touches = trial.predicted[name], trial.touches[name]
     pressed = trial.normal_n >= CONTACT_N
     usable = pressed & touches
-    off, normal_off = forces.shear_n[usable] - trial.shear_n[usable], forces.normal_n[usable] - trial.normal_n[usable]
-    any_slice = bool(usable.any())
-    mae = np.abs(off).mean(axis=0) if any_slice else np.full(2, np.nan)
-    normal_mae = float(np.abs(normal_off).mean()) if any_slice else np.nan
-    return {
-        "file": trial.path.name,
-        "sensor_name": trial.sensor_name,
-        "stiffness": name,
-        "mae_n_x": float(mae[0]),
-        "mae_n_y": float(mae[1]),
-        "mae_n": float(mae.mean()),
-        "normal_mae_n": normal_mae,
-        "normal_mae_of_range": normal_mae / range_n,
-        "shear_within_sd": float((np.abs(off) <= forces.shear_sd_n[usable]).mean()) if any_slice else np.nan,
-        "normal_within_sd": float((np.abs(normal_off) <= forces.normal_sd_n[usable]).mean()) if any_slice else np.nan,
+    row: dict[str, Any] = {"file": trial.path.name, "sensor_name": trial.sensor_name, "stiffness": name}
+    row |= dict.fromkeys(ERRORS)
+    if usable.any():
+        off = np.abs(forces.shear_n[usable] - trial.shear_n[usable])
+        normal_off = np.abs(forces.normal_n[usable] - trial.normal_n[usable])
+        mae, normal_mae = off.mean(axis=0), float(normal_off.mean())
+        row |= {
+            "mae_n_x": float(mae[0]),
+            "mae_n_y": float(mae[1]),
+            "mae_n": float(mae.mean()),
+            "normal_mae_n": normal_mae,
+            "normal_mae_of_range": normal_mae / range_n,
+            "shear_within_sd": float((off <= forces.shear_sd_n[usable]).mean()),
+            "normal_within_sd": float((normal_off <= forces.normal_sd_n[usable]).mean()),
+        }
+    return row | {
         "contact_right": float((touches == pressed).mean()),
         "usable": float(usable.sum() / max(pressed.sum(), 1)),
+        "slices_counted": int(usable.sum()),
+        "slices_in_contact": int(pressed.sum()),
     }
 
 
@@ -266,13 +274,15 @@ def _summary(trials: list[ForceTrial], rows: Rows, range_n: float, params: Evalu
     for name in dict.fromkeys(name for one in trials for name in one.predicted):
         selected_rows = [row for row in rows if row["stiffness"] == name]
         word = name.replace(", ", "_and_")
-        for key in ("mae_n", "normal_mae_n", "normal_mae_of_range", "shear_within_sd", "normal_within_sd"):
-            summary[f"{word}_{key}"] = float(np.nanmean([row[key] for row in selected_rows]))
+        known = [row for row in selected_rows if row["slices_counted"]]
+        summary[f"{word}_counted"] = len(known)
+        for key in ERRORS[2:]:
+            summary[f"{word}_{key}"] = float(np.mean([row[key] for row in known])) if known else None
         by_sensor: dict[str, list[float]] = {}
-        for row in selected_rows:
+        for row in known:
             by_sensor.setdefault(row["sensor_name"], []).append(row["mae_n"])
-        summary[f"{word}_sensors"] = len({row["sensor_name"] for row in selected_rows})
-        summary[f"{word}_worst_sensor_mae_n"] = float(max(np.nanmean(values) for values in by_sensor.values()))
+        summary[f"{word}_sensors"] = len(by_sensor)
+        summary[f"{word}_worst_sensor_mae_n"] = max((float(np.mean(of)) for of in by_sensor.values()), default=None)
     summary["contact_right"] = float(np.mean([row["contact_right"] for row in rows if row["stiffness"] == "unknown"]))
     return summary
 

@@ -33,7 +33,7 @@ from evetac_cli.store.recordings import slip_grid
 from evetac_cli.store.recordings.read import Recording, open_recording
 
 OUTPUT = "report"
-METHOD = 7
+METHOD = 8
 DOTS, TRUE_DOTS = "dot_xy_px", "truth/dot_xy_px"
 CONSISTENT_PX = 20.0  # as in the paper
 ROUNDING_PX = 0.1  # margin for positions stored as float32
@@ -79,6 +79,7 @@ def run(job: Job, params: EvaluateTracking, *, force: bool = False, progress: Pr
             "trajectories": len(rows),
             "with_truth": truth_count,
             **_lengths(rows),
+            "decided": sum(row["consistent"] is not None for row in rows),
             "dots_lost": sum(row["dots_lost"] or 0 for row in rows),
         }
         return [*presets, *rows], summary
@@ -99,9 +100,14 @@ def for_people(rows: Rows, params: EvaluateTracking) -> tuple[Rows, list[str]]:
     """Return all rows, and for each preset how often every dot ended where it began."""
     lines = []
     for row in rows:
-        if "file" not in row and row["consistent"] is not None:
-            trajectories = [one for one in rows if one.get("file") and one["preset"] == row["preset"]]
-            decided = sum(one["consistent"] is not None for one in trajectories)
+        if "file" in row:
+            continue
+        left = row["trajectories"] - row["decided"]
+        of_all = f"{left} of {row['trajectories']} trajectories"
+        sheared = f"; {of_all} are left out, because they end with the gel sheared" * bool(left)
+        if not row["decided"]:
+            lines.append(f"{row['preset']}: unknown whether dots end at their start{sheared}.")
+        else:
             published = row["paper_consistent_share"]
             beside = "" if published is None else f" (paper, on its own recordings: {published:.0%})"
             reset = row["dots_put_back"]
@@ -110,7 +116,7 @@ def for_people(rows: Rows, params: EvaluateTracking) -> tuple[Rows, list[str]]:
             )
             lines.append(
                 f"{row['preset']}: all dots end within {CONSISTENT_PX:g} px of their start in"
-                f" {row['consistent']} of {decided}{beside}{before}."
+                f" {row['consistent']} of {row['decided']}{beside}{before}{sheared}."
             )
     return rows, lines + slip_grid.resting_on(rows)
 
@@ -265,10 +271,12 @@ def _preset(name: str, rows: Rows) -> dict[str, Any]:
         "consistent": len(decided) - len(failed) if decided else None,
         "consistent_share": (len(decided) - len(failed)) / len(decided) if decided else None,
         "paper_consistent_share": paper.value("consistent", name),
+        "dots_lost_counted": len(failed),
         "dots_lost_mean": float(np.mean(failed)) if failed else None,
         "paper_dots_lost_mean": paper.value("dots lost", name),
         "consistent_before_reset": len(decided) - len(before_reset) if decided else None,
         "consistent_before_reset_share": (len(decided) - len(before_reset)) / len(decided) if decided else None,
+        "dots_lost_before_reset_counted": len(before_reset),
         "dots_lost_before_reset_mean": float(np.mean(before_reset)) if before_reset else None,
         "dots_put_back": sum(row["dots_put_back"] for row in rows),
         "events_per_dot": float(np.mean([row["events_per_dot"] for row in rows])),
@@ -304,7 +312,8 @@ def _draw_errors(axes: Any, errors: list[Floats], name: str, colour: str) -> Non
         line[: len(squares)] = squares
     seconds = (np.arange(padded.shape[1]) + 0.5) * BIN_MS * 1e-3
     lowest = LEAST_PX**2  # an error of 0 has no position on a logarithmic axis
-    axes.plot(seconds, np.sqrt(np.maximum(np.nanmean(padded, axis=0), lowest)), color=colour, label=name)
+    label = f"{name}, n = {len(errors)}"
+    axes.plot(seconds, np.sqrt(np.maximum(np.nanmean(padded, axis=0), lowest)), color=colour, label=label)
     if len(errors) > 1:
         low, high = np.sqrt(np.maximum(np.nanpercentile(padded, (10, 90), axis=0), lowest))
         axes.fill_between(seconds, low, high, color=colour, alpha=0.15, linewidth=0)
@@ -315,9 +324,7 @@ def _draw_consistent(axes: Any, rows: Rows, source: Source) -> None:
     """Plot the consistent share of each preset with its interval by number of trajectories, and the paper's."""
     presets = [row for row in rows if "file" not in row]
     for place, row in enumerate(presets):
-        of_preset = [one for one in rows if "file" in one and one["preset"] == row["preset"]]
-        count = sum(one["consistent"] is not None for one in of_preset)
-        if count:
+        if count := row["decided"]:
             share, colour = row["consistent_share"], picture.COLOURS[place % len(picture.COLOURS)]
             label = "95 % interval by the number of trajectories (Wilson)"
             axes.errorbar(share, place, xerr=picture.wilson(share, count), label=label, **picture.INTERVAL)
@@ -327,7 +334,8 @@ def _draw_consistent(axes: Any, rows: Rows, source: Source) -> None:
     picture.share_axis(axes.xaxis)
     axes.set(xlabel=f"share of trajectories that end within {CONSISTENT_PX:g} px", ylim=(len(presets) - 0.5, -0.5))
     axes.set_yticks(
-        range(len(presets)), [f"{picture.plain(row['preset'])}\ntrajectories: {row['trajectories']}" for row in presets]
+        range(len(presets)),
+        [f"{picture.plain(row['preset'])}\nn = {row['decided']} of {row['trajectories']}" for row in presets],
     )
 
 

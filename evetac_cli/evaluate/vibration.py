@@ -25,7 +25,7 @@ from evetac_cli.kernels import vibration
 from evetac_cli.store.recordings.read import Recording, open_recording
 
 OUTPUT = "report"
-METHOD = 3
+METHOD = 4
 SHORTEST_MS, LONGEST_MS = 100, 10_000  # of a window: shorter ones have no spectrum, longer ones need too much memory
 READ_MS = 250  # events read at once
 ENOUGH_WINDOWS = 5  # to estimate the tone's uncertainty from their differences
@@ -104,7 +104,7 @@ def run(job: Job, params: EvaluateVibration, *, force: bool = False, progress: P
 
 
 def for_people(rows: Rows, params: EvaluateVibration) -> tuple[Rows, list[str]]:
-    """Return all rows, and the number of recordings in which each method finds the tone."""
+    """Return all rows, the number of recordings in which each method finds the tone, and which are too short."""
     lines = []
     whole = [row for row in rows if "seconds" in row]
     for method in dict.fromkeys(row["method"] for row in whole):
@@ -116,6 +116,12 @@ def for_people(rows: Rows, params: EvaluateVibration) -> tuple[Rows, list[str]]:
         )
         tones = f"{right} of {len(with_tone)} with a known tone" if with_tone else ""
         lines.append(f"{method}: a vibration in {vibrating} of {len(of_method)} recordings{tones}.")
+    recordings = len({row["file"] for row in whole})
+    for length in _windows_ms(params.windows):
+        count = len({row["file"] for row in rows if row.get("window_s") == length / 1000})
+        if count < recordings:
+            short = f"{recordings - count} of {recordings} recordings are left out, because they are shorter"
+            lines.append(f"Windows of {length / 1000:g} s: {short}.")
     return rows, lines
 
 
@@ -315,9 +321,13 @@ def _by_window(
 
 
 def _summary(first: Rows, second: Rows) -> dict[str, Any]:
-    """Return the number of vibrating recordings, and the share of correct windows over all tones, with the paper's."""
+    """Return the number of vibrating recordings, and the share of correct windows over all tones, with the paper's.
+
+    A share is over the windows of recordings with a known tone that are long enough.
+    """
     summary: dict[str, Any] = {
         "recordings": len({row["file"] for row in first}),
+        "recordings_with_tone": len({row["file"] for row in first if row["expected_hz"] is not None}),
         "vibrating": sum(row["frequency_hz"] is not None for row in first if row["method"] == first[0]["method"]),
     }
     with_tone = [row for row in second if "correct" in row]
@@ -325,8 +335,10 @@ def _summary(first: Rows, second: Rows) -> dict[str, Any]:
         for window_s in dict.fromkeys(row["window_s"] for row in with_tone):
             rows = [row for row in with_tone if (row["method"], row["window_s"]) == (method, window_s)]
             if rows:
-                right = sum(row["correct"] for row in rows)
-                summary[f"{method}_share_{window_s:g}_s"] = right / sum(row["windows"] for row in rows)
+                windows = sum(row["windows"] for row in rows)
+                summary[f"{method}_share_{window_s:g}_s"] = sum(row["correct"] for row in rows) / windows
+                summary[f"{method}_windows_{window_s:g}_s"] = windows
+                summary[f"{method}_recordings_{window_s:g}_s"] = len(rows)
     if with_tone:
         summary |= {
             f"published_share_{length:g}_s": paper.value("vibration", "all", length) for length in paper.WINDOWS_S

@@ -46,11 +46,11 @@ def recording_file(
     return write_recording(path, arrays, simulated=truth, **parameters)
 
 
-def labels_file(recording: Path, onset: int, *, of: Path | None = None) -> None:
+def labels_file(recording: Path, onset: int, *, of: Path | None = None, doubt: str = "") -> None:
     with open_recording(of or recording) as source:
         header, slices = source.header, len(source)
     label = np.zeros(slices, np.int8)
-    label[onset:] = onset >= 0
+    label[onset:] = -1 if doubt else onset >= 0
     arrays = {
         "label": label,
         "relative_flow_px": np.zeros(slices, np.float32),
@@ -58,6 +58,7 @@ def labels_file(recording: Path, onset: int, *, of: Path | None = None) -> None:
         "confidence": np.float64("nan"),
         "flow_pairs_computed": np.int64(0),
     }
+    arrays |= {"abstained": np.uint8(1), "doubt": doubt} if doubt else {}
     path = recording.with_name(recording.name.replace(".recording.", ".labels."))
     write_stage(path, Recipe("labels", 1, {}, parents=(header,)), arrays, force=True)
 
@@ -141,6 +142,9 @@ def test_mean_and_sd_over_trajectories(tmp_path: Path) -> None:
     plain = recording_file(tmp_path / "c.recording.h5", steps())
     rows, intervals = evaluated(one, two, plain)
     assert [interval["trajectories"] for interval in intervals] == [3, 2, 2]
+    assert [interval["left_out"] for interval in intervals] == [0, 1, 1]
+    said = data_rate.for_people([*rows, *intervals], EvaluateDataRate())[1]
+    assert said[1].endswith("; n = 2 of 3 recordings, left out: no truth (1).")
     for interval in intervals:
         shares = [row[f"share_{interval['interval']}"] for row in rows if row[f"share_{interval['interval']}"]]
         assert interval["share_mean"] == pytest.approx(np.mean(shares))
@@ -165,22 +169,28 @@ def test_slip_from_labels(tmp_path: Path) -> None:
     [
         ({}, "slip: neither truth nor labels"),
         ({"labels": -1}, "slip: no slip in the labels"),
-        ({"labels": 1900}, "slip: 0.35 s of 0.5 s around the onset at 1900 ms"),
+        ({"labels": ONSET, "doubt": "the slide stopped: twice"}, "slip: the labels abstain: the slide stopped"),
+        ({"labels": 1900}, "slip: too little around the onset: 0.35 s of 0.5 s around the onset at 1900 ms"),
         ({"truth": True, "onset": SLICES}, "slip: no slip"),
         ({"truth": True, "touched": False}, "contact: nothing was touched"),
     ],
 )
 def test_what_cannot_be_answered_is_said(tmp_path: Path, how: dict[str, Any], reason: str) -> None:
     """Assert that an interval that is not known is left out with its reason, and the whole is answered all the same."""
-    labels = how.pop("labels", None)
+    labels, doubt = how.pop("labels", None), how.pop("doubt", "")
     path = recording_file(tmp_path / "a.recording.h5", steps(), **how)
     if labels is not None:
-        labels_file(path, labels)
+        labels_file(path, labels, doubt=doubt)
     ((row,), intervals) = evaluated(path)
     assert reason in row["not_answered"]
     assert row[f"share_{reason.partition(':')[0]}"] is None
     assert row["share_whole"] > 0
     assert intervals[0]["share_mean"] == row["share_whole"]
+    (without,) = [one for one in intervals if one["interval"] == reason.partition(":")[0]]
+    assert (without["trajectories"], without["left_out"]) == (0, 1)
+    said = f"{without['interval']}: unknown; n = 0 of 1 recordings, left out: {without['left_out_because']}."
+    assert said in data_rate.for_people([row, *intervals], EvaluateDataRate())[1]
+    assert without["left_out_because"].endswith(" (1)") and "350" not in without["left_out_because"]
 
 
 def test_what_is_refused(tmp_path: Path) -> None:

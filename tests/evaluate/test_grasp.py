@@ -87,6 +87,14 @@ def test_figures_are_over_what_was_held() -> None:
     assert whole["moved_below_10_mm_share"] == pytest.approx(2 / 3)
     assert whole["opening_after_balance_ticks"] == -7.0
     assert whole["force_end_n"] == 1.0
+    assert (whole["held_trials"], whole["lifted_trials"], whole["over_holding_counted"]) == (3, 4, 3)
+    trials[0] |= {"over_holding_end": None, "reopened_share": None}
+    rows, _ = tables(trials)
+    counts = "over_holding_counted", "over_holding_counted_100_250_g", "reopened_trials", "reopened_columns"
+    assert [rows[0][name] for name in counts] == [2, 2, 2, 1]
+    _, (line, *_) = evaluate_grasp.for_people(rows, EvaluateGrasp())
+    assert "to the end in 3 of 4; force and motion are over n = 3, without 1 fell in balance; the least force" in line
+    assert line.endswith("known in 2 of these.")
 
 
 def test_every_column_counts_the_same() -> None:

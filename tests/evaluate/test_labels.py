@@ -113,6 +113,13 @@ def test_labels_that_abstain_are_counted_and_not_judged() -> None:
     assert (figures["rest_within_half_px"], figures["within_half_px"]) == (0.5, pytest.approx(1 / 3))
     assert (figures["rest_within_minus4_plus3_ms"], figures["rest_over_10_ms_early"]) == (0.5, 0)
     assert (figures["interval_coverage"], figures["interval_width_ms_median"]) == (0.5, 5.0)
+    of_two = {key: value for key, value in summary(rows[:2]).items() if key.startswith(("onset", "earlier"))}
+    assert {key: figures[key] for key in of_two} == of_two  # the guess of an abstention is in no median
+    assert (figures["onsets_found"], figures["onset_error_ms_worst"], figures["every_node_counted"]) == (2, 4, 3)
+    early = names | judged(told(30, 20, 40, "slow"), TRUE, distance)
+    assert summary([*rows, early])["earlier_than_4_ms_before_gross_slip"] == 0
+    still = names | judged(told(-1), dict.fromkeys(TRUE), distance)
+    assert for_people([*rows, still], EvaluateLabels())[1][-1] == "1 of 4 trials do not slip and are not evaluated."
     _, sentences = for_people(rows, EvaluateLabels())
     assert any("abstain in 1 of 3" in one for one in sentences)
     assert "in 1 of 2" in sentences[0] and "late in 1" in sentences[0]

@@ -116,8 +116,10 @@ def test_windows_are_told_apart(tmp_path: Path) -> None:
         assert outcome.summary["auc"] == apart[name]["distance"]
         assert outcome.summary["auc_of_same" if same else "auc_of_halves"] == apart[name]["distance_of_halves"]
         assert apart[name]["real"] == apart[name]["simulated"] == 20
-        _, (near, told_apart) = realism.for_people(rows, asked)
+        assert outcome.summary["windows"] == outcome.summary["windows_simulated"] == 20
+        _, (near, *_, told_apart) = realism.for_people(rows, asked)
         assert near.startswith(f"{outcome.summary['figures_within_10_percent']} of ")
+        assert told_apart.startswith("20 real and 20 simulated windows: ")
         assert f"AUC of {outcome.summary['auc']:.2f}" in told_apart
     assert apart["like"]["distance"] < 0.85 < 0.95 < apart["unlike"]["distance"]
     assert apart["unlike"]["distance_of_halves"] == apart["like"]["distance"]
@@ -147,6 +149,13 @@ def test_recordings_without_events(tmp_path: Path) -> None:
     assert rows["rest", "events_a_slice"]["real"] == rows["rest", "events_a_slice"]["simulated"] == 0
     assert rows["rest", "on_share"]["distance"] is None
     assert outcome.summary["auc"] is outcome.summary["auc_of_halves"] is outcome.summary["windows"] is None
+    unknown = sum(row["distance"] is None for row in outcome.rows)
+    assert outcome.summary["figures_unknown"] == unknown == len(outcome.rows) - outcome.summary["figures"] > 0
+    known = sum(None not in (row["distance"], row["distance_of_halves"]) for row in outcome.rows)
+    assert outcome.summary["figures_with_halves"] == known
+    _, lines = realism.for_people(outcome.rows, EvaluateRealism())
+    assert f" of {known} differ no more" in lines[0]
+    assert lines[1].startswith(f"{unknown} figures are left out") and lines[2].startswith("No AUC: ")
 
 
 def test_a_slice_with_too_many_events(same: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -90,9 +90,13 @@ def test_only_where_the_gel_ends_at_rest(recording: Path, px: float, asked: bool
     tracks = tracked(recording, "one")
     with h5py.File(recording, "r+") as file:
         file["truth/dot_xy_px"][-1] = file["sensor/dot_xy_px"][:].reshape(-1, 2) + (px, 0.0)
-    preset, row = evaluate(tracks, recordings=recording.parent).rows
+    outcome = evaluate(tracks, recordings=recording.parent)
+    preset, row = outcome.rows
     assert (row["consistent"], row["dots_lost"]) == ((True, 0) if asked else (None, None))
     assert (preset["consistent"], preset["consistent_share"]) == ((1, 1.0) if asked else (None, None))
+    assert outcome.summary["decided"] == preset["decided"] == int(asked)
+    _, (line, *_) = tracking.for_people(outcome.rows, EvaluateTracking())
+    assert ("1 of 1 trajectories are left out, because they end with the gel" in line) != asked
 
 
 @pytest.mark.parametrize(("px", "lost"), [(19.9, 0), (20.1, 3)])
@@ -107,7 +111,7 @@ def test_a_dot_off_by_20_px_is_lost(recording: Path, px: float, lost: int) -> No
     assert first["end_distance_px_worst"] == pytest.approx(px, abs=1e-3)
     assert second["dots_lost"] == 0
     assert preset["consistent_share"] == (1.0 if lost == 0 else 0.5)
-    assert preset["dots_lost_mean"] == (lost or None)
+    assert (preset["dots_lost_mean"], preset["dots_lost_counted"]) == (lost or None, int(lost > 0))
     assert preset["error_px_rms"] is None
     assert outcome.summary["with_truth"] == 0
 

@@ -14,6 +14,8 @@ from evetac_cli.errors import InputError
 from evetac_cli.evaluate import vibration
 from evetac_cli.events import SLICE_US, Events
 from evetac_cli.jobs import Outcome
+from evetac_cli.pages.report.evaluations import _windows
+from evetac_cli.pages.report.study import Found
 from evetac_cli.trials import record
 from tests.make import event_arrays, run_stage, truth_arrays, write_recording
 
@@ -93,6 +95,25 @@ def test_a_tone_without_dots(tmp_path: Path) -> None:
     )
     assert outcome.summary["default_share_1_s"] == 1.0
     assert not outcome.simulated
+
+
+def test_recordings_shorter_than_a_window_are_counted(tmp_path: Path) -> None:
+    """Assert that a share says how many windows and recordings are behind it, and how many are too short."""
+    paths = [swing(tmp_path, 140.5, seconds=seconds, name=f"{seconds}") for seconds in (2.0, 0.5)]
+    outcome = evaluated(paths, tmp_path / "both.report.h5", windows="1,0.25", true_hz=140.5, preset="paper")
+    counts = [
+        outcome.summary[f"paper_{what}_{length}_s"] for length in ("1", "0.25") for what in ("windows", "recordings")
+    ]
+    assert counts == [2, 1, 10, 2]
+    assert outcome.summary["recordings_with_tone"] == outcome.summary["recordings"] == 2
+    _, lines = vibration.for_people(outcome.rows, EvaluateVibration(windows="1,0.25"))
+    short = "Windows of 1 s: 1 of 2 recordings are left out, because they are shorter."
+    assert lines[-1] == short and len(lines) == 2
+    found = Found("r", "evaluate vibration", {}, outcome.rows, outcome.summary)
+    assert [(row["window_s"], row["recordings"], row["windows"]) for row in _windows(found)] == [
+        (1, 1, 2),
+        (0.25, 2, 10),
+    ]
 
 
 def test_the_papers_preset(tmp_path: Path) -> None:

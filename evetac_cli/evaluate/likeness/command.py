@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from evetac_cli.evaluate.likeness.single_slice import Slip
 
 OUTPUT = "report"
-METHOD = 1
+METHOD = 2
 SLIPS = ("slip", "slip-varied")  # scenes whose slips are used to evaluate the single threshold
 HERE = "these recordings"  # origin of a figure
 SHARES = "share_"  # prefix of measures that are averaged, as in the paper

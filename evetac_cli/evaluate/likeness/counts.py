@@ -53,7 +53,7 @@ def count(recording: Recording) -> SliceCounts:
     if recording.has("truth"):
         return SliceCounts(sensing, window, true_onset(recording), ramp_start(recording))
     labels = labels_beside(recording)
-    onset = labels.onset if labels is not None and labels.onset >= 0 else None
+    onset = None if labels is None or labels.onset.abstained else labels.onset.slice_
     return SliceCounts(sensing, window, onset, ramp_start(recording))
 
 

@@ -51,18 +51,24 @@ SECTIONS = (
     Section(
         "tracking",
         "Dot tracking",
-        "Whether every dot ends where it began, and its distance from the truth.",
+        "Whether every dot ends where it began, and its distance from the truth. The former is unknown, so n is smaller,"
+        " for a simulated trajectory that ends with the gel sheared.",
     ),
-    Section("grasp", "Grasps", "Objects lifted and kept using touch, by controller and object."),
+    Section(
+        "grasp",
+        "Grasps",
+        "Objects lifted and kept using touch, by controller and object. Grip, opening and motion are over the n kept.",
+    ),
     Section(
         "force",
         "Forces from dots",
-        "Mean absolute error over unseen trajectories.",
+        "Mean absolute error over unseen trajectories. Touch maps have errors only where a contact is found and enough"
+        " dots are tracked.",
     ),
     Section(
         "vibration",
         "Vibration",
-        "Windows in which the frequency of the tone is detected.",
+        "Windows in which the frequency of the tone is detected, in recordings with a known tone that are long enough.",
     ),
     Section(
         "data-rate",
@@ -140,7 +146,13 @@ def _gel_forces(evaluation: Found) -> Rows:
     keys = ("mae_n", "normal_mae_n", "shear_within_sd", "normal_within_sd", "contact_right")
     groups = _grouped(having("stiffness", "mae_n")(evaluation), ("stiffness",))
     return [
-        {**members[0], "trajectories": len(members), **{key: _mean(members, key) for key in keys}} for members in groups
+        {
+            **members[0],
+            "trajectories": len(members),
+            "counted": sum(row["mae_n"] is not None for row in members),
+            **{key: _mean(members, key) for key in keys},
+        }
+        for members in groups
     ]
 
 
@@ -151,7 +163,8 @@ def _windows(evaluation: Found) -> Rows:
         having("window_s", "correct", "expected_hz")(evaluation), ("method", "expected_hz", "window_s")
     ):
         correct, windows = (sum(row[key] for row in members) for key in ("correct", "windows"))
-        rows.append({**members[0], "correct": correct, "windows": windows, "share": correct / windows})
+        recordings = {"recordings": len(members), "correct": correct, "windows": windows, "share": correct / windows}
+        rows.append({**members[0], **recordings})
     return rows
 
 
@@ -258,14 +271,14 @@ SUBJECTS = (
             ReportColumn("that slip", "slips"),
             ReportColumn("n", "counted"),
             ReportColumn("abstained", "abstained"),
-            ReportColumn("onsets found", "onsets_found"),
             ReportColumn("others: within 0.5 px of sliding", "rest_within_half_px"),
             ReportColumn("others: over 10 ms early", "rest_over_10_ms_early"),
             ReportColumn("others: within -4..+3 ms", "rest_within_minus4_plus3_ms"),
             ReportColumn("n of intervals", "intervals_counted"),
             ReportColumn("interval covers onset", "interval_coverage"),
             ReportColumn("interval width, median [px]", "interval_width_px_median"),
-            ReportColumn("median error [ms]", "onset_error_ms_median"),
+            ReportColumn("onsets found", "onsets_found"),
+            ReportColumn("their median error [ms]", "onset_error_ms_median"),
             ReportColumn("worst [ms]", "onset_error_ms_worst"),
             ReportColumn("over 4 ms before gross slip", "earlier_than_4_ms_before_gross_slip"),
         ),
@@ -280,6 +293,7 @@ SUBJECTS = (
             ReportColumn("trajectories", "trajectories"),
             ReportColumn("n", "decided"),
             ReportColumn("all dots end at their start", "consistent_share", "paper_consistent_share"),
+            ReportColumn("n otherwise", "dots_lost_counted"),
             ReportColumn("dots lost otherwise", "dots_lost_mean", "paper_dots_lost_mean"),
             ReportColumn("n with truth", "with_truth"),
             ReportColumn("error, rms [px]", "error_px_rms"),
@@ -297,10 +311,14 @@ SUBJECTS = (
             ReportColumn("trials", "trials"),
             ReportColumn("lifted and kept", "success", "paper_success"),
             ReportColumn("lifted", "lifted"),
+            ReportColumn("n lifted", "lifted_trials"),
             ReportColumn("kept if lifted", "balanced"),
+            ReportColumn("n kept", "held_trials"),
+            ReportColumn("lost", "lost"),
             ReportColumn("grip at the end [N]", "force_end_n"),
             ReportColumn("moved, median [mm]", "moved_mm_median"),
             ReportColumn("moved, mean [mm]", "moved_mm_mean"),
+            ReportColumn("objects that closed the gripper", "reopened_columns"),
             ReportColumn("reopened in balance", "reopened_share", "paper_reopened_share"),
         ),
     ),
@@ -314,6 +332,7 @@ SUBJECTS = (
             ReportColumn("object", "object"),
             ReportColumn("trials", "trials"),
             ReportColumn("lifted and kept", "success", "paper_success"),
+            ReportColumn("n kept", "held_trials"),
             ReportColumn(
                 "opening at the end [ticks]", "opening_after_balance_ticks", "paper_opening_after_balance_ticks"
             ),
@@ -344,6 +363,7 @@ SUBJECTS = (
         (
             ReportColumn("gel stiffness", "stiffness"),
             ReportColumn("trajectories", "trajectories"),
+            ReportColumn("n of errors", "counted"),
             ReportColumn("shear error [N]", "mae_n"),
             ReportColumn("normal error [N]", "normal_mae_n"),
             ReportColumn("shear within its sd", "shear_within_sd"),
@@ -360,6 +380,7 @@ SUBJECTS = (
             ReportColumn("method", "method"),
             ReportColumn("tone [Hz]", "expected_hz"),
             ReportColumn("window [s]", "window_s"),
+            ReportColumn("recordings", "recordings"),
             ReportColumn("windows", "windows"),
             ReportColumn("share correct", "share", "paper_share"),
         ),
@@ -386,7 +407,9 @@ SUBJECTS = (
         (
             ReportColumn("interval", "interval"),
             ReportColumn("object", "object"),
-            ReportColumn("trajectories", "trajectories"),
+            ReportColumn("n", "trajectories"),
+            ReportColumn("left out", "left_out"),
+            ReportColumn("why", "left_out_because"),
             ReportColumn("share", "share_mean", "paper_share_mean"),
             ReportColumn("sd", "share_sd", "paper_share_sd"),
             ReportColumn("columns", "columns"),

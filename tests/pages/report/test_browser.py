@@ -71,7 +71,7 @@ def test_report_in_a_browser(browser: Browser, page: Path, record_property: Call
 
 @pytest.mark.slow
 def test_a_wide_table_is_within_reach(browser: Browser, page: Path) -> None:
-    """Assert that on 1,280 px the bar which scrolls the table is in the window, and names and headings stay in sight."""
+    """Assert that on 1,280 px the bar which scrolls the table is in the window; names and headings stay."""
     browser.resize(1280)
     browser.open(page)
     browser.run("document.getElementById('all-trials').style.width = '2000px'")

@@ -12,6 +12,8 @@ from evetac_cli.commands.train_force import TrainForce
 from evetac_cli.errors import InputError
 from evetac_cli.evaluate import force as evaluate_force
 from evetac_cli.inspect import info
+from evetac_cli.pages.report.evaluations import _gel_forces
+from evetac_cli.pages.report.study import Found
 from evetac_cli.stages.force import adapt_touch, train_force
 from evetac_cli.stages.touch import predict_touch
 from evetac_cli.store.files import StageFile, write_stage
@@ -109,6 +111,27 @@ def test_errors_by_what_is_known(tmp_path: Path) -> None:
     ):
         with pytest.raises(InputError, match=message):
             run_valid(evaluate_force, files, wrong, tmp_path / "refused.h5")
+
+
+def test_trajectories_without_an_error_are_left_out(tmp_path: Path) -> None:
+    """Assert that means are over the trajectories with a contact, as without the others, and that n says so."""
+    pressed, empty = (write_contact(tmp_path, number, of) for number, of in ((20, contact("ball", 6002)), (22, None)))
+    outcomes = [
+        run_valid(evaluate_force, files, EvaluateForce(), tmp_path / f"{len(files)}.report.h5")[1]
+        for files in ([pressed], [pressed, empty])
+    ]
+    alone, both = (outcome.summary for outcome in outcomes)
+    for name in ("mae_n", "normal_within_sd", "counted", "sensors", "worst_sensor_mae_n"):
+        assert both[f"known_{name}"] == alone[f"known_{name}"], name
+    assert (both["trajectories"], both["known_counted"]) == (2, 1)
+    row = next(row for row in outcomes[1].rows if row["file"] == empty.name)
+    assert (row["mae_n"], row["slices_counted"], row["slices_in_contact"]) == (None, 0, 0)
+    _, (unknown, known) = evaluate_force.for_people(outcomes[1].rows, EvaluateForce())
+    assert unknown.endswith("n = 1 of 2 trajectories; 1 without a slice in which a contact is found and enough dots are"
+                            " tracked.")  # fmt: skip
+    assert f"force {both['known_mae_n']:.3g} N" in known
+    found = Found("r", "evaluate force", {}, outcomes[1].rows, both)
+    assert [(row["trajectories"], row["counted"]) for row in _gel_forces(found)] == [(2, 1), (2, 1)]
 
 
 def test_what_cannot_be_adapted(own: list[Path], tmp_path: Path) -> None:

@@ -127,6 +127,15 @@ def test_another_gel_is_reported_as_it_is(fits: Path, tmp_path: Path) -> None:
     assert regression["sensor_name"] == "soft-gel"
     assert not regression["fitted"]
     assert regression["paper_mae_n_x"] is None
+    both, fitted = (
+        run_valid(evaluate_force, files, chosen, tmp_path / f"{len(files)}.report.h5")[1]
+        for files in ([fits / "trial3.tracks.h5", soft], [fits / "trial3.tracks.h5"])
+    )
+    assert (both.summary["trajectories_of_other_sensors"], both.summary["events_trajectories"]) == (1, 1)
+    means = [outcome.summary["events_regression_mae_n_x"] for outcome in (both, fitted)]
+    assert means[0] == pytest.approx(means[1], rel=0.2)
+    _, (line, _) = evaluate_force.for_people(both.rows, chosen)
+    assert line.endswith("; n = 2 of 2 trajectories; 1 of sensors that the model was not fitted on.")
 
 
 def test_what_a_model_of_the_paper_is_for(fits: Path, tmp_path: Path) -> None:
