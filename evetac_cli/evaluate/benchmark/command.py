@@ -14,7 +14,7 @@ from evetac_cli.jobs import Job, Outcome, Progress, Row, Rows, Stage, silent
 from evetac_cli.store.layout.provenance import Header
 
 OUTPUT = "report"
-METHOD = 1
+METHOD = 2
 OF_OWN = ("model", "threshold", "tracker", "shear_force", "force_model", "controller")
 
 
@@ -133,19 +133,21 @@ SENTENCES = {
 
 def for_people(rows: Rows, params: EvaluateBenchmark) -> tuple[Rows, list[str]]:
     """Return the scores without the further columns, and a sentence for each task."""
-    columns = ("task", "split", "value", "low", "high", "unit", "n", "sensors", "objects")
+    columns = ("task", "split", "value", "low", "high", "unit", "n", "left_out", "sensors", "objects")
     lines = []
     for row in rows:
-        if row["split"] != scores.ALL or row["value"] is None:
+        if row["split"] != scores.ALL:
             continue
         threshold = row.get("threshold")
         at = "no threshold with so few false alarms"
         if threshold is not None:
             at = f"threshold {threshold:.3g} with {row['false_per_min']:.2g} false alarms per minute"
-        lines.append(f"{row['task']}: {SENTENCES[row['task']].format(**row, at=at)}.")
-    left_out = [task for task in scores.TASKS if task not in {row["task"] for row in rows}]
-    if left_out:
-        lines.append(f"No figure, because nothing was predicted: {', '.join(left_out)}.")
+        left_out = f"; {row['left_out']} recordings are left out: {row['left_out_because']}" * bool(row["left_out"])
+        words = "unknown, n = 0" if row["value"] is None else SENTENCES[row["task"]].format(**row, at=at)
+        lines.append(f"{row['task']}: {words}{left_out}.")
+    missing = [task for task in scores.TASKS if task not in {row["task"] for row in rows}]
+    if missing:
+        lines.append(f"No figure, because nothing was predicted: {', '.join(missing)}.")
     lines.append("Intervals are 95 %, over sensors and objects; --json has further columns.")
     return [{name: row[name] for name in columns} for row in rows], lines
 

@@ -8,7 +8,8 @@
 - dots: root mean square of the distance from the true dots, over instants and dots, in px.
 - grip: share of lifts whose object is held to the end with a mean grip force of at most 3 times what just holds it.
 
-In force and dots each recording counts the same.
+In force and dots each recording counts the same. `n` slips, recordings or lifts are behind a score; `left_out` are the
+recordings without slip, of which onset and warning have no score.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -52,12 +53,15 @@ def all_rows(benchmark: Benchmark, truth: Mapping[str, Truth], made: Predictions
     """Return a row for each task with predictions and each split, and for all of them."""
     rows: Rows = []
     if made.onset_ms is not None:
-        rows += task_rows("onset", onset_parts(benchmark, truth, made.onset_ms))
+        parts = onset_parts(benchmark, truth, made.onset_ms)
+        still = [benchmark.entries[name].split for name in made.onset_ms if truth[name].onset_ms is None]
+        rows += task_rows("onset", parts, left_out=still)
     if made.warning is not None:
         threshold, per_min, minutes = threshold_of(benchmark, truth, made.warning)
         parts = warning_parts(benchmark, truth, made.warning, threshold)
         said: Row = {"threshold": threshold, "false_per_min": per_min, "quiet_minutes": minutes}
-        rows += [row | said for row in task_rows("warning", parts)]
+        still = [benchmark.entries[name].split for name in made.warning if not truth[name].slip_begins]
+        rows += [row | said for row in task_rows("warning", parts, left_out=still)]
     if made.force_n is not None:
         rows += task_rows("force", force_parts(benchmark, truth, made.force_n))
     if made.dot_xy_px is not None:
@@ -67,20 +71,34 @@ def all_rows(benchmark: Benchmark, truth: Mapping[str, Truth], made: Predictions
     return rows
 
 
-def task_rows(task: str, parts: Sequence[TrialScore], of_ratio: Callable[[float], float] = float) -> Rows:
-    """Return the rows of a task; of_ratio: converts the ratio of sums to the score."""
+def task_rows(
+    task: str,
+    parts: Sequence[TrialScore],
+    of_ratio: Callable[[float], float] = float,
+    left_out: Sequence[str] = (),
+) -> Rows:
+    """Return the rows of a task.
+
+    of_ratio: converts the ratio of sums to the score. left_out: the split of each recording without slip. Further
+    figures that some parts lack have their own number, `<name>_n`.
+    """
     rows = []
+    names = parts[0].more if parts else ()
+    partly_known = [name for name in names if not all(np.isfinite(part.more[name]) for part in parts)]
     for split in (*dict.fromkeys(part.split for part in parts), ALL):
         chosen = [part for part in parts if split in (part.split, ALL)]
         estimate = _estimate(chosen)
         row: Row = {"task": task, "split": split, "unit": UNITS[task], "n": len(chosen)}
+        left = sum(split in (one, ALL) for one in left_out)
+        row |= {"left_out": left, "left_out_because": "no slip" if left else None}
         row |= dict.fromkeys(("value", "low", "high"))
         if estimate is not None:
             row |= {name: float(of_ratio(value)) for name, value in estimate._asdict().items()}
         row |= {
             "sensors": len({part.sensor for part in chosen}),
             "objects": len({part.touched for part in chosen}),
-            **{name: _mean([part.more[name] for part in chosen]) for name in (chosen[0].more if chosen else ())},
+            **{name: _mean([part.more[name] for part in chosen]) for name in names},
+            **{f"{name}_n": sum(bool(np.isfinite(part.more[name])) for part in chosen) for name in partly_known},
         }
         rows.append(row)
     return rows

@@ -51,8 +51,8 @@ SECTIONS = (
     Section(
         "tracking",
         "Dot tracking",
-        "Whether every dot ends where it began, and its distance from the truth. The former is unknown, so n is smaller,"
-        " for a simulated trajectory that ends with the gel sheared.",
+        "Whether every dot ends where it began, and its distance from the truth. The first is unknown for a simulated"
+        " trajectory that ends with the gel sheared, so n is smaller.",
     ),
     Section(
         "grasp",
@@ -447,6 +447,8 @@ SUBJECTS = (
             ReportColumn("high", "high"),
             ReportColumn("unit", "unit"),
             ReportColumn("n", "n"),
+            ReportColumn("left out", "left_out"),
+            ReportColumn("why", "left_out_because"),
             ReportColumn("sensors", "sensors"),
             ReportColumn("objects", "objects"),
         ),

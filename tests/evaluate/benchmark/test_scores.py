@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evetac_cli.evaluate.benchmark import scores
+from evetac_cli.commands.evaluate import EvaluateBenchmark
+from evetac_cli.evaluate.benchmark import command, scores
 from evetac_cli.evaluate.benchmark.data_set import Benchmark, BenchmarkTrial
 from evetac_cli.evaluate.benchmark.predictions import Predictions
 from evetac_cli.evaluate.benchmark.truth import Truth
@@ -126,3 +127,19 @@ def test_a_task_without_predictions_has_no_figure(known: tuple[Benchmark, dict[s
     still = {**true, "a": true["a"]._replace(onset_ms=None)}
     rows = scores.all_rows(replace(benchmark), still, Predictions(onset_ms={"a": 5, "b": ONSET}), None)
     assert [row["n"] for row in rows if row["split"] == scores.ALL] == [1]
+
+
+def test_recordings_without_slip_are_left_out(known: tuple[Benchmark, dict[str, Truth]]) -> None:
+    """Assert that they are counted by split and named beside the score, and that a partly known figure has its n."""
+    rows = scores.all_rows(*known, Predictions(warning=scored(10, 0)), None)
+    left_out = {row["split"]: (row["n"], row["left_out"], row["left_out_because"]) for row in rows}
+    assert left_out == {"all-new": (1, 1, "no slip"), "known-sensor": (1, 0, None), "all": (2, 1, "no slip")}
+    _, (line, *_) = command.for_people(rows, EvaluateBenchmark())
+    assert "of 2 slips, " in line and line.endswith("; 1 recordings are left out: no slip.")
+    benchmark, true = known
+    still = {**true, "a": true["a"]._replace(onset_ms=None)}
+    rows = scores.all_rows(benchmark, still, Predictions(onset_ms={"a": None}), None)
+    assert command.for_people(rows, EvaluateBenchmark())[1][0].startswith("onset: unknown, n = 0; 1 recordings are")
+    lift = {"split": "all-new", "sensor": "s", "object": "o", "balanced": True, "over_holding_mean": 2.0}
+    (_, whole) = scores.all_rows(*known, Predictions(), [lift, lift | {"balanced": False, "over_holding_mean": None}])
+    assert (whole["n"], whole["force_over_holding"], whole["force_over_holding_n"]) == (2, 2.0, 1)
