@@ -32,8 +32,8 @@ import reproduce
 import results
 
 ROW = {
-    "preset": "paper", "trajectories": 10, "consistent": 7, "consistent_share": 0.7, "dots_lost_mean": 2.0,
-    "paper_consistent_share": 0.8, "paper_dots_lost_mean": 1.5,
+    "preset": "paper", "trajectories": 10, "decided": 10, "consistent": 7, "consistent_share": 0.7,
+    "dots_lost_mean": 2.0, "paper_consistent_share": 0.8, "paper_dots_lost_mean": 1.5,
 }  # fmt: skip
 
 
@@ -80,7 +80,7 @@ def in_picture(evaluated: dict[str, Any]) -> str:
     from matplotlib.figure import Figure
 
     axes = Figure().subplots()
-    tracking._draw_consistent(axes, [ROW, {"preset": "paper", "file": "a", "consistent": True}], Source.of([evaluated]))
+    tracking._draw_consistent(axes, [ROW], Source.of([evaluated]))
     (point,) = (line for line in axes.lines if str(line.get_label()).startswith("the paper"))
     (mark,) = re.findall(r"\((.*)\)", str(point.get_label()))
     return f"{point.get_xdata()[0]:g}, {mark}"
