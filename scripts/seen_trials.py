@@ -50,7 +50,7 @@ class Seen:
             self.rest_px = np.asarray(sensor["sensor/dot_xy_px"], np.float64).reshape(-1, 2)
             constants = PRESETS[TRACKER].for_dots(float(sensor["sensor/dot_radius_px"]))
             self._tracking = tracker.start(self.rest_px, constants)
-            self._sticking = StickingShare(self.rest_px) if self._sticks else None
+            self._sticking = StickingShare(self.rest_px, sensor["sensor/frame_px"]) if self._sticks else None
         state = self._tracking
         tracker.step(state, events.x, events.y, events.p)
         # a slice uses the sticking share of the slice before

@@ -8,11 +8,11 @@ import pytest
 from numpy.typing import NDArray
 
 import evetac_cli
-from evetac_cli.events import concatenate
+from evetac_cli.events import FRAME_PX, concatenate
 from evetac_cli.kernels.calibration import grid
 from evetac_cli.sim.camera.camera_input import SliceMotion
 from evetac_cli.sim.camera.scanning import camera
-from evetac_cli.store.files import StageFile
+from evetac_cli.store.files import StageFile, header_of
 from tests.make import answer_of, evetac
 
 FRAMES = [(346, 260), (320, 320), (640, 480), (1280, 720), (480, 640)]
@@ -83,8 +83,11 @@ def test_any_frame(tmp_path: Path, frame_px: tuple[int, int]) -> None:
     assert of_column.max() < WORST_PX, of_column
     (label,) = answer_of("label", recording)["rows"]
     assert abs(label["onset_ms"] - SLIPS) < 10
-    answer_of("featurize", recording)
+    answer_of("featurize", recording, "--sticking-share")
+    other = None if frame_px == FRAME_PX else [width, height]  # recipes of an Evetac's frame do not name it
+    assert header_of(tmp_path / "a.labels.h5")["parameters"].get("frame_px") == other
     with StageFile(tmp_path / "a.features.h5", "features") as features:
+        assert features.header["parameters"].get("frame_px") == other
         np.testing.assert_allclose(features.read("displacement_xy_px"), places - dots.reshape(-1, 2), atol=1e-4)
     answer_of("view", recording)
     assert f'"frame": [{width}, {height}]' in (tmp_path / "a.html").read_text()

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from evetac_cli.commands.featurize import Featurize
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.errors import InputError
+from evetac_cli.events import FRAME_PX
 from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
 from evetac_cli.kernels.slip.architectures import GEL_PX
 from evetac_cli.stages import one_file, row_blocks
@@ -56,17 +57,24 @@ def jobs(files: list[Path], params: Featurize, out: Path | None) -> list[Job]:
     return new_jobs
 
 
-def _recipe(params: Featurize, parents: Sequence[Header]) -> Recipe:
-    options = {name: True for name in ("sticking_share", "events") if getattr(params, name)}
+def _recipe(params: Featurize, parents: Sequence[Header], frame_px: Sequence[int]) -> Recipe:
+    """Return the recipe; only the sticking share depends on the frame, and only on another one than an Evetac's."""
+    options: dict[str, Any] = {name: True for name in ("sticking_share", "events") if getattr(params, name)}
+    if params.sticking_share and tuple(frame_px) != FRAME_PX:
+        options["frame_px"] = list(frame_px)
     return Recipe(OUTPUT, METHOD, recipe_of(params) | options, parents=tuple(parents))
 
 
 def known_recipe(job: Job, params: Featurize, indexes: Known) -> Recipe | None:
-    """Return the recipe of the features if an index has all of their inputs; None otherwise."""
+    """Return the recipe of the features if an index has all of their inputs; None otherwise.
+
+    None also if the sticking share depends on an unknown frame: evetac's simulations, which have a seed, have one.
+    """
     kinds = ("recording", "tracks", "labels")
     parents = [indexes.header(path, kind) for path, kind in zip(job.inputs, kinds, strict=False)]
     every = [parent for parent in parents if parent is not None]
-    return _recipe(params, every) if len(every) == len(parents) else None
+    known = len(every) == len(parents) and (not params.sticking_share or every[0]["seed"] is not None)
+    return _recipe(params, every, FRAME_PX) if known else None
 
 
 def run(job: Job, params: Featurize, *, force: bool = False, progress: Progress = silent) -> Outcome:
@@ -99,7 +107,7 @@ def run(job: Job, params: Featurize, *, force: bool = False, progress: Progress 
                 arrays["label"] = labels.read("label")
                 arrays["onset_slice"] = labels.read("onset_slice")
                 arrays[ABSTAINED] = np.uint8(abstains(labels))
-        recipe = _recipe(params, parents)
+        recipe = _recipe(params, parents, recording.frame_px)
         simulated = recording.header["simulated"]
         if up_to_date(job.output, recipe, force=force):
             return outcome(job, made=False, simulated=simulated)
@@ -152,7 +160,7 @@ def _sticking_share(tracks: StageFile) -> NDArray[np.float32]:
     """Return the sticking share, (slices,), known at the start of each slice: from the dots after the previous one."""
     from evetac_cli.stages.touch.sticking_share import StickingShare
 
-    sticks = StickingShare(tracks.read("sensor/dot_xy_px").reshape(-1, 2))
+    sticks = StickingShare(tracks.read("sensor/dot_xy_px").reshape(-1, 2), tracks.read("sensor/frame_px"))
     slices = tracks.length("dot_xy_px")
     share = np.full(slices + 1, np.nan, np.float32)
     for first, stop in row_blocks(slices):

@@ -21,7 +21,7 @@ import numpy as np
 from evetac_cli.commands.label import Label
 from evetac_cli.commands.parameter import flag_of, recipe_of
 from evetac_cli.errors import InputError
-from evetac_cli.events import Events
+from evetac_cli.events import FRAME_PX, Events
 from evetac_cli.jobs import Job, Outcome, Progress, Rows, Stage, outcome, silent
 from evetac_cli.kernels.labelling import flow
 from evetac_cli.stages import per_file
@@ -60,16 +60,21 @@ def _refuse_options_of_methods(params: Label) -> None:
             raise InputError("has no effect with --review", where=flag_of(item), found=str(value), hint=hint)
 
 
-def _recipe(params: Label, recording: Header) -> Recipe:
-    return Recipe(OUTPUT, METHOD, recipe_of(params), parents=(recording,))
+def _recipe(params: Label, recording: Header, frame_px: tuple[int, int]) -> Recipe:
+    """Return the recipe; only `event-flow`, which tracks the dots, depends on the frame, and only on another one."""
+    other = {"frame_px": list(frame_px)} if params.method == "event-flow" and frame_px != FRAME_PX else {}
+    return Recipe(OUTPUT, METHOD, recipe_of(params) | other, parents=(recording,))
 
 
 def known_recipe(job: Job, params: Label, indexes: Known) -> Recipe | None:
-    """Return the recipe of the labels if an index has the recording; None for manual labels, which are always made."""
+    """Return the recipe of the labels if an index has the recording, with a seed: evetac's simulations have one frame.
+
+    None for manual labels, which are always made.
+    """
     if params.review:
         return None
     recording = indexes.header(job.inputs[0], "recording")
-    return None if recording is None else _recipe(params, recording)
+    return None if recording is None or recording["seed"] is None else _recipe(params, recording, FRAME_PX)
 
 
 def run(job: Job, params: Label, *, force: bool = False, progress: Progress = silent) -> Outcome:
@@ -80,7 +85,7 @@ def run(job: Job, params: Label, *, force: bool = False, progress: Progress = si
         assert isinstance(job, label_review.ReviewJob)
         return label_review.run(job, params)
     with open_recording(job.inputs[0]) as recording:
-        recipe = _recipe(params, recording.header)
+        recipe = _recipe(params, recording.header, recording.frame_px)
         simulated = recording.header["simulated"]
         if up_to_date(job.output, recipe, force=force):
             return outcome(job, made=False, simulated=simulated)

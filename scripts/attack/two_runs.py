@@ -16,13 +16,14 @@ from pathlib import Path
 
 EVETAC = (sys.executable, "-P", "-m", "evetac_cli")
 SCENE = ("record", "--object", "11", "--count", "3", "--seed", "1", "-q")
-# Command, arguments, and what differs between the two runs.
+# Command, with "-" and a word if it has several pairs: arguments, and what differs between the two runs.
 PAIRS: dict[str, tuple[list[str], list[str], list[str]]] = {
     "track": (["RECORDING", "-o", "out.tracks.h5"], [], ["--preset", "paper"]),
     "label": (["RECORDING", "-o", "out.labels.h5"], ["--method", "truth"], ["--method", "truth", "--after-ms", "7"]),
     "featurize": (["RECORDING", "-o", "out.features.h5"], [], ["--images"]),
     "train": (["FEATURES", "-o", "out.model.h5", "--max-steps", "20"], [], ["--horizon-ms", "5"]),
     "export": (["RECORDING", "-o", "out.txt", "--format", "text"], [], []),
+    "export-different": (["RECORDING", "-o", "out.npz"], ["--format", "frames"], ["--format", "voxels"]),
 }
 
 
@@ -43,7 +44,7 @@ def pair(command: str, places: dict[str, str], folder: Path) -> tuple[str, str]:
     arguments, *different = PAIRS[command]
     runs = [
         subprocess.Popen(
-            [*EVETAC, command, *(places.get(one, one) for one in [*arguments, *flags]), "--json"],
+            [*EVETAC, command.partition("-")[0], *(places.get(one, one) for one in [*arguments, *flags]), "--json"],
             cwd=folder,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
@@ -58,7 +59,7 @@ def pair(command: str, places: dict[str, str], folder: Path) -> tuple[str, str]:
         else:
             is_refusal = run.returncode == 2 and b"the output exists" in shown + error
             ends.append("refused" if is_refusal else f"exit code {run.returncode}")
-    left = [one.name for one in folder.iterdir() if one.suffix not in (".h5", ".txt", ".csv")]
+    left = [one.name for one in folder.iterdir() if one.suffix not in (".h5", ".txt", ".csv", ".npz")]
     return " + ".join(sorted(ends)), ", ".join(left)
 
 

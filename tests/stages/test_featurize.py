@@ -177,7 +177,7 @@ def test_the_sticking_share_is_told_on_request(made: Made, tmp_path: Path) -> No
     with StageFile(output) as features, StageFile(tracks) as of_tracks:
         share = features.read("sticking_share")
         dots, lost = of_tracks.read("dot_xy_px"), of_tracks.read("lost") != 0
-        live = StickingShare(of_tracks.read("sensor/dot_xy_px").reshape(-1, 2))
+        live = StickingShare(of_tracks.read("sensor/dot_xy_px").reshape(-1, 2), of_tracks.read("sensor/frame_px"))
         seen = read_series(features, ARCHITECTURES["disp-xy-grip"])
     told = [live.step(*one) for one in zip(dots.astype(np.float64), lost, strict=True)]
     np.testing.assert_array_equal(share, np.array([np.nan, *told[:-1]], np.float32))

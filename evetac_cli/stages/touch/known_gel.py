@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from evetac_cli.arrays import Floats
 from evetac_cli.commands.predict_touch import PredictTouch
@@ -132,6 +133,11 @@ def mm_per_px_of(touch: Header) -> float:
     models = [header for header in ancestors if header["kind"] == "force-model"]
     scales = [header["parameters"].get("known", {}).get("mm_per_px") for header in (touch, *models)]
     return next((float(scale) for scale in scales if scale is not None), MM_PER_PX)
+
+
+def expected_mm_per_px(frame_px: Sequence[int] | NDArray[np.integer]) -> float:
+    """Return the expected scale of a frame (width, height), which shows as much of a gel as an Evetac's, lengthwise."""
+    return MM_PER_PX * (max(FRAME_PX) / max(frame_px))
 
 
 def edges_of(sensor: Sensor) -> tuple[float, float, float, float]:

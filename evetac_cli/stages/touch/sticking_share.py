@@ -1,35 +1,35 @@
 """The sticking share of a contact in each slice, from tracked dots: an additional input for slip detectors.
 
 It uses the network of touch maps without the map itself, which takes milliseconds to compute, and assumes the expected
-frame and scale of any sensor (known_gel.py). `featurize` applies it to tracks, and a detector trained with it to the
-dots that it tracks; both give identical bits.
+scale of a frame (known_gel.py). `featurize` applies it to tracks, and a detector trained with it to the dots that it
+tracks; both give identical bits.
 """
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.arrays import Flags, Floats
-from evetac_cli.events import FRAME_PX
 from evetac_cli.kernels.touch import dot_field, rest, sticking
 from evetac_cli.kernels.touch.dot_modes import DotNoise
 from evetac_cli.kernels.touch.sticking import StickingState
 from evetac_cli.kernels.touch.touch_map import BEGINS, ENDS, apart_rms
 from evetac_cli.kernels.touch.touch_map import LEAST_DOTS as LEAST_TOUCHED
 from evetac_cli.stages.touch import sticking_network
-from evetac_cli.stages.touch.known_gel import DRIFT_PX, MM_PER_PX, TRACKER_PX
+from evetac_cli.stages.touch.known_gel import DRIFT_PX, TRACKER_PX, expected_mm_per_px
 
 
 class StickingShare:
     """The sticking share after the slices so far: `share`, NaN without contact or with too few known dots."""
 
-    def __init__(self, rest_xy_px: NDArray[np.floating]) -> None:
-        """Start with the dots at rest, (dots, 2), NaN for missing ones."""
+    def __init__(self, rest_xy_px: NDArray[np.floating], frame_px: Sequence[int] | NDArray[np.integer]) -> None:
+        """Start with the dots at rest, (dots, 2), NaN for missing ones, in a frame (width, height)."""
         self.share = math.nan
-        self._middle_px = np.array(FRAME_PX) / 2
-        self._rest_mm: Floats = (np.asarray(rest_xy_px, np.float64) - self._middle_px) * MM_PER_PX
-        noise = DotNoise(TRACKER_PX * MM_PER_PX, DRIFT_PX * MM_PER_PX)
+        self._middle_px, self._scale = np.array(frame_px) / 2, expected_mm_per_px(frame_px)
+        self._rest_mm: Floats = (np.asarray(rest_xy_px, np.float64) - self._middle_px) * self._scale
+        noise = DotNoise(TRACKER_PX * self._scale, DRIFT_PX * self._scale)
         self._own_mm = noise.own_mm
         self._touches = False
         self._slices = 0
@@ -42,7 +42,7 @@ class StickingShare:
         if self._state is None:
             return self.share
         # float32 as in tracks files, so that live dots and dots from a file are identical
-        dot_mm = (np.asarray(dot_xy_px, np.float32) - self._middle_px) * MM_PER_PX
+        dot_mm = (np.asarray(dot_xy_px, np.float32) - self._middle_px) * self._scale
         gone: Flags = np.asarray(lost) != 0
         self._slices += 1
         if self._slices % rest.BLOCK_MS == 0:  # the interval of the network

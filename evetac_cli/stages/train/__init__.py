@@ -10,8 +10,8 @@ with preset paper (validating.py). So the validation trajectories should include
 The course of the training is written next to the model, as NAME.model.csv; with --log tensorboard also to
 NAME.model.log, during the training.
 
-An interrupted run leaves `NAME.model.part` for each network. The same command continues from there, with the same
-result as without the interruption.
+An interrupted run leaves `NAME.model.RECIPE.part` for each network, and so does one that was refused at its end because
+another has made the output. The same command continues from there, with the same result as without the interruption.
 """
 
 from collections.abc import Sequence
@@ -55,7 +55,7 @@ from evetac_cli.stages.related_files import named_files
 from evetac_cli.stages.splits import check_disjoint, make_folds, object_name
 from evetac_cli.stages.train import validating
 from evetac_cli.stages.train.log import add_checkpoints, log_folder, require_tensorboard, write_course
-from evetac_cli.stages.train.plan import group_parameters, series_bytes, state_file
+from evetac_cli.stages.train.plan import group_parameters, series_bytes
 from evetac_cli.store.files import StageFile, header_of, up_to_date, write_stage
 from evetac_cli.store.layout.provenance import Header, Recipe
 from evetac_cli.store.layout.rules import named_architecture
@@ -98,7 +98,10 @@ class TrainJob(Job):
 
 @dataclass(frozen=True)
 class NetworkJob(TrainJob):
-    """One network of a model. Its output is its final state, from which the model is then made."""
+    """One network of a model. It writes its final state (plan.state_file), from which the model is then made.
+
+    Its output is only its name among the jobs: that of the state depends on the recipe, which needs all inputs.
+    """
 
     number: int
     model: Path
@@ -138,7 +141,7 @@ def parts(job: TrainJob, params: Train) -> list[NetworkJob]:
     settings, _ = _settings(params)
     count = settings.networks * (params.folds + 1)
     numbers = range(count if count > 1 else 0)
-    places = [state_file(job.output, number, count) for number in numbers]
+    places = [job.output.with_name(f"{job.output.name}.network{number + 1}") for number in numbers]
     return [
         NetworkJob(job.inputs, places[number], job.learned, job.seed, job.withheld, number, job.output)
         for number in numbers

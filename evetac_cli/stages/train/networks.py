@@ -69,7 +69,7 @@ class Networks:
         """
         from evetac_cli.kernels.slip import training
 
-        parameters, place = self.recipe.parameters, plan.state_file(self.model, number, self.count)
+        parameters, place = self.recipe.parameters, plan.state_file(self.model, self.recipe, number, self.count)
         start = None if self.start is None else self.start[number % parameters["networks"]]
         preset = self.preset
         saved = _read(place, self.recipe)
@@ -109,7 +109,7 @@ class Networks:
     def remove_states(self) -> None:
         """Remove the saved states."""
         for number in range(self.count):
-            plan.state_file(self.model, number, self.count).unlink(missing_ok=True)
+            plan.state_file(self.model, self.recipe, number, self.count).unlink(missing_ok=True)
 
     def _groups_of(self, fold: int, progress: Progress) -> SampleGroups:
         """Return the training samples of a fold."""

@@ -11,6 +11,7 @@ from evetac_cli.kernels.slip.architectures import (
     PluginImageArchitecture,
 )
 from evetac_cli.store.files import StageFile
+from evetac_cli.store.layout.provenance import Recipe
 
 # Limit for features in memory: 6.7 million slices of 56 dots without directions, or half as many with directions.
 HELD_BYTES = 3_000_000_000
@@ -33,7 +34,10 @@ def group_parameters(memory_bytes: Sequence[int]) -> dict[str, int]:
     return {"held_bytes": HELD_BYTES} if sum(memory_bytes) > HELD_BYTES else {}
 
 
-def state_file(model: Path, number: int, networks: int) -> Path:
-    """Return the file of a run's saved state: NAME.model.part, or NAME.model.network1.part for the first of several."""
+def state_file(model: Path, recipe: Recipe, number: int, networks: int) -> Path:
+    """Return the file of a network's saved state: NAME.model.RECIPE.part, with .network1 for the first of several.
+
+    Its name has the first digits of the recipe's id, so that two trainings onto one output do not share their states.
+    """
     name = "" if number == networks - 1 else f".network{number + 1}"
-    return model.with_name(model.name.removesuffix(".h5") + name + ".part")
+    return model.with_name(f"{model.name.removesuffix('.h5')}.{recipe.id[:8]}{name}.part")

@@ -19,7 +19,7 @@ import numpy as np
 from evetac_cli.devices import EventCamera, GripperReading, Rig
 from evetac_cli.devices.replay import ReplayCamera
 from evetac_cli.errors import InputError
-from evetac_cli.events import Events
+from evetac_cli.events import FRAME_PX, Events
 from evetac_cli.jobs import Outcome, Progress, outcome
 from evetac_cli.sim.setup.plan import read_plan
 from evetac_cli.stages import row_blocks
@@ -124,6 +124,9 @@ def _recipe(trial: ReplayGrasp, recordings: Sequence[Recording]) -> Recipe:
         "replayed": True,
         "phases_ms": [timing.touch_ms, timing.lift_ms, timing.balance_ms],
     }
+    frames_px = [list(recording.frame_px) for recording in recordings]
+    if any(tuple(frame_px) != FRAME_PX for frame_px in frames_px):  # the tracker and the sticking share depend on it
+        parameters["frames_px"] = frames_px
     headers = (recording.header for recording in recordings)
     return Recipe(OUTPUT, METHOD, parameters, parents=(*trial.settings.parents(), *headers))
 

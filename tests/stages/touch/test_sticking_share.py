@@ -3,7 +3,9 @@
 import math
 
 import numpy as np
+import pytest
 
+from evetac_cli.events import FRAME_PX
 from evetac_cli.kernels.touch import rest, sticking
 from evetac_cli.kernels.touch.dot_modes import DotNoise
 from evetac_cli.stages.touch import sticking_network
@@ -22,17 +24,25 @@ def pressed(slice_: int) -> np.ndarray:
     return DOTS_PX + apart + near * np.array([0.05, 0.0]) * max(slice_ - 60, 0)
 
 
-def test_as_the_kernel_tells_it() -> None:
-    """Assert no share before a touch, and then that of the kernel that is given the same dots and the same touch."""
-    online = StickingShare(DOTS_PX)
-    noise = DotNoise(TRACKER_PX * MM_PER_PX, DRIFT_PX * MM_PER_PX)
-    middle_px = np.array([320.0, 240.0])
-    state = sticking.start((DOTS_PX - middle_px) * MM_PER_PX, sticking_network.shipped(), noise)
+@pytest.mark.parametrize(("frame_px", "times"), [((640, 480), 1), ((1280, 960), 2), ((480, 640), 1)])
+def test_as_the_kernel_tells_it(frame_px: tuple[int, int], times: int) -> None:
+    """Assert no share before a touch, and then that of the kernel that is given the same dots and the same touch.
+
+    In a frame of twice the size the gel is as large, and the frame's middle is that of the gel in every frame.
+    """
+    middle_px, scale = np.array(frame_px) / 2, MM_PER_PX / times
+
+    def seen(at_px: np.ndarray) -> np.ndarray:
+        return times * (at_px if frame_px[0] > frame_px[1] else at_px[:, ::-1])
+
+    online = StickingShare(seen(DOTS_PX), frame_px)
+    noise = DotNoise(TRACKER_PX * scale, DRIFT_PX * scale)
+    state = sticking.start((seen(DOTS_PX) - middle_px) * scale, sticking_network.shipped(), noise)
     shares = []
     for slice_ in range(160):
-        at_px = pressed(slice_).astype(np.float32)  # as tracks are stored
+        at_px = seen(pressed(slice_)).astype(np.float32)  # as tracks are stored
         shares.append(online.step(at_px, NOTHING_LOST))
-        told = sticking.step(state, (at_px - middle_px) * MM_PER_PX, NOTHING_LOST, online._touches)
+        told = sticking.step(state, (at_px - middle_px) * scale, NOTHING_LOST, online._touches)
         assert shares[-1] == told.sticking_share or (math.isnan(shares[-1]) and math.isnan(told.sticking_share))
     assert all(map(math.isnan, shares[:20]))
     assert all(0.0 <= share <= 1.0 for share in shares[60 + rest.BLOCK_MS :])
@@ -42,6 +52,6 @@ def test_too_few_dots_tell_nothing() -> None:
     """Assert that neither few dots at rest nor few that are tracked are taken for more than they are."""
     few = np.full_like(DOTS_PX, np.nan)
     few[:3] = DOTS_PX[:3]
-    assert math.isnan(StickingShare(few).step(few, NOTHING_LOST))
-    online = StickingShare(DOTS_PX)
+    assert math.isnan(StickingShare(few, FRAME_PX).step(few, NOTHING_LOST))
+    online = StickingShare(DOTS_PX, FRAME_PX)
     assert all(math.isnan(online.step(pressed(100), ~NOTHING_LOST)) for _ in range(20))

@@ -262,7 +262,8 @@ def test_it_goes_on_after_an_interruption(
     output, _ = run_stage(train, trials, params, tmp_path / "whole")
     (job,) = train.jobs(trials, params, tmp_path / "broken")
     interrupted(job, params, monkeypatch)
-    assert [path.name for path in job.output.parent.iterdir()] == ["hist10.model.part"]
+    (state,) = job.output.parent.iterdir()
+    assert state.name == f"hist10.model.{header_of(output)['id'][:8]}.part"
     (row,) = train.run(job, params).rows
     assert row["resumed_at_step"] == 50
     assert contents(job.output) == contents(output)
@@ -270,16 +271,21 @@ def test_it_goes_on_after_an_interruption(
 
 
 @pytest.mark.slow
-def test_it_does_not_go_on_from_another_run(
+def test_trainings_onto_one_output_do_not_share_states(
     trials: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Assert that what another recipe left, or a damaged rest, is not used."""
+    """Assert that a training neither uses nor removes what another recipe left, and does not use a damaged state."""
     (job,) = train.jobs(trials, small(), tmp_path)
     interrupted(job, small(), monkeypatch)
-    (row,) = train.run(job, small(seed=0, max_steps=110)).rows
-    assert row["resumed_at_step"] is None
+    (state,) = tmp_path.glob("*.part")
+    (row,) = train.run(job, small(max_steps=110)).rows
+    assert row["resumed_at_step"] is None and list(tmp_path.glob("*.part")) == [state]
     job.output.unlink()
-    (tmp_path / "hist10.model.part").write_bytes(b"PK\x03\x04 nonsense")
+    kept = state.read_bytes()
+    (row,) = train.run(job, small()).rows
+    assert row["resumed_at_step"] == 50 and not state.exists()
+    job.output.unlink()
+    state.write_bytes(kept[:1000])
     (row,) = train.run(job, small()).rows
     assert row["resumed_at_step"] is None
 
@@ -448,7 +454,8 @@ def test_folds_choose_the_threshold_alone(trials: list[Path], tmp_path: Path, mo
     (again,) = train.jobs(trials, params, tmp_path / "again")
     interrupted(again, params, monkeypatch, at=220)
     left = sorted(path.name for path in again.output.parent.iterdir())
-    assert left == ["hist10.model.network1.part", "hist10.model.network2.part"]
+    recipe = header_of(job.output)["id"][:8]
+    assert left == [f"hist10.model.{recipe}.network1.part", f"hist10.model.{recipe}.network2.part"]
     train.run(again, params)
     assert contents(again.output) == folded
     assert sorted(path.name for path in again.output.parent.iterdir()) == ["hist10.model.csv", "hist10.model.h5"]
@@ -484,9 +491,9 @@ def test_networks_are_tasks_of_their_own(trials: list[Path], tmp_path: Path, mon
     assert train.parts(job, small()) == []
     parts = train.parts(job, params)
     assert len({part.output for part in parts}) == 3
-    for part in reversed(parts):
+    for number, part in enumerate(reversed(parts), 1):
         assert train.run(part, params).rows == []
-        assert part.output.exists()
+        assert len(list(job.output.parent.glob("*.part"))) == number
     monkeypatch.setattr(networks.sampling, "gather", None)  # nothing is trained any more
     (row,) = train.run(job, params).rows
     assert row["resumed_at_step"] is None
