@@ -1,10 +1,12 @@
 """Follow docs/first-hour.md and README word by word in an empty environment, and check the results they promise.
 
-    python scripts/first_hour.py [--folder EMPTY] [--minutes 15] [--write]
+    python scripts/first_hour.py [--folder EMPTY] [--minutes 15] [--page docs/slip-detector.md] [--write]
 
 The last commit is cloned. The ```sh blocks of each page run in the clone, one shell per page. A comment `<!-- expect
 NAME LOW..HIGH -->` below a block gives the range of a figure that the block prints, as `NAME: 0.84` or as table cells
 `NAME | 0.84`. All commands must succeed within the time limit.
+
+`--page` follows one page instead, with the evetac of this Python, in a folder that is empty.
 
 `--write` puts the stdout of each block into the ```text block that follows it, in the pages of this checkout.
 """
@@ -109,24 +111,32 @@ def empty_environment(folder: Path) -> dict[str, str]:
     return {**kept, "PATH": os.pathsep.join(path), "XDG_CACHE_HOME": str(folder / "cache"), "COLUMNS": COLUMNS}
 
 
+def this_environment() -> dict[str, str]:
+    """Return this process's variables, with the evetac of this Python first."""
+    path = os.pathsep.join((str(Path(sys.executable).parent), os.environ["PATH"]))
+    return {**os.environ, "PATH": path, "COLUMNS": COLUMNS}
+
+
 def follow(folder: Path, *, write: bool) -> list[str]:
     """Follow the pages in a clone in this folder; return the differences, in words."""
     clone = folder / "evetac"
     subprocess.run(["git", "clone", "--quiet", str(ROOT), str(clone)], check=True)
-    wrong = []
-    for name in PAGES:
-        text = (clone / name).read_text()
-        page = blocks(text)
-        started = time.monotonic()
-        code, printed = run(page, clone, empty_environment(folder))
-        print(f"{name}: {len(printed)} of {len(page)} blocks, {time.monotonic() - started:.0f} s", flush=True)
-        if code:
-            wrong.append(f"{name}: a block ended with exit code {code}:\n{page[len(printed) - 1].code}")
-            return wrong
-        wrong += [f"{name}: {fault}" for block, out in zip(page, printed, strict=True) for fault in faults(block, out)]
-        if write:
-            (ROOT / name).write_text(with_outputs((ROOT / name).read_text(), printed))
-    return wrong
+    texts = {name: (clone / name).read_text() for name in PAGES}
+    environment = empty_environment(folder)
+    return [fault for name in PAGES for fault in follow_page(name, texts[name], clone, environment, write=write)]
+
+
+def follow_page(name: str, text: str, folder: Path, environment: dict[str, str], *, write: bool = False) -> list[str]:
+    """Follow the text of a page in this folder; return the differences, in words."""
+    page = blocks(text)
+    started = time.monotonic()
+    code, printed = run(page, folder, environment)
+    print(f"{name}: {len(printed)} of {len(page)} blocks, {time.monotonic() - started:.0f} s", flush=True)
+    if code:
+        return [f"{name}: a block ended with exit code {code}:\n{page[len(printed) - 1].code}"]
+    if write:
+        (ROOT / name).write_text(with_outputs((ROOT / name).read_text(), printed))
+    return [f"{name}: {fault}" for block, out in zip(page, printed, strict=True) for fault in faults(block, out)]
 
 
 def main() -> None:
@@ -134,11 +144,18 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--folder", type=Path, default=None, help="an empty folder; default: a temporary one")
     parser.add_argument("--minutes", type=float, default=15.0, help="time limit, in minutes")
+    parser.add_argument("--page", help="a page to follow alone")
     parser.add_argument("--write", action="store_true", help="put the printed output into the pages")
     chosen = parser.parse_args()
     started = time.monotonic()
     with tempfile.TemporaryDirectory() as temporary:
-        wrong = follow(chosen.folder or Path(temporary), write=chosen.write)
+        folder = chosen.folder or Path(temporary)
+        if chosen.page:
+            wrong = follow_page(
+                chosen.page, (ROOT / chosen.page).read_text(), folder, this_environment(), write=chosen.write
+            )
+        else:
+            wrong = follow(folder, write=chosen.write)
     minutes = (time.monotonic() - started) / 60
     if minutes > chosen.minutes:
         wrong.append(f"it took {minutes:.1f} minutes, expected at most {chosen.minutes:g}")

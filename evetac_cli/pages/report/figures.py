@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from evetac_cli.evaluate.labels import EARLIEST_MS, LATEST_MS
+from evetac_cli.evaluate.source import LABELS
 from evetac_cli.events import SLICES_PER_S
 from evetac_cli.kernels.slip import metrics
 from evetac_cli.pages.report.study import Study, StudyTrial
@@ -89,7 +90,11 @@ def headline(study: Study) -> list[StudyFigure]:
             over = f"{len(known_ms)}{more} pairs{never}{why}"
             figures.append(StudyFigure(f"t_m - {symbol}, median [ms]", float(np.median(known_ms)), over))
     figures += [
-        StudyFigure("F1 of the best model", report.summary[key], f"slices of {report.summary['trajectories']} trials")
+        StudyFigure(
+            "F1 of the best model",
+            report.summary[key],
+            f"slices of {report.summary['trajectories']} trials, judged by {report.summary.get('judged_by', LABELS)}",
+        )
         for report in study.reports("evaluate slip")
         for key in ("f1", "best_f1")
         if report.summary.get(key) is not None

@@ -101,7 +101,7 @@ class OnlineSlipDetector:
     def tell_what_sticks(self) -> None:
         """Enable the sticking share of the contact for the signal and the network; call before the first slice."""
         tracking = self.tracking
-        self.sticking, first = (StickingShare(tracking.rest_xy_px, tracking.record["frame_px"]) for _ in range(2))
+        self.sticking, first = (StickingShare(tracking.rest_xy_px, tracking.record["frame_px"][0]) for _ in range(2))
         first.step(tracking.dot_xy_px, tracking.lost)  # compiles or loads it now instead of in the first slice
         tracker.turn_px(tracking.record)  # also compiles or loads it
 

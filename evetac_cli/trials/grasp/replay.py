@@ -125,7 +125,7 @@ def _recipe(trial: ReplayGrasp, recordings: Sequence[Recording]) -> Recipe:
         "phases_ms": [timing.touch_ms, timing.lift_ms, timing.balance_ms],
     }
     frames_px = [list(recording.frame_px) for recording in recordings]
-    if any(tuple(frame_px) != FRAME_PX for frame_px in frames_px):  # the tracker and the sticking share depend on it
+    if trial.settings.detector is not None and any(tuple(one) != FRAME_PX for one in frames_px):  # it depends on them
         parameters["frames_px"] = frames_px
     headers = (recording.header for recording in recordings)
     return Recipe(OUTPUT, METHOD, parameters, parents=(*trial.settings.parents(), *headers))

@@ -1,6 +1,7 @@
 """A grasp on a recording: its decisions are those that were, or would have been, made."""
 
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -26,6 +27,7 @@ from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.layout.provenance import Recipe
 from evetac_cli.store.recordings.read import open_recording
 from evetac_cli.trials import grasp, record
+from evetac_cli.trials.grasp.replay import _recipe
 
 ROWS = ("goal_ticks", "u_ff_ticks", "x_ref_ticks", "slip", "phase", "mean_displacement_px", "t_us", "probability")
 
@@ -45,6 +47,15 @@ def replay(path: Path, out: Path, **flags: float | str | Path) -> Path:
     made = grasp.run(job, params)
     assert made.simulated
     return job.output
+
+
+def test_another_frame_is_part_of_the_recipe(grasped: Path, tmp_path: Path) -> None:
+    """Assert that the recipe names a frame that is not an Evetac's, since what the detector tracks depends on it."""
+    (job,) = grasp.jobs([], Grasp(camera=f"replay:{grasped}"), tmp_path / "again.recording.h5")
+    with open_recording(grasped) as recording:
+        other = SimpleNamespace(header=recording.header, frame_px=(320, 240))
+        assert "frames_px" not in _recipe(job, [recording]).parameters
+        assert _recipe(job, [other]).parameters["frames_px"] == [[320, 240]]
 
 
 @pytest.mark.slow
