@@ -40,8 +40,8 @@ def test_two_sensors_are_compared_as_written(tmp_path: Path, monkeypatch: pytest
     assert (answer["summary"]["slips"], answer["summary"]["abstained"]) == (sum(n), sum(abstained))
     shown = evetac(*words)
     assert f"n = {sum(n)} of 20 trajectories, {sum(abstained)} abstained." in shown.output
-    for name, counts in (("n", n), ("abstained", abstained)):
-        assert re.search(rf"{name} +│ +{counts[0]} +│ +{counts[1]} ", shown.output)
+    for sensor, number, left_out in zip(SENSORS, n, abstained, strict=True):
+        assert re.search(rf"│ {sensor} +│[^│]+│ +10 │ +{number} │ +{left_out} │", shown.output)
 
     row = answer_of("report", "--compare", *SENSORS, "--force")["rows"][0]
     assert (row["pairs"], row["without_partner"], row["abstained"]) == (10, 0, sum(abstained))
