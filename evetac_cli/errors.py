@@ -30,7 +30,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 AnyError = TypeVar("AnyError", bound=BaseException)
-INTERRUPTED = "interrupted: finished files are complete, the one in progress was left out"
+INTERRUPTED = "interrupted: finished files are complete, those in progress were left out"
 INTERNAL_ERROR = "internal error"  # prefix of unexpected errors; test programs search for it
 MEMORY_HINT = "a shorter recording (evetac trim), or fewer --jobs"
 # Libraries that only some commands need: the extra that installs them, and their import names.

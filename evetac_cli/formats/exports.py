@@ -7,6 +7,7 @@ the recording and everything computed from it, one row per slice or frame, witho
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
@@ -140,24 +141,27 @@ def export(
     force: bool = False,
     progress: Progress = silent,
     opened: Opener = recording_alone,
+    together: ExitStack | None = None,
 ) -> dict[str, Any]:
     """Write a recording in another format, completely or not at all; return what was written and what was left out.
 
-    options: of the format. opened: opens the files of the recording's trial. Raises InputError if the target exists and
-    `force` is not set, or if the recording lacks data that the format requires.
+    options: of the format. opened: opens the files of the recording's trial. together: the target appears when this
+    closes, with those of other recordings. Raises InputError if the target exists and `force` is not set, or if the
+    recording lacks data that the format requires.
     """
     require_possible_name(target)
     check_free(target, force=force)
     row = named_format(format_)
     assert row.write is not None
-    with (opened if row.of_trial else recording_alone)(source) as files:
+    with ExitStack() as alone, (opened if row.of_trial else recording_alone)(source) as files:
         recording = files.recording
         if target.exists() and target.samefile(source):
             raise InputError("the output would replace the recording", where=str(target))
-        with taking_the_place_of(target, target.suffix, partial(check_free, target, force=force)) as temporary:
-            with utf8_path(temporary) as plain:
-                left_out = row.write(files if row.of_trial else recording, plain, progress, **options) or []
-            size = temporary.stat().st_size
+        place = taking_the_place_of(target, target.suffix, partial(check_free, target, force=force))
+        temporary = (together or alone).enter_context(place)
+        with utf8_path(temporary) as plain:
+            left_out = row.write(files if row.of_trial else recording, plain, progress, **options) or []
+        size = temporary.stat().st_size
         if row.events:
             left_out += _left_out(recording, row.holds)
         return {

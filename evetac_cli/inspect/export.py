@@ -1,7 +1,7 @@
 """export: write recordings, and the data computed from them, in formats that other programs read."""
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import fields
 from functools import partial
 from pathlib import Path
@@ -18,6 +18,7 @@ from evetac_cli.pages.view.trial_files import open_trial
 from evetac_cli.resources import model_file
 from evetac_cli.sim.setup.plan import numbers
 from evetac_cli.store.files import StageFile
+from evetac_cli.store.hdf5.disk import check_free
 from evetac_cli.text_files import as_utf8
 
 OF_TRACKS = ("features", "touch")  # kinds of files that are computed from tracks
@@ -26,9 +27,9 @@ OF_TRACKS = ("features", "touch")  # kinds of files that are computed from track
 def run(
     files: list[Path], params: Export, out: Path | None, *, force: bool = False, progress: Progress = silent
 ) -> Outcome:
-    """Write a file for every recording, or one folder of all.
+    """Write a file for every recording, or one folder; all or none, so that an interrupted command can be repeated.
 
-    Raises InputError, before any file is written, if two recordings would have the same output.
+    Raises InputError, before any file is written, if two recordings would have the same output, or if an output exists.
     """
     options = _options(params)
     opened: Opener = partial(trial_files, model=_model(params))
@@ -46,10 +47,11 @@ def run(
     twice = sorted({str(target) for target in targets if targets.count(target) > 1})
     if twice:
         raise InputError("several recordings would be written to the same file", found=", ".join(twice))
-    rows = [
-        export(file, params.format, target, options, force=force, progress=progress, opened=opened)
-        for file, target in zip(files, targets, strict=True)
-    ]
+    for target in targets:
+        check_free(target, force=force)
+    with ExitStack() as together:
+        alike = partial(export, options=options, force=force, progress=progress, opened=opened, together=together)
+        rows = [alike(file, params.format, target) for file, target in zip(files, targets, strict=True)]
     simulated = any([row.pop("simulated") for row in rows])
     return Outcome(rows, simulated, {"files": len(rows)})
 

@@ -22,7 +22,7 @@ ENDS = (
     (EvetacError.exit_code, "the command failed"),
     (InputError.exit_code, "a flag, a file or a value is invalid"),
     (DeviceError.exit_code, "a camera or a gripper failed, or `doctor` found a problem"),
-    (130, "stopped by Ctrl-C: finished files are complete, the file in progress was discarded"),
+    (130, "stopped by Ctrl-C: finished files are complete, those in progress were discarded"),
 )
 
 

@@ -484,6 +484,34 @@ def test_from_the_command_line(source: Path, tmp_path: Path) -> None:
     assert twice.exit_code == 2
 
 
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), InputError("not this one")])
+def test_several_are_written_together(
+    source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Any
+) -> None:
+    """Assert that an export that stops at its second recording leaves no file, so the same command works afterwards.
+
+    What exists is refused before anything is written.
+    """
+    other = write(tmp_path / "z.recording.h5", drawn(100), 50)
+    out, writer = tmp_path / "out", FORMATS["text"]
+    command = ["export", str(source), str(other), "--format", "text", "-o", str(out)]
+
+    def stops(recording: Recording, path: Path, progress: Any) -> None:
+        if recording.event_count == 100:
+            raise error
+        writer.write(recording, path, progress)  # type: ignore[misc]
+
+    with monkeypatch.context() as patch:
+        patch.setitem(FORMATS, "text", writer._replace(write=stops))
+        assert CliRunner().invoke(app, command).exit_code in (130, 2)
+    assert not out.exists() or not list(out.iterdir())
+    assert CliRunner().invoke(app, command).exit_code == 0
+    assert sorted(path.name for path in out.iterdir()) == ["b.txt", "z.txt"]
+    (out / "b.txt").unlink()
+    assert CliRunner().invoke(app, command).exit_code == 2
+    assert [path.name for path in out.iterdir()] == ["z.txt"]
+
+
 def test_names_of_240_bytes_fail_before_the_work(tmp_path: Path) -> None:
     """Assert that an export whose name no file system takes is refused as such, whatever the recording."""
     with pytest.raises(InputError, match="name is too long"):
