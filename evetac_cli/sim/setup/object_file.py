@@ -22,6 +22,7 @@ UNNAMED = "own-object"  # name in recordings of an object whose file has no `nam
 HELD = ("mass_g", "width_mm", "height_mm")  # additional keys that an object needs if a gripper holds it
 SLIPPERIEST = 0.05  # least static friction of a gripped object: below, no real gripper has the necessary force
 WIDEST_MM = 104.8  # width of the widest object that fits between the fingers
+LIGHTEST_G_CM3 = 0.005  # of the box around an object: half as dense as the lightest foam; a mass in kg is below it
 WIDEST_SURFACE_MM = 1e4  # size of a flat object whose size has no effect
 
 
@@ -112,6 +113,16 @@ def read(path: Path) -> tuple[str, TouchedObject]:
     if read_object.static_friction < SLIPPERIEST:
         expected, friction = f"{SLIPPERIEST:g} to 5, for fingers to hold it", f"{read_object.static_friction:g}"
         raise InputError("static_friction: out of range", where=where, expected=expected, found=friction)
+    depth_mm = read_object.depth_mm or read_object.held_mm
+    lightest_g = LIGHTEST_G_CM3 * 1e-3 * read_object.held_mm * read_object.height_mm * depth_mm
+    if read_object.mass_g < lightest_g:
+        raise InputError(
+            "mass_g: lighter than foam of this size",
+            where=where,
+            expected=f"at least {lightest_g:.3g} g",
+            found=f"{read_object.mass_g:g} g",
+            hint=f"in g: {read_object.mass_g:g} kg are mass_g = {1e3 * read_object.mass_g:g}",
+        )
     return str(table.get("name", UNNAMED)), read_object
 
 

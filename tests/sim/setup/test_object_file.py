@@ -69,6 +69,7 @@ WRONG: list[tuple[dict[str, Any], str]] = [
     ({"mass_g": None, "height_mm": None}, "expected: mass_g, height_mm"),
     ({"static_friction": None}, "keys are missing\n  expected: static_friction"),
     ({"mass_g": 0}, "mass_g: out of range(.|\n)*0.1 to 100000"),
+    ({"mass_g": 0.35}, "lighter than foam(.|\n)*mass_g = 350"),
     ({"mass_g": "350 g"}, "mass_g: expected a number"),
     ({"mass_g": True}, "mass_g: expected a number"),
     ({"width_mm": 0.066}, "width_mm: out of range(.|\n)*1 to 10000"),  # in metres
