@@ -9,7 +9,7 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import metadata
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
@@ -18,18 +18,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from evetac_cli import plugins
+from evetac_cli import plugins, testing
 from evetac_cli.cli import dask_worker, exit_codes, main
 from evetac_cli.devices import cameras, grippers
 from evetac_cli.devices.cameras import NamedCamera
 from evetac_cli.errors import InputError
 from evetac_cli.formats import exports, imports
 from evetac_cli.formats.imports import ImportFormat, read_events
+from evetac_cli.formats.read.event_validation import EventColumns, Foreign
 from evetac_cli.inspect.doctor import plugin_check
 from evetac_cli.kernels.grip.control import PluginLaw
 from evetac_cli.kernels.grip.load_law import MARGIN
-from evetac_cli.kernels.slip.architectures import weight_shapes
-from evetac_cli.kernels.slip.inputs import Trajectory
 from evetac_cli.resources import PACKAGE
 from evetac_cli.stages import train
 from evetac_cli.store.files import StageFile
@@ -477,8 +476,13 @@ def test_a_worker_without_the_package(add: Add, tmp_path: Path) -> None:
     assert answer(part._replace(name="two")) == "lacks the package lab with the plug-in camera two"
 
 
-def test_a_network_whose_forms_differ(add: Add) -> None:
-    """Assert that `train` refuses a network that takes the maximum in torch and the mean in ONNX, new and trained."""
+def test_a_network_whose_forms_differ(
+    add: Add, made: Made, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Assert that `train` refuses a network that takes the maximum in torch and the mean in ONNX, and writes nothing.
+
+    It is refused before training; and afterwards, if only trained weights show the difference.
+    """
     spec = importlib.util.spec_from_file_location("toy_network", TOY / "evetac_toy" / "network.py")
     assert spec is not None and spec.loader is not None
     spec.loader.exec_module(module := importlib.util.module_from_spec(spec))
@@ -488,17 +492,90 @@ def test_a_network_whose_forms_differ(add: Add) -> None:
             return modules["code"](inputs).relu().amax(1)
 
     views = module.MEAN_OF_DOTS.views
-    odd, fine = MaxOfDots("odd", views), module.MeanOfDots("fine", views)
-    add(plugins.NETWORKS, odd=odd, fine=fine)
-    rng, slices = np.random.default_rng(0), 100
-    zeros = np.zeros(slices, np.int8)
-    series = rng.normal(0, 1, (slices, 56, 2)).astype(np.float32)
-    trajectory = Trajectory(series, zeros, zeros, -1)
-    weights = {name: rng.normal(0, 1, shape).astype(np.float32) for name, shape in weight_shapes(odd, 7, 8).items()}
-    for each in (None, weights):
-        train._require_same_forms(fine, each, (7, 8), trajectory, Path("a.features.h5"))
-        with pytest.raises(InputError, match=r"plug-in network odd cannot be used(?s:.*)inputs from a\.features\.h5"):
-            train._require_same_forms(odd, each, (7, 8), trajectory, Path("a.features.h5"))
+    add(plugins.NETWORKS, odd=MaxOfDots("odd", views), fine=module.MeanOfDots("fine", views))
+    features = [str(made.beside(path, "features")) for path in made.recordings]
+
+    def train_with(name: str) -> tuple[Any, str]:
+        flags = ("--preset", "adam", "--max-steps", "20", "--validate", features[-1])
+        with pytest.raises(SystemExit) as ended:
+            main.app(["train", *features, "--model", name, *flags, "-o", str(tmp_path / f"{name}.model.h5")])
+        return ended.value.code, capsys.readouterr().err
+
+    def refused() -> None:
+        code, said = train_with("odd")
+        assert code == 2
+        assert "the plug-in network odd cannot be used" in said and "lab" in said
+        assert "torch and ONNX return probabilities up to" in said
+        assert not list(tmp_path.glob("*.h5"))
+
+    refused()
+    require = train._require_same_forms
+    monkeypatch.setattr(
+        train, "_require_same_forms", lambda network, weights, *more: weights and require(network, weights, *more)
+    )
+    refused()
+    assert train_with("fine")[0] in (0, None)
+    assert (tmp_path / "fine.model.h5").is_file()
+
+
+def foreign(*columns: Any) -> Foreign:
+    """A file of events in a frame of 64 x 48 px."""
+    return Foreign("odd", (64, 48), [EventColumns(*columns, place=str)])
+
+
+ONES = np.ones(3, np.int64)
+
+
+@pytest.mark.parametrize(
+    ("read", "said"),
+    [
+        (None, "returned no Foreign"),
+        (replace(foreign(ONES, ONES, ONES, ONES), frame_px=(0, 48)), "impossible frame size"),
+        (foreign(ONES, ONES, [1, 1, 1], ONES), "no columns of events(.|\n)*int64, int64, list, int64"),
+        (foreign(ONES, ONES, ONES, np.array(["a"] * 3)), "no columns of events(.|\n)*int64, int64, int64, <U1"),
+        (foreign(ONES, ONES, ONES[:, None], ONES), "no columns of events"),
+        (foreign(ONES, ONES, ONES, 2 * ONES), "unknown polarity"),
+    ],
+)
+def test_what_an_importer_returns(add: Add, tmp_path: Path, read: Any, said: str) -> None:
+    """Assert that events of an importer that are none are refused in words."""
+    add(plugins.IMPORTERS, odd=ImportFormat((b"\x01odd",), lambda path, frame_px: read))
+    (path := tmp_path / "a.odd").write_bytes(b"\x01odd\n")
+    with pytest.raises(InputError, match=said):
+        read_events(path)
+
+
+@pytest.mark.parametrize(
+    ("write", "said"),
+    [
+        (lambda recording, path, progress: None, "wrote no file"),
+        (lambda recording, path, progress: path.touch(), "wrote no file"),
+        (lambda recording, path, progress: path.write_text("1"), "list of texts, but returned 1"),
+    ],
+)
+def test_what_an_exporter_writes(add: Add, tmp_path: Path, write: Any, said: str) -> None:
+    """Assert that an exporter which writes no file, or returns no texts, is refused in words and leaves nothing."""
+    add(plugins.EXPORTERS, odd=exports.ExportFormat((".odd",), write))
+    source = testing.small_recording(tmp_path / "a.recording.h5")
+    with pytest.raises(InputError, match=f"plug-in exporter odd cannot be used(.|\n)*{said}"):
+        exports.export(source, "odd", tmp_path / "a.odd")
+    assert list(tmp_path.iterdir()) == [source]
+
+
+@pytest.mark.parametrize(
+    ("row", "said"),
+    [
+        (exports.ExportFormat((), print), "suffixes"),
+        (exports.ExportFormat(("/../odd",), print), "suffixes"),
+        (exports.ExportFormat((".odd",), None), "write"),
+    ],
+)
+def test_an_exporter_without_endings_or_writer(add: Add, row: exports.ExportFormat, said: str) -> None:
+    """Assert that the row of an exporter is checked when it is requested, and that doctor reports the same."""
+    add(plugins.EXPORTERS, odd=row)
+    with pytest.raises(InputError, match=f"its `{said}` must be"):
+        exports.named_format("odd")
+    assert [said in each["found"] for each in plugin_check.rows()] == [True]
 
 
 def test_what_a_plug_in_prints_is_not_json(add: Add, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

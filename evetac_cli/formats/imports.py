@@ -25,7 +25,14 @@ from evetac_cli.formats.read.bags import read_rosbag
 from evetac_cli.formats.read.bags.bag_files import is_bag_folder
 from evetac_cli.formats.read.bags.read_rosbag import open_rosbag
 from evetac_cli.formats.read.column_order import assumption
-from evetac_cli.formats.read.event_validation import EventColumns, Foreign, FrameUnknown, Normal, normalise
+from evetac_cli.formats.read.event_validation import (
+    EventColumns,
+    Foreign,
+    FrameUnknown,
+    Normal,
+    checked_frame,
+    normalise,
+)
 from evetac_cli.formats.read.prophesee import read_prophesee
 from evetac_cli.formats.read.prophesee.read_prophesee import open_prophesee
 from evetac_cli.formats.read.read_hdf5 import open_hdf5
@@ -361,7 +368,13 @@ def _open(path: Path, frame_px: tuple[int, int] | None, options: Mapping[str, st
     for name in options.keys() - set(format_.said):  # an option that would do nothing is an error
         flag, files = SAID[name]
         raise InputError(f"{flag} is for {files}", where=str(path), found=options[name], hint="leave it out")
-    return format_.read(path, frame_px, **options)
+    foreign = format_.read(path, frame_px, **options)
+    if not isinstance(foreign, Foreign):
+        of = f"{format_.read.__module__}.{format_.read.__qualname__}"
+        found = type(foreign).__name__
+        raise InputError(f"the plug-in's reader {of} returned no Foreign", where=str(path), found=found)
+    foreign.frame_px = checked_frame(foreign.frame_px, str(path), "")
+    return foreign
 
 
 def _open_with_guessed_frame(path: Path, options: Mapping[str, str], unknown: FrameUnknown) -> Foreign:

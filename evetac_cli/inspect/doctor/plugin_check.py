@@ -19,7 +19,7 @@ LOADED: dict[str, Callable[[Plugin], object]] = {
     plugins.CAMERAS: lambda plugin: plugin.load(NamedCamera),
     plugins.GRIPPERS: lambda plugin: plugin.load(NamedGripper),
     plugins.IMPORTERS: imports.format_of_plugin,
-    plugins.EXPORTERS: lambda plugin: plugin.load(exports.ExportFormat),
+    plugins.EXPORTERS: exports.format_of_plugin,
     plugins.CONTROLLERS: lambda plugin: plugin.load(PluginLaw),
     plugins.NETWORKS: lambda plugin: plugin.load(PluginLayers),
     plugins.SCENES: lambda plugin: scene_file.load(plugin.name),
