@@ -144,6 +144,33 @@ def test_grasp_in_real_time(toy: Path, tmp_path: Path) -> None:
         assert set(file.read("control/goal_ticks")) == {402}
 
 
+@pytest.mark.slow  # in real time
+@pytest.mark.parametrize(
+    ("camera", "gripper", "said"),
+    [
+        ("bad:order", "hand", "camera bad of evetac-bad returned an invalid slice 30; torque is off"),
+        ("bad", "hand:nan", "gripper hand of evetac-bad returned an invalid reading; torque is off"),
+        ("bad:polarity", "hand:close", "invalid slice 30; torque could not be read back as off: OSError"),
+    ],
+)
+def test_a_grasp_names_what_fails(tmp_path: Path, camera: str, gripper: str, said: str) -> None:
+    """Assert that a fault of a plug-in ends a grasp with exit code 3 and the state of torque, and keeps its slices."""
+    module = "tests.devices.test_plugin_devices"
+    groups = {"evetac.cameras": {"bad": f"{module}:Bad"}, "evetac.grippers": {"hand": f"{module}:BadHand"}}
+    install(tmp_path, "evetac-bad", groups)
+    (grid := tmp_path / "grid.json").write_text(
+        json.dumps({"frame_px": [64, 48], "radius_px": 3, "dot_xy_px": [[[9, 9], [29, 9]], [[9, 29], [29, 29]]]})
+    )
+    named = ("--camera", camera, "--gripper", gripper, "--controller", "none", "--calibration", grid)
+    took = ("--lift-s", "1", "--balance-s", "0", "--watchdog-ms", "500")
+    done = run(tmp_path, "grasp", *named, *took, "-o", tmp_path / "a.recording.h5", "--json")
+    assert done.returncode == 3, done.stderr
+    assert said in json.loads(done.stdout)["error"]["message"]
+    with StageFile(tmp_path / "a.recording.h5", "recording") as file:
+        assert file.length("events/t") > 0
+        assert np.isfinite(file.read("gripper/current_ma")).all()
+
+
 @pytest.mark.slow
 def test_a_scene_is_recorded_exported_and_imported(toy: Path, tmp_path: Path) -> None:
     """Assert that a recording goes out in the format of a plug-in, and comes back from it event for event."""

@@ -44,14 +44,15 @@ class HostCamera(StillCamera):
     def __init__(self) -> None:
         self.sensor = {"sensor/frame_px": np.array([640, 480], np.int32), "sensor/name": "host"}
         self.began_s = time.monotonic()
-        self.fails = False
+        self.fails = ""
 
     def read(self) -> Events | None:
-        if self.fails:
+        fails = self.fails  # another thread sets it
+        if fails == "no longer on the bus":
             raise DeviceError("is no longer on the bus")
         time.sleep(max(0.0, self.began_s + (self.slices + 1) * 1e-3 - time.monotonic()))
         self.slices += 1
-        number = np.array([self.slices - 1])
+        number = np.array([self.slices - 1 - bool(fails)])  # an event of the slice before
         x, y = (number % 640).astype(np.uint16), (number // 640).astype(np.uint16)
         return Events(number * SLICE_US, x, y, np.ones(1, np.uint8))
 
@@ -233,17 +234,20 @@ def test_the_clients_of_the_documentation(listened: Callable[..., KeyboardInterr
             assert [mark.text for mark in recording.marks] == texts
 
 
-def test_a_camera_that_fails_ends_no_series(listened: Callable[..., KeyboardInterrupt], tmp_path: Path) -> None:
+@pytest.mark.parametrize("fault", ["no longer on the bus", "returned an invalid slice"])
+def test_a_camera_that_fails_ends_no_series(
+    listened: Callable[..., KeyboardInterrupt], tmp_path: Path, fault: str
+) -> None:
     """Assert that what was recorded is kept, that `stop` says what failed, and that the next start opens a camera."""
 
     def program(folder: Path) -> None:
         arm = Arm(folder)
         arm.ask("start", name="a")
-        opened[0].fails = True
+        opened[0].fails = fault
         assert until(lambda: arm.ask("status")["state"] == "idle")  # a stop before the next slice would find no fault
         answer = arm.ask("stop")
         assert not answer["ok"]
-        assert "no longer on the bus" in answer["error"]
+        assert fault in answer["error"]
         assert answer["file"] == str(folder / "a.recording.h5")
         assert arm.ask("start", name="b")["ok"]
         assert arm.ask("stop")["ok"]
