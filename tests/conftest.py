@@ -163,7 +163,7 @@ def made(tmp_path_factory: pytest.TempPathFactory, short_scene: Path) -> Made:
     fitting = TrainForce(samples=10, epochs=2)
     (job,) = train_force.jobs([made.beside(path, "tracks") for path in made.recordings], fitting, made.force_model)
     train_force.run(job, fitting)
-    grasping = Grasp(controller="paper", model=made.model, lift_s=1.0, balance_s=0.2)
+    grasping = Grasp(controller="paper", model=made.model, lift_s=1.0, balance_s=0.2, node_pitch_mm=1.45)
     (job,) = grasp.jobs([], grasping, made.grasp)
     grasp.run(job, grasping)
     return made

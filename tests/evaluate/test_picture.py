@@ -191,7 +191,8 @@ def test_the_picture_of_tracking(presets: int) -> None:
     names = ["paper", "stable", "official", "unregularised"][:presets]
     trials = [{"preset": name, "file": "a", "consistent": None if name == "stable" else True} for name in names]
     rows = [
-        {"preset": name, "trajectories": 1, "consistent_share": None if name == "stable" else 1.0,
+        {"preset": name, "trajectories": 1, "decided": int(name != "stable"),
+         "consistent_share": None if name == "stable" else 1.0,
          "paper_consistent_share": 0.8 if name == "paper" else None}
         for name in names
     ] + trials  # fmt: skip
