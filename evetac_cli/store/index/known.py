@@ -54,7 +54,7 @@ class Known:
     def header(self, path: Path, *kinds: str) -> Header | None:
         """Return the part of such a file's header that is needed for the recipe of a file made from it."""
         row = self.row(path, *kinds)
-        return None if row is None else {"id": row.recipe_id, "simulated": bool(row.simulated)}
+        return None if row is None else {"id": row.recipe_id, "simulated": bool(row.simulated), "seed": row.seed}
 
     def is_up_to_date(self, output: Path, recipe: Recipe) -> bool:
         """Whether `output` is known to have the result of this recipe; if False, it may still have it."""
