@@ -10,6 +10,7 @@ CALLS = {
     *("mkstemp", "mkdtemp", "TemporaryDirectory", "TemporaryFile", "NamedTemporaryFile", "SpooledTemporaryFile"),
     *("gettempdir", "mktemp", "mkfifo", "openpty", "memfd_create", "RawArray", "SharedMemory", "shm_open"),
     *("bind_sockets", "create_server", "socketpair", "Listener", "Manager", "LocalCluster", "socket"),
+    *("ThreadingTCPServer", "ThreadingHTTPServer"),
     *("Popen", "check_output", "system", "Pipe", "open_lock", "flock", "umask"),
 }
 WHOLE = {"subprocess.run", "webbrowser.open", "serial.Serial"}
@@ -28,7 +29,7 @@ DOORS = {
     "formats/read/events_on_disk.py": {"TemporaryFile"},
     "inspect/doctor/chain.py": {"TemporaryDirectory"},
     "inspect/doctor/compile_kernels.py": {"Popen", "TemporaryDirectory"},
-    "inspect/doctor/compile_worker.py": {"TemporaryFile"},
+    "inspect/doctor/compile_worker.py": {"Listener", "TemporaryFile"},  # of numba's events
     "inspect/doctor/speed.py": {"TemporaryDirectory"},
     "kernel_cache.py": {"TemporaryDirectory", "gettempdir", "mkdtemp"},
     "evaluate/cost/labels.py": {"TemporaryDirectory"},
@@ -42,8 +43,7 @@ DOORS = {
     "realtime/shared_status.py": {"RawArray"},
     "trials/grasp/grasp_processes.py": {"Pipe"},
     "trials/live_view/__init__.py": {"Pipe"},
-    "trials/listen/address.py": {"flock"},
-    "trials/listen/door.py": {"create_server"},
+    "trials/listen/door.py": {"ThreadingTCPServer"},
     "page_address.py": {"TemporaryDirectory", "webbrowser.open"},
     "store/hdf5/disk.py": {"TemporaryFile", "gettempdir"},
     "store/recordings/recovery.py": {"flock", "open_lock"},
@@ -56,10 +56,9 @@ def test_all_doors_are_known() -> None:
     doors: defaultdict[str, set[str]] = defaultdict(set)
     for path in sorted(PACKAGE.rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text())):
-            if not isinstance(node, ast.Call):
-                continue
-            whole = ast.unparse(node.func)
-            last = whole.rpartition(".")[2]
-            if whole in WHOLE or last in CALLS:
-                doors[str(path.relative_to(PACKAGE))].add(whole if whole in WHOLE else last)
+            made = [node.func] if isinstance(node, ast.Call) else node.bases if isinstance(node, ast.ClassDef) else []
+            for whole in map(ast.unparse, made):
+                last = whole.rpartition(".")[2]
+                if whole in WHOLE or last in CALLS:
+                    doors[str(path.relative_to(PACKAGE))].add(whole if whole in WHOLE else last)
     assert dict(doors) == DOORS

@@ -1,8 +1,8 @@
 """--listen: a robot's program starts, marks and stops the recordings of a series, and names each of them.
 
 The recording thread queries the desk (desk.py) for commands once per slice. Requests arrive through the door (door.py),
-whose address and token are stored in a file (address.py). A program that closes its connection changes nothing: the
-trial continues, and any program with the token may query, mark and stop it. A trial that no program stops ends after
+whose address and token are stored in a file. A program that closes its connection changes nothing: the trial
+continues, and any program with the token may query, mark and stop it. A trial that no program stops ends after
 --seconds.
 """
 
@@ -64,8 +64,7 @@ def listening(trials: Sequence[DeviceTrial], out: Path | None, port: int, longes
 
 def listen(job: Listening, record: Callable[[Any, Desk], Outcome]) -> Outcome:
     """Record the requested trials until Ctrl-C, which is raised. record: makes a trial, (trial, desk) -> Outcome."""
-    from evetac_cli.trials.listen.address import AddressFile  # loads the socket libraries, only here
-    from evetac_cli.trials.listen.door import Door
+    from evetac_cli.trials.listen.door import Door, address_file  # loads the socket libraries, only here
 
     desk, first = Desk(job.longest_s), job.first
     rows: Rows = []
@@ -81,9 +80,8 @@ def listen(job: Listening, record: Callable[[Any, Desk], Outcome]) -> Outcome:
                     console.say(note)
             door = Door(desk.ask, job.port)
             opened.callback(door.close)
-            file = AddressFile(job.output, door.port, door.token)
-            opened.callback(file.remove)
-            console.say(f"listening at 127.0.0.1:{door.port}; address and token are in {file.path}")
+            opened.enter_context(address_file(job.output, door))
+            console.say(f"listening at 127.0.0.1:{door.port}; address and token are in {job.output}")
             number = 0
             while True:
                 name = _next(desk, kept)

@@ -1,17 +1,24 @@
-"""The door: whoever has the token is answered; nobody else gets anything, and nobody keeps another out."""
+"""The door: whoever has the token, which is in a file for its user alone, is answered; nobody else gets anything."""
 
 import json
+import os
+import signal
 import socket
+import subprocess
+import sys
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future
+from contextlib import ExitStack
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from evetac_cli.errors import InputError
+from evetac_cli.resources import PACKAGE
 from evetac_cli.trials.listen import door as doors
-from evetac_cli.trials.listen.door import REFUSED, Door
+from evetac_cli.trials.listen.door import FULL, REFUSED, Door, address_file
 from tests.patience import PATIENCE_S, until
 
 
@@ -52,6 +59,10 @@ def line(door: Door, **fields: Any) -> bytes:
     return json.dumps({"token": door.token, **fields}).encode() + b"\n"
 
 
+def refusal(why: str) -> bytes:
+    return json.dumps({"ok": False, "error": why}).encode() + b"\n"
+
+
 def everything(connection: socket.socket) -> bytes:
     """All that comes until the other side closes the connection."""
     parts = []
@@ -79,6 +90,7 @@ def test_each_line_has_its_answer(door: Door) -> None:
         b'{"token": "x", "command": "status"}\n',
         b'{"token": "", "command": "status"}\n',
         '{"token": "ä", "command": "status"}\n'.encode(),
+        b'{"token": "\\ud800", "command": "status"}\n',
         b'{"token": null, "command": "status"}\n',
         b'["token"]\n',
         b"[" * 4000 + b"\n",
@@ -91,7 +103,7 @@ def test_without_the_token_there_is_a_refusal_and_no_more(said: bytes, door: Doo
     """Assert that such a line ends the connection, also before a line that has the token, and nobody is asked."""
     with connected(door) as connection:
         connection.sendall(said + line(door, command="start", name="a"))
-        assert everything(connection) in (REFUSED, b"")
+        assert everything(connection) in (refusal(REFUSED), b"")
     assert asked.requests == []
 
 
@@ -109,13 +121,13 @@ def test_an_endless_line_is_cut_off(door: Door, asked: Asked) -> None:
     """Assert that a line has a bounded length, also of whoever has the token."""
     with connected(door) as connection:
         connection.sendall(line(door, text="x" * doors.MOST_BYTES))
-        assert everything(connection) in (REFUSED, b"")
+        assert everything(connection) in (refusal(REFUSED), b"")
     assert asked.requests == []
 
 
 def test_who_says_nothing_is_sent_away(asked: Asked, monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that a silent connection is closed, one that has shown the token is not."""
-    monkeypatch.setattr(doors, "STRANGER_S", 0.2)
+    monkeypatch.setattr(doors._Connection, "timeout", 0.2)
     door = Door(asked, 0)
     try:
         with connected(door) as known, connected(door) as stranger, known.makefile("rb") as answers:
@@ -128,19 +140,25 @@ def test_who_says_nothing_is_sent_away(asked: Asked, monkeypatch: pytest.MonkeyP
         door.close()
 
 
-def test_many_silent_connections_keep_nobody_out(door: Door) -> None:
-    """Assert that the oldest of too many strangers make room, and that whoever has the token keeps the connection."""
-    with connected(door) as known, known.makefile("rb") as answers:
+def test_the_number_of_connections_has_a_limit(door: Door) -> None:
+    """Assert that one too many is refused in words, that a known one stays, and that there is room again."""
+    with ExitStack() as opened:
+        known = opened.enter_context(connected(door))
+        answers = opened.enter_context(known.makefile("rb"))
         known.sendall(line(door, number=0))
         answers.readline()
-        strangers = [connected(door) for _ in range(2 * doors.MOST_STRANGERS)]
-        with connected(door) as another, another.makefile("rb") as others:
-            another.sendall(line(door, number=1))
-            assert json.loads(others.readline())["number"] == 1
+        silent = [opened.enter_context(connected(door)) for _ in range(doors.MOST_CONNECTIONS - 1)]
+        assert everything(opened.enter_context(connected(door))) == refusal(FULL)
+        silent[0].close()
+
+        def answered() -> bool:
+            with connected(door) as another:
+                another.sendall(line(door, number=1))
+                return b'"number": 1' in another.recv(4096)
+
+        assert until(answered)
         known.sendall(line(door, number=2))
         assert json.loads(answers.readline())["number"] == 2
-        for stranger in strangers:
-            stranger.close()
 
 
 def test_who_waits_is_answered_before_the_door_closes(asked: Asked) -> None:
@@ -167,3 +185,79 @@ def test_tokens_are_long_and_differ(door: Door, asked: Asked) -> None:
     other.close()
     assert len(door.token) >= 32
     assert door.token != other.token
+
+
+def test_the_file_is_for_its_user_alone_and_goes_at_the_end(door: Door, tmp_path: Path) -> None:
+    """Assert one line, mode 0600 whatever the umask, nothing beside it, and nothing after it."""
+    path = tmp_path / "evetac.listen"
+    before = os.umask(0)
+    try:
+        with address_file(path, door):
+            assert path.read_text() == f"127.0.0.1 {door.port} {door.token}\n"
+            assert path.stat().st_mode & 0o7777 == 0o600
+            assert list(tmp_path.iterdir()) == [path]
+    finally:
+        os.umask(before)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_another_that_listens_is_not_replaced(door: Door, asked: Asked, tmp_path: Path) -> None:
+    """Assert that a second one in the same folder is refused, and the first file stays as it is."""
+    path, second = tmp_path / "evetac.listen", Door(asked, 0)
+    with address_file(path, door):
+        with pytest.raises(InputError, match="another evetac"), address_file(path, second):
+            pass
+        assert path.read_text().split()[1] == str(door.port)
+        assert list(tmp_path.iterdir()) == [path]
+    second.close()
+
+
+def test_what_a_killed_one_left_is_replaced_and_said(
+    door: Door, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Assert that the file of a process that was killed stands in nobody's way, also if the port is the same again."""
+    path = tmp_path / "evetac.listen"
+    code = (
+        "import os, sys; from pathlib import Path; from evetac_cli.trials.listen.door import Door, address_file;"
+        " file = address_file(Path(sys.argv[1]), Door(print, 0)); file.__enter__(); os.kill(os.getpid(), 9)"
+    )
+    killed = subprocess.run([sys.executable, "-c", code, str(path)], cwd=PACKAGE.parent, check=False)
+    assert killed.returncode == -signal.SIGKILL
+    for left in (path.read_text(), f"127.0.0.1 {door.port} {'a' * 32}\n", f"127.0.0.1 99999 {'a' * 32}\n"):
+        path.write_text(left)
+        with address_file(path, door):
+            assert path.read_text().split()[2] == door.token
+        assert "left by a run that was killed" in capsys.readouterr().err
+        assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("kind", ["text", "empty", "link", "folder", "pipe"])
+def test_what_is_not_ours_stays(kind: str, door: Door, tmp_path: Path) -> None:
+    """Assert that a file that evetac did not make, a link, a folder and a pipe are refused, and untouched."""
+    path, other = tmp_path / "evetac.listen", tmp_path / "other"
+    other.write_text(f"127.0.0.1 1 {'a' * 32}\n")
+    make: dict[str, Callable[[], object]] = {
+        "text": lambda: path.write_text("my notes\n"),
+        "empty": path.touch,
+        "link": lambda: path.symlink_to(other),
+        "folder": path.mkdir,
+        "pipe": lambda: os.mkfifo(path),
+    }
+    make[kind]()
+    before = path.lstat()
+    with pytest.raises(InputError, match="not a file that evetac made"), address_file(path, door):
+        pass
+    assert os.path.samestat(before, path.lstat())
+    assert other.read_text() == f"127.0.0.1 1 {'a' * 32}\n"
+    assert sorted(tmp_path.iterdir()) == [path, other]
+
+
+def test_a_file_in_its_place_is_not_taken_away(door: Door, tmp_path: Path) -> None:
+    """Assert that what another put there meanwhile stays at the end, and a missing folder is an error in words."""
+    path = tmp_path / "evetac.listen"
+    with address_file(path, door):
+        path.unlink()
+        path.write_text("another's\n")
+    assert path.read_text() == "another's\n"
+    with pytest.raises(InputError, match="cannot be written"), address_file(tmp_path / "none" / "a", door):
+        pass
