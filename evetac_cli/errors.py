@@ -37,7 +37,7 @@ MEMORY_HINT = "a shorter recording (evetac trim), or fewer --jobs"
 EXTRAS = {
     "camera": ("dv_processing",),
     "convert": ("rosbags", "mcap", "faery", "lz4", "zstandard", "hdf5plugin", "pyarrow", "zarr", "PIL", "av"),
-    "plot": ("matplotlib", "bokeh", "PIL", "tornado"),
+    "plot": ("matplotlib", "bokeh", "PIL"),
     "view": ("rerun",),
     "cluster": ("dask", "distributed", "cryptography"),
     "log": ("tensorboard",),

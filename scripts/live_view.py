@@ -12,7 +12,6 @@ slices than without a view. Simulated.
 """
 
 import argparse
-import asyncio
 import json
 import os
 import re
@@ -24,18 +23,16 @@ import time
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+from urllib.request import urlopen
 
 import numpy as np
 from real_time import grid
-from tornado.httpclient import HTTPRequest
-from tornado.websocket import websocket_connect
 
 from evetac_cli.console import print_table
 from evetac_cli.store.recordings.read import open_recording
-from evetac_cli.trials.live_view.server import NEXT
 
 HERE = Path(__file__).resolve().parents[1]
-ADDRESS = re.compile(r"live view: http://(\S+)")
+ADDRESS = re.compile(r"live view: (http://\S+)")
 SETTLE_S = 1.0  # the first pictures of a view are not counted, because the camera is still opening
 MOST_LOST = 1e-4
 LEAST_PICTURES_S = 15.0
@@ -50,19 +47,17 @@ class Client:
     left_out: int = 0
     ended: str = ""
 
-    async def watch(self, address: str) -> None:
-        socket = await websocket_connect(HTTPRequest(f"ws://{address}pictures"), max_message_size=1 << 24)
+    def watch(self, address: str) -> None:
+        known = ""
         while not self.ended:
-            await socket.write_message(NEXT)
-            message = await socket.read_message()
-            if not isinstance(message, bytes):
-                break
+            with urlopen(f"{address}pictures?known={known}") as answer:
+                message = answer.read()
             news = json.loads(message[4 : 4 + int.from_bytes(message[:4], "little")])
             self.ended = news.get("ended", "")
+            known = news.get("version", "")
             if not self.ended and news["sample"]["slices"]:
                 self.came_s.append(time.monotonic())
                 self.left_out = news["left_out"]
-        socket.close()
 
     def figures(self) -> dict[str, Any]:
         came = np.array(self.came_s)
@@ -101,7 +96,7 @@ def one(chosen: argparse.Namespace, folder: Path, *, live: bool) -> dict[str, An
             said.append(line)
             address = ADDRESS.search(line)
             if address:
-                thread = threading.Thread(target=asyncio.run, args=(client.watch(address.group(1)),))
+                thread = threading.Thread(target=client.watch, args=(address.group(1),))
                 thread.start()
         printed = run.stdout.read() if run.stdout else ""
     if thread is not None:

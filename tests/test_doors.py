@@ -9,8 +9,8 @@ from evetac_cli.resources import PACKAGE
 CALLS = {
     *("mkstemp", "mkdtemp", "TemporaryDirectory", "TemporaryFile", "NamedTemporaryFile", "SpooledTemporaryFile"),
     *("gettempdir", "mktemp", "mkfifo", "openpty", "memfd_create", "RawArray", "SharedMemory", "shm_open"),
-    *("bind_sockets", "create_server", "socketpair", "Listener", "Manager", "LocalCluster", "socket"),
-    *("ThreadingTCPServer", "ThreadingHTTPServer"),
+    *("create_server", "socketpair", "Listener", "Manager", "LocalCluster", "socket"),
+    *("ThreadingTCPServer", "ThreadingHTTPServer", "bind_sockets"),
     *("Popen", "check_output", "system", "Pipe", "open_lock", "flock", "umask"),
 }
 WHOLE = {"subprocess.run", "webbrowser.open", "serial.Serial"}
@@ -38,13 +38,11 @@ DOORS = {
     "realtime/last_words.py": {"RawArray"},
     "testing.py": {"TemporaryDirectory"},
     "pages/view/trial_files.py": {"TemporaryDirectory"},
-    "page_server.py": {"bind_sockets"},
+    "local_server.py": {"ThreadingTCPServer", "webbrowser.open"},
     "trials/live_view/shared_view.py": {"RawArray"},
     "realtime/shared_status.py": {"RawArray"},
     "trials/grasp/grasp_processes.py": {"Pipe"},
     "trials/live_view/__init__.py": {"Pipe"},
-    "trials/listen/door.py": {"ThreadingTCPServer"},
-    "page_address.py": {"TemporaryDirectory", "webbrowser.open"},
     "store/hdf5/disk.py": {"TemporaryFile", "gettempdir"},
     "store/recordings/recovery.py": {"flock", "open_lock"},
     "store/recordings/segments.py": {"flock", "open_lock"},

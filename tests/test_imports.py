@@ -19,7 +19,7 @@ MODULES = sorted(PACKAGE.rglob("*.py"))
 # Who may import whom, from the top down; a package may import itself too. CONTRIBUTING's table is made from this one.
 GROUND = frozenset(
     {"names", "plugins", "errors", "events", "arrays", "checks", "interrupts", "jobs", "commands", "console"}
-    | {"resources", "kernel_cache", "text_files", "page_server", "page_address"}
+    | {"resources", "kernel_cache", "text_files", "local_server"}
 )
 MAY_IMPORT: dict[str, frozenset[str]] = {
     "cli": GROUND | {"evetac_cli", "store"},
@@ -58,8 +58,7 @@ MAY_IMPORT: dict[str, frozenset[str]] = {
     "sim": frozenset({"plugins", "arrays", "checks", "errors", "events", "resources", "text_files", "kernels"}),
     "realtime": frozenset({"interrupts", "errors", "events", "kernels"}),
     "kernels": frozenset({"arrays", "checks", "errors", "events", "kernel_cache"}),
-    "page_server": frozenset(),
-    "page_address": frozenset({"console"}),
+    "local_server": frozenset({"console", "text_files"}),
     "console": frozenset({"errors", "jobs"}),
     "commands": frozenset({"names", "plugins", "errors"}),
     "resources": frozenset({"errors"}),
@@ -93,7 +92,6 @@ ONLY_IN = {
     "numba": ("kernels/compiled.py", "kernel_cache.py", "cli/compiling.py", "inspect/doctor/compile_worker.py"),
     "dask": ("cli/dask_engine.py",),
     "distributed": ("cli/dask_engine.py",),
-    "tornado": ("page_server.py", "trials/live_view/server.py", "stages/label_review/server.py"),
     "pyarrow": ("formats/read/*", "formats/write/*", "formats/write/lerobot/*"),
     "av": ("formats/write/lerobot/write_lerobot.py",),
     "mcap": ("formats/write/write_mcap.py", "formats/read/bags/*"),

@@ -36,11 +36,6 @@ NEEDED = {
     "report": ("bokeh", "report . -o {o}/a.html", "plot"),
     "Dask": ("dask", "track {f} --engine dask -o {o}", "cluster"),
     "dv": ("dv_processing", "record --camera dv --seconds 0.1 -o {o}/a.recording.h5", "camera"),
-    "page of the live view": (
-        "tornado",
-        "record --camera virtual:prepared --seconds 0.1 --live --live-in browser -o {o}/a.recording.h5",
-        "plot",
-    ),
 }
 
 

@@ -5,15 +5,14 @@ keeps is a labels file of the method `person`, with the person's name and the re
 without labels is shown with those of `event-flow`, which are stored only if the person keeps them.
 """
 
-import asyncio
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from evetac_cli import page_address
 from evetac_cli.commands.label import Label
 from evetac_cli.errors import InputError
-from evetac_cli.jobs import Job, Outcome, Rows
+from evetac_cli.jobs import Job, Outcome
+from evetac_cli.local_server import announce
 from evetac_cli.stages import one_file
 from evetac_cli.store.files import output_path
 from evetac_cli.store.recordings.read import open_recording
@@ -40,13 +39,9 @@ def jobs(files: Sequence[Path], out: Path | None) -> list[ReviewJob]:
 
 
 def run(job: ReviewJob, params: Label) -> Outcome:
-    """Serve the page until the person is done, with a row for every kept label. MissingLibrary without tornado."""
-    from importlib.util import find_spec
+    """Serve the page until the person is done, with a row for every kept label."""
+    from evetac_cli.stages.label_review.server import ReviewServer
 
-    from evetac_cli.errors import missing_extra
-
-    if find_spec("tornado") is None:
-        raise missing_extra("the page needs the library tornado", "plot", where="--review")
     for path in job.labels:
         if not path.parent.is_dir():
             raise InputError("no such folder", where=str(path.parent))
@@ -54,14 +49,10 @@ def run(job: ReviewJob, params: Label) -> Outcome:
     for file in job.inputs:
         with open_recording(file) as recording:
             simulated.append(bool(recording.header["simulated"]))
-    return Outcome(asyncio.run(_serve(job, params)), any(simulated))
-
-
-async def _serve(job: ReviewJob, params: Label) -> Rows:
-    from evetac_cli.stages.label_review.server import ReviewServer
-
     server = ReviewServer(job.inputs, job.labels, params)
-    with page_address.announced(server.url, "label review", opens=page_address.has_display()):
-        await server.done.wait()
-    await server.end()
-    return server.rows
+    try:
+        announce(server.url, server.url_once, "label review")
+        server.run()
+    finally:
+        server.close()
+    return Outcome(server.rows, any(simulated))

@@ -8,107 +8,66 @@ connection closed.
 import json
 import os
 import re
-import secrets
 import socket
-import threading
-import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from socketserver import StreamRequestHandler, ThreadingTCPServer
+from socketserver import StreamRequestHandler
 from typing import Any
 
 from evetac_cli import console
 from evetac_cli.errors import InputError
+from evetac_cli.local_server import ADDRESS, MOST_BYTES, MOST_CONNECTIONS, REQUEST_S, LocalServer
 from evetac_cli.text_files import parse_json
 
-ADDRESS = "127.0.0.1"
-MOST_BYTES = 4096  # longest line
-MOST_CONNECTIONS = 32
-TOKEN_S = 5.0  # time within which a connection must show the token
-END_S = 1.0  # time for the last answers
-POLL_S = 0.1
 LINE = re.compile(rb"127\.0\.0\.1 ([0-9]{1,5}) [A-Za-z0-9_-]{20,100}\n")
 REFUSED = f"refused: expected one JSON object per line, up to {MOST_BYTES:,} bytes, with the token of this run"
-FULL = f"refused: {MOST_CONNECTIONS} connections are open"
 Answer = Mapping[str, Any]
 
 
-class Door(ThreadingTCPServer):
+def _line(answer: Answer) -> bytes:
+    return json.dumps(answer).encode() + b"\n"
+
+
+class Door(LocalServer):
     """Listens until it is closed. ask: takes a request and returns the future of its answer."""
 
-    allow_reuse_address = True
-    daemon_threads = True
-    request_queue_size = MOST_CONNECTIONS
+    full = _line({"ok": False, "error": f"refused: {MOST_CONNECTIONS} connections are open"})
 
     def __init__(self, ask: Callable[[Answer], "Future[dict[str, Any]]"], port: int) -> None:
         """Begin to listen, at a port that the system chooses if it is 0; InputError if the port is in use."""
-        self.token = secrets.token_urlsafe(24)
         self.ask = ask
-        self._open: set[socket.socket] = set()
         try:
-            super().__init__((ADDRESS, port), _Connection)
+            super().__init__(_Connection, port)
         except OSError as error:
             raise InputError(f"cannot listen: {error.strerror}", where=f"--listen-port {port}") from None
-        self.port = int(self.server_address[1])
-        threading.Thread(target=self.serve_forever, args=(POLL_S,), name="listen", daemon=True).start()
-
-    def close(self) -> None:
-        """Accept no more requests, and close all connections after the waiting ones have their answers."""
-        self.shutdown()
-        self.server_close()
-        for connection in list(self._open):
-            with suppress(OSError):
-                connection.shutdown(socket.SHUT_RD)
-        end_s = time.monotonic() + END_S
-        while self._open and time.monotonic() < end_s:
-            time.sleep(1e-2)
-
-    def verify_request(self, request: Any, client_address: Any) -> bool:
-        """Return whether one more connection is taken."""
-        if len(self._open) >= MOST_CONNECTIONS:
-            with suppress(OSError):
-                request.sendall(_line({"ok": False, "error": FULL}))
-            return False
-        self._open.add(request)
-        return True
-
-    def shutdown_request(self, request: Any) -> None:
-        """Close a connection."""
-        super().shutdown_request(request)
-        self._open.discard(request)
 
 
 class _Connection(StreamRequestHandler):
     """Answers the lines of one connection until it ends, or lacks the token."""
 
     server: Door
-    timeout = TOKEN_S
+    timeout = REQUEST_S
 
     def handle(self) -> None:
-        with suppress(OSError):  # the client has gone, or has not shown the token in time
-            while line := self.rfile.readline(MOST_BYTES + 1):
-                request = self._read(line)
-                if request is None:
-                    self.wfile.write(_line({"ok": False, "error": REFUSED}))
-                    return
-                self.connection.settimeout(None)
-                self.wfile.write(_line(self.server.ask(request).result()))
+        while line := self.rfile.readline(MOST_BYTES + 1):
+            request = self._read(line)
+            if request is None:
+                self.wfile.write(_line({"ok": False, "error": REFUSED}))
+                return
+            self.connection.settimeout(None)
+            self.wfile.write(_line(self.server.ask(request).result()))
 
     def _read(self, line: bytes) -> Answer | None:
         """Return the request of a line; None if it is not a request or lacks the token."""
         try:
             request: Any = parse_json(line.decode()) if line.endswith(b"\n") else None
             token = request.get("token") if isinstance(request, dict) else None
-            known = isinstance(token, str) and secrets.compare_digest(token.encode(), self.server.token.encode())
+            known = isinstance(token, str) and self.server.is_token(token)
         except ValueError:
             return None
         return request if known else None
-
-
-def _line(answer: Answer) -> bytes:
-    return json.dumps(answer).encode() + b"\n"
 
 
 @contextmanager
@@ -144,6 +103,6 @@ def _check_replaceable(path: Path, own_port: int) -> None:
         raise InputError("this is not a file that evetac made", where=str(path), hint=hint)
     port = int(old[1])
     if port != own_port:
-        with suppress(OSError, OverflowError), socket.create_connection((ADDRESS, port), TOKEN_S):
+        with suppress(OSError, OverflowError), socket.create_connection((ADDRESS, port), REQUEST_S):
             raise InputError("another evetac is listening here", where=str(path), hint=f"end it first, or {hint}")
     console.say(f"{path}: replaced; it was left by a run that was killed")

@@ -8,16 +8,15 @@ import multiprocessing
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import contextmanager, suppress
 from functools import partial
-from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from evetac_cli import console, page_address
+from evetac_cli import console
 from evetac_cli.devices import losses
-from evetac_cli.errors import DeviceError, missing_extra
+from evetac_cli.errors import DeviceError
 from evetac_cli.events import Events
 from evetac_cli.realtime.last_words import LastWords, exit_words, telling, with_reason
 from evetac_cli.realtime.message_pipe import MessageWriter
@@ -37,7 +36,6 @@ from evetac_cli.trials.trial import Trial
 if TYPE_CHECKING:
     from evetac_cli.trials.live_view.samples import OpenDetector
 
-LIBRARY = "tornado"
 END_S = 3.0
 MOST_BYTES = 1 << 20  # limit of messages that the view has not read yet
 SETTLED_MS = 2000  # if a simulation falls this far behind real time, its pace is counted again from there
@@ -73,7 +71,7 @@ class LiveView:
         ready_end.close()
         try:
             wait_while_computing(ready, self._process, "the live view did not start")
-            self.url = str(ready.recv())
+            self.url, self.url_once = ready.recv()
         except EOFError:
             how = exit_words(self._process, self._last_words)
             raise DeviceError(
@@ -163,7 +161,7 @@ class LiveView:
 
 @contextmanager
 def opened(trial: Trial, name: str, *, moves: bool) -> Iterator[LiveView | None]:
-    """Yield the view of a trial, announced, with its page opened if there is a display; or None.
+    """Yield the view of a trial, with its page announced, and opened if there is a display; or None.
 
     name: of the displayed trial; moves: whether a gripper moves that the button can release.
     """
@@ -172,6 +170,7 @@ def opened(trial: Trial, name: str, *, moves: bool) -> Iterator[LiveView | None]
         yield None
         return
     # loads modules that a recording does not need
+    from evetac_cli.local_server import announce
     from evetac_cli.trials.grasp.online_detector import open_view_detector
 
     where = place(request.where)
@@ -179,12 +178,9 @@ def opened(trial: Trial, name: str, *, moves: bool) -> Iterator[LiveView | None]
     view = LiveView(where, title, partial(open_view_detector, request.model, request.preset, request.threshold))
     ended = "ended"
     try:
-        with (
-            page_address.announced(view.url, "live view", opens=page_address.has_display())
-            if where == BROWSER
-            else nullcontext()
-        ):
-            yield view
+        if where == BROWSER:
+            announce(view.url, view.url_once, "live view")
+        yield view
     except BaseException as error:
         ended = str(error).splitlines()[0] if str(error) else "interrupted"
         raise
@@ -193,17 +189,12 @@ def opened(trial: Trial, name: str, *, moves: bool) -> Iterator[LiveView | None]
 
 
 def place(where: str) -> str:
-    """Return BROWSER or TERMINAL, as requested; by default the browser if there are a display and the server library.
+    """Return BROWSER or TERMINAL, as requested; by default the browser if there is a display."""
+    from evetac_cli.local_server import has_display
 
-    MissingLibrary if a page is requested that cannot be served.
-    """
-    can_serve = find_spec(LIBRARY) is not None
-    if where == BROWSER and not can_serve:
-        message, otherwise = f"the page needs the library {LIBRARY}", "--live-in terminal"
-        raise missing_extra(message, "plot", where="--live-in browser", otherwise=otherwise)
     if where in (BROWSER, TERMINAL):
         return where
-    return BROWSER if can_serve and page_address.has_display() else TERMINAL
+    return BROWSER if has_display() else TERMINAL
 
 
 def shown_in_real_time(

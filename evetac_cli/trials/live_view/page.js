@@ -240,27 +240,31 @@
   }
 
   // The connection: one picture at a time, the next once this one is drawn ---------------------------------------------
-  const socket = new WebSocket(new URL("pictures", location.href.replace(/^http/, "ws")));
-  socket.binaryType = "arraybuffer";
   const text = new TextDecoder();
-  socket.onopen = () => socket.send("next");
-  socket.onmessage = (message) => {
-    const size = new DataView(message.data).getUint32(0, true);
-    const news = JSON.parse(text.decode(new Uint8Array(message.data, 4, size)));
-    if (news.ended) { end(news.ended); return; }
+  async function follow() {
+    let known = "";
+    for (;;) {
+      const message = await fetch(`pictures?known=${known}`).then((reply) => reply.ok ? reply.arrayBuffer() : null).catch(() => null);
+      if (!message) { end("the connection is lost: the recording program has ended"); return; }
+      const size = new DataView(message).getUint32(0, true);
+      const news = JSON.parse(text.decode(new Uint8Array(message, 4, size)));
+      if (news.ended) { end(news.ended); return; }
+      known = news.version;
+      take(news, new Uint8Array(message, 4 + size));
+      await new Promise(requestAnimationFrame);
+      show();
+      drawn = [...drawn, performance.now()].slice(-60);
+    }
+  }
+
+  function take(news, image) {
     came = [...came, { at: performance.now(), slices: news.sample.slices }].slice(-60);
     if (news.about) know(news);
     else samples.push(complete(news.sample));
     while (samples.length && samples[0].t < news.sample.t - 2 * SECONDS) samples.shift();
-    latest = { ...news, image: new Uint8Array(message.data, 4 + size) };
+    latest = { ...news, image };
     by("state").textContent = news.let_go ? "letting go" : news.sample.slices ? "live" : "waiting for the camera";
-    requestAnimationFrame(() => {
-      show();
-      drawn = [...drawn, performance.now()].slice(-60);
-      if (socket.readyState === WebSocket.OPEN) socket.send("next");
-    });
-  };
-  socket.onclose = () => end("the connection is lost: the recording program has ended, or four pages already show this");
+  }
 
   function end(why) {
     if (over) return;
@@ -273,10 +277,10 @@
   // Buttons and keys -------------------------------------------------------------------------------------------------
   function letGo() {
     if (over || asked || !about || !about.moves) return;
-    asked = true;
-    socket.send("let go");
-    by("let-go").disabled = true;
-    by("let-go").textContent = "Letting go";
+    const pressed = (yes, words) => { asked = by("let-go").disabled = yes; by("let-go").textContent = words; };
+    pressed(true, "Letting go");
+    fetch("let-go", { method: "POST", body: "{}" }).then((reply) => { if (!reply.ok) throw reply.status; })
+      .catch(() => { if (!over) pressed(false, "Let go failed: press again"); });
   }
 
   function hold() {
@@ -298,4 +302,5 @@
     else if (event.key === "d" || event.key === "w") { const box = by(event.key === "d" ? "dots" : "window"); box.checked = !box.checked; show(); }
     else if (event.key === "a") { const menu = by("arrows"); menu.selectedIndex = (menu.selectedIndex + 1) % menu.options.length; show(); }
   });
+  follow();
 })();

@@ -4,7 +4,6 @@ It has the highest possible niceness, so that a busy computer loses pictures fir
 started it, and its failure never affects the recording.
 """
 
-import asyncio
 import contextlib
 import time
 from collections.abc import Iterator, Mapping
@@ -94,7 +93,7 @@ def run_view(
 ) -> None:
     """Run the process: `where` is BROWSER or TERMINAL.
 
-    `ready` receives the page's address, or "", once it can be viewed.
+    `ready` receives the page's address, and the one that works once, or "", once it can be viewed.
     """
     ignore_interrupts()
     load(open_detector)  # nothing is being recorded yet
@@ -102,23 +101,23 @@ def run_view(
     state = ViewState(title, Follower(shared), MessageReader(pipe), open_detector)
     with contextlib.suppress(BrokenPipeError):  # the recording process has gone and can receive nothing
         if where == BROWSER:
-            asyncio.run(_serve(state, shared, ready))
+            _serve(state, shared, ready)
         else:
-            ready.send("")
+            ready.send(("", ""))
             _draw(state)
 
 
-async def _serve(state: ViewState, shared: SharedView, ready: Connection) -> None:
-    from evetac_cli.trials.live_view.server import PageServer
+def _serve(state: ViewState, shared: SharedView, ready: Connection) -> None:
+    from evetac_cli.trials.live_view.server import PictureServer
 
-    server = PageServer(shared.let_go if state.title.moves else lambda: None)
-    ready.send(server.url)
+    server = PictureServer(shared.let_go if state.title.moves else lambda: None)
+    ready.send((server.url, server.url_once))
     for began_s, sample in _samples(state):
         if server.is_asked:
             news = {**state.news(sample), "let_go": shared.is_asked_to_let_go}
             server.send(news, state.follower.image(), state.description, state.version)
-        await asyncio.sleep(_left_s(began_s, PERIOD_S))
-    await server.end({"ended": state.ended})
+        time.sleep(_left_s(began_s, PERIOD_S))
+    server.end(state.ended)
 
 
 def _draw(state: ViewState) -> None:

@@ -1,47 +1,54 @@
-"""Serve the page of a live view on this computer, and send a picture to each client that requests the next one.
+"""Serve the page of a live view, and send a picture to each client that requests the next one.
 
 A client gets a picture only after it has drawn the previous one and requests the next. So a slow browser, or a hidden
 tab, gets fewer pictures, and nothing piles up. The page is `page.html` with `page.js`, `page.css`, and the touch map
-drawing of the `view` page; it loads nothing else. page_server.py controls access.
+drawing of the `view` page; it loads nothing else. local_server.py controls access.
 """
 
-import asyncio
 import json
+import threading
+import time
 from collections.abc import Callable, Mapping
+from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
-from urllib.parse import urlsplit
 
-from tornado import websocket
-
-from evetac_cli.page_server import Guarded, OwnServer
+from evetac_cli.local_server import PageServer
 from evetac_cli.resources import DATA
 
 HERE = Path(__file__).parent
-MOST_CLIENTS = 4
-LAST_S = 0.3  # time for the last messages to arrive
-NEXT, LET_GO = "next", "let go"  # the only messages from a client
-CONTENT: dict[str, tuple[Path, str]] = {
-    "": (HERE / "page.html", "text/html"),
-    "page.js": (HERE / "page.js", "text/javascript"),
-    "page.css": (HERE / "page.css", "text/css"),
-    "touch_map.js": (DATA / "touch_map.js", "text/javascript"),
-}
+FILES = (HERE / "page.html", HERE / "page.js", HERE / "page.css", DATA / "touch_map.js")
+LAST_S = 0.5  # time for clients that draw a picture to request the last message
 
 
-class PageServer(OwnServer):
-    """The page at `url` and its clients; used within a running asyncio loop."""
+class PictureServer(PageServer):
+    """The page at `url` and its clients."""
 
     def __init__(self, let_go: Callable[[], None]) -> None:
         """Begin to listen; let_go: called when the user presses the button."""
-        self.let_go = let_go
-        self.clients: set[_Pictures] = set()
-        super().__init__(CONTENT, [(r"/([^/]*)/pictures", _Pictures, {})])
+
+        def pressed(sent: dict[str, Any]) -> dict[str, Any]:
+            let_go()
+            return {}
+
+        self._lock = threading.Lock()
+        self._waiting: list[tuple[str, Future[bytes]]] = []  # the version that a client knows, and its answer
+        self._ended = b""
+        super().__init__(FILES, {("GET", "pictures"): self._picture, ("POST", "let-go"): pressed})
+
+    def _picture(self, sent: dict[str, Any]) -> bytes:
+        """Return the next picture; sent: the version of the description that the client knows."""
+        picture: Future[bytes] = Future()
+        with self._lock:
+            if self._ended:
+                return self._ended
+            self._waiting.append((sent.get("known", ""), picture))
+        return picture.result()
 
     @property
     def is_asked(self) -> bool:
         """Whether a client waits for a picture."""
-        return any(client.waits for client in self.clients)
+        return bool(self._waiting)
 
     def send(
         self, news: Mapping[str, Any], image: bytes, description: Callable[[], Mapping[str, Any]], version: int
@@ -51,65 +58,23 @@ class PageServer(OwnServer):
         image: one byte per pixel; description: data that a client needs before its first picture, and again when its
         version changes.
         """
-        for client in list(self.clients):
-            if client.waits:
-                client.waits = False
-                more = {} if client.version == version else dict(description())
-                client.version = version
-                client.say({**news, **more}, image)
+        with self._lock:
+            waiting, self._waiting = self._waiting, []
+        for known, picture in waiting:
+            more = {} if known == str(version) else description()
+            picture.set_result(_message({**news, **more, "version": version}, image))
 
-    async def end(self, news: Mapping[str, Any]) -> None:
+    def end(self, why: str) -> None:
         """Send every client the reason for the end, and close."""
-        for client in list(self.clients):
-            client.say(news, b"")
-            client.close()
-        self.door.stop()
-        await asyncio.sleep(LAST_S)
-        await self.door.close_all_connections()
+        with self._lock:
+            self._ended = _message({"ended": why}, b"")
+        for _, picture in self._waiting:
+            picture.set_result(self._ended)
+        time.sleep(LAST_S)
+        self.close()
 
 
-class _Pictures(Guarded, websocket.WebSocketHandler):
-    """One client of the page."""
-
-    _page_server: PageServer
-    waits = False
-    version = -1
-
-    def check_origin(self, origin: str) -> bool:
-        """Return whether the request comes from the page served here.
-
-        A program other than a browser sends no origin.
-        """
-        return urlsplit(origin).netloc == self.request.host
-
-    def open(self, *args: str, **kwargs: str) -> None:
-        if len(self._page_server.clients) >= MOST_CLIENTS:
-            self.close(1013, f"{MOST_CLIENTS} pages already show this")
-            return
-        self._page_server.clients.add(self)
-
-    def on_message(self, message: str | bytes) -> None:
-        if self not in self._page_server.clients:
-            return
-        if message == NEXT:
-            self.waits = True
-        elif message == LET_GO:
-            self._page_server.let_go()
-
-    def on_close(self) -> None:
-        self._page_server.clients.discard(self)
-
-    def say(self, news: Mapping[str, Any], image: bytes) -> None:
-        """Send the news as JSON, preceded by its length and followed by the picture."""
-        text = json.dumps(news, allow_nan=False, separators=(",", ":")).encode()
-        try:
-            sent = self.write_message(len(text).to_bytes(4, "little") + text + image, binary=True)
-        except websocket.WebSocketClosedError:
-            self._page_server.clients.discard(self)
-        else:
-            sent.add_done_callback(self._notice)
-
-    def _notice(self, sent: "asyncio.Future[None]") -> None:
-        """Handle the end of a transmission; this is where a client that left meanwhile is noticed."""
-        if not sent.cancelled() and sent.exception() is not None:
-            self._page_server.clients.discard(self)
+def _message(news: Mapping[str, Any], image: bytes) -> bytes:
+    """Return the news as JSON, preceded by its length and followed by the picture."""
+    text = json.dumps(news, allow_nan=False, separators=(",", ":")).encode()
+    return len(text).to_bytes(4, "little") + text + image

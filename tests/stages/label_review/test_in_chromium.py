@@ -8,7 +8,6 @@ from evetac_cli.store.files import StageFile
 from tests.browser import Browser
 from tests.stages.label_review.test_server import Reviewed
 
-pytest.importorskip("tornado")
 pytestmark = pytest.mark.slow
 
 

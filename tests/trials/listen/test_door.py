@@ -16,9 +16,10 @@ from typing import Any
 import pytest
 
 from evetac_cli.errors import InputError
+from evetac_cli.local_server import ADDRESS, MOST_BYTES, MOST_CONNECTIONS
 from evetac_cli.resources import PACKAGE
 from evetac_cli.trials.listen import door as doors
-from evetac_cli.trials.listen.door import FULL, REFUSED, Door, address_file
+from evetac_cli.trials.listen.door import REFUSED, Door, address_file
 from tests.patience import PATIENCE_S, until
 
 
@@ -52,7 +53,7 @@ def door(asked: Asked) -> Iterator[Door]:
 
 
 def connected(door: Door) -> socket.socket:
-    return socket.create_connection((doors.ADDRESS, door.port), timeout=PATIENCE_S)
+    return socket.create_connection((ADDRESS, door.port), timeout=PATIENCE_S)
 
 
 def line(door: Door, **fields: Any) -> bytes:
@@ -120,7 +121,7 @@ def test_a_page_gets_nothing(door: Door, asked: Asked) -> None:
 def test_an_endless_line_is_cut_off(door: Door, asked: Asked) -> None:
     """Assert that a line has a bounded length, also of whoever has the token."""
     with connected(door) as connection:
-        connection.sendall(line(door, text="x" * doors.MOST_BYTES))
+        connection.sendall(line(door, text="x" * MOST_BYTES))
         assert everything(connection) in (refusal(REFUSED), b"")
     assert asked.requests == []
 
@@ -147,8 +148,8 @@ def test_the_number_of_connections_has_a_limit(door: Door) -> None:
         answers = opened.enter_context(known.makefile("rb"))
         known.sendall(line(door, number=0))
         answers.readline()
-        silent = [opened.enter_context(connected(door)) for _ in range(doors.MOST_CONNECTIONS - 1)]
-        assert everything(opened.enter_context(connected(door))) == refusal(FULL)
+        silent = [opened.enter_context(connected(door)) for _ in range(MOST_CONNECTIONS - 1)]
+        assert everything(opened.enter_context(connected(door))) == Door.full
         silent[0].close()
 
         def answered() -> bool:
@@ -170,7 +171,7 @@ def test_who_waits_is_answered_before_the_door_closes(asked: Asked) -> None:
         asked.later[0].set_result({"ok": True})
         door.close()
         assert everything(connection) == b'{"ok": true}\n'
-    assert not any(thread.name == "listen" for thread in threading.enumerate())
+    assert not any(thread.name == "local server" for thread in threading.enumerate())
 
 
 def test_a_port_that_is_taken_is_said(door: Door, asked: Asked) -> None:

@@ -6,12 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from evetac_cli.page_address import announced
 from tests.browser import Browser
 from tests.trials.live_view.test_live_view import shown
 from tests.trials.live_view.test_server import Served
-
-pytest.importorskip("tornado")
 
 WIDTHS = (420, 860, 1280, 1920, 2560)
 PALEST_COLUMN = """(canvas) => {
@@ -85,13 +82,12 @@ def test_the_page_works_in_a_browser(end_by: str, browser: Browser, tmp_path: Pa
     assert code == 130, said
 
 
-def test_the_file_leads_a_browser_to_the_page(browser: Browser) -> None:
-    """Assert that a browser that is started with the file comes to the view, and is shown pictures."""
+def test_the_address_that_works_once_leads_to_the_page(browser: Browser) -> None:
+    """Assert that a browser that is started with it comes to the view, and is shown pictures."""
     served = Served(bytes(640 * 480))
     try:
-        with announced(served.server.url, "live view", opens=False) as page:
-            browser.visit(page.as_uri())
-            browser.until(f"location.href === '{served.server.url}' && document.readyState === 'complete'")
-            browser.until("document.getElementById('state') !== null")
+        browser.visit(served.server.url_once)
+        browser.until(f"location.href === '{served.server.url}' && document.readyState === 'complete'")
+        browser.until("document.getElementById('state') !== null")
     finally:
         served.close()

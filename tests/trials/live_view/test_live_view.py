@@ -1,6 +1,5 @@
 """A view beside a recording: what it shows, what its button does, and that nothing that befalls it costs a slice."""
 
-import asyncio
 import json
 import os
 import re
@@ -18,7 +17,7 @@ import pytest
 
 from evetac_cli.commands.grasp import Grasp
 from evetac_cli.commands.record import Record
-from evetac_cli.errors import DeviceError, InputError, MissingLibrary
+from evetac_cli.errors import DeviceError, InputError
 from evetac_cli.events import empty
 from evetac_cli.resources import PACKAGE
 from evetac_cli.store.files import StageFile
@@ -26,10 +25,7 @@ from evetac_cli.trials import grasp, live_view, record
 from evetac_cli.trials.live_view.messages import Title
 from tests.cli.test_jobs import lives
 from tests.patience import PATIENCE_S, until
-
-pytest.importorskip("tornado")
-from tornado.httpclient import HTTPRequest
-from tornado.websocket import websocket_connect
+from tests.trials.live_view.test_server import Client
 
 FAST = ["--seconds", "4", "--expected-event-rate", "1e5"]
 
@@ -50,16 +46,6 @@ def test_where_it_is_shown(display: str, ssh: str, asked: str, where: str, monke
         monkeypatch.setenv(name, value) if value else monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr(sys, "platform", "linux")
     assert live_view.place(asked) == where
-
-
-def test_without_the_library_there_are_characters(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that a page that cannot be served is refused where it is asked for, and not chosen where it is not."""
-    monkeypatch.setenv("DISPLAY", ":0")
-    monkeypatch.setattr(live_view, "LIBRARY", "no_such_library")
-    assert live_view.place("auto") == "terminal"
-    with pytest.raises(MissingLibrary, match="no_such_library") as refused:
-        live_view.place("browser")
-    assert "[plot]" in str(refused.value)
 
 
 def test_a_simulation_is_no_faster_than_real_time() -> None:
@@ -109,36 +95,21 @@ class Shown:
         raise AssertionError("".join(self.said))
 
     def watch(
-        self, act: str | Callable[[], None], when: Callable[[dict[str, Any]], bool] = bool
+        self, act: Callable[[Client], None], when: Callable[[dict[str, Any]], bool] = bool
     ) -> list[dict[str, Any]]:
         """All that a client is told until the recording ends.
 
-        act: what it says, or does, once there is a sample for which `when` holds.
+        act: what it does once there is a sample for which `when` holds.
         """
-
-        async def ask() -> list[dict[str, Any]]:
-            socket = await websocket_connect(HTTPRequest(f"ws://{self.address}pictures"), max_message_size=1 << 24)
-            news: list[dict[str, Any]] = []
-            acts = True
-            while not (news and "sample" not in news[-1]):
-                await socket.write_message("next")
-                message = await asyncio.wait_for(socket.read_message(), PATIENCE_S)
-                assert isinstance(message, bytes)
-                size = int.from_bytes(message[:4], "little")
-                news.append(json.loads(message[4 : 4 + size]))
-                assert len(message) - 4 - size in (0, 640 * 480)
-                if acts and when(news[-1].get("sample", {})):
-                    acts = False
-                    if isinstance(act, str):
-                        await socket.write_message(act)
-                    else:
-                        act()
-            assert await asyncio.wait_for(socket.read_message(), PATIENCE_S) is None
-            socket.close()
-            await asyncio.sleep(0.1)  # for the socket below it
-            return news
-
-        return asyncio.run(ask())
+        client, news, acts = Client(f"http://{self.address}"), [{}], True
+        while "ended" not in news[-1] or "sample" in news[-1]:
+            one, image = client.next()
+            news.append(one)
+            assert len(image) in (0, 640 * 480)
+            if acts and when(one.get("sample", {})):
+                acts = False
+                act(client)
+        return news[1:]
 
     def end(self) -> tuple[int, str]:
         """Exit code and all that was said."""
@@ -182,7 +153,7 @@ def test_a_recording_is_seen_while_it_is_made(tmp_path: Path) -> None:
         return all(sample.get(name) is not None for name in ("slices", "events_per_s", "probability", "normal_n"))
 
     with shown(tmp_path, "record", "--gripper", "none", "--expected-event-rate", "1e4") as page:
-        news = page.watch(lambda: page.run.send_signal(signal.SIGINT), is_whole)
+        news = page.watch(lambda client: page.run.send_signal(signal.SIGINT), is_whole)
         code, said = page.end()
     assert code == 130, said
     assert news[-1]["ended"] == "interrupted"
@@ -202,7 +173,7 @@ def test_the_button_lets_go(tmp_path: Path) -> None:
     """Assert that the button ends a recording as Ctrl-C does: torque off in words, a valid file, exit code 130."""
     more = ["--hold-s", "100", "--expected-event-rate", "1e5", "--watchdog-ms", "500"]
     with shown(tmp_path, "record", "--gripper", "virtual", *more) as page:
-        news = page.watch("let go", lambda sample: sample.get("position_ticks") is not None)
+        news = page.watch(Client.let_go, lambda sample: sample.get("position_ticks") is not None)
         code, said = page.end()
     assert code == 130, said
     assert "let go by the button of the live view; torque is off (read back)" in said
@@ -251,7 +222,7 @@ def test_a_view_ends_with_whoever_records(tmp_path: Path) -> None:
     """Assert that a killed recording leaves no server behind, and that its page says what happened."""
     with shown(tmp_path, "record", "--gripper", "none", "--seconds", "60", "--expected-event-rate", "1e4") as page:
         view = page.view
-        news = page.watch(page.run.kill)
+        news = page.watch(lambda client: page.run.kill())
         assert news[-1] == {"ended": "the recording program has ended"}
         assert until(lambda: not lives(view))
 
