@@ -105,8 +105,8 @@ class Refusal(Exception):
 class PageServer(LocalServer):
     """Serves a page at `url`, and answers its requests.
 
-    files: the page, then the files that it loads. answers: functions by method and name; each takes the query or the
-    JSON object that was sent, and returns bytes or an object for JSON, or raises a Refusal.
+    files: the page, then the files that it loads. answers: functions by method and name. Each takes the query or the
+    JSON object that was sent. It returns bytes or an object for JSON, or raises a Refusal.
     """
 
     full = b"HTTP/1.0 503 Service Unavailable\r\n\r\n"
