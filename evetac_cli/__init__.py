@@ -98,9 +98,6 @@ def __getattr__(name: str) -> Any:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     import importlib
 
-    from evetac_cli import kernel_cache
-
-    kernel_cache.settle_for_this_process()
     value = getattr(importlib.import_module(f"{__name__}.{_MODULES.get(name, 'api')}"), name)
     globals()[name] = value
     return value

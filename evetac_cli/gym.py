@@ -21,11 +21,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli import kernel_cache, resources
+from evetac_cli import resources
 from evetac_cli.errors import InputError, missing_library
 from evetac_cli.events import FRAME_PX, SLICE_US, SLICES_PER_S, Events, concatenate, empty
 from evetac_cli.kernels.grip.control import Control, FixedGrip, SlipSignal
 from evetac_cli.kernels.grip.paper import GraspPhase
+from evetac_cli.sim.camera.gel_camera import dot_grid
 from evetac_cli.sim.grasp_outcome import LIFTED_MM
 from evetac_cli.sim.setup.plan import plans
 from evetac_cli.sim.setup.scene import Scene
@@ -107,9 +108,6 @@ class LiftEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         model: Path | str | None = None,
         render_mode: str | None = None,
     ) -> None:
-        kernel_cache.settle_for_this_process()
-        from evetac_cli.sim.camera.gel_camera import dot_grid  # imports numba, whose cache must be set before
-
         self._plans = {
             each.called: replace(each, scene=_varied(each.scene, mass_factor, hand_mm_s, lift_s))
             for each in plans(scene, objects, sensor, ("lift",), gel)

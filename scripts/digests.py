@@ -5,8 +5,7 @@
     python scripts/digests.py NOW.json --against scripts/digests.json --other-recipes   # arrays alone
 
 The commands cover two trials of every scene, every sensor, tracker preset, label method and training preset, the demo,
-force, RGB, the ideal readout, and all grip laws. The numba cache is an empty folder: numba stamps only the file that
-defines a kernel, and would otherwise keep using a kernel after a function in another file was edited.
+force, RGB, the ideal readout, and all grip laws.
 
 A file's digest covers dtype, shape and bytes of its numeric arrays, sorted by name. Texts and ONNX graphs contain names
 and are left out. The file's recipe id is stored next to the digest. With --against, the script prints each file that is
@@ -122,7 +121,6 @@ def digest(path: Path) -> dict[str, str]:
 def make(folder: Path, only: list[str]) -> None:
     """Run the cases, two at a time; SystemExit with the messages of a command that fails."""
     environment = os.environ | {
-        "NUMBA_CACHE_DIR": tempfile.mkdtemp(prefix="evetac-numba-"),
         "PYTHONPATH": str(ROOT),
         "OMP_NUM_THREADS": "1",
     }

@@ -71,7 +71,6 @@ def announced(
             class Listener(Announcer, event.Listener):  # type: ignore[misc]
                 """The Announcer as a listener of numba."""
 
-            kernel_cache.drop_unreadable()
             listening.enter_context(event.install_listener("numba:compile", Listener(quiet, interrupted, say)))
 
         kernel_cache.before_the_first_kernel(listen)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from evetac_cli import __version__, kernel_cache, plugins
+from evetac_cli import __version__, plugins
 from evetac_cli.cli import workers
 from evetac_cli.errors import EvetacError
 from evetac_cli.jobs import Job, Outcome, Progress
@@ -60,7 +60,6 @@ def run_task(
         if reason := check_worker(command):
             return WorkerRefused(reason)
         plugins.take_part(command.parts)
-        kernel_cache.settle_for_this_process()
         before = Path.cwd()
         os.chdir(command.folder)
         results: list[Outcome | EvetacError] = []

@@ -6,6 +6,7 @@ unknown command name.
 """
 
 import importlib
+import os
 import sys
 from collections.abc import Callable
 from functools import cache
@@ -14,7 +15,7 @@ from typing import Annotated, Any
 
 import typer
 
-from evetac_cli import __version__, commands, console, interrupts, kernel_cache
+from evetac_cli import __version__, commands, console, interrupts
 from evetac_cli.cli import config, execution, exit_codes, flags, indexing, workers
 from evetac_cli.cli.exit_codes import CommandExit, Commands
 from evetac_cli.cli.flags import Running
@@ -324,7 +325,5 @@ def main() -> None:
 
 def _program() -> None:
     workers.compute_on_one_thread()
-    with kernel_cache.settled_by_environment() as note:
-        if note:
-            console.say(f"note: {note}")
-        command_line(*sys.argv[1:2])()
+    os.environ.setdefault("PYTHONSAFEPATH", "1")  # child processes load no `json.py` from the working folder
+    command_line(*sys.argv[1:2])()

@@ -5,7 +5,7 @@ that such a command needs therefore imports kernels only where it calls them, an
 in modules without kernels.
 """
 
-from numba import njit
+from numba import config, njit
 from numba.np import linalg
 
 from evetac_cli import kernel_cache
@@ -25,4 +25,5 @@ def _blas_is_there() -> None:
 
 
 linalg.ensure_blas = _blas_is_there
+config.CACHE_DIR = str(kernel_cache.folder())
 kernel_cache.first_kernel_comes()
