@@ -123,12 +123,7 @@ def test_a_large_file_is_not_read(tmp_path: Path, reader: str) -> None:
 LONG_NUMBER = "9" * 100_000
 TOML = {
     "dots": "label." + "a." * 100_000 + "a = 1",
-    "dots in a header": "[label." + "a." * 100_000 + "a]",
-    "dots with blanks": "label" + " . a" * 50_000 + " = 1",
-    "dots of texts": "label" + '."a"' * 50_000 + " = 1",
-    "dots after a text that ends in a quote": 'x = ["""a"""", {' + "a." * 50_000 + "a = 1}]",
     "nested lists": "label = " + "[" * 100_000,
-    "nested lists that end": "label = " + "[" * 200 + "]" * 200,
     "nested tables": "label = " + "{a = " * 300 + "1" + "}" * 300,
     "an unknown key of 100,000 letters": "a" * 100_000 + " = 1",
     "a text of 100,000 letters": "label = '" + "a" * 100_000 + "'",
@@ -153,7 +148,7 @@ def test_hostile_toml(tmp_path: Path, reader: str, text: str | bytes) -> None:
 
 
 def test_text_in_toml_may_hold_dots_and_brackets(tmp_path: Path) -> None:
-    """Assert that only the structure is limited, not what stands in texts and comments."""
+    """Assert that texts and comments may hold what elsewhere is structure."""
     path = tmp_path / "a.toml"
     many = "a." * 100 + "[" * 100
     path.write_text(
@@ -173,7 +168,6 @@ def test_a_path_in_toml_holds_no_zero_byte(tmp_path: Path) -> None:
 
 JSON = {
     "nested lists": "[" * 100_000,
-    "nested lists that end": "[" * 500 + "]" * 500,
     "nested objects": '{"a":' * 100_000,
     "a whole number of 100,000 digits": json.dumps({"frame_px": [640, 480], "radius_px": 0}).replace("0}", LONG_NUMBER),
     "a frame of 100,000 digits": f'{{"frame_px": [{LONG_NUMBER}, 480]}}',
@@ -237,15 +231,6 @@ def test_a_flipped_centre_writes_no_calibration(tmp_path: Path, gel: str | None,
 def test_json_is_read(value: object) -> None:
     """Assert that ordinary values come back, whole numbers of a seed's length among them."""
     assert text_files.parse_json(json.dumps(value), whole_bits=text_files.SEED_BITS + 1) == value
-
-
-@pytest.mark.parametrize("levels", [text_files.MOST_DEPTH + 1, 500, 100_000])
-def test_deep_json_is_refused(levels: int) -> None:
-    """Assert that the depth is limited alike for what Python's stack takes and what it does not."""
-    assert text_files.parse_json("[" * text_files.MOST_DEPTH + "]" * text_files.MOST_DEPTH) is not None
-    for text in ("[" * levels + "]" * levels, '{"a":' * levels + "1" + "}" * levels):
-        with pytest.raises(ValueError, match="nested more than"):
-            text_files.parse_json(text)
 
 
 @pytest.mark.parametrize("text", ["", "{", "NaN", "[Infinity]", str(2**64), "9" * 5000, "[1" + "0" * 100_000 + "]"])

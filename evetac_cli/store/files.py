@@ -1,9 +1,9 @@
 """Open, check, skip and write stage files.
 
 When a file is opened, its kind, version, header, names, dtypes and shapes are checked, and that nothing in it refers to
-other files. Each dataset is checked before it is first read: the location of its bytes, their compression, and whether
-its values are valid and fit those of other datasets. Not all datasets are checked at once: for the 32 datasets of a
-recording this would take ten times as long, and most commands read only a few. Use `check` to check a whole file.
+other files. Each dataset is checked before it is first read: that its rows were written, and that its values are valid
+and fit those of other datasets. Not all datasets are checked at once: for the 32 datasets of a recording this would
+take ten times as long, and most commands read only a few. Use `check` to check a whole file.
 
 A file is written atomically: to a temporary file next to the target, which is renamed when it is complete. If another
 run has put a file there in the meantime, this ends as it would have, had that file been there before (`up_to_date`).
@@ -19,8 +19,6 @@ from pathlib import Path
 from typing import Any, Self
 
 import h5py
-import numpy as np
-from h5py import h5s
 
 from evetac_cli.errors import EvetacError, InputError, SchemaError
 from evetac_cli.interrupts import leave_if_interrupted
@@ -104,8 +102,7 @@ class StageFile:
         Only the values of small datasets, and of those that have to fit others, are read; `evetac validate` reads all.
         The dimensions, for other programs, must be as long as the datasets.
         """
-        with damage_in_words(self.path, "its contents"):
-            self._refuse_if([f"{path} is not in the schema" for path in self._file.check_left()])
+        self._refuse_if([f"{path} is not in the schema" for path in self._file.survey() if path not in self._shapes])
         lines = netcdf.dimension_problems(self.kind, self._shapes, self._file.dimensions)
         schema.refuse(self.kind, lines, str(self.path))
         for path in self._shapes:
@@ -148,11 +145,9 @@ class StageFile:
     def _values(self, path: str, start: int, stop: int | None) -> Any:
         found = self._found[path]
         if not found.shape:
-            if found.is_text:
-                return self._file.text(path, h5py.Dataset(found.id))
-            value = np.empty((), found.dtype)
-            found.id.read(h5s.ALL, h5s.ALL, value)
-            return (value if found.dtype.isnative else value.astype(found.dtype.newbyteorder("=")))[()]
+            if self._shapes[path][0] == "utf8":
+                return self._file.text(path, found)
+            return h5py.Dataset(found)[()]
         start, stop, _ = slice(start, stop).indices(found.shape[0])
         size = max(0, stop - start) * math.prod(found.shape[1:]) * found.dtype.itemsize
         if size > MOST_READ_BYTES:
@@ -164,7 +159,7 @@ class StageFile:
                 hint="cut the recording with `evetac trim`",
             )
         if path not in self._readers:
-            self._readers[path] = RowReader(found.id, found.dtype)
+            self._readers[path] = RowReader(found, found.dtype)
         array = self._readers[path].read(start, stop)
         return array if array.dtype.isnative else array.astype(array.dtype.newbyteorder("="))
 

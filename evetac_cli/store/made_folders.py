@@ -10,7 +10,6 @@ set, and the list should not be uploaded with the folder.
 
 import hashlib
 import json
-import math
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -164,7 +163,7 @@ def _digest(path: Path) -> str:
 def _listed(folder: Path) -> Listed:
     """Return the files that evetac wrote into a folder; none if there is no readable list."""
     try:
-        content: Any = parse_json(read_text(list_path(folder), MOST_LIST_BYTES), most_values=math.inf)
+        content: Any = parse_json(read_text(list_path(folder), MOST_LIST_BYTES))
         files = content["files"]
         return {str(name): (int(size), mark) for name, (size, mark) in files.items() if type(mark) in (int, str)}
     except (InputError, UnavailableError, ValueError, TypeError, KeyError, AttributeError):

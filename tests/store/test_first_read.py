@@ -11,7 +11,6 @@ import pytest
 from evetac_cli.errors import InputError, SchemaError
 from evetac_cli.inspect import validate
 from evetac_cli.store.files import StageFile, up_to_date
-from evetac_cli.store.hdf5 import checked_hdf5
 from tests.small_files import every_kind
 
 Change = Callable[[h5py.File], None]
@@ -26,12 +25,6 @@ def setting(name: str, value: object, *index: object) -> Change:
     return change
 
 
-def packed_by_lzf(h5: h5py.File) -> None:
-    column = h5["events/x"][()]
-    del h5["events/x"]
-    h5.create_dataset("events/x", data=column, chunks=(len(column),), compression="lzf")
-
-
 def never_written(h5: h5py.File) -> None:
     rows = h5["events/x"].shape
     del h5["events/x"]
@@ -44,11 +37,6 @@ def without_last_chunk(h5: h5py.File) -> None:
     h5.create_dataset("events/x", (rows,), np.uint16, chunks=(1,))[: rows - 1] = 3
 
 
-def many_attributes(h5: h5py.File) -> None:
-    for number in range(checked_hdf5.MOST_ATTRIBUTES):
-        h5["sensor/frame_px"].attrs[str(number)] = number
-
-
 def other_architecture(h5: h5py.File) -> None:
     del h5["architecture"]
     h5["architecture"] = "none of ours"
@@ -56,10 +44,8 @@ def other_architecture(h5: h5py.File) -> None:
 
 # What is changed: kind, how, what is said of it, and the datasets of which none may be read.
 FAULTS: dict[str, tuple[str, Change, str, tuple[str, ...]]] = {
-    "a filter": ("recording", packed_by_lzf, "events/x is compressed", ("events/x",)),
     "no bytes": ("recording", never_written, "events/x is incomplete", ("events/x",)),
     "no last chunk": ("recording", without_last_chunk, "events/x is incomplete", ("events/x",)),
-    "attributes": ("recording", many_attributes, "sensor/frame_px has too many attributes", ("sensor/frame_px",)),
     "a value": ("recording", setting("control/phase", 77, -1), "control/phase is impossible", ("control/phase",)),
     "the end of an index": ("recording", setting("ms_to_idx", 1, -1), "ms_to_idx is impossible", ("ms_to_idx",)),
     "a radius beyond the frame": (

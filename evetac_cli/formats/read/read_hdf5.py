@@ -24,7 +24,6 @@ from evetac_cli.formats.read.event_validation import (
     choose_frame,
 )
 from evetac_cli.store.hdf5.checked_hdf5 import DAMAGE, CheckedHdf5, damage_in_words
-from evetac_cli.store.hdf5.packed_bytes import EVENT_FILE_FILTERS
 
 BATCH_ROWS = 1 << 20
 OFFSETS = ("t_offset", "events/t_offset")
@@ -67,7 +66,7 @@ def open_hdf5(
     with CheckedHdf5(path) as file:
         _refuse_own(file)
         every = [name for layout in LAYOUTS for name in layout.paths]
-        datasets = file.datasets([*every, *OFFSETS], EVENT_FILE_FILTERS)
+        datasets = file.datasets([*every, *OFFSETS])
         layout, others = _choose(file, datasets, stream)
         with damage_in_words(path, "its contents"):
             for name in layout.paths:
@@ -77,8 +76,8 @@ def open_hdf5(
             clock_us = _t_offset(datasets, where) if layout.name == "DSEC" else 0
         note, own_px = _frame(file, layout)
         left_out = {
-            f"rows of {name}": length
-            for name, length in file.lengths().items()
+            f"rows of {name}": other.shape[0] if other.shape else 1
+            for name, other in file.survey().items()
             if name not in layout.paths and not INDICES.search(name)
         }
     hint = "give it with --frame-size WIDTHxHEIGHT (640x480 for the DSEC data set)"
@@ -134,7 +133,7 @@ def _batches(
 ) -> Iterator[EventColumns]:
     """Yield the events in blocks; order: indices of t, x, y, p in a table."""
     with CheckedHdf5(path) as file:
-        datasets = file.datasets(layout.paths, EVENT_FILE_FILTERS)
+        datasets = file.datasets(layout.paths)
         parts = [datasets[name] for name in layout.paths]
         try:
             for start in range(0, rows, BATCH_ROWS):

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import accumulate
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,13 +19,13 @@ from numpy.typing import NDArray
 from evetac_cli.errors import InputError, missing_extra
 from evetac_cli.formats.arrow_columns import is_known, to_arrow, to_numpy
 from evetac_cli.formats.read.csv_dialect import find_dialect
-from evetac_cli.formats.read.parquet_pages import MAGIC, RowGroup, footer_bytes, row_groups, unpacked_bytes
 from evetac_cli.formats.read.table_names import TICKS_S, Times, find_times, has_unit, is_time, name_and_unit
 from evetac_cli.formats.read.unpacked_size import refuse_too_much
 from evetac_cli.store.hdf5.disk import joined_on_disk, utf8_path
 from evetac_cli.store.recordings.streams import Stream, free_name
 from evetac_cli.text_files import open_regular
 
+MAGIC = b"PAR1"  # of Parquet
 BATCH_ROWS = 1 << 16
 BLOCK_BYTES = 1 << 22  # of CSV that are parsed together
 MOST_COLUMNS = 512
@@ -336,7 +336,8 @@ def _parquet(path: Path) -> tuple[list[str], list[Any], Batches, list[str]]:
     def batches(wanted: Sequence[int], where: str) -> Iterator[Any]:
         columns = [first[at] for at in wanted]
         with _parquet_file(path, where) as file:
-            _check_size(path, columns, where)
+            lists = [first[at] for at in wanted if _is_list(schema.types[at])]
+            _check_size(file.metadata, len(columns) - len(lists), lists, path.stat().st_size, where)
             in_file = sorted(columns)  # so that a batch has this order, whether or not pyarrow keeps another
             groups = range(file.metadata.num_row_groups)
             for batch in file.reader.iter_batches(BATCH_ROWS, groups, in_file, use_threads=False):
@@ -351,7 +352,8 @@ def _parquet_file(path: Path, where: str) -> Any:
 
     hint = "save the file again with larger row groups and fewer columns"
     with open_regular(path) as opened:
-        footer = footer_bytes(opened)
+        opened.seek(max(0, opened.seek(0, 2) - 8))
+        footer = int.from_bytes(opened.read(4), "little")
     if footer > MOST_FOOTER_BYTES:
         expected, size_mb = f"a footer of at most {MOST_FOOTER_BYTES / 1e6:.0f} MB", f"{footer / 1e6:,.0f} MB"
         raise InputError(
@@ -371,30 +373,21 @@ def _leaves(kind: Any) -> int:
     return sum(_leaves(kind.field(at).type) for at in range(kind.num_fields)) if kind.num_fields else 1
 
 
-def _check_size(path: Path, columns: Sequence[int], where: str) -> None:
-    """Raise InputError if columns of a Parquet file unpack to more than fits in memory, or than its size allows."""
-    with open_regular(path) as file:
-        try:
-            groups = row_groups(file)
-            numbers = sum(max(group.rows, group.chunks[at].values) for group in groups for at in columns)
-            refuse_too_much(numbers * NUMBER_BYTES, path.stat().st_size, where)
-            pages = max((_unpacked(file, group, columns) for group in groups), default=0)
-        except (ValueError, IndexError) as error:
-            raise InputError("the table cannot be read", where=where, found=str(error)) from None
-    if pages > MOST_GROUP_BYTES:
-        expected, size_mb = f"row groups of at most {MOST_GROUP_BYTES / 1e6:,.0f} MB", f"{pages / 1e6:,.0f} MB"
-        raise InputError(
-            "the row groups are too large",
-            where=where,
-            expected=expected,
-            found=size_mb,
-            hint="save the file again with smaller row groups",
-        )
+def _check_size(metadata: Any, scalars: int, lists: Sequence[int], size_bytes: int, where: str) -> None:
+    """Raise InputError if columns of a Parquet file unpack to more than fits in memory, or than its size allows.
 
-
-def _unpacked(file: BinaryIO, group: RowGroup, columns: Sequence[int]) -> int:
-    """Return the unpacked size, in bytes, of some columns of a row group."""
-    return sum(sum(unpacked_bytes(file, group.chunks[at].first, group.chunks[at].packed)) for at in columns)
+    lists: indices of the columns whose rows may have several numbers. Only these are asked for theirs, since pyarrow
+    ends the program if the metadata of a column are damaged.
+    """
+    groups = list(map(metadata.row_group, range(metadata.num_row_groups)))
+    numbers = scalars * sum(group.num_rows for group in groups)
+    numbers += sum(group.column(at).num_values for group in groups for at in lists)
+    refuse_too_much(numbers * NUMBER_BYTES, size_bytes, where)
+    largest = max((group.total_byte_size for group in groups), default=0)
+    if largest > MOST_GROUP_BYTES:
+        expected, size_mb = f"row groups of at most {MOST_GROUP_BYTES / 1e6:,.0f} MB", f"{largest / 1e6:,.0f} MB"
+        hint = "save the file again with smaller row groups"
+        raise InputError("the row groups are too large", where=where, expected=expected, found=size_mb, hint=hint)
 
 
 def _some(names: list[str]) -> str:

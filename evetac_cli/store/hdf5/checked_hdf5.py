@@ -1,68 +1,36 @@
-"""Checked access to HDF5 files, evetac's and others: all data are checked here before they are read.
+"""HDF5 files, evetac's and others, opened for reading.
 
-HDF5 files may refer to any other file on the computer (links, external storage, virtual datasets). HDF5 also invents
-rows that were never written, and allocates the memory that a file announces, not what it contains. So a file is refused
-with an error message if it refers to other files, or announces more data than its bytes can contain. This is checked
-for the whole file when it is opened (`survey`). The location and compression of a dataset's bytes are checked before it
-is first read (`check`), because most callers read only a few of dozens of datasets.
-Files of other programs may have contents that evetac does not read; only the requested datasets are checked.
+An HDF5 file may refer to any other file of the computer, and announce rows that it does not have: HDF5 would read the
+one and invent the others. So one walk refuses links, virtual datasets and external storage when a file is opened, and
+data beyond what its size can hold. That a dataset's rows were all written is checked before it is first read, because
+most callers read a few of dozens. Damage is put into words where it is met.
 """
 
+import importlib
 import math
 import os
 import shlex
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NamedTuple, NoReturn, Self
+from typing import Any, Self
 
 import h5py
 import numpy as np
-from h5py import h5, h5a, h5d, h5g, h5l, h5o, h5t
+from h5py import h5a, h5d, h5l, h5o, h5z
 
-from evetac_cli.errors import PASSING, InputError, UnavailableError, cannot_read
-from evetac_cli.store.hdf5.hdf5_text import TextTooLong, attribute_text, dataset_text
-from evetac_cli.store.hdf5.packed_bytes import (
-    MOST_CHUNK_BYTES,
-    OUR_CHUNK_BYTES,
-    OUR_FILTERS,
-    Place,
-    check_filters,
-    check_stored,
-)
+from evetac_cli.errors import PASSING, InputError, UnavailableError, cannot_read, missing_extra
+from evetac_cli.store.hdf5.hdf5_text import attribute_text, dataset_text
 
-# Deflate expands one byte to at most 1,032 (zlib's technical notes), and no part of a file is stored twice.
-MOST_EXPANSION = 1100
+MOST_EXPANSION = 1100  # data of a file, in multiples of its size; gzip expands one byte to at most 1,032
 MOST_READ_BYTES = 4 << 30  # of one dataset at a time; longer ones are read in blocks
-MOST_TEXT_BYTES = 32 << 20  # of one text; a header with 10,000 ancestors has half of this
-MOST_OBJECTS = 10_000  # datasets and groups; evetac's files have some dozens
-MOST_GROUPS_DEEP = 16
-MOST_ATTRIBUTES = 1000  # of one object
-MOST_ATTRIBUTE_BYTES = 1 << 20
-ITSELF = "data in the file itself"
+PROPHESEE_FILTER = 0x8ECF
 DAMAGE = (OSError, RuntimeError, KeyError, ValueError, TypeError, MemoryError)  # what h5py raises on damaged bytes
-
-ANY = np.dtype("V1")  # placeholder for a dtype that is not needed
 DIMENSION_ONLY = b"This is a netCDF dimension but not a netCDF variable"
 
 
-class StoredDataset(NamedTuple):
-    """A dataset of a file; its shape is None if it has no value, `itemsize` is the size of a value in bytes."""
-
-    id: h5d.DatasetID
-    shape: tuple[int, ...] | None
-    itemsize: int
-    dtype: np.dtype[Any]
-    is_text: bool
-
-    @property
-    def announced_bytes(self) -> int:
-        """Bytes that the dataset announces; a row without columns counts as one value, since rows cost time."""
-        return 0 if self.shape is None else math.prod(max(1, size) for size in self.shape) * self.itemsize
-
-
 class CheckedHdf5:
-    """An HDF5 file, open for reading, which returns only checked data."""
+    """An HDF5 file, open for reading."""
 
     def __init__(self, path: Path, expected: str = "an HDF5 file", hint: str = "") -> None:
         """Open a regular file; InputError if it is not one or not HDF5, UnavailableError if it cannot be read now.
@@ -70,13 +38,13 @@ class CheckedHdf5:
         hint: what to do with a file that is not HDF5.
         """
         self.path, self.where = path, str(path)
-        self.dimensions: dict[str, int] = {}  # length of each by its path, once the datasets have been requested
-        self._checked: set[str] = set()
-        self._left: dict[bytes, str] = {}  # objects that were not checked
-        self._announced = self._stored = 0  # bytes of the checked datasets
-        _refuse_irregular(path, expected)
+        self.dimensions: dict[str, int] = {}  # length of each by its path, after `survey`
+        if not os.path.isfile(path):  # unlike Path.is_file, also for a name too long; opening a pipe waits for a writer
+            if not os.path.exists(path):
+                raise InputError("no such file", where=self.where)
+            what = "this is a folder" if os.path.isdir(path) else "this is not a regular file"
+            raise InputError(what, where=self.where, expected=expected)
         try:
-            self.size = os.stat(path).st_size
             self.h5 = h5py.File(path, "r")
         except OSError as error:
             if error.errno in PASSING:
@@ -104,224 +72,106 @@ class CheckedHdf5:
     def text_attribute(self, name: str) -> str | None:
         """Return a text attribute of the root; None if there is none of this name."""
         with damage_in_words(self.path, f"its {name}"):
-            if not h5a.exists(self.h5.id, name.encode()):
+            root = self.h5.attrs
+            if name not in root or root.get_id(name).shape != () or root.get_id(name).dtype != object:
                 return None
-            attribute = h5a.open(self.h5.id, name.encode())
-            kind = attribute.get_type()
-            if kind.get_class() != h5t.STRING or attribute.shape != () or not kind.is_variable_str():
-                return None
-            address = h5o.get_info(self.h5["/"].id).addr
-            return self._text(f"its {name}", lambda most: attribute_text(self.path, address, name, most))
+            return attribute_text(self.path, h5o.get_info(self.h5["/"].id).addr, name)
 
-    def text(self, name: str, dataset: h5py.Dataset) -> str:
-        """Return the text of a dataset; `name` is used in error messages."""
+    def text(self, name: str, item: h5d.DatasetID) -> str:
+        """Return the text of a dataset, given by its id; `name` is used in error messages."""
         with damage_in_words(self.path, name):
-            if h5py.check_string_dtype(dataset.dtype).length is not None:
-                return str(dataset.asstr()[()])
-            address = dataset.id.get_offset()
-            return self._text(name, lambda most: dataset_text(self.path, address, most))
-
-    def _text(self, name: str, read: Callable[[int], str]) -> str:
-        """Read a text, which cannot be longer than its file."""
-        most = min(MOST_TEXT_BYTES, self.size)
-        try:
-            return read(most)
-        except TextTooLong as error:
-            raise InputError(
-                f"{name} announces an impossibly long text",
-                where=self.where,
-                expected=f"at most {most} bytes",
-                found=str(error),
-                hint="the file is damaged; make it again",
-            ) from None
+            if h5py.check_string_dtype(item.dtype).length is not None:
+                return str(h5py.Dataset(item).asstr()[()])
+            return dataset_text(self.path, item.get_offset())
 
     def number_attribute(self, name: str, of: str = "/") -> int | None:
         """Return a whole-number attribute of an object; None if there is none of this name."""
         with damage_in_words(self.path, f"{name} of {of}"):
-            item = self.h5[of].id
-            if not h5a.exists(item, name.encode()):
+            attributes = self.h5[of].attrs
+            if name not in attributes or attributes.get_id(name).dtype.kind not in "iu":
                 return None
-            attribute = h5a.open(item, name.encode())
-            if attribute.get_type().get_class() != h5t.INTEGER or attribute.shape != ():
-                return None
-            return int(self.h5[of].attrs[name])
+            return int(attributes[name])
 
-    def datasets(
-        self, only: Collection[str] | None = None, filters: Collection[int] = OUR_FILTERS
-    ) -> dict[str, h5py.Dataset]:
-        """Return every dataset by its path, checked, or `only` those of these paths; InputError for invalid contents.
+    def datasets(self, only: Collection[str] | None = None) -> dict[str, h5py.Dataset]:
+        """Return every dataset by its path, or those among `only`, after `survey` and `check`."""
+        found = {name: item for name, item in self.survey().items() if only is None or name in only}
+        for name, item in found.items():
+            self.check(name, item)
+        return {name: h5py.Dataset(item) for name, item in found.items()}
 
-        No part of the file may refer to other files. With `only`, a path may be missing or be a group.
-        """
-        if only is None:
-            found = self.survey()
-        else:
-            ids = self._found(only)
-            found = {
-                name: StoredDataset(item, item.shape, item.get_type().get_size(), ANY, False)
-                for name, item in ids.items()
-            }
-        for name, one in found.items():
-            self.check(name, one, filters, any_kind=only is not None)
-        return {name: h5py.Dataset(one.id) for name, one in found.items()}
+    def survey(self, is_left: Callable[[str], bool] = lambda path: False) -> dict[str, h5d.DatasetID]:
+        """Return every dataset by its path; InputError for links and data in other files, and for too much data.
 
-    def survey(self, is_left: Callable[[str], bool] = lambda path: False) -> dict[str, StoredDataset]:
-        """Return every dataset by its path, whose bytes `check` has yet to check; InputError for invalid contents.
-
-        Nothing may refer to other files. Each dataset has plain numbers or one text, and together they announce no more
-        than the file can contain. Dimensions, which have no numbers, are left out; their lengths are in `dimensions`.
-        is_left: whether the object at a path is checked only by `check_left`, because it is never read.
-        """
-        found: dict[str, StoredDataset] = {}
-        with damage_in_words(self.path, "its contents"):
-            for name, item in self._found(None, is_left).items():
-                kind, shape = item.get_type(), item.shape
-                self._check_kind(name, item, kind, shape)
-                is_text = shape is not None and kind.get_class() == h5t.STRING
-                found[name] = StoredDataset(item, shape, kind.get_size(), kind.dtype, is_text)
-            announced = sum(one.announced_bytes for one in found.values())
-            if announced > MOST_EXPANSION * self.size:
-                for name, one in found.items():  # to raise a more precise error if possible
-                    self.check(name, one)
-                self._refuse("its datasets announce more than the file can contain", f"{announced} bytes")
-        return found
-
-    def check(
-        self, name: str, one: StoredDataset, filters: Collection[int] = OUR_FILTERS, *, any_kind: bool = False
-    ) -> None:
-        """Refuse a dataset whose bytes are not all in this file, or whose compression is not supported.
-
-        Together, the checked datasets must not have more data than the file can contain.
-        """
-        if name in self._checked:
-            return
-        with damage_in_words(self.path, name):
-            if not any_kind:
-                self._check_attributes(name, one.id)
-            recipe = one.id.get_create_plist()
-            applied = check_filters(self.where, name, recipe, filters)
-            if one.is_text:
-                self.text(name, h5py.Dataset(one.id))
-            most = MOST_CHUNK_BYTES if any_kind else OUR_CHUNK_BYTES
-            at = Place(self.where, self.size, name, most)
-            stored = self._stored + check_stored(at, one.id, one.shape, one.itemsize, recipe, applied)
-            announced = self._announced + one.announced_bytes
-            if announced > MOST_EXPANSION * self.size or stored > self.size:
-                self._refuse(f"{name} announces more than the file can contain", f"{announced} bytes")
-        self._announced, self._stored = announced, stored
-        self._checked.add(name)
-
-    def check_left(self) -> list[str]:
-        """Check the objects that `survey` left; return the paths of those that are datasets and not dimensions."""
-        left, self._left = self._left, {}
-        with damage_in_words(self.path, "its contents"):
-            return [name for name, item in self._opened(left) if self._is_dataset(name, item)]
-
-    def _found(
-        self, only: Collection[str] | None, is_left: Callable[[str], bool] = lambda path: False
-    ) -> dict[str, h5d.DatasetID]:
-        """Return the requested datasets, in the order of their paths; InputError if anything refers to other files."""
-        found: dict[str, h5d.DatasetID] = {}
-        with damage_in_words(self.path, "its contents"):
-            for name, item in self._objects(is_left):
-                if only is None and isinstance(item, h5g.GroupID):
-                    self._check_attributes(name, item)
-                elif self._is_dataset(name, item) and (only is None or name in only):
-                    found[name] = item
-        return dict(sorted(found.items()))
-
-    def _is_dataset(self, name: str, item: Any) -> bool:
-        """Whether an object is a dataset; dimensions are recorded. InputError if it refers to another file."""
-        if isinstance(item, h5g.GroupID):
-            return False
-        if item.get_offset() is None:  # otherwise its bytes are in this file, contiguous
-            self._refuse_elsewhere(name, item.get_create_plist())
-        if _is_dimension_only(item):
-            self.dimensions[name] = item.shape[0]
-            return False
-        return True
-
-    def lengths(self) -> dict[str, int]:
-        """Return the number of rows of every dataset by its path, 1 for a single value, without reading any."""
-        with damage_in_words(self.path, "its contents"):
-            shapes = {name: item.shape for name, item in self._objects() if not isinstance(item, h5g.GroupID)}
-        return {name: int(shape[0]) if shape else 1 for name, shape in shapes.items()}
-
-    def _objects(self, is_left: Callable[[str], bool] = lambda path: False) -> Iterator[tuple[str, Any]]:
-        """Yield path and id of every object; InputError for a link, or for a second name of an object.
-
+        Dimensions, which have no numbers, are left out; their lengths are in `dimensions`.
         is_left: whether the object at a path is not opened.
         """
-        root = self.h5["/"].id
-        yield "/", root
-        seen = {h5o.get_info(root).addr}
-        names: dict[bytes, str] = {}
+        found: dict[str, h5d.DatasetID] = {}
+        names: dict[str, bytes] = {}
 
-        def fault(raw: bytes, link: Any) -> InputError | None:
+        def first_link(raw: bytes, link: Any) -> str | None:
             name = raw.decode(errors="backslashreplace")
-            if len(seen) >= MOST_OBJECTS:
-                return self._fault("has too many datasets and groups", f"more than {MOST_OBJECTS}")
-            if link.type != h5l.TYPE_HARD:
-                return InputError(f"`{name}` is a link", where=self.where, expected=ITSELF)
-            if link.u in seen or raw in names:  # also a name that contains a slash
-                message = f"`{name}` is a hard link to another object in the file"
-                return self._fault(message, "one object with two names")
-            if name.count("/") > MOST_GROUPS_DEEP:
-                return self._fault("its groups are nested too deeply", f"more than {MOST_GROUPS_DEEP} levels")
-            seen.add(link.u)
-            names[raw] = name
-            return None
+            names[name] = raw
+            return None if link.type == h5l.TYPE_HARD else name
 
-        found = root.links.visit(fault, info=True, order=h5.ITER_NATIVE)  # it would lose a raised exception
-        if found is not None:
-            raise found
-        self._left = {raw: name for raw, name in names.items() if is_left(name)}
-        yield from self._opened({raw: name for raw, name in names.items() if raw not in self._left})
+        with damage_in_words(self.path, "its contents"):
+            root = self.h5["/"].id
+            linked = root.links.visit(first_link, info=True)  # each group once, however many names it has
+            if linked is not None:
+                raise self._elsewhere(f"`{linked}` is a link")
+            announced = 0
+            for name in sorted(names):
+                item = None if is_left(name) else h5o.open(root, names[name])
+                if not isinstance(item, h5d.DatasetID):
+                    continue
+                if item.get_offset() is None:  # otherwise its bytes are in this file, contiguous
+                    recipe = item.get_create_plist()
+                    if recipe.get_external_count() or recipe.get_layout() == h5d.VIRTUAL:
+                        raise self._elsewhere(f"{name} is stored in another file")
+                shape = item.shape
+                if len(shape or ()) == 1 and _is_dimension(item):
+                    self.dimensions[name] = shape[0]
+                    continue
+                found[name] = item
+                if shape is not None:  # a row without columns counts as one value, since rows cost time
+                    announced += math.prod(max(1, size) for size in shape) * item.get_type().get_size()
+            size = os.stat(self.path).st_size
+            if announced > MOST_EXPANSION * size:
+                expected = f"at most {MOST_EXPANSION} times the file's {size} bytes"
+                message = "its datasets announce rows that were never written"
+                raise InputError(message, where=self.where, expected=expected, found=f"{announced} bytes")
+        return found
 
-    def _opened(self, names: Mapping[bytes, str]) -> Iterator[tuple[str, Any]]:
-        root = self.h5["/"].id
-        for raw, name in names.items():
-            item = h5o.open(root, raw)
-            if not isinstance(item, (h5g.GroupID, h5d.DatasetID)):
-                self._refuse(f"`{name}` is neither a dataset nor a group", "a named type")
-            yield name, item
+    def _elsewhere(self, message: str) -> InputError:
+        return InputError(message, where=self.where, expected="data in the file itself")
 
-    def _check_attributes(self, name: str, item: Any) -> None:
-        """Refuse too many or too large attributes."""
-        count = h5a.get_num_attrs(item)
-        if count > MOST_ATTRIBUTES:
-            self._refuse(f"{name} has too many attributes", f"{count}, more than {MOST_ATTRIBUTES}")
-        sizes: list[int] = []
-        h5a.iterate(item, lambda _, about: sizes.append(about.data_size), info=True)
-        if max(sizes, default=0) > MOST_ATTRIBUTE_BYTES:
-            found = f"{max(sizes)} bytes, more than {MOST_ATTRIBUTE_BYTES}"
-            self._refuse(f"an attribute of {name} is too large", found)
-
-    def _refuse_elsewhere(self, name: str, recipe: Any) -> None:
-        if recipe.get_external_count() or recipe.get_layout() == h5d.VIRTUAL:
-            raise InputError(f"{name} is stored in another file", where=self.where, expected=ITSELF)
-
-    def _check_kind(self, name: str, item: Any, kind: Any, shape: tuple[int, ...] | None) -> None:
-        """Raise InputError unless a dataset has plain numbers, one text, or no value."""
-        if shape is None:
-            return
-        text = kind.get_class() == h5t.STRING
-        if not text and kind.get_class() not in (h5t.INTEGER, h5t.FLOAT):
-            dtype = h5py.Dataset(item).dtype
-            raise InputError(
-                f"{name} has an unsupported type",
-                where=self.where,
-                expected="plain numbers, or one text",
-                found=str(dtype)[:200],
-            )
-        if text and kind.is_variable_str() and (shape != () or item.get_offset() is None):
-            self._refuse(f"{name} has an unsupported type", "a list of texts")
-
-    def _refuse(self, message: str, what: str) -> NoReturn:
-        raise self._fault(message, what)
-
-    def _fault(self, message: str, what: str) -> InputError:
-        return InputError(message, where=self.where, found=what)
+    def check(self, name: str, item: h5d.DatasetID) -> None:
+        """Raise InputError for a dataset with rows that were never written, or with a filter that is not installed."""
+        with damage_in_words(self.path, name):
+            recipe, shape = item.get_create_plist(), item.shape
+            filters = [recipe.get_filter(number) for number in range(recipe.get_nfilters())]
+            for number, _, _, label in filters:
+                _require_filter(self.where, name, number, label.decode(errors="replace").split(";")[0])
+            if len({number for number, *_ in filters}) < len(filters):
+                raise ValueError("it is compressed twice with the same filter")  # and may expand beyond MOST_EXPANSION
+            if shape == () and h5py.check_string_dtype(item.dtype):
+                self.text(name, item)
+            values = 0 if shape is None else math.prod(shape)
+            if values and recipe.get_layout() == h5d.CHUNKED:
+                chunk, stored = recipe.get_chunk(), list[int]()
+                whole = math.prod(chunk) * item.get_type().get_size()
+                item.chunk_iter(lambda one: stored.append(one.size if one.filter_mask or not filters else whole))
+                of_axes = zip(shape, chunk, strict=True)
+                complete = len(stored) >= math.prod(-(-rows // long) for rows, long in of_axes) and min(stored) >= whole
+            else:
+                complete = item.get_storage_size() >= values * item.get_type().get_size()
+            if not complete:
+                raise InputError(
+                    f"{name} is incomplete",
+                    where=self.where,
+                    expected=f"values of the shape {list(shape)}",
+                    found="parts that were never written",
+                    hint="the program that wrote the file may have been stopped",
+                )
 
 
 def row_blocks(dataset: h5py.Dataset, most_bytes: int = 4 << 20) -> Iterator[Any]:
@@ -346,32 +196,27 @@ def damage_in_words(path: Path, what: str) -> Iterator[None]:
         ) from None
 
 
-def _refuse_irregular(path: Path, expected: str) -> None:
-    checks: tuple[tuple[Callable[[Path], bool], str], ...] = (
-        (os.path.isdir, "this is a folder"),
-        (lambda path: not os.path.exists(path), "no such file"),  # unlike Path.exists, also for a name too long
-        (lambda path: not os.path.isfile(path), "this is not a regular file"),  # opening a pipe waits for a writer
-    )
-    for is_so, words in checks:
-        if is_so(path):
-            raise InputError(words, where=str(path), expected="" if words == "no such file" else expected)
+def _require_filter(where: str, name: str, number: int, label: str) -> None:
+    """Raise InputError unless HDF5, with the filters of hdf5plugin, has a filter."""
+    if h5z.filter_avail(number):
+        return
+    message, found = f"{name} is compressed with a filter that is not installed here", f"HDF5 filter {number} ({label})"
+    try:
+        importlib.import_module("hdf5plugin")  # registers its filters
+    except ImportError as error:
+        raise missing_extra(message, "convert", where=where, found=found, error=error) from None
+    if not h5z.filter_avail(number):
+        tool = "Prophesee's tools" if number == PROPHESEE_FILTER else "h5repack -f GZIP=1 IN OUT"
+        raise InputError(message, where=where, found=found, hint=f"convert it with {tool}")
 
 
-def _is_dimension_only(item: Any) -> bool:
+def _is_dimension(item: h5d.DatasetID) -> bool:
     """Whether a dataset only defines a dimension, as netCDF writes them: it has a length but no stored number."""
-    if item.get_storage_size() or not h5a.exists(item, b"CLASS") or len(item.shape or ()) != 1:
+    if item.get_storage_size() or not h5a.exists(item, b"NAME"):
         return False
-    return _short_text(item, b"CLASS") == b"DIMENSION_SCALE" and _short_text(item, b"NAME").startswith(DIMENSION_ONLY)
-
-
-def _short_text(item: Any, name: bytes) -> bytes:
-    """Return an attribute that is a text of fixed length; empty for anything else."""
-    if not h5a.exists(item, name):
-        return b""
-    attribute = h5a.open(item, name)
-    kind = attribute.get_type()
-    if kind.get_class() != h5t.STRING or kind.is_variable_str() or attribute.shape != () or kind.get_size() > 256:
-        return b""
-    value = np.empty((), f"S{kind.get_size()}")
-    attribute.read(value)
-    return bytes(value[()])
+    name = h5a.open(item, b"NAME")  # h5ds.get_scale_name writes past its buffer for a damaged one
+    if name.shape != () or name.dtype.kind != "S":
+        return False
+    text = np.empty((), name.dtype)
+    name.read(text)
+    return bytes(text[()]).startswith(DIMENSION_ONLY)

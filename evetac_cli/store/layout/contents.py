@@ -127,7 +127,7 @@ def _text_fault(limits: Limits, text: str) -> tuple[str, str] | None:
     if not limits.json:
         return None
     try:
-        value = parse_json(text, most_values=math.inf)
+        value = parse_json(text)
     except ValueError:
         return f"a JSON {limits.json}", short
     rows = [value] if limits.json == "object" else value

@@ -1,12 +1,12 @@
 """Reads and checks the header of a stage file: its validity, kind and version."""
 
-import math
 import re
 from pathlib import Path
 from types import NoneType
 
 from evetac_cli.errors import ForeignFile, InputError, SchemaError, made_by
-from evetac_cli.store.hdf5.checked_hdf5 import MOST_TEXT_BYTES, CheckedHdf5
+from evetac_cli.store.hdf5.checked_hdf5 import CheckedHdf5
+from evetac_cli.store.hdf5.hdf5_text import MOST_TEXT_BYTES
 from evetac_cli.store.layout import schema
 from evetac_cli.store.layout.provenance import Header, canonical, unfolded
 from evetac_cli.text_files import SEED_BITS, parse_json
@@ -34,7 +34,7 @@ def read_header(file: CheckedHdf5) -> Header:
     if text is None:
         raise ForeignFile("this HDF5 file was not made by evetac: it has no header", where=str(path), hint=FOREIGN)
     try:
-        header = dict(parse_json(text, most_values=math.inf, whole_bits=SEED_BITS))
+        header = dict(parse_json(text, whole_bits=SEED_BITS))
         canonical(header)
         header = unfolded(header, MOST_TEXT_BYTES)
     except (KeyError, ValueError, TypeError):

@@ -6,7 +6,6 @@ first gap, because truth has no empty value, and such a recording can be simulat
 """
 
 import fcntl
-import math
 import re
 import zlib
 from collections.abc import Iterator
@@ -138,7 +137,7 @@ def _known_at_end(path: Path) -> dict[str, Any]:
                 if recording_schema.find(name) is None:
                     raise ValueError(f"{name} is unknown")
                 is_text = schema.describe_stored(dataset) == "utf8"
-                late[name] = file.text(name, dataset) if is_text else dataset[()]
+                late[name] = file.text(name, dataset.id) if is_text else dataset[()]
     except (InputError, *DAMAGE):
         return {}
     return late
@@ -204,7 +203,7 @@ def _known_at_start(folder: Path) -> tuple[Recipe, tuple[int, int]]:
             )
         if len(frame) != 2 or not all(1 <= size <= LARGEST_PX for size in frame):
             raise ValueError(f"sensor/frame_px is {frame or 'missing'}")
-        recipe = parse_json(text, most_values=math.inf, whole_bits=SEED_BITS)
+        recipe = parse_json(text, whole_bits=SEED_BITS)
         start_recipe = Recipe(**{**recipe, "parents": tuple(recipe["parents"])})
         if (
             start_recipe.kind != "recording" or start_recipe.header()["kind"] != "recording"

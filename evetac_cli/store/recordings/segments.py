@@ -333,7 +333,7 @@ def _static(folder: Path) -> dict[str, Any]:
     """Return the datasets that were known at the start of a recording."""
     with CheckedHdf5(folder / STATIC) as static:
         return {
-            name: static.text(name, dataset) if schema.describe_stored(dataset) == "utf8" else dataset[()]
+            name: static.text(name, dataset.id) if schema.describe_stored(dataset) == "utf8" else dataset[()]
             for name, dataset in static.datasets().items()
         }
 

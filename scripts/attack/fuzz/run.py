@@ -10,7 +10,7 @@ own, forked from a process that has loaded all modules, so a case takes a fracti
     traceback   an exception without an error message of evetac, or `internal error`
     crash       a signal, or an exit code other than 0, 1, 2, 3 and 130
     hang        more than 20 s of processor time, or ten minutes of waiting
-    memory      more than 1 GB resident
+    memory      more than 2 GB resident
     output      an output that `validate` refuses
     left        a file left behind after exit code 2
     json        output of --json that is not a JSON object
@@ -45,7 +45,7 @@ from evetac_cli.store import index  # noqa: E402
 
 HANG_S = 20  # of processor time, in s, so that a busy computer makes no difference
 WAITS_S = 600.0  # of waiting, in s
-MEMORY_MB = 1024
+MEMORY_MB = 2048
 ADDRESS_SPACE = 16 << 30  # so that a runaway process ends before memory runs out
 CODES = (0, 1, 2, 3, 130)
 COMMANDS_OF_A_CASE = 3
