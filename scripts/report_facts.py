@@ -8,6 +8,7 @@ from typing import Any
 from results import MODULES, ranges
 
 from evetac_cli.jobs import Row
+from evetac_cli.store.layout.ancestry import EARLIER
 
 
 def report_header(path: Path) -> Row:
@@ -53,8 +54,8 @@ def facts(headers: Iterable[Row]) -> Row:
         for node in ancestors(header, history):
             (judged if node["kind"] == "recording" else models)[node["id"]] = node
         for model in list(models.values()):
-            for node in ancestors(model, history) if model["id"] in history else ():
-                training[node["id"]] = node
+            rows = (row for row in model.get("trajectories", ()) if row["role"] != EARLIER)
+            training |= {row["recording"]: {"parameters": row} for row in rows if row["recording"] is not None}
 
     def parameters(nodes: dict[str, Row], name: str) -> list[Any]:
         values = {json.dumps(node["parameters"].get(name)) for node in nodes.values()} - {"null"}
@@ -95,6 +96,9 @@ def methods(headers: Iterable[Row]) -> dict[str, int]:
                 command = "grasp"
             if command in MODULES:
                 numbers[command] = min(node["method"], numbers.get(command, node["method"]))
+            for kind, method in node.get("methods", {}).items():  # of the files that a model was trained on
+                command = COMMANDS.get(kind, "track")
+                numbers[command] = min(method, numbers.get(command, method))
     return {command: numbers[command] for command in MODULES if command in numbers}
 
 

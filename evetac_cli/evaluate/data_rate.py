@@ -33,7 +33,7 @@ from evetac_cli.kernels.slip.covariates import TOUCH_N
 from evetac_cli.stages.related_files import check_made_from
 from evetac_cli.stages.splits import object_name
 from evetac_cli.store.files import StageFile, output_path
-from evetac_cli.store.index import scene_words
+from evetac_cli.store.layout.ancestry import scene_words
 from evetac_cli.store.layout.provenance import Header
 from evetac_cli.store.recordings import slip_grid
 from evetac_cli.store.recordings.gel_columns import gel_counts

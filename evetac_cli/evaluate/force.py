@@ -43,6 +43,7 @@ from evetac_cli.stages.force.train_force import (
 from evetac_cli.stages.related_files import named_files, recording_with_truth
 from evetac_cli.stages.splits import check_disjoint
 from evetac_cli.store.files import StageFile
+from evetac_cli.store.layout.ancestry import trajectories
 from evetac_cli.store.layout.provenance import Header
 
 OUTPUT = "report"
@@ -158,6 +159,7 @@ def _trackers(header: Header) -> str:
     """Return the presets by which the dots of a model's training trajectories, or of tracks, were tracked."""
     every = [header, *header["history"].values()]
     presets = {one["parameters"].get("preset") for one in every if one["kind"] == "tracks"}
+    presets |= {row["tracker"] for row in trajectories(every)}
     return " + ".join(sorted(str(preset) for preset in presets if preset is not None)) or "unknown"
 
 

@@ -30,12 +30,12 @@ from evetac_cli.stages.model_files import (
     labelled_by,
     learned_true_slip_share,
     read_horizon_ms,
-    training_ancestors,
 )
 from evetac_cli.stages.slip_detectors import first_labelled, first_needed, load_detector, probabilities, read_series
 from evetac_cli.stages.splits import check_disjoint, object_name, sensor_names, sensor_of
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.hdf5.disk import taking_the_place_of
+from evetac_cli.store.layout.ancestry import TRAINING
 from evetac_cli.store.layout.provenance import Header
 from evetac_cli.store.recordings.onset import abstains
 from evetac_cli.store.recordings.read import open_recording
@@ -110,15 +110,13 @@ class Model:
     @property
     def scenes(self) -> str:
         """The scenes of its training trajectories; `unknown` for imported ones."""
-        recordings = (header for header in training_ancestors(self.header) if header["kind"] == "recording")
-        return " + ".join(
-            sorted({header["parameters"].get("scene", {}).get("name", "unknown") for header in recordings})
-        )
+        learned = [row for row in self.header["trajectories"] if row["role"] == TRAINING]
+        return " + ".join(sorted({row["scene"] or "unknown" for row in learned}))
 
     @property
     def objects(self) -> set[str]:
         """The objects of the trajectories that it was trained and validated on."""
-        return {object_name({**ancestor, "history": {}}) for ancestor in self.header["history"].values()} - {"unknown"}
+        return {str(row["object"]) for row in self.header["trajectories"] if row["object"] is not None}
 
     @property
     def setting(self) -> str:

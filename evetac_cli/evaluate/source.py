@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from evetac_cli.store.index import scene_words
+from evetac_cli.store.layout.ancestry import scene_words, trajectories
 
 Row = Mapping[str, Any]
 LABELS, TRUTH = "labels", "truth of the simulation"  # by which onsets `evaluate slip` judges trials
@@ -35,17 +35,20 @@ class Source:
             of_kind[one["kind"]][id_] = one
         detectors, recordings = of_kind["model"], of_kind["recording"].values()
         grasps = [one for one in recordings if not detectors.keys().isdisjoint(one["parents"])]
+        rows = trajectories(every.values())
         used = {id_ for one in grasps for id_ in one["parents"]} & detectors.keys()
         trackers = {one["parameters"].get("preset") for one in of_kind["tracks"].values()}
+        trackers |= {row["tracker"] for row in rows}
+        labels = [one["parameters"].get("method", "farneback") for one in of_kind["labels"].values()]
         durations = {tuple(float(one["parameters"].get(name, 0)) for name in ("lift_s", "balance_s")) for one in grasps}
         return cls(
             simulated=any(one.get("simulated", False) for one in every.values()),
-            scenes=_texts(_scene(one["parameters"]) for one in recordings),
+            scenes=_texts([*(_scene(one["parameters"]) for one in recordings), *(row["scene"] for row in rows)]),
             trackers=_texts([*trackers - {"rgb"}, *map(_tracker, grasps)]),
-            labels=_texts(one["parameters"].get("method", "farneback") for one in of_kind["labels"].values()),
+            labels=_texts([*labels, *(row["labels"] for row in rows)]),
             detectors=_texts(_detector(detectors[id_]["parameters"]) for id_ in used),
             grasp_s=tuple(second for pair in sorted(durations) for second in pair),
-            training_recordings=len(_recordings_behind([*detectors.values(), *of_kind["force-model"].values()], every)),
+            training_recordings=len({row["recording"] for row in rows} - {None}),
             networks=max((one["parameters"].get("networks", 1) for one in detectors.values()), default=1),
         )
 
@@ -81,14 +84,3 @@ def _detector(parameters: Row) -> str:
     horizon_ms = parameters.get("horizon_ms")
     predicting = f" {horizon_ms} ms ahead" if horizon_ms else ""
     return f"{parameters.get('model')}{predicting} by {parameters.get('preset')}"
-
-
-def _recordings_behind(models: Iterable[Row], every: Row) -> set[str]:
-    behind: set[str] = set()
-    waiting = [id_ for model in models for id_ in model["parents"]]
-    while waiting:
-        id_ = waiting.pop()
-        if id_ in every and id_ not in behind:
-            behind.add(id_)
-            waiting += every[id_]["parents"]
-    return {id_ for id_ in behind if every[id_]["kind"] == "recording"}

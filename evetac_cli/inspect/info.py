@@ -106,8 +106,8 @@ def _describe(path: Path) -> dict[str, Any]:
         row["parents"] = header["parents"]
         row["history"] = [
             {"id": id_, "kind": str(ancestor["kind"])}
-            | {key: ancestor[key] for key in ("method", "parameters", "seed", "parents")}
-            for id_, ancestor in header["history"].items()
+            | {key: ancestor[key] for key in ("method", "parameters", "seed", "parents") if key in ancestor}
+            for id_, ancestor in header.get("ancestors", header["history"]).items()
         ]
     return row
 

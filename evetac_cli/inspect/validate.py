@@ -12,7 +12,8 @@ from evetac_cli.jobs import Outcome, Progress, silent
 from evetac_cli.resources import schemas
 from evetac_cli.store.files import StageFile, header_of
 from evetac_cli.store.layout import contents, rules
-from evetac_cli.store.layout.provenance import ContentDigest
+from evetac_cli.store.layout.ancestry import TABLES
+from evetac_cli.store.layout.provenance import ContentDigest, history_fault
 from evetac_cli.store.recordings.read import Recording
 
 OF_A_TRIAL = ("labels", "tracks", "features", "touch")  # kinds stored beside their recording, under its name
@@ -52,12 +53,15 @@ def show(result: Outcome) -> None:
 def _faults(file: StageFile) -> list[str]:
     """Return all faults of a file that could be opened, and so has the right datasets, dtypes and shapes."""
     rules = json.loads((schemas() / "header.v1.json").read_text())
-    if not follows(file.header, rules):
+    header = {key: value for key, value in file.header.items() if key not in TABLES}
+    if not follows(header, rules):
         import jsonschema
 
-        violation = jsonschema.exceptions.best_match(jsonschema.Draft202012Validator(rules).iter_errors(file.header))
+        violation = jsonschema.exceptions.best_match(jsonschema.Draft202012Validator(rules).iter_errors(header))
         if violation is not None:
             return [f"header: {violation.message[:300]}"]
+    if fault := history_fault(file.stored_header):
+        return [fault]
     faults = list(contents.faults(file))
     if faults:
         return faults  # the checks below read the same values again

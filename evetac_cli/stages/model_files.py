@@ -1,7 +1,5 @@
 """Information on a slip detector from its model file, for code that does not run it (slip_detectors.py does)."""
 
-from collections.abc import Iterator
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,6 +7,7 @@ from evetac_cli.errors import InputError
 from evetac_cli.kernels.slip.reliability import OddsScale
 from evetac_cli.kernels.slip.warning_curve import WarningCurve
 from evetac_cli.store.files import StageFile
+from evetac_cli.store.layout.ancestry import TRAINING
 from evetac_cli.store.layout.provenance import Header
 
 USELESS_HINT = "train for more steps, on more trajectories, and use at least 4 others with --validate"
@@ -19,8 +18,6 @@ OLDER_CONTROLLER_THRESHOLD = 0.3
 # Datasets of features with the slipping share of the visible contact, from a simulation's truth: the current name, and
 # that of features up to version 1.5, where all simulated files had it.
 TRUE_SLIP_SHARES = ("truth/visible_slip_share", "visible_slip_share")
-# Method versions of `train` without this option, and the presets that always learned this share if it was available.
-LEARNED_TRUTH_METHODS, LEARNED_TRUTH_PRESETS = range(4, 7), ("adamw", "adapt")
 
 
 def why_useless(model: StageFile) -> str:
@@ -125,17 +122,9 @@ def read_weights(model: StageFile) -> dict[str, NDArray[np.float32]]:
     return {name.removeprefix("weights/"): model.read(name) for name in names}
 
 
-def training_ancestors(header: Header) -> Iterator[Header]:
-    """Yield headers of the files from which the training features of a model, given by its header, were made."""
-    history = header["history"]
-    for one in header["parents"][: header["parameters"].get("trained_on")]:
-        yield from (history[parent] for parent in history[one]["parents"])
-
-
 def labelled_by(header: Header) -> str:
     """Return the methods of the labels on which a model, given by its header, was trained, also `truth`; "" if none."""
-    labels = (one["parameters"] for one in training_ancestors(header) if one["kind"] == "labels")
-    return ", ".join(sorted({str(parameters.get("method", "farneback")) for parameters in labels}))
+    return ", ".join(sorted({row["labels"] for row in header["trajectories"] if row["role"] == TRAINING} - {None}))
 
 
 def learned_true_slip_share(header: Header) -> bool:
@@ -144,16 +133,4 @@ def learned_true_slip_share(header: Header) -> bool:
     This is the share of the contact that slips, from the ground truth of simulated recordings:
     `train --learn-true-slip-share`.
     """
-    history = header["history"]
-    models = [header, *(one for one in history.values() if one["kind"] == "model")]
-    return any(_learned_truth(model, history) for model in models)
-
-
-def _learned_truth(model: Header, history: Header) -> bool:
-    parameters = model["parameters"]
-    if "learn_true_slip_share" in parameters:
-        return bool(parameters["learn_true_slip_share"])
-    if model["method"] not in LEARNED_TRUTH_METHODS or parameters.get("preset") not in LEARNED_TRUTH_PRESETS:
-        return False
-    learned = [history[parent] for parent in model["parents"][: parameters.get("trained_on")] if parent in history]
-    return any(one["kind"] == "features" and one["simulated"] for one in learned)
+    return any(row["true_slip_share"] for row in header["trajectories"])

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from evetac_cli.errors import InputError
+from evetac_cli.store.layout.ancestry import trajectories
 from evetac_cli.store.layout.provenance import Header
 
 
@@ -67,9 +68,11 @@ def _text(value: Any) -> str:
 
 
 def recording_ids(header: Header) -> set[str]:
-    """Return the ids of all recordings from which a file was made."""
+    """Return the ids of all recordings from which a file was made, also of those that a trained one was made from."""
     lineage = {header["id"]: header, **header["history"]}
-    return {id_ for id_, ancestor in lineage.items() if ancestor["kind"] == "recording"}
+    rows = trajectories(lineage.values())
+    ids = {id_ for id_, ancestor in lineage.items() if ancestor["kind"] == "recording"}
+    return ids | {row["recording"] for row in rows if row["recording"] is not None}
 
 
 def check_disjoint(learn: list[Header], held_out: list[Header], what: str, paths: Sequence[Path]) -> None:

@@ -26,7 +26,7 @@ from evetac_cli.kernels.sensitivity import DATASETS, Sensitivity, sensitivity_of
 from evetac_cli.store.hdf5.checked_hdf5 import MOST_READ_BYTES, CheckedHdf5, damage_in_words
 from evetac_cli.store.hdf5.chunks import RowReader, RowWriter, put
 from evetac_cli.store.hdf5.disk import Recheck, existing_folder, new_file, taking_the_place_of
-from evetac_cli.store.layout import contents, netcdf, schema
+from evetac_cli.store.layout import ancestry, contents, netcdf, schema
 from evetac_cli.store.layout.header import FOREIGN, check_kind, read_header
 from evetac_cli.store.layout.new_contents import NewContents
 from evetac_cli.store.layout.provenance import (
@@ -34,8 +34,8 @@ from evetac_cli.store.layout.provenance import (
     Recipe,
     first_difference,
     folded,
-    identity_fault,
     other_recipe,
+    recompute_id,
 )
 from evetac_cli.store.layout.rules import Rule, Shapes
 
@@ -50,8 +50,8 @@ class StageFile:
         try:
             self.header = read_header(self._file)
             check_kind(self.path, self.header, (kind,) if isinstance(kind, str) else kind)
-            fault = identity_fault(self.header)
-            if fault:
+            if recompute_id(self.header) != self.header["id"]:
+                fault = "its header was edited: the recipe id does not fit it"
                 raise SchemaError(fault, where=str(self.path))
             self._found = self._file.survey(partial(netcdf.is_dimension, self.kind))
             self._readers: dict[str, RowReader] = {}
@@ -66,6 +66,12 @@ class StageFile:
                 lines += [f"{path} is not in the schema" for path in strays]
             self._refuse_if(lines)
             contents.check_shapes(self.kind, self.path, self._shapes)
+            with damage_in_words(self.path, "its history"):
+                if ancestry.TRAJECTORIES in self._shapes:
+                    tables = self.read(ancestry.TRAJECTORIES), self.read(ancestry.ANCESTORS)
+                    self.header = ancestry.with_tables(self.header, *tables)
+                self.stored_header = self.header  # of an older file, with all ancestors
+                self.header = ancestry.without_training_files(self.header)
         except BaseException:
             self._file.close()
             raise
@@ -277,9 +283,10 @@ def write_stage(
                 growing.append(block)
             header = growing.finish(recipe)
         return header if growing.made else None
+    header = recipe.header()
+    arrays = {**arrays, **ancestry.stored_tables(header)}
     schema.check(recipe.kind, arrays)
     NewContents(path, recipe.kind, arrays).check_rest()
-    header = recipe.header()
     recheck = Recheck(partial(up_to_date, path, recipe, force=force))
     with replacing(path, recheck) as h5:
         for name, value in arrays.items():

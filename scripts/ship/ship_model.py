@@ -6,7 +6,6 @@ Its results on unseen objects are in the tables `slip-detectors-...` of docs/res
 """
 
 import json
-import shutil
 import sys
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,10 @@ from typing import Any
 from evetac_cli.evaluate.slip_models import Model
 from evetac_cli.resources import MODEL
 from evetac_cli.stages.model_files import read_curve
-from evetac_cli.store.files import StageFile
+from evetac_cli.store.files import StageFile, put_header, replacing
+from evetac_cli.store.hdf5.chunks import put
+from evetac_cli.store.layout import schema
+from evetac_cli.store.layout.ancestry import stored_tables
 
 
 def validation_score(path: Path) -> float:
@@ -40,6 +42,17 @@ def at_its_threshold(path: Path) -> dict[str, Any]:
         return told
 
 
+def rewrite(source: Path, target: Path) -> None:
+    """Write a model with the same arrays and recipe id, in the newest version of its kind."""
+    with StageFile(source, "model") as file:
+        header = {**file.header, "version": schema.load("model").version}
+        arrays = {name: file.read(name) for name in file.contents()} | stored_tables(header)
+    with replacing(target) as h5:
+        for name, value in arrays.items():
+            put(h5, name, value)
+        put_header(h5, header)
+
+
 def main() -> None:
     (path,) = map(Path, sys.argv[1:])
     model = Model.read(path)
@@ -58,7 +71,7 @@ def main() -> None:
         "id": model.header["id"],
     }
     MODEL.parent.mkdir(exist_ok=True)
-    shutil.copyfile(path, MODEL)
+    rewrite(path, MODEL)
     MODEL.with_suffix("").with_suffix(".json").write_text(json.dumps(made, indent=1) + "\n")
 
 

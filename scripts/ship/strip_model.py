@@ -4,9 +4,9 @@
 
 packs models/nothing/*.model.h5 into docs/results/models/paper-recipe/nothing.tar.xz, and so on for each folder.
 
-A stripped model has the chosen checkpoint alone. Header and recipe id, weights, graph, thresholds, calibration and
-warnings are the same, so `evaluate slip` and `grasp` give the same results, bit for bit. Models of one training set
-share most of their header, the history of hundreds of recordings, which an archive stores once.
+A stripped model has the chosen checkpoint alone. Recipe id, weights, graph, thresholds, calibration and warnings are
+the same, so `evaluate slip` and `grasp` give the same results, bit for bit. Models of one training set share their
+tables of hundreds of recordings, which an archive stores once.
 """
 
 import argparse
@@ -22,9 +22,12 @@ import h5py
 
 from evetac_cli.store.files import StageFile, put_header, replacing
 from evetac_cli.store.hdf5.disk import taking_the_place_of
+from evetac_cli.store.layout import schema
+from evetac_cli.store.layout.ancestry import ANCESTORS, TRAJECTORIES, stored_tables
 from evetac_cli.store.layout.provenance import content_digest
 
-LEFT_OUT = ("checkpoint/onnx",)  # the graphs of all stored checkpoints; that of the chosen one is `onnx`
+# The graphs of all stored checkpoints, as that of the chosen one is `onnx`; and the tables, which the header has too.
+LEFT_OUT = ("checkpoint/onnx", TRAJECTORIES, ANCESTORS)
 SUFFIXES = (".model.h5", ".force-model.h5")
 DIGITS = 16  # hexadecimal digits of a digest that tables show
 
@@ -47,9 +50,9 @@ def strip(source: Path, target: Path) -> None:
     """Write the stripped model, uncompressed, since archives compress better; InputError if `source` is no model."""
     arrays = arrays_of(source)
     with StageFile(source) as file:
-        header = file.header
+        header = {**file.header, "version": schema.load(file.kind).version}
     with replacing(target) as h5:
-        for name, value in arrays.items():
+        for name, value in (arrays | stored_tables(header)).items():
             dtype = h5py.string_dtype() if isinstance(value, str) else None
             h5.create_dataset(name, data=value, dtype=dtype, track_times=False)
         put_header(h5, header)

@@ -180,10 +180,12 @@ def test_a_report_of_other_files_is_made_anew(tmp_path: Path) -> None:
 
 def test_facts_keep_training_apart() -> None:
     """Assert that trajectories judged, detectors, and trajectories trained on are counted each for itself."""
-    trained = {"kind": "recording", "seed": 0, "parents": [], "parameters": {"object": 9, "sensor": "evetac"}}
-    model = {"kind": "model", "seed": None, "parents": ["t"], "parameters": {"seed": 4, "max_steps": 200}}
+    trained = {"recording": "t", "role": "trained on", "object": 9, "sensor": "evetac"}
+    model = {"kind": "model", "seed": None, "parents": ["f"], "parameters": {"seed": 4, "max_steps": 200}}
     grasped = {"kind": "recording", "seed": 7, "parents": ["m"], "parameters": {"object": 11, "sensor": "second"}}
-    known = report_facts.facts([{"parents": ["g"], "history": {"t": trained, "m": model, "g": grasped}}])
+    known = report_facts.facts(
+        [{"parents": ["g"], "history": {"m": {**model, "trajectories": [trained]}, "g": grasped}}]
+    )
     assert (known["recordings"], known["objects"], known["sensors"]) == (1, [11], ["second"])
     assert (known["models"], known["training_seeds"], known["training_steps"]) == (1, [4], 200)
     assert (known["training_recordings"], known["training_objects"]) == (1, [9])

@@ -10,7 +10,7 @@ import pytest
 from evetac_cli.commands.train import Train
 from evetac_cli.evaluate.slip_tables import TRUE_SLIP_SHARE
 from evetac_cli.kernels.slip.training import PRESETS
-from evetac_cli.stages.model_files import LEARNED_TRUTH_METHODS
+from evetac_cli.store.layout.ancestry import LEARNED_TRUTH_METHODS
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
 import results

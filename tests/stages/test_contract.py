@@ -67,6 +67,7 @@ from evetac_cli.stages import (
 from evetac_cli.stages.force import train_force
 from evetac_cli.stages.touch import predict_touch
 from evetac_cli.store.files import StageFile
+from evetac_cli.store.layout.ancestry import TRAINED
 from evetac_cli.store.layout.provenance import Header
 from evetac_cli.trials import grasp, record
 from tests.conftest import Made
@@ -280,19 +281,20 @@ def test_output_is_valid(stage: Stage, first_run: FirstRun) -> None:
 def test_output_carries_its_history(stage: Stage, folder: Path, first_run: FirstRun) -> None:
     """Assert that the header holds every ancestor once, down to what has no parents, and says simulated.
 
-    But for what the detector of a grasp learned from.
+    But for what a trained file among them learned from.
     """
     output, _ = first_run(stage)
     made = header(output)
     assert made["simulated"]
+    history = made.get("ancestors", made["history"])
     waiting, known = list(made["parents"]), set()
     while waiting:
         parent = waiting.pop()
         known.add(parent)
-        one = made["history"][parent]
-        if one["kind"] != "model" or stage.name not in ("grasp", "evaluate grasp"):
+        one = history[parent]
+        if one["kind"] not in TRAINED:
             waiting += [other for other in one["parents"] if other not in known]
-    assert known == made["history"].keys()
+    assert known == history.keys()
     for path in stage.inputs(folder):
         if stage.name != "evaluate slip":
             assert header(path)["id"] in made["parents"]

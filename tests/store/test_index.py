@@ -16,6 +16,7 @@ from evetac_cli.store import index
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.hdf5 import disk
 from evetac_cli.store.index import rows
+from evetac_cli.store.layout.ancestry import recording_of
 from tests.conftest import Made
 
 
@@ -92,10 +93,10 @@ def test_whose_object_a_file_has() -> None:
     }
 
     def behind(*parents: str) -> str | None:
-        recording = index.recording_of(header("features", "new", *parents), history)
+        recording = recording_of(header("features", "new", *parents), history)
         return None if recording is None else recording["id"]
 
-    assert index.recording_of(history["a"], history) is history["a"]
+    assert recording_of(history["a"], history) is history["a"]
     assert behind("a", "tracks of a") == behind("tracks of a", "a") == behind("a", "trained on b") == "a"
     assert behind("of a and b", "of c") is behind("of c", "of a and b") is behind("a", "b") is behind() is None
 

@@ -30,7 +30,7 @@ from evetac_cli.evaluate.likeness import beside
 from evetac_cli.evaluate.likeness.facts import NEAR, WITHIN, Fact, as_text, constant_of, facts, named_tables
 from evetac_cli.evaluate.likeness.tables import Ours, ResultTables
 from evetac_cli.jobs import Job, Outcome, Progress, Row, Rows, Stage, silent
-from evetac_cli.store.index import scene_words
+from evetac_cli.store.layout.ancestry import scene_words
 from evetac_cli.store.layout.provenance import Header
 from evetac_cli.store.recordings.read import open_recording
 

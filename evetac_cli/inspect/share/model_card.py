@@ -14,12 +14,11 @@ from evetac_cli.inspect.share.limitations import UNLIKE
 from evetac_cli.stages.model_files import why_useless
 from evetac_cli.stages.train.log import course
 from evetac_cli.store.files import StageFile
-from evetac_cli.store.index import recording_of, scene_words
+from evetac_cli.store.layout.ancestry import EARLIER
 from evetac_cli.store.layout.provenance import Header
 from evetac_cli.text_files import parse_json
 
 KINDS = ("model", "force-model")
-ROLES = ("trained on", "validated on")
 WHAT = {"model": "slip detector", "force-model": "force model"}
 # Figures of `info` that a card states elsewhere, or not at all.
 NOT_SHOWN = ("file", "kind", "id", "simulated", "size_bytes", "parameters", "made", "parents", "history", "seed")
@@ -122,21 +121,14 @@ OTHER_FILES = """
 
 def _data(header: Header) -> Iterator[dict[str, Any]]:
     """Yield a row per use (training, validation), scene, sensor and labels of the recordings."""
-    history = header["history"]
-    parents = [history[id_] for id_ in header["parents"] if id_ in history]
-    files = [parent for parent in parents if not parent["kind"].endswith("model")]
-    learned = header["parameters"].get("trained_on", len(files))
-    groups: dict[tuple[Any, ...], list[Header]] = {}
-    for number, file in enumerate(files):
-        recording: Header = recording_of(file, history) or file
-        parameters = recording["parameters"]
-        name = scene_words(parameters, "name") or (parameters.get("source") and "imported")
-        labels = next((history[id_] for id_ in file["parents"] if history.get(id_, {}).get("kind") == "labels"), None)
-        labelled = str(labels["parameters"].get("method", "farneback")) if labels is not None else "none"
-        key = (ROLES[number >= learned], str(name or "unknown"), str(parameters.get("sensor") or "unknown"), labelled)
-        groups.setdefault(key, []).append(recording)
+    groups: dict[tuple[Any, ...], list[dict[str, Any]]] = {}
+    for row in header["trajectories"]:
+        if row["role"] != EARLIER:
+            scene_name = row["scene"] or ("imported" if row["imported"] else "unknown")
+            key = (row["role"], scene_name, row["sensor"] or "unknown", row["labels"] or "none")
+            groups.setdefault(key, []).append(row)
     for (role, scene_name, sensor, labelled), recordings in groups.items():
-        objects = {one["parameters"].get("object") for one in recordings} - {None}
+        objects = {one["object"] for one in recordings} - {None}
         seeds = {one["seed"] for one in recordings} - {None}
         yield {
             "used": role,
@@ -148,8 +140,7 @@ def _data(header: Header) -> Iterator[dict[str, Any]]:
             "seeds": _range(seeds),
             "simulated": "yes" if any(one["simulated"] for one in recordings) else "no",
         }
-    adapted = [parent for parent in parents if parent["kind"].endswith("model")]
-    for model in adapted:
+    for model in (one for id_, one in header["history"].items() if id_ in header["parents"]):
         yield {
             "used": "adapted from",
             "scene": f"model {model['id'][:12]}",

@@ -20,7 +20,8 @@ from evetac_cli.kernels.grip.paper import GraspPhase
 from evetac_cli.pages.view.event_images import picture
 from evetac_cli.stages.splits import UNKNOWN_SENSOR, RecordedSensor, sensor_names, sensor_of
 from evetac_cli.store.files import StageFile, stem
-from evetac_cli.store.index import IndexRow, foreign_note, open_index, recording_of
+from evetac_cli.store.index import IndexRow, foreign_note, open_index
+from evetac_cli.store.layout.ancestry import recording_of
 from evetac_cli.store.recordings.onset import labelled_onset
 from evetac_cli.store.recordings.read import Recording, open_recording, true_onset
 from evetac_cli.text_files import open_regular

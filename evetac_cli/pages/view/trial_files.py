@@ -15,7 +15,7 @@ from evetac_cli.kernels.slip.architectures import ImageArchitecture, PluginImage
 from evetac_cli.stages import featurize, track
 from evetac_cli.stages.model_files import why_useless
 from evetac_cli.store.files import StageFile, stem
-from evetac_cli.store.index import recording_of
+from evetac_cli.store.layout.ancestry import recording_of
 from evetac_cli.store.layout.rules import named_architecture
 from evetac_cli.store.recordings.read import Recording
 

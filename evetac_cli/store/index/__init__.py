@@ -24,12 +24,12 @@ from typing import Any, NamedTuple
 
 from evetac_cli.errors import InputError
 from evetac_cli.store.index import table
-from evetac_cli.store.index.rows import NOT_THERE, IndexRow, Seen, describe, recording_of, scene_words
+from evetac_cli.store.index.rows import NOT_THERE, IndexRow, Seen, describe
 from evetac_cli.store.index.table import FORMAT, NAME, is_index
 
 __all__ = (
     "FORMAT", "FOREIGN", "NAME", "Describe", "Index", "IndexRow", "Seen", "describe", "foreign_note", "is_index",
-    "one_by_one", "open_index", "recording_of", "scene_words",
+    "one_by_one", "open_index",
 )  # fmt: skip
 
 # SQL condition for HDF5 files of other programs, which are skipped.

@@ -2,11 +2,11 @@
 
 import json
 import os
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from evetac_cli.errors import EvetacError, ForeignFile, shortened
+from evetac_cli.store.layout.ancestry import recording_of, scene_words
 from evetac_cli.text_files import as_utf8
 
 LARGEST = 2**63 - 1  # largest whole number of SQLite
@@ -113,32 +113,6 @@ def _dots(file: Any) -> dict[str, Any]:
 
     calibration = stored_calibration(file)
     return {"dot_radius_px": calibration.dot_radius_px, "grid": calibration.digest()}
-
-
-def scene_words(parameters: Mapping[str, Any], key: str) -> str | None:
-    """Return the `name` or `summary` of the scene from a recording's parameters; None if there is no such text."""
-    scene = parameters.get("scene")
-    words = scene.get(key) if isinstance(scene, dict) else None
-    return words if isinstance(words, str) else None
-
-
-def recording_of(header: dict[str, Any], history: dict[str, Any]) -> dict[str, Any] | None:
-    """Return the header of the only recording from which a file was made, or its own if it is one; None for several.
-
-    The training files of a model do not count.
-    """
-    recordings: dict[str, dict[str, Any]] = {}
-    waiting, passed = [header], set()
-    while waiting:
-        one = waiting.pop()
-        if one["kind"] == "recording":
-            recordings[one["id"]] = one
-            continue
-        for parent in one["parents"]:
-            if parent in history and parent not in passed and not history[parent]["kind"].endswith("model"):
-                passed.add(parent)
-                waiting.append(history[parent])
-    return next(iter(recordings.values())) if len(recordings) == 1 else None
 
 
 def _plain(value: Any) -> Any:

@@ -20,7 +20,7 @@ from evetac_cli.errors import InputError, SchemaError
 from evetac_cli.store.layout import schema
 from evetac_cli.store.layout.rules import RULES, RULES_OF_SHAPES, Contents, Fault, Rule, Shapes, blocks
 from evetac_cli.store.layout.schema import Dataset, Limits
-from evetac_cli.text_files import parse_json
+from evetac_cli.text_files import SEED_BITS, parse_json
 
 SMALL_VALUES = 4096  # datasets with at most this many values are checked as a whole: 4 s of a trial, in a few ms
 SHORT = 60  # longest value in a message, in characters
@@ -127,7 +127,7 @@ def _text_fault(limits: Limits, text: str) -> tuple[str, str] | None:
     if not limits.json:
         return None
     try:
-        value = parse_json(text)
+        value = parse_json(text, whole_bits=SEED_BITS)
     except ValueError:
         return f"a JSON {limits.json}", short
     rows = [value] if limits.json == "object" else value

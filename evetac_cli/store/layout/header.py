@@ -37,7 +37,7 @@ def read_header(file: CheckedHdf5) -> Header:
         header = dict(parse_json(text, whole_bits=SEED_BITS))
         canonical(header)
         header = unfolded(header, MOST_TEXT_BYTES)
-    except (KeyError, ValueError, TypeError):
+    except (AttributeError, KeyError, ValueError, TypeError, RecursionError):
         raise SchemaError("its header is not valid", where=str(path), expected="schemas/header.v1.json") from None
     number = header.get("version")
     version = re.fullmatch("([0-9]{1,9})[.]([0-9]{1,9})", number) if isinstance(number, str) else None
@@ -59,17 +59,22 @@ def read_header(file: CheckedHdf5) -> Header:
     missing = [key for key in HEADER if key not in header]
     if missing:
         raise SchemaError("its header is incomplete", where=str(path), found=f"no {', '.join(missing)}")
-    wrong = [key for key, types in HEADER.items() if not isinstance(header[key], types)]
+    wrong = _wrong(header) + ([] if isinstance(header["history"], dict) else ["history"])
     wrong += [] if version or "version" in wrong else ["version"]
     if not wrong:
-        ancestors = header["history"].values()
-        wrong += [] if all(isinstance(parent, str) for parent in header["parents"]) else ["parents"]
-        wrong += [] if all(isinstance(ancestor, dict) and "kind" in ancestor for ancestor in ancestors) else ["history"]
+        whole = all(isinstance(ancestor, dict) and not _wrong(ancestor) for ancestor in header["history"].values())
+        wrong += [] if whole else ["history"]
     if wrong:
         raise SchemaError(
             f"its header is not valid: {', '.join(wrong)}", where=str(path), expected="schemas/header.v1.json"
         )
     return header
+
+
+def _wrong(header: Header) -> list[str]:
+    """Return the keys of a header, or of an ancestor's, which has no history, whose values are missing or not valid."""
+    wrong = [key for key, types in HEADER.items() if key != "history" and not isinstance(header.get(key, ...), types)]
+    return wrong or ([] if all(isinstance(parent, str) for parent in header["parents"]) else ["parents"])
 
 
 def check_kind(path: Path, header: Header, wanted: tuple[str, ...] | None) -> None:

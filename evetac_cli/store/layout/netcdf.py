@@ -25,7 +25,7 @@ from evetac_cli.text_files import parse_json
 
 NO_VARIABLE = "This is a netCDF dimension but not a netCDF variable."  # netCDF's text for a scale without values
 LARGEST_INT = 2**63 - 1  # largest number of an attribute
-MOST_ANCESTORS = 20  # lines of `history`; a model may have hundreds of parents
+MOST_ANCESTORS = 20  # lines of `history`; a report may have hundreds of parents
 # Names of dimensions that a schema gives as a number: by the dataset, or else by the number.
 FIXED = {
     "frame_px": ("width_height",),
@@ -155,6 +155,8 @@ def _history(header: Header) -> Iterator[str]:
         yield f"{len(ancestors) - MOST_ANCESTORS} more files, listed in the attribute header"
     for id_, ancestor in ancestors[-MOST_ANCESTORS:]:
         yield f"{ancestor['kind']} {id_[:12]}, method {ancestor['method']}"
+    if "trajectories" in header:
+        yield f"{len(header['trajectories'])} trajectories, listed in training/trajectories"
     origin = header.get("made", {})
     yield (
         f"{origin.get('at', '')} evetac {origin.get('evetac', '')}: "

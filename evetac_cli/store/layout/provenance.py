@@ -22,10 +22,9 @@ import numpy as np
 
 from evetac_cli import __version__, plugins
 from evetac_cli.errors import InputError
-from evetac_cli.store.layout import schema
+from evetac_cli.store.layout import ancestry, schema
 
-Header = dict[str, Any]
-
+Header = ancestry.Header
 LEAST_SHARED = 64  # characters; a reference to the list takes some 20
 
 
@@ -71,16 +70,15 @@ class Recipe:
         return hashlib.sha256(canonical(self.identity).encode()).hexdigest()
 
     def header(self) -> Header:
-        """Return the header of a file made now from this recipe, with the whole history of its parents, each once.
+        """Return the header of a file made now from this recipe, with the history of its parents, each once.
 
-        A recording of a grasp does not include the training files of its detector, which are listed in the model's
-        file: thousands of ancestors would be some megabytes in each grasp.
+        What is behind trained files is in tables (ancestry.py), and not in a recording of a grasp: some megabytes.
         """
         history: dict[str, Header] = {}
         for parent in self._carried_parents():
             history.update(parent["history"])
             history[parent["id"]] = {k: v for k, v in parent.items() if k not in ("history", "made")}
-        return {
+        header = {
             "kind": self.kind,
             "version": schema.load(self.kind).version,
             "method": self.method,
@@ -93,6 +91,7 @@ class Recipe:
             "history": history,
             "made": time_host_versions(),
         }
+        return ancestry.without_training_files(header)
 
     def carried(self) -> "Recipe":
         """Return the recipe without the history that its header leaves out; both have the same header."""
@@ -101,15 +100,22 @@ class Recipe:
     def _carried_parents(self) -> tuple[Header, ...]:
         if self.kind != "recording":
             return self.parents
-        return tuple({**each, "history": {}} if each["kind"] == "model" else each for each in self.parents)
+        return tuple(
+            {k: v for k, v in each.items() if k not in ancestry.TABLES} | {"history": {}}
+            if each["kind"] == "model"
+            else each
+            for each in self.parents
+        )
 
 
 def folded(header: Header) -> Header:
     """Return the header as stored in a file: parameters common to several ancestors are stored once, in `shared`.
 
     Such an ancestor has, in addition to its own `parameters`, `shared`: name of a parameter -> index in that list. The
-    reason: a model has hundreds of recordings of few scenes, whose parameters are most of its header.
+    reason: a report has hundreds of recordings of few scenes, whose parameters are most of its header. The rows of a
+    trained ancestor are there too: `trajectories` is their index. Those of a trained file are data sets.
     """
+    header = {key: value for key, value in header.items() if key not in ancestry.TABLES}
     ancestors = header["history"].values()
     counts = Counter(canonical(value) for ancestor in ancestors for value in ancestor["parameters"].values())
     texts = {text for text, count in counts.items() if count > 1 and len(text) >= LEAST_SHARED}
@@ -119,7 +125,9 @@ def folded(header: Header) -> Header:
         text_by_name = {name: canonical(value) for name, value in ancestor["parameters"].items()}
         shared = {name: places.setdefault(text, len(places)) for name, text in text_by_name.items() if text in texts}
         own = {name: value for name, value in ancestor["parameters"].items() if name not in shared}
-        history[id_] = {**ancestor, "parameters": own, "shared": shared} if shared else ancestor
+        history[id_] = {**ancestor, "parameters": own, "shared": shared} if shared else dict(ancestor)
+        if "trajectories" in ancestor:
+            history[id_]["trajectories"] = places.setdefault(canonical(ancestor["trajectories"]), len(places))
     return {**header, "history": history, "shared": [json.loads(text) for text in places]} if places else header
 
 
@@ -135,6 +143,8 @@ def unfolded(header: Header, most_characters: int) -> Header:
     history = header.get("history")
     for ancestor in history.values() if isinstance(history, dict) else ():
         shared = ancestor.pop("shared", {}) if isinstance(ancestor, dict) else {}
+        if isinstance(ancestor, dict) and "trajectories" in ancestor:
+            ancestor["trajectories"] = ancestry.checked_rows(dict(enumerate(values))[ancestor["trajectories"]])
         if not isinstance(shared, dict) or not all(type(at) is int and 0 <= at < len(sizes) for at in shared.values()):
             raise ValueError("an ancestor refers to a missing entry of `shared`")
         most_characters -= sum(sizes[at] for at in shared.values())
@@ -156,15 +166,16 @@ def recompute_id(header: Header) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def identity_fault(header: Header) -> str:
-    """Return what is wrong with the ids of a header and its ancestors; empty if all are right."""
-    if recompute_id(header) != header["id"]:
-        return "its header was edited: the recipe id does not fit it"
+def history_fault(header: Header) -> str:
+    """Return what is wrong with the ids of a header's ancestors; empty if all are right."""
     for id_, ancestor in header["history"].items():
         if not isinstance(ancestor, dict) or ancestor.get("id") != id_ or recompute_id(ancestor) != id_:
             return f"the history of {id_[:12]} was edited"
-    missing = [str(parent)[:12] for parent in header["parents"] if parent not in header["history"]]
-    return f"the history lacks the parents {', '.join(missing)}" if missing else ""
+    every = header["history"].keys() | header.get("ancestors", {}).keys()
+    missing = [str(parent)[:12] for parent in header["parents"] if parent not in every]
+    recordings = {row["recording"] for row in header.get("trajectories", ())} - {None}
+    missing += [id_[:12] for id_ in sorted(recordings - every)]
+    return f"the history lacks {', '.join(missing[:8])}" if missing else ""
 
 
 def time_host_versions() -> dict[str, str]:

@@ -250,9 +250,9 @@ def test_header_in_words(tmp_path: Path) -> None:
 def test_header_in_words_of_other_sources(tmp_path: Path) -> None:
     """Assert that measured data is not called simulated, and that a huge seed and many parents are no trouble."""
     parents = tuple(Recipe("features", 1, {}, seed=seed).header() for seed in range(50))
-    with h5py.File(written(tmp_path / "a.h5", "model", {}, seed=2**70, parents=parents)) as h5:
+    with h5py.File(written(tmp_path / "a.h5", "labels", labels(), seed=2**70, parents=parents)) as h5:
         assert (h5.attrs["simulated"], h5.attrs["source"]) == ("no", "data from devices or other programs")
-        assert h5.attrs["title"] == schema.load("model").meaning
+        assert h5.attrs["title"] == schema.load("labels").meaning
         assert h5.attrs["seed"] == str(2**70)
         lines = h5.attrs["history"].splitlines()
         assert len(lines) == netcdf.MOST_ANCESTORS + 2

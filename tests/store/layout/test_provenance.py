@@ -21,7 +21,7 @@ from evetac_cli.store.layout.provenance import (
     content_digest,
     first_difference,
     folded,
-    identity_fault,
+    history_fault,
     recompute_id,
     unfolded,
 )
@@ -159,8 +159,7 @@ def test_history_carries_every_ancestor_once() -> None:
     tracks = Recipe("tracks", 1, {}, parents=(recording.header(),))
     labels = Recipe("labels", 1, {}, parents=(recording.header(),))
     features = Recipe("features", 1, {}, parents=(recording.header(), tracks.header(), labels.header()))
-    model = Recipe("model", 1, {}, seed=3, parents=(features.header(),))
-    header = model.header()
+    header = Recipe("report", 1, {}, seed=3, parents=(features.header(),)).header()
     assert list(header["history"]) == [recording.id, tracks.id, labels.id, features.id]
     assert header["parents"] == [features.id]
     for id_, ancestor in header["history"].items():
@@ -279,14 +278,14 @@ def test_m4_a_header_without_an_identity_has_no_id(change: dict[str, Any]) -> No
 
 
 def family(recordings: int) -> Header:
-    """The header of a model of recordings that have their scene in common, and the numbers of some sensors."""
+    """The header of a report on recordings that have their scene in common, and the numbers of some sensors."""
     scene = {"name": "slip", "time": {"rest_s": 0.2, "load_s": 0.5}, "summary": "an object slips out of the grip"}
     rows = [{"seed": row, "dots": list(range(100))} for row in range(2)]
     made = [
         Recipe("recording", 1, {"scene": scene, "row": rows[number % 2], "trial": number}, seed=number).header()
         for number in range(recordings)
     ]
-    return Recipe("model", 1, {"scene": scene}, parents=tuple(made)).header()
+    return Recipe("report", 1, {"scene": scene}, parents=tuple(made)).header()
 
 
 def as_stored(header: Header) -> Header:
@@ -306,7 +305,7 @@ def test_what_ancestors_share_stands_once_in_a_file() -> None:
     jsonschema.validate(stored, json.loads((schemas() / "header.v1.json").read_text()))
     whole = unfolded(stored, 10**5)
     assert whole == header
-    assert identity_fault(whole) == ""
+    assert history_fault(whole) == ""
     for alone in (family(1), PARENT, BASE.header()):
         assert folded(alone) == alone == unfolded(as_stored(alone), 0)
 

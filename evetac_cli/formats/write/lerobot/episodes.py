@@ -25,7 +25,7 @@ from evetac_cli.formats.write.lerobot.other_streams import NUMBERS, StreamShapes
 from evetac_cli.formats.write.lerobot.point_sets import OF_WRENCH, PointSet
 from evetac_cli.formats.write.slice_columns import Masked, TrialFiles, columns_of, read_columns
 from evetac_cli.kernels.event_image import event_image
-from evetac_cli.store.index import scene_words
+from evetac_cli.store.layout.ancestry import scene_words
 from evetac_cli.store.recordings.read import Recording
 
 STATE = ("gripper_position_ticks", "gripper_current_ma")
