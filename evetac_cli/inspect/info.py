@@ -104,10 +104,11 @@ def _describe(path: Path) -> dict[str, Any]:
         row["parameters"] = header["parameters"]
         row["made"] = dict(header.get("made", {}))
         row["parents"] = header["parents"]
+        ancestors = header["ancestors"] if "ancestors" in header else header["history"]
         row["history"] = [
             {"id": id_, "kind": str(ancestor["kind"])}
             | {key: ancestor[key] for key in ("method", "parameters", "seed", "parents") if key in ancestor}
-            for id_, ancestor in header.get("ancestors", header["history"]).items()
+            for id_, ancestor in ancestors.items()
         ]
     return row
 

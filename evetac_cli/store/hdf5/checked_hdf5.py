@@ -3,7 +3,7 @@
 An HDF5 file may refer to any other file of the computer, and announce rows that it does not have: HDF5 would read the
 one and invent the others. So one walk refuses links, virtual datasets and external storage when a file is opened, and
 data beyond what its size can hold. That a dataset's rows were all written is checked before it is first read, because
-most callers read a few of dozens. Damage is put into words where it is met.
+most callers read a few of dozens. Damage is put into words where it is found.
 """
 
 import importlib

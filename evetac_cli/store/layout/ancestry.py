@@ -1,4 +1,4 @@
-"""What a file was made from, as its header tells it.
+"""What a file was made from, according to its header.
 
 A trained file may be made from thousands of files. So its header has of its history only the trained files that it was
 adapted from, and two data sets, which are no part of its identity, have the rest: a row for each recording, and kind,
@@ -64,7 +64,7 @@ def recording_of(header: Header, history: Header) -> Header | None:
     return next(iter(recordings.values())) if len(recordings) == 1 else None
 
 
-def trajectories(headers: Iterable[Header]) -> list[Row]:
+def trajectories(headers: Iterable[Mapping[str, Any]]) -> list[Row]:
     """Return the rows of all trained files among these, which may be a file and its ancestors."""
     return [row for header in headers for row in header.get("trajectories", ())]
 
