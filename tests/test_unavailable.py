@@ -185,10 +185,9 @@ def test_what_the_system_refuses_says_nothing_of_the_file(
             file.read("sensor/name")
     (folder / "own.toml").write_text("like = 'evetac'\n")
     (folder / "events.txt").write_text("1 2 3 1\n")
-    monkeypatch.setattr(text_files.os, "open", refuse)
+    monkeypatch.setattr(Path, "open", refuse)
     with pytest.raises(UnavailableError):
         text_files.read_toml(folder / "own.toml")
-    monkeypatch.setattr(Path, "open", refuse)
     with pytest.raises(UnavailableError):
         read_events(folder / "events.txt")
 

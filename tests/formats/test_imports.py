@@ -683,7 +683,7 @@ def test_rows_that_were_never_written_are_refused(dsec: Callable[..., Path]) -> 
     def contiguous(file: h5py.File) -> None:
         file.create_dataset("events/p", (3,), "u1")
 
-    assert "parts that were never written" in refusal(dsec(sparse), frame_px=FRAME)
+    assert "rows that were never written" in refusal(dsec(sparse), frame_px=FRAME)
     assert "events/p is incomplete" in refusal(dsec(contiguous, p=None), frame_px=FRAME)
 
 

@@ -371,7 +371,6 @@ SENSELESS_RECIPES = [
     "[1]",
     '{"kind": "recording", "method": 1, "parameters": {}, "parents": [1]}',
     '{"kind": "recording", "method": 1, "parameters": {}, "parents": [{}]}',
-    '{"kind": "recording", "method": 1, "parameters": ' + '{"a":' * 200 + "1" + "}" * 200 + ', "parents": []}',
     '{"kind": "labels", "method": 1, "parameters": {}, "parents": []}',
     '{"kind": ["recording"], "method": 1, "parameters": {}, "parents": []}',
     '{"kind": "recording", "method": 1, "parameters": {}, "parents": [], "seed": 1' + "0" * 5000 + "}",

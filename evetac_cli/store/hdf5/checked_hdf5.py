@@ -204,7 +204,8 @@ def _require_filter(where: str, name: str, number: int, label: str) -> None:
     try:
         importlib.import_module("hdf5plugin")  # registers its filters
     except ImportError as error:
-        raise missing_extra(message, "convert", where=where, found=found, error=error) from None
+        if number != PROPHESEE_FILTER:
+            raise missing_extra(message, "convert", where=where, found=found, error=error) from None
     if not h5z.filter_avail(number):
         tool = "Prophesee's tools" if number == PROPHESEE_FILTER else "h5repack -f GZIP=1 IN OUT"
         raise InputError(message, where=where, found=found, hint=f"convert it with {tool}")
