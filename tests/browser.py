@@ -90,7 +90,7 @@ class Browser:
         self.until(
             "document.readyState === 'complete'"
             f" && decodeURIComponent(location.pathname) === {json.dumps(str(page.resolve()))}"
-            f" && (document.documentElement.dataset.charts || !document.querySelector('.chart')) && ({drawn})"
+            f" && (document.documentElement.dataset.charts || !window.Bokeh) && ({drawn})"
         )
 
     def resize(self, width: int) -> None:

@@ -8,7 +8,9 @@ Legends are outside the panels, so that they cover nothing.
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -53,6 +55,8 @@ STYLE: dict[Any, Any] = {  # Any, because matplotlib's type stubs require litera
     "axes.formatter.useoffset": False,
     "grid.color": "0.9",
     "lines.linewidth": 1.3,
+    "svg.fonttype": "none",
+    "svg.hashsalt": "evetac",  # the same file each time
 }
 INCH_A_LETTER, INCH_A_LINE = 0.078, 0.19  # estimated size of legend text
 MOST_TICKS = 9  # on a logarithmic axis
@@ -77,6 +81,20 @@ def beside(outcome: Outcome, report: Path, draw: Callable[[Any], None], size_in:
 
 def write(path: Path, draw: Callable[[Any], None], size_in: tuple[float, float]) -> None:
     """Draw into an empty figure of (width, height) in inches and write a PNG; raise ImportError without matplotlib."""
+    with _drawn(draw, size_in) as figure, taking_the_place_of(path) as temporary:
+        figure.savefig(temporary, format="png", dpi=DPI)
+
+
+def svg(draw: Callable[[Any], None], size_in: tuple[float, float]) -> str:
+    """Draw into an empty figure of (width, height) in inches and return an SVG element; its links stay on the page."""
+    text = StringIO()
+    with _drawn(draw, size_in) as figure:
+        figure.savefig(text, format="svg", metadata={"Date": None})
+    return text.getvalue()[text.getvalue().index("<svg") :].replace(' target="_blank"', "")
+
+
+@contextmanager
+def _drawn(draw: Callable[[Any], None], size_in: tuple[float, float]) -> Iterator[Any]:
     import matplotlib
     from matplotlib.figure import Figure
 
@@ -85,8 +103,7 @@ def write(path: Path, draw: Callable[[Any], None], size_in: tuple[float, float])
         matplotlib.rcParams.update(STYLE)
         figure = Figure(figsize=size_in, layout="constrained")
         draw(figure)
-        with taking_the_place_of(path) as temporary:
-            figure.savefig(temporary, format="png", dpi=DPI)
+        yield figure
 
 
 def series(number: int) -> dict[str, Any]:

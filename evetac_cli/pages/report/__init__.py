@@ -17,7 +17,7 @@ def run(
     folders: list[Path], params: Report, out: Path | None, *, force: bool = False, progress: Progress = silent
 ) -> Outcome:
     """Write the page of one folder, or of two with `compare`; raise InputError if it exists, unless `force`."""
-    shared.check_libraries(("bokeh", "PIL"))
+    shared.check_libraries(("matplotlib", "PIL"))
     _check(folders, params)
     if params.compare:
         place, name = Path(), f"{'-'.join(folder.resolve().name for folder in folders)}.report.html"

@@ -1,16 +1,16 @@
 """The page of report: trials, onsets and evaluations of one study, or of two compared."""
 
 import html
+from base64 import b64encode
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 from evetac_cli.evaluate import paper
 from evetac_cli.pages import shared
-from evetac_cli.pages.report import charts, evaluations, figures
-from evetac_cli.pages.report.charts import Chart
+from evetac_cli.pages.report import evaluations, figures
 from evetac_cli.pages.report.evaluations import SECTIONS, SUBJECTS, Section, Subject, columns_of
-from evetac_cli.pages.report.figures import TIMING_MS, StudyFigure
+from evetac_cli.pages.report.figures import StudyFigure
 from evetac_cli.pages.report.missing import Lack, missing
 from evetac_cli.pages.report.study import Found, Study
 from evetac_cli.pages.report.tables import cell, figure_text, table
@@ -20,56 +20,22 @@ from evetac_cli.resources import PACKAGE
 MOST_ROWS = 300  # of each table except the trials
 
 
-class PageCharts:
-    """The charts of a page in their order; Bokeh embeds them all at once."""
-
-    def __init__(self) -> None:
-        self._figures: list[Any] = []
-
-    def place(self, section_charts: Iterable[Chart | None], study: str = "") -> str:
-        """Return HTML for these charts, with a mark at the position of each figure."""
-        texts = []
-        for chart in section_charts:
-            if chart is None:
-                continue
-            keys = "".join(
-                f"<span class='key' style='--colour:{colour}'>{shared.short(words)}</span>"
-                for words, colour in chart.keys.items()
-            )
-            title = " &middot; ".join(shared.short(part) for part in (study, chart.title) if part)
-            hint = f"<p class='hint'>{shared.short(chart.says)}</p>" if chart.says else ""
-            head = f"<h3>{title}<span class='keys'>{keys}</span></h3>"
-            texts.append(f"<figure class='chart'>{head}{hint}\0{len(self._figures)}\0</figure>")
-            self._figures.append(chart.figure)
-        return f"<div class='charts'>{''.join(texts)}</div>" if texts else ""
-
-    def embed(self, text: str) -> tuple[str, str, str]:
-        """Return Bokeh's script, its library, and the text with the figures filled in."""
-        script, library, places = shared.embed(self._figures)
-        for number, place in enumerate(places):
-            text = text.replace(f"\0{number}\0", place, 1)
-        return script, library, text
-
-
 def render(studies: Sequence[Study], page: Path) -> bytes:
     """Return the whole page; raise EvetacError if it would exceed 20 MB."""
-    page_charts = PageCharts()
     title = " against ".join(study.name for study in studies)
     simulated = any(study.simulated for study in studies)
     sections = [("overview", "Overview", _overview(studies))]
     if len(studies) > 1:
         sections.append(("both", "Trials in both studies", trials_of_both(studies)))
-    onsets = "".join(page_charts.place(shown, study) for study, shown in onset_charts(studies))
-    sections.append(("trials", "Trials", onsets + trial_table(studies, page)))
+    sections.append(("trials", "Trials", _charts(onset_charts(studies)) + trial_table(studies, page)))
     for section in SECTIONS:
-        text = _section(section, studies, page_charts)
+        text = _section(section, studies)
         if text:
             sections.append((section.name, section.title, text))
     sections.append(("missing", "What is missing", _missing(studies)))
     body = "".join(
         f"<section class='card' id='{name}'><h2>{head}</h2>{text}</section>" for name, head, text in sections
     )
-    script, library, body = page_charts.embed(body)
     nav = "".join(f"<a href='#{name}'>{head}</a>" for name, head, _ in sections)
     lead = "".join(
         f"<p class='id'>{html.escape(str(study.folder.resolve()))}: "
@@ -82,8 +48,6 @@ def render(studies: Sequence[Study], page: Path) -> bytes:
         "HEADING": f"<h1>{html.escape(title)}</h1><div>{shared.badges((), simulated=simulated)}</div>{lead}",
         "NAV": nav,
         "BODY": body,
-        "LIBRARY": library,
-        "SCRIPT": script,
     }
     return shared.fill(PACKAGE / "pages" / "report" / "page.html", parts, studies[0].folder, "report on a subfolder")
 
@@ -118,13 +82,25 @@ def _over(figure: StudyFigure) -> str:
     return f" <small>over {html.escape(figure.over)}</small>" if figure.over else ""
 
 
-def _section(section: Section, studies: Sequence[Study], page_charts: PageCharts) -> str:
-    """Return charts and tables of the reports of a section; empty if there are none."""
+def _charts(titled: Iterable[tuple[str, str]]) -> str:
+    """Return HTML for charts with their titles."""
+    shown = "".join(f"<figure class='chart'><h3>{shared.short(title)}</h3>{chart}</figure>" for title, chart in titled)
+    return f"<div class='charts'>{shown}</div>" if shown else ""
+
+
+def _image(plot: bytes) -> str:
+    return f"<img alt='plot' src='data:image/png;base64,{b64encode(plot).decode()}'>"
+
+
+def _section(section: Section, studies: Sequence[Study]) -> str:
+    """Return plots and tables of the reports of a section; empty if there are none."""
     several = len(studies) > 1
-    text = ""
-    for study in studies:
-        for evaluation in study.evaluations:
-            text += page_charts.place(_charts_of(section.name, evaluation), study.name if several else "")
+    text = _charts(
+        (f"{study.name}: {evaluation.path}" if several else evaluation.path, _image(evaluation.plot))
+        for study in studies
+        for evaluation in study.reports(f"evaluate {section.name}")
+        if evaluation.plot is not None
+    )
     for subject in SUBJECTS:
         if subject.section != section.name:
             continue
@@ -166,36 +142,6 @@ def _with_paper(column: evaluations.ReportColumn, row: dict[str, Any], evaluatio
     beside = paper.beside(column.paper, row, evaluation.source) if column.paper else None
     words = f" <small class='paper'>({figure_text(beside.value)}, {beside.mark})</small>" if beside else ""
     return cell(row.get(column.key), words)
-
-
-def _charts_of(section: str, evaluation: Found) -> list[Chart | None]:
-    if (section, evaluation.command) == ("slip", "evaluate slip"):
-        parts = {
-            "slip_correct": ("correct", charts.RIGHT),
-            "slip_early": ("early", charts.EARLY),
-            "slip_late": ("late or never", charts.LATE),
-        }
-        rows = evaluations.having("setting", "seeds")(evaluation)
-        return [
-            charts.share_chart(
-                rows,
-                "setting",
-                parts,
-                [paper.beside("paper_slip_correct", row, evaluation.source) for row in rows],
-                f"Timing, {evaluation.path}",
-                [row.get("counted", 0) for row in rows],
-            ),
-            *charts.detection_charts(evaluation, TIMING_MS),
-        ]
-    if (section, evaluation.command) == ("grasp", "evaluate grasp"):
-        rows = evaluations.having("setting", "columns")(evaluation)
-        kept = {"success": ("lifted and kept", charts.RIGHT)}
-        trials = [row.get("trials", 0) for row in rows]
-        papers = [paper.beside("paper_success", row, evaluation.source) for row in rows]
-        return [charts.share_chart(rows, "setting", kept, papers, f"Grasps, {evaluation.path}", trials)]
-    if (section, evaluation.command) == ("cost", "evaluate cost"):
-        return [*charts.cost_charts(evaluation)]
-    return []
 
 
 def _missing(studies: Sequence[Study]) -> str:

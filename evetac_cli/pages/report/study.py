@@ -17,6 +17,7 @@ from evetac_cli.evaluate.source import LABELS, Source
 from evetac_cli.events import SLICE_US
 from evetac_cli.jobs import Progress, Rows
 from evetac_cli.kernels.grip.paper import GraspPhase
+from evetac_cli.pages.shared import LARGEST_BYTES
 from evetac_cli.pages.view.event_images import picture
 from evetac_cli.stages.splits import UNKNOWN_SENSOR, RecordedSensor, sensor_names, sensor_of
 from evetac_cli.store.files import StageFile, stem
@@ -24,7 +25,7 @@ from evetac_cli.store.index import IndexRow, foreign_note, open_index
 from evetac_cli.store.layout.ancestry import recording_of
 from evetac_cli.store.recordings.onset import labelled_onset
 from evetac_cli.store.recordings.read import Recording, open_recording, true_onset
-from evetac_cli.text_files import open_regular
+from evetac_cli.text_files import open_regular, read_bytes
 
 OF_TRIAL = ("recording", "labels", "tracks", "features", "touch")
 SHOWN_MS = 5  # duration of events in a thumbnail
@@ -42,6 +43,7 @@ class Found:
     header: dict[str, Any]
     rows: Rows
     summary: dict[str, Any]
+    plot: bytes | None = None  # PNG drawn by `evaluate`, if it lies beside the report
 
     @property
     def simulated(self) -> bool:
@@ -207,11 +209,16 @@ def _nothing(folder: Path, holds: str) -> InputError:
 
 
 def _read_report(study: Study, path: str) -> None:
+    """Add a report to the study, and the plot beside it."""
     try:
         with StageFile(study.folder / path, "report") as file:
             command = str(file.read("command"))
             texts = [json.loads(file.read(name)) for name in ("rows", "summary")]
-            study.evaluations.append(Found(path, command, file.header, *texts))
+            found = Found(path, command, file.header, *texts)
+        study.evaluations.append(found)
+        path = str(Path(path).with_suffix(".png"))
+        if (study.folder / path).exists():
+            found.plot = read_bytes(study.folder / path, LARGEST_BYTES)
     except (InputError, UnavailableError) as error:
         study.unreadable.append((path, error.message))
 

@@ -4,7 +4,7 @@ import html
 import math
 import os
 from base64 import b64encode
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -12,7 +12,6 @@ from urllib.parse import quote
 from evetac_cli.events import SLICES_PER_S
 from evetac_cli.pages import shared
 from evetac_cli.pages.report import charts, figures
-from evetac_cli.pages.report.charts import Chart
 from evetac_cli.pages.report.figures import LABELS_MS, TIMING_MS
 from evetac_cli.pages.report.missing import command_for
 from evetac_cli.pages.report.study import Study, StudyTrial, remark
@@ -63,23 +62,16 @@ def trials_of_both(studies: Sequence[Study]) -> str:
     return hint + table(heads, (row for _, _, row in rows[:MOST_TRIALS]))
 
 
-def onset_charts(studies: Sequence[Study]) -> list[tuple[str, list[Chart | None]]]:
-    """Return charts of labelled onsets against the truth, and of models against the labels, for each study."""
-    shown = []
+def onset_charts(studies: Sequence[Study]) -> Iterator[tuple[str, str]]:
+    """Yield title and chart of labelled onsets against the truth, and of models against the labels, for each study."""
     for number, study in enumerate(studies):
         models = f"Models against the labels, {_median_of(study)}"
-        shown.append(
-            (
-                study.name if len(studies) > 1 else "",
-                [
-                    charts.onset_chart(
-                        study, number, "label_error_ms", LABELS_MS, LABEL_AXIS, "Labels against the truth"
-                    ),
-                    charts.onset_chart(study, number, "model_error_ms", TIMING_MS, MODEL_AXIS, models),
-                ],
-            )
-        )
-    return shown
+        for title, *what in (
+            ("Labels against the truth", "label_error_ms", LABELS_MS, LABEL_AXIS),
+            (models, "model_error_ms", TIMING_MS, MODEL_AXIS),
+        ):
+            if chart := charts.onset_chart(study, number, *what):
+                yield f"{study.name}: {title}" if len(studies) > 1 else title, chart
 
 
 def trial_table(studies: Sequence[Study], page: Path) -> str:
@@ -102,7 +94,7 @@ def trial_table(studies: Sequence[Study], page: Path) -> str:
         values = {name: getattr(trial.row, name, None) for name in FILTERED} | {"study": study.name}
         attributes = "".join(f" data-{name}='{shared.short(_text(value))}'" for name, value in values.items())
         outlier = " data-outlier" if remarked else ""
-        row = f"data-row='{studies.index(study)}-{at}'{attributes}{outlier}"
+        row = f"id='{charts.row_id(studies.index(study), at)}'{attributes}{outlier}"
         body.append(f"<tr {row}>{''.join(cells[head] for head in heads)}</tr>")
     filters = _filters([row[1:] for row in rows], len(studies) > 1)
     return text + filters + table(heads, body, "all-trials") + _unreadable(studies)

@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -53,7 +54,7 @@ def test_outliers_come_first(study: Study, text: str) -> None:
         "slip not found by the model",
         "labels 40 ms late",
     ]
-    rows = re.findall(r"<tr data-row='0-(\d)'", text)
+    rows = re.findall(r"<tr id='trial-0-(\d)'", text)
     assert rows == ["2", "3", "1", "4", "0"]
     assert "4 of 5 trials are outliers" in text and "a labelled onset that is missing, or not within -4" in text
     assert "a lost object" not in text  # nothing here is a grasp
@@ -68,10 +69,24 @@ def test_the_page_is_whole(text: str) -> None:
     assert "&lt;b&gt;forces&lt;/b&gt; are balanced" in text
     assert "broken.labels.h5" in text
     assert "5 of 5 trials have no tracks. <code class='command'>evetac track " in text
-    assert "95 % interval" in text and '"name":"Whisker"' in text
     for present in ("id='slip'", "id='stability'", ">simulated<"):
         assert present in text, present
     assert "id='grasp'" not in text
+
+
+def test_charts(folder: Path, text: str, tmp_path: Path) -> None:
+    """Assert that each point leads to the row of its trial, and that the plot beside a report is in its section."""
+    pattern = r'xlink:href="#trial-0-(\d)"'
+    labels, models = (re.findall(pattern, chart) for chart in re.findall(r"<svg.*?</svg>", text, re.DOTALL))
+    assert (sorted(labels), sorted(models)) == (["0", "1", "3", "4"], ["0", "1", "2", "3", "4"])
+    assert "<img alt='plot'" not in text
+    shutil.copytree(folder, tmp_path / "again")
+    (tmp_path / "again" / "s.slip.report.png").write_bytes(b"pixels")
+    (tmp_path / "again" / "sim.stability.report.png").mkdir()
+    again = page_of(tmp_path / "again", tmp_path / "r.html")
+    assert again.count("src='data:image/png;base64,cGl4ZWxz'") == 1
+    assert again.index("id='slip'") < again.index("cGl4ZWxz") < again.index("id='stability'") < again.index("<td>thick")
+    assert "sim.stability.report.png" in again[again.index("cannot be read") :]
 
 
 def test_a_page_of_its_own_is_linked(tmp_path: Path) -> None:
