@@ -91,7 +91,7 @@ class Stage(Generic[P]):
     - dry_run: return what would be made and its cost, (jobs, params, *, force, progress) -> Outcome.
     - dry_run_for_people: return the part of this that fits a screen.
     - recipe: return the recipe of a job's output, as far as the indexes contain its inputs, (job, params,
-      store.index.known.Known) -> Recipe or None.
+      store.index.Known) -> Recipe or None.
     """
 
     jobs: Callable[[list[Path], P, Path | None], Sequence[Job]]

@@ -234,4 +234,4 @@ def run_jobs(
             ):
                 results[job.output] = workers.run_one(command.module, job, params, force, progress)
     opened = [job for job in jobs if job.output not in by_index and isinstance(results[job.output], Outcome)]
-    indexing.learn(opened, running.number_of_jobs if engine.name == engines.LOCAL else 1, quiet)
+    indexing.learn(opened, quiet)

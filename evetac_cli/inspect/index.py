@@ -1,17 +1,16 @@
 """index: build or update the index of a data set; and the answers of `info FOLDER`, which uses the index."""
 
-import os
 import re
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections import Counter
+from collections.abc import Callable, Sequence
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
-from evetac_cli.console import print_table, say
+from evetac_cli.console import print_table
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Outcome, Progress, silent
-from evetac_cli.store.index import FOREIGN, Describe, Index, IndexRow, one_by_one, open_index
+from evetac_cli.store.index import Describe, Index, IndexRow, one_by_one, read_index
 from evetac_cli.text_files import as_utf8
 
 HIDDEN = ("changed_ns", "inode", "dot_radius_px", "grid")  # used to check whether a row, or an output, is up to date
@@ -20,26 +19,7 @@ SHOWN = ("path", "object", "sensor", "seed", "trial", "outcome")
 COUNTED = ("object", "sensor", "scene", "outcome")  # a table of counts for each
 MOST_UNREADABLE = 20  # files that are listed with their reasons
 MISSING = "none"
-TRUTH: dict[str, Any] = {"yes": 1, "no": 0}  # values of `simulated` as shown in a table
-
-
-# Stage files, including damaged ones; all others are FOREIGN.
-_OURS = "(kind IS NOT NULL OR error IS NOT NULL)"
-_TOTALS = f"SELECT COUNT(CASE WHEN {_OURS} THEN 1 END), COUNT(error), MAX(simulated) FROM files"
-# Recordings that slip according to their truth, or to labels made from them.
-_SLIPPING = (
-    "kind = 'recording' AND (outcome = 'slips' OR (outcome IS NULL AND recipe_id IN"
-    " (SELECT recording FROM files WHERE kind = 'labels' AND outcome = 'slips')))"
-)
-
-
-@contextmanager
-def indexed(folder: Path, progress: Progress, describe_files: Describe = one_by_one) -> Iterator[Index]:
-    """Open the up-to-date index of a folder; print a note if a file with its name is not an index."""
-    with open_index(folder, progress, describe_files) as index:
-        if index.note:
-            say(f"{folder}: {index.note}")
-        yield index
+RANGE = re.compile("([0-9]{1,18})-([0-9]{1,18})")
 
 
 def run(folders: list[Path], progress: Progress = silent, describe_files: Describe = one_by_one) -> Outcome:
@@ -47,11 +27,12 @@ def run(folders: list[Path], progress: Progress = silent, describe_files: Descri
     rows = []
     simulated = False
     for folder in folders:
-        with indexed(folder, progress, describe_files) as index:
-            files, unreadable, any_simulated = _one(index, _TOTALS)
-            simulated |= bool(any_simulated)
-            row = {"folder": str(folder), "files": files, "read": index.read, "removed": index.removed}
-            rows.append({**row, "unreadable": unreadable, "foreign": _foreign(index), "stored": index.stored})
+        index = read_index(folder, progress, describe_files)
+        totals = _totals(index)
+        simulated |= any(row.simulated for row in index.rows)
+        row = {"folder": str(folder), "files": totals["files"], "read": index.read, "removed": index.removed}
+        row |= {"unreadable": totals["unreadable"], "foreign": totals["foreign"], "stored": index.stored}
+        rows.append(row)
     return Outcome(rows, simulated, {"folders": len(rows)})
 
 
@@ -62,18 +43,23 @@ def show(result: Outcome) -> None:
 
 def answer(folder: Path, conditions: Sequence[str], progress: Progress = silent) -> Outcome:
     """Return counts of a data set's files and covariates of its slips; with conditions (`object=3`) its files."""
-    where, values = _condition(conditions)
-    with indexed(folder, progress) as index:
-        rows = _files(index, where, values) if conditions else list(_counts(index))
-        files, unreadable, _ = _one(index, _TOTALS)
-        simulated = _one(index, f"SELECT MAX(simulated) FROM files WHERE {where}", values)[0]
-        summary = {"folder": str(folder), "files": files, "unreadable": unreadable, "foreign": _foreign(index)}
-        if not conditions:
-            covariates, covariate_summary = _covariates(index, folder, progress)
-            rows, summary = rows + covariates, summary | covariate_summary
+    fits = [_condition(condition) for condition in conditions]
+    index = read_index(folder, progress)
+    selected = [row for row in index.rows if all(fit(row) for fit in fits)]
+    summary: dict[str, Any] = {"folder": str(folder), **_totals(index)}
     if conditions:
+        rows = [{name: getattr(row, name) for name in NAMES} for row in selected]
         summary["fit"] = len(rows)
-    return Outcome(rows, bool(simulated), summary)
+    else:
+        covariates, covariate_summary = _covariates(index.rows, folder, progress)
+        rows, summary = _counts(index.rows) + covariates, summary | covariate_summary
+    return Outcome(rows, any(row.simulated for row in selected), summary)
+
+
+def _totals(index: Index) -> dict[str, int]:
+    foreign = len(index.foreign)
+    unreadable = sum(row.error is not None for row in index.rows)
+    return {"files": len(index.rows) - foreign, "unreadable": unreadable, "foreign": foreign}
 
 
 def for_people(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -83,16 +69,19 @@ def for_people(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     return [{name: row[name] for name in names} if "path" in row else row for row in rows]
 
 
-def _files(index: Index, where: str, values: list[Any]) -> list[dict[str, Any]]:
-    rows = [{name: getattr(row, name) for name in NAMES} for row in index.rows(where, values)]
-    for row in rows:
-        row["simulated"] = None if row["simulated"] is None else bool(row["simulated"])
-    return rows
+def _covariates(
+    rows: Sequence[IndexRow], folder: Path, progress: Progress
+) -> tuple[list[dict[str, Any]], dict[str, Any]]:
+    """Return rows of covariates of the recordings that slip, and their number; empty if none slips.
 
-
-def _covariates(index: Index, folder: Path, progress: Progress) -> tuple[list[dict[str, Any]], dict[str, Any]]:
-    """Return rows of covariates of the recordings that slip, and their number; empty if none slips."""
-    names = [row.path for row in index.rows(_SLIPPING)]
+    A recording slips according to its truth, or to labels made from it.
+    """
+    labelled = {row.recording for row in rows if row.kind == "labels" and row.outcome == "slips"}
+    names = [
+        row.path
+        for row in rows
+        if row.kind == "recording" and (row.outcome == "slips" or (row.outcome is None and row.recipe_id in labelled))
+    ]
     if not names:
         return [], {}
     from evetac_cli.inspect import info_slip  # imported here because an index does not need to read recordings
@@ -100,70 +89,53 @@ def _covariates(index: Index, folder: Path, progress: Progress) -> tuple[list[di
     return info_slip.of_folder(folder, names, progress)
 
 
-def _foreign(index: Index) -> int:
-    return int(_one(index, f"SELECT COUNT(*) FROM files WHERE {FOREIGN}")[0])
-
-
-def _counts(index: Index) -> list[dict[str, Any]]:
+def _counts(rows: Sequence[IndexRow]) -> list[dict[str, Any]]:
     """Return counts of files by kind, per object, sensor, scene and outcome, and the files that cannot be read."""
-    select = (
-        "SELECT kind, COUNT(*) AS files, SUM(simulated) AS simulated, SUM(slices) AS slices,"
-        " SUM(size_bytes) / 1e6 AS size_mb FROM files WHERE kind IS NOT NULL GROUP BY kind ORDER BY kind"
-    )
-    rows = _dicts(index, select)
-    kinds = [row["kind"] for row in rows]
+    by_kind: dict[str, list[IndexRow]] = {}
+    for row in rows:
+        if row.kind is not None:
+            by_kind.setdefault(row.kind, []).append(row)
+    kinds = sorted(by_kind)
+    counts: list[dict[str, Any]] = []
+    for kind in kinds:
+        lengths = [row.slices for row in by_kind[kind] if row.slices is not None]
+        numbers = {"files": len(by_kind[kind]), "simulated": sum(bool(row.simulated) for row in by_kind[kind])}
+        sizes = {"slices": sum(lengths) if lengths else None, "size_mb": sum(r.size_bytes for r in by_kind[kind]) / 1e6}
+        counts.append({"kind": kind, **numbers, **sizes})
     for name in COUNTED:
-        groups = (
-            f"SELECT {name}, kind, COUNT(*) FROM files WHERE {name} IS NOT NULL AND kind IS NOT NULL"
-            f" GROUP BY {name}, kind ORDER BY {name}"
-        )
-        by_value: dict[Any, dict[str, Any]] = {}
-        for value, kind, files in index.table.execute(groups):
-            by_value.setdefault(value, {name: value, **dict.fromkeys(kinds, 0)})[kind] = files
-        rows += by_value.values()
-    unreadable = index.rows("error IS NOT NULL")[:MOST_UNREADABLE]
-    return rows + [{"unreadable": row.path, "reason": row.error} for row in unreadable]
+        numbers_of = {kind: Counter(getattr(row, name) for row in by_kind[kind]) for kind in kinds}
+        values = {value for of_kind in numbers_of.values() for value in of_kind if value is not None}
+        ordered = sorted(values, key=lambda value: (isinstance(value, str), value))
+        counts += [{name: value, **{kind: numbers_of[kind][value] for kind in kinds}} for value in ordered]
+    unreadable = [row for row in rows if row.error is not None][:MOST_UNREADABLE]
+    return counts + [{"unreadable": row.path, "reason": row.error} for row in unreadable]
 
 
-def _dicts(index: Index, select: str) -> list[dict[str, Any]]:
-    cursor = index.table.execute(select)
-    names = [column[0] for column in cursor.description]
-    return [dict(zip(names, row, strict=True)) for row in cursor]
-
-
-def _one(index: Index, select: str, values: Sequence[Any] = ()) -> Any:
-    return index.table.execute(select, values).fetchone()
-
-
-def _condition(conditions: Sequence[str]) -> tuple[str, list[Any]]:
-    """Return SQL for `NAME=VALUE` conditions that must all be satisfied; raise InputError for an unknown name.
+def _condition(condition: str) -> Callable[[IndexRow], bool]:
+    """Return a function that tells whether a row satisfies `NAME=VALUE`; raise InputError for an unknown name.
 
     A value is a text, a number, a range of whole numbers (`7-9`), `none`, or several of these separated by commas.
     """
-    parts: list[str] = []
-    values: list[Any] = []
-    for condition in conditions:
-        name, _, wanted = condition.partition("=")
-        if not wanted or name not in NAMES:
-            near = get_close_matches(name, NAMES, n=1)
-            raise InputError(
-                "not a valid condition",
-                where="--where",
-                expected=f"NAME=VALUE, with a NAME of {', '.join(NAMES)}",
-                found=condition,
-                hint=f"did you mean {near[0]}=...?" if near else "",
-            )
-        ways = []
-        for value in wanted.split(","):
-            if value == MISSING:
-                ways.append(f"{name} IS NULL")
-            elif limits := re.fullmatch("([0-9]{1,18})-([0-9]{1,18})", value):
-                ways.append(f"(typeof({name}) = 'integer' AND {name} BETWEEN ? AND ?)")
-                values += [int(limits[1]), int(limits[2])]
-            else:
-                # As bytes, because a path need not be valid text; in other stored texts, invalid bytes are escaped.
-                ways.append(f"{name} = ?" if name == "simulated" else f"CAST({name} AS BLOB) = ?")
-                wanted_bytes = os.fsencode(value) if name == "path" else as_utf8(value).encode()
-                values.append(TRUTH.get(value, as_utf8(value)) if name == "simulated" else wanted_bytes)
-        parts.append(f"({' OR '.join(ways)})")
-    return " AND ".join(parts) or "1", values
+    name, _, wanted = condition.partition("=")
+    if not wanted or name not in NAMES:
+        near = get_close_matches(name, NAMES, n=1)
+        raise InputError(
+            "not a valid condition",
+            where="--where",
+            expected=f"NAME=VALUE, with a NAME of {', '.join(NAMES)}",
+            found=condition,
+            hint=f"did you mean {near[0]}=...?" if near else "",
+        )
+    ranges = [(int(limits[1]), int(limits[2])) for limits in map(RANGE.fullmatch, wanted.split(",")) if limits]
+    # A path need not be valid text; in other texts of the index, invalid bytes are escaped.
+    texts = {text for value in wanted.split(",") if value != MISSING for text in (value, as_utf8(value))}
+
+    def fits(row: IndexRow) -> bool:
+        value = getattr(row, name)
+        if value is None:
+            return MISSING in wanted.split(",")
+        if isinstance(value, bool):
+            return ("yes" if value else "no") in texts
+        return str(value) in texts or (isinstance(value, int) and any(low <= value <= high for low, high in ranges))
+
+    return fits

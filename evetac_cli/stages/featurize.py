@@ -26,7 +26,7 @@ from evetac_cli.stages import one_file, row_blocks
 from evetac_cli.stages.model_files import TRUE_SLIP_SHARES
 from evetac_cli.stages.related_files import check_made_from
 from evetac_cli.store.files import StageFile, output_path, up_to_date, write_stage
-from evetac_cli.store.index.known import Known
+from evetac_cli.store.index import Known
 from evetac_cli.store.layout.provenance import Header, Recipe
 from evetac_cli.store.recordings.onset import ABSTAINED, abstains
 from evetac_cli.store.recordings.read import Recording, open_recording

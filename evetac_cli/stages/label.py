@@ -27,7 +27,7 @@ from evetac_cli.kernels.labelling import flow
 from evetac_cli.stages import per_file
 from evetac_cli.store.calibration import MAKE_GRID
 from evetac_cli.store.files import up_to_date, write_stage
-from evetac_cli.store.index.known import Known
+from evetac_cli.store.index import Known
 from evetac_cli.store.layout.provenance import Header, Recipe
 from evetac_cli.store.recordings.read import Recording, open_recording, ramp_start
 

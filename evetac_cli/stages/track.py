@@ -15,7 +15,7 @@ from evetac_cli.kernels.tracking import presets
 from evetac_cli.stages import per_file, row_blocks
 from evetac_cli.store.calibration import MAKE_GRID, Calibration, read_calibration, stored_calibration
 from evetac_cli.store.files import up_to_date, write_stage
-from evetac_cli.store.index.known import Known
+from evetac_cli.store.index import Known
 from evetac_cli.store.layout.provenance import Header, Recipe
 from evetac_cli.store.recordings.read import Recording, open_recording
 

@@ -5,5 +5,5 @@ layout      contents of each kind of file, validity of values, and identity
 recordings  reading recordings, writing growing ones, and recovering interrupted ones
 files       open, check, skip and write files of all kinds
 calibration dot grids as JSON
-index       properties of all files of a data set, in one SQLite file
+index       properties of all files of a data set, in one JSON file
 """

@@ -135,7 +135,7 @@ def _strange(folder: Path, listed: Listed) -> Iterator[str]:
         if name in listed and is_regular:
             if not _is_as(folder / name, *listed[name]):
                 yield f"{name} (changed)"
-        elif name.rpartition("/")[2] == index.NAME and index.is_index(folder / name):
+        elif name.rpartition("/")[2] == index.NAME and is_regular:
             continue
         elif top in own:
             yield name

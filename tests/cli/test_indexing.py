@@ -2,21 +2,17 @@
 
 import os
 import shutil
-import sqlite3
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import h5py
 import pytest
 
-from evetac_cli.cli import indexing, workers
-from evetac_cli.errors import EvetacError
+from evetac_cli.cli import indexing
 from evetac_cli.inspect import validate
-from evetac_cli.jobs import Job
 from evetac_cli.store import index
 from evetac_cli.store.files import StageFile
-from evetac_cli.store.index.known import Known
 from evetac_cli.store.layout.provenance import Recipe
 from tests.conftest import Made
 from tests.make import answer_of, evetac
@@ -52,18 +48,11 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[str]]:
 
 
 def indexed(folder: Path) -> None:
-    with index.open_index(folder):
-        pass
+    index.read_index(folder)
 
 
 def status(folder: Path, *words: str) -> list[str]:
     return [row["status"] for row in answer_of(words[0], folder, *words[1:])["rows"]]
-
-
-def sql(folder: Path, command: str) -> None:
-    table = sqlite3.connect(folder / index.NAME, isolation_level=None)
-    table.execute(command)
-    table.close()
 
 
 @pytest.mark.parametrize("words", COMMANDS.values(), ids=COMMANDS)
@@ -118,8 +107,7 @@ def test_files_that_changed_are_opened(
     opened.clear()
     assert status(folder, *COMMANDS["label"]) == ["up to date"] * 2
     assert opened == []
-    with index.open_index(folder) as now:
-        assert now.read == 0
+    assert index.read_index(folder).read == 0
 
 
 def test_an_output_that_was_changed_in_place_is_looked_at(folder: Path, opened: list[str]) -> None:
@@ -136,23 +124,13 @@ def test_an_output_that_was_changed_in_place_is_looked_at(folder: Path, opened: 
 
 
 @pytest.mark.parametrize(
-    "change",
-    [
-        "size_bytes = size_bytes + 1",
-        "changed_ns = changed_ns - 1",
-        "inode = inode + 1",
-        "recipe_id = NULL",
-        "kind = 'tracks'",
-        "error = 'x'",
-        "inode = NULL",
-        "simulated = 7",
-    ],
+    "change", [{"size_bytes": 1}, {"inode": 1}, {"recipe_id": None}, {"kind": "tracks"}, {"error": "x"}], ids=str
 )
 @pytest.mark.parametrize("of", ["recording", "labels"])
-def test_a_row_counts_as_a_whole(change: str, of: str, folder: Path, opened: list[str]) -> None:
-    """Assert that files are opened where size, time, inode, kind or recipe id in the index are not theirs."""
-    indexed(folder)
-    sql(folder, f"UPDATE files SET {change} WHERE kind = '{of}'")
+def test_a_row_counts_as_a_whole(change: dict[str, Any], of: str, folder: Path, opened: list[str]) -> None:
+    """Assert that files are opened where size, inode, kind or recipe id in the index are not theirs."""
+    rows = index.read_index(folder).rows
+    index._store(folder / index.NAME, [row._replace(**change) if row.kind == of else row for row in rows])
     opened.clear()
     assert status(folder, *COMMANDS["label"]) == ["up to date"] * 2
     assert len(opened) >= 4
@@ -192,8 +170,8 @@ def test_what_a_run_makes_is_learned(folder: Path, opened: list[str]) -> None:
     opened.clear()
     assert status(folder, "featurize") == ["up to date"] * 2
     assert opened == []
-    with index.open_index(folder) as now:
-        assert (now.read, now.removed, len(now.rows())) == (0, 0, 8)
+    now = index.read_index(folder)
+    assert (now.read, now.removed, len(now.rows)) == (0, 0, 8)
     assert all(row["valid"] for row in validate.run(sorted(folder.glob("*.features.h5"))).rows)
 
 
@@ -217,50 +195,18 @@ def test_the_index_of_a_folder_above_counts(folder: Path, opened: list[str]) -> 
     assert opened == []
 
 
-@pytest.mark.skipif(os.geteuid() != 0, reason="only root gives files away")
-def test_an_index_of_somebody_else_is_not_believed(folder: Path, opened: list[str]) -> None:
-    """Assert that an index that another user put beside or above the files of this one says nothing of them."""
-    indexed(folder)
-    os.chown(folder / index.NAME, 54321, 54321)
-    opened.clear()
-    assert status(folder, *COMMANDS["label"]) == ["up to date"] * 2
-    assert len(opened) >= 4
-    os.chown(folder, 54321, 54321)  # whose folder it is
-    opened.clear()
-    assert status(folder, *COMMANDS["label"]) == ["up to date"] * 2
-    assert opened == []
-
-
-def test_something_else_in_its_place_is_left(folder: Path, opened: list[str]) -> None:
-    """Assert that a run neither asks nor changes what evetac did not make, nor an index of another format."""
-    indexed(folder)
-    sql(folder, "PRAGMA user_version = 3")
-    for content in (b"my notes", (folder / index.NAME).read_bytes()):
-        (folder / index.NAME).write_bytes(content)
-        opened.clear()
-        assert status(folder, *COMMANDS["label"]) == ["up to date"] * 2
-        assert len(opened) >= 4
-        assert (folder / index.NAME).read_bytes() == content
-
-
 def test_known_says_nothing_of_what_is_not_there(folder: Path) -> None:
     """Assert that a file that is gone, was never there, or lies beside no index is not known."""
     indexed(folder)
     path = sorted(folder.glob("*.labels.h5"))[0]
-    with Known() as known:
-        assert known.row(path, "labels") is not None
-        assert known.row(path, "tracks") is None
-        assert known.row(folder / "none.labels.h5", "labels") is None
-        assert not known.is_up_to_date(path, Recipe("labels", 1, {}))
+    known = index.Known()
+    assert known.row(path, "labels") is not None
+    assert known.row(path, "tracks") is None
+    assert known.row(folder / "none.labels.h5", "labels") is None
+    assert not known.is_up_to_date(path, Recipe("labels", 1, {}))
     path.unlink()
-    with Known() as known:
-        assert known.row(path, "labels") is None
-        assert known.row(folder.parent / "a.labels.h5", "labels") is None
-
-
-def rows(folder: Path) -> list[index.IndexRow]:
-    with index.open_index(folder) as now:
-        return now.rows()
+    assert known.row(path, "labels") is None
+    assert known.row(folder.parent / "a.labels.h5", "labels") is None
 
 
 def test_several_processes_make_the_same_index(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -271,39 +217,19 @@ def test_several_processes_make_the_same_index(folder: Path, monkeypatch: pytest
     monkeypatch.setattr(indexing, "FEW", 1)
     (made,) = answer_of("index", folder, "--jobs", 2)["rows"]
     assert (made["files"], made["read"], made["unreadable"], made["foreign"]) == (9, 10, 1, 1)
-    by_workers = rows(folder)
+    by_processes = index.read_index(folder).rows
     (folder / index.NAME).unlink()
-    assert rows(folder) == by_workers
+    assert index.read_index(folder).rows == by_processes
     assert evetac("index", folder, "--jobs", 0).exit_code == 2
 
 
-def test_a_file_that_takes_a_process_down_costs_no_other(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that files handed over together with one at which processes die are described all the same."""
+def test_a_file_that_takes_a_process_down(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that this is an error in words."""
     monkeypatch.setattr(indexing, "FEW", 1)
-    bad = sorted(path.name for path in folder.glob("*.h5"))[3]
-    handed: list[int] = []
-
-    def run_parallel(
-        module: str, jobs: Sequence[Any], chosen: Path, force: bool, at_once: int, progress: Any, results: Any
-    ) -> None:
-        for job in jobs:
-            handed.append(len(job.files))
-            names = [name for name, _ in job.files]
-            dead = EvetacError("the process that worked on it died", found="killed (SIGKILL)")
-            results[job.output] = dead if bad in names else indexing.run(job, chosen)
-            progress(0, 0)
-
-    monkeypatch.setattr(workers, "run_parallel", run_parallel)
-    monkeypatch.setattr(indexing, "JOBS_A_WORKER", 1)
-    with index.open_index(folder, describe_files=indexing.describer(2)) as now:
-        by_path = {row.path: row for row in now.rows()}
-    assert handed[:2] == [4, 4] and handed[2:] == [1] * 4
-    assert by_path.pop(bad).error == "the process that worked on it died: killed (SIGKILL)"
-    assert len(by_path) == 7 and all(row.error is None for row in by_path.values())
+    monkeypatch.setattr(index, "describe", dying)
+    run = evetac("index", folder, "--jobs", 2)
+    assert run.exit_code == 1 and "a process that reads files died" in run.stderr
 
 
-def test_jobs_of_files_have_names_of_their_own(folder: Path) -> None:
-    """Assert that a job of one file is not taken for that of several of which it is the first."""
-    seen = {name: index.Seen(1, 2, 3) for name in ("a.h5", "b.h5")}
-    several, one = indexing._job(folder, seen, ["a.h5", "b.h5"]), indexing._job(folder, seen, ["a.h5"])
-    assert isinstance(several, Job) and several.output != one.output
+def dying(*_: object) -> None:
+    os._exit(9)

@@ -34,7 +34,6 @@ from evetac_cli.formats.write.slice_columns import (
 )
 from evetac_cli.jobs import Progress
 from evetac_cli.store.hdf5.disk import utf8_path
-from evetac_cli.store.index.rows import LARGEST
 from evetac_cli.text_files import csv_text, open_regular, parse_json
 
 BATCH_BYTES = 32_000_000  # slices written at once, as one row group
@@ -150,7 +149,7 @@ def typed(facts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     types: dict[str, Any] = dict.fromkeys(facts[0], "string") | {"simulated": "bool"}
     for name in ("object", "seed"):
         values = [one[name] for one in facts if one[name] is not None]
-        if values and all(isinstance(value, int) and abs(value) <= LARGEST for value in values):
+        if values and all(isinstance(value, int) and abs(value) < 2**63 for value in values):
             types[name] = "int64"
     return types
 

@@ -14,13 +14,12 @@ from evetac_cli.events import SLICES_PER_S
 from evetac_cli.formats.write.hub_card import Card, card_fields, inline, opening, table
 from evetac_cli.formats.write.hub_tables import EVENTS, SLICES, TRIALS, HubTables
 from evetac_cli.formats.write.write_table import column_names, is_simulated
-from evetac_cli.inspect.index import indexed
 from evetac_cli.inspect.share.citation import citation, made_with, upload
 from evetac_cli.inspect.share.limitations import limitations, look
 from evetac_cli.inspect.share.splits import trials_of
 from evetac_cli.jobs import Progress
 from evetac_cli.store.hdf5.disk import utf8_path
-from evetac_cli.store.index import IndexRow, foreign_note
+from evetac_cli.store.index import IndexRow, read_index
 
 # The Hub's categories for the number of examples, here the rows of the largest table.
 SIZES = (
@@ -75,8 +74,9 @@ def describe(folder: Path, params: Share, progress: Progress) -> Card:
             expected="stage files, or tables",
             hint=f"upload it as it is: {upload(for_lerobot, for_lerobot.resolve().name, 'data set')}",
         )
-    with indexed(folder, progress) as index:
-        rows, passed_over = index.rows("kind IS NOT NULL OR error IS NOT NULL"), foreign_note(index)
+    index = read_index(folder, progress)
+    passed_over = index.foreign_note
+    rows = [row for row in index.rows if row.kind is not None or row.error is not None]
     broken = next((row for row in rows if row.error is not None), None)
     if broken is not None:
         hint = "move the file out of the folder, or make it again"

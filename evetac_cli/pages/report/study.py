@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from evetac_cli.console import say
 from evetac_cli.errors import InputError, UnavailableError
 from evetac_cli.evaluate.labels import EARLIEST_MS, LATEST_MS
 from evetac_cli.evaluate.source import LABELS, Source
@@ -21,7 +20,7 @@ from evetac_cli.pages.shared import LARGEST_BYTES
 from evetac_cli.pages.view.event_images import picture
 from evetac_cli.stages.splits import UNKNOWN_SENSOR, RecordedSensor, sensor_names, sensor_of
 from evetac_cli.store.files import StageFile, stem
-from evetac_cli.store.index import IndexRow, foreign_note, open_index
+from evetac_cli.store.index import IndexRow, read_index
 from evetac_cli.store.layout.ancestry import recording_of
 from evetac_cli.store.recordings.onset import labelled_onset
 from evetac_cli.store.recordings.read import Recording, open_recording, true_onset
@@ -146,10 +145,8 @@ def read_study(folder: Path, progress: Progress) -> Study:
     if next(folder.rglob("*.h5"), None) is None:  # checked first: no index is written into an unrelated folder
         others = sum(1 for path in folder.iterdir() if not path.name.startswith("."))
         raise _nothing(folder, f"{others} other files and folders" if others else "an empty folder")
-    with open_index(folder, progress) as index:
-        if index.note:
-            say(f"{folder}: {index.note}")
-        rows, passed_over = index.rows(), foreign_note(index)
+    index = read_index(folder, progress)
+    rows, passed_over = index.rows, index.foreign_note
     files = Counter(row.kind for row in rows if row.kind is not None)
     unreadable = [(row.path, row.error) for row in rows if row.error is not None]
     if not files:

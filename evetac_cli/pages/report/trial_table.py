@@ -66,11 +66,11 @@ def onset_charts(studies: Sequence[Study]) -> Iterator[tuple[str, str]]:
     """Yield title and chart of labelled onsets against the truth, and of models against the labels, for each study."""
     for number, study in enumerate(studies):
         models = f"Models against the labels, {_median_of(study)}"
-        for title, *what in (
+        for title, kind, window_ms, axis in (
             ("Labels against the truth", "label_error_ms", LABELS_MS, LABEL_AXIS),
             (models, "model_error_ms", TIMING_MS, MODEL_AXIS),
         ):
-            if chart := charts.onset_chart(study, number, *what):
+            if chart := charts.onset_chart(study, number, kind, window_ms, axis):
                 yield f"{study.name}: {title}" if len(studies) > 1 else title, chart
 
 

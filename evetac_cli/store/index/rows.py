@@ -9,8 +9,6 @@ from evetac_cli.errors import EvetacError, ForeignFile, shortened
 from evetac_cli.store.layout.ancestry import recording_of, scene_words
 from evetac_cli.text_files import as_utf8
 
-LARGEST = 2**63 - 1  # largest whole number of SQLite
-
 
 class Seen(NamedTuple):
     """File status that identifies an unchanged file; zeros for a missing file.
@@ -26,9 +24,8 @@ class Seen(NamedTuple):
 
     @classmethod
     def of(cls, status: os.stat_result) -> "Seen":
-        """Return the status in the form of SQLite: some storage systems have unsigned 64-bit inodes."""
-        inode = status.st_ino
-        return cls(status.st_size, status.st_ctime_ns, inode if inode <= LARGEST else inode - 2 * (LARGEST + 1))
+        """Return the part of a file status that identifies an unchanged file."""
+        return cls(status.st_size, status.st_ctime_ns, status.st_ino)
 
 
 NOT_THERE = Seen(0, 0, 0)
@@ -116,9 +113,9 @@ def _dots(file: Any) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """Return a value in the form of SQLite; None for anything but a whole number or a text."""
+    """Return a whole number or a text; None for anything else. Tables cannot hold numbers of more than 64 bits."""
     if isinstance(value, int) and not isinstance(value, bool):
-        return value if abs(value) <= LARGEST else str(value)
+        return value if abs(value) < 2**63 else str(value)
     return shortened(as_utf8(value)) if isinstance(value, str) else None
 
 

@@ -1,12 +1,12 @@
 """Write and damage a data set with its index, a Parquet table and a sensor's file.
 
-An index is damaged with SQLite's own means, like an index in a folder from an attacker. A Parquet table is rewritten
-with other types, rows, pages and names. Of both, single bytes are damaged too.
+An index has other values, or something else in its place. A Parquet table is rewritten with other types, rows, pages
+and names. Of both, single bytes are damaged too.
 """
 
+import json
 import os
 import shutil
-import sqlite3
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -21,9 +21,8 @@ from evetac_cli.text_files import as_toml
 
 Rng = np.random.Generator
 DATA = ("first.recording.h5", "first.tracks.h5", "first.labels.h5", "piece.recording.h5", "events.h5")
-ENDLESS = "WITH RECURSIVE many(n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM many) SELECT"
-VALUES = ("NULL", "-1", "0", "0.5", "1e308", "9223372036854775807", "x'00ff'", "''", "'x'", "zeroblob(5000)",
-          "printf('%.*c', 70000, 'x')", "CAST(x'fffe' AS TEXT)", "char(27) || '[2J'", "'../../etc/passwd'")  # fmt: skip
+VALUES: tuple[object, ...] = (None, -1, 0, 0.5, 1e308, float("nan"), 2**70, True, "", "x" * 70_000, "\udcff", "\x1b[2J",
+                              "../../etc/passwd", [[]], {"a": 1})  # fmt: skip
 TYPES = ("int8", "uint64", "float16", "float32", "float64", "bool", "string", "binary", "timestamp[ns]", "date32",
          "decimal128(38, 10)", "duration[us]", "large_string", "null")  # fmt: skip
 
@@ -33,74 +32,31 @@ def write(folder: Path) -> None:
     (folder / "data").mkdir()
     for name in DATA:
         shutil.copy(folder / name, folder / "data")
-    with index.open_index(folder / "data"):
-        pass
+    index.read_index(folder / "data")
     (folder / "own.sensor.toml").write_text(as_toml({"name": "own", **as_table(one_sensor("evetac"))}))
 
 
 def damage_index(path: Path, rng: Rng) -> str:
     """Damage the index of a folder that is up to date: its values, the file in its place, or its bytes."""
+    from mutations import damage_bytes
+
     place = path / index.NAME
-    if rng.random() < 0.9 and place.is_file() and not place.is_symlink():
-        with index.open_index(path):  # a copy of the folder has other modification times
-            pass
-    change = INDEX[rng.integers(len(INDEX))]
+    if rng.random() < 0.3:
+        return _instead(place, rng)
+    index.read_index(path)  # a copy of the folder has other modification times
+    if not place.is_file():
+        return "nothing"
+    if rng.random() < 0.5:
+        return damage_bytes(place, rng)
     try:
-        return f"{change.__name__.strip('_')} {change(place, rng)}"
-    except (sqlite3.Error, OSError) as error:
-        return f"{change.__name__.strip('_')}: not possible ({error})"
-
-
-def _sql(place: Path, *commands: str) -> None:
-    table = sqlite3.connect(place, isolation_level=None, timeout=0)
-    try:
-        table.execute("PRAGMA writable_schema = ON")
-        for command in commands:
-            table.execute(command)
-    finally:
-        table.close()
-
-
-def _cell(place: Path, rng: Rng) -> str:
-    column, value = str(rng.choice(index.IndexRow._fields)), VALUES[rng.integers(len(VALUES))]
-    where = "" if rng.random() < 0.5 else " WHERE kind = 'recording'"
-    _sql(place, f"UPDATE OR REPLACE files SET {column} = {value}{where}")
-    return f"{column} = {value}{where}"
-
-
-def _view(place: Path, rng: Rng) -> str:
-    first = str(rng.choice(["'a' || n", "zeroblob(500000000)", f"({ENDLESS} COUNT(*) FROM many)", "n"]))
-    columns = ", ".join(f"{first if name == 'path' else 1} AS {name}" for name in index.IndexRow._fields)
-    place.unlink()
-    _sql(place, f"CREATE VIEW files AS {ENDLESS} {columns} FROM many", f"PRAGMA user_version = {index.FORMAT}")
-    return first
-
-
-def _schema(place: Path, rng: Rng) -> str:
-    commands = (
-        "CREATE TABLE more (x)",
-        "CREATE TRIGGER t AFTER INSERT ON files BEGIN DELETE FROM files; END",
-        "DROP TABLE files",
-        "ALTER TABLE files RENAME COLUMN scene TO stage",
-        "ALTER TABLE files ADD COLUMN more",
-        f"PRAGMA user_version = {int(rng.integers(-1, 9))}",
-        "UPDATE sqlite_master SET rootpage = rootpage + 1",
-        "UPDATE sqlite_master SET sql = replace(sql, ')', ', CHECK (length(zeroblob(900000000)) > 0))')",
-        "PRAGMA encoding = 'UTF-16le'",
-        "PRAGMA journal_mode = WAL",
-        "DELETE FROM files",
-    )
-    command = commands[rng.integers(len(commands))]
-    _sql(place, command)
-    return command
-
-
-def _rows(place: Path, rng: Rng) -> str:
-    count = int(10 ** rng.uniform(0, 5.3))
-    filled = ", ".join("n" if name in ("size_bytes", "changed_ns") else "NULL" for name in index.IndexRow._fields[1:])
-    _sql(place, f"INSERT OR IGNORE INTO files WITH RECURSIVE many(n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM many"
-                f" LIMIT {count}) SELECT 'f' || n, {filled} FROM many")  # fmt: skip
-    return f"{count} rows"
+        table = json.loads(place.read_text())
+        row, column = rng.integers(len(table["rows"])), int(rng.integers(len(index.IndexRow._fields)))
+        value = VALUES[rng.integers(len(VALUES))]
+        table["rows"][row][column] = value
+        place.write_text(json.dumps(table))
+    except (OSError, ValueError) as error:
+        return f"not possible ({error})"
+    return f"{index.IndexRow._fields[column]} = {str(value)[:20]}"
 
 
 def _instead(place: Path, rng: Rng) -> str:
@@ -115,19 +71,6 @@ def _instead(place: Path, rng: Rng) -> str:
     elif what != "nothing":
         place.symlink_to({"link": "/etc/passwd", "device": "/dev/zero", "itself": place.name}[what])
     return what
-
-
-def _bytes(place: Path, rng: Rng) -> str:
-    from mutations import damage_bytes
-
-    if not place.is_file():  # reading a pipe left by an earlier change would block
-        return "nothing"
-    return damage_bytes(place, rng)
-
-
-INDEX: tuple[Callable[[Path, Rng], str], ...] = (
-    _cell, _cell, _cell, _cell, _view, _schema, _schema, _rows, _instead, _bytes,
-)  # fmt: skip
 
 
 def damage_parquet(path: Path, rng: Rng) -> str:
