@@ -1,6 +1,6 @@
 """How commands use the indexes of data sets: to find outputs that are up to date, and to add new files after a run."""
 
-import signal
+import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -10,7 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from evetac_cli import console
+from evetac_cli.cli import workers
 from evetac_cli.errors import EvetacError
+from evetac_cli.interrupts import ignore_interrupts
 from evetac_cli.jobs import Job, Outcome, Stage, outcome
 
 if TYPE_CHECKING:  # `evetac --help` loads none of it
@@ -35,8 +37,7 @@ def _in_processes(
     if len(files) < FEW:
         yield from one_by_one(folder, files, progress)
         return
-    # Ctrl-C ends this process, which then stops the others.
-    pool = ProcessPoolExecutor(at_once, get_context("spawn"), signal.signal, (signal.SIGINT, signal.SIG_IGN))
+    pool = ProcessPoolExecutor(at_once, get_context("spawn"), _begin)
     try:
         size = min(MOST_AT_ONCE, 1 + len(files) // (4 * at_once))
         rows = pool.map(partial(describe, folder), files, *zip(*files.values(), strict=True), chunksize=size)
@@ -48,6 +49,12 @@ def _in_processes(
         raise EvetacError("a process that reads files died", where=str(folder), found=str(error), hint=hint) from None
     finally:
         pool.shutdown(cancel_futures=True)
+
+
+def _begin() -> None:
+    """Leave Ctrl-C to the parent process, and end with it."""
+    ignore_interrupts()
+    threading.Thread(target=workers.end_with_parent, daemon=True).start()
 
 
 def up_to_date(stage: Stage[Any], jobs: Sequence[Job], params: Any) -> dict[Path, Outcome]:

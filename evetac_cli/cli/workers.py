@@ -97,7 +97,7 @@ def _work(
     parts: plug-ins that headers must name.
     """
     plugins.take_part(parts)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    threading.Thread(target=end_with_parent, daemon=True).start()
 
     if not getattr(importlib.import_module(f"evetac_cli.{module}"), "COMPILES", True):  # and needs no numba for that
         _work_off(pipe, module, params, force)
@@ -140,7 +140,7 @@ def _work_off(pipe: "Connection", module: str, params: Any, force: bool) -> None
             pipe.send(error)
 
 
-def _end_with_parent() -> None:
+def end_with_parent() -> None:
     """Wait until the parent process has ended for any reason, then kill this one, whose result is no longer needed.
 
     The sentinel is a pipe that the parent keeps open. Files left on disk are removed by the next run.

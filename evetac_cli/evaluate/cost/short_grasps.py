@@ -33,18 +33,14 @@ CONTROLLERS = ("paper", "paper-reset", "load-proportional")
 
 
 @dataclass
-class TimedDetector:
-    """A detector that times its slices."""
+class WrappedDetector:
+    """A detector that stands between another one and the controller; subclasses change its slices or its decisions."""
 
     detector: SliceDetector
-    took_us: list[float] = field(default_factory=list)
 
     def step(self, events: Events) -> float:
         """Return the slip probability after one more slice."""
-        started = time.perf_counter()
-        probability = self.detector.step(events)
-        self.took_us.append(1e6 * (time.perf_counter() - started))
-        return probability
+        return self.detector.step(events)
 
     def tell_gripper(self, position_ticks: float, goal_ticks: float) -> None:
         """Pass the gripper's state to the detector."""
@@ -57,13 +53,26 @@ class TimedDetector:
 
 
 @dataclass
-class FixedDetector:
+class TimedDetector(WrappedDetector):
+    """A detector that times its slices."""
+
+    took_us: list[float] = field(default_factory=list)
+
+    def step(self, events: Events) -> float:
+        """Return the slip probability after one more slice."""
+        started = time.perf_counter()
+        probability = self.detector.step(events)
+        self.took_us.append(1e6 * (time.perf_counter() - started))
+        return probability
+
+
+@dataclass
+class FixedDetector(WrappedDetector):
     """A detector whose decisions are replaced by `slips`; displacements stay.
 
     slips: returns whether there is slip.
     """
 
-    detector: SliceDetector
     slips: Callable[[], bool]
     count: int = 0
 
@@ -73,10 +82,6 @@ class FixedDetector:
         slip = self.slips()
         self.count += slip
         return float(slip)
-
-    def tell_gripper(self, position_ticks: float, goal_ticks: float) -> None:
-        """Pass the gripper's state to the detector."""
-        self.detector.tell_gripper(position_ticks, goal_ticks)
 
     @property
     def signal(self) -> SlipSignal:

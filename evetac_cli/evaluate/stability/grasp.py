@@ -25,6 +25,7 @@ from evetac_cli.evaluate.cost.short_grasps import (
     FixedDetector,
     GraspResult,
     ShortGrasp,
+    WrappedDetector,
     ground_truth_detector,
     run_short_grasp,
 )
@@ -44,7 +45,6 @@ from evetac_cli.evaluate.stability.extreme_scenes import LIFTS, MORE_LIFTS, Tabl
 from evetac_cli.events import Events
 from evetac_cli.jobs import Rows
 from evetac_cli.kernels.grip import paper
-from evetac_cli.kernels.grip.control import SlipSignal
 from evetac_cli.sim.gripper import Drive
 from evetac_cli.sim.setup.plan import Plan
 from evetac_cli.sim.setup.sensor import SensorGripper
@@ -60,10 +60,9 @@ WITH_TRUTH = ", detector truth"  # suffix of controllers whose detector receives
 
 
 @dataclass
-class UnevenSlices:
+class UnevenSlices(WrappedDetector):
     """A detector that randomly loses slices or receives them twice."""
 
-    detector: SliceDetector
     rng: np.random.Generator
     lost: float = 0.0  # share
     twice: float = 0.0
@@ -77,21 +76,11 @@ class UnevenSlices:
             self.detector.step(events)
         return self.detector.step(events)
 
-    def tell_gripper(self, position_ticks: float, goal_ticks: float) -> None:
-        """Pass the gripper's state to the detector."""
-        self.detector.tell_gripper(position_ticks, goal_ticks)
-
-    @property
-    def signal(self) -> SlipSignal:
-        """The detector's signal for the controller."""
-        return self.detector.signal
-
 
 @dataclass
-class DyingDetector:
+class DyingDetector(WrappedDetector):
     """A detector that fails in the middle of a grasp."""
 
-    detector: SliceDetector
     slices_left: int = DIES_AFTER_MS
 
     def step(self, events: Events) -> float:
@@ -100,15 +89,6 @@ class DyingDetector:
         if self.slices_left < 0:
             raise DeviceError("the detector died")
         return self.detector.step(events)
-
-    def tell_gripper(self, position_ticks: float, goal_ticks: float) -> None:
-        """Pass the gripper's state to the detector."""
-        self.detector.tell_gripper(position_ticks, goal_ticks)
-
-    @property
-    def signal(self) -> SlipSignal:
-        """The detector's signal for the controller."""
-        return self.detector.signal
 
 
 @dataclass(frozen=True)
