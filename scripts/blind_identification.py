@@ -48,7 +48,7 @@ from evetac_cli.sim.camera.lens import Lens
 from evetac_cli.sim.gripper import Drive
 from evetac_cli.sim.setup import sensor_file
 from evetac_cli.sim.setup.plan import one_sensor, sensor_ranges
-from evetac_cli.sim.setup.sampling import DISTRIBUTIONS, sample_sensor
+from evetac_cli.sim.setup.sampling import sample_sensor
 from evetac_cli.sim.setup.scene_file import changed, merged
 from evetac_cli.sim.setup.sensor import Sensor
 from evetac_cli.store.recordings.read import open_recording
@@ -80,7 +80,7 @@ def ends_of(entry: Any) -> tuple[Any, Any]:
         low, high = zip(*map(ends_of, entry), strict=True)
         return list(low), list(high)
     if isinstance(entry, Mapping):
-        (low, high) = next(entry[name] for name in DISTRIBUTIONS if name in entry)
+        (low, high) = next(ends for name, ends in entry.items() if name != "stream")
         return low, high
     return entry, entry
 

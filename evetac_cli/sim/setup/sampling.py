@@ -10,21 +10,18 @@ value.
 """
 
 import json
-import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from evetac_cli.errors import InputError
 from evetac_cli.sim.setup.object_file import TouchedObject, seed_of
 from evetac_cli.sim.setup.scene import Scene, Texture
 from evetac_cli.sim.setup.sensor import Sensor, SensorRanges
 from evetac_cli.sim.setup.tables import build
 
 OBJECT_SEED = 15485863  # with the object's number, seeds the values that an object keeps in all trials
-DISTRIBUTIONS = ("uniform", "log_uniform", "whole")
 
 
 @dataclass(frozen=True)
@@ -149,13 +146,12 @@ def gripper_faults(scene: Scene, sensor: Sensor) -> GripperFaults:
 
 
 def sample_sensor(ranges: SensorRanges, rng: np.random.Generator) -> Sensor:
-    """Sample a sensor from the row of ranges; InputError if a range is invalid or shares its random stream.
+    """Sample a sensor from a row of ranges of sensors.toml.
 
     `dot_shift_x_px` and `dot_shift_y_px` move the columns and rows of dots. `threshold_off_factor` is the threshold of
     OFF events divided by that of ON events. These three keys do not appear in the result.
     """
-    _check_streams(ranges, "", {})
-    row: dict[str, Any] = _sample(ranges, int(rng.integers(2**63)), "")
+    row: dict[str, Any] = _sample(ranges, int(rng.integers(2**63)))
     for axis, lines in (("x", "dot_columns_px"), ("y", "dot_rows_px")):
         shift_px = row.pop(f"dot_shift_{axis}_px", 0.0)
         row[lines] = [line + shift_px for line in row[lines]]
@@ -164,65 +160,18 @@ def sample_sensor(ranges: SensorRanges, rng: np.random.Generator) -> Sensor:
     return build(Sensor, row)
 
 
-def _is_range(entry: Any) -> bool:
-    return isinstance(entry, Mapping) and ("stream" in entry or any(name in entry for name in DISTRIBUTIONS))
-
-
-def _check_streams(entry: Any, place: str, owners: dict[int, str]) -> None:
-    """Raise InputError if a range has no stream or another range's; `owners` collects the range of each stream."""
-    if not _is_range(entry):
-        for inner, below in _entries(entry, place):
-            _check_streams(inner, below, owners)
-        return
-    stream = entry.get("stream")
-    if type(stream) is not int or stream < 0:
-        raise InputError(
-            f"{place}: a range needs its own random stream",
-            where="sensors.toml",
-            expected="`stream`, a whole number that no other range has",
-            found="no stream" if stream is None else str(stream),
-        )
-    if stream in owners:
-        raise InputError(
-            f"{place}: has the same random stream as {owners[stream]}",
-            where="sensors.toml",
-            expected="`stream`, a whole number that no other range has",
-            found=str(stream),
-        )
-    owners[stream] = place
-
-
-def _entries(entry: Any, place: str) -> list[tuple[Any, str]]:
-    """Return the entries of a table or a list with their paths; none for a plain value."""
-    if isinstance(entry, Mapping):
-        return [(inner, f"{place}.{key}" if place else key) for key, inner in entry.items()]
-    if isinstance(entry, list):
-        return [(inner, f"{place}[{number}]") for number, inner in enumerate(entry)]
-    return []
-
-
-def _sample(entry: Any, seed: int, place: str) -> Any:
+def _sample(entry: Any, seed: int) -> Any:
     """Return an entry in which each range is replaced by a sampled value."""
-    if _is_range(entry):
-        return _sample_range(entry, seed, place)
-    sampled = [_sample(inner, seed, below) for inner, below in _entries(entry, place)]
+    if isinstance(entry, Mapping) and "stream" in entry:
+        return _sample_range(entry, seed)
     if isinstance(entry, Mapping):
-        return dict(zip(entry, sampled, strict=True))
-    return sampled if isinstance(entry, list) else entry
+        return {key: _sample(inner, seed) for key, inner in entry.items()}
+    return [_sample(inner, seed) for inner in entry] if isinstance(entry, list) else entry
 
 
-def _sample_range(entry: Mapping[str, Any], seed: int, place: str) -> float | int:
-    names = [name for name in entry if name != "stream"]
-    if len(names) != 1 or names[0] not in DISTRIBUTIONS:
-        expected = f"one of {', '.join(DISTRIBUTIONS)}"
-        raise InputError(f"{place}: not a range", where="sensors.toml", expected=expected, found=", ".join(names))
-    distribution, ends = names[0], entry[names[0]]
-    low, high = ends if isinstance(ends, list) and len(ends) == 2 else (math.nan, math.nan)
-    lowest = 0.0 if distribution == "log_uniform" else -math.inf
-    if not lowest < low <= high < math.inf:
-        expected = "[low, high]" + (", both above 0" if distribution == "log_uniform" else "")
-        raise InputError(f"{place}: not a range", where="sensors.toml", expected=expected, found=str(ends))
+def _sample_range(entry: Mapping[str, Any], seed: int) -> float | int:
     rng = np.random.default_rng([seed, entry["stream"]])
+    distribution, (low, high) = next(item for item in entry.items() if item[0] != "stream")
     if distribution == "whole":
         return int(rng.integers(int(low), int(high) + 1))
     if distribution == "log_uniform":

@@ -8,7 +8,6 @@ import functools
 from collections.abc import Mapping
 from typing import Any
 
-from evetac_cli.errors import InputError
 from evetac_cli.resources import table
 
 GRID = ("dot_columns_px", "dot_rows_px", "dot_jitter_px", "turned_deg")  # keys that dot_xy_px replaces
@@ -23,20 +22,11 @@ def rows() -> dict[str, dict[str, Any]]:
     return {name: whole(name, row_by_name) for name in row_by_name}
 
 
-def whole(name: str, row_by_name: Mapping[str, Mapping[str, Any]], above: tuple[str, ...] = ()) -> dict[str, Any]:
-    """Return a row of a table of sensors, completed from the rows that it is like.
-
-    above: rows that are like this one. InputError if `like` names no sensor, or leads back to the row itself.
-    """
+def whole(name: str, row_by_name: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """Return a row of a table of sensors, completed from the rows that it is like."""
     row = dict(row_by_name[name])
     like = row.pop("like", None)
-    if like is None:
-        return row
-    if like not in row_by_name or like in (*above, name):
-        expected = "a row that is not itself like this row"
-        message = f"{name}: `like` names no other sensor"
-        raise InputError(message, where="sensors.toml", expected=expected, found=str(like))
-    return over(whole(like, row_by_name, (*above, name)), row)
+    return row if like is None else over(whole(like, row_by_name), row)
 
 
 def over(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:

@@ -59,42 +59,6 @@ def test_objects_of_the_table_may_be_files(number: str, tmp_path: Path) -> None:
     assert as_table(again) == row
 
 
-WRONG: list[tuple[dict[str, Any], str]] = [
-    ({"widht_mm": 60}, "unknown key widht_mm(.|\n)*did you mean width_mm"),
-    ({"mass": 60}, "unknown key mass(.|\n)*did you mean mass_g"),
-    ({"colour": "red"}, "unknown key colour(.|\n)*known keys: material(.|\n)* name"),
-    ({"shape": "cyllinder"}, "shape: unknown value(.|\n)*did you mean cylinder"),
-    ({"shape": "torus"}, "expected: flat, cylinder, sphere"),
-    ({"mass_g": None}, "keys are missing\n  expected: mass_g"),
-    ({"mass_g": None, "height_mm": None}, "expected: mass_g, height_mm"),
-    ({"static_friction": None}, "keys are missing\n  expected: static_friction"),
-    ({"mass_g": 0}, "mass_g: out of range(.|\n)*0.1 to 100000"),
-    ({"mass_g": 0.35}, "lighter than foam(.|\n)*mass_g = 350"),
-    ({"mass_g": "350 g"}, "mass_g: expected a number"),
-    ({"mass_g": True}, "mass_g: expected a number"),
-    ({"width_mm": 0.066}, "width_mm: out of range(.|\n)*1 to 10000"),  # in metres
-    ({"width_mm": 150}, "does not fit between the fingers(.|\n)*at most 104.8 mm(.|\n)*150 mm"),
-    ({"width_mm": 150, "grasped_width_mm": 105}, "grasped_width_mm: out of range"),
-    ({"static_friction": 0.01}, "static_friction: out of range(.|\n)*0.05 to 5"),
-    ({"static_friction": 6}, "static_friction: out of range"),
-    ({"kinetic_share": 1.2}, "kinetic_share: out of range"),
-    ({"tilt_deg": 45}, "tilt_deg: out of range"),
-    ({"name": "Can 1"}, "name: invalid value"),
-    ({"name": "8"}, "name: invalid value"),
-    ({"static_friction": float("nan")}, "static_friction: not a finite number"),
-]
-
-
-@pytest.mark.parametrize(("keys", "said"), WRONG)
-def test_what_is_wrong_is_said(keys: dict[str, Any], said: str, tmp_path: Path) -> None:
-    """Assert that a key that is misspelt, missing, of another unit or out of range is refused with the file's name."""
-    path = written(tmp_path, **keys)
-    with pytest.raises(InputError, match=said) as refused:
-        object_file.read(path)
-    assert refused.value.where == str(path)
-    assert refused.value.exit_code == 2
-
-
 @pytest.mark.parametrize("content", [b"shape = ", b"\xff\xfe", b"[" * 9000, b"", b"a.b.c = 1\n"])
 def test_no_object_at_all(content: bytes, tmp_path: Path) -> None:
     """Assert that a file that is no TOML, or nothing of an object, is refused in words by record, with exit code 2."""
@@ -115,13 +79,6 @@ def test_objects_are_listed_together(tmp_path: Path) -> None:
     for text in ("can", "own-object", "can.tom", ""):
         with pytest.raises(InputError, match=r"not a list of objects(.|\n)*can\.toml"):
             named_objects(text)
-
-
-@pytest.mark.parametrize("name", ["press", "shear", "rest", "edge", "vibration"])
-def test_a_scene_without_an_object_refuses_it(name: str, tmp_path: Path) -> None:
-    """Assert that a file is not ignored where a scene holds nothing: a face, a stage or a speaker touches the gel."""
-    with pytest.raises(InputError, match="this scene holds no object"):
-        record.jobs([], Record(scene=name, objects=str(written(tmp_path))), tmp_path)
 
 
 def test_record_takes_it(tmp_path: Path, short_scene: Path) -> None:

@@ -18,17 +18,6 @@ from evetac_cli.text_files import as_toml
 from evetac_cli.trials import record
 from evetac_cli.trials.record import simulated
 
-HOT = {
-    "x_px": [3, 600],
-    "y_px": [4, 470],
-    "rate_hz": [50.0, 900.0],
-    "on_share": [0.7, 0.5],
-    "polarity_change_share": [0.2, 0.9],
-    "dead_time_us": 400.0,
-    "short_interval_share": [0.0, 0.4],
-    "short_interval_us": [0.0, 300.0],
-}
-
 FEW = [[100.0, 100.0], [200.0, 100.0], [100.0, 200.0], [230.0, 230.0]]
 
 
@@ -86,83 +75,6 @@ def test_columns_and_rows_instead_of_the_places_of_another_sensor(tmp_path: Path
     with pytest.raises(InputError, match="the positions of the dots are missing"):
         sensor_file.of_row(places, "here")
     sensor_file.of_row({**places, "dot_xy_px": dot_grid(sensor, cut=False).tolist()}, "here")
-
-
-@pytest.mark.parametrize(
-    ("keys", "says"),
-    [
-        ({"noise": 1.0}, "did you mean noise_hz"),
-        ({"gripper": {"mass": 1.0}}, "gripper.mass"),
-        ({"noise_hz": "much"}, "noise_hz: expected a number"),
-        ({"noise_hz": True}, "noise_hz: expected a number"),
-        ({"bandwidth_by_light": "yes"}, "bandwidth_by_light: expected true or false"),
-        ({"distortion": [0.1]}, "distortion: wrong number of entries"),
-        ({"readout": {"events_per_s": 10.0}}, "readout.events_per_s: out of range"),
-        ({"noise_hz": float("nan")}, "noise_hz: not a finite number"),
-        ({"hot_pixel_hz": [20.0, float("inf")]}, "hot_pixel_hz.1: not a finite number"),
-        ({"noise_hz": -1.0}, "0 to 10000"),
-        ({"hot_pixels": 1.5}, "hot_pixels: expected a whole number"),
-        ({"hot_pixel_hz": [1.0] * 5000}, "2 to 1,000 entries"),
-        ({"hot_pixel_hz": [9.0, 1.0]}, "hot_pixel_hz: expected rising values"),
-        ({"noise_filter": {"support_ms": 0.0}}, "noise_filter.support_ms: out of range"),
-        ({"window_px": [640, 0, 540, 480]}, "window_px: not a window"),
-        ({"frame_px": [320, 240]}, "frame_px: invalid value"),
-        ({"like": "evtac"}, "did you mean evetac"),
-        ({"like": "randomized"}, "not one sensor but many"),
-        ({"like": "randomized-narrow"}, "not one sensor but many"),
-        ({"name": "second"}, "evetac already has a sensor"),
-        ({"name": "A name"}, "name: invalid value"),
-        ({"gripper": {"servo_n_tick": 2.0}}, "servo_n_tick and two_ticks_n must be set"),
-        ({"gripper": {"servo_n_tick": 2.0, "two_ticks_n": 0.1, "friction_n": 3.0}}, "servo_n_tick and friction_n"),
-        ({"like": "randomized:7", "gripper": {"gain_ma_tick": 5.0}}, "servo_n_tick and gain_ma_tick"),
-        ({"friction": {"patch_spread": 0.1}}, "patch_spread and patch_mm must be set"),
-        ({"creep": {"share": [0.1], "time_s": [1.0, 2.0]}}, "1 in share, 2 in time_s"),
-        ({"dot_xy_px": [[[1.0, 2.0], [3.0, 4.0]], [[1.0, 9.0], [3.0, 9.0], [5.0, 9.0]]]}, "the same number of dots"),
-        ({"dot_xy_px": [*FEW, [200.0, 100.0]]}, "two dots overlap"),
-        ({"dot_xy_px": [*FEW, [217.0, 100.0]]}, "centres at least a diameter apart, 18 px"),
-        ({"dot_xy_px": [*FEW, [300.0, 479.5]]}, "a dot is outside the frame"),
-        ({"dot_xy_px": [*FEW, [650.0, 100.0]]}, "dot_xy_px.0.4.0: out of range"),
-        ({"dot_xy_px": [*FEW, [600.0, 9.0]], "distortion": [0.3, 0.3]}, "a dot is outside the frame"),
-        ({"dot_xy_px": FEW[:1]}, "4 to 256 dots"),
-        ({"dot_xy_px": [[float(n % 640), float(n // 640)] for n in range(5000)]}, "found:    5,000 entries"),
-        ({"dot_xy_px": [[[30.0 * x, 23.0 * y] for x in range(20)] for y in range(20)]}, "found:    400"),
-        ({"dot_xy_px": [[570.0, 40.0 * y + 20.0] for y in range(9)]}, "too few dots next to the window"),
-        ({"dot_xy_px": [[1.0, "2"], *FEW]}, "expected a number"),
-        ({"dot_xy_px": []}, "dot_xy_px: wrong number of entries"),
-        ({"dot_xy_px": FEW, "turned_deg": 1.0}, "dots are given twice"),
-        ({"dot_columns_px": [-90.0, 100.0, 200.0]}, "a dot is outside the frame"),
-        ({"hot_pixel_table": {**HOT, "x_px": [3]}}, "lists of different lengths"),
-        ({"hot_pixel_table": {**HOT, "x_px": [3, 3], "y_px": [4, 4]}}, "is listed twice"),
-        ({"hot_pixel_table": {**HOT, "on_share": [0.95, 0.5]}}, "changes its polarity too often"),
-        ({"hot_pixel_table": {**HOT, "rate_hz": [50.0, 2600.0]}}, "too many events for its dead time"),
-        ({"hot_pixel_table": {**HOT, "rate_hz": [0.0, 9.0]}}, "hot_pixel_table.rate_hz.0: out of range"),
-        ({"hot_pixel_table": {"x_px": [3]}}, "keys are missing in hot_pixel_table"),
-    ],
-)
-def test_what_is_wrong_is_said(keys: dict[str, Any], says: str, tmp_path: Path) -> None:
-    """Assert that what cannot be a sensor is refused with its place, at exit code 2."""
-    with pytest.raises(InputError) as refused:
-        named_sensor(written(tmp_path, **keys))
-    assert says in str(refused.value)
-    assert "mine.sensor.toml" in str(refused.value)
-
-
-def test_a_sensor_without_base_needs_all_keys(tmp_path: Path) -> None:
-    """Assert that a file that is like no sensor is told what it lacks."""
-    path = tmp_path / "bare.toml"
-    path.write_text("noise_hz = 0.1\n")
-    with pytest.raises(InputError, match="keys are missing") as refused:
-        named_sensor(str(path))
-    assert "threshold" in str(refused.value) and "like" in str(refused.value)
-
-
-def test_no_file(tmp_path: Path) -> None:
-    """Assert that a missing file, and one that is no TOML, are refused with their name."""
-    with pytest.raises(InputError, match=r"none\.toml"):
-        named_sensor(str(tmp_path / "none.toml"))
-    (tmp_path / "odd.toml").write_text("[[[")
-    with pytest.raises(InputError, match="not valid TOML"):
-        named_sensor(str(tmp_path / "odd.toml"))
 
 
 def test_the_recipe_hangs_on_the_content(tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """Rows of sensors.toml: each is whole, from its own keys and those of the sensor that it is like."""
 
 import json
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -9,13 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from evetac_cli.errors import InputError
 from evetac_cli.kernels.calibration import grid
 from evetac_cli.resources import table
 from evetac_cli.sim.camera.gel_camera import dot_grid
 from evetac_cli.sim.camera.lens import Lens
 from evetac_cli.sim.setup.plan import one_sensor
-from evetac_cli.sim.setup.sampling import DISTRIBUTIONS, sample_sensor
+from evetac_cli.sim.setup.sampling import sample_sensor
 from evetac_cli.sim.setup.sensor_rows import FOR_EACH_TRIAL, over, rows, whole
 
 TABLE = {
@@ -29,7 +29,7 @@ TABLE = {
 def limits(entry: Any) -> list[tuple[str, list[float], int]]:
     """The ranges within an entry, with their streams."""
     if isinstance(entry, dict) and "stream" in entry:
-        (name,) = (name for name in entry if name in DISTRIBUTIONS)
+        (name,) = (name for name in entry if name != "stream")
         return [(name, entry[name], entry["stream"])]
     inner = entry.values() if isinstance(entry, dict) else entry if isinstance(entry, list) else ()
     return [each for item in inner for each in limits(item)]
@@ -54,22 +54,6 @@ def test_places_of_dots_stand_for_a_grid_and_a_grid_for_places() -> None:
     assert over({"dot_xy_px": [[1.0, 1.0]]}, {"noise_hz": 1.0}) == {"dot_xy_px": [[1.0, 1.0]], "noise_hz": 1.0}
 
 
-@pytest.mark.parametrize(
-    ("named", "says"),
-    [
-        ({"one": {"like": "evtac"}}, "one: `like` names no other sensor"),
-        ({"one": {"like": "one"}}, "one: `like` names no other sensor"),
-        ({"one": {"like": "two"}, "two": {"like": "one"}}, "two: `like` names no other sensor"),
-        ({"one": {"like": 3}}, "one: `like` names no other sensor"),
-    ],
-)
-def test_a_row_that_is_like_none(named: dict[str, Any], says: str) -> None:
-    """Assert that a row that is like an unknown one, or in the end like itself, is refused with its name."""
-    with pytest.raises(InputError, match=says) as refused:
-        whole("one", named)
-    assert refused.value.where == "sensors.toml"
-
-
 def test_no_row_says_twice_what_another_says() -> None:
     """Assert that a row names nothing that it would have anyway, so that each value stands in one place."""
     for name, row in table("sensors").items():
@@ -77,6 +61,15 @@ def test_no_row_says_twice_what_another_says() -> None:
             base = rows()[row["like"]]
             again = [key for key, value in row.items() if key in base and base[key] == value]
             assert not again, (name, again)
+
+
+@pytest.mark.parametrize("name", FOR_EACH_TRIAL)
+def test_each_range_has_a_stream_of_its_own(name: str) -> None:
+    """Assert that every range of the package has one distribution, ends in order and a random stream of its own."""
+    ranges = limits(rows()[name])
+    assert len({stream for _, _, stream in ranges}) == len(ranges)
+    assert all(type(stream) is int and stream >= 0 for _, _, stream in ranges)
+    assert all((0.0 if kind == "log_uniform" else -math.inf) < low <= high for kind, (low, high), _ in ranges)
 
 
 def test_which_rows_are_of_many_sensors() -> None:

@@ -4,35 +4,9 @@ from typing import Any
 
 import pytest
 
-from evetac_cli.errors import SceneError
 from evetac_cli.sim.setup.plan import first_plan
 from evetac_cli.sim.setup.solver import Solver, with_given
 from evetac_cli.sim.setup.tables import as_table
-
-
-@pytest.mark.parametrize(
-    "settings",
-    [
-        {"step_ms": 0.3},
-        {"step_ms": 2.0},
-        {"step_ms": 0.0},
-        {"step_ms": float("nan")},
-        {"tolerance_um": 0.0},
-        {"tolerance_um": float("inf")},
-        {"theta": 0.4},
-        {"theta": float("nan")},
-        {"node_pitch_mm": -1.0},
-        {"camera_substeps": 0},
-        {"scans_per_ms": 0},
-    ],
-)
-def test_what_makes_no_sense_is_refused(settings: dict[str, Any]) -> None:
-    """Assert that a setting out of its range is refused by its name, also on the way through a plan."""
-    (name,) = settings
-    with pytest.raises(ValueError, match=name):
-        Solver(**settings)
-    with pytest.raises(SceneError, match=name):
-        first_plan("slip", solver=settings)
 
 
 def test_a_step_takes_the_place_of_a_tolerance_and_the_other_way() -> None:
@@ -43,12 +17,6 @@ def test_a_step_takes_the_place_of_a_tolerance_and_the_other_way() -> None:
     adaptive = with_given(Solver(step_ms=0.5, theta=0.6), {"tolerance_um": 0.05}, "here")
     assert (adaptive.tolerance_um, adaptive.theta) == (0.05, 0.6)
     assert "step_ms" not in as_table(adaptive)
-
-
-def test_a_step_and_a_tolerance_together_are_refused() -> None:
-    """Assert that neither is ignored in silence."""
-    with pytest.raises(SceneError, match="not both"):
-        first_plan("slip", solver={"step_ms": 0.5, "tolerance_um": 0.1})
 
 
 @pytest.mark.parametrize(

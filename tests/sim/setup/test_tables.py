@@ -3,22 +3,21 @@
 import json
 import tomllib
 from collections.abc import Iterator
-from dataclasses import MISSING, asdict, dataclass, fields
-from typing import Any, ClassVar
+from dataclasses import MISSING, asdict, fields
+from typing import Any
 
 import pytest
 
-from evetac_cli.errors import InputError, SceneError
+from evetac_cli.errors import InputError
 from evetac_cli.resources import SCENES, schemas, table
 from evetac_cli.sim.setup.driven import FaceMotion
 from evetac_cli.sim.setup.object_file import TouchedObject
 from evetac_cli.sim.setup.scene import Scene
-from evetac_cli.sim.setup.scene_file import load, merged
+from evetac_cli.sim.setup.scene_file import merged
 from evetac_cli.sim.setup.sensor import Sensor
 from evetac_cli.sim.setup.sensor_rows import FOR_EACH_TRIAL, rows
 from evetac_cli.sim.setup.solver import Solver
-from evetac_cli.sim.setup.tables import as_table, between, build, check, number, numbers, one_of, rules_of
-from evetac_cli.sim.setup.tables import table as inner
+from evetac_cli.sim.setup.tables import as_table, build, check, rules_of
 from scripts.schemas import TYPES, text_of
 
 SENSORS = {name: row for name, row in rows().items() if name not in FOR_EACH_TRIAL}
@@ -27,29 +26,6 @@ PACKAGED = [
     *(pytest.param(Sensor, row, id=name) for name, row in SENSORS.items()),
     *(pytest.param(TouchedObject, row, id=number) for number, row in table("objects").items()),
 ]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Wave:
-    """A wave."""
-
-    at_s: tuple[float, ...] = numbers("when", 0, 10, (1, 3), order="strictly rising")
-    height_mm: tuple[float, ...] = numbers("how high", 0, 10, (1, 3), order="rising")
-    depth_m: float | None = number("of the water", 0, 100, default=None, needed_in=("sea",), only_in=("sea", "lake"))
-
-    COLUMNS: ClassVar = ("at_s", "height_mm")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Water:
-    """Water with a wave."""
-
-    kind: str = one_of("what it is", ("sea", "lake", "cup"))
-    wave: Wave | None = inner(Wave, needed_in=("sea",))
-    warm_c: tuple[float, float] = between("range of its warmth", None, 100, above=0, or_one=True, default=(10.0, 20.0))
-
-
-WAVE = {"at_s": [0.0, 1.0], "height_mm": [2.0, 2.0]}
 
 
 def properties(rules: dict[str, Any], place: str = "") -> Iterator[tuple[str, dict[str, Any]]]:
@@ -141,75 +117,9 @@ def test_a_solver_is_written_whole() -> None:
         check(Scene, {**slip, "solver": {"step_ms": 0.5, "tolerance_um": 0.1}}, "here")
 
 
-@pytest.mark.parametrize(
-    "named",
-    [
-        {"kind": "sea", "wave": {**WAVE, "depth_m": 9}},
-        {"kind": "lake", "wave": {**WAVE, "depth_m": 9.0}},
-        {"kind": "cup", "wave": {"at_s": [0], "height_mm": [1]}, "warm_c": 60},
-        {"kind": "cup", "warm_c": [60, 60.0]},
-    ],
-)
-def test_what_is_right_passes(named: dict[str, Any]) -> None:
-    """Assert that whole numbers are numbers, a range may be one number, and a table may be left out."""
-    check(Water, named, "here")
-
-
-@pytest.mark.parametrize(
-    ("named", "says"),
-    [
-        ({"kind": "cup", "wave": {**WAVE, "at_s": [1.0, 1.0]}}, "wave.at_s: expected strictly rising values"),
-        ({"kind": "cup", "wave": {**WAVE, "height_mm": [2.0, 1.0]}}, "wave.height_mm: expected rising values"),
-        ({"kind": "cup", "warm_c": [20.0, 10.0]}, "warm_c: expected the lower end first"),
-        (
-            {"kind": "cup", "wave": {**WAVE, "height_mm": [2.0]}},
-            "wave.height_mm: lists of different lengths\n  expected: one value for each of the 2 in at_s\n"
-            "  found:    2 in at_s, 1 in height_mm",
-        ),
-        ({"kind": "sea"}, "wave is missing\n  expected: wave, wave.depth_m\n  found:    kind sea"),
-        ({"kind": "sea", "wave": WAVE}, "wave.depth_m is missing"),
-        (
-            {"kind": "cup", "wave": {**WAVE, "depth_m": 9.0}},
-            "wave.depth_m is for another kind of scene\n  expected: kind sea, lake\n  found:    kind cup",
-        ),
-        ({"kind": "lake", "wave": {"at_s": [0.0]}}, "keys are missing in wave\n  expected: height_mm"),
-        ({"wave": WAVE}, "keys are missing\n  expected: kind\n  found:    none of them\n  try:      name it"),
-        ({"kind": "se", "wave": WAVE}, "kind: unknown value\n  expected: sea, lake, cup\n  found:    se\n  try:"),
-        ({"kind": "cup", "wave": {**WAVE, "heigth_mm": [1.0]}}, "unknown key wave.heigth_mm"),
-        ({"kind": "cup", "wave": 3}, "wave: expected a table"),
-        ({"kind": "cup", "wave": {**WAVE, "at_s": []}}, "wave.at_s: wrong number of entries"),
-        ({"kind": "cup", "wave": {**WAVE, "at_s": [True, 1.0]}}, "wave.at_s.0: expected a number"),
-        ({"kind": "cup", "wave": {**WAVE, "at_s": [0.0, 11.0]}}, "wave.at_s.1: out of range\n  expected: 0 to 10"),
-        ({"kind": "cup", "warm_c": 0}, "warm_c: out of range\n  expected: more than 0 to 100"),
-        ({"kind": "cup", "warm_c": [10.0, 101.0]}, "warm_c.1: out of range"),
-        ({"kind": "cup", "warm_c": "hot"}, "warm_c: expected a number"),
-    ],
-)
-def test_what_is_wrong_is_said(named: dict[str, Any], says: str) -> None:
-    """Assert that order, lengths, kinds, keys, types and ranges are refused by place, as the error asked for."""
-    with pytest.raises(SceneError) as refused:
-        check(Water, named, "here", if_missing="name it", error=SceneError)
-    assert str(refused.value).startswith("here: " + says)
-
-
-def test_a_part_of_a_table() -> None:
-    """Assert that keys may be missing where a part is checked, and more be needed where a whole is."""
-    check(Water, {"warm_c": 20.0}, "here", whole=False)
-    with pytest.raises(InputError, match="keys are missing\n  expected: kind, warm_c"):
-        check(Water, {}, "here", needed=("warm_c",))
-
-
 @pytest.mark.parametrize(("type_", "key"), [(Solver, "camera_substeps"), (FaceMotion, "count"), (Sensor, "hot_pixels")])
 def test_a_whole_number_with_a_point_is_whole(type_: type[Any], key: str) -> None:
     """Assert that 5.0, which JSON schema takes for a whole number, is one, and no other recipe than 5."""
     named = {item.name: 1 for item in fields(type_) if item.default is MISSING and item.name != key}
     value = getattr(build(type_, {**named, key: 5.0}), key)
     assert value == 5 and isinstance(value, int)
-
-
-def test_a_key_of_another_kind_of_motion_is_said() -> None:
-    """Assert that what only one kind of motion has is refused as such in another."""
-    motion = {"kind": "strokes", "normal_n": 1.0, "press_s": 1.0, "lines": 2, "speed_mm_s": 1.0, "approach_s": 1.0}
-    scene = {**as_table(load("press")), "motion": {**motion, "pause_s": 1.0}}
-    with pytest.raises(InputError, match=r"motion\.pause_s is for another kind of motion"):
-        check(Scene, scene, "here")
