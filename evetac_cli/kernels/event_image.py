@@ -11,11 +11,10 @@ def event_image(
 ) -> NDArray[np.int8]:
     """Draw events, in order of time, as (height, width): +1 brighter, -1 darker, 0 none; a pixel's last event wins.
 
-    frame_px is (width, height); events outside it are left out. ValueError if the columns differ in length.
+    frame_px is (width, height); events outside it are left out.
     Source: paper, "Evetac Touch Features", the set of events in image form.
     """
-    if x.ndim != 1 or not x.shape == y.shape == p.shape:
-        raise ValueError(f"expected three columns of equal length, found {x.shape}, {y.shape} and {p.shape}")
+    assert x.ndim == 1 and x.shape == y.shape == p.shape
     width, height = frame_px
     image = np.zeros((height, width), np.int8)
     inside = (x < width) & (y < height)

@@ -81,8 +81,7 @@ def add_events(
 def cell_grid(frame_px: tuple[int, int]) -> tuple[int, int]:
     """Return the columns and rows of cells that cover a frame."""
     width, height = frame_px
-    if width < 1 or height < 1:
-        raise ValueError(f"frame_px: expected at least 1 x 1, found {frame_px}")
+    assert width >= 1 and height >= 1
     return math.ceil(width / CELL_PX), math.ceil(height / CELL_PX)
 
 
@@ -97,8 +96,7 @@ class Spectrum(NamedTuple):
 
     def plus(self, other: "Spectrum") -> "Spectrum":
         """Return the sum with another window's spectrum, of the same length and rate."""
-        if not np.array_equal(self.frequency_hz, other.frequency_hz):
-            raise ValueError("frequencies: expected a spectrum of the same length and rate, found another")
+        assert np.array_equal(self.frequency_hz, other.frequency_hz)
         return Spectrum(
             self.frequency_hz,
             self.evidence + other.evidence,
@@ -126,12 +124,8 @@ class Finding(NamedTuple):
 
 
 def spectrum(tally: Tally, rate_hz: float) -> Spectrum:
-    """Return the sum of the cells' spectra over one window of signed events, `tally` (cells, bins) at `rate_hz`.
-
-    ValueError if the window is too short for an estimate of the noise (64 frequencies).
-    """
-    if tally.ndim != 2 or tally.shape[1] < 4 * NOISE_BINS:
-        raise ValueError(f"tally: expected (cells, bins) with at least {4 * NOISE_BINS} bins, found {tally.shape}")
+    """Return the sum of the cells' spectra over one window of signed events, `tally` (cells, bins) at `rate_hz`."""
+    assert tally.ndim == 2 and tally.shape[1] >= 4 * NOISE_BINS
     check_range("rate_hz", rate_hz, above=True)
     bins = tally.shape[1]
     window = _hann(bins)
@@ -186,10 +180,8 @@ def find(sums: Spectrum, lowest_hz: float, highest_hz: float, false_alarms: floa
     `lowest_hz` with a probability of at most `false_alarms`. It follows from the tail of a gamma variate with as many
     terms as cells, with the probability divided by the number of frequencies (Bonferroni). The tone is the line with
     the largest product of displacement and speed. If that line is above the band, there is no tone, but `above_band`.
-    ValueError unless 0 < lowest < highest and 0 < false_alarms < 1.
     """
-    if not (0.0 < lowest_hz < highest_hz and math.isfinite(highest_hz)):
-        raise ValueError(f"band: expected 0 < lowest < highest, found {lowest_hz} to {highest_hz} Hz")
+    assert 0.0 < lowest_hz < highest_hz < math.inf
     check_range("false_alarms", false_alarms, 0.0, 1.0, above=True, below=True)
     lines = list(_lines(sums, lowest_hz, false_alarms))
     if not lines:

@@ -240,8 +240,6 @@ def test_sums_of_windows_find_what_one_does_not() -> None:
     assert alone <= 5
     assert line is not None and line.frequency_hz == pytest.approx(150.0, abs=0.5)
     assert together.terms == 20 * 64
-    with pytest.raises(ValueError, match="same length"):
-        together.plus(vibration.spectrum(trains(rng, bins=500), RATE_HZ))
 
 
 def test_nothing_is_no_vibration() -> None:
@@ -264,14 +262,8 @@ def test_counts_below_the_lowest_are_removed() -> None:
 @pytest.mark.parametrize(
     ("call", "says"),
     [
-        (lambda good: vibration.spectrum(np.zeros((4, 100), np.int16), 1000), "128 bins"),
-        (lambda good: vibration.spectrum(np.zeros(500, np.int16), 1000), "cells"),
         (lambda good: vibration.spectrum(np.zeros((4, 500), np.int16), math.nan), "rate_hz"),
-        (lambda good: find(good, 0.0, 500.0), "lowest < highest"),
-        (lambda good: find(good, 25.0, 20.0), "lowest < highest"),
-        (lambda good: find(good, 25.0, math.inf), "lowest < highest"),
         (lambda good: find(good, 25.0, 500.0, 1.0), "expected above 0, below 1"),
-        (lambda good: cell_grid((0, 5)), "at least 1 x 1"),
     ],
 )
 def test_nonsense_is_refused(call: Any, says: str) -> None:

@@ -91,10 +91,9 @@ def step(
     """Add the next events of a stroke, in order of time; updates `state` in place.
 
     backwards: the stroke is processed back from the rest after it, packet by packet; each packet is still in order of
-    time. Events outside the frame are ignored. ValueError if the columns differ in length.
+    time. Events outside the frame are ignored.
     """
-    if not len(x) == len(y) == len(p):
-        raise ValueError(f"expected columns of equal length, found {len(x)}, {len(y)} and {len(p)}")
+    assert len(x) == len(y) == len(p)
     _step(x, y, p, backwards, state.level, state.highest, state.lowest, state.over)
 
 

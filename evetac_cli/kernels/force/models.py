@@ -40,11 +40,10 @@ class Network(NamedTuple):
 def displacement(dot_xy_px: ArrayLike, rest_xy_px: ArrayLike) -> Floats:
     """Return displacements (n, dots, 2) of tracked dots (n, dots, 2) from their positions at rest (dots, 2), in px.
 
-    ValueError if shapes do not fit or a dot's position is NaN.
+    ValueError if a dot's position is NaN.
     """
     dots, rest = np.asarray(dot_xy_px, float), np.asarray(rest_xy_px, float)
-    if dots.ndim != 3 or dots.shape[1:] != rest.shape or rest.shape[-1] != 2:
-        raise ValueError(f"dot_xy_px: expected shape (n, dots, 2) for rest (dots, 2), found {dots.shape}, {rest.shape}")
+    assert dots.ndim == 3 and dots.shape[1:] == rest.shape and rest.shape[-1] == 2
     moved: Floats = dots - rest
     if not np.isfinite(moved).all():
         missing = np.flatnonzero(~np.isfinite(moved).all(axis=(0, 2)))
@@ -86,11 +85,9 @@ def apply_network(model: Network, moved_px: Floats) -> Floats:
 
 
 def check_samples(moved_px: Floats, force_n: Floats) -> None:
-    """Raise ValueError unless displacements (n, dots, 2) and forces (n, 2) are finite, equally many, at least 3."""
-    if moved_px.ndim != 3 or moved_px.shape[2] != 2 or force_n.shape != (len(moved_px), 2) or len(moved_px) < 3:
-        raise ValueError(f"expected shapes (n, dots, 2) and (n, 2), n >= 3, found {moved_px.shape}, {force_n.shape}")
-    if not (np.isfinite(moved_px).all() and np.isfinite(force_n).all()):
-        raise ValueError("expected finite displacements and forces")
+    """Assert that displacements (n, dots, 2) and forces (n, 2) are finite, equally many, at least 3."""
+    assert moved_px.ndim == 3 and moved_px.shape[2] == 2 and force_n.shape == (len(moved_px), 2) and len(moved_px) >= 3
+    assert np.isfinite(moved_px).all() and np.isfinite(force_n).all()
 
 
 def sample_slices(normal_force_n: ArrayLike, count: int, every: int) -> NDArray[np.int64]:

@@ -107,12 +107,8 @@ def start(frame_px: tuple[int, int]) -> StrokeEvents:
 def add(
     state: StrokeEvents, t_us: Ints, x: NDArray[np.uint16], y: NDArray[np.uint16], p: NDArray[np.uint8], half: int
 ) -> None:
-    """Add the next events, in order of time, of one half of the strokes (0 or 1); events outside the frame are ignored.
-
-    ValueError if the columns differ in length.
-    """
-    if not len(t_us) == len(x) == len(y) == len(p):
-        raise ValueError(f"expected columns of equal length, found {len(t_us)}, {len(x)}, {len(y)} and {len(p)}")
+    """Add the next events of one half of the strokes (0 or 1), in order of time; ignores those outside the frame."""
+    assert len(t_us) == len(x) == len(y) == len(p)
     counts = state.events[half], state.on[half], state.off[half], state.merged, state.intervals
     _add((t_us, x, y, p), counts, (state.last_us, state.last_p, state.first))
 

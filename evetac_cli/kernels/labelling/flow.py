@@ -60,8 +60,7 @@ class FlowConstants:
     plain: bool = False  # compute the flow of both regions even if it cannot change the result
 
     def __post_init__(self) -> None:
-        if self.method not in METHODS:
-            raise ValueError(f"method: expected one of {', '.join(METHODS)}, found {self.method}")
+        assert self.method in METHODS
         for name in ("threshold_px", "clear_px", "after_ms"):
             check_range(name, getattr(self, name), 0, math.inf)
         for name in ("look_ahead_ms", "accumulate_ms", "confirm_ms", "coarse_ms", "shrink"):

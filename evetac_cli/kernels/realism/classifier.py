@@ -141,9 +141,8 @@ def _together(picture: NDArray[np.int64]) -> list[float]:
 
 
 def area(first: Floats, second: Floats) -> float:
-    """Return the share of pairs in which the second score is higher, ties half; ValueError if either has none."""
-    if not len(first) or not len(second):
-        raise ValueError("expected scores of both sets, found none of at least one")
+    """Return the share of pairs in which the second score is higher, ties half;"""
+    assert len(first) and len(second)
     ranks = rankdata(np.concatenate([first, second]))[len(first) :]
     return float((ranks.sum() - len(second) * (len(second) + 1) / 2) / (len(first) * len(second)))
 

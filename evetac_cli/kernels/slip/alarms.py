@@ -90,11 +90,9 @@ def nothing_slips(label: NDArray[np.int8], onset: int = -1) -> NDArray[np.bool_]
 def lead_ms(alarms: NDArray[np.bool_], onset: int) -> int | None:
     """Return how long before the onset the last uninterrupted warning began, of (slices,) that alarm.
 
-    Negative if the first alarm comes after the onset; None if there is none. ValueError for an onset outside the
-    slices.
+    Negative if the first alarm comes after the onset; None if there is none.
     """
-    if not 0 <= onset < len(alarms):
-        raise ValueError(f"expected an onset within 0..{len(alarms) - 1}, found {onset}")
+    assert 0 <= onset < len(alarms)
     if not alarms[onset]:
         later = np.flatnonzero(alarms[onset:])
         return -int(later[0]) if len(later) else None

@@ -212,7 +212,7 @@ class Live:
         """Return the slip probability after the events of the next slice; NaN until the history is full.
 
         t_us: times of the events, from the start of any slice; only networks with `needs_times` use them. Accepts the
-        same columns as `tracker.step`; ValueError if times are missing but needed.
+        same columns as `tracker.step`;
         """
         if self.detector.networks is not None:
             p = tracker.checked_polarities(self.tracking, x, y, p)
@@ -225,8 +225,7 @@ class Live:
             dots = self.tracking.dot_xy_px[self._seen], self.tracking.events_per_dot[self._seen]
             features.step(self._features, *dots)
         elif isinstance(architecture, PluginImageArchitecture):
-            if t_us is None or len(t_us) != len(x):
-                raise ValueError(f"{architecture.name}: expected the times of {len(x)} events")
+            assert t_us is not None and len(t_us) == len(x)
             of_slice = features.gel_events(Events(t_us, x, y, p), np.array([0, len(x)]), self._window_px)
             self._images.append(of_slice[1:])
         else:

@@ -47,11 +47,10 @@ def columns(
     goal_ma: NDArray[np.float32] | None = None,
     sticking_share: NDArray[np.float32] | None = None,
 ) -> NDArray[np.float32]:
-    """Return extras (slices, extras) from quantities per slice, (slices,) each; ValueError for other shapes."""
+    """Return extras (slices, extras) from quantities per slice, (slices,) each;"""
     unknown = np.full(slices, np.nan, np.float32)
     all_columns = [unknown if each is None else each for each in (position_ticks, goal_ticks, goal_ma, sticking_share)]
-    if any(each.shape != (slices,) for each in all_columns):
-        raise ValueError(f"expected {(slices,)} each, found {[each.shape for each in all_columns]}")
+    assert all(each.shape == (slices,) for each in all_columns)
     position, goal, current, sticking = all_columns
     command = np.where(np.isnan(goal), current * np.float32(TICKS_PER_MA), goal)
     return np.stack([position, command, sticking], axis=1).astype(np.float32)

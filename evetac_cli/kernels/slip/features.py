@@ -26,7 +26,6 @@ from evetac_cli.checks import check_range
 from evetac_cli.events import FRAME_PX, SLICE_US, Events
 from evetac_cli.kernels.calibration.grid import MOST_DOTS
 from evetac_cli.kernels.compiled import njit
-from evetac_cli.kernels.records import check_record
 from evetac_cli.kernels.slip.architectures import CHANNELS, EXTRAS, GEL_PX, Factors
 
 DOT_CAPACITY = MOST_DOTS  # number of dots that a state has room for
@@ -55,14 +54,13 @@ class FeatureState:
     """The last `history` slices of n dots: `record`, an array of one STATE, and views of its fields.
 
     `step` changes the record in place. `FeatureState(np.frombuffer(memory, STATE, 1))` restores a state from saved
-    bytes or shared memory; the reasons are those in tracker.py. ValueError if the record is not a writable array of one
-    STATE.
+    bytes or shared memory; the reasons are those in tracker.py.
     """
 
     __slots__ = ("history", "record", "rest_xy_px", "ring")
 
     def __init__(self, record: NDArray[np.void]) -> None:
-        check_record(record, STATE)
+        assert record.dtype == STATE and record.shape == (1,) and record.flags.writeable
         self.record = record
         n, self.history = int(record["dots"][0]), int(record["history"][0])
         shape = 2 * self.history, n, len(CHANNELS)
@@ -87,12 +85,10 @@ class FeatureState:
 def start(rest_xy_px: NDArray[np.floating], history: int, factors: Factors = UNSCALED) -> FeatureState:
     """Start collecting features of dots with positions at rest rest_xy_px, (n, 2), NaN for a missing dot.
 
-    factors: on the features. ValueError if positions are infinite, of another shape or more than DOT_CAPACITY, or if
-    history is not from 1 to HISTORY_CAPACITY.
+    factors: on the features. ValueError if history is not from 1 to HISTORY_CAPACITY.
     """
     rest = _checked_rest(rest_xy_px)
-    if len(rest) > DOT_CAPACITY:
-        raise ValueError(f"rest_xy_px: expected at most {DOT_CAPACITY} dots, found {len(rest)}")
+    assert len(rest) <= DOT_CAPACITY
     check_range("history", history, 1, HISTORY_CAPACITY, "slices")
     record = np.zeros(1, STATE)
     record["dots"], record["history"] = len(rest), history
@@ -105,24 +101,16 @@ def start(rest_xy_px: NDArray[np.floating], history: int, factors: Factors = UNS
 
 
 def step(state: FeatureState, dot_xy_px: NDArray[np.floating], events_per_dot: NDArray[np.integer]) -> None:
-    """Add one slice: the dots' positions, (n, 2) in px, and their events, (n,). ValueError for other shapes."""
+    """Add one slice: the dots' positions, (n, 2) in px, and their events, (n,)."""
     rest = state.rest_xy_px
-    if dot_xy_px.shape != rest.shape or events_per_dot.shape != dot_xy_px.shape[:1]:
-        raise ValueError(
-            f"expected positions {rest.shape} and events {rest.shape[:1]}, "
-            f"found {dot_xy_px.shape} and {events_per_dot.shape}"
-        )
+    assert dot_xy_px.shape == rest.shape and events_per_dot.shape == dot_xy_px.shape[:1]
     take_slice(state.record, dot_xy_px, events_per_dot)
 
 
 def latest(state: FeatureState) -> NDArray[np.float32]:
-    """Return the last slices, (history, n, channels) as from `series`, newest last: a view, valid until the next step.
-
-    ValueError as long as the state is not `full`.
-    """
+    """Return the last slices, (history, n, channels) as from `series`, newest last: a view, until the next step."""
     slices = state.slices
-    if slices < state.history:
-        raise ValueError(f"latest: expected at least {state.history} slices, found {slices}")
+    assert slices >= state.history
     first = slices % state.history
     return state.ring[first : first + state.history]
 
@@ -135,18 +123,15 @@ def series(
 ) -> NDArray[np.float32]:
     """Return the channels of a recording, (slices, n, channels), from (slices, n) twice and (slices, n, 2).
 
-    Without displacement_xy_px there are only the first two channels. All are multiplied by factors. ValueError if the
-    shapes differ.
+    Without displacement_xy_px there are only the first two channels. All are multiplied by factors.
     """
-    if displacement_px.ndim != 2 or displacement_px.shape != events_per_dot.shape:
-        raise ValueError(f"expected two arrays (slices, n), found {displacement_px.shape} and {events_per_dot.shape}")
+    assert displacement_px.ndim == 2 and displacement_px.shape == events_per_dot.shape
     channels = len(CHANNELS) if displacement_xy_px is not None else 2
     result = np.empty((*displacement_px.shape, channels), np.float32)
     result[..., 0] = factors.displacement * displacement_px
     result[..., 1] = factors.events * events_per_dot
     if displacement_xy_px is not None:
-        if displacement_xy_px.shape != (*displacement_px.shape, 2):
-            raise ValueError(f"expected {(*displacement_px.shape, 2)}, found {displacement_xy_px.shape}")
+        assert displacement_xy_px.shape == (*displacement_px.shape, 2)
         result[..., 2:] = factors.displacement * displacement_xy_px
     return result
 
@@ -154,8 +139,8 @@ def series(
 def displacement(dot_xy_px: NDArray[np.floating], rest_xy_px: NDArray[np.floating]) -> NDArray[np.float32]:
     """Return the distance of every dot from its position at rest in px, 0 for a missing dot (NaN).
 
-    dot_xy_px: (n, 2) or (slices, n, 2), rest_xy_px: (n, 2); returns (n,) or (slices, n). ValueError for other shapes
-    and infinite positions. Source: paper, "Evetac Touch Features", D_C.
+    dot_xy_px: (n, 2) or (slices, n, 2), rest_xy_px: (n, 2); returns (n,) or (slices, n). Source: paper,
+    "Evetac Touch Features", D_C.
     """
     dots, rest = _checked_dots(dot_xy_px, rest_xy_px)
     result = np.empty(dots.shape[:-1], np.float32)
@@ -177,11 +162,10 @@ def displacement_xy(dot_xy_px: NDArray[np.floating], rest_xy_px: NDArray[np.floa
 def rotate(windows: NDArray[np.float32], quarter_turns: int) -> NDArray[np.float32]:
     """Return windows (k, rows, columns, c), turned as if the object had been grasped in another direction.
 
-    Half turns are exact; quarter turns keep only the central square, see the module's docstring. ValueError for other
-    shapes. Source: paper, "Model Training & Data Selection".
+    Half turns are exact; quarter turns keep only the central square, see the module's docstring. Source: paper,
+    "Model Training & Data Selection".
     """
-    if windows.ndim != 4:
-        raise ValueError(f"windows: expected (k, rows, columns, c), found shape {windows.shape}")
+    assert windows.ndim == 4
     if quarter_turns % 2 == 0:
         return np.rot90(windows, quarter_turns, axes=(1, 2)).copy()
     rows, columns = windows.shape[1:3]
@@ -201,17 +185,13 @@ def events_outside(
 ) -> NDArray[np.int32]:
     """Return the number of events of each slice outside the window (x0, y0, x1, y1), ends excluded; None counts all.
 
-    None means a closed gel. Slice k has the events [starts[k], starts[k + 1]). ValueError if the columns differ in
-    length.
+    None means a closed gel. Slice k has the events [starts[k], starts[k + 1]).
     """
-    if x.ndim != 1 or x.shape != y.shape:
-        raise ValueError(f"expected two columns of equal length, found {x.shape} and {y.shape}")
-    if starts[0] < 0 or starts[-1] > len(x) or (np.diff(starts) < 0).any():
-        raise ValueError(f"starts: expected indices of {len(x)} events that do not decrease, found {starts}")
+    assert x.ndim == 1 and x.shape == y.shape
+    assert starts[0] >= 0 and starts[-1] <= len(x) and (np.diff(starts) >= 0).all()
     if window_px is None:
         return np.diff(starts).astype(np.int32)
-    if len(window_px) != 4:
-        raise ValueError(f"window_px: expected x0, y0, x1, y1, found {window_px}")
+    assert len(window_px) == 4
     x0, y0, x1, y1 = (int(edge) for edge in window_px)
     outside = np.empty(len(starts) - 1, np.int32)
     _count_outside(x, y, starts, (x0, y0, x1, y1), outside)
@@ -274,12 +254,10 @@ def gel_image(
     """Return the event image of one slice outside the window: its non-zero pixels, and their signs.
 
     It is `event_image` of 540 x 480 px with the window (as for `events_outside`) cut out. `blank` (480, 540) is
-    workspace, 0 before and after. ValueError if the columns differ in length. Source: paper, "Model Architectures".
+    workspace, 0 before and after. Source: paper, "Model Architectures".
     """
-    if x.ndim != 1 or not x.shape == y.shape == p.shape:
-        raise ValueError(f"expected three columns of equal length, found {x.shape}, {y.shape} and {p.shape}")
-    if blank.shape != GEL_PX[::-1]:
-        raise ValueError(f"blank: expected shape {GEL_PX[::-1]}, found {blank.shape}")
+    assert x.ndim == 1 and x.shape == y.shape == p.shape
+    assert blank.shape == GEL_PX[::-1]
     x0, y0, x1, y1 = (0, 0, 0, 0) if window_px is None else (int(edge) for edge in window_px)
     pixel, sign = np.empty(len(x), np.uint32), np.empty(len(x), np.int8)
     _draw(x, y, p, blank)
@@ -292,19 +270,15 @@ def _checked_dots(
 ) -> tuple[NDArray[np.floating], NDArray[np.float64]]:
     rest = _checked_rest(rest_xy_px)
     dots = np.asarray(dot_xy_px)
-    if dots.ndim not in (2, 3) or dots.shape[-2:] != rest.shape:
-        raise ValueError(f"dot_xy_px: expected (n, 2) or (slices, n, 2) with n = {len(rest)}, found {dots.shape}")
-    if np.isinf(dots).any():
-        raise ValueError("dot_xy_px: expected finite positions, NaN for missing dots, found infinite ones")
+    assert dots.ndim in (2, 3) and dots.shape[-2:] == rest.shape
+    assert not np.isinf(dots).any()
     return dots, rest
 
 
 def _checked_rest(rest_xy_px: NDArray[np.floating]) -> NDArray[np.float64]:
     rest = np.array(rest_xy_px, dtype=np.float64, order="C")
-    if rest.ndim != 2 or rest.shape[1] != 2:
-        raise ValueError(f"rest_xy_px: expected shape (n, 2), found {rest.shape}")
-    if np.isinf(rest).any():
-        raise ValueError("rest_xy_px: expected finite positions, NaN for missing dots, found infinite ones")
+    assert rest.ndim == 2 and rest.shape[1] == 2
+    assert not np.isinf(rest).any()
     return rest
 
 

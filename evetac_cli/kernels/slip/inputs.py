@@ -124,34 +124,27 @@ def at(architecture: Architecture, series: Series, slices: NDArray[np.integer]) 
     Dots: (slices, n, channels) as from `features.series`, with all channels that are viewed -> (samples, n,
     inputs_per_dot); without extras, all extras are unknown. Images: `EventImages` -> (samples, history, height, width),
     newest first. Images of plug-ins: `GelEvents` -> (samples, images * channels, height, width), newest first.
-    ValueError if the series is of another kind, or if a slice is outside it or has fewer than history - 1 slices
-    before.
     """
     ends = _checked_ends(slices, architecture.history, length(series))
     if isinstance(architecture, ImageArchitecture):
-        if not isinstance(series, EventImages):
-            raise ValueError(f"{architecture.name}: expected event images, found another series")
+        assert isinstance(series, EventImages)
         images = np.zeros((len(ends), *architecture.input_shape), np.float32)
         _images(*series, ends, GEL_PX[0], architecture.pool_px, images)
         return images
     if isinstance(architecture, PluginImageArchitecture):
-        if not isinstance(series, GelEvents):
-            raise ValueError(f"{architecture.name}: expected the events of the gel, found another series")
+        assert isinstance(series, GelEvents)
         stacks = np.empty((len(ends), *architecture.input_shape), np.float32)
         for end, stack in zip(ends.tolist(), stacks, strict=True):
             stack[:] = _stack(architecture, series.part(end + 1 - architecture.history, end + 1))
         return stacks
-    if isinstance(series, OfEvents):
-        raise ValueError(f"{architecture.name}: expected (slices, n, channels), found events")
+    assert not isinstance(series, OfEvents)
     views, of_dots = view_table(architecture.views), dots_of(series)
-    if of_dots.ndim != 3 or not views[:, 0].max() < of_dots.shape[2] <= len(CHANNELS):
-        raise ValueError(f"{architecture.name}: expected (slices, n, channels), found {of_dots.shape}")
+    assert of_dots.ndim == 3 and views[:, 0].max() < of_dots.shape[2] <= len(CHANNELS)
     dots = np.empty((len(ends), of_dots.shape[1], architecture.inputs_per_dot), np.float32)
     fill(of_dots, ends, views, dots)
     if architecture.extras:
         values = series.extras if isinstance(series, DotsAndExtras) else _unknown(len(of_dots))
-        if values.shape != (len(of_dots), len(EXTRAS)):
-            raise ValueError(f"{architecture.name}: expected extras {len(of_dots), len(EXTRAS)}, found {values.shape}")
+        assert values.shape == (len(of_dots), len(EXTRAS))
         extras.fill(values, ends, extras.table(architecture.extras), architecture.own_inputs, dots)
     return dots
 
@@ -170,12 +163,10 @@ def _unknown(slices: int) -> NDArray[np.float32]:
 
 
 def _checked_ends(slices: NDArray[np.integer], history: int, available: int) -> NDArray[np.int64]:
-    """Return the ends of inputs as int64; ValueError unless each has a full history within the available slices."""
+    """Return the ends of inputs as int64, each with a full history within the available slices."""
     ends = np.asarray(slices)
-    if ends.ndim != 1 or ends.dtype.kind not in "iu":
-        raise ValueError(f"expected slices as whole numbers in one dimension, found {ends.dtype} {ends.shape}")
-    if len(ends) and (ends.min() < history - 1 or ends.max() > available - 1):
-        raise ValueError(f"expected slices from {history - 1} to {available - 1}, found {ends.min()} to {ends.max()}")
+    assert ends.ndim == 1 and ends.dtype.kind in "iu"
+    assert not len(ends) or (ends.min() >= history - 1 and ends.max() < available)
     return ends.astype(np.int64)
 
 

@@ -17,13 +17,9 @@ BUSY_EVENTS = 25  # a slice with more events outside the window is busy (paper, 
 
 
 def check_labels(label: NDArray[np.int8], onset: int) -> None:
-    """Raise ValueError unless labels are (slices,) of -1, 0 or 1 and the onset is one of the slices, or -1."""
-    if label.ndim != 1 or not np.all((label >= -1) & (label <= 1)):
-        raise ValueError(
-            f"expected labels (slices,) of -1, 0 or 1, found shape {label.shape}, values {np.unique(label)}"
-        )
-    if not -1 <= onset < len(label):
-        raise ValueError(f"expected an onset within -1..{len(label) - 1}, found {onset}")
+    """Assert that labels are (slices,) of -1, 0 or 1 and the onset is one of the slices, or -1."""
+    assert label.ndim == 1 and np.all((label >= -1) & (label <= 1))
+    assert -1 <= onset < len(label)
 
 
 def shift_labels(label: NDArray[np.int8], horizon_ms: int) -> NDArray[np.int8]:

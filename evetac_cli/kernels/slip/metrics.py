@@ -52,8 +52,7 @@ class Counts(NamedTuple):
 
 def onset(detected: NDArray[np.bool_]) -> int:
     """Return the first slice of slip in (slices,) detections; -1 for none."""
-    if detected.ndim != 1 or detected.dtype != np.bool_:
-        raise ValueError(f"expected detections as bool (slices,), found {detected.dtype} {detected.shape}")
+    assert detected.ndim == 1 and detected.dtype == np.bool_
     return int(np.argmax(detected)) if detected.any() else -1
 
 
@@ -62,8 +61,7 @@ def timing(t_model: int, t_label: int) -> Timing:
 
     Both are slice indices. Correct means -50 ms <= t_model - t_label <= +20 ms. No detection (t_model -1) is late.
     """
-    if t_label < 0 or t_model < -1:
-        raise ValueError(f"expected an onset of at least 0 and a detection of at least -1, found {t_label}, {t_model}")
+    assert t_label >= 0 and t_model >= -1
     if t_model == -1 or t_model - t_label > LATEST_MS:
         return "late"
     return "early" if t_model - t_label < EARLIEST_MS else "correct"
@@ -76,8 +74,7 @@ def counts(label: NDArray[np.int8], detected: NDArray[np.bool_], onset: int) -> 
     Slices labelled -1 never count: pass -1 also for slices without a full history.
     """
     check_labels(label, onset)
-    if detected.shape != label.shape or detected.dtype != np.bool_:
-        raise ValueError(f"expected detections as bool {label.shape}, found {detected.dtype} {detected.shape}")
+    assert detected.shape == label.shape and detected.dtype == np.bool_
     end = len(label) if onset == -1 else onset + F1_CUT_MS
     label = label[:end]
     detected = detected[:end]
@@ -107,8 +104,7 @@ class Prediction:
 
     def __post_init__(self) -> None:
         check_labels(self.label, self.onset)
-        if self.probability.shape != self.label.shape:
-            raise ValueError(f"expected probabilities {self.label.shape}, found {self.probability.shape}")
+        assert self.probability.shape == self.label.shape
         defined = self.probability[np.count_nonzero(np.isnan(self.probability)) :]
         # a NaN after the first number leaves a NaN in `defined`, and no comparison with NaN is true
         if not np.all((defined >= 0) & (defined <= 1)):
@@ -135,10 +131,8 @@ def score(predictions: Sequence[Prediction], threshold: float) -> dict[str, floa
     - f1_pooled, precision, recall and the counts pool all trajectories; with one object f1 equals f1_pooled.
     - alarms_without_slip: trajectories without an onset in which slip was detected.
     """
-    if not predictions:
-        raise ValueError("expected at least one trajectory to score, found none")
-    if not 0 <= threshold <= 1:
-        raise ValueError(f"expected a threshold within 0..1, found {threshold}")
+    assert predictions
+    assert 0 <= threshold <= 1
     timings: list[Timing] = []
     alarms = 0
     by_object: dict[str, list[Counts]] = {}
@@ -202,8 +196,7 @@ def choose_threshold(checkpoints: Sequence[Sequence[Prediction]]) -> Choice:
     between checkpoints go to the later one, which was trained longer. ValueError if no trajectory slips, because timing
     is then undefined.
     """
-    if not checkpoints:
-        raise ValueError("expected at least one checkpoint, found none")
+    assert checkpoints
     thresholds = np.empty(len(checkpoints))
     scores = np.empty(len(checkpoints))
     for index, predictions in enumerate(checkpoints):

@@ -250,6 +250,5 @@ def difference_of_forms(
 
 def _channels(values: ArrayLike, wide: int) -> Tensor:
     array = np.asarray(values, np.float32)
-    if array.shape not in {(), (wide,)} or not np.isfinite(array).all():
-        raise ValueError(f"expected one finite value per channel, ({wide},), found shape {array.shape}: {array}")
+    assert array.shape in {(), (wide,)} and np.isfinite(array).all()
     return torch.from_numpy(np.broadcast_to(array, wide).copy())

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.kernels.slip import inputs
 from evetac_cli.kernels.slip.architectures import Architecture, OverImages
-from evetac_cli.kernels.slip.inputs import DotsAndExtras, OfEvents, Trajectory
+from evetac_cli.kernels.slip.inputs import OfEvents, Trajectory
 from evetac_cli.kernels.slip.labels import BUSY_EVENTS, check_labels, shift_labels
 
 SLIP_SHARE = 32  # samples of each pool in a batch
@@ -74,8 +74,8 @@ def gather(
 
     A trajectory with an onset is cut to the slices [0, onset + cut): 15 ms for a history up to 10, 20 ms up to 20, 50
     ms beyond. A slice is a sample if its history is full and it is labelled. With `horizon_ms` the same slices get the
-    labels of `shift_labels`. Trajectories are taken one by one, and unneeded parts are not kept. ValueError if shapes,
-    values or the onset do not fit, or if the slip or busy pool would be empty; the others may be.
+    labels of `shift_labels`. Trajectories are taken one by one, and unneeded parts are not kept. ValueError if the
+    slip or busy pool would be empty; the others may be.
     """
     pools: dict[str, list[NDArray[np.int64]]] = {name: [] for name in PoolSizes._fields}
     shares: list[NDArray[np.float32]] = []
@@ -95,13 +95,11 @@ def _sorted(
     """Yield the slices of each trajectory that samples need; fills `pools` and `shares` on the way."""
     history = architecture.history
     begin = count = 0
-    for index, trajectory in enumerate(trajectories):
+    for trajectory in trajectories:
         count += 1
-        try:
-            _check(trajectory, dots)
-            members = _members(trajectory.label, trajectory.onset, trajectory.events_outside, architecture, horizon_ms)
-        except ValueError as error:
-            raise ValueError(f"trajectory {index}: {error}") from error
+        assert len(trajectory.label) == len(trajectory.events_outside) == inputs.length(trajectory.series)
+        assert isinstance(trajectory.series, OfEvents) or inputs.dots_of(trajectory.series).shape[1] == dots
+        members = _members(trajectory.label, trajectory.onset, trajectory.events_outside, architecture, horizon_ms)
         used = np.logical_or.reduce([*members.values()])
         if not used.any():
             continue
@@ -160,7 +158,7 @@ def pool_sizes(
     architecture: Architecture,
     horizon_ms: int = 0,
 ) -> PoolSizes:
-    """Return the number of samples that `gather` adds to each pool from a trajectory; ValueError for invalid labels."""
+    """Return the number of samples that `gather` adds to each pool from a trajectory."""
     check_labels(label, onset)
     members = _members(label, onset, events_outside, architecture, horizon_ms)
     return PoolSizes(*(int(np.count_nonzero(mask)) for mask in members.values()))
@@ -271,29 +269,3 @@ def _deal(pool: NDArray[np.int64], rng: np.random.Generator) -> Iterator[np.int6
 
 def _take(deck: Iterator[np.int64], count: int) -> NDArray[np.int64]:
     return np.fromiter(islice(deck, count), np.int64, count)
-
-
-def _check(trajectory: Trajectory, dots: int) -> None:
-    slices = len(trajectory.label)
-    if inputs.length(trajectory.series) != slices:
-        raise ValueError(f"series: expected {slices} slices as labelled, found {inputs.length(trajectory.series)}")
-    if trajectory.events_outside.shape != (slices,):
-        raise ValueError(f"events_outside: expected shape {(slices,)}, found {trajectory.events_outside.shape}")
-    check_labels(trajectory.label, trajectory.onset)
-    share = trajectory.slip_share
-    if share is not None and not (share.shape == (slices,) and np.all((share >= 0) & (share <= 1))):
-        raise ValueError(f"slip_share: expected {slices} shares of 0 to 1, found shape {share.shape}")
-    outside = trajectory.events_outside
-    if outside.dtype.kind not in "iu" or np.any(outside < 0):
-        raise ValueError(
-            f"events_outside: expected whole numbers of at least 0, found {outside.dtype} from {outside.min(initial=0)}"
-        )
-    if isinstance(trajectory.series, OfEvents):
-        return
-    of_dots = inputs.dots_of(trajectory.series)
-    if of_dots.ndim != 3 or of_dots.shape[1] != dots:
-        raise ValueError(f"series: expected {dots} dots, found shape {of_dots.shape}")
-    if not np.isfinite(of_dots).all():
-        raise ValueError("series: expected finite numbers")
-    if isinstance(trajectory.series, DotsAndExtras) and np.isinf(trajectory.series.extras).any():
-        raise ValueError("series: expected finite extras, NaN for unknown ones, found infinite ones")

@@ -50,20 +50,17 @@ class RestState:
 
 
 def start(at_mm: Floats, noise: DotNoise = DotNoise()) -> RestState:  # noqa: B008 - it is constant
-    """Start with dots expected at (dots, 2) in mm, a row of NaN for a missing dot; ValueError for anything else."""
-    if at_mm.ndim != 2 or at_mm.shape[1] != 2 or np.isinf(at_mm).any():
-        raise ValueError(f"at_mm: expected finite numbers (dots, 2) or NaN, found shape {at_mm.shape}")
+    """Start with dots expected at (dots, 2) in mm, a row of NaN for a missing dot."""
+    assert at_mm.ndim == 2 and at_mm.shape[1] == 2 and not np.isinf(at_mm).any()
     return RestState(np.array(at_mm, np.float64), noise)
 
 
 def step(state: RestState, dot_mm: Floats, lost: Flags) -> bool:
     """Add the dots (dots, 2) of the next slice; return whether a block has ended with it.
 
-    Dots that are lost (dots,) or not finite keep their last position. ValueError for another number of dots.
+    Dots that are lost (dots,) or not finite keep their last position.
     """
-    if dot_mm.shape != state.seen_mm.shape or lost.shape != state.tracked.shape:
-        expected = f"{state.seen_mm.shape} and {state.tracked.shape}"
-        raise ValueError(f"dot_mm, lost: expected shapes {expected}, found {dot_mm.shape} and {lost.shape}")
+    assert dot_mm.shape == state.seen_mm.shape and lost.shape == state.tracked.shape
     _add(dot_mm, lost, state.seen_mm, state._sum_mm, state._counted)
     state.slices += 1
     if state.slices % BLOCK_MS:

@@ -36,13 +36,11 @@ class UntouchedState:
 
 
 def start(rest_xy_px: Floats, still_slices: int = STILL_SLICES) -> UntouchedState:
-    """Start with dots at rest (n, 2) in px, NaN for a missing one; ValueError for fewer than 4 or another shape."""
+    """Start with dots at rest (n, 2) in px, NaN for a missing one;"""
     rest: Floats = np.array(rest_xy_px, np.float64)
-    if rest.ndim != 2 or rest.shape[1] != 2:
-        raise ValueError(f"rest_xy_px: expected shape (dots, 2), found {rest.shape}")
+    assert rest.ndim == 2 and rest.shape[1] == 2
     there = int(np.isfinite(rest).all(axis=1).sum())
-    if there < LEAST_DOTS:
-        raise ValueError(f"rest_xy_px: expected at least {LEAST_DOTS} dots that are not missing, found {there}")
+    assert there >= LEAST_DOTS
     check_range("still_slices", still_slices, 1, 1e6)
     return UntouchedState(rest, still_slices)
 
@@ -50,11 +48,9 @@ def start(rest_xy_px: Floats, still_slices: int = STILL_SLICES) -> UntouchedStat
 def step(state: UntouchedState, dot_xy_px: Floats, lost: Flags | None = None) -> bool:
     """Return True, once per touch, when this slice shows that the touch has ended.
 
-    dot_xy_px: (n, 2) as tracked; lost: (n,). Dots that are lost or not finite are ignored. ValueError for another
-    number of dots.
+    dot_xy_px: (n, 2) as tracked; lost: (n,). Dots that are lost or not finite are ignored.
     """
-    if dot_xy_px.shape != state.rest_xy_px.shape:
-        raise ValueError(f"dot_xy_px: expected shape {state.rest_xy_px.shape}, found {dot_xy_px.shape}")
+    assert dot_xy_px.shape == state.rest_xy_px.shape
     moved = dot_xy_px - state.since_xy_px
     way_px2 = moved[:, 0] * moved[:, 0] + moved[:, 1] * moved[:, 1]
     seen = np.isfinite(way_px2)

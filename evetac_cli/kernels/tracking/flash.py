@@ -25,11 +25,9 @@ def dots_in_flash(x: NDArray[np.uint16], y: NDArray[np.uint16], near_xy_px: Floa
     """Return the centres of dots (n, 2) in px from the events of a flash; NaN for dots with too few events.
 
     `x`, `y`: columns of the events of one slice with the polarity of the change, in px. `near_xy_px`: (n, 2),
-    approximate positions, within a radius or so; NaN for a missing dot. `radius_px`: of the dots. ValueError for
-    columns of different lengths.
+    approximate positions, within a radius or so; NaN for a missing dot. `radius_px`: of the dots.
     """
-    if x.ndim != 1 or x.shape != y.shape:
-        raise ValueError(f"expected two columns of equal length, found {x.shape} and {y.shape}")
+    assert x.ndim == 1 and x.shape == y.shape
     found: Floats = np.array(near_xy_px, np.float64)
     _find(x, y, found, radius_px)
     return found

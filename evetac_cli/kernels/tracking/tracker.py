@@ -28,7 +28,6 @@ from evetac_cli.checks import check_range
 from evetac_cli.events import FRAME_PX
 from evetac_cli.kernels.calibration import grid
 from evetac_cli.kernels.compiled import njit
-from evetac_cli.kernels.records import check_record
 from evetac_cli.kernels.tracking import buckets, descent, fit, hot_pixels, lost_dots
 from evetac_cli.kernels.tracking.presets import MAX_REACH_PX, TrackerConstants
 
@@ -82,13 +81,13 @@ class TrackerState:
     """State of the tracker after the slices so far: `record`, of dtype STATE, and views of its main fields.
 
     `step` changes the record in place. `TrackerState(np.frombuffer(memory, STATE, 1))` restores a state from saved
-    bytes or shared memory. ValueError if the record is not a writable array of one STATE.
+    bytes or shared memory.
     """
 
     __slots__ = ("dot_xy_px", "events_per_dot", "lost", "neighbours", "record", "rest_xy_px")
 
     def __init__(self, record: NDArray[np.void]) -> None:
-        check_record(record, STATE)
+        assert record.dtype == STATE and record.shape == (1,) and record.flags.writeable
         self.record = record
         n = int(record["dots"][0])
         self.dot_xy_px: NDArray[np.float64] = record["centre_xy_px"][0, :n]  # (n, 2) now; NaN for a missing dot
@@ -121,8 +120,8 @@ def start(
 
     dot_xy_px: (n, 2) in any order, n up to CAPACITY, inside the frame and all different. A row of NaN is a missing dot:
     no motion, no events, no neighbour of another dot. neighbours: (n, 8) indices filled up with -1; by
-    default from `grid.neighbours`. frame_px: width and height. ValueError if the dots, the neighbours or the frame are
-    not valid, or if the constants overshoot or stall on these dots (`require_followable`).
+    default from `grid.neighbours`. frame_px: width and height. ValueError if the dots or the frame are not
+    valid, or if the constants overshoot or stall on these dots (`require_followable`).
     """
     rest = _checked_dots(dot_xy_px, frame_px)
     n = len(rest)
@@ -220,14 +219,12 @@ def place(state: TrackerState, dot_xy_px: NDArray[np.float64], share: float = 1.
     """Move dots to positions from a source other than their events, or by a share of the way; updates `state`.
 
     dot_xy_px: (n, 2) in px. Dots with NaN stay as they are; the others are followed from the new position and are no
-    longer lost. ValueError for another shape or share, an infinite position, or a position for a missing dot.
+    longer lost. ValueError for another share.
     """
-    if dot_xy_px.shape != state.dot_xy_px.shape:
-        raise ValueError(f"dot_xy_px: expected shape {state.dot_xy_px.shape}, found {dot_xy_px.shape}")
+    assert dot_xy_px.shape == state.dot_xy_px.shape
     check_range("share", share, 0.0, 1.0)
     seen = ~np.isnan(dot_xy_px).any(axis=1)
-    if not np.isfinite(dot_xy_px[seen]).all() or np.isnan(state.rest_xy_px[seen]).any():
-        raise ValueError("dot_xy_px: expected finite positions, and NaN for missing dots")
+    assert np.isfinite(dot_xy_px[seen]).all() and not np.isnan(state.rest_xy_px[seen]).any()
     most_px = state.record["frame_px"][0] - 1.0
     moved = state.dot_xy_px[seen] + share * (dot_xy_px[seen] - state.dot_xy_px[seen])
     state.dot_xy_px[seen] = np.clip(moved, 0.0, most_px)
@@ -259,11 +256,10 @@ def fold(
 ) -> Tracks:
     """Apply `step` to one slice after the other, for recordings: slice k has the events [starts[k], starts[k + 1]).
 
-    Accepts the same columns as `step`; ValueError for starts that decrease or exceed the number of events.
+    Accepts the same columns as `step`.
     """
     p = checked_polarities(state, x, y, p)
-    if starts.ndim != 1 or len(starts) < 1 or starts[0] < 0 or starts[-1] > len(x) or (np.diff(starts) < 0).any():
-        raise ValueError(f"starts: expected indices of {len(x)} events that do not decrease, found {starts}")
+    assert starts.ndim == 1 and starts[0] >= 0 and starts[-1] <= len(x) and (np.diff(starts) >= 0).all()
     slices, dots = len(starts) - 1, len(state.rest_xy_px)
     tracks = Tracks(
         np.empty((slices, dots, 2), np.float32), np.empty((slices, dots), np.int32), np.empty((slices, dots), np.uint8)
@@ -402,16 +398,11 @@ def _checked_dots(dot_xy_px: NDArray[np.float64], frame_px: Sequence[int]) -> ND
 def _checked_neighbours(neighbours: NDArray[np.int32], rest_xy_px: NDArray[np.float64]) -> NDArray[np.int32]:
     pairs = np.array(neighbours)
     n = len(rest_xy_px)
-    if pairs.shape != (n, grid.MAX_NEIGHBOURS) or pairs.dtype.kind not in "iu":
-        raise ValueError(
-            f"neighbours: expected integers of shape {(n, grid.MAX_NEIGHBOURS)}, found {pairs.dtype} {pairs.shape}"
-        )
+    assert pairs.shape == (n, grid.MAX_NEIGHBOURS) and pairs.dtype.kind in "iu"
     used = pairs >= 0
     owner = np.arange(n)[:, None]
     missing = np.isnan(rest_xy_px[:, 0])
     gap = used[:, 1:] & ~used[:, :-1]
-    if (pairs < -1).any() or (pairs >= n).any() or gap.any():
-        raise ValueError(f"neighbours: expected indices below {n} followed by -1, found {pairs.tolist()}")
-    if (used & ((pairs == owner) | missing[pairs] | missing[owner])).any():
-        raise ValueError("neighbours: expected pairs of two present dots, found a dot with itself or a missing one")
+    assert (pairs >= -1).all() and (pairs < n).all() and not gap.any()
+    assert not (used & ((pairs == owner) | missing[pairs] | missing[owner])).any()
     return pairs.astype(np.int32)

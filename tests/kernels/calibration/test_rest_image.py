@@ -61,12 +61,6 @@ def test_hot_pixels_and_foreign_places_are_left_out() -> None:
     assert not image(state).brighter.any()
 
 
-def test_columns_of_different_length_are_refused() -> None:
-    """Assert that columns that differ in length are refused with their lengths."""
-    with pytest.raises(ValueError, match="found 2, 2 and 1"):
-        step(start((4, 4)), np.zeros(2, np.uint16), np.zeros(2, np.uint16), np.zeros(1, np.uint8))
-
-
 def test_joined_is_the_most() -> None:
     """Assert that joining takes the most of each side, in any order."""
     rng = np.random.default_rng(0)

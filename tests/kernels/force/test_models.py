@@ -82,8 +82,6 @@ def test_displacement() -> None:
     tracked[3, 7] = np.nan
     with pytest.raises(ValueError, match=r"dots \[7\]"):
         models.displacement(tracked, rest)
-    with pytest.raises(ValueError, match="expected shape"):
-        models.displacement(tracked, rest[:-1])
 
 
 @given(
@@ -122,11 +120,6 @@ def test_errors() -> None:
 @pytest.mark.parametrize(
     ("moved_px", "force_n", "message"),
     [
-        (moved(5), np.zeros((4, 2)), "expected shapes"),
-        (moved(2), np.zeros((2, 2)), "n >= 3"),
-        (moved(5)[..., :1], np.zeros((5, 2)), "expected shapes"),
-        (moved(5), np.full((5, 2), np.nan), "finite"),
-        (np.full((5, 63, 2), np.inf), np.zeros((5, 2)), "finite"),
         (np.zeros((5, 63, 2)), np.zeros((5, 2)), "moved in x and in y"),
     ],
 )

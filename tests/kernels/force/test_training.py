@@ -66,14 +66,10 @@ def test_progress_is_told() -> None:
 
 
 def test_nonsense_is_refused() -> None:
-    """Assert that dots that never move, missing forces, non-finite samples and no epochs are refused."""
+    """Assert that dots that never move and no epochs are refused."""
     rng = np.random.default_rng(0)
     good, still = gel(10, 1), (np.zeros((10, DOTS, 2)), np.ones((10, 2)))
     with pytest.raises(ValueError, match="dots that move"):
         training.train(*still, *good, rng)
-    with pytest.raises(ValueError, match="shapes"):
-        training.train(good[0], good[1][:5], *good, rng)
-    with pytest.raises(ValueError, match="finite"):
-        training.train(*good, good[0] * np.nan, good[1], rng)
     with pytest.raises(ValueError, match="epochs"):
         training.train(*good, *good, rng, epochs=0)

@@ -154,47 +154,6 @@ def test_series_without_directions() -> None:
     assert series.tolist() == [[[1, 5]] * 2] * 3
 
 
-def test_not_enough_history() -> None:
-    """Assert that nothing is given before `history` slices."""
-    state = features.start(REST, 2)
-    features.step(state, REST, np.zeros(3, np.int32))
-    with pytest.raises(ValueError, match="expected at least 2 slices, found 1"):
-        features.latest(state)
-
-
-def test_wrong_shapes_are_refused() -> None:
-    """Assert that arrays that do not belong together, infinite places and no history are refused."""
-    state = features.start(REST, 2)
-    table, events = np.zeros((6, 3), np.float32), np.zeros((6, 3), np.int32)
-    columns = np.zeros(2, np.uint16), np.zeros(2, np.uint16), np.zeros(2, np.uint8)
-    for call in (
-        lambda: features.start(np.zeros((3, 3)), 1),
-        lambda: features.start(np.full((3, 2), np.inf), 1),
-        lambda: features.start(REST, 0),
-        lambda: features.start(REST, HISTORY_CAPACITY + 1),
-        lambda: features.start(np.zeros((DOT_CAPACITY + 1, 2)), 1),
-        lambda: FeatureState(np.zeros(2, STATE)),
-        lambda: FeatureState(np.frombuffer(bytes(STATE.itemsize), STATE)),
-        lambda: FeatureState(np.zeros(1)),
-        lambda: features.step(state, REST[:2], np.zeros(3, np.int32)),
-        lambda: features.step(state, REST, np.zeros(2, np.int32)),
-        lambda: features.displacement(REST[:2], REST),
-        lambda: features.displacement(np.full((3, 2), -np.inf), REST),
-        lambda: features.displacement_xy(REST[:2], REST),
-        lambda: features.series(table, events[:5]),
-        lambda: features.series(table, events, np.zeros((6, 3, 1), np.float32)),
-        lambda: features.gel_image(*columns, None, np.zeros((4, 5), np.int8)),
-        lambda: features.gel_image(*columns[:2], np.zeros(3, np.uint8), None, np.zeros((480, 540), np.int8)),
-        lambda: features.rotate(np.zeros((7, 8, 2), np.float32), 1),
-        lambda: features.events_outside(np.zeros(2, np.uint16), np.zeros(3, np.uint16), np.array([0, 2]), None),
-        lambda: features.events_outside(*columns[:2], np.array([0, 2]), np.zeros(3, np.int32)),
-        lambda: features.events_outside(*columns[:2], np.array([0, 3]), None),
-        lambda: event_image(np.zeros(2, np.uint16), np.zeros(2, np.uint16), np.zeros(3, np.uint8)),
-    ):
-        with pytest.raises(ValueError, match="expected .* found"):
-            call()
-
-
 def numbered(rows: int = 7, columns: int = 8) -> NDArray[np.float32]:
     """Two windows (2, rows, columns, 3) with all values different and none 0."""
     return np.arange(1, 2 * rows * columns * 3 + 1, dtype=np.float32).reshape(2, rows, columns, 3)

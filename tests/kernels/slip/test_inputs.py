@@ -126,24 +126,6 @@ def test_series_are_cut_and_joined(row: Architecture) -> None:
         assert not np.shares_memory(one, other)
 
 
-def test_what_does_not_fit_is_refused() -> None:
-    """Assert that slices without a full history or past the end, and series of the other sort, are refused."""
-    hist10, image = ARCHITECTURES["hist10"], ARCHITECTURES["hist10-img-6x6"]
-    for row in (hist10, image):
-        for ends in ([8], [12], [9, -1]):
-            with pytest.raises(ValueError, match="expected slices from 9 to 11"):
-                inputs.at(row, series_for(row, 12), np.array(ends))
-        with pytest.raises(ValueError, match="whole numbers"):
-            inputs.at(row, series_for(row, 12), np.array([9.0]))
-        assert len(inputs.at(row, series_for(row, 12), np.empty(0, np.int64))) == 0
-    with pytest.raises(ValueError, match="found events"):
-        inputs.at(hist10, images(12), np.array([9]))
-    with pytest.raises(ValueError, match="expected event images"):
-        inputs.at(image, dots(12), np.array([9]))
-    with pytest.raises(ValueError, match=r"found \(60, 56, 2\)"):
-        inputs.at(ARCHITECTURES["disp-xy"], dots(60)[..., :2], np.array([59]))
-
-
 @pytest.mark.parametrize("name", ["hist10", "events-only", "fast-slow"])
 def test_channels_that_are_not_viewed_may_be_missing(name: str) -> None:
     """Assert the same bits from the channels before the directions alone."""

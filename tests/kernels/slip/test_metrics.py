@@ -42,12 +42,6 @@ def test_onset_is_the_first_detection() -> None:
     assert metrics.onset(np.zeros(0, bool)) == -1
 
 
-def test_onset_wants_decisions() -> None:
-    """Assert that probabilities are not taken for detections."""
-    with pytest.raises(ValueError, match="bool"):
-        metrics.onset(np.array([0.2, 0.9]))
-
-
 @pytest.mark.parametrize(
     ("shift", "verdict"),
     [(-1000, "early"), (-51, "early"), (-50, "correct"), (0, "correct"), (20, "correct"), (21, "late"), (900, "late")],
@@ -61,12 +55,6 @@ def test_no_detection_is_late() -> None:
     """Assert that a missed slip is late, even right after the start where -1 would lie within the window."""
     assert metrics.timing(-1, 2000) == "late"
     assert metrics.timing(-1, 10) == "late"
-
-
-def test_timing_needs_an_onset() -> None:
-    """Assert that timing against no onset is refused."""
-    with pytest.raises(ValueError, match="-1, found|found -1"):
-        metrics.timing(5, -1)
 
 
 def test_counts_end_twenty_slices_after_the_onset() -> None:
@@ -113,17 +101,6 @@ def test_f1_is_the_harmonic_mean() -> None:
     assert metrics.counts(label, np.array([True, False, False, False, False]), 0).f1 == pytest.approx(0.4)
 
 
-def test_impossible_labels_are_refused() -> None:
-    """Assert that labels beyond -1..1, onsets beyond the recording and mismatched lengths are refused."""
-    label = np.zeros(5, np.int8)
-    with pytest.raises(ValueError, match="labels"):
-        metrics.counts(np.full(5, 2, np.int8), np.zeros(5, bool), -1)
-    with pytest.raises(ValueError, match="onset"):
-        metrics.counts(label, np.zeros(5, bool), 5)
-    with pytest.raises(ValueError, match="detections"):
-        metrics.counts(label, np.zeros(4, bool), 0)
-
-
 def test_slices_before_the_history_is_full_are_no_samples() -> None:
     """Assert that NaN probabilities are no detection and no miss, though the slice is labelled."""
     label = np.ones(6, np.int8)
@@ -132,9 +109,7 @@ def test_slices_before_the_history_is_full_are_no_samples() -> None:
     assert metrics.onset(Prediction(says, label, 0).detected(0.0)) == 2
 
 
-@pytest.mark.parametrize(
-    "says", [[0.1, np.nan, 0.2], [0.1, 1.1, 0.2], [0.1, -0.1, 0.2], [0.1, 0.2, np.inf], [0.1, 0.2]]
-)
+@pytest.mark.parametrize("says", [[0.1, np.nan, 0.2], [0.1, 1.1, 0.2], [0.1, -0.1, 0.2], [0.1, 0.2, np.inf]])
 def test_impossible_probabilities_are_refused(says: list[float]) -> None:
     """Assert that a prediction holds probabilities, NaN at its start only."""
     with pytest.raises(ValueError, match="probabilities"):
@@ -177,14 +152,6 @@ def test_score_without_slip_has_no_shares() -> None:
     row = metrics.score([prediction(50, -1, 20)], 0.5)
     assert row["slip_correct"] is None
     assert (row["f1"], row["alarms_without_slip"]) == (0, 1)
-
-
-def test_score_refuses_nothing_and_nonsense() -> None:
-    """Assert that no trajectories and thresholds beyond 0..1 are refused."""
-    with pytest.raises(ValueError, match="at least one trajectory"):
-        metrics.score([], 0.5)
-    with pytest.raises(ValueError, match="threshold"):
-        metrics.score([prediction(50, 20, 20)], float("nan"))
 
 
 def test_grid_is_the_papers_and_finer_near_one() -> None:
@@ -236,12 +203,10 @@ def test_choice_weighs_timing_and_f1() -> None:
     assert choice.score == pytest.approx((1 + 2 * 10 / 30) / 2)
 
 
-def test_choice_needs_slip_and_checkpoints() -> None:
-    """Assert that validation without a slip, or without a checkpoint, is refused."""
+def test_choice_needs_slip() -> None:
+    """Assert that validation without a slip is refused."""
     with pytest.raises(ValueError, match="onset"):
         choose_threshold([[prediction(50, -1, 20)]])
-    with pytest.raises(ValueError, match="checkpoint"):
-        choose_threshold([])
 
 
 def of_labels(says: float, label: list[int], onset: int) -> Prediction:

@@ -88,11 +88,3 @@ def test_what_is_kept_goes_on_alike() -> None:
     half = copy.deepcopy(rests_after(slices[:233]))
     again = rests_after(slices[233:], half)
     assert again.rested == whole.rested and np.array_equal(again.rest_mm, whole.rest_mm)
-
-
-def test_other_dots_are_refused() -> None:
-    """Assert that dots of another number, and places that are none, are refused in words."""
-    with pytest.raises(ValueError, match=r"dot_mm, lost: expected shapes \(63, 2\)"):
-        rest.step(rest.start(DOTS), DOTS[1:], NONE_LOST)
-    with pytest.raises(ValueError, match="at_mm: expected"):
-        rest.start(DOTS.ravel())

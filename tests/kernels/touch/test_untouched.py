@@ -1,7 +1,6 @@
 """Nothing touches any more: after a touch that has gone, once, whatever a tracker is off by; never in a touch."""
 
 import numpy as np
-import pytest
 
 from evetac_cli.arrays import Floats
 from evetac_cli.kernels.touch import untouched
@@ -70,12 +69,3 @@ def test_wrong_lost_and_missing_dots_do_not_hinder() -> None:
         now = rest + 8 * TOUCH if k < 30 else place + np.where(lost, 5.0 * k, 0.0)[:, None]
         found.append(untouched.step(state, now, lost))
     assert np.flatnonzero(found).tolist() == [30 + STILL]
-
-
-@pytest.mark.parametrize("rest", [REST[:3], REST[:, 0], np.full((9, 2), np.nan)])
-def test_refused_dots(rest: Floats) -> None:
-    """Assert that too few dots, or no places, are refused, and other numbers of dots later on."""
-    with pytest.raises(ValueError, match="expected"):
-        untouched.start(rest)
-    with pytest.raises(ValueError, match="dot_xy_px: expected shape"):
-        untouched.step(untouched.start(REST), REST[:5])

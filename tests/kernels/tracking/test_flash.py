@@ -43,8 +43,6 @@ def test_hidden_and_missing_dots_have_no_place() -> None:
     assert np.isnan(found).all(axis=1).tolist() == [True, True, True, False]
     empty = np.empty(0, np.uint16)
     assert np.isnan(dots_in_flash(empty, empty, DOTS, RADIUS_PX)).all()
-    with pytest.raises(ValueError, match="equal length"):
-        dots_in_flash(x, y[1:], DOTS, RADIUS_PX)
 
 
 def test_a_second_pulse_shows_dots_that_have_moved() -> None:
@@ -84,12 +82,9 @@ def test_dots_are_followed_from_where_they_are_put() -> None:
 
 
 def test_refused_places() -> None:
-    """Assert that other numbers of dots, infinite places, places of missing dots and shares beyond 1 are refused."""
+    """Assert that shares beyond 1 are refused."""
     rest = DOTS.copy()
     rest[2] = np.nan
     state = tracker.start(rest, PRESETS["stable"].for_dots(RADIUS_PX))
-    for wrong in (DOTS[:2], np.where(np.isnan(rest), rest, np.inf), DOTS):
-        with pytest.raises(ValueError, match="dot_xy_px: expected"):
-            tracker.place(state, wrong)
     with pytest.raises(ValueError, match="share"):
         tracker.place(state, rest, 1.5)
