@@ -236,10 +236,8 @@ def step(state: DriveState, drive: Drive, curve: ForceCurve, mode: Mode, command
         raise ValueError(f"command must be finite and dt_s finite and > 0, found {command} and {dt_s}")
     if mode == "position":
         wanted_ma = drive.gain_ma_tick * (round(command) - state.position_ticks)
-    elif mode == "current":
-        wanted_ma = float(round(command))
     else:
-        raise ValueError(f"mode must be position or current, found {mode!r}")
+        wanted_ma = float(round(command))
     state.current_ma = min(max(wanted_ma, -drive.current_limit_ma), drive.current_limit_ma)
     motor_n = drive.force_per_current_n_ma * state.current_ma
     place = (state.motor_ticks, state.closing_ticks)

@@ -101,8 +101,7 @@ def positions(name: str, values: ArrayLike, count: int | None = None) -> Floats:
     xy = np.ascontiguousarray(values, np.float64)
     if xy.size == 0 and count in (0, None):
         return np.empty((0, 2))
-    if xy.ndim != 2 or xy.shape[1] != 2 or count not in (None, len(xy)):
-        raise ValueError(f"{name}: expected ({'n' if count is None else count}, 2), found shape {xy.shape}")
+    assert xy.ndim == 2 and xy.shape[1] == 2 and count in (None, len(xy))
     if not _all_within(xy, FARTHEST_PX):
         raise ValueError(f"{name}: expected finite positions within {FARTHEST_PX:g} px, found {xy.min()} to {xy.max()}")
     return xy
@@ -122,11 +121,9 @@ def dot_paths(dot_path_px: ArrayLike | None, dots_start: Floats, dots_end: Float
         return ends
     dots = len(dots_start)
     path = np.asarray(dot_path_px, np.float64)
-    if path.ndim != 3 or path.shape[1:] != (dots, 2) or not 2 <= len(path) <= MOST_PIECES + 1:
-        raise ValueError(f"dot_path_px: expected (2 to {MOST_PIECES + 1}, {dots}, 2), found shape {path.shape}")
+    assert path.ndim == 3 and path.shape[1:] == (dots, 2) and 2 <= len(path) <= MOST_PIECES + 1
     positions("dot_path_px", path.reshape(-1, 2))
-    if not (np.array_equal(path[0], dots_start) and np.array_equal(path[-1], dots_end)):
-        raise ValueError("dot_path_px: expected dot_xy_px_start first and dot_xy_px_end last, found other positions")
+    assert np.array_equal(path[0], dots_start) and np.array_equal(path[-1], dots_end)
     return np.ascontiguousarray(path.transpose(1, 0, 2))
 
 
@@ -135,8 +132,7 @@ def window_corners(window_px: tuple[int, int, int, int] | None, frame_px: tuple[
     if window_px is None:
         return 0, 0, 0, 0
     x0, y0, x1, y1 = (int(corner) for corner in window_px)
-    if not (0 <= x0 < x1 <= frame_px[0] and 0 <= y0 < y1 <= frame_px[1]):
-        raise ValueError(f"window_px: expected x0, y0, x1, y1 within the frame {frame_px}, found {tuple(window_px)}")
+    assert 0 <= x0 < x1 <= frame_px[0] and 0 <= y0 < y1 <= frame_px[1]
     return x0, y0, x1, y1
 
 
@@ -145,10 +141,8 @@ def window_texture(texture: NDArray[np.float32] | None) -> NDArray[np.float32]:
     if texture is None:
         return np.zeros((1, 1), np.float32)
     pattern = np.ascontiguousarray(texture, np.float32)
-    if pattern.ndim != 2 or any(size < 1 or size & (size - 1) for size in pattern.shape):
-        raise ValueError(f"texture: expected two dimensions that are powers of two, found shape {pattern.shape}")
-    if not np.isfinite(pattern).all():
-        raise ValueError("texture: expected finite levels, found NaN or infinity")
+    assert pattern.ndim == 2 and all(size >= 1 and not size & (size - 1) for size in pattern.shape)
+    assert np.isfinite(pattern).all()
     return pattern
 
 
@@ -161,11 +155,9 @@ def line_motion(
     """
     start, end = motion.contact_edges_start, motion.contact_edges_end
     if contact_edges is None:
-        if start is not None or end is not None:
-            raise ValueError("contact_edges_start, contact_edges_end: expected none: the camera has none, found some")
+        assert start is None and end is None
         return None
-    if start is None or end is None:
-        raise ValueError("contact_edges_start, contact_edges_end: expected both: the camera has some, found none")
+    assert start is not None and end is not None
     if start is end is contact_edges.rested:
         return None
     previous, checked = contact_edges.placed

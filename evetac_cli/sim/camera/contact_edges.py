@@ -174,16 +174,13 @@ def start(
 
 
 def check_place(name: str, contact_edges: ContactEdges, place: EdgePlace) -> EdgePlace:
-    """Return the position as arrays of the right type; ValueError if values are not finite or have another shape."""
+    """Return the position as arrays of the right type; ValueError if values are not finite."""
     corner = np.ascontiguousarray(place.corner_px, np.float64)
     cut_x = np.ascontiguousarray(place.cut_x_px, np.float64)
-    if corner.shape != (2,) or cut_x.shape != contact_edges.seen_cut_x.shape:
-        expected = f"corner_px (2,) and cut_x_px {contact_edges.seen_cut_x.shape}"
-        raise ValueError(f"{name}: expected {expected}, found {corner.shape} and {cut_x.shape}")
+    assert corner.shape == (2,) and cut_x.shape == contact_edges.seen_cut_x.shape
     if not (_all_within(corner, FARTHEST_PX) and _all_within(cut_x, FARTHEST_PX)):
         raise ValueError(f"{name}: expected finite positions within {FARTHEST_PX:g} px")
-    if not 0.0 <= place.strength <= 1.0:
-        raise ValueError(f"{name}: expected a strength of 0 to 1, found {place.strength}")
+    assert 0.0 <= place.strength <= 1.0
     return EdgePlace(corner, float(place.strength), cut_x)
 
 
@@ -208,11 +205,10 @@ def ellipse(size_px: ArrayLike, level: float, width_px: float, thick_px: float |
     """Return the outline of an ellipse of size (x, y): L = level * Phi(d / width), d the depth inside the edge.
 
     With `thick_px` it is a ring with a second edge that far inside the first: L = level * (Phi(d_outer / width) -
-    Phi(d_inner / width)). ValueError unless sizes, level and width are positive and a ring has a hole.
+    Phi(d_inner / width)). ValueError unless level and width are positive and a ring has a hole.
     """
     size = np.asarray(size_px, np.float64)
-    if size.shape != (2,) or not (np.isfinite(size).all() and (size > 0).all()):
-        raise ValueError(f"size_px: expected two positive numbers, found {size.tolist()}")
+    assert size.shape == (2,) and np.isfinite(size).all() and (size > 0).all()
     check_range("level", level, above=True)
     check_range("width_px", width_px, above=True)
     if thick_px is not None:

@@ -23,12 +23,8 @@ class DotShapes(NamedTuple):
 
 
 def dot_shapes(profile: DotProfile, larger_px: NDArray[np.float64], contrast: NDArray[np.float64]) -> DotShapes:
-    """Return dots that are larger than a profile by `larger_px` (dots,), with `contrast` (dots,) times its levels.
-
-    ValueError unless contrasts are positive.
-    """
-    if not (np.isfinite(larger_px).all() and (contrast > 0.0).all()):
-        raise ValueError("dot_shapes: expected finite sizes and positive contrasts")
+    """Return dots that are larger than a profile by `larger_px` (dots,), with `contrast` (dots,) times its levels."""
+    assert np.isfinite(larger_px).all() and (contrast > 0.0).all()
     return DotShapes(
         profile.inner_px + larger_px,
         profile.outer_px + larger_px,

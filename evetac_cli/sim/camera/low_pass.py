@@ -52,13 +52,9 @@ class LowPass:
     """Follows points with the lag of a first-order low pass; `now` (points, 2) is their present position as seen."""
 
     def __init__(self, bandwidth_hz: float | Floats, at: Floats) -> None:
-        """Start settled at `at` (points, 2); bandwidth_hz (-3 dB) is one for all points or one for each (points,).
-
-        ValueError unless positive and finite.
-        """
+        """Start settled at `at` (points, 2); bandwidth_hz (-3 dB) is one for all points or one for each (points,)."""
         each_hz = np.full(len(at), bandwidth_hz, np.float64)
-        if not ((each_hz > 0.0) & (each_hz < np.inf)).all():
-            raise ValueError(f"bandwidth_hz: expected a positive finite number, found {bandwidth_hz}")
+        assert ((each_hz > 0.0) & (each_hz < np.inf)).all()
         self._tau_us = 1e6 / (2 * math.pi * each_hz)
         self.now = at.copy()
 

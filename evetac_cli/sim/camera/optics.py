@@ -232,12 +232,11 @@ def texture(
     """Return an object's log brightness: a periodic Gaussian field of mean 0 and standard deviation `log_sd`.
 
     White noise is smoothed by a Gaussian in the Fourier domain, so the autocorrelation is 2^-(r / h)^2, one half at
-    r = h = `half_correlation_px`. `shape` is (rows, columns), powers of two. ValueError if they are not, if h exceeds
-    an eighth of the field (it would overlap itself around the period), or for a negative or non-finite deviation.
+    r = h = `half_correlation_px`. `shape` is (rows, columns), powers of two. ValueError if h exceeds an eighth of
+    the field (it would overlap itself around the period), or for a negative or non-finite deviation.
     """
     rows, columns = shape
-    if any(size < 8 or size > 8192 or size & (size - 1) for size in shape):
-        raise ValueError(f"shape: expected powers of two from 8 to 8192, found {shape}")
+    assert all(8 <= size <= 8192 and not size & (size - 1) for size in shape)
     longest_px = min(shape) / 8
     check_range("half_correlation_px", half_correlation_px, 0.0, longest_px, above=True)
     check_range("log_sd", log_sd)

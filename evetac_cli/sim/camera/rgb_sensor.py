@@ -42,13 +42,12 @@ class RgbCamera:
 def frame(camera: RgbCamera, dot_xy_px: ArrayLike, radius_px: float, rng: np.random.Generator) -> NDArray[np.uint8]:
     """Return a frame (height, width) of dots (dots, 2) of the same radius, both in px of this camera's frames.
 
-    ValueError if the radius is not positive or a position is not finite.
+    ValueError if the radius is not positive.
     """
     from evetac_cli.sim.camera.optics import dot_profile, gel_level  # here, because a recipe needs only the camera
 
     dots = np.ascontiguousarray(dot_xy_px, np.float64)
-    if dots.ndim != 2 or dots.shape[1] != 2 or not np.isfinite(dots).all():
-        raise ValueError(f"dot_xy_px: expected finite positions (dots, 2), found shape {dots.shape}")
+    assert dots.ndim == 2 and dots.shape[1] == 2 and np.isfinite(dots).all()
     profile = dot_profile(radius_px, camera.blur_px, camera.log_contrast)
     bright = np.exp(gel_level(camera.frame_px, dots, profile))
     noise = rng.standard_normal(bright.shape, np.float32) * np.float32(camera.noise_grey)
@@ -66,24 +65,18 @@ class FrameTracker:
 
 
 def start_tracker(frame: NDArray[np.uint8], dot_xy_px: ArrayLike) -> FrameTracker:
-    """Start with the first frame (height, width) and the positions of the dots in it (dots, 2) in px.
-
-    ValueError if the frame is not grey, or if positions are missing or not finite.
-    """
+    """Start with the first frame (height, width) and the positions of the dots in it (dots, 2) in px."""
     dots = np.array(dot_xy_px, np.float32)
-    if dots.ndim != 2 or dots.shape[1] != 2 or not len(dots) or not np.isfinite(dots).all():
-        raise ValueError(f"dot_xy_px: expected finite positions (dots, 2), found shape {dots.shape}")
-    if frame.ndim != 2 or frame.dtype != np.uint8:
-        raise ValueError(f"frame: expected grey values (height, width) uint8, found {frame.dtype} {frame.shape}")
+    assert dots.ndim == 2 and dots.shape[1] == 2 and len(dots) and np.isfinite(dots).all()
+    assert frame.ndim == 2 and frame.dtype == np.uint8
     return FrameTracker(frame, dots, np.zeros(len(dots), bool))
 
 
 def track(state: FrameTracker, frame: NDArray[np.uint8]) -> None:
-    """Follow the dots to the next frame; ValueError if its size differs."""
+    """Follow the dots to the next frame, which has the same size."""
     import cv2
 
-    if frame.shape != state.frame.shape or frame.dtype != np.uint8:
-        raise ValueError(f"frame: expected uint8 {state.frame.shape}, found {frame.dtype} {frame.shape}")
+    assert frame.shape == state.frame.shape and frame.dtype == np.uint8
     places = state.dot_xy_px[:, None]
     stop = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, MOST_ROUNDS, CLOSE_ENOUGH_PX)
     moved, status, _ = cv2.calcOpticalFlowPyrLK(

@@ -95,8 +95,7 @@ class Stepper:
         its results and its duration in s. The other arguments are those of `gel.step`.
         """
         solver, progress, sums = self.solver, self._progress, self._sums
-        if shares.shape != state.stuck.shape:
-            raise ValueError(f"shares must have the shape of the grid {state.stuck.shape}, found {shares.shape}")
+        assert shares.shape == state.stuck.shape
         theta = solver.theta
         wanted = (0.0, 0.0, 0.0)
         if prescribed_twist is not None:
@@ -117,8 +116,7 @@ class Stepper:
         arrays, law = state.arrays, friction.law
         second = None
         if self.second is not None:
-            if second_shares is None or second_shares.shape != self.second.stuck.shape:
-                raise ValueError(f"second_shares must have the shape of the second grid {self.second.stuck.shape}")
+            assert second_shares is not None and second_shares.shape == self.second.stuck.shape
             squeeze = self._squeezed(1, self.second, second_shares)
             second = (self.second.fields, self.second.gripping(second_shares), squeeze, self.second.layer_constants)
         progress[0] = 0.0

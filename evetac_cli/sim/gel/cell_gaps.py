@@ -48,8 +48,7 @@ def cell_samples(node_xy_m: Floats) -> Floats:
 
     The cells of a single row or column have zero width across it, because the pitch is unknown.
     """
-    if node_xy_m.ndim != 3 or node_xy_m.shape[2] != 2 or not node_xy_m.size or not np.isfinite(node_xy_m).all():
-        raise ValueError(f"node_xy_m must be finite with shape (rows, columns, 2), found shape {node_xy_m.shape}")
+    assert node_xy_m.ndim == 3 and node_xy_m.shape[2] == 2 and node_xy_m.size and np.isfinite(node_xy_m).all()
     rows, columns, _ = node_xy_m.shape
     along_row = node_xy_m[0, 1] - node_xy_m[0, 0] if columns > 1 else np.zeros(2)
     along_column = node_xy_m[1, 0] - node_xy_m[0, 0] if rows > 1 else np.zeros(2)
@@ -60,8 +59,7 @@ def cell_samples(node_xy_m: Floats) -> Floats:
 
 def gaps_of(sample_m: Floats) -> CellGaps:
     """Return the gaps of a surface from its gaps at the sampled points, (rows, columns, samples) in m."""
-    if sample_m.ndim != 3 or sample_m.size == 0 or np.isnan(sample_m).any():
-        raise ValueError(f"gaps must be numbers of shape (rows, columns, samples), found shape {sample_m.shape}")
+    assert sample_m.ndim == 3 and sample_m.size and not np.isnan(sample_m).any()
     sample_m = np.ascontiguousarray(sample_m)
     summary = _summary(sample_m)
     return CellGaps(sample_m, summary, float(summary[..., LEAST].min()))

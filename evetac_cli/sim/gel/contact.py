@@ -24,11 +24,7 @@ from evetac_cli.sim.setup.object_file import Shape
 
 def pad_nodes(columns: int, rows: int, x_range_m: tuple[float, float], y_range_m: tuple[float, float]) -> Floats:
     """Return the cell centres of an evenly divided pad: (rows, columns, 2), x along columns, y along rows."""
-    if columns < 1 or rows < 1:
-        raise ValueError(f"a pad needs columns and rows >= 1, found {columns} and {rows}")
-    for name, (low, high) in (("x_range_m", x_range_m), ("y_range_m", y_range_m)):
-        if not (np.isfinite(low) and np.isfinite(high) and low < high):
-            raise ValueError(f"{name} must be finite and increasing, found ({low}, {high})")
+    assert columns >= 1 and rows >= 1 and x_range_m[0] < x_range_m[1] and y_range_m[0] < y_range_m[1]
     x = x_range_m[0] + (np.arange(columns) + 0.5) * (x_range_m[1] - x_range_m[0]) / columns
     y = y_range_m[0] + (np.arange(rows) + 0.5) * (y_range_m[1] - y_range_m[0]) / rows
     return np.stack(np.meshgrid(x, y), axis=-1)
@@ -36,8 +32,7 @@ def pad_nodes(columns: int, rows: int, x_range_m: tuple[float, float], y_range_m
 
 def cell_area(node_xy_m: Floats) -> float:
     """Return the area in m2 of a cell of a regular grid (rows, columns, 2) with at least two rows and two columns."""
-    if node_xy_m.ndim != 3 or node_xy_m.shape[2] != 2 or min(node_xy_m.shape[:2]) < 2:
-        raise ValueError(f"expected nodes (rows >= 2, columns >= 2, 2), found shape {node_xy_m.shape}")
+    assert node_xy_m.ndim == 3 and node_xy_m.shape[2] == 2 and min(node_xy_m.shape[:2]) >= 2
     return float((node_xy_m[0, 1, 0] - node_xy_m[0, 0, 0]) * (node_xy_m[1, 0, 1] - node_xy_m[0, 0, 1]))
 
 
@@ -66,10 +61,8 @@ def surface(
     Shapes as in `gap_profile`. place: x and y of its middle in m, and its rotation from x to y. round_ends: beyond
     their radius, a cylinder and a sphere are infinitely far away.
     """
-    if not np.isfinite(tilt_rad):
-        raise ValueError(f"tilt_rad must be finite, found {tilt_rad}")
-    if shape not in ("flat", "cylinder", "sphere"):
-        raise ValueError(f"shape must be flat, cylinder or sphere, found {shape!r}")
+    assert np.isfinite(tilt_rad)
+    assert shape in ("flat", "cylinder", "sphere")
     if shape != "flat":
         check_range("radius_m", radius_m, above=True)
     points = np.ascontiguousarray(xy_m, dtype=np.float64).reshape(-1, 2)
@@ -145,11 +138,9 @@ def force_curve(
     between the gaps of two points, so the table is exact at its entries. It ends at reach_ticks (120 ticks are about
     20 mm, 30 N with the fingers' 1.8 N/mm), or earlier if the gel would be pressed flat (d = gel height).
 
-    second_stiffness: of the second finger's gel relative to the first's, if they differ. ValueError for gaps that are
-    not finite or have a least value other than 0.
+    second_stiffness: of the second finger's gel relative to the first's, if they differ.
     """
-    if not np.isfinite(gaps.sample_m).all() or gaps.least_m != 0.0:
-        raise ValueError(f"gaps must be finite with least value 0, found {gaps.least_m:g} m as the least")
+    assert np.isfinite(gaps.sample_m).all() and gaps.least_m == 0.0
     for name, value in (
         ("cell_area_m2", cell_area_m2),
         ("normal_modulus_pa", normal_modulus_pa),

@@ -31,8 +31,7 @@ def interpolation(node_xy_m: Floats, points_xy_m: Floats, decay_m: float = DECAY
     at the border decays with exp(-distance / decay_m), like the motion of a bonded layer outside a contact.
     """
     points = np.asarray(points_xy_m, dtype=np.float64)
-    if points.ndim != 2 or points.shape[1] != 2 or not np.isfinite(points).all():
-        raise ValueError(f"points_xy_m must be finite with shape (points, 2), found shape {points.shape}")
+    assert points.ndim == 2 and points.shape[1] == 2 and np.isfinite(points).all()
     check_range("decay_m", decay_m, above=True)
     rows, columns, _ = node_xy_m.shape
     low = np.empty((2, len(points)), dtype=np.intp)

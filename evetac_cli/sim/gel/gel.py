@@ -79,9 +79,7 @@ class GelMaterial:
             check_range(name, getattr(self, name), above=True)
         for name in ("viscous_time_s", "maxwell_share"):
             check_range(name, getattr(self, name))
-        if not len(self.creep_share) == len(self.creep_time_s) <= MOST_ARMS:
-            counts = f"{len(self.creep_share)} and {len(self.creep_time_s)}"
-            raise ValueError(f"creep_share and creep_time_s must have the same length <= {MOST_ARMS}, found {counts}")
+        assert len(self.creep_share) == len(self.creep_time_s) <= MOST_ARMS
         for share, time_s in zip(self.creep_share, self.creep_time_s, strict=True):
             check_range("creep_share", share, 0.0, 10.0)
             check_range("creep_time_s", time_s, 1e-3, 1e5)
@@ -306,8 +304,7 @@ def start(
     friction_factor: (rows, columns), factor of each node on both coefficients of friction.
     """
     nodes = np.ascontiguousarray(node_xy_m, dtype=np.float64)
-    if nodes.ndim != 3 or nodes.shape[2] != 2 or nodes.size == 0 or not np.isfinite(nodes).all():
-        raise ValueError(f"node_xy_m must be finite with shape (rows, columns, 2), found shape {nodes.shape}")
+    assert nodes.ndim == 3 and nodes.shape[2] == 2 and nodes.size and np.isfinite(nodes).all()
     area = cell_area(nodes) if cell_area_m2 is None else float(cell_area_m2)
     for name, value in (
         ("body_mass_kg", body_mass_kg),
@@ -316,18 +313,13 @@ def start(
         ("cell_area_m2", area),
     ):
         check_range(name, value, above=True)
-    if len(body_xy_m) != 2 or not np.isfinite(body_xy_m).all():
-        raise ValueError(f"body_xy_m must be two finite numbers, found {body_xy_m}")
+    assert len(body_xy_m) == 2 and np.isfinite(body_xy_m).all()
     rows, columns, _ = nodes.shape
-    if friction_factor is not None and not (
-        friction_factor.shape == (rows, columns) and np.isfinite(friction_factor).all() and friction_factor.min() >= 0
-    ):
-        raise ValueError(f"friction_factor must be finite and >= 0 with shape {(rows, columns)}")
+    assert friction_factor is None or (friction_factor.shape == (rows, columns) and friction_factor.min() >= 0)
     pitch_x = float(nodes[0, 1, 0] - nodes[0, 0, 0]) if columns > 1 else math.sqrt(area)
     pitch_y = float(nodes[1, 0, 1] - nodes[0, 0, 1]) if rows > 1 else math.sqrt(area)
     regular = np.stack(np.meshgrid(pitch_x * np.arange(columns), pitch_y * np.arange(rows)), axis=-1) + nodes[0, 0]
-    if not (pitch_x > 0 and pitch_y > 0 and np.abs(nodes - regular).max() <= 1e-6 * min(pitch_x, pitch_y)):
-        raise ValueError("node_xy_m must be a regular grid, x rising along columns and y along rows")
+    assert pitch_x > 0 and pitch_y > 0 and np.abs(nodes - regular).max() <= 1e-6 * min(pitch_x, pitch_y)
     shear = material.shear_modulus_pa * area / material.height_m
     stretch = sheet_stencil(material.height_m, pitch_x, pitch_y)
     layer = PadConstants(
@@ -398,19 +390,12 @@ def step(
     nodal = np.ascontiguousarray(nodal_force_n, dtype=np.float64)
     force = np.asarray(body_force_n, dtype=np.float64)
     wanted = np.zeros(3) if prescribed_twist is None else np.asarray(prescribed_twist, dtype=np.float64)
-    if nodal.shape != state.stuck.shape:
-        raise ValueError(f"nodal_force_n must have the shape of the grid {state.stuck.shape}, found {nodal.shape}")
-    if force.shape != (3,) or wanted.shape != (3,):
-        raise ValueError(f"body_force_n and prescribed_twist must have shape (3,), found {force.shape}, {wanted.shape}")
+    assert nodal.shape == state.stuck.shape
+    assert force.shape == wanted.shape == (3,)
     if not np.isfinite(nodal).all():  # before the squeeze is computed from it
         raise ValueError(FAULTS[1])
-    if not (math.isfinite(dt_s) and dt_s > 0):
-        raise ValueError(f"dt_s must be finite and > 0, found {dt_s}")
-    if not (0.5 <= theta <= 1.0 and tolerance > 0 and max_sweeps >= 1):
-        raise ValueError(
-            "theta must be within [0.5, 1], tolerance > 0 and max_sweeps >= 1,"
-            f" found {theta}, {tolerance} and {max_sweeps}"
-        )
+    assert 0.0 < dt_s < math.inf
+    assert 0.5 <= theta <= 1.0 and tolerance > 0 and max_sweeps >= 1
     squeeze = (state.squeezed(nodal), 1.0)
     load = (state.gripping(nodal), squeeze, tuple(force.tolist()), prescribed_twist is not None, tuple(wanted.tolist()))
     settings = (float(dt_s), float(theta), float(tolerance), max_sweeps, *Allowed())

@@ -85,8 +85,7 @@ def friction_factor(sensor: Sensor, node_xy_m: Floats, finger: int = 0) -> Float
     second finger (1) has another pattern.
     """
     spread, patch_mm = sensor.friction.patch_spread, sensor.friction.patch_mm
-    if (spread is None) != (patch_mm is None):
-        raise ValueError("friction.patch_spread and friction.patch_mm of a sensor must be set together")
+    assert (spread is None) == (patch_mm is None)
     if not spread or patch_mm is None:
         return None
     rng = np.random.default_rng([sensor.seed, FRICTION_SEED, finger])

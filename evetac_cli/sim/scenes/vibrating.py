@@ -120,8 +120,7 @@ class Drift(NamedTuple):
         cls, low: float, high: float, hold_s: tuple[float, float], end_s: float, rng: np.random.Generator
     ) -> Any:
         """Sample values uniform in [low, high] up to end_s; the time from one to the next is uniform in `hold_s`."""
-        if not (0.0 < hold_s[0] <= hold_s[1] and math.isfinite(end_s)):
-            raise ValueError(f"hold_s: expected 0 < shortest <= longest, found {hold_s}")
+        assert 0.0 < hold_s[0] <= hold_s[1] and end_s < math.inf
         steps = math.ceil(end_s / hold_s[0]) + 1
         time_s = np.append(0.0, np.cumsum(rng.uniform(*hold_s, steps)))
         return cls(time_s, rng.uniform(low, high, steps + 1))

@@ -232,25 +232,16 @@ def test_extreme_models(camera: Camera, field: str, value: Any, noise_rate_hz: f
         ("dot_xy_px_start", [[math.nan, 40.0]]),
         ("dot_xy_px_end", [[40.0, math.inf]]),
         ("dot_xy_px_end", [[40.0, 2e6]]),
-        ("dot_xy_px_end", [[40.0, 40.0], [50.0, 50.0]]),
-        ("dot_xy_px_end", [40.0, 40.0]),
-        ("dot_xy_px_end", []),
-        ("dot_path_px", [[[40.0, 40.0]]]),
-        ("dot_path_px", [[40.0, 40.0], [41.0, 40.0]]),
         ("dot_path_px", [[[40.0, 40.0]], [[40.0, math.nan]], [[41.0, 40.0]]]),
         ("dot_path_px", [[[40.0, 40.0]], [[math.nan, 40.0]], [[41.0, 40.0]]]),
-        ("dot_path_px", [[[40.0, 40.0]], [[41.5, 40.0]]]),
-        ("dot_path_px", [[[40.0, 40.0]], [[41.0, 40.5]]]),
-        ("dot_path_px", np.zeros((1002, 1, 2))),
         ("object_xy_px_start", (math.nan, 0.0)),
-        ("object_xy_px_end", (0.0, 0.0, 0.0)),
         ("object_xy_px_end", (-math.inf, 0.0)),
         ("texture_contrast", math.nan),
         ("texture_contrast", -0.1),
     ],
 )
 def test_step_refuses(camera: Camera, named: str, value: Any) -> None:
-    """Assert that a value that is not finite or of the wrong shape is named, and the camera is as it was before."""
+    """Assert that a value that is not finite is named, and the camera is as it was before."""
     good: dict[str, Any] = {
         "dot_xy_px_start": [[40.0, 40.0]],
         "dot_xy_px_end": [[41.0, 40.0]],
@@ -279,15 +270,8 @@ def test_step_refuses(camera: Camera, named: str, value: Any) -> None:
     ("dots", "radius", "window", "named"),
     [
         ([[math.nan, 1.0]], None, None, "dot_xy_px"),
-        ([1.0, 2.0, 3.0], None, None, "dot_xy_px"),
         ([], 0.0, None, "dot_radius_px"),
         ([], math.nan, None, "dot_radius_px"),
-        ([], None, ((70, 0, 101, 80), None), "window_px"),
-        ([], None, ((70, 0, 70, 80), None), "window_px"),
-        ([], None, ((-1, 0, 70, 80), None), "window_px"),
-        ([], None, (STRIP, TEXTURE[:100]), "texture"),
-        ([], None, (STRIP, TEXTURE[0]), "texture"),
-        ([], None, (STRIP, np.full((8, 8), np.nan)), "texture"),
     ],
 )
 def test_start_refuses(camera: Camera, dots: Any, radius: Any, window: Any, named: str) -> None:

@@ -62,13 +62,6 @@ def test_however_cut_and_in_the_end_at_rest() -> None:
     assert (after == path[-1]).all()
 
 
-@pytest.mark.parametrize("bandwidth_hz", [0.0, -1.0, math.nan, math.inf])
-def test_no_bandwidth_is_refused(bandwidth_hz: float) -> None:
-    """Assert that a bandwidth that is not positive and finite is refused."""
-    with pytest.raises(ValueError, match="bandwidth_hz"):
-        LowPass(bandwidth_hz, np.zeros((1, 2)))
-
-
 def straight(time_us: Floats) -> Floats:
     """1 px/ms from 2 ms on, on a slant."""
     travel = np.maximum(time_us - 2000.0, 0.0) / 1000.0

@@ -109,8 +109,6 @@ def test_texture_is_drawn_from_the_generator() -> None:
 @pytest.mark.parametrize(
     ("shape", "half_px", "log_sd", "named"),
     [
-        ((100, 128), 4.0, 0.06, "shape"),
-        ((4, 128), 0.5, 0.06, "shape"),
         ((128, 128), 17.0, 0.06, "half_correlation_px"),
         ((128, 128), 0.0, 0.06, "half_correlation_px"),
         ((128, 128), math.nan, 0.06, "half_correlation_px"),

@@ -79,15 +79,6 @@ def test_summary_of_each_cell() -> None:
     assert even.summary.tolist() == [[[0.1, 0.1, 0.1, 0.0]]]
 
 
-@pytest.mark.parametrize("sample_m", [np.zeros((2, 2)), np.full((2, 2, 4), np.nan), np.zeros((0, 2, 4))])
-def test_gaps_that_are_none(sample_m: Floats) -> None:
-    """Assert that gaps have to be numbers of shape (rows, columns, samples), and nodes a finite grid."""
-    with pytest.raises(ValueError, match="found shape"):
-        gaps_of(sample_m)
-    with pytest.raises(ValueError, match="found shape"):
-        cell_samples(sample_m)
-
-
 def depths(gaps: CellGaps, indentation_m: float) -> Floats:
     """Mean depth of each cell, from all of its points."""
     mean: Floats = np.maximum(indentation_m - gaps.sample_m, 0.0).mean(axis=2)

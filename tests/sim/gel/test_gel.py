@@ -563,11 +563,8 @@ def test_interpolation_decays_outside():
     assert displacement_at(state, *interpolation(nodes, np.empty((0, 2)))).shape == (0, 2)
 
 
-@pytest.mark.parametrize("points", [np.zeros(2), np.zeros((3, 3)), np.full((1, 2), np.nan)])
-def test_interpolation_refuses_nonsense(points):
-    """Assert that points have to be finite pairs, and the decay finite and positive."""
-    with pytest.raises(ValueError, match="points_xy_m"):
-        interpolation(pad(), points)
+def test_interpolation_refuses_nonsense():
+    """Assert that the decay has to be finite and positive."""
     with pytest.raises(ValueError, match="decay_m"):
         interpolation(pad(), np.zeros((1, 2)), 0.0)
 
@@ -708,17 +705,11 @@ def test_friction_refuses_nonsense(values):
         {"body_mass_kg": np.nan},
         {"body_inertia_kg_m2": -1.0},
         {"pads": 0},
-        {"body_xy_m": (np.nan, 0.0)},
         {"cell_area_m2": np.inf},
-        {"node_xy_m": np.zeros((2, 2))},
-        {"node_xy_m": np.full((2, 2, 2), np.nan)},
-        {"node_xy_m": pad()[:, ::-1]},
-        {"node_xy_m": pad() ** 2 + pad()},
-        {"node_xy_m": pad(4, 1)},
     ],
 )
 def test_start_refuses_nonsense(changes):
-    """Assert that grids that are not regular and bodies without a finite mass are refused."""
+    """Assert that bodies without a finite mass are refused."""
     arguments = {"node_xy_m": pad(), "material": GelMaterial(), "body_mass_kg": 0.1, "body_inertia_kg_m2": 1e-5}
     with pytest.raises(ValueError, match=r"found|regular"):
         start(**(arguments | changes))
@@ -730,20 +721,9 @@ def test_start_refuses_nonsense(changes):
         {"nodal_force_n": np.full((6, 8), np.nan)},
         {"nodal_force_n": np.full((6, 8), np.inf)},
         {"nodal_force_n": np.full((6, 8), -1e-9)},
-        {"nodal_force_n": np.zeros((8, 6))},
         {"body_force_n": (np.inf, 0, 0)},
         {"body_force_n": (np.nan, 0, 0)},
-        {"body_force_n": (0, 0)},
-        {"dt_s": 0.0},
-        {"dt_s": -1e-3},
-        {"dt_s": np.nan},
-        {"theta": 0.4},
-        {"theta": 1.1},
-        {"theta": np.nan},
-        {"tolerance": 0.0},
-        {"max_sweeps": 0},
         {"prescribed_twist": (np.nan, 0, 0)},
-        {"prescribed_twist": (0, 0)},
     ],
 )
 def test_step_refuses_nonsense_and_changes_nothing(changes):

@@ -220,7 +220,7 @@ def start(
     afterwards. `light_change` describes changing light. `dots_differ` are factors on the radius (dots,) and on the log
     contrast (dots,) of each dot, if they differ.
 
-    ValueError for non-finite positions, a window outside the frame, or an invalid texture.
+    ValueError for positions that are not finite.
     """
     width, height = model.frame_px
     dots = camera_input.positions("dot_xy_px", dot_xy_px)
@@ -245,10 +245,7 @@ def start(
     columns = np.arange(model.scans_per_ms * width).reshape(-1, width)
     light = None if light_change is None else Light(light_change, model.frame_px, y1 - y0, (profile, shapes))
     level = shaped_level(model.frame_px, dots, profile, shapes)
-    if contact_edges is not None and contact_edges.frame_px != (width, height):
-        raise ValueError(
-            f"contact_edges: expected those of a frame {model.frame_px}, found one of {contact_edges.frame_px}"
-        )
+    assert contact_edges is None or contact_edges.frame_px == (width, height)
     blind = model.refractory_us > SLICE_US / model.scans_per_ms
     steady: NDArray[np.float32] = np.zeros(2, np.float32)
     return CameraState(
@@ -307,8 +304,7 @@ def _thresholds(model: CameraModel, built: np.random.Generator) -> tuple[NDArray
 def step(state: CameraState, motion: SliceMotion, t0_us: int, rng: np.random.Generator) -> Events:
     """Return the events of one millisecond, sorted by time, t0_us <= t < t0_us + 1000.
 
-    ValueError if values are not finite, further than 1e6 px, or of another shape than at `start`, or if a path has
-    other ends; the state is then unchanged.
+    ValueError if values are not finite or further than 1e6 px; the state is then unchanged.
     """
     path, object_motion = camera_input.motions(len(state.seen_dot_xy_px), motion)
     lines = camera_input.line_motion(state.contact_edges, motion, coarsely=True)
