@@ -24,6 +24,7 @@ import shlex
 import shutil
 import signal
 import sys
+from collections.abc import Iterable
 from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
@@ -86,6 +87,14 @@ def exit_code_words(code: int | None, message: str = "") -> str:
         return signal.Signals(-code).name
     except ValueError:
         return f"signal {-code}"
+
+
+def did_you_mean(name: str, names: Iterable[str]) -> str:
+    """Return a hint that suggests the nearest of the valid names; empty if none is near."""
+    from difflib import get_close_matches
+
+    near = get_close_matches(name, list(names), n=1)
+    return f"did you mean {near[0]}?" if near else ""
 
 
 class EvetacError(Exception):

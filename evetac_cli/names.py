@@ -121,6 +121,7 @@ class Capability(StrEnum):
     SIMULATED = "a camera in a simulated scene"
     REPLAY = "a replayed recording (--camera replay:FILE)"
     HARDWARE = "a real device, where a person places the object"
+    DETECTOR = "a --controller with a slip detector"
 
 
 class TouchOption(StrEnum):

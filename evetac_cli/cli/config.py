@@ -11,13 +11,12 @@ import sys
 import typing
 from collections.abc import Mapping
 from dataclasses import fields
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
 from evetac_cli import plugins
 from evetac_cli.commands.parameter import flag_of, key_of
-from evetac_cli.errors import InputError
+from evetac_cli.errors import InputError, did_you_mean
 from evetac_cli.text_files import plain_number, read_toml
 
 MOST = 10**12  # limit of a number whose parameter has none: 11 days in us; sums of such numbers do not overflow
@@ -70,9 +69,8 @@ def _read_config(path: Path, cls: type, command: str) -> dict[str, Any]:
 
 
 def _unknown(what: str, name: str, valid_names: list[str], where: str) -> InputError:
-    near = get_close_matches(name, valid_names, n=1)
-    hint = f"did you mean `{near[0]}`?" if near else ""
-    return InputError(f"unknown {what} `{name}`", where=where, expected=", ".join(valid_names), hint=hint)
+    expected, hint = ", ".join(valid_names), did_you_mean(name, valid_names)
+    return InputError(f"unknown {what} `{name}`", where=where, expected=expected, hint=hint)
 
 
 def _coerce(value: Any, hint: Any, where: str) -> Any:
@@ -102,13 +100,12 @@ def _check(item: "dataclasses.Field[Any]", value: Any) -> None:
     if choices and value not in choices and about["plugins"]:
         choices += plugins.usable(about["plugins"])
     if choices and value not in choices:
-        near = get_close_matches(str(value), choices, n=1)
         raise InputError(
             "unknown value",
             where=where,
             expected=", ".join(choices),
             found=str(value),
-            hint=f"did you mean {near[0]}?" if near else "",
+            hint=did_you_mean(str(value), choices),
         )
     if isinstance(value, float) and not math.isfinite(value):
         raise InputError("not a finite number", where=where, expected=f"a number{unit}", found=str(value))

@@ -11,7 +11,7 @@ from evetac_cli.commands.trials import SIMULATED, Trials
 from evetac_cli.names import Capability
 
 GRIP = "Grip and detector"  # panel of --help
-WITH_DEVICES = (Capability.GRASPED,)
+WITH_DEVICES, DETECTED = (Capability.GRASPED,), (Capability.DETECTOR,)
 
 
 @dataclass(frozen=True)
@@ -29,6 +29,7 @@ class Grasp(Devices, Trials):
         None,
         "Slip detector; default: `shipped`, the pretrained disp-xy-grip 10 ms ahead.",
         recipe=False,
+        needs=DETECTED,
     )
     slip_threshold: float | None = parameter(
         None,
@@ -37,6 +38,7 @@ class Grasp(Devices, Trials):
         low=0.0,
         high=1.0,
         panel=GRIP,
+        needs=DETECTED,
     )
     false_alarms_per_min: float | None = parameter(
         None,
@@ -46,6 +48,7 @@ class Grasp(Devices, Trials):
         high=300.0,
         recipe=False,  # the threshold is
         panel=GRIP,
+        needs=DETECTED,
     )
     controller: str = parameter(
         "load-proportional",
@@ -66,7 +69,13 @@ class Grasp(Devices, Trials):
         panel=GRIP,
     )
     latency_ms: int = parameter(
-        0, "Extra delay of the slip signal to the controller.", unit="ms", low=0, high=1000, panel=GRIP
+        0,
+        "Extra delay of the slip signal to the controller.",
+        unit="ms",
+        low=0,
+        high=1000,
+        panel=GRIP,
+        needs=(Capability.STEPPED, Capability.REPLAY),
     )
     control_hz: float = parameter(
         500.0,
@@ -76,7 +85,9 @@ class Grasp(Devices, Trials):
         high=1000.0,
         panel=GRIP,
     )
-    tracker: str = parameter("stable", "Preset of the dot tracker.", choices=tuple(names.TRACKERS), panel=GRIP)
+    tracker: str = parameter(
+        "stable", "Preset of the dot tracker.", choices=tuple(names.TRACKERS), panel=GRIP, needs=DETECTED
+    )
     lift_s: float = parameter(
         10.0,
         "Duration of the lifting phase. A lifted object hangs 50 mm high, which takes 3.1 s in the scene lift.",

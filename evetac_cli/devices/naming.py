@@ -2,9 +2,8 @@
 
 import math
 import re
-from difflib import get_close_matches
 
-from evetac_cli.errors import InputError
+from evetac_cli.errors import InputError, did_you_mean
 
 # for `virtual:prepared=`: from one event per frame up to 0.8 GB of memory during preparation
 EVENTS_S = 5_000, 50_000_000
@@ -43,6 +42,5 @@ def parse_number(text: str, low: int, high: int, where: str, name: str, *, whole
 
 def no_such_device(what: str, expected: str, name: str, known_names: tuple[str, ...]) -> InputError:
     """Return the error for a name that no camera or gripper has; known_names: for the suggestion."""
-    guess = get_close_matches(name, known_names, n=1)
-    hint = f"did you mean {guess[0]}?" if guess else ""
+    hint = did_you_mean(name, known_names)
     return InputError(f"no such {what}", where=f"--{what}", expected=expected, found=name, hint=hint)

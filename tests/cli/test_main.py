@@ -627,7 +627,7 @@ WRONG = [
     (["--threshold-px", "0"], "--threshold-px: out of range"),
     (["--confirm-ms", "2.5"], "Invalid value"),
     (["--config", "none.toml"], "none.toml: cannot be read"),
-    (["--config", "c.toml"], "did you mean `confirm_ms`?"),
+    (["--config", "c.toml"], "did you mean confirm_ms?"),
 ]
 
 

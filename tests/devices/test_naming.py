@@ -53,20 +53,6 @@ def test_every_kind_is_named() -> None:
 
 
 @pytest.mark.parametrize(
-    "text",
-    [
-        *("", "simm", "webcam", "replay", "replay:", "sim:3", "virtual:prepared=x", "Virtual"),
-        *("virtual:bogus", "virtual:unplug@2@3", "virtual:unplug@2=3", "virtual:prepared+busy@0"),
-    ],
-)
-def test_no_such_camera(text: str) -> None:
-    """Assert that other names are refused, with those that there are, or what is wrong with the number."""
-    with pytest.raises(InputError) as refused:
-        cameras.parse(text)
-    assert "expected" in str(refused.value)
-
-
-@pytest.mark.parametrize(
     ("text", "named"),
     [
         ("sim,virtual:busy", ["sim", "virtual:busy"]),
@@ -81,25 +67,9 @@ def test_several_cameras(text: str, named: list[str]) -> None:
     assert cameras.parse_several(text) == tuple(map(cameras.parse, named))
 
 
-@pytest.mark.parametrize("text", [",sim", "sim,", "sim,,sim", ""])
-def test_a_camera_without_a_name_among_several(text: str) -> None:
-    """Assert that nothing between commas is refused."""
-    with pytest.raises(InputError, match="no such camera"):
-        cameras.parse_several(text)
-
-
-@pytest.mark.parametrize("text", ["dvxplorer:A,dvxplorer:A", "dvxplorer:A,sim,dv:A"])
-def test_the_same_camera_twice(text: str) -> None:
-    """Assert that one serial number is refused a second time, also by the other driver, and no other repetition is."""
-    with pytest.raises(InputError, match="the same camera twice"):
-        cameras.parse_several(text)
+def test_the_same_camera_twice() -> None:
+    """Assert that no repetition but that of a serial number is refused."""
     assert len(cameras.parse_several("dvxplorer:A,dvxplorer:B,virtual,virtual,dvxplorer,dvxplorer")) == 6
-
-
-def test_near_miss_has_a_hint() -> None:
-    """Assert that a slip of the pen is understood."""
-    with pytest.raises(InputError, match="did you mean dvxplorer"):
-        cameras.parse("dvexplorer")
 
 
 def test_what_kinds_say_of_themselves() -> None:
@@ -161,30 +131,6 @@ def test_a_port_is_written_with_its_rate() -> None:
     assert str(GRIPPERS["/dev/ttyUSB0@57600"]) == "/dev/ttyUSB0@57600"
     assert (GRIPPERS["/dev/ttyUSB0@57600"].port, GRIPPERS["/dev/ttyUSB0@57600"].baud) == ("/dev/ttyUSB0", 57600)
     assert (GRIPPERS["sim"].port, GRIPPERS["sim"].baud) == ("", grippers.BAUD)
-
-
-@pytest.mark.parametrize("text", ["", "grip", "sim2", "virtual:dead@1"])
-def test_no_such_gripper(text: str) -> None:
-    """Assert that other names are refused."""
-    with pytest.raises(InputError):
-        grippers.parse(text)
-
-
-@pytest.mark.parametrize(
-    ("text", "expected"),
-    [
-        *((f"/dev/ttyUSB0@{rate}", "9600, 57600, 115200") for rate in ("fast", "0", "", "57600.5", "12345", "4500000")),
-        *((f"/dev/ttyUSB0@{rate}", "9600, 57600, 115200") for rate in ("nan", "inf", "-57600", "1e99")),
-        *((f"/dev/ttyUSB0:{id_}", "0 to 252") for id_ in ("253", "254", "99999", "", "five", "5x", "-1")),
-        *((f"/dev/ttyUSB0:{id_}@57600", "0 to 252") for id_ in ("253", "", "x")),
-        ("/dev/ttyUSB0@57600:5", "PORT:ID@BAUD"),
-    ],
-)
-def test_no_such_id_or_rate(text: str, expected: str) -> None:
-    """Assert that an id or a rate that no gripper can have is refused with those that there are."""
-    with pytest.raises(InputError, match="--gripper") as refused:
-        grippers.parse(text)
-    assert expected in str(refused.value)
 
 
 def test_settings_of_a_named_gripper() -> None:

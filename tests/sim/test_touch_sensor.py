@@ -283,7 +283,7 @@ WRONG: list[tuple[dict[str, Any], str]] = [
     ({"object": {**BOX, "shape": "torus"}}, "flat, cylinder, sphere"),
     ({"object": {**BOX, "static_friction": math.nan}}, "static_friction"),
     ({"object": {**BOX, "kinetic_share": 1.5}}, "0 to 1"),
-    ({"object": {**BOX, "width_mm": "66"}}, "width_mm: expected a number"),
+    ({"object": {**BOX, "width_mm": "66"}}, "width_mm: wrong type"),
     ({"object": {**BOX, 3: 66}}, "unknown key 3"),
     ({"object": {**BOX, "shape": "cylindre"}}, "did you mean cylinder"),
     ({"object": "nowhere.toml"}, "nowhere.toml: cannot be read"),

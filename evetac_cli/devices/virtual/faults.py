@@ -110,7 +110,8 @@ def _parse(text: str, kinds: Mapping[str, FaultKind], device: str) -> Fault:
             and (duration is None or percent is not None or not kind.percent)
         ):
             return fault
-    raise InputError(f"not a fault of a virtual {device}", expected=_expected(kinds), found=text)
+    where, expected = f"--{device}", _expected(kinds)
+    raise InputError(f"not a fault of a virtual {device}", where=where, expected=expected, found=text)
 
 
 def _expected(kinds: Mapping[str, FaultKind]) -> str:

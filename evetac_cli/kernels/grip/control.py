@@ -88,17 +88,20 @@ class PluginLaw:
 Law = GripLaw | LoadLaw | FixedGrip | PluginLaw
 
 
-def make_law(name: str, gain: float = 1.0, margin: float = MARGIN) -> Law:
+def make_law(name: str, gain: float = 1.0, margin: float = MARGIN, own: PluginLaw | None = None) -> Law:
     """Return the law of a controller: paper, paper-reset, load-proportional, none, or fixed:N.
 
     gain: K_p of the paper's laws in balance, as a multiple of the servo's. margin: safety factor of load-proportional.
-    The other laws have neither. ValueError for an unknown name, or a gain or margin for a law without one.
+    The other laws have neither. own: the law of another package that has this name. ValueError for an unknown name, or
+    a gain or margin for a law without one.
     """
-    if name.startswith(FIXED):
+    if own is not None:
+        law: Law = own
+    elif name.startswith(FIXED):
         ticks = name.removeprefix(FIXED)
         if not (ticks.isascii() and ticks.isdigit() and 1 <= int(ticks) <= MOST_FIXED_TICKS):
             raise ValueError(f"expected fixed:1 to fixed:{MOST_FIXED_TICKS} ticks, found {name}")
-        law: Law = FixedGrip(int(ticks))
+        law = FixedGrip(int(ticks))
     elif name == "none":
         law = FixedGrip(0)
     elif name in LAWS:

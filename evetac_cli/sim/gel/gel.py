@@ -319,7 +319,8 @@ def start(
     pitch_x = float(nodes[0, 1, 0] - nodes[0, 0, 0]) if columns > 1 else math.sqrt(area)
     pitch_y = float(nodes[1, 0, 1] - nodes[0, 0, 1]) if rows > 1 else math.sqrt(area)
     regular = np.stack(np.meshgrid(pitch_x * np.arange(columns), pitch_y * np.arange(rows)), axis=-1) + nodes[0, 0]
-    assert pitch_x > 0 and pitch_y > 0 and np.abs(nodes - regular).max() <= 1e-6 * min(pitch_x, pitch_y)
+    if not (pitch_x > 0 and pitch_y > 0 and np.abs(nodes - regular).max() <= 1e-6 * min(pitch_x, pitch_y)):
+        raise ValueError("node_xy_m must be a regular grid, x rising along columns and y along rows")
     shear = material.shear_modulus_pa * area / material.height_m
     stretch = sheet_stencil(material.height_m, pitch_x, pitch_y)
     layer = PadConstants(
@@ -394,8 +395,9 @@ def step(
     assert force.shape == wanted.shape == (3,)
     if not np.isfinite(nodal).all():  # before the squeeze is computed from it
         raise ValueError(FAULTS[1])
-    assert 0.0 < dt_s < math.inf
-    assert 0.5 <= theta <= 1.0 and tolerance > 0 and max_sweeps >= 1
+    assert tolerance > 0 and max_sweeps >= 1
+    check_range("dt_s", dt_s, above=True)
+    check_range("theta", theta, 0.5, 1.0)
     squeeze = (state.squeezed(nodal), 1.0)
     load = (state.gripping(nodal), squeeze, tuple(force.tolist()), prescribed_twist is not None, tuple(wanted.tolist()))
     settings = (float(dt_s), float(theta), float(tolerance), max_sweeps, *Allowed())

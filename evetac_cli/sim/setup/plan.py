@@ -8,7 +8,6 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from difflib import get_close_matches
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -16,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from evetac_cli import plugins
-from evetac_cli.errors import InputError
+from evetac_cli.errors import InputError, did_you_mean
 from evetac_cli.sim.setup import object_file, sampling, scene_file, sensor_file
 from evetac_cli.sim.setup.object_file import TouchedObject
 from evetac_cli.sim.setup.scene import KINDS, Scene, Texture
@@ -296,14 +295,13 @@ def _sensor_of_ours(name: str) -> Sensor:
         rng = np.random.default_rng([NUMBERED_SEED, int(number[2])])
         return sampling.sample_sensor(sensor_ranges(number[1]), rng)
     if name not in row_by_name or name in FOR_EACH_TRIAL:
-        near = get_close_matches(name, row_by_name, n=1)
         raise InputError(
             "no such sensor",
             where="--sensor",
             expected=", ".join((*row_by_name, *plugins.usable(plugins.SENSORS)))
             + ", randomized:NUMBER (0 to 999,999,999), or a TOML file",
             found=name,
-            hint=f"did you mean {near[0]}?" if near and ":" not in name else "",
+            hint="" if ":" in name else did_you_mean(name, row_by_name),
         )
     return build(Sensor, row_by_name[name])
 

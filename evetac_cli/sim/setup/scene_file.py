@@ -3,12 +3,11 @@
 import shlex
 from collections.abc import Mapping
 from dataclasses import replace
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
 from evetac_cli import plugins
-from evetac_cli.errors import SceneError
+from evetac_cli.errors import SceneError, did_you_mean
 from evetac_cli.resources import SCENES
 from evetac_cli.sim.setup.driven import Speaker
 from evetac_cli.sim.setup.held import GripperCurrent, GripperSettings
@@ -44,13 +43,12 @@ def _path_of(name: str) -> Path:
     path = plugins.find_file(plugins.SCENES, name)
     if path is None:
         every = sorted((*plugins.OURS[plugins.SCENES], *plugins.usable(plugins.SCENES)))
-        near = get_close_matches(name, every, n=1)
         raise SceneError(
             "no such scene",
             where="--scene",
             expected=", ".join(every) + ", or a TOML file",
             found=name,
-            hint=f"did you mean {near[0]}?" if near else "",
+            hint=did_you_mean(name, every),
         )
     return path
 

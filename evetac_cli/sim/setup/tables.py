@@ -10,10 +10,9 @@ to the field's type, so 341 and 341.0 give the same recipe.
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import MISSING, Field, field, fields
-from difflib import get_close_matches
 from typing import Any, NamedTuple, TypeVar
 
-from evetac_cli.errors import InputError
+from evetac_cli.errors import InputError, did_you_mean
 
 T = TypeVar("T")
 Rules = dict[str, Any]  # of JSON schema
@@ -28,6 +27,16 @@ TYPES = {
     "array": "a list",
     "object": "a table",
     "boolean": "true or false",
+}
+UNKNOWN = "additionalProperties"
+FAULTS = {
+    "type": "wrong type",
+    "enum": "unknown value",
+    "minItems": "wrong number of entries",
+    "maxItems": "wrong number of entries",
+    "minimum": "out of range",
+    "maximum": "out of range",
+    "exclusiveMinimum": "out of range",
 }
 
 
@@ -358,11 +367,9 @@ def check_rules(raw_table: Mapping[str, Any], where: str, rules: Mapping[str, An
     """Raise a readable InputError if a table violates a schema; if_missing: hint for a missing key."""
     import jsonschema
 
-    errors = list(jsonschema.Draft202012Validator(rules).iter_errors(raw_table))
-    misspelt = [
-        error for error in errors if error.validator == "additionalProperties"
-    ]  # first: a misspelt key is also why another is missing
-    error = (misspelt or sorted(errors, key=lambda error: list(map(str, error.absolute_path))) or [None])[0]
+    errors = jsonschema.Draft202012Validator(rules).iter_errors(raw_table)
+    # first a misspelt key: it is also why another is missing
+    error = min(errors, key=lambda error: (error.validator != UNKNOWN, *map(str, error.absolute_path)), default=None)
     if error is None:
         return
     schema = error.schema
@@ -370,15 +377,13 @@ def check_rules(raw_table: Mapping[str, Any], where: str, rules: Mapping[str, An
         meant = 1 if isinstance(error.instance, list) else 0
         error = next(one for one in error.context if one.schema_path[0] == meant)
         schema = {"description": schema["description"], **error.schema}
-    place = ".".join(str(step) for step in error.absolute_path)
-    found = str(error.instance)
-    if error.validator == "additionalProperties":
+    place, rule = ".".join(str(step) for step in error.absolute_path), error.validator
+    if rule == UNKNOWN:
         known_keys = list(schema["properties"])
         unknown = next(key for key in error.instance if key not in known_keys)
-        near = get_close_matches(unknown, known_keys, n=1)
-        hint = f"did you mean {near[0]}?" if near else f"known keys: {', '.join(known_keys)}"
+        hint = did_you_mean(unknown, known_keys) or f"known keys: {', '.join(known_keys)}"
         raise InputError(f"unknown key {f'{place}.' if place else ''}{unknown}", where=where, hint=hint)
-    if error.validator == "required":
+    if rule == "required":
         missing = [key for key in error.validator_value if key not in error.instance]
         raise InputError(
             f"keys are missing{f' in {place}' if place else ''}",
@@ -387,52 +392,35 @@ def check_rules(raw_table: Mapping[str, Any], where: str, rules: Mapping[str, An
             found="none of them",
             hint=if_missing if not place else "",
         )
-    if error.validator == "type":
-        kind = TYPES[error.validator_value]
-        raise InputError(
-            f"{place or 'the table'}: expected {kind}", where=where, expected=_meaning(schema), found=found
-        )
-    if error.validator in ("minItems", "maxItems"):
-        low, high = schema["minItems"], schema["maxItems"]
-        count = f"{low}" if low == high else f"{low} to {high:,}"
-        raise InputError(
-            f"{place}: wrong number of entries",
-            where=where,
-            expected=f"{count} entries{_of_what(schema)}",
-            found=f"{len(error.instance):,} entries",
-        )
-    if error.validator in ("minimum", "maximum", "exclusiveMinimum"):
-        above = "exclusiveMinimum" in schema
-        low = schema["exclusiveMinimum" if above else "minimum"]
-        expected = f"{'more than ' if above else ''}{low:g} to {schema['maximum']:g}{_of_what(schema)}"
-        raise InputError(f"{place}: out of range", where=where, expected=expected, found=found)
-    if error.validator == "enum":
-        names = error.validator_value
-        near = get_close_matches(found, names, n=1)
-        hint = f"did you mean {near[0]}?" if near else ""
-        raise InputError(f"{place}: unknown value", where=where, expected=", ".join(names), found=found, hint=hint)
-    expected = str(schema.get("const", schema.get("pattern", ""))) or _alternatives(schema)
+    found = f"{len(error.instance):,} entries" if rule in ("minItems", "maxItems") else str(error.instance)
     raise InputError(
-        f"{place or 'the table'}: invalid value", where=where, expected=expected + _of_what(schema), found=found
+        f"{place or 'the table'}: {FAULTS.get(rule, 'invalid value')}",
+        where=where,
+        expected=_expected(rule, schema) + (f" ({schema['description']})" if "description" in schema else ""),
+        found=found,
+        hint=did_you_mean(found, schema.get("enum", ())),
     )
 
 
-def _alternatives(schema: Mapping[str, Any]) -> str:
-    """Describe a schema of several alternatives, if it has any."""
-    if schema.get("uniqueItems"):
+def _expected(rule: str, schema: Mapping[str, Any]) -> str:
+    """Describe the values that a schema accepts, as far as the violated rule is concerned."""
+    if "enum" in schema:
+        return ", ".join(schema["enum"])
+    if schema.get("type") in ("number", "integer"):
+        above = "exclusiveMinimum" in schema
+        low = schema["exclusiveMinimum" if above else "minimum"]
+        return f"{TYPES[schema['type']]}, {'more than ' if above else ''}{low:g} to {schema['maximum']:g}"
+    if rule in ("minItems", "maxItems"):
+        low, high = schema["minItems"], schema["maxItems"]
+        return f"{low} entries" if low == high else f"{low} to {high:,} entries"
+    if rule == "type":
+        return TYPES[schema["type"]]
+    if rule == "uniqueItems":
         return "each entry once"
-    if "minProperties" in schema:
-        return f"at least {schema['minProperties']} of {', '.join(schema['properties'])}"
-    if "oneOf" in schema:
-        return "either " + " or ".join(", ".join(one["required"]) for one in schema["oneOf"])
-    if "not" in schema:
-        return "one of " + " and ".join(schema["not"]["required"])
-    return ""
-
-
-def _meaning(rules: Mapping[str, Any]) -> str:
-    return str(rules.get("description", ""))
-
-
-def _of_what(rules: Mapping[str, Any]) -> str:
-    return f" ({rules['description']})" if "description" in rules else ""
+    if rule == "minProperties":
+        return f"at least {schema[rule]} of {', '.join(schema['properties'])}"
+    if rule == "oneOf":
+        return "either " + " or ".join(", ".join(one["required"]) for one in schema[rule])
+    if rule == "not":
+        return "one of " + " and ".join(schema[rule]["required"])
+    return str(schema[rule])  # const, pattern

@@ -9,11 +9,10 @@ One module runs each kind of trial: SimulatedGrasp (simulated.py), DeviceGrasp (
 """
 
 from collections.abc import Sequence
-from dataclasses import fields
 from pathlib import Path
 
 from evetac_cli.commands.grasp import Grasp
-from evetac_cli.commands.parameter import flag_of, refuse_unused
+from evetac_cli.commands.parameter import refuse_unused
 from evetac_cli.devices import cameras as named_cameras
 from evetac_cli.devices import grippers as named_grippers
 from evetac_cli.devices.cameras import NamedCamera
@@ -31,7 +30,6 @@ from evetac_cli.trials.trial import DETAILS, for_people, simulated_trials
 from evetac_cli.trials.trial import OUTPUT as OUTPUT
 
 METHOD = simulated.METHOD
-OF_DETECTOR = ("model", "slip_threshold", "false_alarms_per_min", "tracker")
 FINGERS = 2
 DETAILS_OF_MANY = frozenset(  # columns of grasp_outcome, of which a terminal of 80 columns shows two at a time
     (
@@ -55,7 +53,7 @@ def jobs(files: list[Path], params: Grasp, out: Path | None) -> Sequence[Job]:
     _refuse_unused(params, camera)
     settings = GraspSettings.of(params)
     if settings.detector is None:
-        _refuse_detector_options(params)
+        refuse_unused(params, set(Capability) - {Capability.DETECTOR}, f"--controller {params.controller}")
     gripper = _gripper(params, camera)
     if not camera.has(Capability.STEPPED):
         from evetac_cli.trials.grasp import real_time  # imported here because it loads all device code
@@ -95,7 +93,7 @@ def _cameras(params: Grasp) -> tuple[NamedCamera, ...]:
 
 
 def _refuse_unused(params: Grasp, camera: NamedCamera) -> None:
-    has = set(camera.capabilities)
+    has = {*camera.capabilities, Capability.DETECTOR}  # whether it is used depends on the controller
     if not has & {Capability.STEPPED, Capability.REPLAY}:
         has.add(Capability.GRASPED)
         if params.listen:
@@ -104,15 +102,6 @@ def _refuse_unused(params: Grasp, camera: NamedCamera) -> None:
         has.add(Capability.SHOWN)
     flags = f"--camera {params.camera}{params.gripper_flag()}{', --live' * params.live}"
     refuse_unused(params, has, flags, never=NOT_OF_GRASP)
-
-
-def _refuse_detector_options(params: Grasp) -> None:
-    """Raise InputError for an option of the detector with a controller that uses none."""
-    for item in fields(params):
-        value = getattr(params, item.name)
-        if item.name in OF_DETECTOR and value != item.default:
-            without = f"no detector is used with --controller {params.controller}"
-            raise InputError(without, where=flag_of(item), found=str(value))
 
 
 def _gripper(params: Grasp, camera: NamedCamera) -> NamedGripper:

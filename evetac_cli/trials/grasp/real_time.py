@@ -73,7 +73,7 @@ def jobs(
     driver = _driver(params, gripper, watchdog_ms)
     touch_s = scene_file.load_of_kind(params.scene, KINDS).time.touch_s
     timing = settings.timing(touch_s)
-    _check_timing(timing, params, gripper)
+    _check_timing(timing, params)
     plan = (
         f"{params.controller} at {params.control_hz:g} Hz for {timing.end_ms * 1e-3:g} s, with at most"
         f" {params.max_current_ma} mA; {FALLS}"
@@ -107,10 +107,8 @@ def jobs(
     ]
 
 
-def _check_timing(timing: Timing, params: Grasp, gripper: NamedGripper) -> None:
+def _check_timing(timing: Timing, params: Grasp) -> None:
     """Raise InputError for a timing that devices cannot keep."""
-    if timing.latency_ms and not gripper.has(Capability.STEPPED):
-        raise InputError("latency can only be added in simulation", where="--latency-ms", found=str(timing.latency_ms))
     if timing.every_ms > 1000 / SLOWEST_HZ:
         expected = f"at least {SLOWEST_HZ:g} Hz in real time"
         raise InputError(

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +10,7 @@ from numpy.typing import NDArray
 
 from evetac_cli import plugins, resources
 from evetac_cli.commands.grasp import Grasp
-from evetac_cli.errors import InputError
+from evetac_cli.errors import InputError, did_you_mean
 from evetac_cli.events import SLICES_PER_S
 from evetac_cli.kernels.grip import control as grip_control
 from evetac_cli.kernels.grip.control import Control, Law, PluginLaw
@@ -85,26 +84,16 @@ class DetectorModel:
 
 def _law(name: str, gain: float, margin: float) -> Law:
     """Return the built-in or plug-in law of a controller; InputError if it does not exist with this gain and margin."""
-    law = plugins.find(plugins.CONTROLLERS, name, PluginLaw)
-    if law is not None and gain != 1.0:
-        raise InputError("only paper and paper-reset have a gain", where="--gain", found=f"{name} with gain {gain:g}")
-    if law is not None and margin != MARGIN:
-        found = f"{name} with margin {margin:g}"
-        raise InputError("only load-proportional has a margin", where="--grip-margin", found=found)
-    if law is not None:
-        return law
+    own = plugins.find(plugins.CONTROLLERS, name, PluginLaw)
     try:
-        return grip_control.make_law(name, gain, margin)
+        return grip_control.make_law(name, gain, margin, own)
     except ValueError as error:
         where = "--controller" + ", --gain" * (gain != 1.0) + ", --grip-margin" * (margin != MARGIN)
-        more = "".join(f", or {other}" for other in plugins.usable(plugins.CONTROLLERS))
-        near = get_close_matches(name, (*grip_control.LAWS, *plugins.usable(plugins.CONTROLLERS)), n=1)
-        raise InputError(
-            "unknown value",
-            where=where,
-            expected=f"{error}{more}".removeprefix("expected "),
-            hint=f"did you mean {near[0]}?" if near and name not in grip_control.LAWS else "",
-        ) from None
+        others = tuple(plugins.usable(plugins.CONTROLLERS))
+        expected = ", or ".join((str(error).removeprefix("expected "), *others))
+        known = (*grip_control.LAWS, *others)
+        hint = "" if name in known else did_you_mean(name, known)
+        raise InputError("unknown value", where=where, expected=expected, hint=hint) from None
 
 
 @dataclass(frozen=True)

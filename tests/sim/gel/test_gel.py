@@ -706,6 +706,7 @@ def test_friction_refuses_nonsense(values):
         {"body_inertia_kg_m2": -1.0},
         {"pads": 0},
         {"cell_area_m2": np.inf},
+        {"node_xy_m": pad()[:, ::-1]},
     ],
 )
 def test_start_refuses_nonsense(changes):
@@ -721,6 +722,8 @@ def test_start_refuses_nonsense(changes):
         {"nodal_force_n": np.full((6, 8), np.nan)},
         {"nodal_force_n": np.full((6, 8), np.inf)},
         {"nodal_force_n": np.full((6, 8), -1e-9)},
+        {"dt_s": np.nan},
+        {"theta": 0.4},
         {"body_force_n": (np.inf, 0, 0)},
         {"body_force_n": (np.nan, 0, 0)},
         {"prescribed_twist": (np.nan, 0, 0)},
@@ -733,7 +736,7 @@ def test_step_refuses_nonsense_and_changes_nothing(changes):
     for _ in range(5):
         step(state, **good)
     before = state.copy()
-    with pytest.raises(ValueError, match=r"must|not finite"):
+    with pytest.raises(ValueError, match=r"must|not finite|expected"):
         step(state, **(good | changes))
     for name in ("pose", "twist", "displacement_m", "velocity_m_s", "maxwell_n", "slip_m_s", "stuck", "inertia"):
         np.testing.assert_array_equal(getattr(state, name), getattr(before, name))

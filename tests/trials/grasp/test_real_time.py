@@ -53,33 +53,6 @@ def jobs(out: Path, **flags: Any) -> Any:
     return grasp.jobs([], Grasp(**flags), out)
 
 
-@pytest.mark.parametrize(
-    ("flags", "what"),
-    [
-        ({"camera": "dvxplorer"}, "matching kinds"),
-        ({"camera": "dvxplorer", "gripper": "none"}, "matching kinds"),
-        ({"camera": "virtual", "gripper": "sim"}, "matching kinds"),
-        ({"camera": "sim", "gripper": "virtual"}, "matching kinds"),
-        ({"camera": "webcam"}, "no such camera"),
-        ({"camera": "virtual", "gripper": "hand"}, "no such gripper"),
-        ({"camera": "virtual", "latency_ms": 3}, "--latency-ms"),
-        ({"camera": "virtual", "control_hz": 50.0}, "--control-hz"),
-        ({"camera": "virtual", "control_hz": 300.0}, "--control-hz"),
-        ({"camera": "virtual", "max_seconds": 20.0}, "--max-seconds"),
-        ({"camera": "dvxplorer", "gripper": PORT, "arm": True, "watchdog_ms": 70}, "--watchdog-ms.*found 70"),
-        ({"camera": "virtual", "watchdog_ms": 50}, "--watchdog-ms.*found 50"),
-        ({"camera": "virtual", "gripper": "virtual:dead@1"}, "not a fault"),
-        ({"camera": "virtual", "gripper": PORT}, "--arm"),
-        ({"camera": "dvxplorer:DXM00042", "gripper": f"{PORT}@1000000"}, "--arm"),
-    ],
-)
-def test_refused_before_anything_is_opened(flags: dict[str, Any], what: str, tmp_path: Path) -> None:
-    """Assert that what cannot be done, or must not be without --arm, is refused by name."""
-    with pytest.raises(InputError, match=what):
-        jobs(tmp_path, **flags)
-    assert not list(tmp_path.iterdir())
-
-
 def test_not_armed_shows_the_plan(tmp_path: Path) -> None:
     """Assert that without --arm one reads what would be done, with which current, and that objects fall."""
     with pytest.raises(InputError, match="--arm") as refused:

@@ -5,7 +5,6 @@ import math
 import os
 import signal
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -125,23 +124,6 @@ def test_recordings_that_make_no_grasp(grasped: tuple[Path, Path], tmp_path: Pat
     grasp.run(job, params)
     with pytest.raises(InputError, match="different grasps"):
         grasp.jobs([], Grasp(camera=f"replay:{job.output},{second}"), tmp_path)
-
-
-@pytest.mark.parametrize(
-    ("flags", "what"),
-    [
-        ({"camera": "sim,sim,sim"}, "too many cameras"),
-        ({"camera": "sim,virtual"}, "cannot be combined"),
-        ({"camera": "virtual,virtual:prepared"}, "cannot be combined"),
-        ({"camera": "sim,sim", "sensor": "evetac,evetac,evetac"}, "too many sensors"),
-        ({"camera": "sim,sim", "sensor": "evetac,nobody"}, "no such sensor"),
-        ({"camera": "sim", "sensor": "evetac,evetac"}, "no such sensor"),
-    ],
-)
-def test_refused(flags: dict[str, Any], what: str, tmp_path: Path) -> None:
-    """Assert that what makes no grasp of two fingers is refused by name."""
-    with pytest.raises(InputError, match=what):
-        grasp.jobs([], Grasp(**flags), tmp_path)
 
 
 def test_a_calibration_for_each_finger(tmp_path: Path) -> None:

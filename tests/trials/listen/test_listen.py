@@ -324,40 +324,14 @@ def test_marks_are_cut_with_their_slices(tmp_path: Path) -> None:
     assert validate.run([piece]).rows[0]["faults"] is None
 
 
-@pytest.mark.parametrize(
-    ("flags", "words"),
-    [
-        ({"camera": "sim"}, "--listen: has no effect in this run"),
-        ({"camera": "dvxplorer", "preview": True}, "--listen: has no effect in this run"),
-        ({"camera": "dvxplorer", "resume": True}, "--resume: has no effect with --listen"),
-        ({"camera": "dvxplorer", "count": 2}, "each start is a trial"),
-        ({"camera": "virtual", "objects": "1-3"}, "each start is a trial"),
-        ({"camera": "virtual", "sensor": "randomized"}, "each trial would have the same sensor"),
-        ({"camera": "dvxplorer", "gripper": "/dev/ttyUSB0"}, "--arm"),
-    ],
-)
-def test_what_cannot_be_listened_for_is_refused(flags: dict[str, Any], words: str, tmp_path: Path) -> None:
-    """Assert that a flag without meaning is an error in words, before anything is opened."""
-    with pytest.raises(InputError) as refused:
-        record.jobs([], Record(**flags, listen=True), tmp_path)
-    assert words in str(refused.value)
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_a_port_without_listening_and_a_file_are_refused(tmp_path: Path) -> None:
-    """Assert that --listen-port alone, and -o NAME.h5, are errors in words."""
-    with pytest.raises(InputError, match="--listen-port: has no effect in this run"):
-        record.jobs([], Record(camera="dvxplorer", listen_port=5000), tmp_path)
+def test_a_file_is_refused(tmp_path: Path) -> None:
+    """Assert that -o NAME.h5 is refused, since each start names its file."""
     with pytest.raises(InputError, match="each start names its file"):
         record.jobs([], Record(camera="dvxplorer", listen=True), tmp_path / "a.h5")
 
 
-def test_a_grasp_listens_with_devices_alone(tmp_path: Path) -> None:
-    """Assert that `grasp --listen` is refused in simulation and on a recording, and else is one job of one grasp."""
-    with pytest.raises(InputError, match="--listen: has no effect in this run"):
-        grasp.jobs([], Grasp(listen=True), tmp_path)
-    with pytest.raises(InputError, match="--listen: has no effect in this run"):
-        grasp.jobs([], Grasp(camera="replay:a.recording.h5", listen=True), tmp_path)
+def test_a_grasp_listens(tmp_path: Path) -> None:
+    """Assert that `grasp --listen` is one job of one grasp, planned without opening anything."""
     (job,) = grasp.jobs([], Grasp(camera="virtual", listen=True), tmp_path)
     assert isinstance(job, Listening)
     assert grasp.dry_run([job], Grasp(camera="virtual", listen=True)).rows

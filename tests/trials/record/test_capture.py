@@ -456,22 +456,6 @@ def test_dry_run_touches_nothing(rig_is: Callable[..., Rig], tmp_path: Path, mon
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize(
-    "flags",
-    [
-        {"camera": "sim", "gripper": "virtual"},
-        {"camera": "dvxplorer", "gripper": "sim"},
-        {"camera": "dvxplorer", "source": Path("a.aedat4")},
-        {"camera": "replay:a", "gripper": "sim"},
-    ],
-)
-def test_what_does_not_fit_is_refused(flags: dict[str, Any], tmp_path: Path) -> None:
-    """Assert that half a simulation, and a camera and a file at once, are refused."""
-    params = Record(**flags)
-    with pytest.raises(InputError):
-        record.devices(params)
-
-
 def test_replay_is_recorded_as_it_was(made: Made, tmp_path: Path) -> None:
     """Assert that a replayed recording is recorded event by event, knows its dots, its parent, and is simulated too."""
     params = Record(camera=f"replay:{made.recordings[0]}", expected_event_rate=1e4)
