@@ -105,13 +105,13 @@ def test_config_without_the_command(tmp_path: Path, text: str) -> None:
 @pytest.mark.parametrize(
     ("text", "key", "near"),
     [
-        ("[label]\nthreshold = 0.5\n", "unknown key `threshold`", "`threshold_px`"),
-        ("[label]\nlookahead_ms = 4\n", "unknown key `lookahead_ms`", "`look_ahead_ms`"),
+        ("[label]\nthreshold = 0.5\n", "unknown key `threshold`", "threshold_px"),
+        ("[label]\nlookahead_ms = 4\n", "unknown key `lookahead_ms`", "look_ahead_ms"),
         ("[label]\nxyzzy = 1\n", "unknown key `xyzzy`", ""),
         ("[label.deeper]\nconfirm_ms = 1\n", "unknown key `deeper`", ""),
-        ("[labels]\nconfirm_ms = 1\n", "unknown table `labels`", "`label`"),
+        ("[labels]\nconfirm_ms = 1\n", "unknown table `labels`", "label"),
         ("confirm_ms = 1\n", "unknown table `confirm_ms`", ""),
-        ("[trak]\n", "unknown table `trak`", "`track`"),
+        ("[trak]\n", "unknown table `trak`", "track"),
     ],
 )
 def test_unknown_names(tmp_path: Path, text: str, key: str, near: str) -> None:

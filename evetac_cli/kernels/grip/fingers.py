@@ -10,9 +10,7 @@
 """
 
 import math
-from dataclasses import dataclass, fields
-
-from evetac_cli.checks import check_range
+from dataclasses import dataclass
 
 SLOW = 0.02  # smoothing factor per control step of the mean encoder noise: averages over about 50 steps
 CLOSE_ENOUGH_TICKS = 0.25  # fingers less than this far behind their goal are not pushed
@@ -36,11 +34,6 @@ class Gear:
     dry_pulses: int = 40  # opening pushes without a change of the encoder, after which the pushes become harder
     dry_s: float = 0.04  # time of closing pushes without a change of the encoder, after which the pushes become harder
     last_tick: int = 740
-
-    def __post_init__(self) -> None:
-        """Refuse constants that are out of range."""
-        for item in fields(self):
-            check_range(item.name, getattr(self, item.name), above=item.name in ("pulse_ticks", "dry_s"))
 
 
 @dataclass

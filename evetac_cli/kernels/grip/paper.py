@@ -46,15 +46,6 @@ class GripLaw:
     paper_reset: bool = False  # balance: set x_ref at every onset of slip, not only at the first
     gain: float = 1.0  # K_p in balance, as a multiple of the servo's
 
-    def __post_init__(self) -> None:
-        """Refuse constants that are out of range."""
-        for name in ("approach", "lift_slip", "balance_slip", "lowest"):
-            check_range(name, getattr(self, name), -1000.0, 0.0, "ticks")
-        for name in ("lift_no_slip", "balance_no_slip", "highest_open"):
-            check_range(name, getattr(self, name), 0.0, 1000.0, "ticks")
-        check_range("gain", self.gain, 0.0, 100.0, above=True)
-        check_range("last_tick", self.last_tick, self.first_tick)
-
     def at(self, control_hz: float) -> "GripLaw":
         """Return the law for another control rate, with equal changes of u_ff per second. ValueError unless above 0."""
         check_range("control_hz", control_hz, above=True)

@@ -20,7 +20,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.arrays import Floats
-from evetac_cli.checks import check_range
 from evetac_cli.events import Events
 from evetac_cli.kernels.labelling import slide, window_travel
 from evetac_cli.kernels.labelling.flow import Between, Labels, Region, apart
@@ -59,13 +58,6 @@ class EventFlowConstants:
     fading_px: float = 30.0  # travel after which the window has half the events per px
     least_events_per_px: float = 20.0  # of the window: with fewer it shows no texture
     after_ms: int = 60  # slices labelled after the onset
-
-    def __post_init__(self) -> None:
-        anything, may_be_zero = ("bias", "follows"), ("pause_ms", "after_ms", "outside", "least_confidence")
-        for name, value in vars(self).items():
-            low = -math.inf if name in anything else 0.0
-            check_range(name, value, low, above=name not in may_be_zero)
-        check_range("outside", self.outside, 0.0, 0.5, below=True)
 
     @property
     def odds(self) -> Odds:

@@ -27,7 +27,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.checks import check_range
 from evetac_cli.events import Events
 
 METHODS = ("farneback", "dis", "event-count")
@@ -58,13 +57,6 @@ class FlowConstants:
     shrink: int = 1  # factor by which images are shrunk before flow is computed
     clear_px: float = 0.6  # margin above the threshold for clear slip on smaller images; infinity: do not compute them
     plain: bool = False  # compute the flow of both regions even if it cannot change the result
-
-    def __post_init__(self) -> None:
-        assert self.method in METHODS
-        for name in ("threshold_px", "clear_px", "after_ms"):
-            check_range(name, getattr(self, name), 0, math.inf)
-        for name in ("look_ahead_ms", "accumulate_ms", "confirm_ms", "coarse_ms", "shrink"):
-            check_range(name, getattr(self, name), 1)
 
 
 class Labels(NamedTuple):

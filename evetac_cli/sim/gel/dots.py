@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.arrays import Floats
-from evetac_cli.checks import check_range
 from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.gel.gel import GelState
 
@@ -32,7 +31,6 @@ def interpolation(node_xy_m: Floats, points_xy_m: Floats, decay_m: float = DECAY
     """
     points = np.asarray(points_xy_m, dtype=np.float64)
     assert points.ndim == 2 and points.shape[1] == 2 and np.isfinite(points).all()
-    check_range("decay_m", decay_m, above=True)
     rows, columns, _ = node_xy_m.shape
     low = np.empty((2, len(points)), dtype=np.intp)
     high = np.empty_like(low)

@@ -14,7 +14,6 @@ of a constant mu, mu would also fall with N (as N^(-2m/3) under a cylinder on th
 import numpy as np
 
 from evetac_cli.arrays import Floats
-from evetac_cli.checks import check_range
 from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.gel.cell_gaps import MEAN, MOST, VARIANCE, CellGaps
 
@@ -29,7 +28,6 @@ class PressureLaw:
 
     def __init__(self, exponent: float) -> None:
         """Build the law for an exponent above 0 and up to 1; 0 is Coulomb's law and needs no PressureLaw."""
-        check_range("pressure_exponent", exponent, 0.0, 1.0, above=True)
         self._power = 1.0 - exponent
         self._powers = np.linspace(0.0, 1.0, ENTRIES + 1) ** self._power
         self._powers[0] = 0.0  # no friction without pressure, also for an exponent of 1

@@ -17,10 +17,12 @@ from evetac_cli.sim.setup.tables import as_table, build, check
 from evetac_cli.text_files import as_toml, read_toml
 
 SUFFIX = ".toml"
-# Keys of [gripper] that gripper.current replaces.
-NOT_WITH_CURRENT = ("close_s", "grip_s", "ramp_s", "open_s", "start_factor", "start_more_n", "start_n")
 # Keys of [gripper] that another key replaces.
-IN_PLACE_OF = {"start_n": ("start_factor", "start_more_n"), "open_s": ("ramp_s",)}
+IN_PLACE_OF = {
+    "start_n": ("start_factor", "start_more_n"),
+    "open_s": ("ramp_s",),
+    "current": ("close_s", "grip_s", "ramp_s", "open_s", "start_factor", "start_more_n", "start_n"),
+}
 
 
 def load(name_or_path: str) -> Scene:
@@ -79,7 +81,7 @@ def of_table(table: Mapping[str, Any], where: str) -> Scene:
         scene = replace(scene, solver=replace(scene.solver, node_pitch_mm=LIFT_PITCH_MM))
     _check_gripper(scene.gripper, table.get("gripper", {}), where)
     if scene.gripper.current is not None:
-        _check_current(scene, scene.gripper.current, table["gripper"], where)
+        _check_current(scene, scene.gripper.current, where)
     if scene.tone is not None:
         _check_tone(scene.tone, where)
     return scene
@@ -115,15 +117,8 @@ def _check_gripper(gripper: GripperSettings, table: Mapping[str, Any], where: st
         raise SceneError(message, where=where, expected=expected, found=found)
 
 
-def _check_current(scene: Scene, current: GripperCurrent, table: Mapping[str, Any], where: str) -> None:
-    """Raise SceneError if keys contradict gripper.current, or its times are outside the scene."""
-    beside = [key for key in NOT_WITH_CURRENT if key in table]
-    if beside:
-        raise SceneError(
-            f"gripper.{beside[0]} has no effect with gripper.current",
-            where=where,
-            expected="only one of the two: the gripper follows the current from the first ms to the last",
-        )
+def _check_current(scene: Scene, current: GripperCurrent, where: str) -> None:
+    """Raise SceneError if times of gripper.current are outside the scene."""
     longest_s, at_s = scene.time.longest_s, list(current.at_s)
     if current.ends_s > longest_s:
         expected = f"times up to time.longest_s, {longest_s:g} s"

@@ -563,12 +563,6 @@ def test_interpolation_decays_outside():
     assert displacement_at(state, *interpolation(nodes, np.empty((0, 2)))).shape == (0, 2)
 
 
-def test_interpolation_refuses_nonsense():
-    """Assert that the decay has to be finite and positive."""
-    with pytest.raises(ValueError, match="decay_m"):
-        interpolation(pad(), np.zeros((1, 2)), 0.0)
-
-
 # -- stiff and extreme cases -------------------------------------------------------------------------------------------
 
 EXTREMES = {

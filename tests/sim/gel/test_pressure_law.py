@@ -96,10 +96,3 @@ def test_nothing_is_held_without_contact() -> None:
     assert np.isfinite(factor).all()
     assert (shares * factor).sum() == pytest.approx(1.0, rel=1e-12)
     np.testing.assert_array_equal(factor[shares == 0.0], 1.0)
-
-
-@pytest.mark.parametrize("exponent", [0.0, -0.1, 1.1, np.nan])
-def test_exponents_that_are_none(exponent: float) -> None:
-    """Assert that an exponent has to lie above 0 and up to 1."""
-    with pytest.raises(ValueError, match="pressure_exponent"):
-        PressureLaw(exponent)

@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from evetac_cli.checks import check_range, check_whole
+from evetac_cli.checks import check_range
 from evetac_cli.events import FRAME_PX, SLICE_US, Events
 from evetac_cli.kernels.compiled import njit
 from evetac_cli.kernels.noise_filter import NoiseFilter
@@ -60,7 +60,7 @@ LOWEST_THRESHOLD = 0.25
 
 @dataclass(frozen=True)
 class CameraModel:
-    """The constants of one camera; ValueError if a value is out of range.
+    """The constants of one camera; ValueError if it could see nothing with them.
 
     Thresholds are in log brightness; `mismatch` is their relative standard deviation over the pixels. `threshold_off`
     separates the thresholds of ON and OFF: each pixel has two, drawn independently.
@@ -97,27 +97,10 @@ class CameraModel:
     support_ms: float | None = None
 
     def __post_init__(self) -> None:
-        width, height = self.frame_px
-        check_whole("frame_px, width", width, 1, 4096)
-        check_whole("frame_px, height", height, 1, 4096)
-        check_whole("scans_per_ms", self.scans_per_ms, 1, 100)
-        check_range("threshold", self.threshold, 0.01, 100.0)
-        if self.threshold_off is not None:
-            check_range("threshold_off", self.threshold_off, 0.01, 100.0)
         check_range("mismatch", self.mismatch, 0.0, 1.0)
         check_range("noise_rate_hz", self.noise_rate_hz, 0.0, 1e4)
-        check_whole("hot_pixels", self.hot_pixels, 0, width * height)
-        check_whole("hot_rate_hz, how many", len(self.hot_rate_hz), 2, 1000)
-        for lower, rate in zip((0.0, *self.hot_rate_hz), self.hot_rate_hz, strict=False):
-            check_range("hot_rate_hz, rising", rate, lower, 1e5)
-        check_range("noise_on_share", self.noise_on_share, 0.0, 1.0)
-        check_range("timestamp_step_us", self.timestamp_step_us, 0.0, SLICE_US / 2)
-        check_range("edge_sigma_px", self.edge_sigma_px, 0.01, 100.0)
-        check_range("log_contrast", self.log_contrast, 0.01, 20.0)
-        check_range("dot_radius_px", self.dot_radius_px, 0.01, 1000.0)
-        check_range("leak_hz", self.leak_hz, 0.0, 10.0)
-        check_range("refractory_us", self.refractory_us, 0.0, 1e6)
-        check_whole("max_events", self.max_events, 1, 100_000_000)
+        for name in ("threshold", "edge_sigma_px", "log_contrast", "dot_radius_px"):
+            check_range(name, getattr(self, name), 0.01, 1e3)
 
     @property
     def has_hot_pixels(self) -> bool:

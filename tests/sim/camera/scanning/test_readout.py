@@ -70,13 +70,6 @@ def test_what_is_beyond_the_limit_is_lost() -> None:
     assert np.diff(read.t[order])[same].min() > 0
 
 
-@pytest.mark.parametrize("events_per_s", [0.0, -1.0, float("nan"), 1e11])
-def test_limits_out_of_range_are_refused(events_per_s: float) -> None:
-    """Assert that a limit which is none is refused."""
-    with pytest.raises(ValueError, match="events_per_s"):
-        start(DOTS, dataclasses.replace(QUIET, events_per_s=events_per_s))
-
-
 def test_ideal_camera_refuses_a_limit() -> None:
     """Assert that an ideal camera, which reads events the moment they are made, says so."""
     with pytest.raises(ValueError, match="events_per_s"):
