@@ -55,12 +55,29 @@ def test_tilt_and_jitter(shape: tuple[int, int], seed: int, rise: float) -> None
     np.testing.assert_array_equal(arrange(rng.permutation(grid.reshape(-1, 2))), grid)
 
 
-@pytest.mark.parametrize("rise", [0.6, 0.9, -0.75])
-def test_more_tilt_is_refused(rise: float) -> None:
-    """Assert that beyond half a pitch, where rows run into each other, a grid is refused and not mixed up."""
-    grid = tilted(regular(7, 9), np.arctan(rise / 8))
-    with pytest.raises(ValueError, match="expected"):
-        arrange(grid.reshape(-1, 2))
+THREE, FLAT = regular(3, 4), regular(3, 4).reshape(-1, 2)
+NO_GRID: list[tuple[Grid, str]] = [
+    *((tilted(regular(7, 9), np.arctan(rise / 8)).reshape(-1, 2), "expected") for rise in (0.6, 0.9, -0.75)),
+    *((np.zeros(shape), "shape") for shape in ((0,), (4,), (0, 2), (4, 3), (2, 0, 2), (2, 2, 3), (1, 2, 2, 2))),
+    *((np.where(FLAT[5] == FLAT, value, FLAT), "finite") for value in (np.nan, np.inf)),
+    (np.where(THREE[1, 1] == THREE, -np.inf, THREE), "finite"),
+    *((turned, "from top to bottom") for turned in (THREE[::-1], THREE[:, ::-1], THREE.transpose(1, 0, 2))),
+    (np.repeat(FLAT, 2, axis=0), "listed twice"),
+    (np.concatenate([FLAT, FLAT[::4] + 1.0]), "listed twice"),
+    (FLAT[1:], r"found \[3, 4, 4\] dots per row"),
+    (np.concatenate([FLAT, FLAT[-1:] + 3.0]), r"found \[4, 4, 5\] dots per row"),
+    (
+        np.concatenate([np.delete(row, at, axis=0) for row, at in zip(THREE, (0, 2, 3), strict=True)]),
+        "below each other",
+    ),
+]
+
+
+@pytest.mark.parametrize(("dots", "words"), NO_GRID)
+def test_dots_that_are_no_grid(dots: Grid, words: str) -> None:
+    """Assert that rows that run into each other or lack dots, and places that are none, are refused."""
+    with pytest.raises(ValueError, match=words):
+        arrange(dots)
 
 
 def test_sorted_grids_are_taken_as_they_are() -> None:
@@ -78,53 +95,6 @@ def test_input_is_not_changed() -> None:
     before = dots.copy()
     arrange(dots)
     np.testing.assert_array_equal(dots, before)
-
-
-@pytest.mark.parametrize("shape", [(0,), (4,), (0, 2), (4, 3), (2, 0, 2), (0, 3, 2), (2, 2, 3), (1, 2, 2, 2)])
-def test_wrong_shapes_are_refused(shape: tuple[int, ...]) -> None:
-    """Assert that anything but (dots, 2) and (rows, columns, 2), and a grid of nothing, is refused with its shape."""
-    with pytest.raises(ValueError, match=r"expected \(dots, 2\), found shape"):
-        arrange(np.zeros(shape))
-
-
-@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-def test_dots_nowhere_are_refused(value: float) -> None:
-    """Assert that a list with a dot that is not finite is refused, and a sorted grid with an infinite one."""
-    grid = regular(3, 4)
-    grid[1, 1, 0] = value
-    with pytest.raises(ValueError, match="finite"):
-        arrange(grid.reshape(-1, 2))
-    if not np.isnan(value):
-        with pytest.raises(ValueError, match="finite"):
-            arrange(grid)
-
-
-@pytest.mark.parametrize("turn", [lambda g: g[::-1], lambda g: g[:, ::-1], lambda g: g.transpose(1, 0, 2)])
-def test_unsorted_grids_are_refused(turn: object) -> None:
-    """Assert that rows from below, columns from the right, or columns for rows are refused."""
-    with pytest.raises(ValueError, match="from top to bottom"):
-        arrange(turn(regular(3, 4)))  # type: ignore[operator]
-
-
-def test_uneven_rows_are_refused() -> None:
-    """Assert that a dot too few or too many is refused with the dots of every row."""
-    flat = regular(3, 4).reshape(-1, 2)
-    with pytest.raises(ValueError, match="listed twice"):
-        arrange(np.repeat(flat, 2, axis=0))
-    with pytest.raises(ValueError, match="listed twice"):
-        arrange(np.concatenate([flat, flat[::4] + 1.0]))
-    with pytest.raises(ValueError, match=r"found \[3, 4, 4\] dots per row"):
-        arrange(flat[1:])
-    with pytest.raises(ValueError, match=r"found \[4, 4, 5\] dots per row"):
-        arrange(np.concatenate([flat, flat[-1:] + 3.0]))
-
-
-def test_rows_that_lack_different_dots_are_refused() -> None:
-    """Assert that rows of equal length are not enough: their dots must stand below each other."""
-    grid = regular(3, 5)
-    selected = np.concatenate([np.delete(row, lacking, axis=0) for row, lacking in zip(grid, (0, 2, 4), strict=True)])
-    with pytest.raises(ValueError, match="below each other"):
-        arrange(selected)
 
 
 def test_pitch() -> None:
