@@ -9,7 +9,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
-from evetac_cli.checks import check_range
 from evetac_cli.errors import InputError, SceneError
 from evetac_cli.sim.setup.tables import number, read_table, whole
 
@@ -57,11 +56,6 @@ class Solver:
     ALONE: ClassVar = ("step_ms", "tolerance_um")
 
     def __post_init__(self) -> None:
-        for name in ("tolerance_um", "node_pitch_mm", "residual"):
-            check_range(name, getattr(self, name), above=True)
-        check_range("theta", self.theta, 0.5, 1.0)
-        check_range("camera_substeps", self.camera_substeps, 1)
-        check_range("scans_per_ms", self.scans_per_ms, 1)
         if self.step_ms is not None and not self._divides_slice(self.step_ms):
             raise ValueError(f"step_ms: expected 1 ms divided by a whole number, found {self.step_ms}")
 
