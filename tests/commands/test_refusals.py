@@ -91,6 +91,7 @@ GRASP: list[tuple[dict[str, Any], dict[str, Any], str]] = [
     (SIM, {"controller": "papers"}, "did you mean paper"),
     (SIM, {"controller": "paper"}, "--model"),
     (SIM, {"controller": "fixed:x"}, "fixed:1"),
+    (SIM, {"model": Path("nope.h5")}, "nope.h5"),
     (SIM, {"controller": "load-proportional", "gain": 2.0}, "--gain"),
     (SIM, {"control_hz": 300.0}, "--control-hz"),
     (SIM, {"slip_threshold": 0.25, "false_alarms_per_min": 1.0}, "only one of the two"),
