@@ -413,7 +413,6 @@ def simulate(
     *,
     sensor: str = "evetac",
     gel: str | None = None,
-    readout: str = "dvxplorer",
     solver: Mapping[str, Any] = MappingProxyType({}),
     seed: int = 0,
 ) -> Simulation:
@@ -422,7 +421,6 @@ def simulate(
     - scene_name: one of `evetac.scenes()`, except those of kind lift, or a TOML file.
     - object_number: number in the paper's table, or a TOML file as for `--object`.
     - gel: cut or closed; default: the scene's.
-    - readout: dvxplorer (scanned) or ideal.
     - solver: settings of the simulation, e.g. {"tolerance_um": 0.05}; see the table `[solver]` of scenes.
     - InputError: a name is unknown.
 
@@ -433,7 +431,7 @@ def simulate(
     >>> trial.dot_xy_px.shape, int(trial.truth["truth/slip"])
     ((7, 8, 2), 0)
     """
-    first = plans(scene_name, str(object_number), sensor, SCENE_KINDS, gel, readout, solver=solver)[0]
+    first = plans(scene_name, str(object_number), sensor, SCENE_KINDS, gel, solver=solver)[0]
     plan = first.of_trial((seed, seed_of(first.called), 0))
     return Simulation(SimulatedTrial((), Path(), 0, seed, plan))
 

@@ -5,7 +5,7 @@
     python scripts/digests.py NOW.json --against scripts/digests.json --other-recipes   # arrays alone
 
 The commands cover two trials of every scene, every sensor, tracker preset, label method and training preset, the demo,
-force, RGB, the ideal readout, and all grip laws.
+force, RGB, and all grip laws.
 
 A file's digest covers dtype, shape and bytes of its numeric arrays, sorted by name. Texts and ONNX graphs contain names
 and are left out. The file's recipe id is stored next to the digest. With --against, the script prints each file that is
@@ -66,7 +66,6 @@ def cases() -> Iterator[tuple[str, Commands]]:
             f"grasp --gel closed --object 17 --sensor second {PAPER} --balance-s 3 --out .",
         ],
     )
-    yield "ideal", ["record --readout ideal --out .", "record --scene edge --readout ideal --out edge"]
     yield "stages", list(_stages())
     yield (
         "force",

@@ -41,14 +41,6 @@ class Trials:
         panel=SCENE,
         needs=SIMULATED,
     )
-    readout: str = parameter(
-        "dvxplorer",
-        "Readout of the simulated camera. dvxplorer: pixels are scanned 5000 times per second. ideal: each event has"
-        " its exact time, to the us.",
-        choices=("dvxplorer", "ideal"),
-        panel=SCENE,
-        needs=SIMULATED,
-    )
     tolerance_um: float | None = parameter(
         None,
         "Largest estimated displacement error of one mechanical step; default: the scene's, or 0.2.",
@@ -100,7 +92,7 @@ class Trials:
         "Scans of the simulated readout per ms; default: the scene's, or 5.",
         unit="1/ms",
         low=1,
-        high=100,
+        high=1000,
         panel=SOLVER,
         needs=SIMULATED,
     )

@@ -18,7 +18,6 @@ from evetac_cli.sim.setup.scene import Scene
 from evetac_cli.sim.setup.sensor import Sensor
 
 MODES = {"ramp": "current mode", "hold": "position, then current mode", "lift": "position mode"}  # of the gripper
-READOUTS = {"dvxplorer": "{:.0f} scans/s, global hold", "ideal": "every event, timed to the us"}
 
 Switch = Callable[[Plan], Plan]
 Call = TypeVar("Call", bound=Callable[..., Any])
@@ -81,7 +80,7 @@ def _built(plan: Plan) -> Set[str]:
 
 def parts_of(plan: Plan) -> list[ScenePart]:
     """Return the descriptions of all parts that a plan may have, built or not."""
-    return [*_mechanics(plan), *_camera(plan.scene, plan.sensor, plan.readout), *_disturbances(plan)]
+    return [*_mechanics(plan), *_camera(plan.scene, plan.sensor), *_disturbances(plan)]
 
 
 def _mechanics(plan: Plan) -> list[ScenePart]:
@@ -161,7 +160,7 @@ def _gripper(scene: Scene) -> str:
     return MODES.get(scene.kind, "") if scene.gripper.current is None else "current mode, current from the scene"
 
 
-def _camera(scene: Scene, sensor: Sensor, readout: str) -> list[ScenePart]:
+def _camera(scene: Scene, sensor: Sensor) -> list[ScenePart]:
     from evetac_cli.sim.camera.gel_camera import dot_grid  # imports numba
 
     cut, texture = scene.gel.cut, scene.texture
@@ -171,7 +170,7 @@ def _camera(scene: Scene, sensor: Sensor, readout: str) -> list[ScenePart]:
     limit = 0.0 if sensor.readout is None else sensor.readout.events_per_s
     support_ms = 0.0 if sensor.noise_filter is None else sensor.noise_filter.support_ms
     return [
-        ScenePart("camera", READOUTS[readout].format(1000 * scene.solver.scans_per_ms), ""),
+        ScenePart("camera", f"{1000 * scene.solver.scans_per_ms} scans/s, global hold", ""),
         ScenePart("dots", f"{dot_grid(sensor, cut).size // 2}, evaluated only while they move", ""),
         ScenePart(
             "dots that differ",

@@ -149,8 +149,7 @@ class TouchSensor:
     `static_friction` and `shape`: flat, which covers the pad, or a cylinder along x or a sphere, of `width_mm`.
     Optional keys are `kinetic_share` and `tilt_deg`. Mass, height and lever are those of your own simulator.
 
-    rng: the only source of noise and of all other random values. gel: cut or closed. readout, solver: as in
-    `evetac.simulate`.
+    rng: the only source of noise and of all other random values. gel: cut or closed. solver: as in `evetac.simulate`.
 
     at_m: initial position of the object's middle on the gel, x and y in m from the middle of the view. InputError for
     any other value.
@@ -176,13 +175,11 @@ class TouchSensor:
         *,
         rng: np.random.Generator,
         gel: str = "cut",
-        readout: str = "dvxplorer",
         solver: Mapping[str, Any] = MappingProxyType({}),
         at_m: tuple[float, float] = (0.0, 0.0),
     ) -> None:
-        for name, value, choices in (("gel", gel, ("cut", "closed")), ("readout", readout, plan.READOUTS)):
-            if value not in choices:
-                raise _refused(f"unknown {name}", " or ".join(choices), value)
+        if gel not in ("cut", "closed"):
+            raise _refused("unknown gel", "cut or closed", gel)
         mechanics, optics = rng.spawn(2)
         _, sensor_or_ranges = plan.named_sensor(sensor)
         one = (
@@ -206,7 +203,7 @@ class TouchSensor:
             solver=with_given(Solver(), solver, "TouchSensor"),
         )
         self.sampled = sampling.sample_trial(scene, replace(touched, kinetic_share=None), one, mechanics)
-        self._camera = GelCamera(one, scene=scene, texture=None, rng=optics, readout=readout)
+        self._camera = GelCamera(one, scene=scene, texture=None, rng=optics)
         self._build(one, touched, scene, _finite("at_m", at_m, 2, FARTHEST_M))
         self.dot_xy_px: Floats = self._camera.calibrated_grid_xy_px  # at rest, (rows, columns, 2)
         self.dot_radius_px = one.dot_radius_px

@@ -143,7 +143,7 @@ def simulated_trials(
     trials = []
     view = view_of(params)
     sensor, second = _sensors(params.sensor, fingers)
-    plan_options = (params.scene, params.objects, sensor, kinds, params.gel, params.readout, tones)
+    plan_options = (params.scene, params.objects, sensor, kinds, params.gel, tones)
     for each in plans(*plan_options, solver=params.solver(), texture=params.texture, second=second):
         called = each.called
         what = "" if called is None else f"-{called}" if isinstance(called, str) else f"-obj{called:02d}"

@@ -81,7 +81,6 @@ OF_SCENES = (
     ({"objects": "3"}, "--object"),
     ({"sensor": "second"}, "--sensor"),
     ({"gel": "closed"}, "--gel"),
-    ({"readout": "ideal"}, "--readout"),
 )
 GRASP: list[tuple[dict[str, Any], dict[str, Any], str]] = [
     *((source, more, flag) for source in (SIM, REPLAY) for more, flag in OF_DEVICES),
@@ -131,7 +130,7 @@ PREDICT_TOUCH: list[tuple[dict[str, Any], str]] = [
 ]
 # Flags of `record` that have an effect together.
 OF_A_SOURCE: list[dict[str, Any]] = [
-    {"tones": "200", "scene": "vibration", "count": 3, "seed": 4, "sensor": "second", "readout": "ideal"},
+    {"tones": "200", "scene": "vibration", "count": 3, "seed": 4, "sensor": "second"},
     {"preview": True, "seconds": 3.0, "live_in": "terminal"},
     {"live": True, "live_in": "browser"},
     {**FILE, "frame_size": "640x480", "sort": True, "stream": "a", "calibration": Path("a.json")},

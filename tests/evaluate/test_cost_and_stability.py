@@ -34,9 +34,10 @@ from tests.make import run_stage
 needs_matplotlib = pytest.mark.skipif(not importlib.util.find_spec("matplotlib"), reason="needs matplotlib")
 BESIDE = picture.beside
 MECHANICS_ROWS = 3 * 2 + 2 + 1 + 6
+SETTINGS = len(camera_cost.SETTINGS)
 UNLOADING_ROWS = 3  # of each of 2 unloadings and 3 frictions
 CAMERA = [
-    {"part": "camera", "setting": f"ideal, tone, {n} sub-steps", "error_us_median": late, "error_share_count": 0.0,
+    {"part": "camera", "setting": f"tone, {n} scans", "error_us_median": late, "error_share_count": 0.0,
      "time_us_median": 100.0 * n, "time_us_p99": 200.0 * n}
     for n, late in ((1, 5.0), (2, math.inf), (4, 0.3))
 ]  # fmt: skip
@@ -165,8 +166,8 @@ def test_cost_of_the_simulator():
     _, outcome = run_stage(cost, [], EvaluateCost())
     parts = [row["part"] for row in outcome.rows]
     assert parts[:MECHANICS_ROWS] == ["mechanics, constant friction"] * MECHANICS_ROWS
-    assert parts[-7:] == ["camera"] * 7
-    unloaded = parts[MECHANICS_ROWS:-7]
+    assert parts[-SETTINGS:] == ["camera"] * SETTINGS
+    unloaded = parts[MECHANICS_ROWS:-SETTINGS]
     assert [unloaded.count(part) for part in dict.fromkeys(unloaded)] == [UNLOADING_ROWS] * 6
     for row in outcome.rows:
         assert 0 < row["time_us_median"] <= row["time_us_p99"]
@@ -176,10 +177,9 @@ def test_cost_of_the_simulator():
     for theta in ("1", "0.51", "0.5"):
         coarse, fine = (rows[f"theta {theta}, dt {dt} ms"]["error_um_object_rms"] for dt in (10, 1))
         assert fine < coarse
-    substeps = [rows[f"ideal, circle, {n} sub-steps"]["error_us_p95"] for n in camera_cost.SUBSTEPS[:4]]
-    assert substeps == sorted(substeps, reverse=True)
-    assert rows["ideal, circle, 32 sub-steps"]["error_share_count"] < 0.01
-    assert rows["ideal, circle, 32 sub-steps"]["error_us_p95"] < outcome.rows[-1]["error_us_p95"]  # scans are coarser
+    late_us = [rows[f"circle, 16 sub-steps, {n} scans"]["error_us_median"] for n in (5, 20, 100)]
+    assert late_us == sorted(late_us, reverse=True)
+    assert late_us[-1] < 20.0
     assert outcome.summary["rows"] == len(outcome.rows)
     assert outcome.summary["explicit_blows_up_at"] == "1 ms, 0.1 ms"
     assert outcome.summary["reference_um_object_at_most"] == outcome.rows[0]["error_um_object_rms"]
@@ -241,7 +241,7 @@ def test_lines_of_the_picture():
     axes = Figure().subplots()
     plots.draw_panel(axes, CAMERA, "error_us_median")
     assert axes.lines[0].get_xydata().tolist() == [[100.0, 5.0], [400.0, 0.3]]
-    assert axes.lines[0].get_label() == "ideal, tone, 1 to 4 sub-steps"
+    assert axes.lines[0].get_label() == "tone, 1 to 4 scans"
     assert axes.get_ylabel() == "error [us]"
     axes = Figure().subplots()
     plots.draw_panel(axes, CAMERA, "error_share_count")
@@ -253,8 +253,8 @@ def test_a_terminal_gets_the_best_settings():
     shown, (late, _) = cost.for_people(CAMERA, EvaluateCost(part="sim"))
     assert shown == CAMERA
     least, fastest = late.split("; ")
-    assert "with ideal, tone, 4 sub-steps, 0.3 in 400 us" in least
-    assert "fastest with ideal, tone, 1 sub-steps, 5 in 100 us" in fastest
+    assert "with tone, 4 scans, 0.3 in 400 us" in least
+    assert "fastest with tone, 1 scans, 5 in 100 us" in fastest
 
 
 def test_what_a_line_is_called():

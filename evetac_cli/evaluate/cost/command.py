@@ -19,7 +19,7 @@ from evetac_cli.jobs import Job, Outcome, Progress, Rows, Stage, silent
 from evetac_cli.store.files import header_of
 
 OUTPUT = "report"
-METHOD = 4
+METHOD = 5
 
 
 class CostPart(NamedTuple):

@@ -1,8 +1,8 @@
 """The part `track`: distance of the dot tracker from the true dots against its run time, on seeded motions.
 
 The workloads move a whole grid of dots: a sine of 3 px at 5 Hz, one of 0.3 px at 200 Hz, and a slow shift at the speed
-of the paper's trials. Each is seen by an ideal camera without noise, and by a scanning camera with the noise, hot
-pixels and uneven thresholds of the sensor `evetac`. The dots' centres are known exactly. `standing still` is a tracker
+of the paper's trials. Each is seen at 100 scans per ms without noise, and at 5 with the noise, hot pixels and
+uneven thresholds of the sensor `evetac`. The dots' centres are known exactly. `standing still` is a tracker
 that never moves dots; a tracker that is not better is useless. Run time is that of a step on events of the dots' rims
 and depends on their number.
 """
@@ -19,14 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.commands.evaluate import EvaluateCost
-from evetac_cli.evaluate.cost.camera import Workload, oscillation, play_ideal, play_scans
+from evetac_cli.evaluate.cost.camera import Workload, oscillation, play
 from evetac_cli.evaluate.plots import STILL
 from evetac_cli.evaluate.rows import Extent, collect, run_times
 from evetac_cli.events import FRAME_PX, SLICE_US, Events
 from evetac_cli.jobs import Progress, Row, Rows
 from evetac_cli.kernels.tracking import tracker
 from evetac_cli.kernels.tracking.presets import PRESETS, TrackerConstants
-from evetac_cli.sim.camera.scanning import camera
 from evetac_cli.sim.camera.scanning.camera import CameraModel
 
 SLICES = Extent(quick=(400, 60, 200), full=(2000, 400, 2000))  # per workload
@@ -35,9 +34,16 @@ EVENT_COUNTS = (0, 50, 200, 1_000, 5_000, 20_000)
 USUAL_COUNT = 1_000  # events per slice for `time_us_median` and `time_us_p99`
 WARM_UP = 20  # steps left out of the run times
 DISTINCT = 400_000  # events in slices timed in turn: with few, their pixels would always be in the cache
-PATH_PIECES = 16  # per slice, for both cameras
+PATH_PIECES = 16  # per slice
 # An edge of 1.5 px from 10 to 90 %; contrast and threshold as in the published simulators with these motions.
-CAMERA = CameraModel(noise_rate_hz=0.0, hot_pixels=0, mismatch=0.0, edge_sigma_px=1.5 / 2.5631, log_contrast=1.07)
+CAMERA = CameraModel(
+    scans_per_ms=100,
+    noise_rate_hz=0.0,
+    hot_pixels=0,
+    mismatch=0.0,
+    edge_sigma_px=1.5 / 2.5631,
+    log_contrast=1.07,
+)
 SCANNING = CameraModel(hot_pixels=6)  # noise as in the sensor `evetac`
 DOTS_PX = np.stack(np.meshgrid(61.0 + 62.3 * np.arange(9), 41.0 + 62.4 * np.arange(7)), axis=-1).reshape(-1, 2)
 
@@ -78,31 +84,24 @@ def summary(rows: Rows) -> dict[str, Any]:
 
 
 def simulate_scenarios(seed: int, slices: tuple[int, int, int]) -> list[Scenario]:
-    """Return the workloads with the given numbers of slices: seen by the ideal camera, then in noisy scans."""
+    """Return the workloads with the given numbers of slices: seen in fine scans, then in noisy ones."""
     large, small, slow = slices
     loads = [
         Workload("3 px at 5 Hz", CAMERA, DOTS_PX, lambda t: oscillation(t, 3.0, 5.0), large),
         Workload("0.3 px at 200 Hz", CAMERA, DOTS_PX, lambda t: oscillation(t, 0.3, 200.0), small),
         Workload("slow shift at 0.005 px/ms", CAMERA, DOTS_PX, _slow_shift, slow),
     ]
-    quiet = [_simulate(load, np.random.default_rng((seed, number))) for number, load in enumerate(loads)]
     noisy = [load._replace(name=f"{load.name}, scanned and noisy", model=SCANNING) for load in loads]
-    first = len(loads)
-    return quiet + [
-        _simulate(load, np.random.default_rng((seed, first + number)), scans=True) for number, load in enumerate(noisy)
-    ]
+    return [_simulate(load, (seed, number)) for number, load in enumerate(loads + noisy)]
 
 
 def _slow_shift(times_ms: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.stack([0.003 * times_ms, -0.004 * times_ms], axis=1)
 
 
-def _simulate(load: Workload, rng: np.random.Generator, *, scans: bool = False) -> Scenario:
-    state = camera.start(load.model, load.path_px(1)[0], None, None, rng)
-    fine, _ = (play_scans if scans else play_ideal)(state, load, PATH_PIECES)
-    edges = np.searchsorted(fine.t, np.arange(load.slices + 1) * float(SLICE_US))
-    columns = (fine.t.astype(np.int64), fine.x.astype(np.uint16), fine.y.astype(np.uint16), fine.p.astype(np.uint8))
-    events = Events(*columns)
+def _simulate(load: Workload, seeds: Sequence[int]) -> Scenario:
+    events, _ = play(load, seeds, PATH_PIECES)
+    edges = np.searchsorted(events.t, np.arange(load.slices + 1) * SLICE_US)
     slices = [events.part(first, last) for first, last in zip(edges, edges[1:], strict=False)]
     return Scenario(load.name, slices, load.path_px(1)[1:])
 

@@ -46,7 +46,7 @@ def _camera() -> None:
     plan = first_plan("slip", "3")
     sensor, texture = sensor_with_gel(plan.scene, plan.sensor), np.zeros(TEXTURE_PX, np.float32)
     rng = np.random.default_rng(0)
-    camera = GelCamera(sensor, scene=plan.scene, texture=texture, rng=rng, readout=plan.readout)
+    camera = GelCamera(sensor, scene=plan.scene, texture=texture, rng=rng)
     camera.render(np.zeros_like(camera.rest_m), OUT_OF_SIGHT_M, 0.0, 0, None, cut_m=camera.cut_rest_m, still=False)
 
 

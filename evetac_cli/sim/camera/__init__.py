@@ -1,1 +1,1 @@
-"""The event camera behind the gel: optics, edges, noise, and two cameras, one that scans and an ideal one."""
+"""The event camera behind the gel: optics, edges, noise, and the camera, which scans."""

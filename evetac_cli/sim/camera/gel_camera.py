@@ -11,12 +11,9 @@ from evetac_cli.events import Events
 from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.camera import contact_edges
 from evetac_cli.sim.camera.camera_input import SliceMotion
-from evetac_cli.sim.camera.ideal import camera as ideal
-from evetac_cli.sim.camera.ideal.camera import IdealState
 from evetac_cli.sim.camera.lens import Lens
 from evetac_cli.sim.camera.low_pass import LowPass, light_at, rim_bandwidth
 from evetac_cli.sim.camera.scanning import camera, light
-from evetac_cli.sim.camera.scanning.camera import CameraState
 from evetac_cli.sim.setup.scene import CalibrationOffset, Scene, VanishingDots
 from evetac_cli.sim.setup.sensor import Sensor
 
@@ -116,7 +113,6 @@ class GelCamera:
         scene: Scene,
         texture: NDArray[np.float32] | None,
         rng: np.random.Generator,
-        readout: str = "dvxplorer",
         outline: contact_edges.Outline | None = None,
         outline_at_px: Floats | None = None,
     ) -> None:
@@ -185,15 +181,8 @@ class GelCamera:
             line = (sensor.cut_contrast, sensor.cut_width_px)
             self._lines = contact_edges.start(model.frame_px, self._place, outline, *line)
         change = light.of_scene(scene.light)
-        if readout == "ideal" and change is not None:
-            raise ValueError("light that changes: expected the readout dvxplorer, found ideal")
         differ = dots_differ(sensor, cut)
-        if readout == "ideal" and differ is not None:
-            raise ValueError("dots that differ: expected the readout dvxplorer, found ideal")
-        at_start = (model, self.dot_xy_px, None, window, rng, built, self._lines)
-        self._camera: CameraState | IdealState = (
-            ideal.start(*at_start) if readout == "ideal" else camera.start(*at_start, change, differ)
-        )
+        self._camera = camera.start(model, self.dot_xy_px, None, window, rng, built, self._lines, change, differ)
         is_slow, by_light = self._lagging is not None, sensor.bandwidth_by_light
         exists = {
             "camera": True,
@@ -302,7 +291,6 @@ class GelCamera:
         `still` means that all of these equal those of the slice before.
         """
         if still and self._looked_at_rest:
-            assert isinstance(self._camera, CameraState)
             return camera.step_still(self._camera, t0_us, self._rng)
         dots = self.seen_px(shift_m)
         path = None if shift_path_m is None else self.seen_px(shift_path_m)
@@ -318,10 +306,7 @@ class GelCamera:
         ends = (seen[0], seen[1], self._texture_at_px + seen[2], self._texture_at_px + seen[3])
         lines = self._move_lines(seen[3], self._cut_m if cut_m is None else cut_m, strength)
         motion = SliceMotion(*ends, contrast, path, *lines)
-        if isinstance(self._camera, CameraState):
-            events = camera.step(self._camera, motion, t0_us, self._rng)
-        else:
-            events = ideal.step(self._camera, motion, t0_us, self._rng)
+        events = camera.step(self._camera, motion, t0_us, self._rng)
         self.dot_xy_px, self.object_xy_px = dots, object_px
         # the last scan of a slice is before its end: only after a slice at rest has the camera seen the final state
         self._looked_at_rest = still and self._is_settled and bool((dots == begin).all())
@@ -336,7 +321,7 @@ class GelCamera:
     def _is_settled(self) -> bool:
         """Whether the camera's view stays the same if nothing moves; false with slow pixels or changing light."""
         lasts = self._gone_from_us == np.inf and self._lagging is None
-        return isinstance(self._camera, CameraState) and self._camera.light is None and lasts
+        return self._camera.light is None and lasts
 
     def _without_gone(
         self, path: Floats | None, seen: tuple[Floats, Floats, Floats, Floats]

@@ -1,11 +1,9 @@
 """Leak: every reference decreases at a rate at which an undisturbed pixel fires ON `leak_hz` times per second.
 
-Each row of pixels is visited once in LEAK_SLICES slices, so leak events are late by up to that time. In the scanning
-camera each row has one of the slice's scans; in the ideal camera the rows follow one after the other within the slice.
-After an event the reference keeps the leak since the crossing, because the rate would otherwise be too low.
+Each row of pixels is visited once in LEAK_SLICES slices, so leak events are late by up to that time. Each row has
+one of the slice's scans. After an event the reference keeps the leak since the crossing, because the rate would
+otherwise be too low.
 """
-
-import math
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +13,6 @@ from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.camera import optics
 from evetac_cli.sim.camera.dot_shapes import differing_row
 from evetac_cli.sim.camera.event_keys import event_key
-from evetac_cli.sim.camera.ideal.pixels import SliceTimes
 from evetac_cli.sim.camera.scanning.pixels import GelPixels, ScanTimes, WindowPixels
 
 # Slices in which leak visits every row once: a divisor of 480, so that all slices visit the same number of rows.
@@ -107,64 +104,4 @@ def _leak_row(
         if event_count < len(keys):
             keys[event_count] = event_key(readout_us[first_x + k], first_x + k, y, True)
         event_count += 1
-    return event_count
-
-
-@njit(cache=True, _nrt=False)
-def draw_leaking_rows(
-    dot_xy: NDArray[np.float64],
-    inner: float,
-    outer: float,
-    steps_per_px: float,
-    profile: NDArray[np.float32],
-    first_row: int,
-    level: NDArray[np.float32],
-) -> None:
-    """Fill every LEAK_SLICES-th row of `level` (height, width) with the image of dots (dots, 2)."""
-    height, width = level.shape
-    for y in range(first_row, height, LEAK_SLICES):
-        optics.dot_row(dot_xy, inner, outer, steps_per_px, profile, y, 0, width, level[y])
-
-
-@njit(cache=True, _nrt=False)
-def leak_in_rows(
-    level: NDArray[np.float32],
-    first_row: int,
-    corner_px: tuple[int, int],
-    drift: float,
-    pixels: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float64]],
-    times: SliceTimes,
-    keys: NDArray[np.int64],
-    event_count: int,
-) -> int:
-    """Lower the references of every LEAK_SLICES-th row of an ideal camera; that of a refractory pixel is NaN.
-
-    `corner_px` is the position of the first pixel in the frame; `pixels` are references, thresholds and release times.
-    """
-    reference, threshold, release_us = pixels
-    first_x, first_y = corner_px
-    _, t0_us, refractory_us = times
-    rows, columns = reference.shape
-    turn_us = SLICE_US * LEAK_SLICES / max(rows, LEAK_SLICES)
-    for row in range(first_row, rows, LEAK_SLICES):
-        time_us = min((row // LEAK_SLICES + 0.5) * turn_us, SLICE_US - 1.0)
-        for x in range(columns):
-            step = threshold[row, x]
-            if step == np.inf:  # a pixel under the window, which has its own references
-                continue
-            if math.isnan(reference[row, x]):
-                if release_us[row, x] > t0_us + time_us:
-                    continue
-                reference[row, x] = level[row, x]
-            reference[row, x] -= np.float32(drift) * step
-            if level[row, x] - reference[row, x] < step:
-                continue
-            if event_count < len(keys):
-                keys[event_count] = event_key(int(time_us), first_x + x, first_y + row, True)
-            event_count += 1
-            if refractory_us > 0.0:
-                release_us[row, x] = t0_us + time_us + refractory_us
-                reference[row, x] = np.nan
-            else:
-                reference[row, x] += step
     return event_count

@@ -93,7 +93,7 @@ class GraspSimulation:
         self._down = 1 if self._scene.gel.sideways else 0
         texture = self._texture(plan.called, optics_rng)
         self._shows_texture = texture is not None
-        self.gel_camera = GelCamera(sensor, scene=self._scene, texture=texture, rng=optics_rng, readout=plan.readout)
+        self.gel_camera = GelCamera(sensor, scene=self._scene, texture=texture, rng=optics_rng)
         self._render = timer("camera", self.gel_camera.render)
         self._step_finger = timer("gripper", gripper.step)
         self._faults = sampling.gripper_faults(self._scene, sensor)
@@ -157,7 +157,7 @@ class GraspSimulation:
         assert rng is not None
         texture = self._texture(plan.called, rng, SECOND)
         scene = self._scene
-        camera = GelCamera(self._second_sensor, scene=scene, texture=texture, rng=rng, readout=plan.readout)
+        camera = GelCamera(self._second_sensor, scene=scene, texture=texture, rng=rng)
         return SecondView(camera, self._pads[-1], self._gaps, timer, self._solver.camera_substeps)
 
     def _texture(self, called: Called, rng: np.random.Generator, *side: int) -> NDArray[np.float32] | None:

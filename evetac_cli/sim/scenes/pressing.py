@@ -83,7 +83,6 @@ class Pressing:
             scene=self._scene,
             texture=None,
             rng=optics_rng,
-            readout=plan.readout,
             outline=outline,
             outline_at_px=outline_at_px,
         )

@@ -178,7 +178,7 @@ class Vibration:
         assert tone is not None and plan.tone_hz is not None
         sensor = sensor_with_gel(scene, plan.sensor)
         self._time = scene.time
-        self.gel_camera = GelCamera(sensor, scene=scene, texture=None, rng=optics_rng, readout=plan.readout)
+        self.gel_camera = GelCamera(sensor, scene=scene, texture=None, rng=optics_rng)
         self._render = timer("camera", self.gel_camera.render)
         layer = material(sensor)
         radius_m = tone.radius_mm * 1e-3

@@ -24,7 +24,7 @@ from evetac_cli.sim.setup.sensor_rows import FOR_EACH_TRIAL, rows
 from evetac_cli.sim.setup.solver import with_given
 from evetac_cli.sim.setup.tables import as_table, build, read_table
 
-READOUTS = ("dvxplorer", "ideal")
+READOUT = "dvxplorer"  # scans; in every recipe since there was a second readout, so that ids stay the same
 SENSOR_SEED = 104729  # with the seeds of a trial: separates the sampling of its sensor from that of the trial
 NUMBERED_SEED = 1299709  # with the number of a sensor: seeds the sampling of randomized:NUMBER
 LOWEST_TONE_HZ = 1.0
@@ -38,7 +38,6 @@ Called = int | str | None  # an object's number or name; None if the scene has n
 OF_HEADER: dict[str, Any] = {
     "scene": dict,
     "sensor": str,
-    "readout": str,
     "object": Called,
     "object_row": dict | None,
     "tone_hz": float | None,
@@ -67,7 +66,6 @@ class Plan:
     scene: Scene
     sensor_name: str
     sensor: Sensor
-    readout: str
     called: Called = None
     touched: TouchedObject | None = None
     tone_hz: float | None = None
@@ -80,7 +78,7 @@ class Plan:
             "scene": as_table(self.scene),
             "sensor": self.sensor_name,
             "sensor_row": as_table(self.sensor),
-            "readout": self.readout,
+            "readout": READOUT,
             "object": self.called,
         }
         if self.touched is not None:
@@ -109,7 +107,6 @@ def read_plan(parameters: Mapping[str, Any], where: str) -> Plan:
         read_table(Scene, scene, f"{where}: scene in the header"),
         parameters["sensor"],
         read_sensor(parameters, where),
-        parameters["readout"],
         parameters.get("object"),
         row,
         tone_hz,
@@ -145,7 +142,6 @@ class Plans:
     scene: Scene
     sensor_name: str
     sensor: Sensor | SensorRanges
-    readout: str
     called: Called = None
     touched: TouchedObject | None = None
     tone_hz: float | None = None
@@ -163,7 +159,7 @@ class Plans:
             if not isinstance(other, Sensor):
                 other = sampling.sample_sensor(other, np.random.default_rng([SENSOR_SEED, *seeds, SECOND]))
             second = NamedSensor(name, other)
-        of_scene = (self.scene, self.sensor_name, sensor, self.readout, self.called, self.touched, self.tone_hz)
+        of_scene = (self.scene, self.sensor_name, sensor, self.called, self.touched, self.tone_hz)
         return Plan(*of_scene, ranges, second)
 
 
@@ -173,7 +169,6 @@ def plans(
     sensor: str,
     kinds: tuple[str, ...],
     gel: str | None = None,
-    readout: str = READOUTS[0],
     tones: str | None = None,
     solver: Mapping[str, Any] = MappingProxyType({}),
     *,
@@ -192,7 +187,7 @@ def plans(
         scene = replace(scene, gel=replace(scene.gel, cut=gel == "cut"))
     if texture is not None:
         scene = replace(scene, texture=_shown(scene, texture == "on", scene_name))
-    sensor_and_readout = (*named_sensor(sensor), readout)
+    seen_by = named_sensor(sensor)
     if not scene.is_gripped and object_file.SUFFIX in objects:
         expected = "a scene in which a gripper holds an object, for example slip or lift"
         raise InputError("this scene holds no object", where="--object", expected=expected, found=scene_name)
@@ -200,23 +195,16 @@ def plans(
         picked = scene.tone.frequency_hz if tones is None else tones_hz(tones)
         # A recording depends only on its own tone, not on the scene's other tones.
         alone = [replace(scene, tone=replace(scene.tone, frequency_hz=(tone,))) for tone in picked]
-        return [Plans(one, *sensor_and_readout, tone_hz=tone) for one, tone in zip(alone, picked, strict=True)]
+        return [Plans(one, *seen_by, tone_hz=tone) for one, tone in zip(alone, picked, strict=True)]
     if second is not None and not scene.is_gripped:
         raise InputError("this scene has no second finger", where="--camera", expected="one camera", found=scene_name)
     if tones is not None:
         raise InputError("this scene has no tones", where="--tone", expected="--scene vibration", found=scene_name)
     driven = scene.face or scene.rub
     if driven is not None:
-        return [
-            Plans(
-                scene, *sensor_and_readout, touched=TouchedObject(shape="flat", static_friction=driven.static_friction)
-            )
-        ]
+        return [Plans(scene, *seen_by, touched=TouchedObject(shape="flat", static_friction=driven.static_friction))]
     seen = None if second is None else named_sensor(second)
-    return [
-        Plans(scene, *sensor_and_readout, called, touched, second=seen)
-        for called, touched in named_objects(objects).items()
-    ]
+    return [Plans(scene, *seen_by, called, touched, second=seen) for called, touched in named_objects(objects).items()]
 
 
 def first_plan(scene_name: str, objects: str = "8", sensor: str = "evetac", **more: Any) -> Plan:

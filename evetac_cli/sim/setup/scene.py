@@ -212,7 +212,7 @@ class Flash:
 
 @dataclass(frozen=True, kw_only=True)
 class LightSettings:
-    """Light that varies, or that does not pass through the print; needs the readout dvxplorer."""
+    """Light that varies, or that does not pass through the print."""
 
     flicker: Flicker | None = table(Flicker)
     step: LightStep | None = table(LightStep)

@@ -46,7 +46,7 @@ class Solver:
         "distance between neighbouring nodes of the gel; chosen by `grasp` if left out", 0.05, 5, default=0.833
     )
     camera_substeps: int = whole("number of straight segments of a dot's path within a slice", 1, 100, default=1)
-    scans_per_ms: int = whole("scans per ms of the simulated readout; the DVXplorer has 5", 1, 100, default=5)
+    scans_per_ms: int = whole("scans per ms of the simulated readout; the DVXplorer has 5", 1, 1000, default=5)
     residual: float = number(
         "largest residual of the force balance in a step, relative to all forces", 1e-12, 0.01, default=1e-6
     )

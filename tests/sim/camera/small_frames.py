@@ -1,4 +1,4 @@
-"""Small pictures before a camera, scanning or ideal: dots on paths, and a texture in a window."""
+"""Small pictures before a camera: dots on paths, and a texture in a window."""
 
 import math
 from collections.abc import Callable
@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from evetac_cli.events import Events
 from evetac_cli.sim.camera import optics
 from evetac_cli.sim.camera.camera_input import SliceMotion
-from evetac_cli.sim.camera.scanning.camera import CameraModel
+from evetac_cli.sim.camera.scanning import camera
+from evetac_cli.sim.camera.scanning.camera import CameraModel, CameraState
 
 Path = Callable[[float], NDArray[np.float64]]  # places of dots over time in ms
 
@@ -22,13 +23,13 @@ TEXTURE = optics.texture(np.random.default_rng(3), (128, 128), 10.0, 0.3)
 
 
 def start(
-    camera: Any, dots: Any, model: CameraModel = QUIET, *, window: Any = None, texture: Any = None, seed: int = 0
-) -> Any:
-    """The state of a camera (its module) that is switched on before dots."""
+    dots: Any, model: CameraModel = QUIET, *, window: Any = None, texture: Any = None, seed: int = 0
+) -> CameraState:
+    """The state of a camera that is switched on before dots."""
     return camera.start(model, dots, None, None if window is None else (window, texture), np.random.default_rng(seed))
 
 
-def play(camera: Any, state: Any, path: Path, slices: int, *, pieces: int = 1, seed: int = 1) -> list[Events]:
+def play(state: CameraState, path: Path, slices: int, *, pieces: int = 1, seed: int = 1) -> list[Events]:
     """Slices of dots that follow a path, which is cut into so many straight pieces a slice."""
     rng = np.random.default_rng(seed)
     parts = []
@@ -42,16 +43,16 @@ def play(camera: Any, state: Any, path: Path, slices: int, *, pieces: int = 1, s
     return parts
 
 
-def slide(camera: Any, state: Any, velocity: Any, slices: int, contrast: float = 1.0) -> list[Events]:
+def slide(state: CameraState, velocity: Any, slices: int, contrast: float = 1.0) -> list[Events]:
     """Slices of an object that slides under still dots, velocity in px/ms."""
-    xy = getattr(state, "shared", state).seen_dot_xy_px.copy()
+    xy = state.seen_dot_xy_px.copy()
     rng, v = np.random.default_rng(1), np.asarray(velocity)
     return [camera.step(state, SliceMotion(xy, xy, k * v, (k + 1) * v, contrast), 1000 * k, rng) for k in range(slices)]
 
 
-def before_window(camera: Any, model: CameraModel = QUIET) -> Any:
+def before_window(model: CameraModel = QUIET) -> CameraState:
     """The state of a camera before a dot and a textured window."""
-    return start(camera, [[30.0, 30.0]], model, window=STRIP, texture=TEXTURE)
+    return start([[30.0, 30.0]], model, window=STRIP, texture=TEXTURE)
 
 
 def line(xy: Any, velocity: Any) -> Path:

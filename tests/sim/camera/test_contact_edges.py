@@ -1,4 +1,4 @@
-"""Lines that are not dots: their shape, and both cameras against every pixel compared at every moment."""
+"""Lines that are not dots: their shape, and the camera against every pixel compared in every scan."""
 
 import copy
 import dataclasses
@@ -10,12 +10,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from evetac_cli.evaluate.cost.camera_reference import FineEvents, fine, match
+from evetac_cli.evaluate.cost.camera import match
 from evetac_cli.events import Events, concatenate
 from evetac_cli.sim.camera import contact_edges, optics
 from evetac_cli.sim.camera.camera_input import SliceMotion
 from evetac_cli.sim.camera.contact_edges import ContactEdges, EdgePlace
-from evetac_cli.sim.camera.ideal import camera as ideal
 from evetac_cli.sim.camera.scanning import camera
 from evetac_cli.sim.camera.scanning.camera import CameraModel, CameraState
 
@@ -65,14 +64,14 @@ def start(motion: Motion, model: CameraModel = QUIET, *, window: bool = True) ->
     return camera.start(model, motion(0)[0], None, strip, rng, None, lines_for(motion))
 
 
-def play(step: Any, state: Any, motion: Motion, slices: int) -> Events:
-    """Events of a camera's `step`, slice after slice."""
+def play(state: Any, motion: Motion, slices: int) -> Events:
+    """Events of a camera, slice after slice."""
     rng = np.random.default_rng(1)
     parts = []
     for k in range(slices):
         (dots, object_xy_px, begin), (dots_end, object_end_xy_px, end) = motion(k), motion(k + 1)
         moved = SliceMotion(dots, dots_end, object_xy_px, object_end_xy_px, 1.0, None, begin, end)
-        parts.append(step(state, moved, 1000 * k, rng))
+        parts.append(camera.step(state, moved, 1000 * k, rng))
     return concatenate(parts)
 
 
@@ -129,7 +128,7 @@ def references(state: CameraState, motion: Motion) -> tuple[NDArray[np.float64],
     return reference + lines_level(motion(0)[2]), threshold
 
 
-def every_pixel(state: CameraState, motion: Motion, slices: int) -> FineEvents:
+def every_pixel(state: CameraState, motion: Motion, slices: int) -> Events:
     """Events of a camera that compares the whole frame in every scan."""
     reference, threshold = references(state, motion)
     scans, width = state.model.scans_per_ms, FRAME[0]
@@ -141,26 +140,9 @@ def every_pixel(state: CameraState, motion: Motion, slices: int) -> FineEvents:
             fired = np.abs(change) >= threshold
             reference[fired] = level[fired]
             for y, x in np.argwhere(fired).tolist():
-                rows.append((1000 * k + (scan + x / width) * 1000 / scans, x, y, int(change[y, x] > 0)))
-    return FineEvents(*(np.array(column) for column in zip(*rows, strict=True)))
-
-
-def finely(state: CameraState, motion: Motion, slices: int, steps: int) -> FineEvents:
-    """Events of a camera that follows every pixel in fine steps, linear in each."""
-    reference, threshold = references(state, motion)
-    before = picture(state, motion, 0, 0.0)
-    rows = []
-    for k in range(slices):
-        for step in range(1, steps + 1):
-            level = picture(state, motion, k, step / steps)
-            for y, x in np.argwhere(np.abs(level - reference) >= threshold).tolist():
-                while abs(level[y, x] - reference[y, x]) >= threshold[y, x]:
-                    sign = 1 if level[y, x] > reference[y, x] else -1
-                    reference[y, x] += sign * threshold[y, x]
-                    part = (reference[y, x] - before[y, x]) / (level[y, x] - before[y, x])
-                    rows.append(((k * steps + step - 1 + part) / steps * 1000.0, x, y, int(sign > 0)))
-            before = level
-    return FineEvents(*(np.array(column) for column in zip(*rows, strict=True)))
+                t_us = math.floor(1000 * k + (scan + x / width) * 1000 / scans + 1e-9)
+                rows.append((t_us, x, y, int(change[y, x] > 0)))
+    return Events(*np.array(rows).T)
 
 
 @pytest.mark.parametrize("window", [True, False])
@@ -170,7 +152,7 @@ def test_scans_see_dots_lines_and_texture_together(name: str, window: bool) -> N
     motion, slices = MOTIONS[name]
     state = start(motion, window=window)
     expected = every_pixel(copy.deepcopy(state), motion, slices)
-    result = fine(play(camera.step, state, motion, slices))
+    result = play(state, motion, slices)
     agreement = match(result, expected, 1.0)
     assert expected.t.size > 1000
     assert agreement.count_share == pytest.approx(0.0, abs=0.01)
@@ -198,7 +180,7 @@ def test_pixels_that_are_left_out_would_not_have_fired(speed: float) -> None:
         camera.start(QUIET, grid, None, window, np.random.default_rng(0), None, lines_for(turning))
         for window in (None, ((0, 88, 2, 90), nothing))
     ]
-    few, every = (play(camera.step, state, turning, 40) for state in states)
+    few, every = (play(state, turning, 40) for state in states)
     assert few.size > 2000
     for name in few._fields:
         np.testing.assert_array_equal(getattr(few, name), getattr(every, name))
@@ -206,59 +188,24 @@ def test_pixels_that_are_left_out_would_not_have_fired(speed: float) -> None:
 
 def test_one_event_a_pixel_and_scan() -> None:
     """Assert that dots, texture, rim and cut edge in one pixel still make at most one event a scan."""
-    result = play(camera.step, start(slide), slide, 24)
+    result = play(start(slide), slide, 24)
     columns = np.stack([result.t, result.x, result.y], axis=1)
     assert len(np.unique(columns, axis=0)) == result.size > 2000
 
 
-@pytest.mark.parametrize("window", [pytest.param(True, marks=pytest.mark.slow), False])
-@pytest.mark.parametrize("name", ["touch", pytest.param("slide", marks=pytest.mark.slow)])
-def test_ideal_against_fine_steps(name: str, window: bool) -> None:
-    """Assert the events of all pixels followed in steps of 4 us, within 5 us, for gel and window."""
-    motion, slices = MOTIONS[name]
-    state = start(motion, window=window)
-    expected = finely(copy.deepcopy(state), motion, slices, 250)
-    result = fine(play(ideal.step, ideal.from_references(state), motion, slices))
-    agreement = match(result, expected, 5.0)
-    assert agreement.count_share == pytest.approx(0.0, abs=2e-3)
-    assert agreement.f1 >= 0.98
-
-
-@pytest.mark.slow
-def test_time_error_falls_with_the_square_of_substeps() -> None:
-    """Assert a slope of 2 of log time error over log sub-step for edges that move evenly."""
-
-    def fast(t_ms: float) -> tuple[NDArray[np.float64], NDArray[np.float64], EdgePlace]:
-        return DOTS, np.zeros(2), place(20 + 6.0 * t_ms, 45.0 + 1.0 * t_ms)
-
-    state = start(fast, window=False)
-    truth = finely(copy.deepcopy(state), fast, 12, 400)
-    steps_px = np.array([6.1, 3.05, 1.525])
-    errors = []
-    for step_px in steps_px.tolist():
-        result = fine(play(ideal.step, ideal.from_references(copy.deepcopy(state), step_px), fast, 12))
-        errors.append(np.sqrt(np.mean(match(result, truth).error_us ** 2)))
-    slope = np.polyfit(np.log(steps_px), np.log(errors), 1)[0]
-    assert 1.7 <= slope <= 2.3
-    assert errors[0] > 10.0
-
-
-@pytest.mark.parametrize("step", [camera.step, ideal.step])
-def test_still_lines_are_silent(step: Any) -> None:
+def test_still_lines_are_silent() -> None:
     """Assert that lines that rest make no event, not even when a dot moves far from them or the camera is new."""
 
     def motion(t_ms: float) -> tuple[NDArray[np.float64], NDArray[np.float64], EdgePlace]:
         return DOTS[:1], np.zeros(2), place(60.0, 45.0, 1.0, np.full(FRAME[1], 80.0))
 
     state = start(motion)
-    used = state if step is camera.step else ideal.from_references(state)
-    assert play(step, used, motion, 5).size == 0
+    assert play(motion, 5).size == 0
     assert state.contact_edges is not None
     assert state.contact_edges.events == 0
 
 
-@pytest.mark.parametrize("step", [camera.step, ideal.step])
-def test_dots_under_a_still_line(step: Any) -> None:
+def test_dots_under_a_still_line() -> None:
     """Assert that dots under a line that rests make the very events they make without it."""
 
     def under(t_ms: float) -> tuple[NDArray[np.float64], NDArray[np.float64], EdgePlace]:
@@ -268,11 +215,10 @@ def test_dots_under_a_still_line(step: Any) -> None:
     without.contact_edges = None
     events = []
     for state in (with_lines, without):
-        used = state if step is camera.step else ideal.from_references(state)
         rng, where = np.random.default_rng(1), under(0)[2]
         places = () if state.contact_edges is None else (None, where, where)
         parts = [
-            step(used, SliceMotion(under(k)[0], under(k + 1)[0], STILL, STILL, 0.0, *places), 1000 * k, rng)
+            camera.step(state, SliceMotion(under(k)[0], under(k + 1)[0], STILL, STILL, 0.0, *places), 1000 * k, rng)
             for k in range(10)
         ]
         events.append(concatenate(parts))
@@ -281,8 +227,7 @@ def test_dots_under_a_still_line(step: Any) -> None:
         np.testing.assert_array_equal(a, b)
 
 
-@pytest.mark.parametrize("step", [camera.step, ideal.step])
-def test_cut_edge_shows_on_both_sides(step: Any) -> None:
+def test_cut_edge_shows_on_both_sides() -> None:
     """Assert that an edge that swings over the window's border makes events in gel and window, and all are its own."""
 
     def swing(t_ms: float) -> tuple[NDArray[np.float64], NDArray[np.float64], EdgePlace]:
@@ -290,16 +235,16 @@ def test_cut_edge_shows_on_both_sides(step: Any) -> None:
         return DOTS[:1], np.zeros(2), place(0.0, 0.0, 0.0, cut)
 
     state = start(swing)
-    used = state if step is camera.step else ideal.from_references(state)
     rng = np.random.default_rng(1)
     in_gel = in_window = 0
     for k in range(25):
         (dots, object_xy_px, begin), end = swing(k), swing(k + 1)[2]
-        result = step(used, SliceMotion(dots, dots, object_xy_px, object_xy_px, 1.0, None, begin, end), 1000 * k, rng)
+        moved = SliceMotion(dots, dots, object_xy_px, object_xy_px, 1.0, None, begin, end)
+        result = camera.step(state, moved, 1000 * k, rng)
         in_window += int((result.x >= STRIP[0]).sum())
         in_gel += int((result.x < STRIP[0]).sum())
         assert state.contact_edges is not None
-        assert step is ideal.step or state.contact_edges.events == result.size
+        assert state.contact_edges.events == result.size
     assert min(in_gel, in_window) > 500
 
 
@@ -312,7 +257,7 @@ def test_count_of_a_passing_rim() -> None:
     def rise(t_ms: float) -> tuple[NDArray[np.float64], NDArray[np.float64], EdgePlace]:
         return np.empty((0, 2)), np.zeros(2), place(60.0, 45.0, min(t_ms / 40.0, 1.0))
 
-    result = play(camera.step, start(rise, model, window=False), rise, 41)
+    result = play(start(rise, model, window=False), rise, 41)
     steps = FINGER.picture.astype(float).ravel() / model.threshold
     expected = sum(np.clip((steps - k) / 2, 0, 1).sum() for k in range(4))
     assert top == pytest.approx(0.5, abs=0.01)
@@ -395,16 +340,14 @@ def test_ellipse_refuses(size: Any, level: float, width: float, thick: float | N
         place(1.0, 2e6),
     ],
 )
-@pytest.mark.parametrize("step", [camera.step, ideal.step])
-def test_step_refuses(step: Any, where: EdgePlace | None) -> None:
+def test_step_refuses(where: EdgePlace | None) -> None:
     """Assert that a place that is not finite or out of range is refused, and the camera is as it was."""
     state = start(touch)
-    used = state if step is camera.step else ideal.from_references(state)
     before = state.reference.copy()
     dots = touch(0)[0]
     with pytest.raises(ValueError, match="contact_edges_end"):
-        step(
-            used,
+        camera.step(
+            state,
             SliceMotion(dots, dots + 1.0, STILL, STILL, 1.0, None, touch(0)[2], where),
             0,
             np.random.default_rng(0),

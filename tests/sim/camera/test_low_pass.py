@@ -11,19 +11,16 @@ import pytest
 from evetac_cli.arrays import Floats
 from evetac_cli.events import concatenate
 from evetac_cli.sim.camera import optics
-from evetac_cli.sim.camera.camera_input import SliceMotion
-from evetac_cli.sim.camera.ideal import camera as ideal
 from evetac_cli.sim.camera.low_pass import SETTLED_PX, LowPass, light_at, rim_bandwidth
 from evetac_cli.sim.camera.scanning import camera
 from evetac_cli.sim.setup.plan import one_sensor
+from tests.sim.camera.exact_events import reference_events
 from tests.sim.camera.gel_cameras import gel_camera
 
 Motion = Callable[[Floats], Floats]
 Fired = defaultdict[tuple[int, int, int], list[float]]
-PIECES = 20
 FINE_US = 5
 MODEL = camera.CameraModel(frame_px=(48, 40), mismatch=0.0, noise_rate_hz=0.0, hot_pixels=0, dot_radius_px=10.0)
-STILL = np.zeros(2)
 
 
 def tau_us(bandwidth_hz: float) -> float:
@@ -75,20 +72,19 @@ def shaken(time_us: Floats) -> Floats:
 
 
 def by_motion(motion: Motion, bandwidth_hz: float | None, slices: int) -> tuple[Fired, Floats]:
-    """Event times of each pixel and polarity, from an ideal camera that sees filtered motion; first references."""
+    """Event times of each pixel and polarity, exact for filtered motion; and the first references."""
     begin = motion(np.zeros(1))
-    state = ideal.start(MODEL, begin, None, None, np.random.default_rng(4))
-    reference = state.shared.reference.astype(np.float64)
-    low_pass = LowPass(bandwidth_hz, begin) if bandwidth_hz else None
-    rng = np.random.default_rng(0)
+    state = camera.start(MODEL, begin, None, None, np.random.default_rng(4))
+    path = motion(np.arange(0.0, slices * 1000.0 + FINE_US, FINE_US))[:, None]
+    if bandwidth_hz:
+        low_pass, steps = LowPass(bandwidth_hz, begin), 1000 // FINE_US
+        seen = [low_pass.follow(path[k * steps : (k + 1) * steps + 1]) for k in range(slices)]
+        path = np.concatenate([seen[0][:1], *(piece[1:] for piece in seen)])
     fired: Fired = defaultdict(list)
-    for k in range(slices):
-        path = motion((k * PIECES + np.arange(PIECES + 1)) * 1000.0 / PIECES)[:, None]
-        path = low_pass.follow(path) if low_pass else path
-        events = ideal.step(state, SliceMotion(path[0], path[-1], STILL, STILL, 0.0, path), k * 1000, rng)
-        for t, x, y, p in zip(*(column.tolist() for column in events), strict=True):
-            fired[x, y, p].append(t)
-    return fired, reference
+    events = reference_events(state, path, slices * 1000.0 / (len(path) - 1))
+    for t, x, y, p in zip(*(column.tolist() for column in events), strict=True):
+        fired[x, y, p].append(t)
+    return fired, state.reference.astype(np.float64)
 
 
 def by_level(motion: Motion, bandwidth_hz: float, slices: int, reference: Floats, *, by_light: bool = False) -> Fired:

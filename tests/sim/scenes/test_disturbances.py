@@ -185,16 +185,15 @@ def test_a_calibration_that_is_off() -> None:
         np.testing.assert_array_equal(off.truth()["truth/dot_xy_px"], true.truth()["truth/dot_xy_px"])
 
 
-@pytest.mark.parametrize("readout", ["dvxplorer", pytest.param("ideal", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("bandwidth_hz", [0.0, 500.0])
-def test_dots_that_vanish(readout: str, bandwidth_hz: float) -> None:
+def test_dots_that_vanish(bandwidth_hz: float) -> None:
     """Assert that a dot brightens once where it was, makes no events afterwards, and goes on in the truth."""
     gone = {"vanishing_dots": {"dots": [[3, 4], [0, 0]], "at_s": 0.3}}
     results = []
     for changes in (NONE, gone):
         plan = quiet_plan("slip", changes)
         sensor = replace(plan.sensor, bandwidth_hz=bandwidth_hz)
-        results.append(play_trial(grasp_of(replace(plan, readout=readout, sensor=sensor)), 450))
+        results.append(play_trial(grasp_of(replace(plan, sensor=sensor)), 450))
     (rows_plain, plain), (rows_gone, events) = results
     rows, rows_gone = columns(rows_plain), columns(rows_gone)
     np.testing.assert_array_equal(rows["truth/dot_xy_px"], rows_gone["truth/dot_xy_px"])
@@ -218,13 +217,10 @@ def test_dots_that_vanish(readout: str, bandwidth_hz: float) -> None:
 
 
 def test_what_cannot_be_is_said() -> None:
-    """Assert that a dot that is not there, and changing light before an ideal camera, are refused in words."""
+    """Assert that a dot that is not there is refused in words."""
     odd = quiet_plan("slip", {"vanishing_dots": {"dots": [[7, 0]], "at_s": 0.3}})
     with pytest.raises(SceneError, match=r"vanishing_dots.*rows 0 to 6"):
         rig(odd, np.random.SeedSequence(0))
-    lit = quiet_plan("slip", {"light": {"flicker": {"frequency_hz": 100.0, "depth": 0.1}}})
-    with pytest.raises(SceneError, match="readout dvxplorer"):
-        rig(replace(lit, readout="ideal"), np.random.SeedSequence(0))
 
 
 @pytest.mark.slow

@@ -161,7 +161,7 @@ HEADERS = [
     *(("scene", value) for value in (None, 3, [], {}, {"kind": "ramp"})),
     *(("sensor_row", value) for value in (None, "x", {}, {"seed": 1})),
     *(("object_row", value) for value in (3, {}, {"shape": "torus"})),
-    *(("sensor", 3), ("readout", []), ("object", {}), ("tone_hz", "x"), ("sensor_ranges", 1)),
+    *(("sensor", 3), ("object", {}), ("tone_hz", "x"), ("sensor_ranges", 1)),
 ]
 # Scenes of valid values that no simulation can be made of, or that would take more than a day.
 IMPOSSIBLE: list[tuple[str, dict[str, Any]]] = [

@@ -13,8 +13,8 @@ flicker (`candidate_light`).
 Light that does not pass the print (`floor`, `flash`) also changes the contrast of the dots (print_contrast). Then each
 change rewrites their tables, discards everything known of any pixel, and compares all pixels.
 
-Not simulated: the bandwidth of the pixels (300 Hz would take 5 % off a flicker of 100 Hz), the ideal camera, and noise
-that grows as the light fades. Light that does not pass the print does not reduce the contrast of texture and lines. If
+Not simulated: the bandwidth of the pixels (300 Hz would take 5 % off a flicker of 100 Hz), and noise that grows as the
+light fades. Light that does not pass the print does not reduce the contrast of texture and lines. If
 a rim and the light both cross a threshold in a last scan, a pixel has two events.
 """
 

@@ -10,14 +10,12 @@ from evetac_cli.sim.camera import contact_edges, optics
 from evetac_cli.sim.camera.camera_input import SliceMotion
 from evetac_cli.sim.camera.dot_shapes import shaped_level
 from evetac_cli.sim.camera.gel_camera import dots_differ
-from evetac_cli.sim.camera.ideal import camera as ideal
 from evetac_cli.sim.camera.scanning import camera
 from evetac_cli.sim.camera.scanning.camera import CameraModel, CameraState
 from evetac_cli.sim.camera.scanning.light import LightChange
 from evetac_cli.sim.setup.plan import one_sensor
 from tests.sim.camera.gel_cameras import gel_camera
-from tests.sim.camera.scanning.test_camera import play
-from tests.sim.camera.small_frames import FRAME, STILL, Path
+from tests.sim.camera.small_frames import FRAME, STILL, Path, play
 
 MODEL = CameraModel(frame_px=FRAME, noise_rate_hz=0.0, hot_pixels=0, mismatch=0.05, dot_radius_px=8.0)
 APART = np.array([[25.0, 25.0], [65.0, 50.0]])
@@ -130,14 +128,4 @@ def test_spreads_of_a_sensor() -> None:
     np.testing.assert_array_equal(drawn[0].reshape(7, 9)[:, :8].ravel(), cut[0])
     assert dots_differ(plain, cut=True) is None
     camera_of = gel_camera(spread, cut=True)
-    assert isinstance(camera_of._camera, CameraState)
     assert len(camera_of._camera.shapes.inner_px) == 56
-
-
-def test_ideal_camera_refuses_them() -> None:
-    """Assert that an ideal camera, whose dots are all alike, says so."""
-    with pytest.raises(ValueError, match="dots that differ"):
-        ideal.from_references(start())
-    spread = dataclasses.replace(one_sensor("evetac"), dot_radius_spread=0.1)
-    with pytest.raises(ValueError, match="dots that differ"):
-        gel_camera(spread, cut=True, readout="ideal")

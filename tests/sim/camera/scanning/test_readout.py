@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 
 from evetac_cli.events import Events, concatenate
-from evetac_cli.sim.camera.ideal import camera as ideal
 from evetac_cli.sim.camera.scanning import camera
 from evetac_cli.sim.camera.scanning.light import LightChange
-from tests.sim.camera.scanning.test_camera import play, start
-from tests.sim.camera.small_frames import FRAME, QUIET, line
+from tests.sim.camera.small_frames import FRAME, QUIET, line, play, start
 
 DOTS = [[30.0, 40.0]]
 PIXELS = FRAME[0] * FRAME[1]
@@ -70,7 +68,3 @@ def test_what_is_beyond_the_limit_is_lost() -> None:
     assert np.diff(read.t[order])[same].min() > 0
 
 
-def test_ideal_camera_refuses_a_limit() -> None:
-    """Assert that an ideal camera, which reads events the moment they are made, says so."""
-    with pytest.raises(ValueError, match="events_per_s"):
-        ideal.start(dataclasses.replace(QUIET, events_per_s=1e6), DOTS, None, None, np.random.default_rng(0))

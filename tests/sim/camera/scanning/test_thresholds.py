@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 
 from evetac_cli.sim.camera.camera_input import SliceMotion
-from evetac_cli.sim.camera.ideal import camera as ideal
 from evetac_cli.sim.camera.scanning import camera
 from evetac_cli.sim.camera.scanning.camera import CameraModel
-from tests.sim.camera.scanning.test_camera import play, table_picture
-from tests.sim.camera.small_frames import FRAME, STILL, STRIP, TEXTURE
+from tests.sim.camera.scanning.test_camera import table_picture
+from tests.sim.camera.small_frames import FRAME, STILL, STRIP, TEXTURE, play
 
 APART = CameraModel(frame_px=FRAME, noise_rate_hz=0.0, hot_pixels=0, threshold=0.1, threshold_off=0.2, mismatch=0.05)
 
@@ -96,9 +95,3 @@ def test_leak_makes_its_rate_with_thresholds_apart() -> None:
     assert all((part.p == 1).all() for part in slices)
     settled = slices[400:]  # at first a pixel may lie below its last event by up to an OFF threshold
     assert sum(part.size for part in settled) == pytest.approx(10.0 * FRAME[0] * FRAME[1], rel=0.02)
-
-
-def test_ideal_camera_refuses_them() -> None:
-    """Assert that an ideal camera, which has one threshold a pixel, says so."""
-    with pytest.raises(ValueError, match="threshold_off"):
-        ideal.start(APART, [[30.0, 40.0]], None, None, np.random.default_rng(0))

@@ -1,12 +1,10 @@
-"""Slow, exact reference events for simulated cameras, and a measure of agreement between two event streams.
+"""Exact events of moving dots and a sliding texture, pixel by pixel: what the scanning camera is compared with.
 
-The reference evaluates every pixel near a dot many times per millisecond. It takes the pixel's level from the closed
-form of the edge instead of a table, and interpolates linearly between evaluations. It shares no code with the cameras,
-but starts from the same reference levels and thresholds.
+Every pixel near a dot is followed many times per millisecond. Its level is the closed form of the edge instead of a
+table, linear between samples. It shares no code with the camera, but starts from its references and thresholds.
 """
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,40 +13,17 @@ from evetac_cli.events import Events
 from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.camera.scanning.camera import CameraState
 
-TOLERANCE_US = 10.0
-FARTHEST_US = 1000.0  # two events farther apart than this are not the same event
 EDGE_SIGMAS = 6.0  # an edge farther away changes a level by less than 1e-8
 
 # times in us, columns, rows and polarities of events, side by side
 Columns = tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]
 
 
-class FineEvents(NamedTuple):
-    """Columns of events with fractional times: t in us, x and y in px, p 0 or 1."""
-
-    t: NDArray[np.float64]
-    x: NDArray[np.int64]
-    y: NDArray[np.int64]
-    p: NDArray[np.int64]
-
-
-class Match(NamedTuple):
-    """Agreement of a camera's events with a reference's.
-
-    `count_share` is events / reference - 1. `f1` counts pairs within the tolerance as correct. `error_us` are the
-    absolute time differences of all pairs within FARTHEST_US.
-    """
-
-    count_share: float
-    f1: float
-    error_us: NDArray[np.float64]
-
-
-def reference_events(state: CameraState, path_px: NDArray[np.float64], step_us: float) -> FineEvents:
+def reference_events(state: CameraState, path_px: NDArray[np.float64], step_us: float) -> Events:
     """Return every crossing of every pixel near a path (steps + 1, dots, 2) of dots, without a window.
 
     The path is sampled every `step_us`. `state` provides reference levels and thresholds at the start and is not
-    changed. A level is the erf edge of the nearest dot, linear between samples. Events are ordered pixel by pixel.
+    changed. A level is the erf edge of the nearest dot, linear between samples.
     """
     arguments = (
         path_px,
@@ -61,10 +36,10 @@ def reference_events(state: CameraState, path_px: NDArray[np.float64], step_us: 
     )
     columns = _empty_columns(_crossings(*arguments, _empty_columns(0)))  # first count
     _crossings(*arguments, columns)
-    return FineEvents(*columns)
+    return _events(columns)
 
 
-def window_events(state: CameraState, object_px: NDArray[np.float64], step_us: float) -> FineEvents:
+def window_events(state: CameraState, object_px: NDArray[np.float64], step_us: float) -> Events:
     """Return every crossing of every pixel of the window, for an object displaced along a path (steps + 1, 2) in px.
 
     As `reference_events`; a level is the texture, bilinear and periodic, at full contrast, linear between samples.
@@ -79,7 +54,13 @@ def window_events(state: CameraState, object_px: NDArray[np.float64], step_us: f
     )
     columns = _empty_columns(_window_crossings(*arguments, _empty_columns(0)))  # first count
     _window_crossings(*arguments, columns)
-    return FineEvents(*columns)
+    return _events(columns)
+
+
+def _events(columns: Columns) -> Events:
+    """Events in time order, rounded down to whole microseconds as a camera does."""
+    t, x, y, p = (column[np.argsort(columns[0], kind="stable")] for column in columns)
+    return Events(t.astype(np.int64), x.astype(np.uint16), y.astype(np.uint16), p.astype(np.uint8))
 
 
 def _empty_columns(size: int) -> Columns:
@@ -221,57 +202,3 @@ def _edge_level(
         return -contrast
     ink = math.exp(-contrast)
     return math.log(ink + (1.0 - ink) * 0.5 * math.erfc(-sigmas / math.sqrt(2.0)))
-
-
-def match(events: FineEvents, reference: FineEvents, tolerance_us: float = TOLERANCE_US) -> Match:
-    """Pair the events of each pixel and polarity in order of time, each at most once.
-
-    F1 = 2 pairs / (events + reference) for pairs within `tolerance_us`. Two empty streams agree.
-    """
-    both = events.t.size + reference.t.size
-    if both == 0:
-        return Match(0.0, 1.0, np.empty(0))
-    sides = [_sorted_by_pixel(events), _sorted_by_pixel(reference)]
-    pairs = _pair(*sides[0], *sides[1], tolerance_us)
-    share = events.t.size / reference.t.size - 1.0 if reference.t.size else math.inf
-    return Match(share, 2.0 * len(pairs) / both, _pair(*sides[0], *sides[1], FARTHEST_US))
-
-
-def _sorted_by_pixel(events: FineEvents) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Return pixel and polarity as one number, and times, sorted by both."""
-    group = (events.y * 65536 + events.x) * 2 + events.p
-    order = np.lexsort((events.t, group))
-    return group[order], events.t[order]
-
-
-@njit(cache=True)
-def _pair(
-    group_a: NDArray[np.int64],
-    time_a: NDArray[np.float64],
-    group_b: NDArray[np.int64],
-    time_b: NDArray[np.float64],
-    tolerance_us: float,
-) -> NDArray[np.float64]:
-    """Return absolute time differences of the pairs within the tolerance."""
-    apart = np.empty(min(len(group_a), len(group_b)))
-    pairs = 0
-    a = 0
-    b = 0
-    while a < len(group_a) and b < len(group_b):
-        same = group_a[a] == group_b[b]
-        if same and abs(time_a[a] - time_b[b]) <= tolerance_us:
-            apart[pairs] = abs(time_a[a] - time_b[b])
-            pairs += 1
-            a += 1
-            b += 1
-        elif group_a[a] < group_b[b] or (same and time_a[a] < time_b[b]):
-            a += 1
-        else:
-            b += 1
-    return apart[:pairs]
-
-
-def fine(events: Events) -> FineEvents:
-    """Return a camera's events with times at the middle of their microsecond, because cameras round down."""
-    x, y, p = (column.astype(np.int64) for column in events[1:])
-    return FineEvents(events.t.astype(np.float64) + 0.5, x, y, p)
