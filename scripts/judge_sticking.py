@@ -25,6 +25,7 @@ import numpy as np
 import sticking_trials as trials
 from motions import Trial
 from results import ranges
+from rigid_motion import rigid_slip_share
 from script_rows import add_rows, rows_in, seeds_of
 from script_tables import RESULTS, table_of, write
 from seen_trials import Seen
@@ -34,7 +35,6 @@ from evetac_cli.arrays import Flags, Floats, Singles
 from evetac_cli.evaluate.alarm_rules import begins
 from evetac_cli.jobs import Row
 from evetac_cli.kernels.touch.rest import BLOCK_MS
-from evetac_cli.kernels.touch.rigid_motion import rigid_slip_share
 from evetac_cli.kernels.touch.sticking import ALARM, PATIENCE
 from evetac_cli.stages.touch.sticking_network import shipped
 

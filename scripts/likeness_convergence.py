@@ -19,9 +19,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from likeness_trials import FOLDER, SLIP, Task, arguments, kept, made_by, measure_missing, of_tasks, planned
+from likeness_trials import FOLDER, LOUD, SLIP, Task, arguments, kept, made_by, measure_missing, of_tasks, planned
 
-from evetac_cli.evaluate.likeness.counts import LOUD
 from evetac_cli.jobs import Row
 from evetac_cli.sim.setup.solver import Solver
 from evetac_cli.trials.trial import SimulatedTrial

@@ -20,7 +20,7 @@ import numpy as np
 from evetac_cli.commands.record import Record
 from evetac_cli.evaluate.cost.chain import timed
 from evetac_cli.evaluate.likeness import single_slice
-from evetac_cli.evaluate.likeness.counts import SliceCounts, about_slip, count, loud_ms, rate
+from evetac_cli.evaluate.likeness.counts import HELD_UNTIL_MS, SliceCounts, about_slip, count, rate
 from evetac_cli.evaluate.likeness.measures import shares, slipping_ms
 from evetac_cli.jobs import Row, silent
 from evetac_cli.sim.setup.plan import Plan
@@ -40,6 +40,7 @@ OF_EVENTS = (
     "loudest_slice_50_before",
 )  # figures returned by about_slip
 EARLY_MS = (-500, -100)  # relative to the onset
+LOUD = 100  # events per slice; slices with more can be mistaken for slip
 DIGITS = 5  # significant digits of a stored figure
 
 
@@ -95,6 +96,13 @@ def _of_slip(recording: Recording, counts: SliceCounts) -> Row:
         "loud_ms": loud_ms(counts),
         "after_ms": list(single_slice.slip("", counts).after_ms),
     }
+
+
+def loud_ms(counts: SliceCounts) -> list[int]:
+    """Return the times before the onset, in ms, of slices with more than 100 events in the last 500 ms before it."""
+    first = max((counts.onset or 0) - HELD_UNTIL_MS, 0)
+    loud = np.flatnonzero(counts.sensing[first : counts.onset or 0] > LOUD)
+    return [int(slice_) for slice_ in (counts.onset or 0) - first - loud]
 
 
 def _of_rate(recording: Recording, counts: SliceCounts) -> Row:

@@ -23,6 +23,7 @@ from evetac_cli.cli.workers import compute_on_one_thread
 compute_on_one_thread()  # before numpy is loaded
 
 import numpy as np  # noqa: E402
+from contact_maker import SHAPES, ContactMaker, KnownContact  # noqa: E402
 from results import ranges  # noqa: E402
 from script_rows import seeds_of  # noqa: E402
 from script_tables import RESULTS, table_of, write  # noqa: E402
@@ -37,7 +38,6 @@ from touch_contacts import (  # noqa: E402
 )
 
 from evetac_cli.arrays import Floats  # noqa: E402
-from evetac_cli.evaluate.touch_contacts import SHAPES, ContactMaker, KnownContact  # noqa: E402
 from evetac_cli.jobs import Row  # noqa: E402
 from evetac_cli.kernels.force import gel_forces  # noqa: E402
 from evetac_cli.kernels.force.gel_forces import ForceErrorModel, KnownForces, Scale, Stiffness  # noqa: E402

@@ -3,7 +3,7 @@
     python scripts/touch_contacts.py [--seeds 60000-60024] [--out docs/results]
     python scripts/touch_contacts.py --calibrate --seeds 6000-6049
 
-An independent implementation of the layer (evetac_cli/evaluate/touch_contacts.py) computes contacts of eight shapes.
+An independent implementation of the layer (contact_maker.py) computes contacts of eight shapes.
 The dots of the sensor `evetac` are seen with the tracker's errors: 0.05 px of each dot and 0.2 px of all. Each contact
 is pressed, held, moved, and then read. It takes minutes; simulated.
 
@@ -26,12 +26,12 @@ from evetac_cli.cli.workers import compute_on_one_thread
 compute_on_one_thread()  # before numpy is loaded: times are those of one core
 
 import numpy as np  # noqa: E402
+from contact_maker import SHAPES, ContactMaker, KnownContact, on_coarse_cells  # noqa: E402
 from results import ranges  # noqa: E402
 from script_rows import seeds_of  # noqa: E402
 from script_tables import RESULTS, table_of, write  # noqa: E402
 
 from evetac_cli.arrays import Flags, Floats  # noqa: E402
-from evetac_cli.evaluate.touch_contacts import SHAPES, ContactMaker, KnownContact, on_coarse_cells  # noqa: E402
 from evetac_cli.jobs import Row  # noqa: E402
 from evetac_cli.kernels.touch import touch_map  # noqa: E402
 from evetac_cli.kernels.touch.dot_motion import CELL_MM, GelLayer  # noqa: E402

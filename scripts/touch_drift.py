@@ -20,18 +20,19 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
+import untouched
+from flash import dots_in_flash
 from numpy.typing import NDArray
 from script_tables import RESULTS, table_of, write
+from untouched import UntouchedState
 
 import evetac_cli as evetac
 from evetac_cli.arrays import Flags, Floats
 from evetac_cli.events import Events, concatenate
 from evetac_cli.jobs import Row
-from evetac_cli.kernels.touch import touch_map, untouched, wrong_dots
+from evetac_cli.kernels.touch import touch_map, wrong_dots
 from evetac_cli.kernels.touch.dot_motion import GelLayer
-from evetac_cli.kernels.touch.untouched import UntouchedState
 from evetac_cli.kernels.tracking import tracker
-from evetac_cli.kernels.tracking.flash import dots_in_flash
 from evetac_cli.kernels.tracking.presets import PRESETS
 from evetac_cli.kernels.tracking.tracker import TrackerState
 from evetac_cli.sim.setup.plan import named_sensor

@@ -2,7 +2,7 @@
 
     python scripts/touch_wrong_dots.py [--seeds 8000-8003] [--out docs/results]
 
-Contacts of eight shapes with known tractions (evetac_cli/evaluate/touch_contacts.py) are seen with a tracker's errors
+Contacts of eight shapes with known tractions (contact_maker.py) are seen with a tracker's errors
 after some time: 0.1 px of each dot and 0.2 px of all. One, three or six random dots are displaced further, in random
 directions. The patch is found with the wrong dots among the others, then twice without those that are called wrong.
 Simulated; the constants of kernels/touch/wrong_dots.py were chosen on seeds 7000-7011.
@@ -12,13 +12,13 @@ import argparse
 from pathlib import Path
 
 import numpy as np
+from contact_maker import SHAPES, ContactMaker, KnownContact, on_coarse_cells
 from results import ranges
 from script_rows import seeds_of
 from script_tables import RESULTS, table_of, write
 from touch_contacts import contacts_of, dots_of
 
 from evetac_cli.arrays import Flags, Floats
-from evetac_cli.evaluate.touch_contacts import SHAPES, ContactMaker, KnownContact, on_coarse_cells
 from evetac_cli.jobs import Row
 from evetac_cli.kernels.touch import touch_map, wrong_dots
 from evetac_cli.kernels.touch.dot_motion import GelLayer

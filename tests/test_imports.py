@@ -89,7 +89,7 @@ ONLY_IN = {
     ),
     "typer": ("cli/main.py", "cli/flags.py", "cli/exit_codes.py"),
     "rich": ("console.py",),
-    "numba": ("kernels/compiled.py", "cli/compiling.py", "inspect/doctor/compile_worker.py"),
+    "numba": ("kernels/compiled.py", "cli/compiling.py"),
     "dask": ("cli/dask_engine.py",),
     "distributed": ("cli/dask_engine.py",),
     "pyarrow": ("formats/read/*", "formats/write/*", "formats/write/lerobot/*"),

@@ -20,7 +20,6 @@ from evetac_cli.kernels.slip.metrics import Prediction
 from evetac_cli.kernels.slip.reliability import ReliabilityBin
 
 WARNED = {ahead_ms: f"warned_{ahead_ms}_ms" for ahead_ms in alarms.LEADS_MS}  # columns: warned at least this long ahead
-WITH_INTERVAL = ("slip_correct", "warned_10_ms", "false_alarms_per_min")
 
 
 class Judged(NamedTuple):

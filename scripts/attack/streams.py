@@ -4,7 +4,7 @@
 
 A fault fails if the recording does not end in time, needs more memory than --memory-mb, or makes more slices than the
 host's time allows. It also fails if the recording reports another number of lost events than the camera counts.
-devices/virtual/stream_attacks.py gives the allowed difference for each fault, and whether the report may be `at least`.
+stream_attacks.py gives the allowed difference for each fault, and whether the report may be `at least`.
 """
 
 import argparse
@@ -17,8 +17,9 @@ import time
 from pathlib import Path
 from typing import Any
 
+from stream_attacks import ATTACKS, Attack, Ending
+
 from evetac_cli.devices.virtual import dvxplorer
-from evetac_cli.devices.virtual.stream_attacks import ATTACKS, Attack, Ending
 
 COLUMNS = ("fault", "wall_s", "peak_mb", "slices", "host_ms", "lost_said", "lost_true", "ok", "wrong")
 START_S = 60.0  # time for a recording beyond its seconds: to load, to compile and to join the file, in s

@@ -2,9 +2,11 @@
 
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
@@ -14,6 +16,7 @@ import likeness_sensitivity as sensitivity
 import likeness_trials as trials
 from likeness_trials import SLIP, Task
 
+from evetac_cli.evaluate.likeness.counts import SliceCounts
 from evetac_cli.evaluate.likeness.single_slice import NEVER_MS, THRESHOLDS
 from evetac_cli.sim.setup.plan import Plan, first_plan
 from evetac_cli.store.recordings.slip_grid import resolving_mm
@@ -106,6 +109,16 @@ def test_only_missing_trials_are_measured(tmp_path: Path, monkeypatch: pytest.Mo
     assert seen == [1, 3]
     assert [row["object"] for row in trials.kept(path)] == [1, 2]
     assert json.loads(path.read_text())["commands"] == ["made so"] and not list(tmp_path.glob("*.part"))
+
+
+def test_loud_slices_before_the_onset() -> None:
+    """Assert that those above the line in the 500 ms before the onset are told, by their time before it."""
+    sensing = np.full(1000, 10)
+    sensing[[100, 200, 680, 699, 700]] = trials.LOUD + 1
+    sensing[690] = trials.LOUD
+    counts = SliceCounts(sensing, np.zeros(1000, np.int64), 700, 50)
+    assert trials.loud_ms(counts) == [500, 20, 1]
+    assert trials.loud_ms(replace(counts, onset=None)) == trials.loud_ms(replace(counts, onset=100)) == []
 
 
 def test_bursts() -> None:

@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evetac_cli.evaluate.touch_contacts import ContactMaker
 from evetac_cli.jobs import Row
 from evetac_cli.kernels.touch import touch_map
 from evetac_cli.sim.setup.plan import named_sensor
@@ -15,6 +14,7 @@ from evetac_cli.sim.setup.sensor import Sensor
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
 import results
 import touch_contacts as study
+from contact_maker import ContactMaker
 
 Z = (0.1, 0.4, 0.8, 1.5)
 

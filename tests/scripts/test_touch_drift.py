@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evetac_cli.evaluate.touch_contacts import ContactMaker
 from evetac_cli.sim.setup import scene_file
 from evetac_cli.sim.setup.plan import named_sensor
 from evetac_cli.sim.setup.sensor import Sensor
@@ -15,6 +14,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
 import results
 import touch_drift as study
 import touch_wrong_dots
+from contact_maker import ContactMaker
 from script_tables import table_of
 from touch_contacts import dots_of
 

@@ -17,7 +17,6 @@ QUIETEST_MS = 100  # their mean rate is the floor without motion
 BUSY = 25  # events per slice; slices with more are active in the paper's training
 HELD_UNTIL_MS = 500  # before the onset
 BEFORE_MS, AFTER_MS = (-100, -30), (0, 30)
-LOUD = 100  # events per slice; slices with more can be mistaken for slip
 
 
 @dataclass(frozen=True)
@@ -89,13 +88,6 @@ def rate(counts: SliceCounts, first_ms: int, stop_ms: int) -> float:
         return math.nan
     first, stop = (max(counts.onset + ms, 0) for ms in (first_ms, stop_ms))
     return _mean(counts.sensing[first:stop].astype(np.float64))
-
-
-def loud_ms(counts: SliceCounts) -> list[int]:
-    """Return the times before the onset, in ms, of slices with more than 100 events in the last 500 ms before it."""
-    first = max((counts.onset or 0) - HELD_UNTIL_MS, 0)
-    loud = np.flatnonzero(counts.sensing[first : counts.onset or 0] > LOUD)
-    return [int(slice_) for slice_ in (counts.onset or 0) - first - loud]
 
 
 def _mean(values: Floats) -> float:

@@ -84,15 +84,6 @@ def profile_level(position: np.float32, level: NDArray[np.float32]) -> np.float3
     return below + (position - np.float32(index)) * (level[entry + np.uint32(1)] - below)  # type: ignore[no-any-return]
 
 
-@njit(cache=True, _nrt=False)
-def level_at(distance_px: float, inner_px: float, steps_per_px: float, level: NDArray[np.float32]) -> float:
-    """Return the log brightness at a distance from the nearest dot's centre, in double precision."""
-    position = min(max((distance_px - inner_px) * steps_per_px, 0.0), np.float64(PROFILE_STEPS))
-    index = int(position)
-    below = np.float64(level[index])
-    return below + (position - index) * (np.float64(level[index + 1]) - below)
-
-
 def level_index(profile: DotProfile) -> NDArray[np.int16]:
     """Return an index of a profile: entry k is the last position at or below the k-th of LEVEL_BINS + 1 levels.
 
@@ -248,27 +239,6 @@ def texture(
     field = np.fft.irfft2(spectrum, shape)
     scaled: NDArray[np.float32] = (field * (log_sd / field.std())).astype(np.float32)
     return scaled
-
-
-@njit(cache=True, _nrt=False)
-def sample_texture(
-    texture: NDArray[np.float32],
-    first_x: int,
-    first_y: int,
-    object_x_px: float,
-    object_y_px: float,
-    contrast: float,
-    level: NDArray[np.float32],
-) -> None:
-    """Fill `level` (rows, columns), whose corner is pixel (first_x, first_y), with the texture of a moved object.
-
-    level = contrast * texture(y - object_y, x - object_x), bilinear and periodic, for a texture whose sides are powers
-    of two. All pixels of one scan have the same fraction of a pixel, hence the same four weights.
-    """
-    place = texture_place(texture, first_x, first_y, object_x_px, object_y_px, contrast)
-    rows, columns = level.shape
-    for row in range(rows):
-        sample_texture_run(texture, place, row, 0, columns, level[row])
 
 
 @njit(cache=True, _nrt=False)

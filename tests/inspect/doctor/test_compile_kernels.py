@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from evetac_cli.errors import EvetacError
-from evetac_cli.inspect.doctor import compile_kernels, compile_worker
+from evetac_cli.inspect.doctor import compile_kernels
 from evetac_cli.resources import PACKAGE
 from scripts import experiment_steps
 
@@ -90,60 +90,25 @@ def test_a_command_that_compiles_is_seen(tmp_path: Path) -> None:
 def test_a_command_that_fails_is_named() -> None:
     """Assert that an error names the command and says why it failed."""
     with pytest.raises(EvetacError, match="record --scene nowhere") as error:
-        compile_kernels.run(steps=((("record --scene nowhere",),),), say=lambda line: None)
+        compile_kernels.run(commands=("record --scene nowhere",), say=lambda line: None)
     assert "nowhere" in str(error.value).split("--scene nowhere", 1)[1]
 
 
 def test_a_process_that_dies_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that a process that ends before it answers is an error that says so."""
+    """Assert that a process that ends without a word is an error that says so."""
     monkeypatch.setattr(compile_kernels.sys, "executable", "false")
-    with pytest.raises(EvetacError, match="camera: .*\n.*the process ended with exit code 1"):
-        compile_kernels.run(steps=((("camera",),),), say=lambda line: None)
+    with pytest.raises(EvetacError, match="track a: .*\n.*exit code 1"):
+        compile_kernels.run(commands=("track a",), say=lambda line: None)
 
 
 def test_each_command_is_said_as_it_begins() -> None:
-    """Assert a line for each command with its number, the number of all, and how far it is where one takes long."""
+    """Assert a line for each command with its number and the number of all, and a row for each."""
     said: list[str] = []
     importing = "record --from events.txt --frame-size 640x480 --calibration grid.json --out {}.recording.h5"
-    steps = (((importing.format("a"), importing.format("b")),), ((importing.format("c"),), (importing.format("d"),)))
     done: list[tuple[float, float]] = []
-    outcome = compile_kernels.run(lambda *how: done.append(how[:2]), steps, said.append, again_s=0.01)
-    assert "once after installation: 4 parts" in said[0]
-    begun = [line for line in said if line.startswith("compiling ") and line.endswith("...")]
-    assert begun == [f"compiling {number} of 4: record ..." for number in (1, 2, 3, 4)]
-    waiting = [line for line in said[1:] if line not in begun]
-    assert waiting and all(" of 4 parts are compiled, 0 functions; running: record for " in line for line in waiting)
-    assert [(row["part"], row["functions"]) for row in outcome.rows] == [("record", 0)] * 4
-    assert done == [(number, 4) for number in range(5)]
-
-
-def test_an_error_is_not_waited_for_in_words() -> None:
-    """Assert that a command that fails ends the others' telling too, and that its error is the one that is raised."""
-    said: list[str] = []
-    with pytest.raises(EvetacError, match="trim nothing"):
-        compile_kernels.run(steps=((("trim nothing",), ("camera",)), (("detector",),)), say=said.append)
-    assert sorted(said[1:]) in (
-        ["compiling 1 of 3: trim ...", "compiling 2 of 3: camera ..."],
-        ["compiling 1 of 3: camera ...", "compiling 2 of 3: trim ..."],
-        ["compiling 1 of 3: trim ..."],
-    )
-
-
-def test_parts_of_their_own_are_there() -> None:
-    """Assert that what is compiled ahead of a command, and not by one, is known to the process that compiles."""
-    lines = [line for step in compile_kernels.STEPS for chain in step for line in chain]
-    assert {line for line in lines if " " not in line} == set(compile_worker.FIRST)
-
-
-@pytest.mark.parametrize(
-    ("command", "name"),
-    [
-        ("record --scene slip", "record"),
-        ("evaluate slip a.features.h5 --model m", "evaluate slip"),
-        ("track a.h5", "track"),
-        ("camera", "camera"),
-    ],
-)
-def test_commands_are_called_as_on_the_command_line(command: str, name: str) -> None:
-    """Assert that an evaluation is named with its subject."""
-    assert compile_kernels.name_of(command) == name
+    commands = importing.format("a"), importing.format("b")
+    outcome = compile_kernels.run(lambda *how: done.append(how[:2]), commands, said.append)
+    assert "once after installation: 2 commands" in said[0]
+    assert said[1:] == [f"compiling {number} of 2: record ..." for number in (1, 2)]
+    assert [row["part"] for row in outcome.rows] == ["record"] * 2
+    assert done == [(number, 2) for number in range(3)]

@@ -72,6 +72,17 @@ def crowd(t_ms: float) -> NDArray[np.float64]:
     )
 
 
+def texture_level(
+    texture: NDArray[np.float32], shape: tuple[int, int], first: tuple[int, int], at: Any, contrast: float = 1.0
+) -> NDArray[np.float32]:
+    """The texture of an object moved to `at`, in so many rows and columns of pixels from pixel (x, y) on."""
+    level = np.empty(shape, np.float32)
+    place = optics.texture_place(texture, *first, *at, contrast)
+    for row in range(shape[0]):
+        optics.sample_texture_run(texture, place, row, 0, shape[1], level[row])
+    return level
+
+
 def total(slices: list[Events]) -> int:
     return sum(events.size for events in slices)
 

@@ -17,6 +17,7 @@ from evetac_cli.sim.camera.camera_input import SliceMotion
 from evetac_cli.sim.camera.contact_edges import ContactEdges, EdgePlace
 from evetac_cli.sim.camera.scanning import camera
 from evetac_cli.sim.camera.scanning.camera import CameraModel, CameraState
+from tests.sim.camera.small_frames import texture_level
 
 pytestmark = pytest.mark.slow  # a minute of processor time
 
@@ -110,9 +111,7 @@ def picture(state: CameraState, motion: Motion, k: int, part: float) -> NDArray[
     level = optics.gel_level(FRAME, dots, state.profile).astype(float)
     if state.window_level.size:
         x0, y0, x1, y1 = STRIP
-        strip = np.empty((y1 - y0, x1 - x0), np.float32)
-        optics.sample_texture(TEXTURE, x0, y0, object_xy_px[0], object_xy_px[1], 1.0, strip)
-        level[y0:y1, x0:x1] = strip
+        level[y0:y1, x0:x1] = texture_level(TEXTURE, (y1 - y0, x1 - x0), (x0, y0), object_xy_px)
     return level + lines_level(where)
 
 
@@ -121,8 +120,7 @@ def references(state: CameraState, motion: Motion) -> tuple[NDArray[np.float64],
     reference, threshold = state.reference.astype(float), state.threshold.astype(float)
     if state.window_level.size:
         x0, y0, x1, y1 = STRIP
-        strip = np.empty((y1 - y0, x1 - x0), np.float32)
-        optics.sample_texture(TEXTURE, x0, y0, 0.0, 0.0, 1.0, strip)
+        strip = texture_level(TEXTURE, (y1 - y0, x1 - x0), (x0, y0), STILL)
         reference[y0:y1, x0:x1] = state.window_reference + strip
         threshold[y0:y1, x0:x1] = state.window_threshold
     return reference + lines_level(motion(0)[2]), threshold

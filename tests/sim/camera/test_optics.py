@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.special import erf
 
 from evetac_cli.sim.camera import optics
+from tests.sim.camera.small_frames import texture_level
 
 FRAME = (90, 60)
 TEXTURE = optics.texture(np.random.default_rng(5), (256, 512), 12.0, 0.06)
@@ -126,9 +127,7 @@ def test_texture_refuses(shape: tuple[int, int], half_px: float, log_sd: float, 
 def sample(
     first: tuple[int, int], moved: tuple[float, float], contrast: float, shape: tuple[int, int]
 ) -> NDArray[np.float32]:
-    level = np.empty(shape, np.float32)
-    optics.sample_texture(TEXTURE, *first, *moved, contrast, level)
-    return level
+    return texture_level(TEXTURE, shape, first, moved, contrast)
 
 
 @pytest.mark.parametrize("moved", [(0, 0), (3, -7), (-600, 1000)])
@@ -168,3 +167,21 @@ def test_far_object() -> None:
     level = sample((540, 0), (1e6, -1e6), 1.0, (100, 60))
     assert np.isfinite(level).all()
     assert level.std() > 0.02
+
+
+def test_squared_radius_inverts_the_profile() -> None:
+    """Assert that the radius of a level has that level, and that ink, gel and beyond have none."""
+    for radius_px, sigma_px in ((15.0, 1.2), (15.0, 0.01), (0.5, 2.0)):
+        profile = optics.dot_profile(radius_px, sigma_px)
+        inner_px, steps_per_px, levels = profile.inner_px, profile.steps_per_px, profile.level[:-1].astype(np.float64)
+        arguments = (inner_px, steps_per_px, profile.level, optics.level_index(profile))
+        for target in np.random.default_rng(0).uniform(-1.60998, -2e-5, 2000).tolist():
+            radius2 = optics.squared_radius(target, *arguments)
+            if radius2 >= 0.0:
+                at = np.interp((math.sqrt(radius2) - inner_px) * steps_per_px, np.arange(len(levels)), levels)
+                assert at == pytest.approx(target, abs=1e-9)
+            else:
+                assert np.interp(-inner_px * steps_per_px, np.arange(len(levels)), levels) > target
+        for never, targets in ((-1.0, (-1.62, -1.61, -1.61 + 1e-7)), (math.inf, (1e-9, 0.0, -1e-7))):
+            assert all(optics.squared_radius(target, *arguments) == never for target in targets)
+        assert math.isnan(optics.squared_radius(math.nan, *arguments))

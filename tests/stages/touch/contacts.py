@@ -1,5 +1,6 @@
 """Recordings of contacts whose tractions are known, pressed and then moved, and the tracks of their dots; no camera."""
 
+import sys
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -8,11 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.evaluate.touch_contacts import ContactMaker, KnownContact
 from evetac_cli.sim.camera.gel_camera import dot_grid
 from evetac_cli.sim.setup.plan import first_plan, one_sensor
 from evetac_cli.store.layout.provenance import Recipe
 from tests.stages.force.dots_and_forces import write_trial
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "scripts"))
+from contact_maker import ContactMaker, KnownContact
 
 SENSOR = one_sensor("evetac")
 MM_PER_PX, MODULUS_PA = SENSOR.mm_per_px, 145e3  # of the layer that contacts are made on

@@ -10,7 +10,7 @@ hold until a dot, a line or leak changes the levels of the run. A slice costs th
 comparison of runs that are crossed or have changed. Candidate pixels of moving dots hold for the whole range of a
 flicker (`candidate_light`).
 
-Light that does not pass the print (`floor`, `flash`) also changes the contrast of the dots (print_contrast). Then each
+Light that does not pass the print (`floor`, `flash`) also changes the contrast of the dots (PrintContrast). Then each
 change rewrites their tables, discards everything known of any pixel, and compares all pixels.
 
 Not simulated: the bandwidth of the pixels (300 Hz would take 5 % off a flicker of 100 Hz), and noise that grows as the
@@ -41,11 +41,30 @@ from evetac_cli.sim.camera.scanning.pixels import (
     gel_pixels,
     window_pixels,
 )
-from evetac_cli.sim.camera.scanning.print_contrast import PrintContrast
 from evetac_cli.sim.setup.scene import LightSettings
 
 # Upper bound of single precision's error of the shifted references: runs with the light this near a bound are compared.
 ROUNDING = 1e-5
+
+
+class PrintContrast:
+    """A camera's tables of dots, rewritten in place for each pair of lights: one shows the print, the other does not.
+
+    A pixel that receives a share r of the first light's full brightness (1 on bare gel, exp(-log_contrast) on ink) and
+    all of the second has the log brightness ln(first * r + second). Relative to bare gel, which is the zero of a
+    camera's tables, that is ln((first * r + second) / (first + second)).
+    """
+
+    def __init__(self, levels: list[NDArray[np.float32]]) -> None:
+        """Take tables of log brightness under the first light alone; they are changed in place afterwards."""
+        self._tables = levels
+        self._shares = [np.exp(level.astype(np.float64)) for level in levels]
+
+    def show(self, first: float, second: float) -> float:
+        """Write the tables for two lights, the second above 0; return the log brightness of bare gel."""
+        for table, share in zip(self._tables, self._shares, strict=True):
+            table[:] = np.log((first * share + second) / (first + second))
+        return math.log(first + second)
 
 
 @dataclass(frozen=True)

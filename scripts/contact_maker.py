@@ -9,9 +9,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from touch_layer import CELL_MM, ElasticLayer, SurfaceAnswer
 
 from evetac_cli.arrays import Flags, Floats
-from evetac_cli.evaluate.touch_layer import CELL_MM, ElasticLayer, SurfaceAnswer
 
 SHAPES = ("flat", "ball", "cylinder", "edge", "two points", "off centre", "twisted", "partial slip")
 COUNT = 56  # cells along a side of the contact lattice

@@ -1,9 +1,13 @@
 """The model-free share that slips: dots that left the rigid motion of the others."""
 
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from evetac_cli.kernels.touch.rigid_motion import rigid_slip_share
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
+from rigid_motion import rigid_slip_share
 
 DOTS = np.stack(np.meshgrid(np.linspace(-8, 8, 9), np.linspace(-6, 6, 7)), -1).reshape(-1, 2)
 UNDER = np.hypot(*DOTS.T) < 6.1  # pressed dots

@@ -1,13 +1,17 @@
 """Attacks on the stream of a virtual camera: the driver outlasts each, and counts what the camera counts."""
 
+import sys
 import time
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from evetac_cli.devices.dvxplorer.usb_reader import UsbReader
-from evetac_cli.devices.virtual.stream_attacks import ATTACKS, Attack, Ending, attack
 from evetac_cli.realtime.shared_time import SharedTime
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts" / "attack"))
+from stream_attacks import ATTACKS, Attack, Ending, attack
 
 EVENTS_S = 100_000
 QUICK = ("random@0:600", "torn@0.5", "jump-forward@0.5", "jump-back@0.5", "fast@0.2", "slow@0.2", "silence@0.5:0.3")

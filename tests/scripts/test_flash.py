@@ -1,18 +1,22 @@
 """Dots that a flash shows: closed forms, before a simulated camera whose dots have moved, and put into a tracker."""
 
 import dataclasses
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from evetac_cli.arrays import Floats
 from evetac_cli.kernels.tracking import tracker
-from evetac_cli.kernels.tracking.flash import dots_in_flash
 from evetac_cli.kernels.tracking.presets import PRESETS
 from evetac_cli.sim.camera.camera_input import SliceMotion
 from evetac_cli.sim.camera.scanning import camera
 from evetac_cli.sim.camera.scanning.light import LightChange
 from tests.sim.camera.small_frames import QUIET, STILL
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
+from flash import dots_in_flash
 
 RADIUS_PX = 9.0
 DOTS = np.array([[40.3, 50.7], [100.0, 52.2], [160.6, 49.9]])

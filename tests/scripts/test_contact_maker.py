@@ -1,12 +1,18 @@
 """The contacts that touch maps are judged by: their layer and their friction against closed forms."""
 
 import math
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from evetac_cli.evaluate import touch_contacts
-from evetac_cli.evaluate.touch_contacts import (
+from evetac_cli.kernels.gel_layer import compliance
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
+import contact_maker
+import touch_layer
+from contact_maker import (
     CELL_MM2,
     COUNT,
     FIRST_MM,
@@ -17,8 +23,7 @@ from evetac_cli.evaluate.touch_contacts import (
     on_coarse_cells,
     pressure_profile,
 )
-from evetac_cli.evaluate.touch_layer import CELL_MM, ElasticLayer, SurfaceAnswer, depth_answer
-from evetac_cli.kernels.gel_layer import compliance
+from touch_layer import CELL_MM, ElasticLayer, SurfaceAnswer, depth_answer
 
 DOTS = np.stack(np.meshgrid(np.linspace(-8, 8, 5), np.linspace(-6, 6, 4)), -1).reshape(-1, 2)
 THICK = ElasticLayer(height_mm=40.0, poisson=0.49)
@@ -48,8 +53,6 @@ def test_two_implementations_of_the_layer_agree(poisson: float) -> None:
 
 def test_finer_elements_converge(monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that the error falls with the fourth power of the elements' size, nearly."""
-    from evetac_cli.evaluate import touch_layer
-
     waves = np.array([1.5])
     exact = compliance(waves * 1e3, 4e-3, 145e3, 0.49).along[0] * 1e3
     monkeypatch.setattr(touch_layer, "GROWTH", 1.0)
@@ -141,7 +144,7 @@ def test_friction_slips_from_the_rim_as_mindlin_found(thick: ContactMaker) -> No
         (shear,), converged = frictional_shear(answer, np.zeros(2 * count), pressure, friction, [place_mm * along])
         share = shear[:count].sum() / (friction * pressure.sum())
         assert converged and 0.3 < share < 0.95
-        sticks = np.hypot(*shear.reshape(2, count)) < touch_contacts.STICKS * friction * pressure
+        sticks = np.hypot(*shear.reshape(2, count)) < contact_maker.STICKS * friction * pressure
         expected = radius * (1 - share) ** (1 / 3)
         assert math.sqrt(sticks.sum() * CELL_MM2 / math.pi) == pytest.approx(expected, abs=CELL_MM / 2)
         assert sticks[r[chosen] < expected - CELL_MM].all() and not sticks[r[chosen] > expected + CELL_MM].any()
@@ -216,6 +219,6 @@ def test_coarse_cells_keep_the_forces(maker: ContactMaker) -> None:
 
 def test_friction_that_does_not_converge_is_said(maker: ContactMaker, monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that a contact that was not solved for is refused."""
-    monkeypatch.setattr(touch_contacts, "MOST_ITERATIONS", 2)
+    monkeypatch.setattr(contact_maker, "MOST_ITERATIONS", 2)
     with pytest.raises(RuntimeError, match="flat, seed 6000"):
         maker.make("flat", 6000)

@@ -2,7 +2,7 @@
 
 The part of the gel that sticks to an object moves with it as one body. A translation and a rotation are fitted to the
 motion of most pressed dots since the reference; dots that deviate from it have slipped. The network of the touch maps
-is compared with this method (scripts/judge_sticking.py).
+is compared with this method (judge_sticking.py).
 
 Pressed dots are those displaced at the reference by more than PRESSED of the largest displacement.
 """

@@ -1,10 +1,15 @@
 """Nothing touches any more: after a touch that has gone, once, whatever a tracker is off by; never in a touch."""
 
+import sys
+from pathlib import Path
+
 import numpy as np
 
 from evetac_cli.arrays import Floats
-from evetac_cli.kernels.touch import untouched
-from evetac_cli.kernels.touch.untouched import NEAR_PX, STILL_PX, TOUCHED_PX, UntouchedState
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
+import untouched
+from untouched import NEAR_PX, STILL_PX, TOUCHED_PX, UntouchedState
 
 REST = np.stack(np.meshgrid(np.arange(6) * 60.0, np.arange(5) * 60.0), -1).reshape(-1, 2)
 STILL = 20
