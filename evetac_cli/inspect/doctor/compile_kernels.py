@@ -43,7 +43,10 @@ def run(
     """
     rows: Rows = []
     started = time.monotonic()
-    say(f"compiling for this computer, once after installation: {len(commands)} commands, for minutes on a slow one")
+    say(
+        f"compiling for this computer, once after installation: {len(commands)} commands, a minute and a half on an idle"
+        " computer, several minutes on a slow or busy one"
+    )
     _compile_training()
     with TemporaryDirectory(prefix="evetac-compile-") as folder:
         _write_events(Path(folder))

@@ -198,7 +198,7 @@ def test_still_lines_are_silent() -> None:
         return DOTS[:1], np.zeros(2), place(60.0, 45.0, 1.0, np.full(FRAME[1], 80.0))
 
     state = start(motion)
-    assert play(motion, 5).size == 0
+    assert play(state, motion, 5).size == 0
     assert state.contact_edges is not None
     assert state.contact_edges.events == 0
 
