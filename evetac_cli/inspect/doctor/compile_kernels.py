@@ -44,8 +44,8 @@ def run(
     rows: Rows = []
     started = time.monotonic()
     say(
-        f"compiling for this computer, once after installation: {len(commands)} commands, a minute and a half on an idle"
-        " computer, several minutes on a slow or busy one"
+        f"compiling for this computer, once after installation: {len(commands)} commands, a minute and a half on an"
+        " idle computer, several minutes on a slow or busy one"
     )
     _compile_training()
     with TemporaryDirectory(prefix="evetac-compile-") as folder:
