@@ -1,13 +1,16 @@
-"""Limit the size that another program's packed file may unpack to: a few kB could fill all memory or take days.
+"""The one limit on the size that another program's packed data may unpack to: a few kB could fill all memory or disk.
 
-Deflate expands one byte to up to 1,032, Zstandard to more. A column with a single polarity comes close to this; all
-numbers of events or samples together do not.
+Deflate expands one byte to up to 1,032, Zstandard and bzip2 to more. A column with a single polarity comes close to
+this; all numbers of events or samples together do not.
 """
+
+from collections.abc import Callable
+from typing import Any
 
 from evetac_cli.errors import InputError
 
 MOST_TIMES = 100  # largest ratio of unpacked to packed size
-ALWAYS_BYTES = 64 << 20  # size that any file may unpack to
+ALWAYS_BYTES = 64 << 20  # size that anything may unpack to
 
 
 def most_unpacked_bytes(packed_bytes: int) -> int:
@@ -16,7 +19,7 @@ def most_unpacked_bytes(packed_bytes: int) -> int:
 
 
 def refuse_too_much(unpacked_bytes: int, packed_bytes: int, where: str) -> None:
-    """Raise InputError if a file unpacks to more than events or samples can."""
+    """Raise InputError if packed data unpacks to more than events or samples can."""
     if unpacked_bytes > most_unpacked_bytes(packed_bytes):
         raise InputError(
             "the file would unpack to too much data",
@@ -25,3 +28,13 @@ def refuse_too_much(unpacked_bytes: int, packed_bytes: int, where: str) -> None:
             found=f"{unpacked_bytes / 1e6:,.0f} MB from {packed_bytes:,} bytes",
             hint="the file is damaged, or was made to fill the memory",
         )
+
+
+def unpacked(decompressor: Callable[[], Any], packed: bytes, where: str) -> bytes:
+    """Unpack bytes with a decompressor of bz2, lz4 or zstd; ValueError if they end early, InputError if too large."""
+    stream = decompressor()
+    content: bytes = stream.decompress(packed, max_length=most_unpacked_bytes(len(packed)) + 1)
+    refuse_too_much(len(content), len(packed), where)
+    if not stream.eof:
+        raise ValueError("a compressed part ends early")
+    return content

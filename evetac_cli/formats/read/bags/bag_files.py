@@ -5,37 +5,32 @@ merges them when it opens the file for writing; so such a file is copied, and th
 several files is read as one if its folder is given. If a single file is given, the notes list the files next to it.
 """
 
-import os
 import re
 import shutil
+import sqlite3
 import weakref
-from collections.abc import Callable
-from contextlib import suppress
-from functools import lru_cache
+from contextlib import closing, suppress
+from importlib import import_module
 from itertools import islice
 from pathlib import Path, PurePath
 from tempfile import gettempdir, mkdtemp
 from typing import Any, NamedTuple
 
 from evetac_cli.errors import InputError
-from evetac_cli.formats.read.bags import db3_rows, mcap_records, rosbag1_records
-from evetac_cli.formats.read.bags.bag_chunks import ChunkedFile
-from evetac_cli.formats.read.bags.db3_beside import JOURNAL, WAL, joined
-from evetac_cli.formats.read.bags.db3_rows import Db3File
-from evetac_cli.formats.read.bags.mcap_records import McapFile
-from evetac_cli.formats.read.bags.rosbag1_records import Rosbag1File
-from evetac_cli.formats.read.bags.rosbag_unpacking import unpack_file
+from evetac_cli.formats.read.bags.bag_readers import BagFile, Db3File, McapFile, Rosbag1File
+from evetac_cli.formats.read.unpacked_size import refuse_too_much
 from evetac_cli.store.hdf5.disk import temporary_name
 from evetac_cli.text_files import open_regular, read_bytes
 
 ZSTD = b"\x28\xb5\x2f\xfd"
 METADATA = "metadata.yaml"
 MOST_METADATA_BYTES = 1 << 20  # a topic takes a few hundred bytes
-BAGS: dict[bytes, Callable[[Path, str], ChunkedFile | Db3File]] = {
-    db3_rows.MAGIC: Db3File,
-    mcap_records.MAGIC: McapFile,
-    rosbag1_records.MAGIC: Rosbag1File,
-}
+DB3 = b"SQLite format 3\x00"
+BAGS: dict[bytes, type[BagFile]] = {DB3: Db3File, b"\x89MCAP0\r\n": McapFile, b"#ROSBAG V2.0\n": Rosbag1File}
+BLOCK_BYTES = 1 << 20
+WAL, JOURNAL = "-wal", "-journal"
+WAL_HEAD_BYTES, FRAME_HEAD_BYTES = 32, 24  # of the `-wal` of SQLite, and of each page in it
+OTHER_NAME = bytes.fromhex("d9d505f920a163d7")  # end of a journal that names another file
 ENDINGS = (".db3", ".mcap")  # of the files in a bag's folder; `.zstd` may follow
 PART = re.compile(r"(.*?)(?:[-_]\d{4}(?:-\d\d){5})?_(\d+)(\.bag(?:\.active)?|\.db3|\.mcap)(\.zstd)?")
 MOST_NAMED = 8
@@ -44,8 +39,8 @@ MOST_NAMED = 8
 class Files(NamedTuple):
     """The files of a bag in order, notes on them, and the number of messages that the folder's metadata state."""
 
-    paths: list[Path]
-    notes: list[str]
+    paths: tuple[Path, ...]
+    notes: tuple[str, ...]
     stated: int | None = None
 
 
@@ -60,7 +55,7 @@ def files_of(path: Path) -> Files:
         open_regular(path).close()
         others = _parts_beside(path)
         more = f"next to it: {_file_names(others)}, which may be parts of the same recording" if others else ""
-        return Files([path], [more] if more else [])
+        return Files((path,), (more,) if more else ())
     for inside in sorted(path.iterdir()):
         if not inside.is_dir():
             open_regular(inside).close()
@@ -89,83 +84,47 @@ def files_of(path: Path) -> Files:
         if lacking := list(islice(numbers, MOST_NAMED)):
             raise _missing(path, [f"number {number}" for number in lacking], files)
         files = [file for _, file in sorted(numbered.items())]
-    return Files(files, [f"{note}; read {_file_names(files)}"])
+    return Files(tuple(files), (f"{note}; read {_file_names(files)}",))
 
 
-def opened(path: Path, where: str) -> tuple[ChunkedFile | Db3File, list[str], bool]:
-    """Return a file of a bag with its table, notes on how it was made readable, and whether data is missing."""
-    stamps = tuple(_stamp(one) for one in (path, *_beside(path)))
-    readable = _readable(path, stamps, where)
-    return _table(readable.path, stamps, where), readable.notes, readable.cut_short
+def stamps(path: Path) -> tuple[Any, ...]:
+    """Return what changes when a file of a bag, or what SQLite left next to it, is written to."""
+    states = [(one, one.stat()) for one in (path, *_beside(path))]
+    return tuple((str(one), state.st_size, state.st_mtime_ns, state.st_ino) for one, state in states)
 
 
-class _Readable:
-    """A file that can be read as it is, or a copy of it that is removed with this object."""
+def opened(path: Path, where: str) -> BagFile:
+    """Return a file of a bag; one that is compressed, or has files of SQLite next to it, is read from a copy.
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self.notes: list[str] = []
-        self.cut_short = False
-
-    def copy(self) -> Path:
-        """Return the path for the copy in a new temporary folder; remove folders left by processes that have ended."""
-        name = temporary_name(Path(gettempdir()) / "evetac-bag").name
-        folder = mkdtemp(prefix=name.removesuffix("tmp"), suffix=".tmp")
-        weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
-        self.path = Path(folder) / "copy"
-        return self.path
-
-
-@lru_cache(maxsize=2)
-def _readable(path: Path, stamps: tuple[Any, ...], where: str) -> _Readable:
-    """Return the file itself, or a copy: unpacked, merged with SQLite's files next to it, or without a half page."""
-    readable = _Readable(path)
-    size = stamps[0][1]
+    The copy is removed with the returned object. where: the file's name in messages.
+    """
+    before = stamps(path)
     with open_regular(path) as file:
-        head = file.read(db3_rows.HEAD_BYTES)
-        file.seek(0)
-        if head.startswith(ZSTD):
-            with readable.copy().open("w+b") as target:
-                if not unpack_file(file, size, target):
-                    readable.notes.append("the compressed file is cut short")
-                    readable.cut_short = True
-                target.flush()
-                size = os.fstat(target.fileno()).st_size
-                target.seek(0)
-                target.truncate(size - _half_page(target.read(db3_rows.HEAD_BYTES), size))
-            return readable
-        beside = _beside(path) if head.startswith(db3_rows.MAGIC) else []
-        rest = _half_page(head, size)
-        if not rest and not beside:
-            return readable
-        with readable.copy().open("wb") as target:
-            shutil.copyfileobj(file, target, 1 << 20)
-            target.truncate(size - rest)
-    if rest:
-        readable.notes.append(f"left out the last {rest:,} bytes, an incomplete page")
-        readable.cut_short = True
-    for one in beside:
-        shutil.copyfile(one, f"{readable.path}{one.name.removeprefix(path.name)}")
-    if (path, *beside) != (path, *_beside(path)) or tuple(_stamp(one) for one in (path, *beside)) != stamps:
-        raise InputError("the bag is still being written", where=where, hint="stop the recorder first")
-    names = " and ".join(f"{one.name} ({one.stat().st_size:,} bytes)" for one in beside)
-    if beside and (lost := joined(readable.path, where)):
-        readable.notes.append(f"part of {names} is lost: {lost}")
-        readable.cut_short = True
-    elif beside:
-        readable.notes.append(f"read together with {names} next to it, as SQLite does")
-    return readable
+        head = file.read(len(DB3))
+    beside = _beside(path) if head.startswith(DB3) else []
+    if not head.startswith(ZSTD) and not beside:
+        return _read(path, where)
+    name = temporary_name(Path(gettempdir()) / "evetac-bag").name  # removes what processes that were killed left
+    folder = Path(mkdtemp(prefix=name.removesuffix("tmp"), suffix=".tmp"))
+    try:
+        copy = folder / "copy"
+        if not beside:
+            _unpack(path, copy, where)
+        for one in (path, *beside) if beside else ():
+            shutil.copyfile(one, f"{copy}{one.name.removeprefix(path.name)}")
+        if stamps(path) != before:
+            raise InputError("the bag is still being written", where=where, hint="stop the recorder first")
+        note = _joined(copy, beside, where) if beside else ""
+        bag = _read(copy, where)
+    except BaseException:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
+    weakref.finalize(bag, shutil.rmtree, folder, ignore_errors=True)
+    bag.notes[:0] = [note] if note else []
+    return bag
 
 
-def _half_page(head: bytes, size: int) -> int:
-    """Return the size of an incomplete page at the end of a database; SQLite would read its missing bytes as zeros."""
-    return size % db3_rows.page_bytes(head) if head.startswith(db3_rows.MAGIC) else 0
-
-
-@lru_cache(maxsize=16)
-def _table(path: Path, stamps: tuple[Any, ...], where: str) -> ChunkedFile | Db3File:
-    """Return the table of a file, cached as long as the file does not change; `where`: the name in messages."""
-    del stamps
+def _read(path: Path, where: str) -> BagFile:
     with path.open("rb") as file:
         head = file.read(max(map(len, BAGS)))
     reader = next((reader for begins, reader in BAGS.items() if head.startswith(begins)), None)
@@ -175,9 +134,54 @@ def _table(path: Path, stamps: tuple[Any, ...], where: str) -> ChunkedFile | Db3
     return reader(path, where)
 
 
-def _stamp(path: Path) -> tuple[str, int, int, int]:
-    state = path.stat()
-    return str(path), state.st_size, state.st_mtime_ns, state.st_ino
+def _unpack(path: Path, copy: Path, where: str) -> None:
+    """Unpack a file that was compressed as a whole, with zstd."""
+    size = path.stat().st_size
+    with open_regular(path) as packed, zstd_module().open(packed, "rb") as content, copy.open("wb") as target:
+        try:
+            while block := content.read1(BLOCK_BYTES):
+                refuse_too_much(target.tell() + len(block), size, where)
+                target.write(block)
+        except EOFError:
+            raise InputError("the compressed file is cut short", where=where, hint="copy it again") from None
+
+
+def _joined(copy: Path, beside: list[Path], where: str) -> str:
+    """Let SQLite move what waits next to the copy of a database into it; return a note.
+
+    Raises InputError for a journal that names another file, because SQLite would delete that file. Journals of
+    transactions over several databases do so; a bag's journal does not.
+    """
+    if any(one.name.endswith(JOURNAL) and _names_another(one) for one in beside):
+        raise InputError("the journal next to the bag names another file", where=where, found=f"NAME{JOURNAL}")
+    names = " and ".join(f"{one.name} ({one.stat().st_size:,} bytes)" for one in beside)
+    wal = Path(f"{copy}{WAL}")
+    try:
+        with closing(sqlite3.connect(copy)) as database:
+            database.execute("SELECT count(*) FROM sqlite_master").fetchone()
+            (page_bytes,) = database.execute("PRAGMA page_size").fetchone()
+            waiting = max(0, wal.stat().st_size - WAL_HEAD_BYTES) if wal.exists() else 0
+            _, pages, _ = database.execute("PRAGMA wal_checkpoint").fetchone()
+            unused = waiting - max(0, pages) * (page_bytes + FRAME_HEAD_BYTES)
+            database.execute("PRAGMA journal_mode = DELETE").fetchone()
+    except sqlite3.DatabaseError as error:
+        raise InputError("what is next to the bag cannot be used", where=where, found=f"{names}: {error}") from None
+    rest = f"; SQLite does not use its last {unused:,} bytes: damaged, or left from an earlier use" if unused else ""
+    return f"read together with {names} next to it, as SQLite does{rest}"
+
+
+def _names_another(journal: Path) -> bool:
+    with journal.open("rb") as file:
+        file.seek(max(0, file.seek(0, 2) - len(OTHER_NAME)))
+        return file.read() == OTHER_NAME
+
+
+def zstd_module() -> Any:
+    """Import the module for zstd: Python's own since 3.14, before that the one that rosbags depends on."""
+    try:
+        return import_module("compression.zstd")
+    except ImportError:
+        return import_module("backports.zstd")
 
 
 def _beside(path: Path) -> list[Path]:
@@ -244,8 +248,8 @@ def _listed(folder: Path) -> tuple[Files | None, str]:
         if more
         else ""
     )
-    paths = [folder / name for name in dict.fromkeys(names)]
-    return Files(paths, [note] if note else [], stated if type(stated) is int else None), ""
+    paths = tuple(folder / name for name in dict.fromkeys(names))
+    return Files(paths, (note,) if note else (), stated if type(stated) is int else None), ""
 
 
 def _missing(folder: Path, missing: list[str], inside: list[Path]) -> InputError:

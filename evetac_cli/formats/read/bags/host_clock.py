@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
-from evetac_cli.formats.read.bags.bag_chunks import Connection
+from evetac_cli.formats.read.bags.bag_readers import Connection
 from evetac_cli.formats.read.bags.open_bag import open_bag
 from evetac_cli.formats.read.bags.read_rosbag import IMAGE, LAYOUTS, layout, topics_of_events
 from evetac_cli.formats.read.bags.ros_messages import Fields, Packet, decoder

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError, missing_extra
-from evetac_cli.formats.read.bags.bag_chunks import Connection
+from evetac_cli.formats.read.bags.bag_readers import Connection
 from evetac_cli.formats.read.bags.message_definitions import checksum
 from evetac_cli.formats.read.bags.open_bag import Bag, bag_in_words, open_bag
 from evetac_cli.formats.read.bags.read_rosbag import (

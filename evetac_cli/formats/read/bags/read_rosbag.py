@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
 from evetac_cli.formats.note import Note, read_note
-from evetac_cli.formats.read.bags import db3_rows, mcap_records, rosbag1_records
-from evetac_cli.formats.read.bags.bag_chunks import Connection
+from evetac_cli.formats.read.bags.bag_files import BAGS
+from evetac_cli.formats.read.bags.bag_readers import Connection
 from evetac_cli.formats.read.bags.message_definitions import checksum
 from evetac_cli.formats.read.bags.open_bag import Bag, Message, open_bag
 from evetac_cli.formats.read.bags.ros_messages import (
@@ -37,7 +37,7 @@ from evetac_cli.formats.read.event_validation import NOT_RECORDED, EventColumns,
 from evetac_cli.formats.read.prophesee.prophesee_words import ENCODINGS
 from evetac_cli.formats.read.prophesee.read_prophesee import decoded
 
-SIGNS = (rosbag1_records.MAGIC, db3_rows.MAGIC, mcap_records.MAGIC)
+SIGNS = tuple(BAGS)
 EVENTS_TOPIC, NOTE_TOPIC = "/evetac/events", "/evetac/note"  # in exports of evetac
 NOTE_TYPE = "std_msgs/msg/String"
 SIMULATED_START_US = 1_000_000  # a first time of 0 is one if the next is at most this
@@ -273,8 +273,6 @@ def _contents(
             unset += len(content.t) - len(own.t)
             content = own
         yield where, content
-    foreign.notes += [note for note in bag.notes if note not in foreign.notes]
-    foreign.cut_short |= bag.cut_short
     if unset:
         foreign.left_out[UNSET] = unset
     if lost:

@@ -15,8 +15,8 @@ import pytest
 
 from evetac_cli.events import Events
 from evetac_cli.formats.imports import read_events
-from evetac_cli.formats.read.bags import bag_files
-from evetac_cli.formats.read.bags.rosbag_unpacking import zstd_module
+from evetac_cli.formats.read.bags import bag_files, open_bag
+from evetac_cli.formats.read.bags.bag_files import zstd_module
 from evetac_cli.formats.streams import read_stream
 from tests.formats.read.bags.bag_writing import START_S, Types, Write, drawn, listed, mono, shifted, write_mcap
 from tests.importing import event_rows, refusal
@@ -145,18 +145,7 @@ def test_a_journal_removes_no_other_file(whole: Path, tmp_path: Path) -> None:
     assert not named.exists()  # what SQLite does
 
 
-def test_what_waits_and_is_damaged_is_said_to_be_lost(whole: Path, tmp_path: Path) -> None:
-    """Assert that what is in the file comes, and that the note says what does not."""
-    left = killed(whole, tmp_path / "left", in_file=7)
-    wal = left.with_name("bag_0.db3-wal")
-    size = wal.stat().st_size
-    wal.write_bytes(bytes(size))
-    imported = read_events(left)
-    assert event_rows(imported) == shifted(EVENTS)[:70]
-    assert f"part of bag_0.db3-wal ({size:,} bytes) is lost: SQLite finds no" in imported.notes[0]
-
-
-@pytest.mark.parametrize(("share", "cut"), [(0.3, False), (0.6, False), (0.9, False), (0.3, True), (0.7, True)])
+@pytest.mark.parametrize(("share", "cut"), [(0.3, False), (0.9, False), (0.7, True)])
 def test_what_waits_is_read_up_to_a_damage(whole: Path, tmp_path: Path, share: float, cut: bool) -> None:
     """Assert that of a damaged or cut `-wal` what is before the damage comes, and that a note tells of the rest."""
     left = killed(whole, tmp_path / "left", in_file=7)
@@ -171,12 +160,11 @@ def test_what_waits_is_read_up_to_a_damage(whole: Path, tmp_path: Path, share: f
     imported = read_events(left)
     assert 70 < imported.size < EVENTS.size
     assert event_rows(imported) == shifted(EVENTS)[: imported.size]
-    assert " is lost: " in imported.notes[0]
-    assert ("are an incomplete page" if cut else "SQLite stops at damaged bytes") in imported.notes[0]
+    assert "damaged, or left from an earlier use" in imported.notes[0]
 
 
 def test_what_an_earlier_turn_left_is_no_loss(whole: Path, tmp_path: Path) -> None:
-    """Assert that pages that were long joined, and lie behind those that wait, are not called lost."""
+    """Assert that pages that were long joined, and lie behind those that wait, do no harm."""
     made, left = tmp_path / "made.db3", tmp_path / "left"
     left.mkdir()
     database, rows = opened(whole, made, "WAL")
@@ -197,14 +185,14 @@ def test_what_an_earlier_turn_left_is_no_loss(whole: Path, tmp_path: Path) -> No
 def test_a_bag_that_is_being_written_is_refused(whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that a database that changes while it is copied is not read as a mixture of two states."""
     left = killed(whole, tmp_path / "left", in_file=7)
-    copy = shutil.copyfileobj
+    copy = shutil.copyfile
 
-    def and_more(source: Any, target: Any, *more: int) -> None:
-        copy(source, target, *more)
+    def and_more(source: Any, target: Any) -> None:
+        copy(source, target)
         with left.with_name("bag_0.db3-wal").open("ab") as wal:
             wal.write(b"more")
 
-    monkeypatch.setattr(bag_files.shutil, "copyfileobj", and_more)
+    monkeypatch.setattr(bag_files.shutil, "copyfile", and_more)
     assert "being written" in refusal(left)
 
 
@@ -353,8 +341,8 @@ def test_ways_of_packing_that_are_not_read_are_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("bag", ["db3", "mcap"])
-def test_packed_files_are_read_as_far_as_they_go(write: Write, bag: str) -> None:
-    """Assert that a file that was packed as a whole is read, with its twin that was not removed, and cut too."""
+def test_packed_files_are_read(write: Write, bag: str) -> None:
+    """Assert that a file that was packed as a whole is read, with its twin that was not removed, or refused if cut."""
     types = Types(bag)
     events = drawn(60_000)
     folder = write(bag, types, {"/e": packets(types, events)}, "plain")
@@ -368,10 +356,7 @@ def test_packed_files_are_read_as_far_as_they_go(write: Write, bag: str) -> None
     plain.unlink()
     assert read_events(folder).size == events.size
     packed.write_bytes(packed.read_bytes()[: packed.stat().st_size * 7 // 10])
-    imported = read_events(folder)
-    assert events.size // 2 < imported.size < events.size
-    assert event_rows(imported) == shifted(events)[: imported.size]
-    assert "compressed file is cut short" in imported.notes[1] and len(imported.notes) == 3
+    assert "the compressed file is cut short" in refusal(folder)
 
 
 def packets(types: Types, events: Events, size: int = 500) -> list[Any]:
@@ -389,7 +374,7 @@ def test_no_copy_is_left(whole: Path, tmp_path: Path, monkeypatch: pytest.Monkey
     scratch = tmp_path / "scratch"
     scratch.mkdir()
     monkeypatch.setattr("tempfile.tempdir", str(scratch))
-    bag_files._readable.cache_clear()
+    open_bag._bag.cache_clear()
     left = killed(whole, tmp_path / "one", in_file=7)
     code = f"""
 import os
@@ -407,5 +392,5 @@ os.kill(os.getpid(), 9)
     for name in ("two", "three", "four"):
         read_events(killed(whole, tmp_path / name, in_file=7))
     assert len(list(scratch.iterdir())) == 2 and not of_this.exists()
-    bag_files._readable.cache_clear()
+    open_bag._bag.cache_clear()
     assert not list(scratch.iterdir())

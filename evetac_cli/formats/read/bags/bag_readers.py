@@ -1,0 +1,292 @@
+"""Read one file of a bag in the order of the file: ROS 1 by rosbags, MCAP by mcap, and SQLite (`.db3`).
+
+Why SQLite and not rosbags for `.db3`: rosbags sorts by the time of reception, and a recorder's clock may be set back.
+Its ROS 1 reader sorts too, but takes its index as a list, which is put in the order of the file here.
+"""
+
+import bz2
+import io
+import sqlite3
+from collections import Counter
+from collections.abc import Collection, Iterator
+from contextlib import closing
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+from urllib.parse import quote
+
+from evetac_cli.errors import EvetacError, InputError
+from evetac_cli.formats.read.bags.message_definitions import full_name
+from evetac_cli.formats.read.unpacked_size import refuse_too_much, unpacked
+
+MOST_RECORD_BYTES = 1 << 30  # of a record of MCAP, or a value of SQLite
+DEFINED_AS = ("ros1msg", "ros2msg")  # encodings of definitions that message_definitions reads
+SQLITE_HEAD_BYTES, PAGE_BYTES_AT, PAGES_AT = 100, 16, 28  # size of the file's head, and offsets in it
+REINDEX = "`rosbag reindex FILE` restores its index; it is part of ROS 1"
+
+Record = tuple[int, int, bytes]  # number of the connection, time of reception in ns, message
+
+
+class Connection(NamedTuple):
+    """A topic of one file with the type of its messages.
+
+    - number: within the file
+    - msgtype: as `package/msg/Name`
+    - encoding: of the messages; cdr in ROS 2, ros1 in ROS 1
+    - definition, digest: of the type, as text, and its checksum in ROS 1; each empty if it is unknown
+    """
+
+    number: int
+    topic: str
+    msgtype: str
+    encoding: str
+    definition: str = ""
+    digest: str = ""
+    msgcount: int = 0
+
+    @property
+    def ros2(self) -> bool:
+        """Whether its messages have the encoding of ROS 2."""
+        return self.encoding == "cdr"
+
+
+class BagFile:
+    """A file of a bag: its connections and messages, notes on missing data, and whether data is known to be missing.
+
+    disordered: connections whose messages were received in another order. spans_ns: their first and last reception.
+    """
+
+    def __init__(self, path: Path, where: str) -> None:
+        """Read the list of messages; raise InputError if none can be read. where: the file's name in messages."""
+        self.path, self.where = path, where
+        self.notes: list[str] = []
+        self.cut_short = False
+        self.disordered: set[int] = set()
+        self.spans_ns: dict[int, tuple[int, int]] = {}
+        self._counts: Counter[int] = Counter()
+        connections = self._read()
+        self.connections = [one._replace(msgcount=self._counts[one.number]) for one in connections]
+
+    def messages(self, numbers: Collection[int]) -> Iterator[Record]:
+        """Yield all messages of some connections in the order of the file."""
+        raise NotImplementedError
+
+    def _read(self) -> list[Connection]:
+        """Return the connections, having passed each message to `_take`."""
+        raise NotImplementedError
+
+    def _take(self, number: int, time_ns: int) -> None:
+        self._counts[number] += 1
+        first_ns, latest_ns = self.spans_ns.get(number, (time_ns, time_ns))
+        if time_ns < latest_ns:
+            self.disordered.add(number)
+        self.spans_ns[number] = first_ns, time_ns
+
+
+class Rosbag1File(BagFile):
+    """A bag of ROS 1, version 2.0."""
+
+    def messages(self, numbers: Collection[int]) -> Iterator[Record]:
+        """Yield all messages of some connections in the order of the file."""
+        import lz4.frame
+        from rosbags.rosbag1 import Reader
+
+        decompressors = {bz2.decompress: bz2.BZ2Decompressor, lz4.frame.decompress: lz4.frame.LZ4FrameDecompressor}
+        with Reader(self.path) as reader:
+            for at, chunk in reader.chunks.items():
+                if chunk.decompressor in decompressors:
+                    limited = partial(unpacked, decompressors[chunk.decompressor], where=self.where)
+                    reader.chunks[at] = chunk._replace(decompressor=limited)
+            rows = [row for number in numbers for row in reader.indexes[number]]
+            rows.sort(key=lambda row: (row.chunk_pos, row.offset))
+            first = next((one for one in reader.connections if one.id in numbers), None)
+            if first is not None:
+                reader.indexes[first.id] = rows
+                for connection, time_ns, message in reader.messages([first]):
+                    yield connection.id, time_ns, message
+
+    def _read(self) -> list[Connection]:
+        from rosbags.rosbag1 import Reader
+
+        try:
+            with Reader(self.path) as reader:
+                for number, index in reader.indexes.items():
+                    for row in sorted(index, key=lambda row: (row.chunk_pos, row.offset)):
+                        self._take(number, row.time)
+                return [
+                    Connection(one.id, one.topic, one.msgtype, "ros1", one.msgdef.data, one.digest)
+                    for one in reader.connections
+                ]
+        except (MemoryError, OSError):
+            raise
+        except Exception as error:  # rosbags raises all kinds for a damaged index
+            reason = (str(error).strip().splitlines() or [type(error).__name__])[0][:200]
+            raise InputError("the bag is cut short or damaged", where=self.where, found=reason, hint=REINDEX) from None
+
+
+class McapFile(BagFile):
+    """An MCAP file of ROS 2 (CDR) or ROS 1, closed or not; without an index, because it is read from the start."""
+
+    def messages(self, numbers: Collection[int]) -> Iterator[Record]:
+        """Yield all messages of some connections in the order of the file."""
+        from mcap.records import Message
+
+        for record in self._records(_Losses(Counter())):
+            if isinstance(record, Message) and record.channel_id in numbers:
+                yield record.channel_id, record.log_time, record.data
+
+    def _read(self) -> list[Connection]:
+        from mcap.records import Channel, Message, Schema, Statistics
+
+        schemas: dict[int, Schema] = {}
+        channels: dict[int, Channel] = {}
+        stated = None
+        losses = _Losses(Counter())
+        for record in self._records(losses):
+            if isinstance(record, Message):
+                self._take(record.channel_id, record.log_time)
+            elif isinstance(record, Schema):
+                schemas.setdefault(record.id, record)
+            elif isinstance(record, Channel):
+                channels.setdefault(record.id, record)
+            elif isinstance(record, Statistics):
+                stated = record.message_count
+        count, broken, lost_bytes = self._counts.total(), losses.broken, losses.end_bytes
+        if not count and (losses.cut_short or broken):
+            found = next(iter(broken), f"{lost_bytes:,} bytes that are not a complete chunk")
+            message = "no message can be read: the bag is cut short or damaged"
+            raise InputError(message, where=self.where, found=found)
+        kept = f"kept {count:,} messages"
+        if broken:
+            self.notes.append(f"left out {broken.total():,} damaged chunks ({next(iter(broken))})")
+        if lost_bytes:
+            of_chunks = f"{kept} of complete chunks; the last {lost_bytes:,} bytes are lost"
+            self.notes.append(f"cut short or damaged: {of_chunks}")
+        elif losses.cut_short:
+            self.notes.append(f"the bag was not closed, probably because its recorder was killed: {kept}")
+        elif stated not in (None, count) and not broken:
+            self.notes.append(f"the file states {stated:,} messages but has {count:,}")
+        self.cut_short = losses.cut_short or bool(broken)
+        connections = []
+        for channel in channels.values():
+            schema = schemas.get(channel.schema_id)
+            name = full_name(schema.name) if schema else ""
+            text = schema.data.decode(errors="replace") if schema and schema.encoding in DEFINED_AS else ""
+            connections.append(Connection(channel.id, channel.topic, name, channel.message_encoding, text))
+        return connections
+
+    def _records(self, losses: "_Losses") -> Iterator[Any]:
+        """Yield all records up to the end or the first damage; at the end `losses` is filled."""
+        import zstandard
+        from mcap.records import Chunk
+        from mcap.stream_reader import StreamReader, breakup_chunk
+
+        with self.path.open("rb", buffering=0) as raw, _ExactReader(raw) as file:
+            end = 0
+            try:
+                for record in StreamReader(file, emit_chunks=True, record_size_limit=MOST_RECORD_BYTES).records:
+                    end = file.tell()
+                    if not isinstance(record, Chunk):
+                        yield record
+                        continue
+                    try:
+                        own = zstandard.frame_content_size(record.data) if record.compression == "zstd" else 0
+                        refuse_too_much(max(record.uncompressed_size, own), len(record.data), self.where)
+                        records = breakup_chunk(record, validate_crc=True)
+                    except (EvetacError, MemoryError):
+                        raise
+                    except Exception as error:  # of mcap and the libraries that unpack
+                        losses.broken[str(error) or type(error).__name__] += 1
+                        continue
+                    yield from records
+            except (EvetacError, MemoryError, OSError):
+                raise
+            except Exception:  # mcap raises all kinds where a file is cut or damaged
+                losses.cut_short, losses.end_bytes = True, file.seek(0, 2) - end
+
+
+class _ExactReader(io.BufferedReader):
+    """A file whose end within a record is an error; mcap itself takes what is left of a message for a whole one."""
+
+    def read(self, size: int | None = -1) -> bytes:
+        content = super().read(size)
+        if size is not None and len(content) < size:
+            raise EOFError
+        return content
+
+
+@dataclass
+class _Losses:
+    """Damaged chunks by reason, whether the file ends early, and the bytes after its last complete record."""
+
+    broken: Counter[str]
+    cut_short: bool = False
+    end_bytes: int = 0
+
+
+class Db3File(BagFile):
+    """A file of SQLite: its table is read, never an index, and no view or function that the file defines is run."""
+
+    def messages(self, numbers: Collection[int]) -> Iterator[Record]:
+        """Yield all messages of some connections in the order of the file."""
+        with closing(self._connected()) as database:
+            marks = ", ".join("?" * len(numbers))
+            query = f"SELECT topic_id, timestamp, data FROM messages NOT INDEXED WHERE topic_id IN ({marks})"
+            for number, time_ns, content in database.execute(f"{query} ORDER BY rowid", tuple(numbers)):
+                if not isinstance(content, bytes):
+                    raise ValueError("a row has no message")
+                yield number, time_ns, content
+
+    def _read(self) -> list[Connection]:
+        try:
+            with closing(self._connected()) as database:
+                definitions = self._check_tables(database)
+                for number, time_ns in database.execute("SELECT topic_id, timestamp FROM messages ORDER BY rowid"):
+                    if type(number) is not int or type(time_ns) is not int:
+                        raise InputError("topic or time of a message is no number", where=self.where)
+                    self._take(number, time_ns)
+                rows = database.execute("SELECT id, name, type, serialization_format FROM topics").fetchall()
+        except sqlite3.DatabaseError as error:
+            missing = _missing_bytes(self.path)
+            lost = f"; {missing:,} bytes at its end are missing" if missing > 0 else ""
+            hint = "if the original is longer, copy it again; else `sqlite3 FILE .recover` saves what can still be read"
+            message = "the bag is cut short or damaged"
+            raise InputError(message, where=self.where, found=f"{error}{lost}", hint=hint) from None
+        return [
+            Connection(int(number), str(name), str(kind), str(encoding), definitions.get(kind, ""))
+            for number, name, kind, encoding in rows
+        ]
+
+    def _connected(self) -> sqlite3.Connection:
+        uri = f"file:{quote(str(self.path.resolve()))}?mode=ro&immutable=1"
+        database = sqlite3.connect(uri, uri=True)
+        database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MOST_RECORD_BYTES // 2)
+        database.execute("PRAGMA trusted_schema = OFF")
+        return database
+
+    def _check_tables(self, database: sqlite3.Connection) -> dict[str, str]:
+        """Return the definitions of message types; InputError unless topics and messages are plain tables.
+
+        A view or virtual table could be anything.
+        """
+        rows = database.execute("SELECT name FROM sqlite_master WHERE type = 'table' AND rootpage > 0").fetchall()
+        names = {str(name) for (name,) in rows}
+        if not {"topics", "messages"} <= names:
+            found = ", ".join(sorted(names))[:200] or "no table"
+            raise InputError("not a ROS 2 bag", where=self.where, expected="tables topics and messages", found=found)
+        if _missing_bytes(self.path) > 0:
+            raise sqlite3.DatabaseError("the file is shorter than it states")
+        if "message_definitions" not in names:
+            return {}
+        query = "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
+        return {str(kind): str(text) for kind, how, text in database.execute(query) if how == "ros2msg"}
+
+
+def _missing_bytes(path: Path) -> int:
+    """Return the bytes by which a file of SQLite is shorter than its head states."""
+    with path.open("rb") as file:
+        head = file.read(SQLITE_HEAD_BYTES)
+        size = file.seek(0, 2)
+    page_bytes = int.from_bytes(head[PAGE_BYTES_AT : PAGE_BYTES_AT + 2])
+    return int.from_bytes(head[PAGES_AT : PAGES_AT + 4]) * (1 << 16 if page_bytes == 1 else page_bytes) - size
