@@ -17,6 +17,7 @@ import pickle
 import pickletools
 import warnings
 from collections.abc import Callable
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -29,8 +30,6 @@ from evetac_cli.text_files import read_bytes
 
 MOST_BYTES = 1 << 20  # the official file has 1,735
 MOST_MEMO = 10_000
-MOST_NUMBERS = 10_000  # in lists, which may contain each other: the official file has 168
-MOST_LATIN1 = 1 << 22  # characters in total, because one text may be converted to bytes repeatedly
 # The opcodes of numpy's pickles of every protocol, and of texts that Python 2 wrote.
 OPCODES = """
     PROTO FRAME STOP MARK NONE NEWTRUE NEWFALSE INT BININT BININT1 BININT2 LONG1 FLOAT BINFLOAT
@@ -93,11 +92,20 @@ class _Substitute:
         raise pickle.UnpicklingError("the pickle sets the state of a function")
 
 
+@lru_cache(maxsize=64)  # a pickle may name one text again and again
+def _latin1(text: Any, encoding: Any) -> bytes:
+    """Convert text to bytes; protocol 2 and older store bytes this way."""
+    if not isinstance(text, str) or encoding != "latin1":
+        raise pickle.UnpicklingError("text is not encoded as latin1")
+    return text.encode("latin1")
+
+
 _DTYPE = _Substitute(lambda code, *_: _Type(code))
 _RECONSTRUCT = _Substitute(lambda *_: _Array())
 _SCALAR = _Substitute(lambda type_, content: _array(content, type_, ()))
 _FROM_BUFFER = _Substitute(_array)
 _NAMES: dict[str, Any] = {
+    "_codecs.encode": _Substitute(_latin1),
     "numpy.ndarray": "ndarray",  # the class that _reconstruct is called with
     "numpy.dtype": _DTYPE,
     "numpy.core.multiarray._reconstruct": _RECONSTRUCT,
@@ -110,21 +118,8 @@ _NAMES: dict[str, Any] = {
 
 
 class _Reader(pickle.Unpickler):
-    left = MOST_LATIN1
-
-    def _latin1(self, text: Any, encoding: Any) -> bytes:
-        """Convert text to bytes; protocol 2 and older store bytes this way."""
-        if not isinstance(text, str) or encoding != "latin1":
-            raise pickle.UnpicklingError("text is not encoded as latin1")
-        self.left -= len(text)
-        if self.left < 0:
-            raise pickle.UnpicklingError("more text than a calibration has")
-        return text.encode("latin1")
-
     def find_class(self, module: str, name: str) -> Any:
         """Look a name up in the table of substitutes; nothing is ever imported."""
-        if (module, name) == ("_codecs", "encode"):
-            return _Substitute(self._latin1)
         if f"{module}.{name}" not in _NAMES:
             raise pickle.UnpicklingError(f"it uses {module[:40]}.{name[:40]}, which a calibration does not need")
         return _NAMES[f"{module}.{name}"]
@@ -177,18 +172,21 @@ def _check_opcodes(content: bytes) -> None:
 
 
 def _numbers(value: Any) -> NDArray[np.float64]:
-    """Return an array, or nested lists of numbers, as float64."""
-    array = np.array(_plain(value, [MOST_NUMBERS]))
-    if not isinstance(value, (_Array, list)) or array.dtype.kind not in "iuf":
+    """Return an array, a list of numbers, or a list of such lists, as float64.
+
+    A list is not longer than a grid and its rows than a dot, because lists may contain one other list many times.
+    """
+    if isinstance(value, list) and len(value) <= MOST_DOTS + 1:
+        value = [[_plain(item) for item in row[:3]] if isinstance(row, list) else _plain(row) for row in value]
+        array = np.array(value)
+    else:
+        array = np.asarray(_plain(value))
+    if array.dtype.kind not in "iuf":
         raise pickle.UnpicklingError("contents other than arrays of numbers")
     return array.astype(np.float64)
 
 
-def _plain(value: Any, left: list[int]) -> Any:
-    """Return lists in which substitutes are replaced by their arrays; raise UnpicklingError after `left` items."""
-    left[0] -= 1
-    if left[0] < 0:
-        raise pickle.UnpicklingError(f"lists have more than {MOST_NUMBERS} numbers")
+def _plain(value: Any) -> Any:
     if isinstance(value, list):
-        return [_plain(item, left) for item in value]
+        raise pickle.UnpicklingError(f"lists of more than {MOST_DOTS} numbers, or of other lists")
     return value.values if isinstance(value, _Array) else value

@@ -8,7 +8,6 @@ becomes a column per element. Columns that are not numbers are left out, and a n
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
 from itertools import accumulate
 from pathlib import Path
 from typing import Any
@@ -19,8 +18,8 @@ from numpy.typing import NDArray
 from evetac_cli.errors import InputError, missing_extra
 from evetac_cli.formats.arrow_columns import is_known, to_arrow, to_numpy
 from evetac_cli.formats.read.csv_dialect import find_dialect
+from evetac_cli.formats.read.damage import read_in_words, refuse_too_much
 from evetac_cli.formats.read.table_names import TICKS_S, Times, find_times, has_unit, is_time, name_and_unit
-from evetac_cli.formats.read.unpacked_size import refuse_too_much
 from evetac_cli.store.hdf5.disk import joined_on_disk, utf8_path
 from evetac_cli.store.recordings.streams import Stream, free_name
 from evetac_cli.text_files import open_regular
@@ -29,9 +28,6 @@ MAGIC = b"PAR1"  # of Parquet
 BATCH_ROWS = 1 << 16
 BLOCK_BYTES = 1 << 22  # of CSV that are parsed together
 MOST_COLUMNS = 512
-MOST_GROUP_BYTES = 1 << 29  # unpacked size of a row group of a Parquet file
-MOST_GROUPS = 50_000  # row groups of a Parquet file: this many alone take 400 MB and seconds
-MOST_FOOTER_BYTES = 1 << 23  # of a Parquet file; reading it takes seconds. 500 columns and 100 groups need less
 NUMBER_BYTES = 8  # of a number or a time in the temporary file
 MOST_US = 1 << 60  # 36,000 years: the sum of two such times does not overflow
 MOST_S = MOST_US // 10**6
@@ -60,10 +56,10 @@ def read_table(path: Path, folder: Path | None, length_s: float = math.inf) -> t
     """
     where = str(path)
     try:
-        import pyarrow
+        import pyarrow  # noqa: F401
     except ImportError as error:
         raise missing_extra("CSV and Parquet need pyarrow", "convert", where=where, error=error) from None
-    with _in_words(where, pyarrow.ArrowException), utf8_path(path) as place:
+    with read_in_words(where, "the table cannot be read"), utf8_path(path) as place:
         names, types, batches_of, notes = _parquet(place) if is_parquet(path) else _csv(place, where)
         if len(names) > MOST_COLUMNS:
             raise _too_wide(len(names), where)
@@ -329,15 +325,16 @@ def _durations(texts: Any) -> Any:
 
 def _parquet(path: Path) -> tuple[list[str], list[Any], Batches, list[str]]:
     """Return names and types of the columns, a function that reads some (no structs) in batches, and no notes."""
-    with _parquet_file(path, str(path)) as file:
+    from pyarrow import parquet
+
+    with parquet.ParquetFile(path) as file:
         schema = file.schema_arrow
     first = list(accumulate(map(_leaves, schema.types), initial=0))  # index in the file of each column of the schema
 
     def batches(wanted: Sequence[int], where: str) -> Iterator[Any]:
         columns = [first[at] for at in wanted]
-        with _parquet_file(path, where) as file:
-            lists = [first[at] for at in wanted if _is_list(schema.types[at])]
-            _check_size(file.metadata, len(columns) - len(lists), lists, path.stat().st_size, where)
+        with parquet.ParquetFile(path) as file:
+            _check_size(path, file.metadata, len(columns), where)
             in_file = sorted(columns)  # so that a batch has this order, whether or not pyarrow keeps another
             groups = range(file.metadata.num_row_groups)
             for batch in file.reader.iter_batches(BATCH_ROWS, groups, in_file, use_threads=False):
@@ -346,59 +343,22 @@ def _parquet(path: Path) -> tuple[list[str], list[Any], Batches, list[str]]:
     return list(schema.names), list(schema.types), batches, []
 
 
-def _parquet_file(path: Path, where: str) -> Any:
-    """Open the file and read its footer; raise InputError if the footer alone would fill the memory."""
-    from pyarrow import parquet
-
-    hint = "save the file again with larger row groups and fewer columns"
-    with open_regular(path) as opened:
-        opened.seek(max(0, opened.seek(0, 2) - 8))
-        footer = int.from_bytes(opened.read(4), "little")
-    if footer > MOST_FOOTER_BYTES:
-        expected, size_mb = f"a footer of at most {MOST_FOOTER_BYTES / 1e6:.0f} MB", f"{footer / 1e6:,.0f} MB"
-        raise InputError(
-            "the file has too many row groups and columns", where=where, expected=expected, found=size_mb, hint=hint
-        )
-    try:
-        return parquet.ParquetFile(path, thrift_container_size_limit=MOST_GROUPS)
-    except OSError as error:
-        if "size limit" not in str(error):
-            raise
-        expected = f"at most {MOST_GROUPS:,} row groups, and as many columns"
-        raise InputError("the file has too many row groups", where=where, expected=expected, hint=hint) from None
-
-
 def _leaves(kind: Any) -> int:
     """Return how many columns of the file a column of the schema has; a struct has several."""
     return sum(_leaves(kind.field(at).type) for at in range(kind.num_fields)) if kind.num_fields else 1
 
 
-def _check_size(metadata: Any, scalars: int, lists: Sequence[int], size_bytes: int, where: str) -> None:
-    """Raise InputError if columns of a Parquet file unpack to more than fits in memory, or than its size allows.
+def _check_size(path: Path, metadata: Any, columns: int, where: str) -> None:
+    """Raise InputError if columns of a Parquet file unpack to more than its size allows.
 
-    lists: indices of the columns whose rows may have several numbers. Only these are asked for theirs, since pyarrow
-    ends the program if the metadata of a column are damaged.
+    Only groups are asked: pyarrow ends the process (`terminate called`) if the metadata of a column are damaged.
     """
-    groups = list(map(metadata.row_group, range(metadata.num_row_groups)))
-    numbers = scalars * sum(group.num_rows for group in groups)
-    numbers += sum(group.column(at).num_values for group in groups for at in lists)
-    refuse_too_much(numbers * NUMBER_BYTES, size_bytes, where)
-    largest = max((group.total_byte_size for group in groups), default=0)
-    if largest > MOST_GROUP_BYTES:
-        expected, size_mb = f"row groups of at most {MOST_GROUP_BYTES / 1e6:,.0f} MB", f"{largest / 1e6:,.0f} MB"
-        hint = "save the file again with smaller row groups"
-        raise InputError("the row groups are too large", where=where, expected=expected, found=size_mb, hint=hint)
+    groups = [metadata.row_group(at) for at in range(metadata.num_row_groups)]
+    numbers = columns * sum(group.num_rows for group in groups)
+    pages = sum(group.total_byte_size for group in groups)
+    refuse_too_much(max(numbers * NUMBER_BYTES, pages), path.stat().st_size, where)
 
 
 def _some(names: list[str]) -> str:
     more = f" and {len(names) - NAMED_LEFT_OUT} more" if len(names) > NAMED_LEFT_OUT else ""
     return f"column{'s' * (len(names) > 1)} {', '.join(name.strip()[:60] for name in names[:NAMED_LEFT_OUT])}{more}"
-
-
-@contextmanager
-def _in_words(where: str, of_pyarrow: type[Exception]) -> Iterator[None]:
-    try:
-        yield
-    except (of_pyarrow, OSError, OverflowError, UnicodeError) as error:
-        reason = (str(error).strip().splitlines() or [type(error).__name__])[0][:200]
-        raise InputError("the table cannot be read", where=where, found=reason) from None

@@ -49,18 +49,6 @@ def test_a_small_file_does_not_become_a_large_one(tmp_path: Path) -> None:
     assert len(read(written(tmp_path / "b.parquet", columns)).columns) == 101
 
 
-def test_a_footer_of_very_many_groups_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that a table that lists more row groups than memory should hold is refused in words, and one below not."""
-    path = written(tmp_path / "a.parquet", {"t_ms": np.arange(60), "x": np.zeros(60)}, row_group_size=1)
-    assert len(read(path).columns) == 1
-    monkeypatch.setattr(read_table, "MOST_GROUPS", 50)
-    with pytest.raises(InputError, match=r"too many row groups(.|\n)*at most 50 row groups"):
-        read(path)
-    monkeypatch.setattr(read_table, "MOST_FOOTER_BYTES", 1 << 10)
-    with pytest.raises(InputError, match=r"row groups and columns(.|\n)*a footer of at most"):
-        read(path)
-
-
 def test_a_text_is_not_read(tmp_path: Path) -> None:
     """Assert that a column that is left out costs neither memory nor time: here 20 GB of one text."""
     columns = {"t_ms": np.arange(2000), "s": texts(2000, 10_000_000), "x": np.arange(2000.0)}
@@ -105,16 +93,6 @@ def test_a_footer_that_pyarrow_ends_the_program_for(tmp_path: Path) -> None:
     command = [sys.executable, "-c", program, str(path), str(size), str(tmp_path / "b.parquet")]
     done = subprocess.run(command, capture_output=True, text=True, check=False, env={"PYTHONPATH": str(PACKAGE.parent)})
     assert (done.returncode, done.stderr) == (0, "")
-
-
-def test_row_groups_are_limited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that a row group that unpacks to more than the limit is refused, and one below it is read."""
-    path = written(tmp_path / "a.parquet", {"t_ms": np.arange(ROWS), "x": X}, compression="none", use_dictionary=False)
-    monkeypatch.setattr(read_table, "MOST_GROUP_BYTES", 2 * ROWS * 8 - 1)
-    with pytest.raises(InputError, match="row groups are too large"):
-        read(path)
-    monkeypatch.setattr(read_table, "MOST_GROUP_BYTES", 2 * ROWS * 8 + 500)
-    assert len(read(path).t_us) == ROWS
 
 
 def test_columns_keep_their_names_and_order(tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ from xml.etree import ElementTree
 from evetac_cli.errors import InputError
 from evetac_cli.formats.note import NAME
 from evetac_cli.formats.read.aedat.aedat4_payloads import LZ4, PLAIN, ZSTD, content
-from evetac_cli.formats.read.unpacked_size import refuse_too_much
+from evetac_cli.formats.read.damage import refuse_too_much
 
 MAGIC = b"#!AER-DAT4.0\r\n"
 HEADER_LIMIT_BYTES = 1 << 24

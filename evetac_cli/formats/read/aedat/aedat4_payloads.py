@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.errors import missing_extra
-from evetac_cli.formats.read.unpacked_size import most_unpacked_bytes
+from evetac_cli.formats.read.damage import most_unpacked_bytes
 
 MOST_BYTES = 1 << 28  # of a packet, decompressed
 LEAST_TABLE_BYTES = 16  # minimum per table of a vector: two positions of 4 bytes, and its time or position

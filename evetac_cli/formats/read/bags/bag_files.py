@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 from evetac_cli.errors import InputError
 from evetac_cli.formats.read.bags.bag_readers import BagFile, Db3File, McapFile, Rosbag1File
-from evetac_cli.formats.read.unpacked_size import refuse_too_much
+from evetac_cli.formats.read.damage import refuse_too_much
 from evetac_cli.store.hdf5.disk import temporary_name
 from evetac_cli.text_files import open_regular, read_bytes
 

@@ -18,7 +18,7 @@ from urllib.parse import quote
 
 from evetac_cli.errors import EvetacError, InputError
 from evetac_cli.formats.read.bags.message_definitions import full_name
-from evetac_cli.formats.read.unpacked_size import refuse_too_much, unpacked
+from evetac_cli.formats.read.damage import read_in_words, refuse_too_much, unpacked
 
 MOST_RECORD_BYTES = 1 << 30  # of a record of MCAP, or a value of SQLite
 DEFINED_AS = ("ros1msg", "ros2msg")  # encodings of definitions that message_definitions reads
@@ -109,20 +109,14 @@ class Rosbag1File(BagFile):
     def _read(self) -> list[Connection]:
         from rosbags.rosbag1 import Reader
 
-        try:
-            with Reader(self.path) as reader:
-                for number, index in reader.indexes.items():
-                    for row in sorted(index, key=lambda row: (row.chunk_pos, row.offset)):
-                        self._take(number, row.time)
-                return [
-                    Connection(one.id, one.topic, one.msgtype, "ros1", one.msgdef.data, one.digest)
-                    for one in reader.connections
-                ]
-        except (MemoryError, OSError):
-            raise
-        except Exception as error:  # rosbags raises all kinds for a damaged index
-            reason = (str(error).strip().splitlines() or [type(error).__name__])[0][:200]
-            raise InputError("the bag is cut short or damaged", where=self.where, found=reason, hint=REINDEX) from None
+        with read_in_words(self.where, "the bag is cut short or damaged", REINDEX), Reader(self.path) as reader:
+            for number, index in reader.indexes.items():
+                for row in sorted(index, key=lambda row: (row.chunk_pos, row.offset)):
+                    self._take(number, row.time)
+            return [
+                Connection(one.id, one.topic, one.msgtype, "ros1", one.msgdef.data, one.digest)
+                for one in reader.connections
+            ]
 
 
 class McapFile(BagFile):

@@ -8,16 +8,15 @@ import heapq
 import math
 from collections import Counter
 from collections.abc import Collection, Iterator
-from contextlib import contextmanager
 from functools import lru_cache
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from evetac_cli.errors import EvetacError, InputError, missing_extra
+from evetac_cli.errors import missing_extra
 from evetac_cli.formats.read.bags import bag_files
 from evetac_cli.formats.read.bags.bag_readers import Connection
-from evetac_cli.formats.read.unpacked_size import unpacked
+from evetac_cli.formats.read.damage import read_in_words, unpacked
 
 LIBRARIES = ("rosbags.typesys", "mcap.records", "lz4.frame", "zstandard", "ruamel.yaml")
 MOST_HELD_BYTES = 256 << 20  # of messages that wait for others received earlier
@@ -76,7 +75,7 @@ class Bag:
         """
         wanted = {_alike(one): one for one in connections}
         for file in self._files:
-            with bag_in_words(str(self.path), "a message"):
+            with read_in_words(str(self.path), "a message cannot be read"):
                 numbers = {one.number: wanted[_alike(one)] for one in file.connections if _alike(one) in wanted}
                 records = file.messages(numbers)
                 for number, time_ns, message in _by_reception(records) if by_reception else records:
@@ -116,7 +115,7 @@ def open_bag(path: Path) -> Bag:
         missing = [error.name or str(error)]
     if missing:
         raise missing_extra("ROS bags need rosbags and mcap", "convert", where=where, found=f"no {missing[0]}")
-    with bag_in_words(where, "the bag"):
+    with read_in_words(where, "the bag cannot be read"):
         files = bag_files.files_of(path)
         return _bag(path, files, tuple(stamp for file in files.paths for stamp in bag_files.stamps(file)))
 
@@ -126,15 +125,3 @@ def _bag(path: Path, files: bag_files.Files, stamps: tuple[Any, ...]) -> Bag:
     """Return a bag, cached as long as its files do not change."""
     del stamps
     return Bag(path, files)
-
-
-@contextmanager
-def bag_in_words(where: str, what: str) -> Iterator[None]:
-    """Turn any exception into InputError, because libraries and parsers raise all kinds for damaged bags."""
-    try:
-        yield
-    except (MemoryError, OSError, EvetacError):
-        raise
-    except Exception as error:
-        reason = (str(error).strip().splitlines() or [type(error).__name__])[0][:200]
-        raise InputError(f"{what} cannot be read", where=where, found=reason) from None

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from evetac_cli.errors import InputError, missing_extra
 from evetac_cli.formats.read.bags.bag_readers import Connection
 from evetac_cli.formats.read.bags.message_definitions import checksum
-from evetac_cli.formats.read.bags.open_bag import Bag, bag_in_words, open_bag
+from evetac_cli.formats.read.bags.open_bag import Bag, open_bag
 from evetac_cli.formats.read.bags.read_rosbag import (
     PACKET,
     RECEPTION,
@@ -39,6 +39,7 @@ from evetac_cli.formats.read.bags.read_rosbag import (
     layout,
 )
 from evetac_cli.formats.read.bags.ros_messages import NS, Fields, event_packet
+from evetac_cli.formats.read.damage import read_in_words
 from evetac_cli.store.hdf5.disk import joined_on_disk
 from evetac_cli.store.recordings.streams import BLOCK_VALUES, LARGEST_FRAME_PX, Stream, free_name
 
@@ -223,7 +224,7 @@ def _stamped(message: Any) -> Iterator[tuple[int, Any]]:
 def _decoded(messages: Iterator[Any], decode: Callable[[bytes], Any], where: str) -> Iterator[tuple[int, Any]]:
     """Yield the time of reception in ns and the content of each message."""
     for number, (_, received_ns, message) in enumerate(messages):
-        with bag_in_words(where, f"message {number}"):
+        with read_in_words(where, f"message {number} cannot be read"):
             content = decode(message)
         yield received_ns, content
 
@@ -403,13 +404,13 @@ class _Images(_MessageReader):
             from PIL import Image
         except ImportError as error:
             raise missing_extra("compressed images need pillow", "plot", where=self.where, error=error) from None
-        with bag_in_words(self.where, f"the image of message {self.number}"):
+        with read_in_words(self.where, f"the image of message {self.number} cannot be read"):
             opened = Image.open(io.BytesIO(np.asarray(message.data, np.uint8).tobytes()), formats=("JPEG", "PNG"))
         self._check_size(*opened.size)  # before it is unpacked
         if math.prod(opened.size) > MOST_PACKED_PX:
             size = "{} x {}".format(*opened.size)
             self.refuse("a compressed image is too large", f"at most {MOST_PACKED_PX:,} px", size)
-        with bag_in_words(self.where, f"the image of message {self.number}"):
+        with read_in_words(self.where, f"the image of message {self.number} cannot be read"):
             pixels = np.asarray(opened.convert("L" if opened.mode in ("L", "1") else "RGB"))
         return pixels.reshape(*pixels.shape[:2], -1)
 
@@ -433,7 +434,7 @@ def _trigger_parts(path: Path, topic: str) -> Iterator[tuple[NDArray[Any], ...]]
     bag = open_bag(path)
     connections = [one for one in bag.connections if one.topic == topic]
     for number, (connection, _, message) in enumerate(bag.messages(connections)):
-        with bag_in_words(f"{path}: message {number} on {topic}", "a trigger"):
+        with read_in_words(f"{path}: message {number} on {topic}", "a trigger cannot be read"):
             fields = Fields(message, ros2=connection.ros2)
             if connection.msgtype in TRIGGERS_OF_DV:
                 source, (seconds, nanoseconds) = fields.number("b"), (fields.number("I"), fields.number("I"))

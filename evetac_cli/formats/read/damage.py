@@ -1,13 +1,14 @@
-"""The one limit on the size that another program's packed data may unpack to: a few kB could fill all memory or disk.
+"""Say in words that another program's file is damaged, and limit what its packed data may unpack to.
 
-Deflate expands one byte to up to 1,032, Zstandard and bzip2 to more. A column with a single polarity comes close to
-this; all numbers of events or samples together do not.
+Deflate expands one byte to up to 1,032, Zstandard and bzip2 to more: a few kB could fill all memory or the disk. A
+column with a single polarity comes close to this; all numbers of events or samples together do not.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
-from evetac_cli.errors import InputError
+from evetac_cli.errors import EvetacError, InputError
 
 MOST_TIMES = 100  # largest ratio of unpacked to packed size
 ALWAYS_BYTES = 64 << 20  # size that anything may unpack to
@@ -38,3 +39,17 @@ def unpacked(decompressor: Callable[[], Any], packed: bytes, where: str) -> byte
     if not stream.eof:
         raise ValueError("a compressed part ends early")
     return content
+
+
+@contextmanager
+def read_in_words(where: str, message: str, hint: str = "") -> Iterator[None]:
+    """Turn any exception into InputError, because libraries and parsers raise all kinds for damaged files."""
+    try:
+        yield
+    except (MemoryError, EvetacError):
+        raise
+    except Exception as error:
+        if isinstance(error, OSError) and error.errno:  # of the disk, not of the contents
+            raise
+        reason = (str(error).strip().splitlines() or [type(error).__name__])[0][:200]
+        raise InputError(message, where=where, found=reason, hint=hint) from None
