@@ -25,7 +25,7 @@ from evetac_cli.devices.cameras import NamedCamera
 from evetac_cli.errors import InputError
 from evetac_cli.formats import exports, imports
 from evetac_cli.formats.imports import ImportFormat, read_events
-from evetac_cli.formats.read.event_validation import EventColumns, Foreign
+from evetac_cli.formats.read.source import EventColumns, EventSource
 from evetac_cli.inspect.doctor import plugin_check
 from evetac_cli.kernels.grip.control import PluginLaw
 from evetac_cli.kernels.grip.load_law import MARGIN
@@ -545,9 +545,9 @@ def test_a_network_whose_forms_differ(
     assert (tmp_path / "fine.model.h5").is_file()
 
 
-def foreign(*columns: Any) -> Foreign:
+def foreign(*columns: Any) -> EventSource:
     """A file of events in a frame of 64 x 48 px."""
-    return Foreign("odd", (64, 48), [EventColumns(*columns, place=str)])
+    return EventSource("odd", (64, 48), [EventColumns(*columns, place=str)])
 
 
 ONES = np.ones(3, np.int64)
@@ -556,7 +556,7 @@ ONES = np.ones(3, np.int64)
 @pytest.mark.parametrize(
     ("read", "said"),
     [
-        (None, "returned no Foreign"),
+        (None, "returned no EventSource"),
         (replace(foreign(ONES, ONES, ONES, ONES), frame_px=(0, 48)), "impossible frame size"),
         (foreign(ONES, ONES, [1, 1, 1], ONES), "no columns of events(.|\n)*int64, int64, list, int64"),
         (foreign(ONES, ONES, ONES, np.array(["a"] * 3)), "no columns of events(.|\n)*int64, int64, int64, <U1"),

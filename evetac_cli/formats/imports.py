@@ -1,7 +1,6 @@
 """Read other programs' event files into evetac's columns; one table lists the formats.
 
-A format is recognized by the file's content, not by its name. The checks that all formats share are in
-read/event_validation.
+A format is recognized by the file's content, not by its name. The checks that all formats share are in read/source.
 """
 
 import math
@@ -17,7 +16,7 @@ import numpy as np
 
 from evetac_cli import names, plugins
 from evetac_cli.errors import InputError, cannot_read
-from evetac_cli.events import SLICE_US, Events, concatenate
+from evetac_cli.events import SLICE_US, Events, concatenate, empty
 from evetac_cli.formats.read import read_numpy
 from evetac_cli.formats.read.aedat import read_aedat2, read_aedat3
 from evetac_cli.formats.read.aedat.read_aedat4 import open_aedat4
@@ -25,19 +24,12 @@ from evetac_cli.formats.read.bags import read_rosbag
 from evetac_cli.formats.read.bags.bag_files import is_bag_folder
 from evetac_cli.formats.read.bags.read_rosbag import open_rosbag
 from evetac_cli.formats.read.column_order import assumption
-from evetac_cli.formats.read.event_validation import (
-    EventColumns,
-    Foreign,
-    FrameUnknown,
-    Normal,
-    checked_frame,
-    normalise,
-)
 from evetac_cli.formats.read.prophesee import read_prophesee
 from evetac_cli.formats.read.prophesee.read_prophesee import open_prophesee
 from evetac_cli.formats.read.read_hdf5 import open_hdf5
 from evetac_cli.formats.read.read_other_streams import Other, aedat3_streams, aedat4_streams, bag_streams
 from evetac_cli.formats.read.read_text import is_text_of_events, open_text
+from evetac_cli.formats.read.source import EventColumns, EventSource, FrameUnknown, checked_frame, clean
 from evetac_cli.formats.read.time_order import IN_ORDER, OrderOptions
 from evetac_cli.interrupts import leave_if_interrupted
 from evetac_cli.jobs import Progress, silent
@@ -68,12 +60,12 @@ SAID = {
 class ImportFormat(NamedTuple):
     """The bytes that a file of the format begins with, their possible offsets, its reader, and the options (SAID).
 
-    read: called with the path, the frame (width, height) or None, and the user's options; returns a Foreign. A plug-in
-    provides a row of this type. It is tried if no built-in format matches and the file begins with the plug-in's mark.
+    read: called with the path, the frame (width, height) or None, and the user's options; returns an EventSource. A
+    plug-in provides a row of this type. It is tried if no built-in format matches and the file begins with the mark.
     """
 
     begins: tuple[bytes, ...]
-    read: Callable[..., Foreign]
+    read: Callable[..., EventSource]
     said: tuple[str, ...] = ()
     at: tuple[int, ...] = (0,)
 
@@ -131,8 +123,8 @@ OTHER_FILES: tuple[tuple[tuple[bytes, ...], str, str], ...] = (
 
 
 @dataclass(frozen=True)
-class Facts:
-    """Facts about another program's file, available after its events have been read."""
+class Imported:
+    """The events of another program's file in evetac's columns, and facts about the file."""
 
     size: int  # events; the first one is at t = 0, unless the file states when its recording began
     frame_px: tuple[int, int]  # width, height
@@ -145,13 +137,7 @@ class Facts:
     streams: list[Stream]  # IMU samples, triggers, frames: in the recording's clock
     left_out: dict[str, int]  # amounts of other data in the file that were not imported: frames, IMU samples, ...
     simulated: bool  # the note of an evetac export states that its events are simulated
-
-
-@dataclass(frozen=True)
-class Imported(Facts):
-    """The events of another program's file in evetac's columns, in memory, with the facts about the file."""
-
-    events: Events
+    events: Events = empty()  # none if they were read in blocks
 
 
 class EventFile:
@@ -199,10 +185,10 @@ class EventFile:
         self._stream = stream
         with _reading(self._path, self._steady):
             try:
-                self._foreign = _open(self._path, frame_px, user_options)
+                self._source = _open(self._path, frame_px, user_options)
             except FrameUnknown as unknown:
-                self._foreign = _open_with_guessed_frame(self._path, user_options, unknown)
-        self.frame_px = self._foreign.frame_px
+                self._source = _open_with_guessed_frame(self._path, user_options, unknown)
+        self.frame_px = self._source.frame_px
 
     def blocks(self) -> Iterator[Events]:
         """Yield all events in time order; afterwards `facts` is set.
@@ -210,10 +196,10 @@ class EventFile:
         Raises InputError if the file cannot be used, possibly only after the last block: discard all blocks then. Of a
         damaged AEDAT4 file, the intact events are yielded.
         """
-        foreign, normal = self._foreign, Normal()
-        batches = foreign.batches
-        foreign.batches = _counted(batches, self._progress)
-        blocks = normalise(foreign, normal, order=self._order, where=self._where, folder=self._folder)
+        source = self._source
+        batches = source.batches
+        source.batches = _counted(batches, self._progress)
+        blocks = clean(source, self._order, self._where, self._folder)
         try:
             while True:
                 with _reading(self._path, self._steady):
@@ -224,39 +210,35 @@ class EventFile:
         finally:
             if isinstance(batches, Generator):  # after an error its file is still open
                 batches.close()
-        self.facts = self._facts(normal)
+        self.facts = self._facts(source)
         self._steady.check()
 
-    def _facts(self, normal: Normal) -> Facts:
-        foreign, note = self._foreign, self._foreign.note
-        notes = [*foreign.notes, *_losses(foreign, normal)]
-        if note is None and not normal.size:
-            notes.append("the file has no events")
-        notes += normal.notes
-        notes += foreign.times.notes if foreign.times else []
-        slices = (normal.last_us - normal.first_us) // SLICE_US + 1 if normal.size else 0
-        if note and not foreign.cut_short and not _lacks_events(foreign, normal):
+    def _facts(self, source: EventSource) -> Imported:
+        note, lacks_events = source.note, _lacks_events(source)
+        notes = [*source.notes, *_losses(source, lacks_events=lacks_events), *source.corrections]
+        notes += source.times.notes if source.times else []
+        slices = (source.last_us - source.first_us) // SLICE_US + 1 if source.size else 0
+        if note and not source.cut_short and not lacks_events:
             slices = max(slices, note.slices)  # not for a truncated file: its lost slices were not necessarily empty
-        t_offset_us = normal.first_us + foreign.clock_us if normal.size or note else 0
+        t_offset_us = source.first_us + source.clock_us if source.size or note else 0
         with _reading(self._path, self._steady):
             if self._order.from_restart is None:
                 options = {"frames": self._frames, "folder": self._folder, "topic": self._stream}
-                streams, stream_notes = _kept(self._path, foreign, t_offset_us, slices, options)
+                streams, stream_notes = _kept(self._path, source, t_offset_us, slices, options)
             else:  # their times do not show which part they belong to
                 streams, stream_notes = [], []
-                foreign.left_out |= {stream.name: len(stream.t_us) for stream in foreign.streams}
-        notes += [*stream_notes, *_unsaid(foreign, streams)]
-        return Facts(
-            size=normal.size,
-            frame_px=foreign.frame_px,
+                source.left_out |= {stream.name: len(stream.t_us) for stream in source.streams}
+        return Imported(
+            size=source.size,
+            frame_px=source.frame_px,
             t_offset_us=t_offset_us,
             slices=slices,
-            format=foreign.format,
-            counts=normal.dropped,
-            sorted=normal.sorted,
-            notes=notes,
+            format=source.format,
+            counts=source.dropped,
+            sorted=source.sorted,
+            notes=[*notes, *stream_notes, *_unsaid(source, streams)],
             streams=streams,
-            left_out=foreign.left_out,
+            left_out=source.left_out,
             simulated=note is not None and note.simulated,
         )
 
@@ -265,7 +247,7 @@ def read_events(path: str | Path, **options: Any) -> Imported:
     """Read another program's event file into memory, or raise InputError; options are those of EventFile."""
     file = EventFile(path, **options)
     events = concatenate(list(file.blocks()))
-    return Imported(**vars(file.facts), events=events)
+    return replace(file.facts, events=events)
 
 
 @contextmanager
@@ -287,21 +269,21 @@ def _reading(path: Path, before: Steady) -> Iterator[None]:
 
 
 def _kept(
-    path: Path, foreign: Foreign, t_offset_us: int, slices: int, options: dict[str, Any]
+    path: Path, source: EventSource, t_offset_us: int, slices: int, options: dict[str, Any]
 ) -> tuple[list[Stream], list[str]]:
     """Return the other streams that are kept, in the recording's clock, and notes on their conversion.
 
-    Streams that are kept are removed from `foreign.left_out`.
+    Streams that are kept are removed from `source.left_out`.
     """
-    read = OTHER_STREAMS.get(foreign.format)
+    read = OTHER_STREAMS.get(source.format)
     streams: list[Stream] = []
     notes: list[str] = []
     counts: Counter[str] = Counter()
     span_us = (t_offset_us, t_offset_us + slices * SLICE_US)
-    others = read(path, span_us=span_us, **options) if read is not None and foreign.left_out else ()
-    for stream, name, unreadable, note in chain((Other(one, one.name) for one in foreign.streams), others):
+    others = read(path, span_us=span_us, **options) if read is not None and source.left_out else ()
+    for stream, name, unreadable, note in chain((Other(one, one.name) for one in source.streams), others):
         for counted in (name, f"packets of {name}"):
-            foreign.left_out.pop(counted, None)
+            source.left_out.pop(counted, None)
         taken = [one.name for one in streams]
         free = free_name(stream.name, taken) if stream.name in taken else stream.name
         within = replace(stream, name=free, t_us=stream.t_us - t_offset_us).within(slices)
@@ -310,18 +292,18 @@ def _kept(
         counts[f"unreadable packets of {name}"] += unreadable
         if len(within.t_us):
             streams.append(within)
-    foreign.left_out |= +counts
+    source.left_out |= +counts
     return streams, notes
 
 
-def _unsaid(foreign: Foreign, streams: list[Stream]) -> Iterator[str]:
+def _unsaid(source: EventSource, streams: list[Stream]) -> Iterator[str]:
     """Yield notes: what was kept in addition to the events, what was left out (with counts), what was assumed."""
     if streams:
         yield "kept: " + ", ".join(f"{len(stream.t_us):,} samples of {stream.name}" for stream in streams)
-    if foreign.left_out:
-        yield f"left out: {left_out_text(foreign.left_out)}"
-    unit = foreign.times.assumed if foreign.times else None
-    if assumed := ": ".join(filter(None, (foreign.assumed, assumption(foreign.guessed_order, unit)))):
+    if source.left_out:
+        yield f"left out: {left_out_text(source.left_out)}"
+    unit = source.times.assumed if source.times else None
+    if assumed := ": ".join(filter(None, (source.assumed, assumption(source.guessed_order, unit)))):
         yield f"assumed: {assumed}"
 
 
@@ -342,42 +324,42 @@ def _counted(batches: Iterable[EventColumns], progress: Progress) -> Iterator[Ev
         progress(count, 0, "events read")
 
 
-def _lacks_events(foreign: Foreign, normal: Normal) -> bool:
+def _lacks_events(source: EventSource) -> bool:
     """Whether a file that evetac exported has fewer events than were written into it."""
-    written = foreign.note.events if foreign.note else None
-    return written is not None and normal.size + sum(normal.dropped.values()) < written
+    written = source.note.events if source.note else None
+    return written is not None and source.read < written
 
 
-def _losses(foreign: Foreign, normal: Normal) -> Iterator[str]:
+def _losses(source: EventSource, *, lacks_events: bool) -> Iterator[str]:
     """Yield notes on losses that the reader did not report; dropped events only if they exceed LARGE_LOSS."""
-    if foreign.note and not foreign.cut_short and _lacks_events(foreign, normal):
-        yield f"cut short: {normal.size} events are left of the {foreign.note.events} that were exported"
-    dropped = normal.dropped
-    read = normal.size + sum(dropped.values())
-    if dropped["out_of_frame"] > LARGE_LOSS * read:
-        frame = "{}x{}".format(*foreign.frame_px)
-        share = f"{dropped['out_of_frame'] / read:.0%}"
+    if source.note and not source.cut_short and lacks_events:
+        yield f"cut short: {source.size} events are left of the {source.note.events} that were exported"
+    outside, no_numbers = (source.dropped[reason] for reason in ("out_of_frame", "not_a_number"))
+    if outside > LARGE_LOSS * source.read:
+        frame, share = "{}x{}".format(*source.frame_px), f"{outside / source.read:.0%}"
         yield f"{share} of the events are outside {frame} and were dropped; is this frame size right?"
-    if dropped["not_a_number"] > LARGE_LOSS * read:
-        yield f"{dropped['not_a_number'] / read:.0%} of the events were dropped: t, x, y or p is not a number"
+    if no_numbers > LARGE_LOSS * source.read:
+        yield f"{no_numbers / source.read:.0%} of the events were dropped: t, x, y or p is not a number"
+    if source.note is None and not source.size:
+        yield "the file has no events"
 
 
-def _open(path: Path, frame_px: tuple[int, int] | None, options: Mapping[str, str]) -> Foreign:
+def _open(path: Path, frame_px: tuple[int, int] | None, options: Mapping[str, str]) -> EventSource:
     """Recognize the format by the first bytes and call its reader with the user's options."""
     format_ = BAG if path.is_dir() and is_bag_folder(path) else _format(path)
     for name in options.keys() - set(format_.said):  # an option that would do nothing is an error
         flag, files = SAID[name]
         raise InputError(f"{flag} is for {files}", where=str(path), found=options[name], hint="leave it out")
-    foreign = format_.read(path, frame_px, **options)
-    if not isinstance(foreign, Foreign):
+    source = format_.read(path, frame_px, **options)
+    if not isinstance(source, EventSource):
         of = f"{format_.read.__module__}.{format_.read.__qualname__}"
-        found = type(foreign).__name__
-        raise InputError(f"the plug-in's reader {of} returned no Foreign", where=str(path), found=found)
-    foreign.frame_px = checked_frame(foreign.frame_px, str(path), "")
-    return foreign
+        found = type(source).__name__
+        raise InputError(f"the plug-in's reader {of} returned no EventSource", where=str(path), found=found)
+    source.frame_px = checked_frame(source.frame_px, str(path), "")
+    return source
 
 
-def _open_with_guessed_frame(path: Path, options: Mapping[str, str], unknown: FrameUnknown) -> Foreign:
+def _open_with_guessed_frame(path: Path, options: Mapping[str, str], unknown: FrameUnknown) -> EventSource:
     """Open the file with the frame of the smallest known sensor that fits all events; raise `unknown` if none does."""
     width = height = 0
     batches = _open(path, ANY_FRAME_PX, options).batches
@@ -393,15 +375,15 @@ def _open_with_guessed_frame(path: Path, options: Mapping[str, str], unknown: Fr
     fitting = [frame for frame in FRAMES_PX if 0 < width <= frame[0] and 0 < height <= frame[1]]
     if not fitting:
         raise unknown
-    foreign = _open(path, fitting[0], options)
+    source = _open(path, fitting[0], options)
     frame = "{}x{}".format(*fitting[0])
-    foreign.notes.append(
+    source.notes.append(
         f"the file does not state its frame size: assumed {frame}, the smallest known sensor that fits all events"
         f" ({width}x{height}); --frame-size sets another"
     )
     if swapped := _swapped(width, height, fitting[0]):
-        foreign.notes.append(swapped)
-    return foreign
+        source.notes.append(swapped)
+    return source
 
 
 def _swapped(width: int, height: int, frame_px: tuple[int, int]) -> str:

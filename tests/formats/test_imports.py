@@ -8,6 +8,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,7 @@ from evetac_cli.errors import InputError, MissingLibrary
 from evetac_cli.events import Events, concatenate, slice_starts
 from evetac_cli.formats.imports import read_events
 from evetac_cli.formats.read import events_on_disk, read_text, time_order
-from evetac_cli.formats.read.event_validation import EventColumns, Foreign, Normal, normalise
+from evetac_cli.formats.read.source import EventColumns, EventSource, clean
 from evetac_cli.formats.read.time_order import OrderOptions
 from evetac_cli.jobs import Outcome
 from evetac_cli.store.files import StageFile
@@ -61,12 +62,12 @@ def integer_batches(draw: st.DrawFn) -> EventColumns:
     return columns(column(-3000, 3000), column(-2, 12), column(-2, 9), column(0, 1))
 
 
-def normalised(
+def cleaned(
     batches: Iterable[EventColumns], frame_px: tuple[int, int], may_be_empty: bool = False, **options: Any
-) -> tuple[Events, Normal]:
+) -> tuple[Events, EventSource]:
     """The events that validation gives out, joined, and what it found."""
-    normal, foreign = Normal(), Foreign("", frame_px, batches, may_be_empty=may_be_empty)
-    return concatenate(list(normalise(foreign, normal, order=OrderOptions(**options)))), normal
+    source = EventSource("", frame_px, batches, may_be_empty=may_be_empty)
+    return concatenate(list(clean(source, OrderOptions(**options)))), source
 
 
 @settings(max_examples=300)
@@ -87,18 +88,18 @@ def test_whatever_integers_come_in_invariants_come_out(batch: EventColumns, sort
     )
     if must_refuse:
         with pytest.raises(InputError):
-            normalised([batch], (width, height), sort=sort)
+            cleaned([batch], (width, height), sort=sort)
         return
-    events, normal = normalised([batch], (width, height), sort=sort)
+    events, source = cleaned([batch], (width, height), sort=sort)
     expected = sorted(inside, key=lambda row: row[0])  # stable, as validation must be
     first_us = expected[0][0] if expected else 0
     assert [column.dtype for column in events] == [np.int64, np.uint16, np.uint16, np.uint8]
     assert [tuple(int(value) for value in row) for row in zip(*events, strict=True)] == [
         (t - first_us, x, y, int(p > 0)) for t, x, y, p in expected
     ]
-    assert normal.first_us == first_us
-    assert normal.dropped == {"not_a_number": 0, "out_of_frame": len(rows) - len(inside)}
-    assert normal.sorted == sum(us > 0 for us in back)
+    assert source.first_us == first_us
+    assert source.dropped == {"not_a_number": 0, "out_of_frame": len(rows) - len(inside)}
+    assert source.sorted == sum(us > 0 for us in back)
 
 
 @given(st.lists(st.integers(0, 40), min_size=1, max_size=30), st.data())
@@ -109,40 +110,40 @@ def test_cuts_between_batches_do_not_matter(times: list[int], data: st.DataObjec
     p = np.where(np.arange(len(t)) % 2, 1, -1)
     cuts = [0, *sorted(data.draw(st.lists(st.integers(0, len(t)), max_size=4))), len(t)]
     parts = [columns(t[a:b], x[a:b], None, p[a:b]) for a, b in zip(cuts[:-1], cuts[1:], strict=True)]
-    whole = normalised([columns(t, x, None, p)], (4, 4), sort=True)
-    cut = normalised(parts, (4, 4), sort=True)
+    whole = cleaned([columns(t, x, None, p)], (4, 4), sort=True)
+    cut = cleaned(parts, (4, 4), sort=True)
     assert same(whole[0], cut[0])
-    assert whole[1] == cut[1]
+    assert whole[1] == replace(cut[1], batches=whole[1].batches)
 
 
 def test_time_that_goes_backwards_is_counted_and_placed() -> None:
     """Assert that the refusal places steps back of 1 ms in the file and says what each option keeps, and these do."""
     batches = [columns([10, 20, 3000]), columns([1, 3000, 2500, 2900, 3100], x=[99, 0, 1, 2, 3], first=3)]
-    events, normal = normalised(batches, (9, 9))
+    events, source = cleaned(batches, (9, 9))
     assert events.t.tolist() == [0, 10, 2490, 2890, 2990, 2990, 3090]
-    assert (normal.first_us, normal.sorted, normal.dropped["out_of_frame"]) == (10, 2, 1)
-    assert normal.notes == ["2 events came up to 500 us late: sorted"]
+    assert (source.first_us, source.sorted, source.dropped["out_of_frame"]) == (10, 2, 1)
+    assert source.corrections == ["2 events came up to 500 us late: sorted"]
     batches = [columns([10, 20, 3000]), columns([5, 3000, 2000, 2500, 3100], first=3)]
     with pytest.raises(InputError) as refused:
-        normalised(batches, (9, 9))
+        cleaned(batches, (9, 9))
     words = str(refused.value)
     assert "at index 3 from 0.003000 s to 0.000005 s, at index 5 from 0.003000 s to 0.002000 s" in words
     assert "--from-restart N keeps one part (part 0: 3 events, part 1: 2 events, part 2: 3 events)" in words
     assert "--drop-late leaves out the 2 events (25%)" in words
-    events, normal = normalised(batches, (9, 9), drop_late=True)
-    assert (events.t.tolist(), normal.dropped["late"]) == ([0, 10, 2490, 2990, 2990, 3090], 2)
+    events, source = cleaned(batches, (9, 9), drop_late=True)
+    assert (events.t.tolist(), source.dropped["late"]) == ([0, 10, 2490, 2990, 2990, 3090], 2)
     for part, kept in enumerate([[0, 10, 2990], [0, 2995], [0, 500, 1100]]):
-        events, normal = normalised(batches, (9, 9), from_restart=part)
-        assert (events.t.tolist(), normal.dropped["other_parts"]) == (kept, 8 - len(kept))
+        events, source = cleaned(batches, (9, 9), from_restart=part)
+        assert (events.t.tolist(), source.dropped["other_parts"]) == (kept, 8 - len(kept))
     with pytest.raises(InputError, match="no such part"):
-        normalised(batches, (9, 9), from_restart=3)
+        cleaned(batches, (9, 9), from_restart=3)
     with pytest.raises(InputError, match="time never goes back"):
-        normalised(batches[:1], (9, 9), from_restart=1)
+        cleaned(batches[:1], (9, 9), from_restart=1)
 
 
 def test_sorting_keeps_the_order_of_equal_times() -> None:
     """Assert that events of one microsecond stay in the order of the file."""
-    events, _ = normalised([columns([7, 7, 3, 7], x=[1, 2, 3, 4])], (9, 9), sort=True)
+    events, _ = cleaned([columns([7, 7, 3, 7], x=[1, 2, 3, 4])], (9, 9), sort=True)
     assert events.x.tolist() == [3, 1, 2, 4]
 
 
@@ -161,10 +162,9 @@ def test_very_many_events_of_one_millisecond(monkeypatch: pytest.MonkeyPatch, st
             yield columns(t, np.full(100, first // 100 % 9), np.arange(100) % 2)
 
     with pytest.raises(InputError, match="more events within 1 ms(.|\\n)*near 0.00"):
-        normalised(batches(), (9, 9))
+        cleaned(batches(), (9, 9))
     assert len(given) < 1000
-    normal = Normal()
-    blocks = list(normalise(Foreign("", (9, 9), batches()), normal, order=OrderOptions(sort=True)))
+    blocks = list(clean(EventSource("", (9, 9), batches()), OrderOptions(sort=True)))
     assert max(block.size for block in blocks) <= 100
     events = concatenate(blocks)
     order = np.argsort(np.tile([step_us, 0], 50_000), kind="stable")
@@ -176,8 +176,8 @@ def test_very_many_events_of_one_millisecond(monkeypatch: pytest.MonkeyPatch, st
 def test_what_is_no_number_is_dropped_and_counted() -> None:
     """Assert that NaN and infinity in any column cost that event only."""
     t = [0.0, np.nan, 2.0, -np.inf, 4.6]
-    events, normal = normalised([columns(t, x=[1.0, 1, np.inf, 1, 2], p=[1, 1, 1, 1, -1.0])], (9, 9))
-    assert normal.dropped == {"not_a_number": 3, "out_of_frame": 0}
+    events, source = cleaned([columns(t, x=[1.0, 1, np.inf, 1, 2], p=[1, 1, 1, 1, -1.0])], (9, 9))
+    assert source.dropped == {"not_a_number": 3, "out_of_frame": 0}
     assert (events.t.tolist(), events.x.tolist(), events.p.tolist()) == ([0, 5], [1, 2], [1, 0])
 
 
@@ -204,12 +204,12 @@ def test_what_is_no_number_is_dropped_and_counted() -> None:
 def test_columns_that_mean_something_else_are_refused(batch: EventColumns, words: str) -> None:
     """Assert that validation says what is wrong and where, instead of making something up."""
     with pytest.raises(InputError, match=words):
-        normalised([batch], (10, 10))
+        cleaned([batch], (10, 10))
 
 
 def test_the_longest_span_still_passes() -> None:
     """Assert that 6 h are allowed, to the microsecond."""
-    assert normalised([columns([-5, 6 * 3600 * 10**6 - 5])], (1, 1))[0].t[-1] == 6 * 3600 * 10**6
+    assert cleaned([columns([-5, 6 * 3600 * 10**6 - 5])], (1, 1))[0].t[-1] == 6 * 3600 * 10**6
 
 
 # --- text ---------------------------------------------------------------------------------------------------------

@@ -59,7 +59,7 @@ class ColumnTimes:
         if t.dtype.kind == "f":
             return self._of_floats(t, place)
         if t.dtype.kind == "u" and t.dtype.itemsize == 8 and len(t) and t.max() >= 1 << 63:
-            return t  # event_validation refuses them as too large
+            return t  # source.clean refuses them as too large
         ticks = t.astype(np.int64, copy=False)
         if self._clock is None:
             self._clock = _clock(t.dtype, self._unit)

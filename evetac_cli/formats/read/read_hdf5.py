@@ -12,17 +12,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from evetac_cli.errors import InputError
-from evetac_cli.formats.note import NAME, Note, read_note
+from evetac_cli.formats.note import CLOCK_LIMIT_US, NAME, Note, read_note
 from evetac_cli.formats.read.column_order import by_name, places_of, refuse_columns, said_order, unit_said
 from evetac_cli.formats.read.column_times import ColumnTimes
-from evetac_cli.formats.read.event_validation import (
-    CLOCK_LIMIT_US,
-    EventColumns,
-    Foreign,
-    at_index,
-    check_lengths,
-    choose_frame,
-)
+from evetac_cli.formats.read.source import EventColumns, EventSource, at_index, check_lengths, choose_frame
 from evetac_cli.store.hdf5.checked_hdf5 import DAMAGE, CheckedHdf5, damage_in_words
 
 BATCH_ROWS = 1 << 20
@@ -60,7 +53,7 @@ def open_hdf5(
     stream: str | None = None,
     columns: str | None = None,
     time_unit: str | None = None,
-) -> Foreign:
+) -> EventSource:
     """Return the events of an HDF5 file; raise FrameUnknown without frame_px if the file does not state it."""
     where = str(path)
     with CheckedHdf5(path) as file:
@@ -82,23 +75,23 @@ def open_hdf5(
         }
     hint = "give it with --frame-size WIDTHxHEIGHT (640x480 for the DSEC data set)"
     frame = choose_frame(own_px, frame_px, where, hint)
-    foreign = Foreign("hdf5", frame, (), clock_us, note=note, may_be_empty=note is None, left_out=left_out)
+    source = EventSource("hdf5", frame, (), clock_us, note=note, may_be_empty=note is None, left_out=left_out)
     unit = unit_said(time_unit, None, where) or layout.us_per_unit
-    foreign.times = ColumnTimes(where, unit, documented=time_unit is None and note is None)
+    source.times = ColumnTimes(where, unit, documented=time_unit is None and note is None)
     places = None
     if layout.order:
         places = places_of(layout.order if columns is None else said_order(columns, where))
     else:
         refuse_columns(columns, where)
-    foreign.batches = _batches(path, layout, places, rows[0], foreign.times)
+    source.batches = _batches(path, layout, places, rows[0], source.times)
     if others:
-        foreign.notes.append(
+        source.notes.append(
             f"read the camera {layout.stream}; the file also has: {', '.join(others)} (choose with --stream)"
         )
     if note is None:
-        foreign.assumed = f"the layout of {layout.name}"
-        foreign.guessed_order = "" if columns else layout.order
-    return foreign
+        source.assumed = f"the layout of {layout.name}"
+        source.guessed_order = "" if columns else layout.order
+    return source
 
 
 def _choose(file: CheckedHdf5, datasets: dict[str, Any], wanted: str | None) -> tuple[Hdf5Layout, list[str]]:
@@ -107,8 +100,8 @@ def _choose(file: CheckedHdf5, datasets: dict[str, Any], wanted: str | None) -> 
     if not present:
         started = [layout for layout in LAYOUTS if any(name in datasets for name in layout.paths)]
         missing = [name for layout in started[:1] for name in layout.paths if name not in datasets]
-        found, hint = _what_there_is(file, missing)
-        raise InputError("the file has no event columns", where=file.where, expected=EXPECTED, found=found, hint=hint)
+        found = _contents(file, missing)
+        raise InputError("the file has no event columns", where=file.where, expected=EXPECTED, found=found)
     labels = {layout.stream: layout for layout in present if layout.name == present[0].name}
     if wanted is not None and wanted not in labels:
         expected = " or ".join(filter(None, labels)) or "no --stream: the file has only one stream"
@@ -205,14 +198,14 @@ def _is_compound(dataset: Any) -> bool:
     return len(dataset.shape or ()) == 1 and bool(_fields(dataset.dtype))
 
 
-def _what_there_is(file: CheckedHdf5, missing: list[str]) -> tuple[str, str]:
-    """Return a text on the file's contents if columns are missing, and a hint."""
+def _contents(file: CheckedHdf5, missing: list[str]) -> str:
+    """Return a text on the file's contents if columns are missing."""
     group = next((name for name in missing if name in file.h5), None)
     if group is not None:
-        return f"a group `{group}`", ""
+        return f"a group `{group}`"
     events = file.h5.get("events")
     names = file.h5 if events is None or not hasattr(events, "keys") else events
-    return ", ".join(sorted(map(str, names))[:12]) or "nothing", ""  # names may be bytes
+    return ", ".join(sorted(map(str, names))[:12]) or "nothing"  # names may be bytes
 
 
 def _t_offset(datasets: dict[str, Any], where: str) -> int:

@@ -32,7 +32,7 @@ from evetac_cli.formats.read.column_order import (
 )
 from evetac_cli.formats.read.column_times import ColumnTimes
 from evetac_cli.formats.read.damage import read_in_words, refuse_too_much
-from evetac_cli.formats.read.event_validation import EventColumns, Foreign, at_index, check_lengths, choose_frame
+from evetac_cli.formats.read.source import EventColumns, EventSource, at_index, check_lengths, choose_frame
 
 EVIMO = ("events_t", "events_xy", "events_p")
 NPY, ZIP = b"\x93NUMPY", b"PK\x03\x04"
@@ -71,15 +71,15 @@ def open_numpy(
     stream: str | None = None,
     columns: str | None = None,
     time_unit: str | None = None,
-) -> Foreign:
+) -> EventSource:
     """Return the events of an npy or npz file; raise FrameUnknown without frame_px, which these files do not store."""
     where = str(path)
-    foreign = Foreign("numpy", (1, 1), (), may_be_empty=True)
+    source = EventSource("numpy", (1, 1), (), may_be_empty=True)
     with read_in_words(where, "the file cannot be read as npy or npz", COMPARE):
-        arrays = _headers(path, where)
-        used, order = _choose(arrays, stream, foreign, where)
-        foreign.frame_px = choose_frame(None, frame_px, where)
-        parts = _columns(_loaded(path, used, foreign))
+        arrays = _headers(path, source, where)
+        used, order = _choose(arrays, stream, source, where)
+        source.frame_px = choose_frame(None, frame_px, where)
+        parts = _columns(_loaded(path, used))
     guessed = ""
     if order is None:
         sample = np.stack([part[:BATCH_ROWS] for part in parts], axis=1)
@@ -87,18 +87,25 @@ def open_numpy(
         order = Order(places_of(guessed or said_order(str(columns), where)), None)
     else:
         refuse_columns(columns, where)
-    foreign.times = ColumnTimes(where, unit_said(time_unit, order.us_per_unit, where))
-    foreign.guessed_order = guessed
-    foreign.batches = _batches([parts[place] for place in order.places], foreign.times)
-    return foreign
+    source.times = ColumnTimes(where, unit_said(time_unit, order.us_per_unit, where))
+    source.guessed_order = guessed
+    source.batches = _batches([parts[place] for place in order.places], source.times)
+    return source
 
 
-def _headers(path: Path, where: str) -> dict[str, Array]:
+def _headers(path: Path, source: EventSource, where: str) -> dict[str, Array]:
     """Return the arrays of a file by name, the one of an npy without a name."""
     with path.open("rb") as file:
         if file.read(len(ZIP)) != ZIP:
             file.seek(0)
-            return {"": _header(file)}
+            array = _header(file)
+            end = file.tell() + math.prod(array.shape) * array.dtype.itemsize
+            after = path.stat().st_size - end
+            if after < 0 and not array.dtype.hasobject:
+                found = f"{-after} bytes are missing"
+                raise InputError("the array is cut short", where=where, found=found, hint=COMPARE)
+            source.left_out |= {"bytes after the array": after} if after > 0 else {}
+            return {"": array}
         arrays: dict[str, Array] = {}
         with zipfile.ZipFile(file) as archive:
             refuse_too_much(sum(member.file_size for member in archive.infolist()), path.stat().st_size, where)
@@ -124,7 +131,7 @@ def _header(file: IO[bytes]) -> Array:
 
 
 def _choose(
-    arrays: dict[str, Array], stream: str | None, foreign: Foreign, where: str
+    arrays: dict[str, Array], stream: str | None, source: EventSource, where: str
 ) -> tuple[list[str], Order | None]:
     """Return the names of the arrays with the events, and the order of their columns if names define it."""
     columns = [name for name, array in arrays.items() if array.is_column]
@@ -142,12 +149,12 @@ def _choose(
         used = [tables[0] if stream is None else stream]
         others = [name for name in tables if name not in used]
         if others and stream is None:
-            foreign.notes.append(
+            source.notes.append(
                 f"read the array {used[0]}; the file also has: {', '.join(others)} (choose with --stream)"
             )
         rows, fields = arrays[used[0]].shape[0], arrays[used[0]].dtype.names
         order = by_name(fields) if fields else None
-        foreign.left_out |= {
+        source.left_out |= {
             f"values of {name}": rows for at, name in enumerate(fields or ()) if order and at not in order.places
         }
     elif stream is not None:
@@ -160,7 +167,7 @@ def _choose(
         raise InputError(
             "the file has no event columns", where=where, expected=EXPECTED, found=found, hint=hint if objects else ""
         )
-    foreign.left_out |= {f"values of {name}": math.prod(arrays[name].shape) for name in arrays if name not in used}
+    source.left_out |= {f"values of {name}": math.prod(arrays[name].shape) for name in arrays if name not in used}
     return used, order
 
 
@@ -172,13 +179,11 @@ def _is_evimo(arrays: dict[str, Array]) -> bool:
     return t.is_column and xy.dtype.kind in "iuf" and len(xy.shape) == 2 and xy.shape[1] == 2 and p.is_column
 
 
-def _loaded(path: Path, used: list[str], foreign: Foreign) -> list[NDArray[Any]]:
+def _loaded(path: Path, used: list[str]) -> list[NDArray[Any]]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         file = np.load(path, mmap_mode="r")
-        if isinstance(file, np.memmap):
-            if after := path.stat().st_size - file.offset - file.nbytes:
-                foreign.left_out["bytes after the array"] = after
+        if isinstance(file, np.ndarray):
             return [file]
         with file:
             return [file[name] for name in used]

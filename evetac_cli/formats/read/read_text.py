@@ -32,7 +32,7 @@ from evetac_cli.formats.read.column_order import (
     unit_said,
 )
 from evetac_cli.formats.read.column_times import ColumnTimes
-from evetac_cli.formats.read.event_validation import EventColumns, Foreign, choose_frame, no_events
+from evetac_cli.formats.read.source import EventColumns, EventSource, choose_frame, no_events
 
 BLOCK_CHARS = 1 << 22  # some 200,000 lines
 LINE_LIMIT_CHARS = 1 << 16
@@ -61,21 +61,21 @@ class TextLayout(NamedTuple):
 
 def open_text(
     path: Path, frame_px: tuple[int, int] | None, columns: str | None = None, time_unit: str | None = None
-) -> Foreign:
+) -> EventSource:
     """Return the events of a text file; raise FrameUnknown without frame_px if the file does not state it."""
     where = str(path)
     note, own_px = _note_and_frame(path)
-    foreign = Foreign("text", (1, 1), (), note=note)
+    source = EventSource("text", (1, 1), (), note=note)
     if note is None and own_px is None and frame_px is None:
         with closing(
-            _batches(path, foreign, columns, time_unit)
+            _batches(path, source, columns, time_unit)
         ) as batches:  # first report a file that is not a text of events; the frame matters only for one that is
             if next(batches, None) is None:
                 raise no_events(where)
     hint = "give it with --frame-size WIDTHxHEIGHT, for example 640x480"
-    foreign.frame_px = choose_frame(note.frame_px if note else own_px, frame_px, where, hint)
-    foreign.batches = _batches(path, foreign, columns, time_unit)
-    return foreign
+    source.frame_px = choose_frame(note.frame_px if note else own_px, frame_px, where, hint)
+    source.batches = _batches(path, source, columns, time_unit)
+    return source
 
 
 def is_text_of_events(line: str) -> bool:
@@ -101,11 +101,11 @@ def _note_and_frame(path: Path) -> tuple[Note | None, tuple[int, int] | None]:
 
 
 def _batches(
-    path: Path, foreign: Foreign, columns: str | None, time_unit: str | None
+    path: Path, source: EventSource, columns: str | None, time_unit: str | None
 ) -> Generator[EventColumns, None, None]:
     """Yield one batch per block of lines; raise InputError with the number of a line that cannot be read.
 
-    Assumptions and left-out data are stored in `foreign`.
+    Assumptions and left-out data are stored in `source`.
     """
     layout: TextLayout | None = None
     names: list[str] = []
@@ -128,15 +128,15 @@ def _batches(
             if layout is None:  # no line with an event yet
                 continue
             unit = unit_said(time_unit, layout.order.us_per_unit, str(path))
-            foreign.times = ColumnTimes(str(path), unit, guess=_unit(lines, layout))
-            foreign.guessed_order = "" if foreign.note else layout.guessed
+            source.times = ColumnTimes(str(path), unit, guess=_unit(lines, layout))
+            source.guessed_order = "" if source.note else layout.guessed
         table = _table(path, number, lines, layout)
-        assert foreign.times is not None
+        assert source.times is not None
         place = partial(_place, number, lines)
         t, x, y, p = table.T
-        yield EventColumns(foreign.times.us(t, place), x, y, p, place)
+        yield EventColumns(source.times.us(t, place), x, y, p, place)
         for name in layout.unused:
-            foreign.left_out[name] = foreign.left_out.get(name, 0) + len(table)
+            source.left_out[name] = source.left_out.get(name, 0) + len(table)
 
 
 def _blocks(path: Path) -> Iterator[tuple[int, list[str]]]:

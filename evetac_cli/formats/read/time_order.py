@@ -66,7 +66,7 @@ class TimeOrder:
         self._top_us: int | None = None  # of all events
         self._restarts: list[Restart] = []
         self._sizes = [0]  # events of each part
-        self._total = 0
+        self.total = 0  # events, whether they are kept or not
         self._late = 0  # events at least 1 ms late, in any part
         self.small = 0  # events less than 1 ms late, or with `sort` late by any time
         self.back_us = 0  # the largest delay of these events
@@ -91,7 +91,7 @@ class TimeOrder:
     def _judged(self, part: Events, place: Callable[[int], str]) -> Iterator[Events]:
         """Yield the pieces of a part that are kept, split where the clock was restarted."""
         t = part.t
-        self._total += part.size
+        self.total += part.size
         if self._latest_us is None:
             self._first_us = self._latest_us = self._top_us = int(t[0])
         if t[0] >= self._latest_us and (t[1:] >= t[:-1]).all():
@@ -207,11 +207,11 @@ class TimeOrder:
         """Return a hint on the effect of each option."""
         if self.unsorted:
             return "--sort sorts all events by time, which is right if all times are on one clock"
-        events = f"{self._late:,} event{'s' if self._late > 1 else ''} ({100 * self._late / self._total:.2g}%)"
+        events = f"{self._late:,} event{'s' if self._late > 1 else ''} ({100 * self._late / self.total:.2g}%)"
         drop = f"--drop-late leaves out the {events} that are 1 ms or more older than an event before them"
         cut = f"--from-restart N keeps one part ({self._parts()})"
         keep = "--sort keeps all events and sorts them by time, which is right if all times are on one clock"
-        few = self._late <= FEW_LATE * self._total
+        few = self._late <= FEW_LATE * self.total
         hints = [drop, cut] if few else [cut, drop]
         if min(one.after_us for one in self._restarts) > self._first_us:  # otherwise the clock began anew
             hints.insert(0, keep)
@@ -247,7 +247,7 @@ class TimeOrder:
         """Numbers of events that the options leave out, by reason; only reasons that occur."""
         dropped = {"late": self._late} if self._options.drop_late else {}
         if self._options.from_restart is not None:
-            dropped["other_parts"] = self._total - self._sizes[min(self._options.from_restart, len(self._sizes) - 1)]
+            dropped["other_parts"] = self.total - self._sizes[min(self._options.from_restart, len(self._sizes) - 1)]
         return {reason: count for reason, count in dropped.items() if count}
 
 

@@ -240,14 +240,8 @@ def test_other_archives_are_refused(tmp_path: Path) -> None:
     [
         b"\x93NUMPY\x01\x00",
         b"\x93NUMPY\x09\x00" + struct.pack("<H", 10) + b"{}        ",
-        b"\x93NUMPY\x02\x00" + struct.pack("<I", 2**32 - 1) + b"{",
-        b"\x93NUMPY\x01\x00" + struct.pack("<H", 9000) + b"(" * 9000,
-        npy(bytes(64), "'<i8'", (-2, 4)),
         npy(bytes(64), "'<i8'", (2**62, 4)),
         npy(bytes(64), "'<i8'", (1000, 4)),
-        npy(bytes(64), "'V2000000000'", (1,)),
-        npy(bytes(64), "'|S0'", (4,)),
-        npy(bytes(64), "'i8'", (2, 4)).replace(b"'descr'", b"'descX'"),
         npy(bytes(64), "__import__('os').system('false')", (2, 4)),
     ],
 )

@@ -7,19 +7,19 @@ import numpy as np
 
 from evetac_cli.errors import InputError
 from evetac_cli.formats.imports import ImportFormat
-from evetac_cli.formats.read.event_validation import EventColumns, Foreign, choose_frame
+from evetac_cli.formats.read.source import EventColumns, EventSource, choose_frame
 
 MARK = b"toy events "
 
 
-def read(path: Path, frame_px: tuple[int, int] | None) -> Foreign:
+def read(path: Path, frame_px: tuple[int, int] | None) -> EventSource:
     """Return the frame at once and the events batch by batch; their times, order and frame are checked afterwards."""
     with path.open(encoding="ascii", errors="replace") as file:
         width, _, height = file.readline().removeprefix(MARK.decode()).strip().partition("x")
     if not (width.isdigit() and height.isdigit()):
         raise InputError("no frame in the first line", where=str(path), expected="as in toy events 640x480")
     frame = choose_frame((int(width), int(height)), frame_px, str(path))
-    return Foreign("toy", frame, batches(path), may_be_empty=True)
+    return EventSource("toy", frame, batches(path), may_be_empty=True)
 
 
 def batches(path: Path) -> Iterator[EventColumns]:

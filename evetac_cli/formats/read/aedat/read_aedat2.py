@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
 from evetac_cli.formats.read.clock import BITS_31, BITS_32, Clock
-from evetac_cli.formats.read.event_validation import EventColumns, Foreign, at_index, checked_frame, choose_frame
+from evetac_cli.formats.read.source import EventColumns, EventSource, at_index, checked_frame, choose_frame
 
 SIGN = b"#!AER-DAT2"
 WORD = np.dtype([("address", ">u4"), ("t", ">u4")])
@@ -50,7 +50,7 @@ DAVIS_PX = {"240": (240, 180), "346": (346, 260), "128": (128, 128), "208": (208
 GUESSED_PX = (DAVIS_PX["240"], DAVIS_PX["346"], DAVIS_PX["640"])
 
 
-def open_aedat2(path: Path, frame_px: tuple[int, int] | None) -> Foreign:
+def open_aedat2(path: Path, frame_px: tuple[int, int] | None) -> EventSource:
     """Return the events of an AEDAT 2 file; frame_px is only for files that name no chip."""
     where = str(path)
     with path.open("rb") as handle:
@@ -62,15 +62,15 @@ def open_aedat2(path: Path, frame_px: tuple[int, int] | None) -> Foreign:
     else:
         chip, own_px = header_chip
     frame = choose_frame(own_px if header_chip else None, frame_px or own_px, where)
-    foreign = Foreign("aedat2", frame, ())
-    foreign.assumed = ("" if header_chip else f"a {chip.name} of {frame[0]}x{frame[1]}, by its addresses; ") + (
+    source = EventSource("aedat2", frame, ())
+    source.assumed = ("" if header_chip else f"a {chip.name} of {frame[0]}x{frame[1]}, by its addresses; ") + (
         f"columns from the right, rows from the bottom, polarity bit {chip.polarity[1]} brighter, time in microseconds"
     )
     if rest:
-        foreign.notes.append(f"cut short: the last {rest} bytes are an incomplete event")
-        foreign.cut_short = True
-    foreign.batches = _batches(path, start, count, chip, foreign)
-    return foreign
+        source.notes.append(f"cut short: the last {rest} bytes are an incomplete event")
+        source.cut_short = True
+    source.batches = _batches(path, start, count, chip, source)
+    return source
 
 
 def _head(handle: BinaryIO, where: str) -> tuple[tuple[Chip, tuple[int, int]] | None, int]:
@@ -140,9 +140,9 @@ def _field(address: NDArray[Any], place: tuple[int, int]) -> NDArray[np.int32]:
     return ((address >> shift) & mask).astype(np.int32)
 
 
-def _batches(path: Path, start: int, count: int, chip: Chip, foreign: Foreign) -> Iterator[EventColumns]:
-    """Yield the events in blocks; at the end add left-out data and notes to `foreign`."""
-    width, height = foreign.frame_px
+def _batches(path: Path, start: int, count: int, chip: Chip, source: EventSource) -> Iterator[EventColumns]:
+    """Yield the events in blocks; at the end add left-out data and notes to `source`."""
+    width, height = source.frame_px
     clock, done = Clock((BITS_32,), edges=(BITS_31,)), 0
     left_out = dict.fromkeys(("frame samples", "IMU values", "external events"), 0)
     for words in _words(path, start):
@@ -162,8 +162,8 @@ def _batches(path: Path, start: int, count: int, chip: Chip, foreign: Foreign) -
         rows = np.flatnonzero(pixel) + done
         yield EventColumns(t, x, y, p, partial(_place, rows))
         done += len(words)
-    foreign.left_out |= {name: number for name, number in left_out.items() if number}
-    foreign.notes += clock.notes
+    source.left_out |= {name: number for name, number in left_out.items() if number}
+    source.notes += clock.notes
 
 
 def _place(rows: NDArray[np.intp], row: int) -> str:

@@ -19,7 +19,7 @@ from typing import BinaryIO, NamedTuple
 import numpy as np
 
 from evetac_cli.errors import InputError
-from evetac_cli.formats.read.event_validation import NOT_RECORDED, EventColumns, Foreign, at_index, choose_frame
+from evetac_cli.formats.read.source import NOT_RECORDED, EventColumns, EventSource, at_index, choose_frame
 
 SIGN = b"#!AER-DAT3"
 END = b"#!END-HEADER"
@@ -47,7 +47,7 @@ class PacketHead(NamedTuple):
     """The head of a packet, and the position of its events in the file."""
 
     kind: int
-    source: int
+    camera: int
     event_bytes: int
     overflows: int
     events: int
@@ -55,45 +55,45 @@ class PacketHead(NamedTuple):
     end: int
 
 
-def open_aedat3(path: Path, frame_px: tuple[int, int] | None) -> Foreign:
-    """Return the events of the first source that has some; frame_px is only for files that name no known chip."""
+def open_aedat3(path: Path, frame_px: tuple[int, int] | None) -> EventSource:
+    """Return the events of the first camera that has some; frame_px is only for files that name no known chip."""
     where = str(path)
     with path.open("rb") as handle:
         sources, start = _head(handle, where)
         counts: Counter[tuple[int, int]] = Counter()
         end = start
         for packet in _packets(handle, start):
-            counts[packet.source, packet.kind] += packet.events
+            counts[packet.camera, packet.kind] += packet.events
             end = packet.end
-    source = min((source for source, kind in counts if kind == POLARITY), default=None)
-    if source is None:
+    camera = min((camera for camera, kind in counts if kind == POLARITY), default=None)
+    if camera is None:
         contents = ", ".join(
             f"{count} {NAMES.get(kind, f'events of type {kind}')}" for (_, kind), count in counts.items()
         )
         holds, hint = (contents, NOT_RECORDED) if contents else ("no readable packet", "")
         raise InputError("the file has no event stream", where=where, found=holds, hint=hint)
-    own_px = next((px for name, px in FRAMES_PX if sources.get(source, "").upper().startswith(name)), None)
-    foreign = Foreign("aedat3", choose_frame(own_px, frame_px, where), ())
-    foreign.assumed = "rows from the top, polarity bit 1 brighter, time in microseconds"
+    own_px = next((px for name, px in FRAMES_PX if sources.get(camera, "").upper().startswith(name)), None)
+    source = EventSource("aedat3", choose_frame(own_px, frame_px, where), ())
+    source.assumed = "rows from the top, polarity bit 1 brighter, time in microseconds"
     for (of, kind), count in sorted(counts.items()):
-        if (of, kind) != (source, POLARITY) and count:
+        if (of, kind) != (camera, POLARITY) and count:
             name = "events" if kind == POLARITY else NAMES.get(kind, f"events of type {kind}")
-            name += f" of source {of}" if of != source else ""
-            foreign.left_out[name] = foreign.left_out.get(name, 0) + count
+            name += f" of source {of}" if of != camera else ""
+            source.left_out[name] = source.left_out.get(name, 0) + count
     lost = path.stat().st_size - end
     if lost:
-        foreign.notes.append(f"damaged or cut short: {lost} bytes after byte {end} are lost")
-        foreign.cut_short = True
-    foreign.batches = _batches(path, start, source, foreign)
-    return foreign
+        source.notes.append(f"damaged or cut short: {lost} bytes after byte {end} are lost")
+        source.cut_short = True
+    source.batches = _batches(path, start, camera, source)
+    return source
 
 
 def packets_beside(handle: BinaryIO, where: str) -> Iterator[PacketHead]:
-    """Return the packets without events of the source whose events are read."""
+    """Return the packets without events of the camera whose events are read."""
     _, start = _head(handle, where)
     of_source = list(_packets(handle, start))
-    source = min((packet.source for packet in of_source if packet.kind == POLARITY), default=None)
-    return (packet for packet in of_source if packet.source == source and packet.kind != POLARITY)
+    camera = min((packet.camera for packet in of_source if packet.kind == POLARITY), default=None)
+    return (packet for packet in of_source if packet.camera == camera and packet.kind != POLARITY)
 
 
 def _head(handle: BinaryIO, where: str) -> tuple[dict[int, str], int]:
@@ -108,8 +108,8 @@ def _head(handle: BinaryIO, where: str) -> tuple[dict[int, str], int]:
         if line.startswith(END):
             return sources, end
         text = line.decode("latin-1").strip()
-        if source := re.match(r"#Source ([0-9]{1,4}): *(\S+)", text):
-            sources[int(source[1])] = source[2]
+        if camera := re.match(r"#Source ([0-9]{1,4}): *(\S+)", text):
+            sources[int(camera[1])] = camera[2]
         if (coding := re.match(r"#Format: *(.+)", text)) and coding[1] != "RAW":
             raise InputError(
                 "this format of AEDAT 3 is not supported", where=where, expected="RAW", found=coding[1][:60]
@@ -130,24 +130,24 @@ def _packets(handle: BinaryIO, start: int) -> Iterator[PacketHead]:
         head = handle.read(HEADER.size)
         if len(head) < HEADER.size:
             return
-        kind, source, event_bytes, t_at, overflows, capacity, count, valid = HEADER.unpack(head)
+        kind, camera, event_bytes, t_at, overflows, capacity, count, valid = HEADER.unpack(head)
         begin = at + HEADER.size
         end = begin + event_bytes * capacity
-        whole = 0 <= kind <= LARGEST_TYPE and source >= 0 and event_bytes > 0 and 0 <= valid <= count <= capacity
+        whole = 0 <= kind <= LARGEST_TYPE and camera >= 0 and event_bytes > 0 and 0 <= valid <= count <= capacity
         if not whole or not 0 <= t_at < event_bytes or overflows < 0 or end > size:
             return
         if kind == POLARITY and (event_bytes, t_at) != (EVENT.itemsize, 4):
             return
-        yield PacketHead(kind, source, event_bytes, overflows, count, begin, end)
+        yield PacketHead(kind, camera, event_bytes, overflows, count, begin, end)
         at = end
 
 
-def _batches(path: Path, start: int, source: int, foreign: Foreign) -> Iterator[EventColumns]:
-    """Yield the events of each packet; at the end count those marked as invalid in `foreign.left_out`."""
+def _batches(path: Path, start: int, camera: int, source: EventSource) -> Iterator[EventColumns]:
+    """Yield the events of each packet; at the end count those marked as invalid in `source.left_out`."""
     done = invalid = 0
     with path.open("rb") as handle:
         for packet in _packets(handle, start):
-            if (packet.source, packet.kind) != (source, POLARITY):
+            if (packet.camera, packet.kind) != (camera, POLARITY):
                 continue
             handle.seek(packet.at)
             for first in range(0, packet.events, BATCH_EVENTS):
@@ -161,4 +161,4 @@ def _batches(path: Path, start: int, source: int, foreign: Foreign) -> Iterator[
                 yield EventColumns(t, x, y, p, partial(at_index, done))
                 done += len(t)
     if invalid:
-        foreign.left_out["events marked as not valid"] = invalid
+        source.left_out["events marked as not valid"] = invalid

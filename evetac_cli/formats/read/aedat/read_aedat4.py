@@ -23,12 +23,12 @@ from evetac_cli.formats.read.aedat.aedat4_packets import (
     walk,
 )
 from evetac_cli.formats.read.aedat.aedat4_payloads import check_libraries
-from evetac_cli.formats.read.event_validation import NOT_RECORDED, EventColumns, Foreign, at_index, choose_frame
+from evetac_cli.formats.read.source import NOT_RECORDED, EventColumns, EventSource, at_index, choose_frame
 
 BATCH_EVENTS = 1 << 18  # a packet has some thousand events
 
 
-def open_aedat4(path: Path, frame_px: tuple[int, int] | None, stream: str | None = None) -> Foreign:
+def open_aedat4(path: Path, frame_px: tuple[int, int] | None, stream: str | None = None) -> EventSource:
     """Return the events of the named stream, or the first by name; frame_px is only for files that do not state it."""
     where = str(path)
     with path.open("rb") as handle:
@@ -36,17 +36,17 @@ def open_aedat4(path: Path, frame_px: tuple[int, int] | None, stream: str | None
         label, event_stream, others = _choose(handle, header, stream, where)
         packets = walk(handle, header, event_stream.number)
         left_out = _left_out(handle, header, packets, others)
-    foreign = Foreign("aedat4", choose_frame(event_stream.frame_px, frame_px, where), ())
-    foreign.note = read_note(event_stream.note, where) if event_stream.note else None
+    source = EventSource("aedat4", choose_frame(event_stream.frame_px, frame_px, where), ())
+    source.note = read_note(event_stream.note, where) if event_stream.note else None
     if others:
-        foreign.notes.append(
+        source.notes.append(
             f"read the event stream {label}; the file also has: {', '.join(others)} (choose with --stream)"
         )
-    foreign.left_out |= left_out
-    foreign.may_be_empty = packets.whole and header.table >= 0 and not packets.spans
-    if not foreign.may_be_empty:
-        foreign.batches = _batches(path, header, event_stream.number, packets, foreign)
-    return foreign
+    source.left_out |= left_out
+    source.may_be_empty = packets.whole and header.table >= 0 and not packets.spans
+    if not source.may_be_empty:
+        source.batches = _batches(path, header, event_stream.number, packets, source)
+    return source
 
 
 def _left_out(handle: BinaryIO, header: Header, packets: Packets, events: dict[str, int]) -> dict[str, int]:
@@ -97,8 +97,8 @@ def _choose(
     return label, labels[label], {other: labels[other].number for other in sorted(set(labels) - {label})}
 
 
-def _batches(path: Path, header: Header, number: int, packets: Packets, foreign: Foreign) -> Iterator[EventColumns]:
-    """Decode all intact packets of a stream; at the end add notes on losses to `foreign`.
+def _batches(path: Path, header: Header, number: int, packets: Packets, source: EventSource) -> Iterator[EventColumns]:
+    """Decode all intact packets of a stream; at the end add notes on losses to `source`.
 
     Raises InputError if no packet can be decoded.
     """
@@ -129,8 +129,8 @@ def _batches(path: Path, header: Header, number: int, packets: Packets, foreign:
     if not intact:
         lost = f"{size - packets.end} bytes after byte {packets.end}" if not packets.whole else trouble or "no packet"
         raise InputError("no packet of events can be read: the file is damaged", where=where, found=lost)
-    foreign.notes += _damage(header, packets, size, (total, intact, len(spans)), trouble, listed, led_past=led_past)
-    foreign.cut_short = intact < len(spans) or (not packets.whole and not led_past) or header.table < 0
+    source.notes += _damage(header, packets, size, (total, intact, len(spans)), trouble, listed, led_past=led_past)
+    source.cut_short = intact < len(spans) or (not packets.whole and not led_past) or header.table < 0
 
 
 def _columns(packets: list[Any], first: int) -> EventColumns:

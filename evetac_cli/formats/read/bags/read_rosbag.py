@@ -33,9 +33,9 @@ from evetac_cli.formats.read.bags.ros_messages import (
     event_packet,
     evetac_image,
 )
-from evetac_cli.formats.read.event_validation import NOT_RECORDED, EventColumns, Foreign, choose_frame
 from evetac_cli.formats.read.prophesee.prophesee_words import ENCODINGS
 from evetac_cli.formats.read.prophesee.read_prophesee import decoded
+from evetac_cli.formats.read.source import NOT_RECORDED, EventColumns, EventSource, choose_frame
 
 SIGNS = tuple(BAGS)
 EVENTS_TOPIC, NOTE_TOPIC = "/evetac/events", "/evetac/note"  # in exports of evetac
@@ -75,36 +75,36 @@ def layout(connection: Connection) -> str:
     return digest if digest in LAYOUTS else ""
 
 
-def open_rosbag(path: Path, frame_px: tuple[int, int] | None, stream: str | None = None) -> Foreign:
+def open_rosbag(path: Path, frame_px: tuple[int, int] | None, stream: str | None = None) -> EventSource:
     """Return the events of one topic: the requested one, or the first by name that has events."""
     where = str(path)
-    foreign = Foreign("rosbag", (1, 1), ())
+    source = EventSource("rosbag", (1, 1), ())
     bag = open_bag(path)
-    foreign.cut_short = bag.cut_short
+    source.cut_short = bag.cut_short
     topics = topics_of_events(bag, where)
     topic = _choose(topics, bag, stream, where)
     kind, others = topics[topic], sorted(set(topics) - {topic})
     if others:
-        foreign.notes.append(f"read the topic {topic}; the file also has: {', '.join(others)} (choose with --stream)")
-    foreign.notes += bag.notes
+        source.notes.append(f"read the topic {topic}; the file also has: {', '.join(others)} (choose with --stream)")
+    source.notes += bag.notes
     if topic == EVENTS_TOPIC:
-        foreign.note = _note(bag, where)
-    foreign.left_out |= _left_out(bag.connections, topic)
+        source.note = _note(bag, where)
+    source.left_out |= _left_out(bag.connections, topic)
     first = next(_messages(bag, topic), None)
-    if first is None and foreign.note is not None and not foreign.note.slices:
-        foreign.frame_px = choose_frame(foreign.note.frame_px, frame_px, where)
-        return foreign
+    if first is None and source.note is not None and not source.note.slices:
+        source.frame_px = choose_frame(source.note.frame_px, frame_px, where)
+        return source
     if first is None:
         raise InputError(
             f"the topic {topic} has no messages", where=where, hint="was the camera running during the recording?"
         )
     frame, content = _read(first[0], first[2], f"{where}: message 0")
     encoding = content.encoding if isinstance(content, Packet) else ""
-    foreign.frame_px = choose_frame(frame, frame_px, where)
+    source.frame_px = choose_frame(frame, frame_px, where)
     if encoding in PROPHESEE:
-        foreign.batches = _prophesee(path, topic, kind, foreign, encoding)
+        source.batches = _prophesee(path, topic, kind, source, encoding)
     elif not isinstance(content, Packet) or decoder(encoding) is not None:
-        foreign.batches = _batches(path, topic, kind, foreign, encoding)
+        source.batches = _batches(path, topic, kind, source, encoding)
     else:
         raise InputError(
             f"the encoding of the messages on {topic} is not supported",
@@ -112,7 +112,7 @@ def open_rosbag(path: Path, frame_px: tuple[int, int] | None, stream: str | None
             expected=", ".join(KNOWN_ENCODINGS),
             found=encoding[:40] or "none",
         )
-    return foreign
+    return source
 
 
 def topics_of_events(bag: Bag, where: str) -> dict[str, str]:
@@ -186,11 +186,11 @@ def _left_out(connections: list[Connection], topic: str) -> dict[str, int]:
     return dict(counts)
 
 
-def _batches(path: Path, topic: str, kind: str, foreign: Foreign, encoding: str) -> Iterator[EventColumns]:
-    """Yield the events of each message of a topic as one batch; at the end add notes on losses to `foreign`."""
+def _batches(path: Path, topic: str, kind: str, source: EventSource, encoding: str) -> Iterator[EventColumns]:
+    """Yield the events of each message of a topic as one batch; at the end add notes on losses to `source`."""
     decode = decoder(encoding)
     stamps = []
-    with closing(_contents(path, topic, kind, foreign, encoding)) as contents:
+    with closing(_contents(path, topic, kind, source, encoding)) as contents:
         for number, (where, content) in enumerate(contents):
             if isinstance(content, Packet):
                 assert decode is not None
@@ -203,7 +203,7 @@ def _batches(path: Path, topic: str, kind: str, foreign: Foreign, encoding: str)
             yield EventColumns(*part, partial(_place, number))
     if kind == IMAGE:
         apart = f"every {(stamps[-1] - stamps[0]) / (len(stamps) - 1) / 1000:.3g} ms" if len(stamps) > 1 else "once"
-        foreign.notes.append(
+        source.notes.append(
             f"EvetacMsg contains images, not events: per-pixel sums, {apart}, after the official software's noise"
             " filter; all events of an image get its time"
         )
@@ -213,25 +213,25 @@ def _place(number: int, row: int) -> str:
     return f"in message {number}, event {row}"
 
 
-def _prophesee(path: Path, topic: str, kind: str, foreign: Foreign, encoding: str) -> Iterator[EventColumns]:
+def _prophesee(path: Path, topic: str, kind: str, source: EventSource, encoding: str) -> Iterator[EventColumns]:
     """Yield events from the words of all messages, decoded as one RAW file."""
-    yield from decoded(encoding, _blocks(path, topic, kind, foreign, encoding), foreign, f"{path}: {topic}")
+    yield from decoded(encoding, _blocks(path, topic, kind, source, encoding), source, f"{path}: {topic}")
 
 
 def _blocks(
-    path: Path, topic: str, kind: str, foreign: Foreign, encoding: str
+    path: Path, topic: str, kind: str, source: EventSource, encoding: str
 ) -> Iterator[tuple[NDArray[Any], Callable[[int], str]]]:
     """Yield the words of each message; a word split over two messages belongs to the second."""
     dtype = np.dtype(ENCODINGS[encoding].dtype)
     rest = b""
-    with closing(_contents(path, topic, kind, foreign, encoding)) as packets:
+    with closing(_contents(path, topic, kind, source, encoding)) as packets:
         for number, (_, packet) in enumerate(packets):
             content = rest + bytes(packet.content)
             whole = len(content) // dtype.itemsize * dtype.itemsize
             rest = content[whole:]
             yield np.frombuffer(content[:whole], dtype), partial(_word_place, number)
     if rest:
-        foreign.notes.append(f"cut short: the last {len(rest)} bytes are an incomplete word")
+        source.notes.append(f"cut short: the last {len(rest)} bytes are an incomplete word")
 
 
 def _word_place(number: int, word: int) -> str:
@@ -239,9 +239,9 @@ def _word_place(number: int, word: int) -> str:
 
 
 def _contents(
-    path: Path, topic: str, kind: str, foreign: Foreign, encoding: str
+    path: Path, topic: str, kind: str, source: EventSource, encoding: str
 ) -> Generator[tuple[str, Any], None, None]:
-    """Yield the content of each message of a topic; add a note on lost messages to `foreign`.
+    """Yield the content of each message of a topic; add a note on lost messages to `source`.
 
     Raises InputError if layout, frame size or encoding change.
     """
@@ -249,18 +249,18 @@ def _contents(
     bag = open_bag(path)
     times = None if kind == PACKET else _EventTimes(_messages(bag, topic))
     by_reception, order_note = _order(bag, topic, times)
-    foreign.notes += [note for note in (times.note if times else "", order_note) if note]
+    source.notes += [note for note in (times.note if times else "", order_note) if note]
     for number, found in enumerate(_messages(bag, topic, by_reception=by_reception)):
         connection, _, message = found
         where = f"{path}: message {number} on {topic}"
         if layout(connection) != kind:
             raise InputError("the layout of the messages changes", where=where, found=connection.msgtype)
         frame, content = _read(connection, message, where)
-        if frame != foreign.frame_px:
+        if frame != source.frame_px:
             raise InputError(
                 "the frame size changes",
                 where=where,
-                expected="{}x{}".format(*foreign.frame_px),
+                expected="{}x{}".format(*source.frame_px),
                 found="{}x{}".format(*frame),
             )
         if isinstance(content, Packet):
@@ -274,9 +274,9 @@ def _contents(
             content = own
         yield where, content
     if unset:
-        foreign.left_out[UNSET] = unset
+        source.left_out[UNSET] = unset
     if lost:
-        foreign.notes.append(f"{lost} messages are missing: they were lost before they were recorded")
+        source.notes.append(f"{lost} messages are missing: they were lost before they were recorded")
 
 
 def _read(connection: Connection, message: bytes, where: str) -> tuple[tuple[int, int], Any]:

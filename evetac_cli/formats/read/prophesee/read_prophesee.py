@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 from evetac_cli.errors import InputError
 from evetac_cli.formats.note import CLOCK_LIMIT_US, NAME, Note, read_note
 from evetac_cli.formats.read.clock import BITS_32, Clock
-from evetac_cli.formats.read.event_validation import EventColumns, Foreign, at_index, choose_frame
 from evetac_cli.formats.read.prophesee.prophesee_words import ENCODINGS, MOST_UNDEFINED, PropheseeDecoder
+from evetac_cli.formats.read.source import EventColumns, EventSource, at_index, choose_frame
 from evetac_cli.store.recordings.streams import Stream
 
 SIGNS = (b"% evt", b"% format", b"% date", b"% camera", b"% integrator", b"% Data", b"% Version", b"% Width", b"% Date")
@@ -51,18 +51,18 @@ class Head(NamedTuple):
     swapped: bool = False  # the upper half of each word comes first
 
 
-def open_prophesee(path: Path, frame_px: tuple[int, int] | None) -> Foreign:
+def open_prophesee(path: Path, frame_px: tuple[int, int] | None) -> EventSource:
     """Return the events of a RAW or DAT file; frame_px is only for files that do not state it."""
     where = str(path)
     head = read_head(path)
-    foreign = Foreign("prophesee", choose_frame(head.frame_px, frame_px, where), (), head.clock_us, note=head.note)
+    source = EventSource("prophesee", choose_frame(head.frame_px, frame_px, where), (), head.clock_us, note=head.note)
     raw = head.kind in ENCODINGS
     word_bytes = np.dtype(ENCODINGS[head.kind].dtype).itemsize if raw else DAT_BYTES
     if rest := (path.stat().st_size - head.size) % word_bytes:
-        foreign.notes.append(f"cut short: the last {rest} bytes are an incomplete word")
+        source.notes.append(f"cut short: the last {rest} bytes are an incomplete word")
     blocks = _words(path, head, ENCODINGS[head.kind].dtype if raw else "<u8")
-    foreign.batches = decoded(head.kind, blocks, foreign, where) if raw else _dat(head.kind, blocks, foreign)
-    return foreign
+    source.batches = decoded(head.kind, blocks, source, where) if raw else _dat(head.kind, blocks, source)
+    return source
 
 
 def read_head(path: Path) -> Head:
@@ -172,9 +172,9 @@ def _byte(start: int, size: int, word: int) -> str:
 
 
 def decoded(
-    kind: str, blocks: Iterable[tuple[NDArray[Any], Callable[[int], str]]], foreign: Foreign, where: str
+    kind: str, blocks: Iterable[tuple[NDArray[Any], Callable[[int], str]]], source: EventSource, where: str
 ) -> Iterator[EventColumns]:
-    """Yield the events of blocks of RAW words; at the end add triggers and left-out data to `foreign`."""
+    """Yield the events of blocks of RAW words; at the end add triggers and left-out data to `source`."""
     decoder = PropheseeDecoder(kind)
     triggers: list[tuple[NDArray[Any], ...]] = []
     kept = done = 0
@@ -186,7 +186,7 @@ def decoded(
                 kept += count
             else:
                 beyond = f"triggers beyond the first {MOST_TRIGGERS:,}"
-                foreign.left_out[beyond] = foreign.left_out.get(beyond, 0) + count
+                source.left_out[beyond] = source.left_out.get(beyond, 0) + count
         if len(part.t):
             yield EventColumns(*part[:4], partial(at_index, done))
         done += len(part.t)
@@ -201,25 +201,23 @@ def decoded(
         )
     if decoder.untimed:
         size = np.dtype(decoder.encoding.dtype).itemsize
-        foreign.notes.append(f"left out {decoder.untimed * size} bytes before the first time stamp")
+        source.notes.append(f"left out {decoder.untimed * size} bytes before the first time stamp")
     if undefined:
-        foreign.left_out["words of undefined types"] = undefined
-    foreign.notes += decoder.clock.notes
+        source.left_out["words of undefined types"] = undefined
+    source.notes += decoder.clock.notes
     if kept:
         t_us, number, edge = (np.concatenate(column) for column in zip(*triggers, strict=True))
         rows = np.argsort(t_us, kind="stable")
         t_us, columns = t_us[rows], {"id": number[rows].astype(np.float64), "edge": edge[rows].astype(np.float64)}
-        foreign.streams.append(
-            Stream(
-                "triggers", t_us + foreign.clock_us, columns, what=TRIGGERS, clock="the camera's, same as the events"
-            )
+        source.streams.append(
+            Stream("triggers", t_us + source.clock_us, columns, what=TRIGGERS, clock="the camera's, same as the events")
         )
 
 
 def _dat(
-    kind: str, blocks: Iterable[tuple[NDArray[Any], Callable[[int], str]]], foreign: Foreign
+    kind: str, blocks: Iterable[tuple[NDArray[Any], Callable[[int], str]]], source: EventSource
 ) -> Iterator[EventColumns]:
-    """Yield the events of blocks of DAT; at the end add a note on clock wraps to `foreign`."""
+    """Yield the events of blocks of DAT; at the end add a note on clock wraps to `source`."""
     clock = Clock((BITS_32,))
     done = 0
     for words, _ in blocks:
@@ -232,4 +230,4 @@ def _dat(
         )
         yield EventColumns(t, x, y, p, place)
         done += len(words)
-    foreign.notes += clock.notes
+    source.notes += clock.notes

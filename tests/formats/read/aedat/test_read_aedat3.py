@@ -9,7 +9,7 @@ import pytest
 from evetac_cli.events import Events
 from evetac_cli.formats.imports import read_events
 from evetac_cli.formats.read.aedat import read_aedat3
-from evetac_cli.formats.read.event_validation import NOT_RECORDED
+from evetac_cli.formats.read.source import NOT_RECORDED
 from tests.importing import assert_equal, drawn, event_rows, refusal, tonic_io
 
 FRAME = (240, 180)

@@ -16,7 +16,7 @@ from evetac_cli.errors import InputError
 from evetac_cli.events import Events, concatenate
 from evetac_cli.formats.imports import read_events
 from evetac_cli.formats.read.aedat import aedat4_packets, aedat4_payloads, read_aedat4
-from evetac_cli.formats.read.event_validation import NOT_RECORDED
+from evetac_cli.formats.read.source import NOT_RECORDED
 from evetac_cli.formats.write import write_aedat4
 from tests.importing import FRAME, refusal, same
 from tests.quick import few

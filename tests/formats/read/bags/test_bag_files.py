@@ -72,8 +72,7 @@ def whole(write: Write) -> Path:
     return next(write("db3", types, {"/e": messages(types)}, "whole").glob("*.db3"))
 
 
-@pytest.mark.parametrize("in_file", [0, 7, 39])
-@pytest.mark.parametrize("named", ["file", "folder", "with metadata"])
+@pytest.mark.parametrize(("in_file", "named"), [(0, "file"), (7, "folder"), (39, "with metadata")])
 def test_what_waits_beside_a_database_is_read(whole: Path, tmp_path: Path, in_file: int, named: str) -> None:
     """Assert that all messages come, whatever part of them waits beside the file, and that no file is touched."""
     left = killed(whole, tmp_path / "left", in_file=in_file)

@@ -13,8 +13,8 @@ import pytest
 from evetac_cli.errors import InputError
 from evetac_cli.events import Events
 from evetac_cli.formats.imports import read_events
-from evetac_cli.formats.read.event_validation import Foreign
 from evetac_cli.formats.read.prophesee import read_prophesee
+from evetac_cli.formats.read.source import EventSource
 from evetac_cli.formats.read.time_order import OrderOptions
 from tests.importing import FRAME, assert_equal, drawn, event_rows, refusal
 
@@ -247,11 +247,11 @@ def test_blocks_without_triggers_leave_nothing() -> None:
     """Assert that memory does not grow with the blocks, of which bags have one a message, where no trigger comes."""
     low = np.full(4, 6 << 12, "<u2")
     blocks = ((low, str) for _ in range(20_000))
-    foreign = Foreign("", FRAME, ())
+    source = EventSource("", FRAME, ())
     first = [(np.array([8 << 12], "<u2"), str)]
-    assert not list(read_prophesee.decoded("evt3", first, foreign, ""))  # compiles
+    assert not list(read_prophesee.decoded("evt3", first, source, ""))  # compiles
     tracemalloc.start()
-    assert not list(read_prophesee.decoded("evt3", chain(first, blocks), foreign, ""))
+    assert not list(read_prophesee.decoded("evt3", chain(first, blocks), source, ""))
     assert tracemalloc.get_traced_memory()[1] < 1 << 20
     tracemalloc.stop()
 
