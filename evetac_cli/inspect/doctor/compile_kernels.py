@@ -66,8 +66,10 @@ def _run(line: str, folder: str, say: Callable[[str], None]) -> None:
     command = [sys.executable, "-P", "-m", "evetac_cli", *line.split()]
     # Import this package, even if another copy of it is installed.
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-    pipes = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE}
-    with subprocess.Popen(command, cwd=folder, env=environment, text=True, errors="replace", **pipes) as process:
+    with subprocess.Popen(
+        command, cwd=folder, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+        errors="replace",
+    ) as process:  # fmt: skip
         assert process.stderr is not None
         words = []
         for text in process.stderr:

@@ -66,5 +66,3 @@ def test_what_is_beyond_the_limit_is_lost() -> None:
     order = np.lexsort((read.t, read.y, read.x))
     same = (np.diff(read.x[order]) == 0) & (np.diff(read.y[order]) == 0)
     assert np.diff(read.t[order])[same].min() > 0
-
-
