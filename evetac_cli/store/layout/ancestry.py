@@ -2,8 +2,8 @@
 
 A trained file may be made from thousands of files. So its header has of its history only the trained files that it was
 adapted from, and two data sets, which are no part of its identity, have the rest: a row for each recording, and kind,
-method and parents of each file. A file that is made from a trained one has the rows,
-and the oldest methods, in the header of that ancestor. Headers of older files, with all ancestors, are read as these.
+method and parents of each file. A file that is made from a trained one has the rows, and the oldest methods, in the
+header of that ancestor. Headers of older files, with all ancestors, are converted to this form when they are read.
 """
 
 import json
