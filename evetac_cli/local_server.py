@@ -98,7 +98,7 @@ class LocalServer(ThreadingTCPServer):
             super().handle_error(request, client_address)
 
 
-class Refusal(Exception):
+class RequestRefused(Exception):
     """A request that a page server refuses, with the status that it answers."""
 
 
@@ -106,7 +106,7 @@ class PageServer(LocalServer):
     """Serves a page at `url`, and answers its requests.
 
     files: the page, then the files that it loads. answers: functions by method and name. Each takes the query or the
-    JSON object that was sent. It returns bytes or an object for JSON, or raises a Refusal.
+    JSON object that was sent. It returns bytes or an object for JSON, or raises a RequestRefused.
     """
 
     full = b"HTTP/1.0 503 Service Unavailable\r\n\r\n"
@@ -140,16 +140,16 @@ class _PageRequest(BaseHTTPRequestHandler):
         host = self.headers.get("Host", "")
         try:
             if _name(host) not in OWN_NAMES:
-                raise Refusal(HTTPStatus.FORBIDDEN)
+                raise RequestRefused(HTTPStatus.FORBIDDEN)
             if self.server.is_first(token):
                 self.send_response(HTTPStatus.FOUND)
                 self.send_header("Location", f"/{self.server.token}/")
                 self.end_headers()
                 return
             if not self.server.is_token(token):
-                raise Refusal(HTTPStatus.FORBIDDEN)
+                raise RequestRefused(HTTPStatus.FORBIDDEN)
             content, kind = self._content(name, dict(parse_qsl(url.query)), host)
-        except Refusal as refusal:
+        except RequestRefused as refusal:
             self.send_error(refusal.args[0])
             return
         self.send_response(HTTPStatus.OK)
@@ -168,7 +168,7 @@ class _PageRequest(BaseHTTPRequestHandler):
             return file.read_bytes(), f"{TYPES[file.suffix]}; charset=utf-8"
         answer = self.server.answers.get((self.command, name))
         if answer is None:
-            raise Refusal(HTTPStatus.NOT_FOUND)
+            raise RequestRefused(HTTPStatus.NOT_FOUND)
         answered = answer(query if self.command == "GET" else self._sent(host))
         if isinstance(answered, bytes):
             return answered, "application/octet-stream"
@@ -177,14 +177,14 @@ class _PageRequest(BaseHTTPRequestHandler):
     def _sent(self, host: str) -> dict[str, Any]:
         """Return the JSON object of a request that comes from this page."""
         if urlsplit(self.headers.get("Origin", "")).netloc != host:
-            raise Refusal(HTTPStatus.FORBIDDEN)
+            raise RequestRefused(HTTPStatus.FORBIDDEN)
         try:
             length = int(self.headers.get("Content-Length", ""))
             sent = parse_json(self.rfile.read(length).decode()) if 0 <= length <= MOST_BYTES else None
         except ValueError:
             sent = None
         if not isinstance(sent, dict):
-            raise Refusal(HTTPStatus.BAD_REQUEST)
+            raise RequestRefused(HTTPStatus.BAD_REQUEST)
         return sent
 
     def end_headers(self) -> None:

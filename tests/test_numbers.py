@@ -30,7 +30,7 @@ from evetac_cli.sim.setup import scene_file, sensor_file
 from evetac_cli.sim.setup.plan import one_sensor
 from evetac_cli.sim.setup.scene import Scene
 from evetac_cli.store.calibration import read_calibration
-from evetac_cli.text_files import as_toml, parse_json, parse_toml
+from evetac_cli.text_files import as_toml, parse_json, read_toml
 from tests import small_files
 from tests.quick import few
 
@@ -141,8 +141,7 @@ def of_scene(tmp_path: Path, text: str) -> Scene:
 @pytest.mark.parametrize("value", ["-0.0", "-0e0", "-0.0e-5"])
 def test_no_zero_of_a_scene_or_sensor_has_a_sign(value: str, tmp_path: Path) -> None:
     """Assert that 0 is 0, wherever it stands: in a scene, in a sensor, and what is made from it."""
-    text = (SCENES / "slip.toml").read_text()
-    table = parse_toml(text)
+    table = read_toml(SCENES / "slip.toml")
     numbers = [(group, key) for group, row in table.items() if isinstance(row, dict) for key, v in row.items()
                if isinstance(v, float)]  # fmt: skip
     assert len(numbers) > 5
@@ -172,16 +171,16 @@ def test_what_is_no_number_is_named_with_its_key(value: str, tmp_path: Path) -> 
     with pytest.raises(InputError) as refused:
         sensor_file.read(tmp_path / "own.sensor.toml", one_sensor)
     assert "dot_jitter_px" in str(refused.value) or "64 bits" in str(refused.value)
-    text = (SCENES / "slip.toml").read_text()
     line = next(line for line in text.splitlines() if line.startswith("rest_s"))
     with pytest.raises(SceneError) as refused:
         of_scene(tmp_path, text.replace(line, f"rest_s = {value}"))
     assert "rest_s" in str(refused.value) or "64 bits" in str(refused.value)
 
 
-def test_plain_numbers_of_toml_and_json() -> None:
+def test_plain_numbers_of_toml_and_json(tmp_path: Path) -> None:
     """Assert what the two parsers make of odd numbers, at any depth."""
-    table = parse_toml("a = -0.0\nb = [[-0.0, 0.0]]\n[c]\nd = {e = -0.0, f = -1.5}\n")
+    (tmp_path / "a.toml").write_text("a = -0.0\nb = [[-0.0, 0.0]]\n[c]\nd = {e = -0.0, f = -1.5}\n")
+    table = read_toml(tmp_path / "a.toml")
     assert is_plain(table) and table["c"]["d"]["f"] == -1.5
     for text in ("1e400", "-1e400", "1" + "0" * 400 + ".0", "1e0400"):
         with pytest.raises(ValueError, match="too large a number"):

@@ -25,6 +25,7 @@ from evetac_cli.evaluate.source import Source
 from evetac_cli.pages.report import evaluations, page
 from evetac_cli.pages.report.study import Found
 from evetac_cli.resources import PACKAGE
+from evetac_cli.store.layout.ancestry import without_training_files
 
 sys.path.insert(0, str(PACKAGE.parent / "scripts"))
 import experiment_tables
@@ -220,13 +221,13 @@ def test_the_source_is_what_headers_tell() -> None:
                   "parameters": {"scene": {"name": "lift"}, "lift_s": 10, "balance_s": 0}},
     }  # fmt: skip
     report = {**of, "id": "x", "kind": "report", "parents": ["g", "alone"], "parameters": {}, "history": history}
-    source = Source.of([report])
+    source = Source.of([without_training_files(report)])
     detectors = ("fast-slow 10 ms ahead by paper",)
     assert source == Source(
         True, ("lift", "slip"), ("paper", "stable"), ("event-flow",), detectors, (7.0, 5.0), 1, networks=4
     )
     parts = [{**history[name], "id": name, "history": history} for name in ("g", "alone")]
-    assert Source.of(parts) == source
+    assert Source.of(map(without_training_files, parts)) == source
     assert Source.from_json({**dataclasses.asdict(source), "scenes": ["lift", "slip"]}) == source
 
 

@@ -212,7 +212,7 @@ class Live:
         """Return the slip probability after the events of the next slice; NaN until the history is full.
 
         t_us: times of the events, from the start of any slice; only networks with `needs_times` use them. Accepts the
-        same columns as `tracker.step`;
+        same columns as `tracker.step`.
         """
         if self.detector.networks is not None:
             p = tracker.checked_polarities(self.tracking, x, y, p)

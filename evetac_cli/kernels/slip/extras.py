@@ -47,7 +47,7 @@ def columns(
     goal_ma: NDArray[np.float32] | None = None,
     sticking_share: NDArray[np.float32] | None = None,
 ) -> NDArray[np.float32]:
-    """Return extras (slices, extras) from quantities per slice, (slices,) each;"""
+    """Return extras (slices, extras) from quantities per slice, (slices,) each."""
     unknown = np.full(slices, np.nan, np.float32)
     all_columns = [unknown if each is None else each for each in (position_ticks, goal_ticks, goal_ma, sticking_share)]
     assert all(each.shape == (slices,) for each in all_columns)

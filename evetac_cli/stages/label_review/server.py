@@ -14,7 +14,7 @@ from evetac_cli import console
 from evetac_cli.commands.label import Label
 from evetac_cli.errors import EvetacError
 from evetac_cli.jobs import Rows
-from evetac_cli.local_server import PageServer, Refusal
+from evetac_cli.local_server import PageServer, RequestRefused
 from evetac_cli.stages.label_review.person import Verdict, keep, name_of
 from evetac_cli.stages.label_review.trial_data import trial_data
 from evetac_cli.store.recordings.read import open_recording
@@ -71,7 +71,7 @@ class ReviewServer(PageServer):
         onset, earliest, latest = slices = [sent.get(name, -1) for name in ("onset", "earliest", "latest")]
         can_tell = sent.get("can_tell", True)
         if not all(type(value) is int and -1 <= value < 2**53 for value in slices) or type(can_tell) is not bool:
-            raise Refusal(HTTPStatus.BAD_REQUEST)
+            raise RequestRefused(HTTPStatus.BAD_REQUEST)
         verdict = Verdict(onset, earliest, latest, can_tell)
         try:
             with open_recording(self.recordings[number]) as recording:
@@ -90,12 +90,12 @@ class ReviewServer(PageServer):
     def _number(self, number: Any) -> int:
         """Return the number of a recording."""
         if type(number) is not int or not 0 <= number < len(self.recordings):
-            raise Refusal(HTTPStatus.NOT_FOUND)
+            raise RequestRefused(HTTPStatus.NOT_FOUND)
         return number
 
 
 def _whole(text: str) -> int:
     """Return a whole number of at most 15 digits."""
     if not text.isascii() or not text.isdigit() or len(text) > 15:
-        raise Refusal(HTTPStatus.BAD_REQUEST)
+        raise RequestRefused(HTTPStatus.BAD_REQUEST)
     return int(text)

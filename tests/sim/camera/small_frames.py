@@ -5,6 +5,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from evetac_cli.events import Events
@@ -77,10 +78,16 @@ def texture_level(
 ) -> NDArray[np.float32]:
     """The texture of an object moved to `at`, in so many rows and columns of pixels from pixel (x, y) on."""
     level = np.empty(shape, np.float32)
-    place = optics.texture_place(texture, *first, *at, contrast)
-    for row in range(shape[0]):
-        optics.sample_texture_run(texture, place, row, 0, shape[1], level[row])
+    _sample(texture, *first, *at, contrast, level)
     return level
+
+
+@njit
+def _sample(texture: Any, first_x: int, first_y: int, x_px: float, y_px: float, contrast: float, level: Any) -> None:
+    """Compiled as one function, as in the camera, so that both round alike."""
+    place = optics.texture_place(texture, first_x, first_y, x_px, y_px, contrast)
+    for row in range(level.shape[0]):
+        optics.sample_texture_run(texture, place, row, 0, level.shape[1], level[row])
 
 
 def total(slices: list[Events]) -> int:
