@@ -1,8 +1,8 @@
 """Error against run time of the simulated camera: timing errors and lost events, on small seeded workloads.
 
 Each setting is compared with the same camera at REFERENCE_SCANS scans per ms and without noise, so noise events count
-as errors. The reference is itself late: the events of these workloads by 1 to 2 us in the median, and 95 % of them by
-less than 11 us (tests/evaluate/cost/test_camera.py compares it with every pixel followed in closed form).
+as errors. The reference itself is late by 1 to 2 us in the median, and by less than 11 us for 95 % of the events.
+tests/evaluate/cost/test_camera.py compares it with every pixel followed in closed form.
 """
 
 import math
@@ -69,7 +69,7 @@ class Workload(NamedTuple):
 def play(load: Workload, seed: Sequence[int], substeps: int = 1) -> tuple[Events, NDArray[np.float64]]:
     """Return the events of a workload, and the run time of every slice in us; paths have `substeps` pieces per slice.
 
-    Equal seeds give equal thresholds and first references, whatever the scans and the noise of the model.
+    Equal seeds give equal thresholds and first references; scans and noise of the model do not matter.
     """
     window = None if load.window_px is None else (load.window_px, load.texture)
     path, moved = load.path_px(substeps), load.object_px(1)
