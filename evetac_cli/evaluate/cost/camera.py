@@ -191,7 +191,8 @@ def match(events: Events, reference: Events, tolerance_us: float = TOLERANCE_US)
 
 def _sorted_by_pixel(events: Events) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return pixel and polarity as one number, and times, sorted by both."""
-    group = (events.y.astype(np.int64) * 65536 + events.x) * 2 + events.p
+    x, y, p = (column.astype(np.int64) for column in events[1:])
+    group = (y * 65536 + x) * 2 + p
     order = np.lexsort((events.t, group))
     return group[order], events.t[order]
 
