@@ -171,6 +171,7 @@ def test_what_is_no_number_is_named_with_its_key(value: str, tmp_path: Path) -> 
     with pytest.raises(InputError) as refused:
         sensor_file.read(tmp_path / "own.sensor.toml", one_sensor)
     assert "dot_jitter_px" in str(refused.value) or "64 bits" in str(refused.value)
+    text = (SCENES / "slip.toml").read_text()
     line = next(line for line in text.splitlines() if line.startswith("rest_s"))
     with pytest.raises(SceneError) as refused:
         of_scene(tmp_path, text.replace(line, f"rest_s = {value}"))

@@ -220,6 +220,7 @@ def test_the_source_is_what_headers_tell() -> None:
         "alone": {**of, "kind": "recording", "parents": [],
                   "parameters": {"scene": {"name": "lift"}, "lift_s": 10, "balance_s": 0}},
     }  # fmt: skip
+    history = {id_: {**one, "id": id_, "history": {}} for id_, one in history.items()}
     report = {**of, "id": "x", "kind": "report", "parents": ["g", "alone"], "parameters": {}, "history": history}
     source = Source.of([without_training_files(report)])
     detectors = ("fast-slow 10 ms ahead by paper",)
