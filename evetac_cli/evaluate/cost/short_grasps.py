@@ -34,7 +34,7 @@ CONTROLLERS = ("paper", "paper-reset", "load-proportional")
 
 @dataclass
 class WrappedDetector:
-    """A detector that stands between another one and the controller; subclasses change its slices or its decisions."""
+    """A detector between another one and the controller; subclasses change its slices or its decisions."""
 
     detector: SliceDetector
 

@@ -42,7 +42,7 @@ class Found:
     header: dict[str, Any]
     rows: Rows
     summary: dict[str, Any]
-    plot: bytes | None = None  # PNG drawn by `evaluate`, if it lies beside the report
+    plot: bytes | None = None  # PNG drawn by `evaluate`, if it is in the folder of the report
 
     @property
     def simulated(self) -> bool:
