@@ -112,7 +112,7 @@ def _counts(rows: Sequence[IndexRow]) -> list[dict[str, Any]]:
 
 
 def _condition(condition: str) -> Callable[[IndexRow], bool]:
-    """Return a function that tells whether a row satisfies `NAME=VALUE`; raise InputError for an unknown name.
+    """Return a function that returns whether a row satisfies `NAME=VALUE`; raise InputError for an unknown name.
 
     A value is a text, a number, a range of whole numbers (`7-9`), `none`, or several of these separated by commas.
     """

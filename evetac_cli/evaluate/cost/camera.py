@@ -2,6 +2,7 @@
 
 Each setting is compared with the same camera at REFERENCE_SCANS scans per ms and without noise, so noise events count
 as errors. The reference itself is late by 1 to 2 us in the median, and by less than 11 us for 95 % of the events.
+
 tests/evaluate/cost/test_camera.py compares it with every pixel followed in closed form.
 """
 

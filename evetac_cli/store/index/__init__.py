@@ -102,7 +102,7 @@ def read_index(
 class Known:
     """The rows of files in the indexes of their folders, for the time of one check.
 
-    It tells whether outputs are up to date without opening a file: the recipe ids of the inputs are known, from which a
+    Outputs are found up to date without opening a file: the recipe ids of the inputs are known, from which a
     stage computes the recipe of its output. If anything is missing or differs, the files are opened.
 
     A run updates an existing index but does not create one. A user who created an index wants answers from it, also
