@@ -23,7 +23,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = ("docs/first-hour.md", "README.md")  # its files are up to date for the second page
-MOST_LINES = 45  # lines of a block's output that a page shows
+MOST_LINES = 55  # lines of a block's output that a page shows
 COLUMNS = "100"
 BLOCK = re.compile(r"^```sh\n(?P<code>.*?)^```\n(?P<rest>.*?)(?=^```sh\n|\Z)", re.DOTALL | re.MULTILINE)
 EXPECT = re.compile(r"<!-- expect (?P<name>.+?) (?P<low>-?[\d.]+)\.\.(?P<high>-?[\d.]+) -->")
