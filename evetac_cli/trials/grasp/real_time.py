@@ -290,7 +290,8 @@ def _sensor(trial: DeviceGrasp, world: "VirtualWorld | None", finger: int) -> di
     """Return the dot grid, which must be known before the camera is opened; InputError if it is not."""
     camera = trial.cameras[finger]
     if trial.calibrations:
-        sensor: Mapping[str, Any] = trial.calibrations[finger].recorded()
+        known = trial.calibrations[finger]
+        sensor: Mapping[str, Any] = {"sensor/frame_px": np.array(known.frame_px, np.int32), **known.recorded()}
     elif world is not None:
         sensor = world.sensors[finger]
     else:

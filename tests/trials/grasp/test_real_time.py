@@ -292,6 +292,13 @@ def test_a_full_disk(armed: tuple[Grasp, DeviceTrial], recorder_is: Callable[[An
     assert not GraspProcesses.closed
 
 
+def test_a_calibration_has_all_that_the_detector_needs(armed: tuple[Grasp, DeviceTrial]) -> None:
+    """Assert that the detector opens with the dots of a calibration alone, for the calibration's frame."""
+    trial: Any = armed[1]
+    detector = trial.settings.detector.open(real_time._sensor(trial, None, 0))
+    assert detector.live.tracking.record["frame_px"][0].tolist() == [640, 480]
+
+
 @pytest.mark.slow
 def test_a_gripper_that_is_not_there(
     armed: tuple[Grasp, DeviceTrial], tmp_path: Path, capsys: pytest.CaptureFixture[str]
