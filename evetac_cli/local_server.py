@@ -7,6 +7,8 @@ switch off a gripper's torque or write a file. So:
   rebinding). A request that changes something is refused unless its Origin is this page.
 - No other site may show a page in a frame, where users could be tricked into clicking on it.
 - The arguments of a browser are visible to all users, so the one that is opened here gets an address that works once.
+
+It is on the ground floor and not among the pages, because trials and stages, which are below the pages, use it.
 """
 
 import json
