@@ -4,7 +4,6 @@ import itertools
 import json
 import math
 import os
-import re
 import shlex
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -16,12 +15,8 @@ from evetac_cli.errors import error_dict
 from evetac_cli.jobs import Outcome, Progress, silent
 
 FEW_ROWS = 3  # up to this many rows, a table that is too wide is transposed
-LEAST_CELL = 12  # smallest width of a folded cell, in characters; below it, the table is split instead
 BAR_WIDTH = 14  # leaves space for a name on a line of 80 characters
 MOST_PASTED = 3  # files that are listed individually at the end
-MOST_NAMING = 3  # columns that are repeated when a table is split
-# A long word may be broken after these characters, but not within a number.
-SEPARATORS = re.compile(r"(?<=[/_])|(?<=\w-)|(?<=[.,:;=])(?!\d)")
 _stdout: Any = None  # the stream for JSON while stdout is kept for it
 MOST_SHORT, EXPONENT_FROM = 9999.5, 1e9  # between these, a number is printed whole, with more than four digits
 
@@ -226,86 +221,38 @@ def _tables(title: str, rows: list[dict[str, Any]], width: int) -> Iterator[Any]
     """Yield tables for rows with the same columns.
 
     If one table is too wide, up to FEW_ROWS rows are transposed, with a line per figure. More rows are split into
-    several tables, each with the columns that name a row. Text that is too long for its column is folded, after a
-    separator if it has one.
+    several tables, each with the first column, which names a row.
     """
     names = list(map(_in_a_line, rows[0]))
     cells = [[format_value(value) for value in row.values()] for row in rows]
-    widths = [max(map(len, column)) for column in zip(names, *cells, strict=True)]
-    if len(rows) <= FEW_ROWS and _table_width(widths) > width:
-        columns = [names, *cells]
-        fitting = _fitting([max(map(len, column)) for column in columns], width)
-        if _table_width(fitting) <= width:
-            yield _table(title, columns, fitting, ["left"] * len(columns), header=False)
-            return
-    for indices in _side_by_side(widths, _naming(rows), width):
-        columns = [[names[column], *(of_row[column] for of_row in cells)] for column in indices]
-        values = [[list(row.values())[column] for row in rows] for column in indices]
-        sides = ["right" if all(isinstance(each, (int, float, type(None))) for each in of) else "left" for of in values]
-        yield _table(title, columns, _fitting([widths[column] for column in indices], width), sides, header=True)
-        title = ""
+    widths = [3 + max(map(len, column)) for column in zip(names, *cells, strict=True)]  # with a line and two spaces
+    if len(rows) <= FEW_ROWS and 1 + sum(widths) > width:
+        yield _table(title, [names, *cells], ["left"] * (1 + len(cells)), header=False)
+        return
+    columns = [list(column) for column in zip(names, *cells, strict=True)]
+    sides = [
+        "right" if all(isinstance(each, (int, float, type(None))) for each in of) else "left"
+        for of in zip(*(row.values() for row in rows), strict=True)
+    ]
+    shown = [0]
+    for column in range(1, len(columns) + 1):
+        is_full = column == len(columns) or 1 + sum(widths[each] for each in (*shown, column)) > width
+        if is_full and (len(shown) > 1 or len(columns) == 1):
+            yield _table(title, [columns[each] for each in shown], [sides[each] for each in shown], header=True)
+            title, shown = "", [0]
+        shown.append(column)
 
 
-def _table(title: str, columns: list[list[str]], widths: list[int], sides: list[Any], *, header: bool) -> Any:
-    """Return a table of texts, folded to these widths; with a header, the first text of each column is its heading."""
+def _table(title: str, columns: list[list[str]], sides: list[Any], *, header: bool) -> Any:
+    """Return a table of texts; with a header, the first text of each column is its heading."""
     from rich.table import Table
 
     table = Table(title=title, title_justify="left", show_header=header)
-    lines = [[folded(text, width) for text in column] for column, width in zip(columns, widths, strict=True)]
-    for column, side in zip(lines, sides, strict=True):
+    for column, side in zip(columns, sides, strict=True):
         table.add_column(column[0] if header else "", justify=side, overflow="fold")
-    for line in list(zip(*lines, strict=True))[header:]:
+    for line in list(zip(*columns, strict=True))[header:]:
         table.add_row(*line)
     return table
-
-
-def _table_width(widths: Sequence[int]) -> int:
-    """Return the width of a table: each column adds its width, a line and two spaces, and a line follows the last."""
-    return 1 + sum(3 + width for width in widths)
-
-
-def _fitting(widths: list[int], room: int) -> list[int]:
-    """Return widths of columns with which the table fits: the widest are narrowed, none below LEAST_CELL."""
-    fitting = list(widths)
-    while _table_width(fitting) > room and max(fitting) > LEAST_CELL:
-        fitting[fitting.index(max(fitting))] -= 1
-    return fitting
-
-
-def folded(text: str, width: int) -> str:
-    """Fold a text to at most `width` characters: between words, or in a long word after / . - or _, or anywhere."""
-    lines = [""]
-    for word in re.split(r"(?<=\s)", text):
-        pieces = [word] if len(word.rstrip()) <= width else SEPARATORS.split(word)
-        for piece in itertools.chain.from_iterable(_cut(piece, width) for piece in pieces):
-            if len(lines[-1]) + len(piece.rstrip()) > width and lines[-1]:
-                lines.append("")
-            lines[-1] += piece
-    return "\n".join(lines)
-
-
-def _cut(piece: str, width: int) -> list[str]:
-    return [piece] if len(piece.rstrip()) <= width else [piece[at : at + width] for at in range(0, len(piece), width)]
-
-
-def _naming(rows: list[dict[str, Any]]) -> list[int]:
-    """Return the leading columns that identify a row: the first, and further ones as long as rows are not distinct."""
-    values = [tuple(map(str, row.values())) for row in rows]
-    for count in range(1, MOST_NAMING):
-        if len({value[:count] for value in values}) == len(values):
-            return list(range(count))
-    return list(range(min(MOST_NAMING, len(rows[0]))))
-
-
-def _side_by_side(widths: list[int], naming: list[int], width: int) -> Iterator[list[int]]:
-    """Yield the columns of each table so that it fits; a column that is too wide is alone with those of `naming`."""
-    columns = list(naming)
-    for column in range(len(naming), len(widths)):
-        if len(columns) > len(naming) and _table_width([widths[other] for other in [*columns, column]]) > width:
-            yield columns
-            columns = list(naming)
-        columns.append(column)
-    yield columns
 
 
 def print_result(verdict: Sequence[str], outputs: Sequence[Path]) -> None:

@@ -21,12 +21,10 @@ If files were made before an error or Ctrl-C, the exception carries their result
 import errno
 import os
 import shlex
-import shutil
 import signal
 import sys
 from collections.abc import Iterable
 from contextlib import suppress
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -44,9 +42,6 @@ EXTRAS = {
     "log": ("tensorboard",),
     "robot": ("mujoco", "gymnasium", "cma"),
 }
-PACKAGE = Path(__file__).resolve().parent
-# Files that pipx and uv leave in the environment of a program that they installed, and how each reinstalls it.
-INSTALLERS = {"pipx_metadata.json": "pipx install --force", "uv-receipt.toml": "uv tool install --force"}
 # The command that makes each kind of file; recordings are also made by grasp, trim and repair.
 MADE_BY = {
     "recording": "record",
@@ -164,14 +159,19 @@ class DeviceTimeout(DeviceError, TimeoutError):
 
 # Reasons that may be temporary and do not depend on the file's contents; others come from its name or damaged bytes.
 BUSY = (errno.EAGAIN, errno.EBUSY, errno.ETXTBSY)
-NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)
-NO_RIGHT = (errno.EACCES, errno.EPERM)
-TOO_MANY = (errno.EMFILE, errno.ENFILE)
-DISK = (errno.EIO, errno.ENODEV, errno.ENXIO, errno.EREMOTEIO, errno.ENOTCONN, errno.ETIMEDOUT, errno.EHOSTDOWN)
-PASSING = (*BUSY, *NO_LOCKS, *NO_RIGHT, *TOO_MANY, *DISK, errno.ESTALE, errno.ENOMEM, errno.ENOSPC, errno.EINTR)
-MOST_PROGRAMS = 3  # listed in a message
-NETWORK = ("nfs", "cifs", "smb", "lustre", "gpfs", "beegfs", "ceph", "glusterfs", "afs", "9p", "fuse.sshfs")
-READ_WITHOUT_LOCKS = "HDF5_USE_FILE_LOCKING=FALSE in front of the command reads it without a lock"
+HINTS = {
+    **dict.fromkeys(BUSY, "close it there, or wait until it is done"),
+    **dict.fromkeys(
+        (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP),
+        "if no program is writing the file, HDF5_USE_FILE_LOCKING=FALSE before the command reads it without a lock",
+    ),
+    **dict.fromkeys((errno.EMFILE, errno.ENFILE), "`ulimit -n` shows how many files may be open"),
+}
+PASSING = (
+    *HINTS,
+    *(errno.EACCES, errno.EPERM, errno.EIO, errno.ENODEV, errno.ENXIO, errno.EREMOTEIO, errno.ENOTCONN),
+    *(errno.ETIMEDOUT, errno.EHOSTDOWN, errno.ESTALE, errno.ENOMEM, errno.ENOSPC, errno.EINTR),
+)
 
 
 def cannot_read(error: OSError, path: Path) -> EvetacError:
@@ -179,34 +179,14 @@ def cannot_read(error: OSError, path: Path) -> EvetacError:
 
     UnavailableError if the reason may be temporary; InputError if it is the name or the file itself.
     """
-    where, reason = str(path), error.strerror or str(error)
-    if error.errno is not None and error.strerror is not None:
-        reason = os.strerror(error.errno)  # h5py replaces it with its own text
-    number = error.errno
-    if number not in PASSING:
-        return InputError(f"cannot be read: {reason}", where=where)
-    if number in BUSY:
-        return _busy(path)
-    found = hint = ""
-    if number in NO_LOCKS:
-        hint = f"this storage has no locks; if no program is writing the file, {READ_WITHOUT_LOCKS}"
-    elif number in NO_RIGHT:
-        found, hint = _rights(path)
-    elif number == errno.ESTALE:
-        hint = "the network folder changed on its server: try again, or mount it again"
-    elif number in TOO_MANY:
-        hint = "`ulimit -n` shows how many files may be open, `ulimit -n NUMBER` allows more"
-    elif number in DISK:
-        hint = "the disk or its network connection fails: `dmesg` may show more"
-    return UnavailableError(f"cannot be read: {reason}", where=where, found=found, hint=hint)
-
-
-def _busy(path: Path) -> UnavailableError:
-    found = _used_by(path)
-    hint = "close it there, or wait until it is done"
-    if not found and _is_on_network(path):
-        hint += f"; if no program on any computer is writing it, the lock is a leftover: {READ_WITHOUT_LOCKS}"
-    return UnavailableError("another program has this file open for writing", where=str(path), found=found, hint=hint)
+    number, reason = error.errno, error.strerror or str(error)
+    if number is None or number not in PASSING:
+        return InputError(f"cannot be read: {reason}", where=str(path))
+    is_busy = number in BUSY
+    # h5py replaces the reason with its own text
+    message = "another program has this file open for writing" if is_busy else f"cannot be read: {os.strerror(number)}"
+    found = _used_by(path) if is_busy else ""
+    return UnavailableError(message, where=str(path), found=found, hint=HINTS.get(number, ""))
 
 
 def changed_meanwhile(path: Path) -> UnavailableError:
@@ -216,55 +196,20 @@ def changed_meanwhile(path: Path) -> UnavailableError:
 
 
 def _used_by(path: Path) -> str:
-    programs = programs_using(path, writing=True)
-    more = f" and {len(programs) - MOST_PROGRAMS} more" if len(programs) > MOST_PROGRAMS else ""
-    return f"used by {', '.join(programs[:MOST_PROGRAMS])}{more}" if programs else ""
+    programs = programs_using(path)
+    return f"used by {', '.join(programs)}" if programs else ""
 
 
-def programs_using(path: Path, proc: Path = Path("/proc"), *, writing: bool = False) -> list[str]:
-    """Return this user's other programs that have a file open, as `name (pid)`; other users' programs are not visible.
-
-    writing: return only those that may write to the file.
-    """
+def programs_using(path: Path, proc: Path = Path("/proc")) -> list[str]:
+    """Return this user's other programs that have a file open, as `name (pid)`; others are not visible."""
     wanted = path.resolve()
     users = []
     for entry in proc.glob("[0-9]*"):
-        with suppress(OSError, ValueError):
-            opened = [link for link in (entry / "fd").iterdir() if link.readlink() == wanted]
-            if writing:
-                opened = [link for link in opened if _may_write(entry / "fdinfo" / link.name)]
-            if opened and entry.name != str(os.getpid()):
+        with suppress(OSError):
+            is_open = any(link.readlink() == wanted for link in (entry / "fd").iterdir())
+            if is_open and entry.name != str(os.getpid()):
                 users.append(f"{(entry / 'comm').read_text().strip()} ({entry.name})")
     return sorted(users)
-
-
-def _may_write(info: Path) -> bool:
-    """Whether an open file is open for writing, by the octal flags in /proc/PID/fdinfo."""
-    flags = next(line.split()[1] for line in info.read_text().splitlines() if line.startswith("flags:"))
-    return int(flags, 8) & os.O_ACCMODE != os.O_RDONLY
-
-
-def _rights(path: Path) -> tuple[str, str]:
-    """Return the mode and owner of a file, and how to get permission to read it; less if these are not visible."""
-    with suppress(OSError, KeyError):
-        status, owner = path.stat(), path.owner()
-        own = status.st_uid == os.geteuid()
-        hint = f"chmod u+r {shlex.quote(str(path))}" if own else f"ask {owner}, the file's owner, for read permission"
-        return f"mode {status.st_mode & 0o777:04o}, owner {owner}", hint
-    return "", "you have no permission to enter its folder"
-
-
-def _is_on_network(path: Path, mounts: Path = Path("/proc/mounts")) -> bool:
-    """Whether a file is on a network file system, according to the list of mounts."""
-    kind, longest = "", -1
-    with suppress(OSError):
-        inside = os.fsencode(path.resolve())
-        for line in mounts.read_bytes().splitlines():
-            _, place, type_, *_ = line.split(b" ")
-            place = place.replace(b"\\040", b" ")
-            if len(place) > longest and (inside + b"/").startswith(place.rstrip(b"/") + b"/"):
-                kind, longest = type_.decode(errors="replace"), len(place)
-    return kind.startswith(NETWORK)
 
 
 # Missing libraries ----------------------------------------------------------------------------------------------------
@@ -293,81 +238,13 @@ def missing_extra(
 
 
 def install_hint(extra: str = "") -> str:
-    """Return the command that installs evetac, with one of EXTRAS, into the environment in which it runs.
-
-    The source is the same as before: a local clone, the address that pip recorded, or else the package index. pipx and
-    uv rebuild the environment, so the extras that are already installed are included.
-    """
-    way = next((way for mark, way in INSTALLERS.items() if Path(sys.prefix, mark).is_file()), "")
-    there = [name for name, modules in EXTRAS.items() if all(map(find_spec, modules))] if way else []
-    listed = ",".join(dict.fromkeys([*there, extra] if extra else there))
-    extras = f"[{listed}]" if listed else ""
-    origin = _origin()
-    local = _local(str(origin.get("url", "")))
-    clone = next((one for one in (PACKAGE.parent, local) if one and (one / "pyproject.toml").is_file()), None)
-    editable = "--editable " if not way and clone == local and origin.get("dir_info", {}).get("editable") else ""
-    way = way or pip("install")
-    if clone is not None and not _is_here(clone):
-        return f"{way} {editable}{shlex.quote(f'{clone}{extras}')}"
-    if clone is not None or not origin or (local is not None and not local.is_file()):
-        which = "the clone" if clone is not None else "a clone of evetac"
-        return f"in {which}: {way} {editable}{shlex.quote(f'.{extras}')}"
-    return f"{way} {shlex.quote(f'evetac{extras}{_address(origin)}')}"
-
-
-def _is_here(folder: Path) -> bool:
-    try:
-        return folder.samefile(os.curdir)
-    except OSError:  # the working folder is gone
-        return False
+    """Return the command that installs evetac, with one of EXTRAS, into the environment in which it runs."""
+    return f"in the clone of evetac: {pip('install')} {shlex.quote(f'.[{extra}]' if extra else '.')}"
 
 
 def pip(action: str) -> str:
     """Return a pip command that acts on the environment in which this program runs."""
-    found, python = shutil.which("pip"), shlex.quote(sys.executable)
-    if found is not None and Path(found).parent == Path(sys.executable).parent:
-        return f"pip {action}"
-    if find_spec("pip") is None and shutil.which("uv"):
-        return f"uv pip {action} --python {python}"
-    return f"{python} -m pip {action}"
-
-
-def _origin() -> dict[str, Any]:
-    """Return the origin of this installed package, as pip recorded it (direct_url.json); empty if it is not installed.
-
-    For a package index it is {"index": True}, since pip records nothing then.
-    """
-    import json  # imported here: only needed for an error message, not by `evetac --help`
-    from importlib import metadata
-
-    with suppress(metadata.PackageNotFoundError, ValueError, OSError):
-        distribution = metadata.distribution("evetac")
-        text = distribution.read_text("direct_url.json")
-        origin: dict[str, Any] = json.loads(text) if text else {"index": True}
-        # If another copy comes first on the path, the record of the installed one does not apply.
-        if _local(str(origin.get("url", ""))) == PACKAGE.parent or (
-            Path(str(distribution.locate_file(PACKAGE.name))).resolve() == PACKAGE
-        ):
-            return origin
-    return {}
-
-
-def _local(url: str) -> Path | None:
-    """Return the path of a file:// address; None for any other address."""
-    from urllib.parse import unquote
-
-    return Path(unquote(url.removeprefix("file://"))).resolve() if url.startswith("file:///") else None
-
-
-def _address(origin: dict[str, Any]) -> str:
-    """Return an address in the form that follows a name for pip (PEP 508), ` @ URL`; empty for a package index."""
-    if "url" not in origin:
-        return ""
-    version = origin.get("vcs_info", {})
-    system = f"{version['vcs']}+" if "vcs" in version else ""
-    wanted = version.get("requested_revision") or version.get("commit_id")
-    place = f"#subdirectory={origin['subdirectory']}" if "subdirectory" in origin else ""
-    return f" @ {system}{origin['url']}{f'@{wanted}' if wanted else ''}{place}"
+    return f"{shlex.quote(sys.executable)} -m pip {action}"
 
 
 def made_by(kind: str) -> str:

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from evetac_cli import console
-from evetac_cli.inspect import doctor
 from evetac_cli.jobs import Outcome
 from evetac_cli.resources import PACKAGE
 
@@ -26,12 +25,6 @@ class Terminal(io.StringIO):
 
     def isatty(self) -> bool:
         return True
-
-
-def test_say_goes_to_stderr(capsys: pytest.CaptureFixture[str]) -> None:
-    """Assert that messages leave stdout to the result."""
-    console.say("made 3 files")
-    assert capsys.readouterr() == ("", "made 3 files\n")
 
 
 @pytest.mark.parametrize("simulated", [True, False])
@@ -51,13 +44,6 @@ def test_json_has_no_nan(capsys: pytest.CaptureFixture[str]) -> None:
     result = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
     assert result["rows"] == [{"a": [1, None, [None, {"b": None}]], "c": None, "d": True, "e": "NaN"}]
     assert result["summary"] == {"mean": None}
-
-
-def test_plain_leaves_its_input_alone() -> None:
-    """Assert that rows, which also go into a report, are not changed by printing them."""
-    rows = [{"a": math.nan}]
-    assert console.plain(rows) == [{"a": None}]
-    assert math.isnan(rows[0]["a"])
 
 
 @pytest.mark.parametrize(
@@ -200,15 +186,6 @@ def test_bar_fits_a_line_of_80_signs(monkeypatch: pytest.MonkeyPatch, name: str)
     assert all(line.startswith(name[:11]) for line in lines if line)
 
 
-def test_bar_without_any_step(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that work that never reports (it was up to date) has a bar without numbers, and errors come through."""
-    monkeypatch.setattr("sys.stderr", Terminal())
-    with console.progress_bar("track", "slices", quiet=False):
-        pass
-    with pytest.raises(KeyError), console.progress_bar("track", "slices", quiet=False):
-        raise KeyError
-
-
 NASTY = "\x1b[31mred\x9b2J\u202egnp\r\udcff"
 SHOWN = "\\x1b[31mred\\x9b2J\\u202egnp\\r\\udcff"
 
@@ -246,15 +223,6 @@ def test_no_control_character_reaches_a_bar(monkeypatch: pytest.MonkeyPatch) -> 
     assert "\x1b[31mred" not in shown and "\u202e" not in shown and "\x9b" not in shown
 
 
-def test_no_control_character_of_a_device_reaches_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:
-    """Assert that what a device says of itself is spelt out by doctor."""
-    row = {"device": NASTY, "check": "serial", "ok": False, "found": NASTY, "expected": NASTY, "fix": NASTY}
-    doctor.show(Outcome([row], False, {"cameras": 1, "grippers": 1, "wrong": 1}))
-    out = capsys.readouterr().out
-    assert out.count(SHOWN) == 4
-    assert not any(raw in out for raw in NASTY if not raw.isprintable())
-
-
 def test_only_console_prints() -> None:
     """Assert that every line goes through console, which spells control characters out; udev rules are ours alone."""
     printing = {
@@ -265,63 +233,6 @@ def test_only_console_prints() -> None:
         if isinstance(node, ast.Call) and ast.unparse(node.func) == "print"
     }
     assert printing == {"console.py", "cli/main.py"}
-
-
-def cells_of(text: str) -> list[list[str]]:
-    """The cells of a table that is printed on its side, each with the lines that it was folded into."""
-    blocks: list[list[str]] = []
-    for line in (line for line in text.splitlines() if line.startswith("│")):
-        parts = [part.strip() for part in line.split("│")[1:-1]]
-        if parts[0] and not (blocks and blocks[-1][0].endswith("_")):
-            blocks.append(parts)
-        else:
-            blocks[-1] = [before + part for before, part in zip(blocks[-1], parts, strict=True)]
-    return blocks
-
-
-@pytest.mark.parametrize(
-    ("text", "width", "lines"),
-    [
-        ("short", 12, ["short"]),
-        ("data/slip-obj03-s0-000.recording.h5", 20, ["data/slip-obj03-s0-", "000.recording.h5"]),
-        ("data/slip-obj03-s0-000.recording.h5", 24, ["data/slip-obj03-s0-000.", "recording.h5"]),
-        ("/a/long/way/to/one.recording.h5", 12, ["/a/long/way/", "to/one.", "recording.h5"]),
-        ("mechanical_steps_a_slice", 16, ["mechanical_", "steps_a_slice"]),
-        ("onset of slip depends on the gel's grid", 20, ["onset of slip ", "depends on the gel's ", "grid"]),
-        ("spans 3.7 nodes, of 4 at least", 12, ["spans 3.7 ", "nodes, of 4 ", "at least"]),
-        ("nothing.wrong-3.75,2", 12, ["nothing.", "wrong-3.75,2"]),
-        ("x" * 30, 12, ["x" * 12, "x" * 12, "x" * 6]),
-        ("", 12, [""]),
-    ],
-)
-def test_long_texts_are_folded_between_words(text: str, width: int, lines: list[str]) -> None:
-    """Assert where a text is folded, that nothing of it is lost, and that only a part without separators is cut."""
-    folded = console.folded(text, width).split("\n")
-    assert folded == lines
-    assert "".join(folded) == text
-    assert all(len(line.rstrip()) <= width for line in folded)
-
-
-def test_two_files_side_by_side_break_no_word(capsys: pytest.CaptureFixture[str]) -> None:
-    """Assert that a table of two recordings at 80 signs folds names of files and figures where they have parts."""
-    rows = [
-        {
-            "output": f"data/slip-obj03-s0-{number:03d}.recording.h5",
-            "status": "made",
-            "slices": 4359 + number,
-            "events": 731_684,
-            "mechanical_steps_a_slice": 1.158,
-            "estimated_error_um_median": 2.1e-07,
-            "slices_over_tolerance": 20,
-        }
-        for number in range(2)
-    ]
-    text = table(capsys, rows, {})
-    assert max(map(len, text.splitlines())) <= 80
-    assert text.count(".recording.h5") + text.count(" recording.h5") == 2
-    shown = cells_of(text)
-    assert [row[0] for row in shown] == list(rows[0])
-    assert [row[1:] for row in shown][0] == [row["output"] for row in rows]
 
 
 def test_columns_that_say_nothing_are_left_out(capsys: pytest.CaptureFixture[str]) -> None:
