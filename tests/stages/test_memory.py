@@ -20,12 +20,12 @@ from evetac_cli.devices import replay
 from evetac_cli.evaluate import tracking
 from evetac_cli.formats.exports import export
 from evetac_cli.formats.read import events_on_disk, read_hdf5
-from evetac_cli.formats.write import pieces, write_mcap, write_table
+from evetac_cli.formats.write import pieces, write_table
 from evetac_cli.inspect import validate
 from evetac_cli.kernels.labelling import event_flow
 from evetac_cli.stages import featurize, label, track, track_rgb, trim
 from evetac_cli.store.hdf5 import chunks
-from evetac_cli.store.layout import contents
+from evetac_cli.store.layout import rules
 from evetac_cli.store.recordings import read
 from evetac_cli.store.recordings.read import open_recording
 from evetac_cli.trials import grasp, record
@@ -80,11 +80,11 @@ BLOCKS = (
     (trim, "PIECE_ROWS", 1 << 13),
     (events_on_disk, "BLOCK_EVENTS", 1 << 13),
     (read_hdf5, "BATCH_ROWS", 1 << 13),
-    (contents, "BLOCK_VALUES", 1 << 13),
+    (rules, "BLOCK_VALUES", 1 << 13),
+    (validate, "EVENTS", 1 << 13),
     (replay, "BLOCK_SLICES", 100),
     (replay, "PACKET_EVENTS", 1 << 10),
     (write_table, "BATCH_BYTES", 1 << 18),
-    (write_mcap, "BLOCK_SLICES", 100),
     *CHUNKS,
 )
 COMMANDS: dict[str, Callable[[Path, Path], None]] = {
