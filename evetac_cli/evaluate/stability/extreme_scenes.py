@@ -7,7 +7,7 @@ from typing import Any
 from evetac_cli.sim.setup.plan import Plan
 from evetac_cli.sim.setup.scene import Scene
 from evetac_cli.sim.setup.scene_file import merged
-from evetac_cli.sim.setup.tables import as_table, build
+from evetac_cli.sim.setup.tables import as_table, read_table
 
 Tables = Mapping[str, Mapping[str, Any]]
 
@@ -63,4 +63,4 @@ def merge(plan: Plan, *changes: Tables) -> Plan:
     scene = as_table(plan.scene)
     for tables in changes:
         scene = merged(scene, tables)
-    return replace(plan, scene=build(Scene, scene))
+    return replace(plan, scene=read_table(Scene, scene, "evaluate stability"))

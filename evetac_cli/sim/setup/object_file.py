@@ -6,13 +6,15 @@ files do not enter a recipe.
 
 import zlib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Annotated, Any, Literal
+
+from msgspec import Meta
 
 from evetac_cli.errors import InputError
 from evetac_cli.resources import table as packaged
-from evetac_cli.sim.setup.tables import between, build, check, number, one_of, words
+from evetac_cli.sim.setup.tables import Range, Share, Table, UpTo1000, read_table
 from evetac_cli.text_files import read_toml
 
 Shape = Literal["flat", "cylinder", "sphere"]
@@ -27,54 +29,32 @@ WIDEST_SURFACE_MM = 1e4  # size of a flat object whose size has no effect
 
 
 @dataclass(frozen=True, kw_only=True)
-class TouchedObject:
+class TouchedObject(Table):
     """An object that touches the gel."""
 
-    material: str | None = words("material of the object; shown only, no effect on the simulation", 40, default=None)
-    shape: Shape = one_of(
-        "shape of the surface that the gel touches; the axis of a cylinder is vertical between the fingers",
-        get_args(Shape),
-    )
-    static_friction: float = number("static friction on the gel; a scene may vary it by a random factor", 0, 1000)
-    kinetic_share: float | None = number(
-        "kinetic divided by static friction; if left out, the scene draws a value for each trial. A sensor whose gel"
-        " has its own value keeps it",
-        0,
-        1,
-        default=None,
-    )
-    mass_g: float = number("mass of the object; required if a gripper holds it", 0.1, 100_000, default=1.0)
-    width_mm: float = number(
-        "width between the fingers; the diameter of a cylinder or a sphere", 1, 10_000, default=WIDEST_SURFACE_MM
-    )
-    grasped_width_mm: float | None = number(
-        "width between the fingers, if they hold another side than width_mm", 1, WIDEST_MM, default=None
-    )
-    height_mm: float = number(
-        "height, used for the moment of inertia; required if a gripper holds the object",
-        1,
-        10_000,
-        default=WIDEST_SURFACE_MM,
-    )
-    depth_mm: float | None = number(
-        "horizontal size of the side that is not gripped; shown only, no effect on the simulation",
-        1,
-        10_000,
-        default=None,
-    )
-    lever_mm: float = number(
-        "horizontal distance from the fingers to the centre of mass, over which the weight turns the object",
-        -100,
-        100,
-        default=0.0,
-    )
-    tilt_deg: tuple[float, float] | None = between(
-        "tilt of the surface against the gel about the horizontal axis, or its range; if left out, the scene draws it",
-        -10,
-        10,
-        or_one=True,
-        default=None,
-    )
+    #: material of the object; shown only, no effect on the simulation
+    material: Annotated[str, Meta(max_length=40)] | None = None
+    #: shape of the surface that the gel touches; the axis of a cylinder is vertical between the fingers
+    shape: Shape
+    #: static friction on the gel; a scene may vary it by a random factor
+    static_friction: UpTo1000
+    #: kinetic divided by static friction; if left out, the scene draws a value for each trial. A sensor whose gel has
+    #: its own value keeps it
+    kinetic_share: Share | None = None
+    #: mass of the object; required if a gripper holds it
+    mass_g: Annotated[float, Meta(ge=0.1, le=100_000)] = 1.0
+    #: width between the fingers; the diameter of a cylinder or a sphere
+    width_mm: Annotated[float, Meta(ge=1, le=10_000)] = WIDEST_SURFACE_MM
+    #: width between the fingers, if they hold another side than width_mm
+    grasped_width_mm: Annotated[float, Meta(ge=1, le=WIDEST_MM)] | None = None
+    #: height, used for the moment of inertia; required if a gripper holds the object
+    height_mm: Annotated[float, Meta(ge=1, le=10_000)] = WIDEST_SURFACE_MM
+    #: horizontal size of the side that is not gripped; shown only, no effect on the simulation
+    depth_mm: Annotated[float, Meta(ge=1, le=10_000)] | None = None
+    #: horizontal distance from the fingers to the centre of mass, over which the weight turns the object
+    lever_mm: Annotated[float, Meta(ge=-100, le=100)] = 0.0
+    #: tilt of the surface against the gel about the horizontal axis, or its range; if left out, the scene draws it
+    tilt_deg: Range[Annotated[float, Meta(ge=-10, le=10)]] | None = None
 
     @property
     def held_mm(self) -> float:
@@ -86,8 +66,15 @@ class TouchedObject:
 class ObjectFile(TouchedObject):
     """A file of --object: an object and the key that only a file has."""
 
-    name: str | None = words("name of the object in recordings", 40, pattern="^[a-z][a-z0-9-]{0,39}$", default=None)
-    static_friction: float = number("static friction on the gel; a scene may vary it by a random factor", 0, 5)
+    #: name of the object in recordings
+    name: Annotated[str, Meta(max_length=40, pattern="^[a-z][a-z0-9-]{0,39}$")] | None = None
+    #: static friction on the gel; a scene may vary it by a random factor
+    static_friction: Annotated[float, Meta(ge=0, le=5)]
+
+    @property
+    def touched(self) -> TouchedObject:
+        """Return the object without the keys of the file."""
+        return TouchedObject(**{item.name: getattr(self, item.name) for item in fields(TouchedObject)})
 
 
 def of_number(number: int) -> TouchedObject:
@@ -95,7 +82,7 @@ def of_number(number: int) -> TouchedObject:
     row = packaged("objects").get(str(number))
     if row is None:
         raise InputError("no such object", where="--object", expected="1 to 20", found=str(number))
-    return build(TouchedObject, row)
+    return read_table(TouchedObject, row, "objects.toml")
 
 
 def read(path: Path) -> tuple[str, TouchedObject]:
@@ -128,8 +115,7 @@ def read(path: Path) -> tuple[str, TouchedObject]:
 
 def of_keys(table: Mapping[str, Any], where: str, needed: tuple[str, ...] = ()) -> TouchedObject:
     """Check the keys of an object and return the object; `needed` are required in addition to the usual keys."""
-    check(ObjectFile, table, where, needed=needed)
-    return build(TouchedObject, {key: value for key, value in table.items() if key != "name"})
+    return read_table(ObjectFile, table, where, needed=needed).touched
 
 
 def seed_of(called: int | str | None) -> int:

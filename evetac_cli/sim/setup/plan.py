@@ -22,7 +22,7 @@ from evetac_cli.sim.setup.scene import KINDS, Scene, Texture
 from evetac_cli.sim.setup.sensor import Sensor, SensorRanges
 from evetac_cli.sim.setup.sensor_rows import FOR_EACH_TRIAL, rows
 from evetac_cli.sim.setup.solver import with_given
-from evetac_cli.sim.setup.tables import as_table, build, read_table
+from evetac_cli.sim.setup.tables import as_table, read_table
 
 READOUT = "dvxplorer"  # scans; in every recipe since there was a second readout, so that ids stay the same
 SENSOR_SEED = 104729  # with the seeds of a trial: separates the sampling of its sensor from that of the trial
@@ -209,7 +209,7 @@ def plans(
 
 def first_plan(scene_name: str, objects: str = "8", sensor: str = "evetac", **more: Any) -> Plan:
     """Return the plan of one trial with the first of the objects or tones, for a scene of any kind."""
-    kinds = more.pop("kinds", tuple(KINDS))
+    kinds = more.pop("kinds", KINDS)
     return plans(scene_name, objects, sensor, kinds, **more)[0].of_trial()
 
 
@@ -291,7 +291,7 @@ def _sensor_of_ours(name: str) -> Sensor:
             found=name,
             hint="" if ":" in name else did_you_mean(name, row_by_name),
         )
-    return build(Sensor, row_by_name[name])
+    return read_table(Sensor, row_by_name[name], "sensors.toml")
 
 
 def numbers(text: str) -> list[int]:

@@ -19,7 +19,7 @@ import numpy as np
 from evetac_cli.sim.setup.object_file import TouchedObject, seed_of
 from evetac_cli.sim.setup.scene import Scene, Texture
 from evetac_cli.sim.setup.sensor import Sensor, SensorRanges
-from evetac_cli.sim.setup.tables import build
+from evetac_cli.sim.setup.tables import read_table
 
 OBJECT_SEED = 15485863  # with the object's number, seeds the values that an object keeps in all trials
 
@@ -157,7 +157,7 @@ def sample_sensor(ranges: SensorRanges, rng: np.random.Generator) -> Sensor:
         row[lines] = [line + shift_px for line in row[lines]]
     if "threshold_off_factor" in row:
         row["threshold_off"] = row["threshold"] * row.pop("threshold_off_factor")
-    return build(Sensor, row)
+    return read_table(Sensor, row, "sensors.toml")
 
 
 def _sample(entry: Any, seed: int) -> Any:

@@ -5,7 +5,9 @@ the file, the code uses attributes only: a table that the file leaves out is Non
 """
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar, Literal, get_args
+
+from msgspec import Meta
 
 from evetac_cli.sim.setup.driven import Face, FaceMotion, Rub, Speaker
 from evetac_cli.sim.setup.held import (
@@ -18,54 +20,36 @@ from evetac_cli.sim.setup.held import (
     Pushes,
 )
 from evetac_cli.sim.setup.solver import Solver
-from evetac_cli.sim.setup.tables import (
-    REQUIRED,
-    Rules,
-    between,
-    duration,
-    flag,
-    lists,
-    number,
-    numbers,
-    one_of,
-    table,
-    words,
-)
+from evetac_cli.sim.setup.tables import UNIQUE, Positive, Range, Seconds, Share, Table, UpTo100, UpTo1000, kinds
 
-KINDS = {
-    "ramp": "a gripper in current mode; the object is already held at the start",
-    "lift": "a gripper in position mode grasps an object on a table and lifts it; starts open",
-    "hold": "the gripper starts open and closes; the object is pushed, then slips as the grip loosens",
-    "press": "a flat face is driven over the gel; no gripper",
-    "rub": "a hand rubs an object with visible edges over the gel; no gripper",
-    "tone": "a speaker vibrates the gel, linear response; no gripper",
-}
+Kind = Literal["ramp", "lift", "hold", "press", "rub", "tone"]
+KINDS: tuple[Kind, ...] = get_args(Kind)
 
 
 @dataclass(frozen=True, kw_only=True)
-class SceneTimes:
+class SceneTimes(Table):
     """Times of the phases of a scene, in s."""
 
-    rest_s: float = duration(
-        "initial time at rest: nothing moves, and something other than the gripper carries the object",
-        default=0.0,
-        needed_in=("ramp", "hold", "press", "rub", "tone"),
-    )
-    load_s: float = duration(
-        "time over which the object's weight is handed over to the gripper", default=0.0, needed_in=("ramp", "hold")
-    )
-    hold_s: float = duration("time the object is held before the current ramps down", default=0.0, needed_in=("ramp",))
-    after_lost_s: float = duration("time recorded after the object is lost", default=0.15)
-    longest_s: float = duration("longest duration of the recording", default=0.0, needed_in=("ramp", "hold"))
-    touch_s: float = duration("time from the start to the lifting phase", default=0.0, needed_in=("lift",))
-    before_rise_s: float = duration("time from the start of the lifting phase until the hand moves", default=0.0)
-    tone_at_s: float = duration("start of the tone", default=0.0, needed_in=("tone",))
-    tone_s: float = duration("duration of the tone", default=0.0, needed_in=("tone",))
-    after_s: float | None = duration(
-        "time recorded after the motion or the tone ends; rest_s if left out",
-        default=None,
-        needed_in=("tone",),
-    )
+    #: initial time at rest: nothing moves, and something other than the gripper carries the object
+    rest_s: Annotated[Seconds, kinds(needed=("ramp", "hold", "press", "rub", "tone"))] = 0.0
+    #: time over which the object's weight is handed over to the gripper
+    load_s: Annotated[Seconds, kinds(needed=("ramp", "hold"))] = 0.0
+    #: time the object is held before the current ramps down
+    hold_s: Annotated[Seconds, kinds(needed=("ramp",))] = 0.0
+    #: time recorded after the object is lost
+    after_lost_s: Seconds = 0.15
+    #: longest duration of the recording
+    longest_s: Annotated[Seconds, kinds(needed=("ramp", "hold"))] = 0.0
+    #: time from the start to the lifting phase
+    touch_s: Annotated[Seconds, kinds(needed=("lift",))] = 0.0
+    #: time from the start of the lifting phase until the hand moves
+    before_rise_s: Seconds = 0.0
+    #: start of the tone
+    tone_at_s: Annotated[Seconds, kinds(needed=("tone",))] = 0.0
+    #: duration of the tone
+    tone_s: Annotated[Seconds, kinds(needed=("tone",))] = 0.0
+    #: time recorded after the motion or the tone ends; rest_s if left out
+    after_s: Annotated[Seconds | None, kinds(needed=("tone",))] = None
 
     @property
     def after_motion_s(self) -> float:
@@ -74,211 +58,182 @@ class SceneTimes:
 
 
 @dataclass(frozen=True, kw_only=True)
-class GelSettings:
+class GelSettings(Table):
     """The gel in this scene."""
 
-    cut: bool = flag("true: the gel is cut; the last column of dots is removed to make a window")
-    sideways: bool = flag(
-        "true: the object is grasped from the side, with gravity along +y of the image", default=False
-    )
-    stiffness_factor: float = number(
-        "factor on the shear modulus and the normal modulus of the sensor's gel", 0.01, 100, default=1.0
-    )
+    #: true: the gel is cut; the last column of dots is removed to make a window
+    cut: bool
+    #: true: the object is grasped from the side, with gravity along +y of the image
+    sideways: bool = False
+    #: factor on the shear modulus and the normal modulus of the sensor's gel
+    stiffness_factor: Annotated[float, Meta(ge=0.01, le=100)] = 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Randomised:
+class Randomised(Table):
     """Ranges from which each trial's values are drawn."""
 
-    static_friction: tuple[float, float] = between(
-        "range of the factor on the object's static friction", None, 1000, above=0, default=(1.0, 1.0)
+    #: range of the factor on the object's static friction
+    static_friction: Range[Positive] = (1.0, 1.0)
+    #: range of kinetic friction divided by static friction
+    kinetic_share: Range[Positive] = (1.0, 1.0)
+    #: range of the Stribeck velocity: the slip speed at which friction falls from static to kinetic, in mm/s
+    stribeck_mm_s: Range[Positive] = (10.0, 10.0)
+    #: range of the factor on the object's mass
+    mass: Range[Positive] = (1.0, 1.0)
+    #: each object has its own ratio of kinetic to static friction; a trial's ratio differs from it by at most this
+    kinetic_share_spread: Share | None = None
+    #: largest distance of the touched point from the middle of the pad, along gravity and across it
+    touch_mm: Annotated[float, Meta(ge=0, le=10)] = 0.0
+    #: standard deviation of the distance, across gravity, from the touched point to the centre of mass; flat objects
+    #: only, because round ones are touched on their axis
+    lever_mm: UpTo100 = 0.0
+    #: range of the misalignment of the fingers, in degrees
+    tilt_deg: Range[Annotated[float, Meta(ge=-5, le=5)]] = (
+        0.0,
+        0.0,
     )
-    kinetic_share: tuple[float, float] = between(
-        "range of kinetic friction divided by static friction", None, 1000, above=0, default=(1.0, 1.0)
-    )
-    stribeck_mm_s: tuple[float, float] = between(
-        "range of the Stribeck velocity: the slip speed at which friction falls from static to kinetic, in mm/s",
-        None,
-        1000,
-        above=0,
-        default=(10.0, 10.0),
-    )
-    mass: tuple[float, float] = between(
-        "range of the factor on the object's mass", None, 1000, above=0, default=(1.0, 1.0)
-    )
-    kinetic_share_spread: float | None = number(
-        "each object has its own ratio of kinetic to static friction; a trial's ratio differs from it by at most this",
-        0,
-        1,
-        default=None,
-    )
-    touch_mm: float = number(
-        "largest distance of the touched point from the middle of the pad, along gravity and across it",
-        0,
-        10,
-        default=0.0,
-    )
-    lever_mm: float = number(
-        "standard deviation of the distance, across gravity, from the touched point to the centre of mass; flat objects"
-        " only, because round ones are touched on their axis",
-        0,
-        100,
-        default=0.0,
-    )
-    tilt_deg: tuple[float, float] = between(
-        "range of the misalignment of the fingers, in degrees", -5, 5, default=(0.0, 0.0)
-    )
-    memory_um: tuple[float, float] = between(
-        "slip distance over which friction adapts to the slip speed, or its range; unknown for this gel (evetac's"
-        " scenes use 50); 0: at once",
-        0,
-        1000,
-        or_one=True,
-        default=(20.0, 20.0),
-    )
-    pressure_exponent: tuple[float, float] = between(
-        "friction grows as p^(1 - this) with the pressure p; a number or its range. 0: in proportion to p; 1:"
-        " independent of p. The friction limit of the whole contact is mu N for every value",
-        0,
-        1,
-        or_one=True,
-        default=(0.0, 0.0),
-    )
+    #: slip distance over which friction adapts to the slip speed, or its range; unknown for this gel (evetac's scenes
+    #: use 50); 0: at once
+    memory_um: Range[UpTo1000] = (20.0, 20.0)
+    #: friction grows as p^(1 - this) with the pressure p; a number or its range. 0: in proportion to p; 1: independent
+    #: of p. The friction limit of the whole contact is mu N for every value
+    pressure_exponent: Range[Share] = (0.0, 0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Texture:
+class Texture(Table):
     """The object's texture, as seen through the window of a cut gel."""
 
-    log_sd: tuple[float, float] = between(
-        "range of the standard deviation of the logarithm of brightness", None, 1000, above=0, default=(0.06, 0.06)
-    )
-    half_correlation_px: tuple[float, float] = between(
-        "range of the distance at which the correlation of brightness is one half",
-        None,
-        1000,
-        above=0,
-        default=(12.0, 12.0),
-    )
-    focus_mm: float = number(
-        "defocus: the contrast falls as exp(-gap / focus_mm) when the object is off the gel",
-        None,
-        100,
-        above=0,
-        default=1.0,
-    )
-    show: bool = flag(
-        "true: the window shows the texture; grasps set false, because no controller uses the window", default=True
-    )
+    #: range of the standard deviation of the logarithm of brightness
+    log_sd: Range[Positive] = (0.06, 0.06)
+    #: range of the distance at which the correlation of brightness is one half
+    half_correlation_px: Range[Positive] = (12.0, 12.0)
+    #: defocus: the contrast falls as exp(-gap / focus_mm) when the object is off the gel
+    focus_mm: Annotated[float, Meta(gt=0, le=100)] = 1.0
+    #: true: the window shows the texture; grasps set false, because no controller uses the window
+    show: bool = True
 
 
 @dataclass(frozen=True, kw_only=True)
-class FrictionChange:
+class FrictionChange(Table):
     """A sudden change of static and kinetic friction in the whole contact, for example from a wet patch."""
 
-    at_s: float = duration("time of the change, from the start of the recording")
-    factor: float = number("friction after the change divided by friction before it", 0, 100)
+    #: time of the change, from the start of the recording
+    at_s: Seconds
+    #: friction after the change divided by friction before it
+    factor: UpTo100
 
 
 @dataclass(frozen=True, kw_only=True)
-class Flicker:
+class Flicker(Table):
     """Flickering light: brightness = mean * (1 + depth * sin(2 pi frequency t))."""
 
-    frequency_hz: float = number("flicker frequency, twice the mains frequency: 100 or 120 Hz", 0.1, 400)
-    depth: float = number("amplitude of the flicker as a share of the mean brightness", None, 0.95, above=0)
+    #: flicker frequency, twice the mains frequency: 100 or 120 Hz
+    frequency_hz: Annotated[float, Meta(ge=0.1, le=400)]
+    #: amplitude of the flicker as a share of the mean brightness
+    depth: Annotated[float, Meta(gt=0, le=0.95)]
 
 
 @dataclass(frozen=True, kw_only=True)
-class LightStep:
+class LightStep(Table):
     """A sudden change of brightness."""
 
-    at_s: float = duration("time of the change, from the start of the recording")
-    factor: float = number("brightness after the change divided by brightness before it", 0.001, 1000)
+    #: time of the change, from the start of the recording
+    at_s: Seconds
+    #: brightness after the change divided by brightness before it
+    factor: Annotated[float, Meta(ge=0.001, le=1000)]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Flash:
+class Flash(Table):
     """Flashes of light that do not pass through the print: dots get brighter, bare gel hardly does."""
 
-    every_s: float = number("time from one flash to the next, and from the start to the first", 0.05, 3600)
-    brightness: tuple[float, ...] = numbers(
-        "brightness of each pulse of a flash, relative to bare gel; each pulse lasts one slice (1 ms), with one slice"
-        " between pulses",
-        0.001,
-        1000,
-        (1, 8),
-    )
+    #: time from one flash to the next, and from the start to the first
+    every_s: Annotated[float, Meta(ge=0.05, le=3600)]
+    #: brightness of each pulse of a flash, relative to bare gel; each pulse lasts one slice (1 ms), with one slice
+    #: between pulses
+    brightness: Annotated[tuple[Annotated[float, Meta(ge=0.001, le=1000)], ...], Meta(min_length=1, max_length=8)]
 
 
 @dataclass(frozen=True, kw_only=True)
-class LightSettings:
+class LightSettings(Table):
     """Light that varies, or that does not pass through the print."""
 
-    flicker: Flicker | None = table(Flicker)
-    step: LightStep | None = table(LightStep)
-    floor: float = number(
-        "light that does not pass through the print (scattered, or from inside the sensor), relative to the lamp's"
-        " light on bare gel; it neither flickers nor steps",
-        0,
-        1000,
-        default=0.0,
-    )
-    flash: Flash | None = table(Flash)
+    flicker: Flicker | None = None
+    step: LightStep | None = None
+    #: light that does not pass through the print (scattered, or from inside the sensor), relative to the lamp's light
+    #: on bare gel; it neither flickers nor steps
+    floor: UpTo1000 = 0.0
+    flash: Flash | None = None
 
-    RULES: ClassVar[Rules] = {"minProperties": 1}
+    NOT_EMPTY: ClassVar = True
 
 
 @dataclass(frozen=True, kw_only=True)
-class VanishingDots:
+class VanishingDots(Table):
     """Dots whose ink comes off: the camera sees bare gel where they were."""
 
-    dots: tuple[tuple[int, int], ...] = lists(
-        "[row, column] of each dot that vanishes",
-        {"type": "array", "items": {"type": "integer", "minimum": 0, "maximum": 100}, "minItems": 2, "maxItems": 2},
-        (1, 256),
-        unique=True,
-    )
-    at_s: float = duration("time at which the dots vanish, from the start of the recording")
+    #: [row, column] of each dot that vanishes
+    dots: Annotated[
+        tuple[tuple[Annotated[int, Meta(ge=0, le=100)], Annotated[int, Meta(ge=0, le=100)]], ...],
+        Meta(min_length=1, max_length=256),
+        UNIQUE,
+    ]
+    #: time at which the dots vanish, from the start of the recording
+    at_s: Seconds
 
 
 @dataclass(frozen=True, kw_only=True)
-class CalibrationOffset:
+class CalibrationOffset(Table):
     """A wrong calibration: the recording's dots at rest are rotated and shifted from their true positions."""
 
-    offset_px: tuple[float, float] = numbers("shift of the dots at rest, along x and y", -20, 20, 2, default=(0.0, 0.0))
-    turned_deg: float = number("rotation of the dots at rest about the middle of the frame", -5, 5, default=0.0)
+    #: shift of the dots at rest, along x and y
+    offset_px: tuple[Annotated[float, Meta(ge=-20, le=20)], Annotated[float, Meta(ge=-20, le=20)]] = (0.0, 0.0)
+    #: rotation of the dots at rest about the middle of the frame
+    turned_deg: Annotated[float, Meta(ge=-5, le=5)] = 0.0
 
-    RULES: ClassVar[Rules] = {"minProperties": 1}
+    NOT_EMPTY: ClassVar = True
 
 
 @dataclass(frozen=True, kw_only=True)
-class Scene:
+class Scene(Table):
     """A scene to simulate; only the parts that it names exist."""
 
-    name: str = words("name of the scene in recordings", 100, pattern="^[a-z][a-z0-9-]*$")
-    kind: str = one_of("; ".join(f"{name}: {what}" for name, what in KINDS.items()), tuple(KINDS))
-    summary: str = words("one-line description of the scene", 1000)
-    time: SceneTimes = table(SceneTimes, default=REQUIRED)
-    hand: HandSettings = table(HandSettings, default=HandSettings(), needed_in=("lift",), only_in=GRIPPED)
-    gel: GelSettings = table(GelSettings, default=REQUIRED)
-    gripper: GripperSettings = table(GripperSettings, default=GripperSettings(), needed_in=("hold",))
-    randomise: Randomised = table(Randomised, default=Randomised())
-    texture: Texture | None = table(Texture)
-    drop: FallingWeight | None = table(FallingWeight, only_in=("lift",))
-    floor: Floor = table(Floor, default=Floor(), only_in=("hold",))
-    push: Pushes | None = table(Pushes, only_in=("ramp", "hold"))
-    object: ObjectChanges | None = table(ObjectChanges, only_in=GRIPPED)
-    friction_change: FrictionChange | None = table(
-        FrictionChange, only_in=(*GRIPPED, "press", "rub")
-    )  # fmt: skip
-    light: LightSettings | None = table(LightSettings)
-    vanishing_dots: VanishingDots | None = table(VanishingDots)
-    calibration: CalibrationOffset | None = table(CalibrationOffset)
-    rub: Rub | None = table(Rub, needed_in=("rub",), only_in=("rub",))
-    tone: Speaker | None = table(Speaker, needed_in=("tone",), only_in=("tone",))
-    face: Face | None = table(Face, needed_in=("press",), only_in=("press",))
-    motion: FaceMotion | None = table(FaceMotion, needed_in=("press",), only_in=("press",))
-    solver: Solver = table(Solver, default=Solver())
+    #: name of the scene in recordings
+    name: Annotated[str, Meta(max_length=100, pattern="^[a-z][a-z0-9-]*$")]
+    #: ramp: a gripper in current mode already holds the object at the start. lift: a gripper in position mode starts
+    #: open, grasps an object on a table and lifts it. hold: the gripper starts open and closes; the object is pushed,
+    #: then slips as the grip loosens. press: a flat face is driven over the gel. rub: a hand rubs an object with
+    #: visible edges over the gel. tone: a speaker vibrates the gel, linear response
+    kind: Kind
+    #: one-line description of the scene
+    summary: Annotated[str, Meta(max_length=1000)]
+    time: SceneTimes
+    hand: Annotated[HandSettings, kinds(*GRIPPED, needed=("lift",))] = HandSettings()
+    gel: GelSettings
+    gripper: Annotated[GripperSettings, kinds(needed=("hold",))] = GripperSettings()
+    randomise: Randomised = Randomised()
+    texture: Texture | None = None
+    drop: Annotated[FallingWeight | None, kinds("lift")] = None
+    floor: Annotated[Floor, kinds("hold")] = Floor()
+    push: Annotated[Pushes | None, kinds("ramp", "hold")] = None
+    object: Annotated[ObjectChanges | None, kinds(*GRIPPED)] = None
+    friction_change: Annotated[FrictionChange | None, kinds(*GRIPPED, "press", "rub")] = None
+    light: LightSettings | None = None
+    vanishing_dots: VanishingDots | None = None
+    calibration: CalibrationOffset | None = None
+    rub: Annotated[Rub | None, kinds("rub", needed=("rub",))] = None
+    tone: Annotated[Speaker | None, kinds("tone", needed=("tone",))] = None
+    face: Annotated[Face | None, kinds("press", needed=("press",))] = None
+    motion: Annotated[FaceMotion | None, kinds("press", needed=("press",))] = None
+    solver: Solver = Solver()
+
+    def __post_init__(self) -> None:
+        """Check the gripper's current; ValueError if it lasts longer than the scene."""
+        current, longest_s = self.gripper.current, self.time.longest_s
+        if current is not None and current.ends_s > longest_s:
+            raise ValueError(f"gripper.current.at_s: expected times up to time.longest_s, {longest_s:g} s")
 
     @property
     def is_gripped(self) -> bool:

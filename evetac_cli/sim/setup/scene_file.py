@@ -9,11 +9,9 @@ from typing import Any
 from evetac_cli import plugins
 from evetac_cli.errors import SceneError, did_you_mean
 from evetac_cli.resources import SCENES
-from evetac_cli.sim.setup.driven import Speaker
-from evetac_cli.sim.setup.held import GripperCurrent, GripperSettings
 from evetac_cli.sim.setup.scene import Scene
 from evetac_cli.sim.setup.solver import LIFT_PITCH_MM
-from evetac_cli.sim.setup.tables import as_table, build, check
+from evetac_cli.sim.setup.tables import as_table, read_table
 from evetac_cli.text_files import as_toml, read_toml
 
 SUFFIX = ".toml"
@@ -72,18 +70,15 @@ def load_of_kind(name_or_path: str, kinds: tuple[str, ...]) -> Scene:
 
 def of_table(table: Mapping[str, Any], where: str) -> Scene:
     """Build a scene from its table; SceneError if it is not a scene or its values contradict each other."""
-    check(Scene, table, where, error=SceneError)
-    try:
-        scene = build(Scene, table)
-    except ValueError as error:  # a fixed step that does not divide a slice
-        raise SceneError(f"solver: {error}", where=where) from None
+    scene = read_table(Scene, table, where, error=SceneError)
     if scene.kind == "lift" and "node_pitch_mm" not in table.get("solver", {}):
         scene = replace(scene, solver=replace(scene.solver, node_pitch_mm=LIFT_PITCH_MM))
-    _check_gripper(scene.gripper, table.get("gripper", {}), where)
-    if scene.gripper.current is not None:
-        _check_current(scene, scene.gripper.current, where)
-    if scene.tone is not None:
-        _check_tone(scene.tone, where)
+    for key, others in IN_PLACE_OF.items():
+        given = table.get("gripper", {})
+        beside = [other for other in others if other in given]
+        if key in given and beside:
+            no_effect = f"gripper.{beside[0]} has no effect with gripper.{key}"
+            raise SceneError(no_effect, where=where, expected="only one of the two")
     return scene
 
 
@@ -102,38 +97,3 @@ def merged(table: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, An
         for key, value in changes.items()
     }
     return {key: value for key, value in {**table, **new}.items() if value is not None}
-
-
-def _check_gripper(gripper: GripperSettings, table: Mapping[str, Any], where: str) -> None:
-    """Raise SceneError if a key is given together with its replacement, or the gripper opens before it has gripped."""
-    for key, others in IN_PLACE_OF.items():
-        beside = [other for other in others if other in table]
-        if key in table and beside:
-            no_effect = f"gripper.{beside[0]} has no effect with gripper.{key}"
-            raise SceneError(no_effect, where=where, expected="only one of the two")
-    if gripper.open_s is not None and gripper.open_s <= gripper.grip_s:
-        expected, found = f"after gripper.grip_s, {gripper.grip_s:g} s", f"{gripper.open_s:g} s"
-        message = "gripper.open_s: before the gripper has gripped"
-        raise SceneError(message, where=where, expected=expected, found=found)
-
-
-def _check_current(scene: Scene, current: GripperCurrent, where: str) -> None:
-    """Raise SceneError if times of gripper.current are outside the scene."""
-    longest_s, at_s = scene.time.longest_s, list(current.at_s)
-    if current.ends_s > longest_s:
-        expected = f"times up to time.longest_s, {longest_s:g} s"
-        message = "gripper.current.at_s: a time is after the end of the scene"
-        raise SceneError(message, where=where, expected=expected, found=str(at_s))
-    square = current.square
-    if square is not None and not square.from_s < square.to_s <= current.ends_s:
-        expected = f"from_s < to_s, and to_s up to the last of at_s, {current.ends_s:g} s"
-        times = f"{square.from_s:g} to {square.to_s:g} s"
-        raise SceneError(
-            "gripper.current.square: not within the times of the current", where=where, expected=expected, found=times
-        )
-
-
-def _check_tone(tone: Speaker, where: str) -> None:
-    """Raise SceneError if a lower end of the second harmonic's range is above its upper end."""
-    if any(low > high for low, high in zip(tone.second_harmonic_least, tone.second_harmonic_most, strict=True)):
-        raise SceneError("tone.second_harmonic_least: above second_harmonic_most", where=where)

@@ -13,9 +13,9 @@ import numpy as np
 
 from evetac_cli.errors import InputError
 from evetac_cli.kernels.calibration import grid
-from evetac_cli.sim.setup.sensor import SENSOR_NAME, HotPixelTable, Sensor, SensorFile
+from evetac_cli.sim.setup.sensor import SENSOR_NAME, HotPixelTable, Sensor
 from evetac_cli.sim.setup.sensor_rows import FOR_EACH_TRIAL, GRID, over, rows
-from evetac_cli.sim.setup.tables import as_table, build, check
+from evetac_cli.sim.setup.tables import as_table, read_table
 from evetac_cli.text_files import read_toml
 
 SUFFIX = ".toml"
@@ -33,7 +33,6 @@ def read(path: Path, named_sensor: Callable[[str], Sensor]) -> tuple[str, Sensor
     where = str(path)
     if "dot_xy_px" in table:
         table = {**table, "dot_xy_px": _rows_of_dots(table["dot_xy_px"])}
-    check(SensorFile, table, where, whole=False)
     name, like = table.get("name", UNNAMED), table.get("like")
     if like in FOR_EACH_TRIAL:
         expected = "one sensor, for example evetac or randomized:7"
@@ -44,7 +43,7 @@ def read(path: Path, named_sensor: Callable[[str], Sensor]) -> tuple[str, Sensor
         expected = f"dot_xy_px, or {', '.join(GRID)}"
         both = f"dot_xy_px and {grid_keys[0]}"
         raise InputError("the dots are given twice", where=where, expected=expected, found=both)
-    base = {} if like is None else as_table(_sensor_of(like, named_sensor, where))
+    base = {} if like is None else as_table(_sensor_of(str(like), named_sensor, where))
     row = over(base, {key: value for key, value in table.items() if key not in OF_FILE})
     row.setdefault("summary", f"read from a file, like {like}" if like else "read from a file")
     return str(name), of_row(row, where)
@@ -52,7 +51,7 @@ def read(path: Path, named_sensor: Callable[[str], Sensor]) -> tuple[str, Sensor
 
 def check_name(name: str, where: str) -> None:
     """Raise InputError unless the name is valid: lower case, and not that of one of evetac's sensors."""
-    if not re.fullmatch(SENSOR_NAME, name):
+    if not re.fullmatch(SENSOR_NAME, str(name)):
         expected = "lower-case letters, digits and -, for example lab-3"
         raise InputError("name: not a valid sensor name", where=where, expected=expected, found=name)
     if name in rows():
@@ -62,14 +61,13 @@ def check_name(name: str, where: str) -> None:
 
 def of_row(row: Mapping[str, Any], where: str) -> Sensor:
     """Build a sensor from a complete row; InputError if a key is missing or values contradict each other."""
-    check(Sensor, row, where, if_missing='`like = "evetac"` takes missing keys from that sensor')
+    sensor = read_table(Sensor, row, where, if_missing='`like = "evetac"` takes missing keys from that sensor')
     if "dot_xy_px" not in row and not {"dot_columns_px", "dot_rows_px"} <= row.keys():
         missing = ", ".join(key for key in ("dot_columns_px", "dot_rows_px") if key not in row)
         raise InputError("the positions of the dots are missing", where=where, expected=f"{missing}, or dot_xy_px")
     if len({len(dots) for dots in row.get("dot_xy_px", [[]])}) != 1:
         expected = "rows with the same number of dots, or a list without rows for dots in no grid"
         raise InputError("dot_xy_px: rows of different lengths", where=where, expected=expected)
-    sensor = build(Sensor, row)
     x0, y0, x1, y1 = sensor.window_px
     if not (x0 < x1 and y0 < y1 <= sensor.frame_px[1]):
         expected = "x0 < x1 and y0 < y1 within the frame"

@@ -38,6 +38,6 @@ def over(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
     replaced = GRID if "dot_xy_px" in changes else ("dot_xy_px",) if changes.keys() & set(GRID) else ()
     row = {key: value for key, value in base.items() if key not in replaced} | dict(changes)
     for group in KEY_BY_KEY:
-        if group in base and group in changes:
+        if group in base and isinstance(changes.get(group), Mapping):
             row[group] = {**base[group], **changes[group]}
     return row

@@ -7,10 +7,12 @@ run time and the accuracy of each setting.
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
-from evetac_cli.errors import InputError, SceneError
-from evetac_cli.sim.setup.tables import number, read_table, whole
+from msgspec import Meta
+
+from evetac_cli.errors import SceneError
+from evetac_cli.sim.setup.tables import Table, read_table
 
 LIFT_PITCH_MM = 1.45  # distance of the gel's nodes in a lift scene that states none
 HALVINGS = 3  # most halvings of a 1 ms slice at the default tolerance: steps of 1/8 ms
@@ -18,7 +20,7 @@ MOST_HALVINGS = 7  # most halvings at any tolerance
 
 
 @dataclass(frozen=True, kw_only=True)
-class Solver:
+class Solver(Table):
     """Resolution of the simulation; `evaluate cost` measures the run time and accuracy of each setting.
 
     Steps start at 1 ms and are halved until the tolerance is reached: HALVINGS times at most at the default tolerance,
@@ -26,36 +28,26 @@ class Solver:
     sim.gel.adaptive). MOST_HALVINGS limits both.
     """
 
-    tolerance_um: float = number(
-        "largest estimated displacement error of a mechanical step; steps of 1 ms are halved until it is reached",
-        0.001,
-        1000,
-        default=0.2,
-    )
-    step_ms: float | None = number(
-        "fixed mechanical step, instead of tolerance_um; 1 divided by a whole number", 1e-4, 1, default=None
-    )
-    theta: float = number(
-        "implicitness of the time step: 1 is implicit Euler; 0.5 is the trapezoidal rule, which rings after stick"
-        " events",
-        0.5,
-        1,
-        default=0.51,
-    )
-    node_pitch_mm: float = number(
-        "distance between neighbouring nodes of the gel; chosen by `grasp` if left out", 0.05, 5, default=0.833
-    )
-    camera_substeps: int = whole("number of straight segments of a dot's path within a slice", 1, 100, default=1)
-    scans_per_ms: int = whole("scans per ms of the simulated readout; the DVXplorer has 5", 1, 1000, default=5)
-    residual: float = number(
-        "largest residual of the force balance in a step, relative to all forces", 1e-12, 0.01, default=1e-6
-    )
+    #: largest estimated displacement error of a mechanical step; steps of 1 ms are halved until it is reached
+    tolerance_um: Annotated[float, Meta(ge=0.001, le=1000)] = 0.2
+    #: fixed mechanical step, instead of tolerance_um; 1 divided by a whole number
+    step_ms: Annotated[float, Meta(ge=0.0001, le=1)] | None = None
+    #: implicitness of the time step: 1 is implicit Euler; 0.5 is the trapezoidal rule, which rings after stick events
+    theta: Annotated[float, Meta(ge=0.5, le=1)] = 0.51
+    #: distance between neighbouring nodes of the gel; chosen by `grasp` if left out
+    node_pitch_mm: Annotated[float, Meta(ge=0.05, le=5)] = 0.833
+    #: number of straight segments of a dot's path within a slice
+    camera_substeps: Annotated[int, Meta(ge=1, le=100)] = 1
+    #: scans per ms of the simulated readout; the DVXplorer has 5
+    scans_per_ms: Annotated[int, Meta(ge=1, le=1000)] = 5
+    #: largest residual of the force balance in a step, relative to all forces
+    residual: Annotated[float, Meta(ge=1e-12, le=0.01)] = 1e-06
 
-    RULES: ClassVar[Mapping[str, Any]] = {"not": {"required": ["tolerance_um", "step_ms"]}}
     WRITTEN_WHOLE: ClassVar = True
     ALONE: ClassVar = ("step_ms", "tolerance_um")
 
     def __post_init__(self) -> None:
+        """Check the fixed step; ValueError if it does not divide a slice."""
         if self.step_ms is not None and not self._divides_slice(self.step_ms):
             raise ValueError(f"step_ms: expected 1 ms divided by a whole number, found {self.step_ms}")
 
@@ -86,14 +78,7 @@ def with_given(solver: Solver, settings: Mapping[str, Any], where: str) -> Solve
 
     A given tolerance replaces a fixed step, and a given fixed step replaces a tolerance.
     """
-    if {"tolerance_um", "step_ms"} <= set(settings):
-        both = "expected a tolerance or a fixed step (tolerance_um, step_ms), not both"
-        raise SceneError(f"[solver]: {both}", where=where)
-    try:
-        typed = read_table(Solver, dict(settings), where)
-    except InputError as error:
-        message = f"[solver] {error.message}"
-        raise SceneError(message, where=where, expected=error.expected, found=error.found, hint=error.hint) from None
+    typed = read_table(Solver, settings, f"{where}: [solver]", error=SceneError)
     if "step_ms" in settings:
         solver = replace(solver, tolerance_um=Solver.tolerance_um)
     if "tolerance_um" in settings:

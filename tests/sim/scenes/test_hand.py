@@ -10,7 +10,7 @@ from evetac_cli.sim.scenes.gripped import GRAVITY_M_S2
 from evetac_cli.sim.scenes.hand import FADE_S, Hand
 from evetac_cli.sim.scenes.shared import STEP_S
 from evetac_cli.sim.setup.held import HandSettings
-from evetac_cli.sim.setup.tables import build
+from evetac_cli.sim.setup.tables import read_table
 from tests.sim.scenes.trials import grasp_of, quiet_plan
 
 LIFT = {"height_mm": 60.0, "speed_mm_s": 100.0, "acceleration_mm_s2": 500.0}
@@ -19,7 +19,7 @@ SHAKES = {"frequency_hz": [18.0, 41.0], "acceleration_m_s2": [0.6, 0.3]}
 
 def speeds(hand: dict[str, Any], slices: int = 1500) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Speed at the end of each slice, and acceleration within it, of a hand that rises from 0.2 s on."""
-    one = Hand(build(HandSettings, hand), 0.2, STEP_S, np.random.default_rng(1))
+    one = Hand(read_table(HandSettings, hand, "here"), 0.2, STEP_S, np.random.default_rng(1))
     rows = [(one.accelerate(k), one.speed_m_s) for k in range(slices)]
     acceleration, speed = np.array(rows).T
     return speed, acceleration
@@ -84,7 +84,7 @@ def test_a_held_object_is_shaken() -> None:
                 fall_m_s.append(one._gel.twist[0])
                 friction_n.append(one.truth()["truth/shear_force_n"][0])
         moved.append(one.truth()["truth/object_xy_px"][0])
-    hand = Hand(build(HandSettings, shakes), 0.0, STEP_S, np.random.default_rng(0).spawn(2)[1])
+    hand = Hand(read_table(HandSettings, shakes, "here"), 0.0, STEP_S, np.random.default_rng(0).spawn(2)[1])
     expected = np.array([hand.accelerate(k) for k in range(900)])
     acting = np.diff(fall_m_s, prepend=0.0) / STEP_S + 2 * np.array(friction_n) / mass_kg - GRAVITY_M_S2
     loaded = slice(600, 900)

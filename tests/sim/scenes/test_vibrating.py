@@ -14,12 +14,11 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from evetac_cli.commands.record import Record
-from evetac_cli.errors import InputError, SceneError
+from evetac_cli.errors import InputError
 from evetac_cli.inspect import validate
 from evetac_cli.resources import SCENES
 from evetac_cli.sim.gel.gel import GelMaterial
 from evetac_cli.sim.scenes.vibrating import ORDERS, Drift, Vibration, pressed_by_disc, resonance, waves
-from evetac_cli.sim.setup import scene_file
 from evetac_cli.sim.setup.plan import first_plan, tones_hz
 from evetac_cli.text_files import as_toml
 from evetac_cli.trials import record
@@ -210,24 +209,6 @@ def test_the_scene_is_felt_at_few_events(hz: int, tmp_path: Path) -> None:
     amplitude = np.abs(np.fft.rfft(counts - counts.mean()))
     amplitude[: math.ceil(25 * 0.3)] = 0.0
     assert abs(np.argmax(amplitude) / 0.3 - hz) < 1 / 0.3  # frequencies are 3.3 Hz apart
-
-
-@pytest.mark.parametrize(
-    ("changes", "says"),
-    [
-        ({"frequency_hz": [0.5]}, "frequency_hz"),
-        ({"frequency_hz": []}, "frequency_hz"),
-        ({"at_hz": [100, 100, 300, 400, 498]}, "rising"),
-        ({"modulation_most": [0.3]}, "lists of different lengths"),
-        ({"second_harmonic_least": [0.9] * 5}, "above second_harmonic_most"),
-        ({"tangential_share": [0.6, 0.2]}, "lower end"),
-        ({"volume": 11}, "volume"),
-    ],
-)
-def test_a_wrong_table_is_refused(changes: dict[str, Any], says: str, tmp_path: Path) -> None:
-    """Assert that tones out of range and tables that do not fit together are refused, and told where."""
-    with pytest.raises(SceneError, match=says):
-        scene_file.load(changed(tmp_path, {}, **changes))
 
 
 @pytest.mark.parametrize("tones", ["", "x", "0", "2501", "nan", "200,,300", "-5"])

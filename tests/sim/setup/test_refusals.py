@@ -94,7 +94,7 @@ SCENES: list[tuple[str, dict[str, Any], str]] = [
     ("slip", {"solver": {"node_pitch_mm": 0.0}}, "solver.node_pitch_mm"),
     ("slip", {"solver": {"step_ms": math.nan}}, "solver.step_ms"),
     ("slip", {"solver": {"step_ms": 0.3}}, "step_ms"),
-    ("slip", {"solver": {"step_ms": 0.5, "tolerance_um": 0.1}}, "tolerance_um and step_ms"),
+    ("slip", {"solver": {"step_ms": 0.5, "tolerance_um": 0.1}}, "solver"),
     ("slip", {"randomise": {"mass": "heavy"}}, "randomise.mass"),
     ("slip", {"randomise": {"memory_um": [50.0, 20.0]}}, "randomise.memory_um"),
     ("slip", {"randomise": {"pressure_exponent": 1.5}}, "randomise.pressure_exponent"),
@@ -109,7 +109,11 @@ SCENES: list[tuple[str, dict[str, Any], str]] = [
     ("lift", {"hand": {"profile": "square"}}, "hand.profile"),
     ("edge", {"rub": {"edge_blur_px": [1000.0, 1000.0]}}, "rub.edge_blur_px.0"),  # drawing it takes many seconds
     ("vibration", {"tone": {"second_harmonic_least": [99.0] * 100}}, "tone.second_harmonic_least"),
+    ("vibration", {"tone": {"frequency_hz": []}}, "tone.frequency_hz"),
+    ("vibration", {"tone": {"modulation_most": [0.3]}}, "tone.modulation_most"),
+    ("vibration", {"tone": {"tangential_share": [0.6, 0.2]}}, "tone.tangential_share"),
     ("shear", {"face": {"radius_mm": 8.0}}, "face"),
+    ("shear", {"face": {"size_mm": None}}, "face"),
     *(("slip", {"time": {key: None}}, f"time.{key}") for key in ("rest_s", "load_s", "hold_s", "longest_s")),
     *(("data-rate", {"time": {key: None}}, f"time.{key}") for key in ("rest_s", "load_s", "longest_s")),
     ("data-rate", {"gripper": {"open_ticks": None}}, "gripper.open_ticks"),
@@ -153,7 +157,7 @@ FLAGS: list[tuple[str, dict[str, Any], str]] = [
     ("vibration", {"tones": "x"}, "--tone"),
     ("press", {"second": "evetac"}, "--camera"),
     ("lift", {"kinds": ("ramp",)}, "lift"),
-    ("slip", {"solver": {"step_ms": 0.5, "tolerance_um": 0.1}}, "not both"),
+    ("slip", {"solver": {"step_ms": 0.5, "tolerance_um": 0.1}}, "step_ms"),
     *(("slip", {"solver": {key: 0.0}}, key) for key in ("step_ms", "tolerance_um", "theta", "camera_substeps")),
 ]
 # Values of a recording's header in which no plan is.

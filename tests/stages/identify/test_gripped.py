@@ -14,7 +14,7 @@ from evetac_cli.sim import gripper
 from evetac_cli.sim.setup import scene_file
 from evetac_cli.sim.setup.plan import named_sensor, one_sensor
 from evetac_cli.sim.setup.sensor import Sensor, SensorGripper
-from evetac_cli.sim.setup.tables import build
+from evetac_cli.sim.setup.tables import read_table
 from evetac_cli.stages import identify
 from evetac_cli.stages.identify import gripped, gripper_rows
 from evetac_cli.stages.identify.drive import NAMES, DriveFit, GripperRows
@@ -42,7 +42,7 @@ def test_what_is_written_simulates_the_same() -> None:
     """Assert that the drive of the file's table has the friction, gain and damping that were told; the gel, too."""
     listed, values = gripper_rows.rows([gripped_whole()], Priors(500.0, 0.9, 0.45, True), LIKE)
     table = {key: one.value for key, one in values["gripper"].value.items()}
-    drive = gripper.make_drive(build(SensorGripper, table))
+    drive = gripper.make_drive(read_table(SensorGripper, table, "here"))
     assert drive.force_per_current_n_ma == 0.45
     assert drive.friction_n == pytest.approx(10.0 * 0.45) and drive.gain_ma_tick == pytest.approx(6.0)
     assert drive.damping_n_s_m == pytest.approx(400 * 0.45) and drive.mass_kg == pytest.approx(5 * 0.45)
