@@ -11,8 +11,7 @@ from evetac_cli.commands.share import Share
 from evetac_cli.console import format_value
 from evetac_cli.events import SLICES_PER_S
 from evetac_cli.formats.write.hub_card import card_fields, card_text, opening, table
-from evetac_cli.inspect.share.citation import citation, made_with
-from evetac_cli.inspect.share.limitations import UNLIKE
+from evetac_cli.inspect.share.sections import UNLIKE, citation, made_with
 from evetac_cli.jobs import Row
 
 LICENSE = "mit"  # that of the repository, which has the recipe

@@ -33,7 +33,7 @@ COMMANDS = {
     "index": ("index .",),
     "validate": ("validate .", "validate {n}.tracks.h5"),
     "report": ("report . -o page.html",),
-    "view": ("view {n}.recording.h5 -f --film {n}.gif", "view {n}.tracks.h5 -o {n}.page.html"),
+    "view": ("view {n}.recording.h5 -f", "view {n}.tracks.h5 -o {n}.page.html"),
     "view --rrd": ("view {n}.recording.h5 --rrd",),
     "text": ("export {n}.recording.h5 --format text", "record --from {n}.txt --frame-size 640x480 -o out"),
     "aedat4": ("export {n}.recording.h5 --format aedat4", "record --from {n}.aedat4 -o out"),

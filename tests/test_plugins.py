@@ -19,14 +19,14 @@ import numpy as np
 import pytest
 
 from evetac_cli import plugins, testing
-from evetac_cli.cli import dask_worker, exit_codes, main
+from evetac_cli.cli import dask_engine, exit_codes, main
 from evetac_cli.devices import cameras, grippers
 from evetac_cli.devices.cameras import NamedCamera
 from evetac_cli.errors import InputError
 from evetac_cli.formats import exports, imports
 from evetac_cli.formats.imports import ImportFormat, read_events
 from evetac_cli.formats.read.source import EventColumns, EventSource
-from evetac_cli.inspect.doctor import plugin_check
+from evetac_cli.inspect import doctor
 from evetac_cli.kernels.grip.control import PluginLaw
 from evetac_cli.kernels.grip.load_law import MARGIN
 from evetac_cli.resources import PACKAGE
@@ -425,7 +425,7 @@ def test_a_package_counts_as_used_where_it_has_a_part(add: Add) -> None:
     add(plugins.CAMERAS, "numpy", one=OneCamera)
     add(plugins.CONTROLLERS, "evetac", full=Numbered())
     add(plugins.GRIPPERS, "lab", none_such=grippers.NoGripper)
-    assert [row["ok"] for row in plugin_check.rows()] == [True, False, True]
+    assert [row["ok"] for row in doctor.plugin_rows()] == [True, False, True]
     assert plugins.by_name(plugins.CAMERAS, "one") is not None
     assert plugins.used() == {}
     before = time_host_versions()
@@ -453,7 +453,7 @@ def test_doctor_survives_any_plug_in(add: Add, monkeypatch: pytest.MonkeyPatch) 
         return load(self, wanted) if self.name == "well" else {}["key"]
 
     monkeypatch.setattr(plugins.Plugin, "load", odd)
-    assert [(row["check"], row["found"]) for row in plugin_check.rows()] == [
+    assert [(row["check"], row["found"]) for row in doctor.plugin_rows()] == [
         ("controller odd", "KeyError: 'key'"),
         ("controller well", "loads"),
     ]
@@ -492,9 +492,9 @@ def test_a_worker_without_the_package(add: Add, tmp_path: Path) -> None:
     (part,) = plugins.parts()
 
     def answer(part: plugins.Part) -> str:
-        version = dask_worker.__version__
-        command = dask_worker.ClusterCommand("record", None, False, version, tmp_path, tmp_path / "sign", (part,))
-        return dask_worker.check_worker(pickle.loads(pickle.dumps(command)))
+        version = dask_engine.__version__
+        command = dask_engine.ClusterCommand("record", None, False, version, tmp_path, tmp_path / "sign", (part,))
+        return dask_engine.check_worker(pickle.loads(pickle.dumps(command)))
 
     assert answer(part) == ""
     assert answer(part._replace(version="1.9")) == "has lab 2.0, but the command has lab 1.9"
@@ -602,7 +602,7 @@ def test_an_exporter_without_endings_or_writer(add: Add, row: exports.ExportForm
     add(plugins.EXPORTERS, odd=row)
     with pytest.raises(InputError, match=f"its `{said}` must be"):
         exports.named_format("odd")
-    assert [said in each["found"] for each in plugin_check.rows()] == [True]
+    assert [said in each["found"] for each in doctor.plugin_rows()] == [True]
 
 
 def test_what_a_plug_in_prints_is_not_json(add: Add, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

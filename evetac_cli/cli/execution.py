@@ -9,14 +9,15 @@ import re
 import shlex
 import time
 from collections import Counter
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from evetac_cli import console
-from evetac_cli.cli import compiling, config, engines, flags, indexing, workers
+from evetac_cli.cli import compiling, config, flags, indexing, workers
 from evetac_cli.cli.exit_codes import CommandExit
 from evetac_cli.cli.flags import Running
-from evetac_cli.commands.command import Command
+from evetac_cli.commands.parameter import Command
 from evetac_cli.errors import MADE_BY, EvetacError, InputError, made_by
 from evetac_cli.interrupts import interrupt_came
 from evetac_cli.jobs import Job, Outcome, Stage, require_possible_name
@@ -190,9 +191,9 @@ def run_jobs(
     """Run the jobs, several at a time if requested, and fill in the results; one failure does not stop the others."""
     shown = getattr(params, "shown_in", None) is not None  # a live view prints its own lines
     quiet, force = running.quiet or shown or getattr(params, "listen", False), running.force
-    engine = engines.Engine.parse(running.engine)
+    engine = flags.Engine.parse(running.engine)
     exclusive = shown or any(job.exclusive for job in jobs)
-    if exclusive and engine.name != engines.LOCAL:
+    if exclusive and engine.name != flags.LOCAL:
         raise InputError("devices work only on this computer", where="--engine", expected="local", found=running.engine)
     if engine.address and running.number_of_jobs > 1:
         hint = "leave out --jobs: the number of workers is that of the running cluster"
@@ -204,18 +205,18 @@ def run_jobs(
 
     def run_several(some: list[Job], into: dict[Path, Outcome | EvetacError]) -> None:
         at_once = 1 if exclusive else min(running.number_of_jobs, len(some))
-        if not some or (engine.name == engines.LOCAL and at_once < 2):
+        if not some or (engine.name == flags.LOCAL and at_once < 2):
             return
-        how = (command.module, engines.largest_first(some), params, force, at_once)
+        how = (command.module, largest_first(some), params, force, at_once)
         with console.progress_bar(f"{command.name} {len(some)} files", "files", quiet=quiet) as progress:
-            if engine.name == engines.DASK:
+            if engine.name == flags.DASK:
                 from evetac_cli.cli import dask_engine  # loaded only for --engine dask
 
                 dask_engine.run_on_dask(engine, *how, progress, into)
             else:
                 workers.run_parallel(*how, progress, into, quiet=quiet)
 
-    if engine.name == engines.DASK or running.number_of_jobs > 1:
+    if engine.name == flags.DASK or running.number_of_jobs > 1:
         parts = {job.output: stage.parts(job, params) for job in waiting}
         part_results: dict[Path, Outcome | EvetacError] = {}
         run_several([part for some in parts.values() for part in some], part_results)
@@ -235,3 +236,16 @@ def run_jobs(
                 results[job.output] = workers.run_one(command.module, job, params, force, progress)
     opened = [job for job in jobs if job.output not in by_index and isinstance(results[job.output], Outcome)]
     indexing.learn(opened, quiet)
+
+
+def largest_first(jobs: list[Job]) -> list[Job]:
+    """Return the jobs sorted by the bytes of their inputs, largest first, so that short jobs end last; stable."""
+
+    def size(job: Job) -> int:
+        total = 0
+        for path in job.inputs:
+            with suppress(OSError):
+                total += path.stat().st_size
+        return total
+
+    return sorted(jobs, key=size, reverse=True)

@@ -17,10 +17,11 @@ from typing import Annotated, Any, get_args, get_origin, get_type_hints
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from evetac_cli.cli import engines
-from evetac_cli.commands.command import Command
-from evetac_cli.commands.parameter import RUNNING, flag_of
+from evetac_cli.commands.parameter import RUNNING, Command, flag_of
+from evetac_cli.errors import InputError
 
+LOCAL, DASK = "local", "dask"  # where jobs run: on this computer (workers.py), or on a Dask cluster (dask_engine.py)
+SCHEMES = ("tls://", "tcp://")
 UNREAD = object()
 WHOLE = re.compile("-?(0|[1-9][0-9]{0,17})")
 DECIMAL = re.compile("-?(0|[1-9][0-9]{0,17})([.][0-9]{1,17})?")
@@ -32,7 +33,7 @@ OF_STAGES: dict[str, tuple[Any, Any, str, str]] = {
     "number_of_jobs": (int, 1, "-j/--jobs", "Files processed at the same time."),
     "engine": (
         str,
-        engines.LOCAL,
+        LOCAL,
         "--engine",
         "local; dask: a Dask cluster of --jobs processes, or dask:tls://ADDRESS (docs/cluster.md).",
     ),
@@ -46,33 +47,25 @@ OF_STAGES: dict[str, tuple[Any, Any, str, str]] = {
     "quiet": (bool, False, "-q/--quiet", "Print no progress and no messages."),
     "verbose": (bool, False, "-v/--verbose", "Print whole tables, and tracebacks of errors."),
 }
-# view writes one page, whose parameters are part of no recipe: several jobs or a config file would be of no use.
-OF_VIEW = {name: entry for name, entry in OF_STAGES.items() if name not in ("number_of_jobs", "engine", "config")} | {
-    "out": (
-        Path | None,
-        None,
-        "-o/--out",
-        "Output file or folder; default: next to the input.",
-    ),
-    "force": (bool, False, "-f/--force", "Replace an existing page or animation."),
-}
-OF_REPORT = OF_VIEW | {
-    "out": (
-        Path | None,
-        None,
-        "-o/--out",
-        "Output file or folder; default: report.html in the folder, or A-B.report.html in the current one.",
-    ),
-    "force": (bool, False, "-f/--force", "Replace an existing page."),
-}
-OF_EXPORT = OF_VIEW | {
-    "out": (Path | None, None, "-o/--out", "Output file or folder; default: next to the recording."),
-    "force": (bool, False, "-f/--force", "Replace an existing file."),
-}
-OF_SHARE = OF_VIEW | {
-    "out": (Path | None, None, "-o/--out", "Output folder; default: NAME-hub next to the input."),
-    "force": (bool, False, "-f/--force", "Replace an existing folder made by share."),
-}
+
+
+def _of_others(out: str, force: str) -> dict[str, tuple[Any, Any, str, str]]:
+    """Return how to run a command whose parameters are part of no recipe: several jobs and a config file are no use."""
+    more = {"out": (Path | None, None, "-o/--out", out), "force": (bool, False, "-f/--force", force)}
+    return {
+        name: entry for name, entry in OF_STAGES.items() if name not in ("number_of_jobs", "engine", "config")
+    } | more
+
+
+OF_VIEW = _of_others("Output file or folder; default: next to the input.", "Replace an existing page.")
+OF_REPORT = _of_others(
+    "Output file or folder; default: report.html in the folder, or A-B.report.html in the current one.",
+    "Replace an existing page.",
+)
+OF_EXPORT = _of_others("Output file or folder; default: next to the recording.", "Replace an existing file.")
+OF_SHARE = _of_others(
+    "Output folder; default: NAME-hub next to the input.", "Replace an existing folder made by share."
+)
 OF_LOOKING = {name: OF_STAGES[name] for name in ("as_json", "quiet", "verbose")}  # of commands that write no files
 OF_DOCTOR = OF_LOOKING | {
     "out": (
@@ -85,13 +78,30 @@ OF_DOCTOR = OF_LOOKING | {
 
 
 @dataclass(frozen=True)
+class Engine:
+    """The value of `--engine`: its name, and the address of an existing Dask scheduler, if given."""
+
+    name: str
+    address: str = ""
+
+    @classmethod
+    def parse(cls, text: str) -> "Engine":
+        """Read `local`, `dask` or `dask:ADDRESS`; InputError for anything else."""
+        name, _, address = text.partition(":")
+        if name not in (LOCAL, DASK) or (text != name and not (name == DASK and address.startswith(SCHEMES))):
+            expected = "local, dask, dask:tls://ADDRESS:PORT or dask:tcp://ADDRESS:PORT"
+            raise InputError("unknown engine", where="--engine", expected=expected, found=text)
+        return cls(name, address)
+
+
+@dataclass(frozen=True)
 class Running:
     """How a command is run, from its flags. If a command lacks one of these flags, the default applies."""
 
     out: Path | None = None
     force: bool = False
     number_of_jobs: int = 1
-    engine: str = engines.LOCAL
+    engine: str = LOCAL
     config: Path | None = None
     as_json: bool = False
     quiet: bool = False
@@ -213,7 +223,7 @@ def signature(command: Command, running: dict[str, tuple[Any, Any, str, str]]) -
             *names.split("/"),
             help=help_,
             rich_help_panel=RUNNING,
-            show_default=default in (1, engines.LOCAL),
+            show_default=default in (1, LOCAL),
         )
         how.append(inspect.Parameter(name, keyword, default=default, annotation=Annotated[kind, option]))
     if command.files:

@@ -19,11 +19,12 @@ from evetac_cli import __version__, commands, console, interrupts
 from evetac_cli.cli import config, execution, exit_codes, flags, indexing, workers
 from evetac_cli.cli.exit_codes import CommandExit, Commands
 from evetac_cli.cli.flags import Running
-from evetac_cli.commands.command import Command
+from evetac_cli.commands.parameter import Command
 from evetac_cli.errors import DeviceError, EvetacError, InputError, UnavailableError
 from evetac_cli.jobs import Outcome
 
 OF_FOLDERS = ("repair",)  # inspectors that take folders themselves, not the files in them
+DOCTOR_PARTS = {"print_udev": "", "compile": ".compile_kernels", "speed": ".speed", "hardware": ".hardware_check"}
 AsJson = Annotated[bool, flags.looking("as_json")]
 Quiet = Annotated[bool, flags.looking("quiet")]
 Verbose = Annotated[bool, flags.looking("verbose")]
@@ -86,42 +87,37 @@ def _doctor(command: Command, title: str, flag_values: dict[str, Any]) -> None:
     running = Running.take(flag_values, flags.OF_DOCTOR)
     with CommandExit(title, running):
         params = config.resolve(command.params, title, flag_values, None)
-        module = importlib.import_module(f"evetac_cli.{command.module}")
-        if not params.hardware and (params.camera or params.arm or params.yes or running.out):
-            raise InputError("has no effect without --hardware", where="--camera, --arm, --yes or -o")
-        apart = [flag for flag in ("print_udev", "compile", "speed", "hardware") if getattr(params, flag)]
-        if len(apart) > 1:
-            names = ", ".join(f"--{flag.replace('_', '-')}" for flag in apart)
-            raise InputError("cannot be combined", where=names, expected="only one of these flags")
-        if params.hardware and running.quiet:
-            raise InputError("has no effect with --hardware, which announces every step", where="--quiet")
-        if params.gripper and apart and not params.hardware:
-            raise InputError(f"has no effect with --{apart[0].replace('_', '-')}", where="--gripper")
+        apart = [flag for flag in DOCTOR_PARTS if getattr(params, flag)]
+        names = ", ".join(f"--{flag.replace('_', '-')}" for flag in apart)
+        of_hardware = params.camera or params.arm or params.yes or running.out
+        for refused, message, where in (
+            (of_hardware and not params.hardware, "has no effect without --hardware", "--camera, --arm, --yes or -o"),
+            (len(apart) > 1, "cannot be combined", names),
+            (params.hardware and running.quiet, "has no effect with --hardware, which announces every step", "--quiet"),
+            (params.gripper and apart and not params.hardware, f"has no effect with {names}", "--gripper"),
+        ):
+            if refused:
+                raise InputError(message, where=where)
+        module = importlib.import_module(f"evetac_cli.{command.module}{DOCTOR_PARTS[apart[0]] if apart else ''}")
+        result: Outcome
         if params.print_udev:
             if running.as_json:
                 console.show(title, [], {"udev": module.udev_rules()}, simulated=False, as_json=True)
             else:
                 print(module.udev_rules())
             return
-        result: Outcome
-        if params.compile:
-            module = importlib.import_module("evetac_cli.inspect.doctor.compile_kernels")
-            with console.progress_bar("compiling", "parts", quiet=running.quiet) as progress:
-                result = module.run(progress, say=(lambda line: None) if running.quiet else console.say)
-            if not running.quiet or running.as_json:
-                console.show(title, result.rows, result.summary, simulated=False, as_json=running.as_json)
-            return
         if params.hardware:
-            module = importlib.import_module("evetac_cli.inspect.doctor.hardware_check")
             result = module.run(params, running.out)
-        elif params.speed:
-            module = importlib.import_module("evetac_cli.inspect.doctor.speed")
-            with console.progress_bar("measuring", "parts", quiet=running.quiet) as progress:
-                result = module.run(params, progress=progress)
+        elif params.compile or params.speed:
+            with console.progress_bar(f"{title} {names}", "parts", quiet=running.quiet) as progress:
+                if params.compile:
+                    result = module.run(progress, say=(lambda line: None) if running.quiet else console.say)
+                else:
+                    result = module.run(params, progress=progress)
         else:
             result = module.run(params)
         _show(title, module, result, running)
-        if result.summary["wrong"]:
+        if result.summary.get("wrong"):
             raise typer.Exit(DeviceError.exit_code)
 
 

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from functools import cache, partial
 from typing import Any
 
-from evetac_cli.commands.command import Command
+from evetac_cli.commands.parameter import Command
 
 OF_PIPELINE = (
     "record",

@@ -3,8 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from evetac_cli.commands.command import Command
-from evetac_cli.commands.parameter import parameter
+from evetac_cli.commands.parameter import Command, parameter
 
 
 @dataclass(frozen=True)

@@ -2,8 +2,7 @@
 
 from dataclasses import dataclass
 
-from evetac_cli.commands.command import Command
-from evetac_cli.commands.parameter import parameter
+from evetac_cli.commands.parameter import Command, parameter
 
 
 @dataclass(frozen=True)
@@ -24,7 +23,7 @@ class Doctor:
     )
     speed: bool = parameter(
         False,
-        "Only measure, for 20 to 50 s, whether this computer is fast enough to record and grasp in real time, and how"
+        "Only measure, for 15 to 40 s, whether this computer is fast enough to record and grasp in real time, and how"
         " many events per second it can process. Writes temporary files in the current folder.",
         recipe=False,
     )

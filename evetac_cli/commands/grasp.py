@@ -4,10 +4,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from evetac_cli import names
-from evetac_cli.commands.command import Command
-from evetac_cli.commands.devices import DEVICES, Devices
-from evetac_cli.commands.parameter import parameter
-from evetac_cli.commands.trials import SIMULATED, Trials
+from evetac_cli.commands.parameter import Command, parameter
+from evetac_cli.commands.trials import DEVICES, SIMULATED, Devices, Trials
 from evetac_cli.names import Capability
 
 GRIP = "Grip and detector"  # panel of --help

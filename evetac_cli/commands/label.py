@@ -2,8 +2,7 @@
 
 from dataclasses import dataclass
 
-from evetac_cli.commands.command import Command
-from evetac_cli.commands.parameter import parameter
+from evetac_cli.commands.parameter import Command, parameter
 
 REVIEW = "Manual labels"  # a panel of --help
 OTHERS, TRAINING = "Methods other than event-flow", "Training"  # panels of --help

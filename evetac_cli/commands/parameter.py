@@ -1,4 +1,4 @@
-"""One parameter of a command: its default, help, unit and range, and whether it is part of the recipe.
+"""A command, and one parameter of it: its default, help, unit and range, and whether it is part of the recipe.
 
 Fields with `recipe=False` choose files or how a command runs. They do not change the numbers and are not part of a
 recipe.
@@ -6,12 +6,27 @@ recipe.
 
 import dataclasses
 from collections.abc import Collection
-from dataclasses import field, fields
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 from evetac_cli.errors import InputError
 
 RUNNING = "Running"  # the panel of --help with flags that do not change the numbers
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command that writes files: its parameters, its module, its input files, and the unit of its progress bar."""
+
+    name: str
+    params: type
+    module: str
+    files: str  # help text of the file arguments; empty if the command takes none
+    kind: str = "recording"  # kind of the files taken from a folder; empty: the command handles folders itself
+    suffix: str = ".h5"  # of an output file named by -o
+    unit: str = "slices"
+    files_needed: bool = True
+    examples: tuple[str, ...] = ()  # command lines shown by --help
 
 
 def parameter(

@@ -4,10 +4,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from evetac_cli import names
-from evetac_cli.commands.command import Command
-from evetac_cli.commands.devices import DEVICES, Devices
-from evetac_cli.commands.parameter import parameter
-from evetac_cli.commands.trials import SCENE, SERIES, SIMULATED, VIEW, Trials
+from evetac_cli.commands.parameter import Command, parameter
+from evetac_cli.commands.trials import DEVICES, SCENE, SERIES, SIMULATED, VIEW, Devices, Trials
 from evetac_cli.names import Capability
 
 IMPORT = "Import"  # panel of --help

@@ -2,8 +2,7 @@
 
 from dataclasses import dataclass
 
-from evetac_cli.commands.command import Command
-from evetac_cli.commands.parameter import parameter
+from evetac_cli.commands.parameter import Command, parameter
 
 
 @dataclass(frozen=True)

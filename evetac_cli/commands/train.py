@@ -3,8 +3,7 @@
 from dataclasses import dataclass
 
 from evetac_cli import names, plugins
-from evetac_cli.commands.command import Command
-from evetac_cli.commands.parameter import parameter
+from evetac_cli.commands.parameter import Command, parameter
 
 OTHERS, TRAINING = "Methods other than event-flow", "Training"  # panels of --help
 

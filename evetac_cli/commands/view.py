@@ -1,18 +1,13 @@
 """view: its flags, its examples, and the stage that it runs."""
 
 from dataclasses import dataclass
-from pathlib import Path
 
-from evetac_cli.commands.command import Command
-from evetac_cli.commands.parameter import parameter
+from evetac_cli.commands.parameter import Command, parameter
 
 
 @dataclass(frozen=True)
 class View:
-    """Show a recording and the results computed from it on one HTML page, and optionally as an animation.
-
-    The page works offline.
-    """
+    """Show a recording and the results computed from it on one HTML page, which works offline, or in rerun."""
 
     start_s: float = parameter(0.0, "Start of the part to show.", unit="s", low=0.0, recipe=False)
     stop_s: float | None = parameter(
@@ -28,7 +23,6 @@ class View:
         high=3000,
         recipe=False,
     )
-    film: Path | None = parameter(None, "Also write an animation to this GIF file.", recipe=False)
     rrd: bool = parameter(
         False,
         "Write NAME.rrd for the rerun viewer instead of a page, with every event up to its size limit.",
@@ -43,5 +37,5 @@ COMMAND = Command(
     "Any stage file of one trial; the others of the same name are found. Also a model, or the pretrained `shipped`.",
     kind="",
     unit="images",
-    examples=("evetac view a.recording.h5", "evetac view a.recording.h5 --start-s 1 --stop-s 1.2 --film a.gif"),
+    examples=("evetac view a.recording.h5", "evetac view a.recording.h5 --start-s 1 --stop-s 1.2"),
 )

@@ -1,7 +1,7 @@
 """info: the figures of stage files, and their provenance."""
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from evetac_cli.events import SLICES_PER_S
 from evetac_cli.inspect import info_slip
 from evetac_cli.jobs import Outcome
 from evetac_cli.kernels.calibration.grid import in_words
-from evetac_cli.pages import touch_words
+from evetac_cli.pages.shared import KNOWN, inner, stiffness
 from evetac_cli.stages.model_files import TRUE_SLIP_SHARES, labelled_by, learned_true_slip_share, read_curve
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.recordings import marks, slip_grid, streams
@@ -355,8 +355,18 @@ def _touch(file: StageFile) -> dict[str, Any]:
             for which, value in _extreme(file.read("sticking_share"), file.read("sticking_share_sd"), lowest=True)
         },
         "maps": _touch_maps(file),
-        "stiffness": touch_words.stiffness_in_figures(file.header),
+        "stiffness": _stiffness(file.header),
     }
+
+
+def _stiffness(header: Mapping[str, Any]) -> str:
+    """Return how well the stiffness is known, with the modulus and its relative error if the header has them."""
+    which, parameters = stiffness(header), header["parameters"]
+    if which != KNOWN:
+        return which
+    modulus_pa, error = inner(parameters, "known", "shear_modulus_pa"), parameters.get("stiffness_error")
+    within = f" within {100 * error:.3g} %" if isinstance(error, float) else ""
+    return f"known, {modulus_pa / 1e3:.4g} kPa{within}"
 
 
 def _extreme(values: Floats, sd: Floats, *, lowest: bool = False) -> Iterator[tuple[str, float | None]]:

@@ -1,18 +1,14 @@
 """validate: check stage files against their schema, their own numbers, their header and their recipe id."""
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from evetac_cli.console import print_table
 from evetac_cli.errors import EvetacError, InputError, UnavailableError
-from evetac_cli.inspect.header_rules import follows
 from evetac_cli.jobs import Outcome, Progress, silent
-from evetac_cli.resources import schemas
 from evetac_cli.store.files import StageFile, header_of
 from evetac_cli.store.layout import contents, rules
-from evetac_cli.store.layout.ancestry import TABLES
 from evetac_cli.store.layout.provenance import ContentDigest, history_fault
 from evetac_cli.store.recordings.read import Recording
 
@@ -52,14 +48,6 @@ def show(result: Outcome) -> None:
 
 def _faults(file: StageFile) -> list[str]:
     """Return all faults of a file that could be opened, and so has the right datasets, dtypes and shapes."""
-    rules = json.loads((schemas() / "header.v1.json").read_text())
-    header = {key: value for key, value in file.header.items() if key not in TABLES}
-    if not follows(header, rules):
-        import jsonschema
-
-        violation = jsonschema.exceptions.best_match(jsonschema.Draft202012Validator(rules).iter_errors(header))
-        if violation is not None:
-            return [f"header: {violation.message[:300]}"]
     if fault := history_fault(file.stored_header):
         return [fault]
     faults = list(contents.faults(file))

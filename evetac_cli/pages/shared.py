@@ -1,11 +1,12 @@
-"""Common parts of the pages of view and report: colours, axes of charts, text, and writing of a page.
+"""Common parts of the pages of view and report: colours, text, tables, and writing of a page.
 
-A page is one HTML file that loads nothing: it contains the style (data/page.css), Bokeh's script and all data. Text
-from files is escaped, also on the axes of charts, which Bokeh draws as text and never as HTML.
+A page is one HTML file that loads nothing: it contains the style (data/page.css) and all data. Text from files is
+escaped.
 """
 
 import html
 import json
+import math
 import re
 from collections.abc import Iterable, Mapping
 from functools import partial
@@ -22,6 +23,7 @@ NEUTRAL = "#7f8790"  # replaces INK in charts: legible on white and on black
 UNKNOWN = "#9aa1a9"
 LARGEST_BYTES = 20_000_000
 LONGEST_TEXT = 300
+ADAPTED, KNOWN, NOT_KNOWN = "adapted with known forces", "known", "not known"
 
 
 def check_libraries(names: Iterable[str]) -> None:
@@ -97,52 +99,52 @@ def badges(values: Iterable[tuple[str, Any]], *, simulated: bool) -> str:
     )
 
 
-# Charts ---------------------------------------------------------------------------------------------------------------
-
-
 def shown_colour(colour: str) -> str:
     """Return a colour as charts draw it: ink would be invisible on one of a page's two backgrounds."""
     return NEUTRAL if colour == INK else colour
 
 
-def bare_figure(**more: Any) -> Any:
-    """Return a figure of the page's width, without frame and tools, in the page's colours."""
-    from bokeh.plotting import figure
-
-    chart = figure(
-        **{
-            "sizing_mode": "stretch_width",
-            "toolbar_location": None,
-            "tools": [],
-            "min_border_left": 58,
-            "min_border_right": 14,
-            "min_border_top": 4,
-            "min_border_bottom": 4,
-            "background_fill_alpha": 0,
-            "border_fill_alpha": 0,
-            "outline_line_color": None,
-            **more,
-        }
-    )
-    for axis in (*chart.xaxis, *chart.yaxis):
-        axis.axis_line_color = NEUTRAL
-        axis.major_tick_line_color = NEUTRAL
-        axis.minor_tick_line_color = None
-        axis.major_label_text_color = NEUTRAL
-        axis.axis_label_text_color = NEUTRAL
-        axis.axis_label_text_font_style = "normal"
-    chart.grid.grid_line_color = NEUTRAL
-    chart.grid.grid_line_alpha = 0.22
-    return chart
+def inner(table: Any, *names: str) -> Any:
+    """Return a value inside nested tables of a header, which may contain anything; None if there is none."""
+    for name in names:
+        table = table.get(name) if isinstance(table, Mapping) else None
+    return table
 
 
-def embed(figures: Iterable[Any]) -> tuple[str, str, list[str]]:
-    """Return Bokeh's script for these figures, its library, and the HTML that contains each figure."""
-    from bokeh.embed import components
-    from bokeh.resources import Resources
+def stiffness(header: Mapping[str, Any]) -> str:
+    """Return ADAPTED, KNOWN or NOT_KNOWN: how well the stiffness that scales the forces of a touch file is known."""
+    if any(inner(ancestor, "kind") == "force-model" for ancestor in header["history"].values()):
+        return ADAPTED  # the only kind of model used for touch maps
+    return NOT_KNOWN if inner(header, "parameters", "known", "shear_modulus_pa") is None else KNOWN
 
-    all_figures = tuple(figures)
-    if not all_figures:
-        return "", "", []
-    script, places = components(all_figures)
-    return script, Resources(mode="inline", components=["bokeh"]).render_js(), list(places)
+
+# Tables ---------------------------------------------------------------------------------------------------------------
+
+
+def figure_text(value: Any) -> str:
+    """Return a value as the text of a cell: numbers to three digits, a dash for None."""
+    if value is None or (isinstance(value, float) and math.isnan(value)):
+        return "-"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        if math.isinf(value):
+            return "never"
+        return f"{value:,.0f}" if abs(value) >= 1000 else f"{value:.3g}"
+    return f"{value:,}" if isinstance(value, int) else short(str(value))
+
+
+def cell(value: Any, beside: str = "", text: str = "") -> str:
+    """Return a cell that is sorted by its value; text: overrides `figure_text`."""
+    numeric = isinstance(value, (int, float)) and not isinstance(value, bool)
+    by = f" data-v='{float(value)!r}'" if numeric and math.isfinite(value) else " data-v='1e99'" if numeric else ""
+    return f"<td{by}{' class=n' if numeric else ''}>{text or figure_text(value)}{beside}</td>"
+
+
+def table(heads: Iterable[str], rows: Iterable[str], name: str = "") -> str:
+    """Return a table whose columns are sorted by a click on their headings; heads and rows are HTML."""
+    buttons = "".join(f"<th scope='col'><button type='button'>{head}</button></th>" for head in heads)
+    id_ = f" id='{name}'" if name else ""
+    body = "".join(rows)
+    rows_ = f"<thead><tr>{buttons}</tr></thead><tbody>{body}</tbody>"
+    return f"<div class='scroll'><table class='sorted'{id_}>{rows_}</table></div>"

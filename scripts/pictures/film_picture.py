@@ -13,9 +13,9 @@ from PIL import Image, ImageDraw, ImageFont
 
 from evetac_cli.events import Events
 from evetac_cli.kernels.event_image import event_image
-from evetac_cli.pages.view.film import ARROWS
 
 FINE = 2  # enlargement while drawing
+ARROWS = 5.0  # times the true displacement
 NEAR = 8  # levels between two colours of the palette
 WIDE, TALL = 720, 616
 PAPER, PANEL, SLOW, RULE, TEXT, QUIET = "#12171e", "#1b222c", "#27313f", "#39434f", "#e8edf3", "#98a3b0"

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from evetac_cli.cli import engines
-from evetac_cli.cli.engines import Engine
+from evetac_cli.cli import execution
+from evetac_cli.cli.flags import Engine
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job
 
@@ -37,5 +37,5 @@ def test_large_files_first(tmp_path: Path) -> None:
         path.write_bytes(bytes(size))
         jobs.append(Job((path, path), Path(f"{number}.h5")))
     missing = Job((tmp_path / "none",), Path("none.h5"))
-    ordered = engines.largest_first([missing, *jobs])
+    ordered = execution.largest_first([missing, *jobs])
     assert [job.output.stem for job in ordered] == ["1", "3", "0", "2", "none"]

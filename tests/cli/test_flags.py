@@ -71,12 +71,6 @@ def test_help_is_without_noise_and_has_examples(path: list[str], command: Comman
         assert example in " ".join(text.split())
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["evaluate", "--help"], ["info", "--help"], ["repair", "--help"]])
-def test_other_help_is_without_noise(arguments: list[str]) -> None:
-    """Assert that groups and the commands that look at files show no type of a switch, either."""
-    assert "<bool>" not in evetac(*arguments).stdout
-
-
 @pytest.mark.parametrize(("path", "command"), COMMANDS, ids=IDS)
 def test_examples_are_understood(path: list[str], command: Command) -> None:
     """Assert that every flag of an example is one of the command."""
@@ -101,14 +95,6 @@ def test_a_flag_given_twice_is_refused(arguments: list[str]) -> None:
     assert result.exit_code == 2
     assert "is given 2 times" in " ".join(result.stderr.replace("│", " ").split())
     assert evetac("record", "--help", "-h").exit_code == 0
-
-
-def test_two_values_of_model_say_what_to_do() -> None:
-    """Assert that who gives --model twice learns how several models are named."""
-    result = evetac("evaluate", "slip", "--model", "a", "--model", "b", "c")
-    assert "several models of `evaluate slip` are given with commas" in " ".join(
-        result.stderr.replace("│", " ").split()
-    )
 
 
 def test_switches_of_a_command_are_whole_after_its_help() -> None:
@@ -146,16 +132,6 @@ def test_quiet_commands_print_nothing(command: str, made: Made, tmp_path: Path) 
     assert missing.exit_code == 2
     assert missing.stdout == ""
     assert missing.stderr.startswith("error: ") or command == "validate"
-
-
-def test_a_quiet_doctor_prints_nothing(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Assert that `doctor -q` says by its exit code alone whether something is wrong."""
-    monkeypatch.chdir(tmp_path)
-    run = evetac("doctor", "-q")
-    assert (run.exit_code in (0, 3), run.stdout) == (True, "")
-    refused = evetac("doctor", "-q", "--hardware", "--camera", "virtual")
-    assert refused.exit_code == 2
-    assert "--quiet: has no effect with --hardware" in refused.stderr
 
 
 @pytest.mark.parametrize(("path", "command"), [*COMMANDS, (["report"], REPORT), (["share"], SHARE)])

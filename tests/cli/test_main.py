@@ -1,14 +1,12 @@
 """The command line: help, flags, exit codes, --json, outputs. Stages are stand-ins, so that only main is tested."""
 
 import dataclasses
-import importlib.util
 import json
 import os
 import pickle
 import pty
 import re
 import shutil
-import subprocess
 import sys
 import tty
 from collections.abc import Callable
@@ -24,10 +22,8 @@ from evetac_cli.cli import execution
 from evetac_cli.cli.flags import Running
 from evetac_cli.cli.main import app
 from evetac_cli.commands import EVALUATE, PIPELINE
-from evetac_cli.commands.command import Command
 from evetac_cli.commands.label import Label
-from evetac_cli.commands.parameter import flag_of
-from evetac_cli.console import FEW_ROWS
+from evetac_cli.commands.parameter import Command, flag_of
 from evetac_cli.errors import (
     DeviceError,
     DeviceTimeout,
@@ -41,11 +37,9 @@ from evetac_cli.errors import (
     install_hint,
 )
 from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
-from evetac_cli.resources import PACKAGE
 from evetac_cli.stages import per_file
 from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.layout.provenance import Recipe
-from tests.patience import PATIENCE_S
 
 COMMANDS = [([command.name], command) for command in PIPELINE]
 COMMANDS += [(["evaluate", command.name], command) for command in EVALUATE]
@@ -132,16 +126,6 @@ def test_without_a_command(arguments: list[str]) -> None:
             assert path[len(arguments)] in text
 
 
-@pytest.mark.parametrize(
-    "arguments", [["labl"], ["evaluate", "slp"], ["label"], ["info"], ["--nothing"], ["label", "a.h5", "--nothing"]]
-)
-def test_wrong_usage(arguments: list[str]) -> None:
-    """Assert that an unknown command or flag, and a missing file argument, end with exit code 2 and empty stdout."""
-    result = evetac(*arguments)
-    assert result.exit_code == 2
-    assert result.stdout == ""
-
-
 @pytest.mark.parametrize(("path", "command"), COMMANDS, ids=[" ".join(path) for path, _ in COMMANDS])
 def test_help_says_everything(path: list[str], command: Command) -> None:
     """Assert that the help of a command has each flag with help, choices, unit and default, also where that is 0."""
@@ -170,12 +154,6 @@ def test_help_says_everything(path: list[str], command: Command) -> None:
         assert flag in text
 
 
-def test_stage_modules_exist() -> None:
-    """Assert that every command names a module of the package (imported only when it runs)."""
-    for _, command in COMMANDS:
-        assert importlib.util.find_spec(f"evetac_cli.{command.module}") is not None
-
-
 ERRORS = [
     (EvetacError("m"), 1),
     (InputError("m"), 2),
@@ -184,14 +162,6 @@ ERRORS = [
     (DeviceError("m"), 3),
     (DeviceTimeout("m"), 3),
 ]
-
-
-@pytest.mark.parametrize(("error", "code"), ERRORS, ids=lambda value: type(value).__name__)
-def test_exit_codes(label_is: Any, files: list[str], error: EvetacError, code: int) -> None:
-    """Assert that each kind of error ends with its code, in words on stderr, without a traceback."""
-    label_is(raising(error))
-    result = evetac("label", files[0])
-    assert (result.exit_code, result.stdout, result.stderr) == (code, "", "error: m\n")
 
 
 def test_error_says_where_expected_found_try(label_is: Any, files: list[str]) -> None:
@@ -215,44 +185,10 @@ def test_verbose_has_the_traceback(label_is: Any, files: list[str]) -> None:
     assert "Traceback" in result.stderr
 
 
-def test_ctrl_c(label_is: Any, files: list[str]) -> None:
-    """Assert that Ctrl-C ends with 130 and says that finished files are complete."""
-    label_is(raising(KeyboardInterrupt()))
-    result = evetac("label", *files)
-    assert (result.exit_code, result.stdout) == (130, "")
-    assert result.stderr.startswith("interrupted: ")
-
-
 def test_errors_of_ours_are_not_hidden(label_is: Any, files: list[str]) -> None:
     """Assert that a bug is not dressed up as an error of the user."""
     label_is(raising(ZeroDivisionError()))
     assert isinstance(evetac("label", files[0]).exception, ZeroDivisionError)
-
-
-@pytest.mark.parametrize(
-    ("error", "words"), [(MemoryError("at 0x1"), "not enough memory"), (RecursionError("depth"), "nested too deeply")]
-)
-def test_m4_memory_and_recursion_end_in_words(
-    label_is: Any, files: list[str], error: BaseException, words: str
-) -> None:
-    """Assert that what is too large or too deep is said, on stderr and in JSON."""
-    label_is(raising(error))
-    result = evetac("label", files[0], "--json")
-    assert result.exit_code == 1
-    assert words in result.stderr
-    assert result.stderr.startswith("error: ")
-    assert words in json.loads(result.stdout)["error"]["message"]
-
-
-@pytest.mark.parametrize("name", ["a" * 240, "ä" * 120, "a" * 300])
-def test_names_of_240_bytes_fail_before_the_work(label_is: Any, files: list[str], name: str) -> None:
-    """Assert that an output whose name no file system takes, with what is appended while it is written, is refused."""
-    label_is(lambda job, chosen: pytest.fail("ran"))
-    result = evetac("label", files[0], "-o", f"{name}.labels.h5", "--json")
-    assert result.exit_code == 2
-    assert "name is too long" in json.loads(result.stdout)["error"]["message"]
-    label_is(made)
-    assert evetac("label", files[0], "-o", f"{'a' * 150}.labels.h5").exit_code == 0
 
 
 def test_an_error_does_not_stop_the_others(label_is: Any, files: list[str]) -> None:
@@ -401,16 +337,6 @@ def test_json_of_usage_errors(files: list[str], arguments: list[str], command: s
     assert evetac(*arguments).stdout == ""
 
 
-@pytest.mark.parametrize("arguments", [["info", "none.h5"], ["repair", "none"], ["export", "none.h5"], ["track"]])
-def test_json_of_every_kind_of_command(files: list[str], arguments: list[str]) -> None:
-    """Assert that commands that look, export and compute keep the same rule."""
-    more = ["--format", "text"] if arguments[0] == "export" else files[:1] if arguments[0] == "track" else []
-    result = evetac(*arguments, *more, "--json")
-    shown = json.loads(result.stdout)
-    assert (result.exit_code, shown["command"], shown["error"]["exit_status"]) == (2, arguments[0], 2)
-    assert shown["error"]["message"] in result.stderr
-
-
 @pytest.mark.parametrize("error", [DeviceTimeout(**PARTS), SchemaError(**PARTS)])
 def test_errors_come_whole_from_worker_processes(error: EvetacError) -> None:
     """Assert that an error that was pickled has its words and parts."""
@@ -424,15 +350,6 @@ def test_errors_come_whole_from_worker_processes(error: EvetacError) -> None:
         "  try:      h",
         "  kept:     k",
     ]
-
-
-def test_table(label_is: Any, files: list[str]) -> None:
-    """Assert that people get a table that says simulated, and the time it took on stderr."""
-    label_is(made)
-    result = evetac("label", *files)
-    assert "label (simulated)" in result.stdout
-    assert "b.labels.h5" in result.stdout
-    assert re.fullmatch(r"label: \d+\.\d s\n", result.stderr)
 
 
 def test_what_was_made_is_the_last_line(label_is: Any, files: list[str]) -> None:
@@ -468,21 +385,6 @@ def test_what_people_see_and_its_verdict(monkeypatch: pytest.MonkeyPatch, files:
     assert (json.loads(shown.stdout)["rows"], shown.stderr) == (answer.rows, "")
 
 
-@pytest.mark.parametrize("count", [FEW_ROWS, FEW_ROWS + 1])
-def test_many_rows_show_fewer_columns(monkeypatch: pytest.MonkeyPatch, files: list[str], count: int) -> None:
-    """Assert that a stage can leave out columns if its rows are many, which is said; -v has them."""
-    stage = module_of(
-        lambda files, chosen, out: [Job(tuple(files), Path("x.report.h5"))],
-        lambda *_, **__: Outcome([{"a": at, "work_j": 2.0} for at in range(count)], True),
-        details_of_many=frozenset({"work_j", "absent"}),
-    )
-    monkeypatch.setitem(sys.modules, "evetac_cli.evaluate.slip", stage)
-    result = evetac("evaluate", "slip", *files)
-    many = count > FEW_ROWS
-    assert ("work_j" not in result.stdout) is ("-v and --json print all columns" in result.stderr) is many
-    assert "work_j" in evetac("evaluate", "slip", *files, "-v").stdout
-
-
 def test_up_to_date_is_said(label_is: Any, files: list[str]) -> None:
     """Assert that a run without work ends well and says so."""
     label_is(skipped)
@@ -509,24 +411,10 @@ def test_out_is_a_folder_or_a_file(label_is: Any, files: list[str]) -> None:
     assert sorted(os.listdir("new/folder")) == ["a.labels.h5", "b.labels.h5", "c.labels.h5"]
     assert evetac("label", files[0], "-o", "one.h5").exit_code == 0
     assert Path("one.h5").exists()
-    result = evetac("label", *files, "-o", "all.h5")
-    assert result.exit_code == 2
-    assert "one output file cannot hold several results" in result.stderr
-    assert "a folder for 3 files" in result.stderr
-    assert not Path("all.h5").exists()
-
-
-@pytest.mark.parametrize("out", ["z.txt", "new/z.json", "z.png"])
-def test_out_that_looks_like_another_file_is_refused(label_is: Any, files: list[str], out: str) -> None:
-    """Assert that no folder is made by the name of a file, unless there is one already."""
-    label_is(made)
-    result = evetac("label", files[0], "-o", out)
-    assert result.exit_code == 2
-    assert "looks like a file of another kind" in result.stderr and f"mkdir {out} first" in result.stderr
-    assert not Path(out).exists()
-    Path(out).mkdir(parents=True)
-    assert evetac("label", files[0], "-o", out).exit_code == 0
+    Path("z.txt").mkdir()
+    assert evetac("label", files[0], "-o", "z.txt").exit_code == 0
     assert evetac("label", files[0], "-o", "run-0.5").exit_code == 0
+    assert evetac("label", files[0], "-o", "b.labels.h5", "--force", "--jobs", "8").exit_code == 0
 
 
 def test_a_folder_stands_for_its_files(label_is: Any, files: list[str]) -> None:
@@ -537,48 +425,43 @@ def test_a_folder_stands_for_its_files(label_is: Any, files: list[str]) -> None:
         (Path("data") / name).write_text(name)
     rows = json.loads(evetac("label", "data", files[2], "--json").stdout)["rows"]
     assert [row["output"] for row in rows] == ["data/a.labels.h5", "data/b.labels.h5", "c.labels.h5"]
+
+
+REFUSED = {
+    "one file for many": ("a.recording.h5 b.recording.h5 -o all.h5", "--out"),
+    "another kind of file": ("a.recording.h5 -o z.txt", "--out"),
+    "a folder with none": ("above", "above/below"),
+    "one output twice": ("a.recording.h5 sub/a.recording.h5 -o out", "out/a.labels.h5"),
+    "one input twice": ("a.recording.h5 ./a.recording.h5", "a.labels.h5"),
+    "over an input": ("a.recording.h5 -o a.recording.h5 --force", "a.recording.h5"),
+    "over an input by its link": ("a.recording.h5 -o link.h5 --force", "link.h5"),
+    "over the file of a link": ("link.h5 -o a.recording.h5 --force", "a.recording.h5"),
+    "no jobs": ("a.recording.h5 --jobs 0", "--jobs"),
+    "jobs that are no number": ("a.recording.h5 --jobs two", "--jobs"),
+    "below the range": ("a.recording.h5 --confirm-ms 0", "--confirm-ms"),
+    "not finite": ("a.recording.h5 --threshold-px nan", "--threshold-px"),
+    "not whole": ("a.recording.h5 --confirm-ms 2.5", "--confirm-ms"),
+    "no config": ("a.recording.h5 --config none.toml", "none.toml"),
+    "config with an unknown name": ("a.recording.h5 --config c.toml", "did you mean confirm_ms?"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_refused_before_the_stage_runs(label_is: Any, files: list[str], case: str) -> None:
+    """Assert that it ends with exit code 2, names the place, and makes and changes nothing."""
+    label_is(lambda job, chosen: pytest.fail("ran"))
+    Path("sub").mkdir()
     Path("above/below").mkdir(parents=True)
     Path("above/below/a.recording.h5").touch()
-    result = evetac("label", "above")
-    assert result.exit_code == 2
-    assert "above: no such file in this folder" in result.stderr and "*.recording.h5" in result.stderr
-    assert "above/below" in result.stderr
-
-
-def test_clash_of_outputs(label_is: Any, files: list[str]) -> None:
-    """Assert that inputs of one name are not written over each other, and nothing is made."""
-    label_is(made)
-    Path("sub").mkdir()
-    result = evetac("label", "a.recording.h5", "sub/a.recording.h5", "b.recording.h5", "-o", "out")
-    assert result.exit_code == 2
-    assert "several inputs would write the same output" in result.stderr
-    assert "out/a.labels.h5" in result.stderr
-    assert "b.labels.h5" not in result.stderr
-    assert not Path("out").exists()
-    assert evetac("label", "a.recording.h5", "./a.recording.h5").exit_code == 2
-    assert evetac("label", "a.recording.h5", "sub/a.recording.h5").exit_code == 0
-
-
-def test_many_outputs_are_checked_quickly(label_is: Any, files: list[str]) -> None:
-    """Assert that thousands of files are compared in no time, not each with each (that took minutes)."""
-    label_is(skipped)
-    jobs = [Job((), Path(f"{number}.h5")) for number in range(30_000)]
-    execution._check_outputs(jobs, [], Label(), force=True)
-    with pytest.raises(InputError, match=r"29999\.h5"):
-        execution._check_outputs([*jobs, jobs[-1]], [], Label(), force=True)
-
-
-def test_force_never_replaces_an_input(label_is: Any, files: list[str]) -> None:
-    """Assert that --force does not destroy what the output is made from, also not through another name for it."""
-    label_is(made)
     Path("link.h5").symlink_to("a.recording.h5")
-    for out in ("a.recording.h5", "../" + Path.cwd().name + "/a.recording.h5", str(Path("a.recording.h5").resolve())):
-        result = evetac("label", "a.recording.h5", "-o", out, "--force")
-        assert result.exit_code == 2
-        assert "the output would replace an input" in result.stderr
-    assert evetac("label", "link.h5", "-o", "a.recording.h5", "-f").exit_code == 2
+    Path("c.toml").write_text("[label]\nconfirm = 9\n")
+    before = sorted(Path().rglob("*"))
+    words, place = REFUSED[case]
+    result = evetac("label", *words.split())
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert place in plain_text(result.stderr)
+    assert sorted(Path().rglob("*")) == before
     assert Path("a.recording.h5").read_text() == "a.recording.h5"
-    assert evetac("label", "a.recording.h5", "-o", "b.labels.h5", "-f").exit_code == 0
 
 
 def test_force_never_replaces_a_file_named_by_a_flag(monkeypatch: pytest.MonkeyPatch, files: list[str]) -> None:
@@ -588,17 +471,6 @@ def test_force_never_replaces_a_file_named_by_a_flag(monkeypatch: pytest.MonkeyP
     result = evetac("grasp", "--model", "a.recording.h5", "-o", "a.recording.h5", "--force")
     assert result.exit_code == 2
     assert "the output would replace an input" in result.stderr
-
-
-@pytest.mark.parametrize("number", ["0", "-1"])
-def test_number_of_jobs(label_is: Any, files: list[str], number: str) -> None:
-    """Assert that at least one job is needed, and that it must be a number."""
-    label_is(made)
-    result = evetac("label", *files, "--jobs", number)
-    assert result.exit_code == 2
-    assert "--jobs: out of range" in result.stderr
-    assert evetac("label", *files, "--jobs", "two").exit_code == 2
-    assert evetac("label", files[0], "--jobs", "8").exit_code == 0
 
 
 def parameters(job: Job, chosen: Any) -> Outcome:
@@ -618,28 +490,6 @@ def test_flags_and_config_reach_the_stage(label_is: Any, files: list[str]) -> No
     assert row("--config", "c.toml").items() >= {"confirm_ms": 9, "threshold_px": 0.25}.items()
     flags = row("--config", "c.toml", "--confirm-ms", "3", "--after-ms", "0")
     assert flags.items() >= {"confirm_ms": 3, "threshold_px": 0.25, "after_ms": 0}.items()
-
-
-WRONG = [
-    (["--confirm-ms", "0"], "--confirm-ms: out of range"),
-    (["--threshold-px", "nan"], "--threshold-px: not a finite number"),
-    (["--threshold-px", "-0.1"], "--threshold-px: out of range"),
-    (["--threshold-px", "0"], "--threshold-px: out of range"),
-    (["--confirm-ms", "2.5"], "Invalid value"),
-    (["--config", "none.toml"], "none.toml: cannot be read"),
-    (["--config", "c.toml"], "did you mean confirm_ms?"),
-]
-
-
-@pytest.mark.parametrize(("arguments", "words"), WRONG, ids=[" ".join(arguments) for arguments, _ in WRONG])
-def test_wrong_parameters(label_is: Any, files: list[str], arguments: list[str], words: str) -> None:
-    """Assert that wrong values are refused before the stage runs, with exit code 2."""
-    label_is(lambda job, chosen: pytest.fail("ran"))
-    Path("c.toml").write_text("[label]\nconfirm = 9\n")
-    result = evetac("label", files[0], *arguments)
-    assert result.exit_code == 2
-    assert words in plain_text(result.stderr)
-    assert result.stdout == ""
 
 
 @pytest.mark.parametrize("given", [[], ["--sort"], ["--no-sort"]])
@@ -708,15 +558,6 @@ def test_info(report: Path) -> None:
         assert [row["id"] for row in shown["rows"]] == [file.header["id"]] * 2
 
 
-def test_info_of_what_is_no_stage_file(report: Path, files: list[str]) -> None:
-    """Assert that a foreign file is an error in words."""
-    Path("empty").mkdir()
-    for wrong in (files[0], "none.h5", "empty"):
-        result = evetac("info", report, wrong)
-        assert result.exit_code == 2
-        assert result.stderr.startswith(f"error: {wrong}: ")
-
-
 def test_info_of_files_of_which_some_are_foreign(report: Path, files: list[str]) -> None:
     """Assert that a foreign file hides no other, in words and in JSON, and gives the exit code."""
     given = (files[0], report, files[1])
@@ -742,25 +583,6 @@ def test_validate(report: Path, files: list[str]) -> None:
     assert [row["valid"] for row in shown["rows"]] == [True, False, False]
     assert shown["summary"] == {"files": 3, "invalid": 2, "not_checked": 0}
     assert "no such file" in shown["rows"][2]["faults"]
-
-
-@pytest.mark.slow
-def test_several_jobs_at_a_time(files: list[str]) -> None:
-    """Assert that worker processes report the errors of all files like one process does: this is the real program."""
-    paths = [str(Path(name).resolve()) for name in files[:2]]
-    run = [sys.executable, "-m", "evetac_cli", "track", *paths, "--json", "--jobs"]
-    done = [
-        subprocess.run(
-            [*run, number], capture_output=True, text=True, timeout=PATIENCE_S, check=False, cwd=PACKAGE.parent
-        )
-        for number in ("2", "1")
-    ]
-    for result in done:
-        assert result.returncode == 2
-        assert json.loads(result.stdout)["rows"] == []
-    assert done[0].stdout == done[1].stdout
-    assert done[0].stderr == done[1].stderr
-    assert all(f"error: {path}: cannot be opened" in done[0].stderr for path in paths)
 
 
 def test_parts_of_a_job_come_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,9 +1,8 @@
-"""A list of contents that make no sense, each set into a small valid file: `validate` names the dataset, stages refuse.
+"""Contents that make no sense, one for each rule of each kind of file: `validate` names the dataset, stages refuse.
 
 Every change is a dataset of the right dtype and shape, so that nothing but its values is wrong.
 """
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -11,9 +10,7 @@ from typing import Any, NamedTuple
 import h5py
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from evetac_cli.cli.main import app
 from evetac_cli.commands.evaluate import EvaluateLabels, EvaluateSlip, EvaluateTracking, EvaluateVibration
 from evetac_cli.commands.featurize import Featurize
 from evetac_cli.commands.label import Label
@@ -94,229 +91,96 @@ GRID_OF_TWO_ROWS = small_files.GRID_PX[:2]
 ONE_COORDINATE = small_files.GRID_PX + np.array([0.0, NAN])
 
 CHANGES = [
-    # events
     in_recording("events/t", 0, -1, "0 or more"),
     in_recording("events/t", -1, 10**9, "ms_to_idx"),
     in_recording("events/t", 5, 900, "never decreasing"),
-    in_recording("events/t", ..., 0, "ms_to_idx"),
     in_recording("events/x", 3, 640, "inside the frame"),
-    in_recording("events/x", -1, 65535, "inside the frame"),
-    in_recording("events/y", 3, 480, "inside the frame"),
     in_recording("events/p", 3, 2, "one of 0, 1"),
-    in_recording("events/p", -1, 255, "one of 0, 1"),
     in_recording("ms_to_idx", 0, 1, "begins at 0"),
     in_recording("ms_to_idx", -1, 10**6, "events/t"),
-    in_recording("ms_to_idx", -1, 1, "never decreasing"),
     in_recording("ms_to_idx", 3, -5, "0 to"),
-    in_recording("ms_to_idx", 3, 200, "never decreasing"),
-    in_recording("ms_to_idx", 3, 31, "events/t"),
     in_recording("t_offset", (), 2**63 - 1, "4611686018427387904"),
-    in_recording("t_offset", (), -(2**63), "4611686018427387904"),
-    # sensor
     in_recording("sensor/frame_px", 0, 0, "1 to 65535"),
-    in_recording("sensor/frame_px", 1, -480, "1 to 65535"),
-    in_recording("sensor/frame_px", 0, 2**31 - 1, "1 to 65535"),
-    in_recording("sensor/window_px", ..., [640, 0, 540, 480], "inside the frame"),
-    in_recording("sensor/window_px", 2, 700, "inside the frame"),
-    in_recording("sensor/window_px", 0, -1, "0 or more"),
-    in_recording("sensor/window_px", ..., [540, 0, 540, 480], "inside the frame"),
     in_recording("sensor/dot_xy_px", (0, 0), INF, "finite"),
-    in_recording("sensor/dot_xy_px", (0, 0), [-500.0, 10.0], "inside the frame"),
-    in_recording("sensor/dot_xy_px", (0, 0), [10.0, 1e300], "inside the frame"),
     in_recording("sensor/dot_xy_px", ..., NAN, "at least one dot"),
     in_recording("sensor/dot_xy_px", (0, 0, 1), NAN, "both coordinates"),
     in_recording("sensor/dot_xy_px", None, GRID_OF_TWO_ROWS, "truth/dot_xy_px"),
     in_recording("sensor/dot_radius_px", (), 0.0, "more than 0"),
-    in_recording("sensor/dot_radius_px", (), -15.0, "more than 0"),
     in_recording("sensor/contrast_over_threshold", (), 0.0, "0.001 to 1000"),
-    in_recording("sensor/contrast_over_threshold", (), 1e300, "0.001 to 1000"),
     in_recording("sensor/shear_modulus_pa", (), -1.0, "1 to 1000000000"),
     in_recording("sensor/dot_radius_px", (), 1e9, "frame"),
-    in_recording("sensor/dot_radius_px", (), NAN, "finite"),
-    in_recording("sensor/dot_radius_px", (), INF, "finite"),
-    # gripper
-    in_recording("gripper/t_us", 3, 0, "never decreasing"),
-    in_recording("gripper/t_us", 0, -2000, "0 or more"),
-    in_recording("gripper/current_ma", 0, NAN, "finite"),
-    in_recording("gripper/current_ma", 0, INF, "finite"),
-    in_recording("gripper/current_target_ma", 0, INF, "finite"),
-    # capture
-    in_recording("capture/slices_per_s", (), -1.0, "0 or more"),
-    in_recording("capture/slices_per_s", (), INF, "finite"),
-    in_recording("capture/commands_per_s", (), -1.0, "0 or more"),
-    in_recording("capture/lost/camera.dropped", (), -3, "0 or more"),
-    in_recording("capture/lost_slices", 0, [4, 2], "never decreasing"),
     in_recording("capture/lost_slices", 0, [4, 4], "end after they begin"),
-    in_recording("capture/lost_slices", ..., [[6, 7], [2, 4]], "never decreasing"),
-    in_recording("capture/lost_slices", 1, [6, SLICES + 1], "0 to"),
-    in_recording("capture/lost_slices", 0, [-1, 4], "0 to"),
-    in_recording("capture/lost_slices", 1, [3, 7], "never decreasing"),
-    in_recording("capture/clock_offset_us", (), NAN, "finite"),
-    in_recording("capture/command_misses", (), -1, "0 or more"),
-    in_recording("capture/command_us", 0, -1.0, "0 or more"),
-    in_recording("capture/command_us", ..., [3.0, 2.0, 1.0], "never decreasing"),
-    in_recording("capture/slice_late_us", ..., [3.0, 2.0, 1.0], "never decreasing"),
-    in_recording("capture/latency_us", 2, INF, "finite"),
-    in_recording("capture/released_us", (), NAN, "finite"),
-    # truth
-    in_recording("truth/dot_xy_px", (0, 0), NAN, "finite"),
-    in_recording("truth/dot_xy_px", (0, 0), 1e6, "inside the frame"),
-    in_recording("truth/dot_xy_px", (0, 0), -1e6, "inside the frame"),
-    in_recording("truth/object_xy_px", 0, INF, "finite"),
-    in_recording("truth/slid_px", 0, NAN, "finite"),
-    in_recording("truth/slip", 3, 7, "one of 0, 1"),
-    in_recording("truth/slid_px", 3, -1.0, "0 or more"),
-    in_recording("truth/every_node_slid_px", 3, -1.0, "0 or more"),
-    in_recording("truth/every_node_slid_px", 3, INF, "finite"),
     in_recording("truth/slip_share", 3, 1.5, "0 to 1"),
-    in_recording("truth/visible_slip_share", 3, -0.5, "0 to 1"),
-    in_recording("truth/normal_force_n", 3, NAN, "finite"),
-    in_recording("truth/shear_force_n", 3, INF, "finite"),
-    in_recording("truth/tone_hz", 3, -100.0, "0 or more"),
-    in_recording("truth/tone_amplitude_um", 3, NAN, "finite"),
     in_recording("truth/sampled_parameters", (), "no JSON", "a JSON object"),
-    in_recording("truth/sampled_parameters", (), "[1]", "a JSON object"),
     in_recording("truth/sampled_parameters", (), DEEP, "a JSON object"),
-    # control
-    in_recording("control/t_us", 3, 0, "never decreasing"),
-    in_recording("control/t_us", 0, -1, "0 or more"),
-    in_recording("control/u_ff_ticks", 0, NAN, "finite"),
-    in_recording("control/x_ref_ticks", 0, INF, "finite"),
-    in_recording("control/slip", 0, 9, "one of 0, 1"),
     in_recording("control/phase", 0, 3, "one of 0, 1, 2"),
-    in_recording("control/missed", 0, -1, "0 or more"),
-    in_recording("control/slices_processed", 3, -1, "0 or more"),
-    in_recording("control/slices_processed", 3, 0, "never decreasing"),
-    in_recording("control/outcome", (), '"text"', "a JSON object"),
-    in_recording("control/probability", 3, 1.5, "0 to 1"),
-    in_recording("control/probability", 3, INF, "finite"),
-    # tracks
     tracks("dot_xy_px", (2, 1), INF, "finite"),
     tracks("dot_xy_px", (2, 1), 1e7, "inside the frame"),
-    tracks("dot_xy_px", (2, 1), [-2000.0, 10.0], "inside the frame"),
     tracks("dot_xy_px", (2, 1), NAN, "missing in the grid"),
     tracks("events_per_dot", (0, 0), -1, "0 or more"),
     tracks("lost", (3, 2), 7, "one of 0, 1"),
     tracks("sensor/dot_xy_px", None, GRID_OF_TWO_ROWS, "dot_xy_px"),
-    tracks("sensor/dot_xy_px", (0, 0), [1000.0, 10.0], "inside the frame"),
-    tracks("sensor/dot_xy_px", (0, 0), INF, "finite"),
     tracks("sensor/dot_radius_px", (), 0.0, "more than 0"),
     tracks("sensor/contrast_over_threshold", (), -1.0, "0.001 to 1000"),
     tracks("sensor/dot_radius_px", (), 5000.0, "frame"),
     tracks("sensor/frame_px", ..., [0, 0], "1 to 65535"),
-    tracks("sensor/window_px", ..., [540, 480, 640, 0], "inside the frame"),
-    # labels
     labels("label", 3, 5, "one of -1, 0, 1"),
-    labels("label", 3, -128, "one of -1, 0, 1"),
     labels("label", 3, 1, "onset_slice"),
-    labels("onset_slice", (), 3, "onset_slice"),
-    labels("onset_slice", (), -1, "onset_slice"),
     labels("onset_slice", (), -2, "-1 to"),
-    labels("onset_slice", (), SLICES, "-1 to"),
     labels("confidence", (), 1.5, "0 to 1"),
     labels("confidence", (), -INF, "finite"),
     labels("flow_pairs_computed", (), -1, "0 or more"),
-    labels("relative_flow_px", 3, INF, "finite"),
-    # features
     features("displacement_px", (0, 0), INF, "finite"),
-    features("displacement_px", (0, 0), NAN, "finite"),
     features("displacement_px", (0, 0), -1.0, "0 to 100000"),
-    features("displacement_px", (0, 0), 3e38, "0 to 100000"),
-    features("displacement_xy_px", (0, 0), INF, "finite"),
     features("displacement_xy_px", (0, 0), -3e38, "-100000 to 100000"),
     features("events_per_dot", (0, 0), -1, "0 or more"),
-    features("events_total", 0, -1, "0 or more"),
     features("sensor/contrast_over_threshold", (), 1e-300, "0.001 to 1000"),
-    features("sensor/contrast_over_threshold", (), NAN, "finite"),
     features("visible_slip_share", 3, 1.5, "0 to 1"),
-    features("truth/visible_slip_share", 3, 1.5, "0 to 1"),
-    features("events_outside", 0, -1, "0 or more"),
     features("label", 0, 7, "one of -1, 0, 1"),
     features("label", 0, 1, "onset_slice"),
     features("onset_slice", (), SLICES, "-1 to"),
-    features("onset_slice", (), 2**40, "-1 to"),
     features("dot_shape", ..., [0, 12], "1 or more"),
     features("dot_shape", ..., [COLUMNS + 1, ROWS], f"{DOTS} dots"),
-    features("dot_shape", ..., [-3, -4], "1 or more"),
     features("image/start", 0, 1, "begins at 0"),
     features("image/start", 3, 2, "never decreasing"),
-    features("image/start", -1, 5, "never decreasing"),
     features("image/start", -1, 50, "image/pixel"),
     features("image/start", 3, -1, "0 to"),
     features("image/pixel", 0, 540 * 480, "0 to 259199"),
     features("image/sign", 0, 0, "one of -1, 1"),
-    # model
     model("threshold", (), 2.0, "0 to 1"),
-    model("threshold", (), -1.0, "0 to 1"),
     model("threshold", (), NAN, "finite"),
     model("history", (), -10, "history"),
-    model("history", (), 2**40, "history"),
     model("history", (), 11, "51"),
     model("architecture", (), "hist1000", "one of no-hist, hist10"),
-    model("architecture", (), "hist10", "history"),
     model("dot_shape", ..., [1, 56], "2 x 4"),
     model("dot_shape", ..., [-7, -8], "1 or more"),
     model("dot_shape", ..., [8, 8], "weights"),
     model("checkpoint/chosen", (), 99, "checkpoint/step"),
-    model("checkpoint/chosen", (), -1, "checkpoint/step"),
-    model("checkpoint/threshold", 0, 1.5, "0 to 1"),
-    model("checkpoint/score", 0, NAN, "finite"),
-    model("checkpoint/score", 0, 2.0, "0 to 1"),
     model("checkpoint/step", 0, -5, "0 or more"),
     model("checkpoint/step", 1, 0, "increasing"),
-    model("curve/step", 0, -1, "0 or more"),
-    model("curve/loss", 0, INF, "finite"),
     model("horizon_ms", (), -10, "0 to 1000"),
-    model("horizon_ms", (), 2**40, "0 to 1000"),
-    model("weights/0.fc1.bias", 0, NAN, "finite"),
     model("weights/0.fc1.bias", 0, 100.0, "onnx"),
     model("weights/0.fc1.weight", None, np.zeros((2, 2)), "shape"),
-    model("onnx", ..., 0, "onnx"),
-    model("onnx", slice(0, 40), 255, "onnx"),
     model("checkpoint/onnx", (0, ...), 0, "checkpoint/onnx"),
-    # force model
     force_model("sensor", (), "radar", "one of events, frames"),
     force_model("dot_shape", ..., [ROWS, COLUMNS + 1], "network/0/weight"),
     force_model("dot_shape", ..., [0, 0], "1 or more"),
     force_model("network/scale_px", (), 0.0, "1e-06 to 1000000"),
     force_model("network/scale_px", (), NAN, "finite"),
-    force_model("network/scale_n", (), -1.0, "1e-06 to 1000000"),
     force_model("regression/offset_n", 0, 1e300, "-1000000 to 1000000"),
-    force_model("network/2/bias", 0, 3e38, "-1000000 to 1000000"),
-    force_model("network/0/weight", (0, 0), INF, "finite"),
-    force_model("regression/slope_n_px", (0, 0), NAN, "finite"),
     force_model("curve/chosen", (), 99, "curve/learned_n"),
-    force_model("curve/chosen", (), -1, "curve/learned_n"),
     force_model("curve/held_out_n", 0, -1.0, "0 or more"),
-    # touch
     Change("touch", "touches", 3, 2, "0, 1"),
     Change("touch", "normal_n", 0, INF, "finite"),
     Change("touch", "area_mm2", 0, -1.0, "0 or more"),
     Change("touch", "sticking_share", 0, 1.5, "0 to 1"),
     Change("touch", "slip_direction_rad", 0, 4.0, "-3.1416 to 3.1416"),
-    Change("touch", "normal_sd_n", 0, -0.1, "0 or more"),
     Change("touch", "reference_slice", 0, SLICES, "an index of known"),
-    Change("touch", "map/slice", 0, -1, "an index of known"),
-    Change("touch", "map/slice", 1, 2**62, "an index of known"),
     Change("touch", "map/slice", 1, 0, "strictly increasing"),
-    Change("touch", "map/y_mm", 1, 7.0, "strictly increasing"),
-    Change("touch", "map/pressure_sd_pa", (0, 0, 0), -1.0, "0 or more"),
-    Change("touch", "map/x_mm", 0, NAN, "finite"),
-    Change("touch", "map/pressure_pa", (0, 0, 0), INF, "finite"),
-    # report
     Change("report", "rows", (), "no JSON", "a JSON list of flat objects"),
-    Change("report", "rows", (), '{"a": 1}', "a JSON list of flat objects"),
-    in_recording("streams/arm/t_us", 2, 0, "never decreasing"),
-    in_recording("streams/arm/t_us", 4, 2**63 - 1, "4611686018427387904"),
-    in_recording("streams/arm/x_m", 1, INF, "finite"),
-    in_recording("streams/arm/about", (), "no JSON", "a JSON object"),
     in_recording("streams/arm/about", (), '{"units": {"x_m": 3}}', "`units` that are texts"),
-    Change("report", "rows", (), "[1, 2]", "a JSON list of flat objects"),
-    Change("report", "rows", (), '[{"a": {"b": 1}}]', "a JSON list of flat objects"),
-    Change("report", "rows", (), '[{"a": NaN}]', "a JSON list of flat objects"),
     Change("report", "rows", (), DEEP, "a JSON list of flat objects"),
     Change("report", "summary", (), "[]", "a JSON object"),
-    Change("report", "summary", (), "no JSON", "a JSON object"),
 ]
 
 
@@ -333,20 +197,13 @@ def small(tmp_path: Path) -> dict[str, Path]:
     return small_files.every_kind(tmp_path)
 
 
-def test_the_list_is_long_and_the_files_are_valid(small: dict[str, Path]) -> None:
-    """Assert that there are at least 100 senseless contents, and that the files they are set into are valid."""
-    assert len(CHANGES) >= 100
+def test_the_files_are_valid(small: dict[str, Path]) -> None:
+    """Assert that the files into which senseless contents are set are valid."""
     rows = validate.run(list(small.values())).rows
     assert [row["faults"] for row in rows] == [None] * len(small)
 
 
-def some(cases: list[Any], ids: list[str]) -> list[Any]:
-    """All cases as parameters of a test; two of three are slow."""
-    marks = [pytest.mark.slow if number % 3 else () for number in range(len(cases))]
-    return [pytest.param(*case, id=id_, marks=mark) for case, id_, mark in zip(cases, ids, marks, strict=True)]
-
-
-@pytest.mark.parametrize("change", some([(change,) for change in CHANGES], [name_of(change) for change in CHANGES]))
+@pytest.mark.parametrize("change", CHANGES, ids=name_of)
 def test_m3_validate_refuses_senseless_contents(change: Change, small: dict[str, Path]) -> None:
     """Assert that validate refuses the content in words that name the dataset and say what was expected."""
     path = small[change.kind]
@@ -356,16 +213,6 @@ def test_m3_validate_refuses_senseless_contents(change: Change, small: dict[str,
     assert change.dataset.split("/")[0] in row["faults"]
     assert change.said in row["faults"]
     assert len(row["faults"]) < 2000
-
-
-@pytest.mark.parametrize("change", CHANGES[::25], ids=name_of)
-def test_m3_validate_ends_with_exit_code_2(change: Change, small: dict[str, Path]) -> None:
-    """Assert that the command ends with exit code 2 and prints no traceback."""
-    path = small[change.kind]
-    change.apply(path)
-    result = CliRunner().invoke(app, ["validate", str(path), "--json"])
-    assert result.exit_code == 2
-    assert "Traceback" not in result.output
 
 
 def outcome_of(stage: Any, chosen: Any, path: Path) -> Any:
@@ -395,37 +242,22 @@ STAGES: dict[str, tuple[str, Callable[[Path], Any]]] = {
 
 REFUSED_BY = [
     ("trim", in_recording("events/x", 3, 640, "events/x")),
-    ("trim", in_recording("events/y", 3, 480, "events/y")),
-    ("trim", in_recording("events/t", 0, -1, "events/t")),
-    ("trim", in_recording("truth/slip", 3, 7, "truth/slip")),
-    ("trim", in_recording("gripper/t_us", 3, 0, "gripper/t_us")),
-    ("trim", in_recording("capture/lost_slices", 0, [4, 2], "capture/lost_slices")),
     ("track", in_recording("events/p", 3, 2, "events/p")),
-    ("track", in_recording("events/x", 3, 640, "events/x")),
-    ("track", in_recording("sensor/dot_radius_px", (), -1.0, "sensor/dot_radius_px")),
     ("label truth", in_recording("truth/slip", 3, 7, "truth/slip")),
     ("track-rgb", in_recording("truth/dot_xy_px", (0, 0), INF, "truth/dot_xy_px")),
-    ("track-rgb", in_recording("sensor/dot_xy_px", None, GRID_OF_TWO_ROWS, "dot_xy_px")),
     ("featurize", tracks("dot_xy_px", (2, 1), INF, "dot_xy_px")),
-    ("featurize", tracks("events_per_dot", (0, 0), -1, "events_per_dot")),
-    ("featurize", tracks("sensor/dot_xy_px", None, GRID_OF_TWO_ROWS, "sensor/dot_xy_px")),
     ("featurize", labels("label", 3, 5, "label")),
-    ("featurize", labels("onset_slice", (), 2**40, "onset_slice")),
-    ("featurize", labels("onset_slice", (), 3, "onset_slice")),
     ("evaluate labels", labels("label", 3, 5, "label")),
     ("evaluate labels", in_recording("truth/slip", 3, 7, "truth/slip")),
     ("evaluate tracking", tracks("dot_xy_px", (2, 1), INF, "dot_xy_px")),
-    ("evaluate tracking", tracks("sensor/dot_xy_px", ..., NAN, "sensor/dot_xy_px")),
     ("evaluate tracking", in_recording("truth/dot_xy_px", (0, 0), NAN, "truth/dot_xy_px")),
     ("evaluate slip", model("threshold", (), 2.0, "threshold")),
-    ("evaluate slip", model("horizon_ms", (), 2**40, "horizon_ms")),
     ("evaluate slip", features("label", 0, 7, "label")),
-    ("evaluate slip", features("onset_slice", (), 2**40, "onset_slice")),
     ("predict-touch", tracks("dot_xy_px", (2, 1), INF, "dot_xy_px")),
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("stage", "change"), some(REFUSED_BY, [f"{s}: {name_of(c)}" for s, c in REFUSED_BY]))
+@pytest.mark.parametrize(("stage", "change"), REFUSED_BY, ids=[f"{s}: {name_of(c)}" for s, c in REFUSED_BY])
 def test_m3_stages_refuse_what_validate_refuses(stage: str, change: Change, small: dict[str, Path]) -> None:
     """Assert that a stage that reads the content refuses it in words that name the dataset, and writes nothing."""
     change.apply(small[change.kind])
@@ -434,19 +266,6 @@ def test_m3_stages_refuse_what_validate_refuses(stage: str, change: Change, smal
         work(small[kind])
     assert str(small[change.kind]) in str(refused.value)
     assert list((small[kind].parent / "out").iterdir()) == []
-
-
-def test_m4_deep_json_in_a_header_is_refused_in_words(small: dict[str, Path]) -> None:
-    """Assert that a header or a report with JSON nested 100,000 deep is refused by validate."""
-    for kind in ("labels", "report"):
-        with h5py.File(small[kind], "r+") as h5:
-            header = json.loads(h5.attrs["header"])
-            text = json.dumps(header)
-            h5.attrs.create("header", data=np.bytes_(""))
-            del h5.attrs["header"]
-            h5.attrs["header"] = text[:-1] + ', "more": ' + "[" * 5000 + "]" * 5000 + "}"
-        (row,) = validate.run([small[kind]]).rows
-        assert row["valid"] is False
 
 
 def rewrite_header(path: Path, **changes: Any) -> None:

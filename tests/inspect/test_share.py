@@ -19,11 +19,10 @@ from typer.testing import CliRunner
 
 from evetac_cli.cli.main import app
 from evetac_cli.commands.evaluate import EvaluateSlip
-from evetac_cli.commands.export import Export
 from evetac_cli.commands.share import Share
 from evetac_cli.errors import InputError
 from evetac_cli.evaluate import slip
-from evetac_cli.inspect import export, share
+from evetac_cli.inspect import share
 from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.layout.provenance import Recipe
 from tests import small_files
@@ -131,9 +130,9 @@ def test_a_model_that_makes_no_sense_is_not_shared(made: Made, tmp_path: Path) -
 def test_data_card(trials: Path, tmp_path: Path) -> None:
     """Assert that a folder of files is laid out below data/, with trials, kinds and duration on its card."""
     out = tmp_path / "hub"
-    (trials / "a.csv").write_text("t_us\n1\n")
+    (trials / "a.csv").write_text("of somebody else")
     row = shared(trials, out=out, title='Slips: *one* | "two"\n---')
-    names = {path.name for path in trials.iterdir() if not path.name.startswith(".")}
+    names = {path.name for path in trials.glob("*.h5")}
     assert {path.name for path in (out / "data").iterdir()} == names
     for path in trials.glob("*.h5"):
         assert (out / "data" / path.name).read_bytes() == path.read_bytes()
@@ -151,35 +150,6 @@ def test_data_card(trials: Path, tmp_path: Path) -> None:
     assert about["figures"]["trials"] == 1
     assert about["figures"]["duration_s"] == small_files.SLICES / 1000
     assert {one["kind"]: one["files"] for one in about["files"]}["recording"] == 1
-
-
-@pytest.mark.parametrize("format_", ["parquet", "csv"])
-def test_tables_of_simulated_trials_say_so(trials: Path, tmp_path: Path, format_: str) -> None:
-    """Assert that a folder with nothing but exported tables is simulated where one of them is."""
-    pytest.importorskip("pyarrow")
-    tables = tmp_path / "tables"
-    tables.mkdir()
-    export.run([trials / "a.recording.h5"], Export(format=format_), tables)
-    assert {path.suffix for path in tables.rglob("*") if path.is_file()} == {f".{format_}"}
-    shared(tables, out=tmp_path / "hub")
-    assert "simulated" in fields(tmp_path / "hub")["tags"]
-    assert "**Simulated.**" in (tmp_path / "hub" / "README.md").read_text()
-
-
-def test_a_data_set_for_lerobot_is_not_laid_out_again(trials: Path, tmp_path: Path) -> None:
-    """Assert that it is refused, alone and within a folder, with the line that uploads it, and left as it is."""
-    made = trials / "touch"
-    (made / "meta").mkdir(parents=True)
-    (made / "meta" / "info.json").write_text("{}")
-    (made / "data.csv").write_text("a\n1\n")
-    before = sorted(made.rglob("*"))
-    for folder in (made, trials):
-        with pytest.raises(InputError, match="LeRobot") as caught:
-            shared(folder, out=tmp_path / "hub")
-        assert caught.value.hint is not None
-        assert f"hf upload NAME/touch {shlex.quote(str(made))} --repo-type dataset" in caught.value.hint
-    assert sorted(made.rglob("*")) == before
-    assert not (tmp_path / "hub").exists()
 
 
 def test_other_disks_get_a_copy(trials: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -214,23 +184,6 @@ def test_nothing_is_replaced_unasked(trials: Path, tmp_path: Path) -> None:
     assert (mine / "thesis.tex").exists() and (mine / "card.json").read_text() == "{}"
     visible = [path.name for path in tmp_path.iterdir() if not path.name.startswith(".")]
     assert sorted(visible) == ["a trial", "hub", "mine"]
-
-
-def test_a_shared_folder_that_is_worked_on_is_kept(trials: Path, tmp_path: Path) -> None:
-    """Assert that a repository in it, a note, and a card with a license written in by hand outlive `--force`."""
-    out = tmp_path / "hub"
-    shared(trials, out=out)
-    subprocess.run(["git", "init", "-q", str(out)], check=True)
-    with pytest.raises(InputError, match=r"is not replaced(.|\n)*found:    \.git/"):
-        shared(trials, out=out, force=True)
-    (out / "README.md").write_text((out / "README.md").read_text().replace("not-chosen", "my-own"))
-    with pytest.raises(InputError, match=r"README\.md \(changed\)"):
-        shared(trials, out=out, force=True)
-    assert (out / ".git" / "HEAD").exists() and "my-own" in (out / "README.md").read_text()
-    shutil.move(out / ".git", tmp_path / "repository")
-    shutil.move(out / "README.md", tmp_path / "card of my own")
-    shared(trials, out=out, force=True)
-    assert (out / "README.md").exists()
 
 
 def test_what_is_shared_is_not_replaced_by_it(trials: Path, tmp_path: Path) -> None:

@@ -1,6 +1,5 @@
 """share: tables beside the files, which pandas, duckdb and polars read, and the splits and limits that cards tell."""
 
-import json
 import re
 import shutil
 import sys
@@ -17,7 +16,7 @@ from evetac_cli.commands.share import Share
 from evetac_cli.errors import InputError, MissingLibrary
 from evetac_cli.formats.write import hub_tables
 from evetac_cli.inspect import share
-from evetac_cli.inspect.share.limitations import NOT_LIKE
+from evetac_cli.inspect.share.sections import NOT_LIKE
 from evetac_cli.resources import MODEL
 from tests import small_files
 from tests.formats.trials import write_grasp
@@ -122,15 +121,6 @@ def test_tables_are_plain(hub: Path) -> None:
     assert {f"dot_{DOTS - 1}_x_px", "truth_dot_00_y_px", "lost_00", "displacement_05_px"} <= dots
 
 
-def test_rows_are_written_in_groups(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that events come in row groups of a bounded size, in their order."""
-    monkeypatch.setattr(hub_tables, "EVENTS_A_GROUP", 100)
-    shared(folder, out=tmp_path / "hub", tables="events")
-    (path,) = files_of(tmp_path / "hub", "events")["train"]
-    assert pq.read_metadata(path).num_row_groups == -(-SLICES * EVENTS_A_SLICE // 100)
-    np.testing.assert_array_equal(pd.read_parquet(path)["y"], stored(folder, "learn/a", "recording", "events/y"))
-
-
 def test_without_splits_all_is_train_and_events_are_left_out(folder: Path, tmp_path: Path) -> None:
     """Assert that a flat folder has the one split, no table of events, and a card that says so; two of a name too."""
     flat = tmp_path / "flat"
@@ -193,18 +183,9 @@ def test_nothing_is_left_of_tables_that_fail(folder: Path, tmp_path: Path, monke
 
 
 def test_none_are_wanted(folder: Path, tmp_path: Path) -> None:
-    """Assert that `--tables none` leaves HDF5 alone, and tables that lay in the folder still are a configuration."""
-    copied = tmp_path / "data"
-    shutil.copytree(folder, copied)
-    shared(copied, out=tmp_path / "hub", tables="none")
+    """Assert that `--tables none` leaves HDF5 alone."""
+    shared(folder, out=tmp_path / "hub", tables="none")
     assert not list((tmp_path / "hub").rglob("*.parquet")) and fields(tmp_path / "hub")["viewer"] is False
-    pd.DataFrame({"a": [1]}).to_parquet(copied / "own.parquet")
-    shared(copied, out=tmp_path / "own", tables="none")
-    assert fields(tmp_path / "own")["configs"] == [{"config_name": "default", "data_files": "data/**/*.parquet"}]
-    pd.DataFrame({"b": ["x"]}).to_parquet(copied / "other[1].parquet")
-    shared(copied, out=tmp_path / "both")
-    found = {one["config_name"]: one["data_files"] for one in fields(tmp_path / "both")["configs"][3:]}
-    assert found == {"exported-1": ["data/other[[]1].parquet"], "exported-2": ["data/own.parquet"]}
 
 
 def test_limitations_are_those_of_the_files(folder: Path, hub: Path, tmp_path: Path) -> None:
@@ -236,12 +217,3 @@ def test_what_is_off_is_what_the_page_says() -> None:
     page = (Path(__file__).resolve().parents[2] / "docs" / "likeness.md").read_text()
     listed = next(match[0] for match in re.finditer(r"(?:^- `[\w-]+`: .*\n)+", page, re.MULTILINE))
     assert [line.split("`")[1] for line in listed.splitlines()] == list(NOT_LIKE)
-
-
-def test_many_dots_are_said(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that a table that is too wide for the Hub's viewer is told."""
-    monkeypatch.setattr(hub_tables, "MOST_COLUMNS", 80)
-    result = share.run([folder], Share(), tmp_path / "hub")
-    assert "the Hub's viewer does not show the table dots: it has" in result.summary["notes"]
-    assert "table slices" not in result.summary["notes"]
-    assert json.loads((tmp_path / "hub" / "card.json").read_text())["tables"][0]["table"] == "trials"

@@ -8,14 +8,16 @@ import errno
 import itertools
 import os
 import stat
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
+from evetac_cli import plugins
 from evetac_cli.commands.doctor import Doctor
 from evetac_cli.console import print_text
+from evetac_cli.devices.cameras import NamedCamera
 from evetac_cli.devices.dvxplorer import protocol
 from evetac_cli.devices.dvxplorer.camera import SUPER_SPEED, FoundCamera
-from evetac_cli.devices.grippers import BAUD, ID, Serial, parse_port
+from evetac_cli.devices.grippers import BAUD, ID, NamedGripper, Serial, parse_port
 from evetac_cli.devices.probe import FTDI, Host, SerialPort
 from evetac_cli.devices.rh_p12_rn.control_table import (
     BEYOND_TICKS,
@@ -25,10 +27,15 @@ from evetac_cli.devices.rh_p12_rn.control_table import (
     hardware_errors,
 )
 from evetac_cli.devices.rh_p12_rn.dynamixel_bus import BusDevice
-from evetac_cli.errors import EXTRAS, DeviceError, install_hint, pip
+from evetac_cli.errors import EXTRAS, DeviceError, InputError, install_hint, pip
 from evetac_cli.events import FRAME_PX
-from evetac_cli.inspect.doctor import plugin_check
+from evetac_cli.formats import exports, imports
 from evetac_cli.jobs import Outcome, Row
+from evetac_cli.kernels.grip.control import PluginLaw
+from evetac_cli.kernels.slip.architectures import PluginLayers
+from evetac_cli.plugins import Plugin
+from evetac_cli.sim.setup import scene_file
+from evetac_cli.sim.setup.plan import named_objects, one_sensor
 
 RULES = "/etc/udev/rules.d/60-evetac.rules"
 RELOAD = "sudo udevadm control --reload && sudo udevadm trigger"
@@ -52,11 +59,24 @@ OPENCV = ("opencv-python", "opencv-python-headless", "opencv-contrib-python", "o
 SERVES = {
     "camera": "--camera dv",
     "convert": "AEDAT4, bags, Prophesee's files, tables, LeRobot",
-    "plot": "pictures of reports, pages, films",
+    "plot": "pictures of reports, pages",
     "view": "view --rrd",
     "cluster": "--engine dask",
     "log": "train --log tensorboard",
     "robot": "evetac_cli.gym, examples",
+}
+
+# The function that loads the plug-ins of each group, as a command that uses one does.
+LOADED: dict[str, Callable[[Plugin], object]] = {
+    plugins.CAMERAS: lambda plugin: plugin.load(NamedCamera),
+    plugins.GRIPPERS: lambda plugin: plugin.load(NamedGripper),
+    plugins.IMPORTERS: imports.format_of_plugin,
+    plugins.EXPORTERS: exports.format_of_plugin,
+    plugins.CONTROLLERS: lambda plugin: plugin.load(PluginLaw),
+    plugins.NETWORKS: lambda plugin: plugin.load(PluginLayers),
+    plugins.SCENES: lambda plugin: scene_file.load(plugin.name),
+    plugins.SENSORS: lambda plugin: one_sensor(plugin.name),
+    plugins.OBJECTS: lambda plugin: named_objects(plugin.name),
 }
 
 NO_PORTS = ("virtual", "sim", "none")  # other values of `--gripper` in commands that use a gripper
@@ -88,7 +108,7 @@ def udev_rules() -> str:
 def run(params: Doctor, host: Host | None = None) -> Outcome:
     """Return a row for every check of the installation, the disk, and every camera and gripper."""
     host = host or Host()
-    rows = [*_software(host), *plugin_check.rows(), _disk(host, Path.cwd())]
+    rows = [*_software(host), *plugin_rows(), _disk(host, Path.cwd())]
     cameras = host.cameras() if host.has_libusb() else []
     for camera in cameras:
         rows += _camera(host, camera)
@@ -135,40 +155,56 @@ def show(result: Outcome) -> None:
 
 
 def check(device: str, check: str, ok: bool | None, result: str, expected: str = "", fix: str = "") -> Row:
-    """Return the row of a check. ok: None if it is neither right nor wrong; fix: may also be an optional change."""
+    """Return the row of a check. ok: None if it is neither right nor wrong; fix: what to do unless it is right."""
     return {
         "device": device,
         "check": check,
         "ok": ok,
         "found": result,
         "expected": expected or None,
-        "fix": fix or None,
+        "fix": fix if fix and ok is not True else None,
     }
 
 
 def _software(host: Host) -> Iterator[Row]:
     loads = host.has_libusb()
-    fix = "" if loads else f"{pip('install')} --force-reinstall libusb-package"
+    fix = f"{pip('install')} --force-reinstall libusb-package"
     yield check("software", "libusb", loads, "loads" if loads else "does not load", "a USB library", fix)
     missing = host.missing_libraries()
     state = f"without {', '.join(missing)}" if missing else "installed"
-    yield check("software", "libraries", not missing, state, "", install_hint() if missing else "")
+    yield check("software", "libraries", not missing, state, "", install_hint())
     for extra, packages in EXTRAS.items():
         lacking = [name for name in packages if not host.has_package(name)]
         state = f"without {', '.join(lacking)}: no {SERVES[extra]}" if lacking else "installed"
-        fix = install_hint(extra) if lacking else ""
-        yield check("software", f"extra {extra}", None if lacking else True, state, "", fix)
+        yield check("software", f"extra {extra}", None if lacking else True, state, "", install_hint(extra))
     installed = host.distributions(OPENCV)
-    yield check(
-        "software",
-        "opencv",
-        len(installed) == 1,
-        ", ".join(installed) or "none",
-        "only one: several overwrite each other",
-        ""
-        if len(installed) == 1
-        else f"{pip('uninstall')} {' '.join(name.split()[0] for name in installed)}; {pip('install')} {OPENCV[-1]}",
-    )
+    builds, expected = ", ".join(installed) or "none", "only one: several overwrite each other"
+    fix = f"{pip('uninstall')} {' '.join(name.split()[0] for name in installed)}; {pip('install')} {OPENCV[-1]}"
+    yield check("software", "opencv", len(installed) == 1, builds, expected, fix)
+
+
+def plugin_rows() -> Iterator[Row]:
+    """Yield a row for every installed plug-in, grouped by package."""
+    every = [plugin for group in LOADED for plugin in plugins.installed(group)]
+    fix = "install a version that fits this evetac, or uninstall it"
+    for plugin in sorted(every, key=lambda each: each.package):
+        fault = _why_not(plugin)
+        device = f"plug-ins of {plugin.package} {plugin.version}"
+        yield check(device, plugin.what, not fault, fault or "loads", "", fix)
+
+
+def _why_not(plugin: Plugin) -> str:
+    """Return a text on why a plug-in cannot be used; empty if it can."""
+    if fault := plugin.fault():
+        return fault
+    try:
+        with plugins.only_looked_at():
+            LOADED[plugin.group](plugin)
+    except InputError as error:
+        return error.found or error.message
+    except Exception as error:  # the plug-in's code may raise anything, and the others must still be checked
+        return f"{type(error).__name__}: {error}"
+    return ""
 
 
 def _disk(host: Host, folder: Path) -> Row:
@@ -176,45 +212,30 @@ def _disk(host: Host, folder: Path) -> Row:
     enough = free >= FREE_BYTES
     minutes = free / 3.5e6 / 60
     room = f"{free / 1e9:.1f} GB free in {folder}: {minutes:.0f} min at 1,000,000 events per second"
-    return check(
-        "disk",
-        "free space",
-        enough,
-        room,
-        f"{FREE_BYTES / 1e9:.1f} GB",
-        "" if enough else "free some space, or record elsewhere with -o",
-    )
+    fix = "free some space, or record elsewhere with -o"
+    return check("disk", "free space", enough, room, f"{FREE_BYTES / 1e9:.1f} GB", fix)
 
 
 def _camera(host: Host, camera: FoundCamera) -> Iterator[Row]:
     name = f"camera {camera.serial or 'at ' + camera.where}"
     mini = camera.board == protocol.MINI_BOARD
-    fix = "" if mini else "record with iniVation's DV, and import the file: evetac record --from FILE.aedat4"
+    fix = "record with iniVation's DV, and import the file: evetac record --from FILE.aedat4"
     yield check(name, "model", mini, f"board {camera.board}", f"board {protocol.MINI_BOARD}, a DVXplorer Mini", fix)
     if mini:
         is_supported = OLDEST_FIRMWARE <= camera.firmware <= protocol.NEWEST_FIRMWARE
-        old = camera.firmware < OLDEST_FIRMWARE
-        yield check(
-            name,
-            "firmware",
-            is_supported,
-            str(camera.firmware),
-            f"{OLDEST_FIRMWARE} to {protocol.NEWEST_FIRMWARE}",
-            ""
-            if is_supported
-            else "update it with iniVation's DV"
-            if old
-            else "install a newer evetac; this version may work too",
-        )
+        newer = "install a newer evetac; this version may work too"
+        fix = "update it with iniVation's DV" if camera.firmware < OLDEST_FIRMWARE else newer
+        expected = f"{OLDEST_FIRMWARE} to {protocol.NEWEST_FIRMWARE}"
+        yield check(name, "firmware", is_supported, str(camera.firmware), expected, fix)
     if camera.speed is not None:
         fast = camera.speed >= SUPER_SPEED
-        fix = "" if fast else "use a USB 3 port (blue, or marked SS) and a USB 3 cable, without a hub"
+        fix = "use a USB 3 port (blue, or marked SS) and a USB 3 cable, without a hub"
         yield check(name, "link", fast, SPEEDS.get(camera.speed, f"speed {camera.speed}"), "USB 3", fix)
     answer = host.ask_camera(camera)
     yield check(name, *_opened(host, camera, answer.errno, answer.message))
     if answer.frame_px is not None and mini:
         right = answer.frame_px == FRAME_PX
-        fix = "" if right else "the sensor is not that of a DVXplorer Mini: is this the right camera?"
+        fix = "the sensor is not that of a DVXplorer Mini: is this the right camera?"
         yield check(name, "sensor", right, "{} x {} px".format(*answer.frame_px), "{} x {} px".format(*FRAME_PX), fix)
 
 
@@ -224,33 +245,22 @@ def _opened(host: Host, camera: FoundCamera, number: int, message: str) -> tuple
         return "access", True, "opens and answers", "", ""
     node = host.dev / "bus" / "usb" / f"{camera.device.bus or 0:03d}" / f"{camera.device.address or 0:03d}"
     if number == errno.EACCES:
-        return (
-            "permission",
-            False,
-            f"none for this user ({message})",
-            "a udev rule",
-            f"{INSTALL_RULES}; over ssh, also {JOIN}",
-        )
+        fix = f"{INSTALL_RULES}; over ssh, also {JOIN}"
+        return "permission", False, f"none for this user ({message})", "a udev rule", fix
     if number == errno.EBUSY:
         users = host.programs_using(node)
-        by = f"used by {', '.join(users)}" if users else "used by another program"
-        fix = (
-            f"end that program, or: kill {' '.join(user.split('(')[-1].rstrip(')') for user in users)}"
-            if users
-            else f"sudo fuser {node} shows which"
-        )
-        return "busy", False, by, "free", fix
+        by = ", ".join(users) or "another program"
+        return "busy", False, f"used by {by}", "free", _end(users) if users else f"sudo fuser {node} shows which"
     if number in (errno.ENODEV, errno.ENOENT):
-        return (
-            "access",
-            False,
-            f"the camera disappeared from the bus while it was read ({message})",
-            "",
-            "check the cable, or try another port",
-        )
+        gone = f"the camera disappeared from the bus while it was read ({message})"
+        return "access", False, gone, "", "check the cable, or try another port"
     if number in (errno.EPIPE, errno.ETIMEDOUT, errno.EIO):
         return "answers", False, f"no ({message})", "the size of its sensor", "unplug the camera and plug it in again"
     return "access", False, message, "", "unplug the camera and plug it in again, without a hub"
+
+
+def _end(users: list[str]) -> str:
+    return f"end that program, or: kill {' '.join(user.split('(')[-1].rstrip(')') for user in users)}"
 
 
 def _ports(host: Host, params: Doctor) -> Iterator[tuple[SerialPort, Serial | None]]:
@@ -280,14 +290,13 @@ def _port(host: Host, path: Path, user_gripper: Serial | None) -> tuple[list[Row
     if latency_ms is not None:
         fine = latency_ms <= LATENCY_MS
         timer = f"/sys/bus/usb-serial/devices/{path.name}/latency_timer"
-        fix = "" if fine else f"echo 1 | sudo tee {timer}; permanently: {INSTALL_RULES}"
+        fix = f"echo 1 | sudo tee {timer}; permanently: {INSTALL_RULES}"
         rows.append(
             check(name, "latency timer", fine, f"{latency_ms} ms", f"{LATENCY_MS} ms, for 500 commands per second", fix)
         )
     users = host.programs_using(path)
     if users:
-        fix = f"end that program, or: kill {' '.join(user.split('(')[-1].rstrip(')') for user in users)}"
-        return [*rows, check(name, "busy", False, f"used by {', '.join(users)}", "free", fix)], 0
+        return [*rows, check(name, "busy", False, f"used by {', '.join(users)}", "free", _end(users))], 0
     try:
         grippers = host.scan(path, ID if user_gripper is None else user_gripper.id)
     except DeviceError as error:
@@ -341,39 +350,37 @@ def _gripper(host: Host, path: Path, gripper: BusDevice) -> Iterator[Row]:
     name = f"gripper {gripper.id} at {path}"
     right = gripper.model == MODEL_NUMBER
     older = " (RH-P12-RN without A: another control table)" if gripper.model == OLD_MODEL_NUMBER else ""
-    fix = "" if right else "use an RH-P12-RN(A): the driver supports no other gripper"
+    fix = "use an RH-P12-RN(A): the driver supports no other gripper"
     yield check(name, "model", right, f"{gripper.model}{older}", f"{MODEL_NUMBER}, RH-P12-RN(A)", fix)
     fast = gripper.baud >= LEAST_BAUD
     change = f"change_baud('{path}', {gripper.baud}, {BAUD}, id_={gripper.id})"
     slow_fix = f'python -c "from evetac_cli.devices.rh_p12_rn.driver import change_baud; {change}" (turns torque off)'
     expected = f"at least {LEAST_BAUD}, for 500 commands per second"
-    yield check(name, "baud", fast, str(gripper.baud), expected, "" if fast else slow_fix)
+    yield check(name, "baud", fast, str(gripper.baud), expected, slow_fix)
     if not right:
         return
     yield check(name, "flag", True, _flag(path, gripper))
     registers = host.registers(path, gripper)
     delay_us = registers["Return Delay Time"] * RETURN_DELAY_US
-    fix = "" if delay_us == 0 else f"evetac record {_flag(path, gripper)} sets it to 0 when it opens the gripper"
+    fix = f"evetac record {_flag(path, gripper)} sets it to 0 when it opens the gripper"
     yield check(name, "return delay", delay_us == 0, f"{delay_us} us", "0 us", fix)
     errors = hardware_errors(registers["Hardware Error Status"])
-    fix = "remove the cause, then switch the gripper's 24 V off and on" if errors else ""
+    fix = "remove the cause, then switch the gripper's 24 V off and on"
     yield check(name, "hardware error", not errors, ", ".join(errors) or "none", "none", fix)
     volts = [registers[f"{which} Voltage Limit"] / 10 for which in ("Min", "Max")]
     present = registers["Present Input Voltage"] / 10
     within = volts[0] <= present <= volts[1]
-    fix = "" if within else "check the 24 V supply"
+    fix = "check the 24 V supply"
     yield check(name, "supply", within, f"{present:.1f} V", f"{volts[0]:.1f} to {volts[1]:.1f} V", fix)
     cool = registers["Present Temperature"] < registers["Temperature Limit"]
     limit = f"below {registers['Temperature Limit']} C"
-    yield check(
-        name, "temperature", cool, f"{registers['Present Temperature']} C", limit, "" if cool else "let it cool down"
-    )
+    yield check(name, "temperature", cool, f"{registers['Present Temperature']} C", limit, "let it cool down")
     ticks, low, high = (registers[which] for which in ("Present Position", "Min Position Limit", "Max Position Limit"))
     in_range = low - BEYOND_TICKS <= ticks <= high + BEYOND_TICKS
-    fix = "" if in_range else "switch the gripper's 24 V off and on; if it happens again, the gripper is damaged"
+    fix = "switch the gripper's 24 V off and on; if it happens again, the gripper is damaged"
     yield check(name, "position", in_range, f"{ticks:,} ticks", f"{low} to {high} ticks, or slightly beyond", fix)
     off = registers["Torque Enable"] == 0
-    fix = "" if off else "end the program that drives the gripper, or it was left on by one that has ended"
+    fix = "end the program that drives the gripper, or it was left on by one that has ended"
     yield check(name, "torque", True if off else None, "off" if off else "on", "off while no program uses it", fix)
     yield check(
         name, "firmware", True, f"{registers['Firmware Version']}; current limit {registers['Current Limit']} mA"

@@ -16,6 +16,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from evetac_cli import console
+from evetac_cli.console import print_table
 from evetac_cli.errors import EvetacError
 from evetac_cli.jobs import Outcome, Progress, Rows, silent
 from evetac_cli.kernels.slip import inputs
@@ -59,6 +60,11 @@ def run(
             rows.append({"part": part, "time_s": time.monotonic() - begin})
         progress(len(commands), len(commands))
     return Outcome(rows, False, {"time_s": time.monotonic() - started})
+
+
+def show(result: Outcome) -> None:
+    """Print how long each command took."""
+    print_table("doctor --compile", result.rows, result.summary, simulated=False)
 
 
 def _run(line: str, folder: str, say: Callable[[str], None]) -> None:

@@ -1,12 +1,16 @@
-"""doctor --speed: measure in 20 to 50 s whether this computer is fast enough to record and grasp in real time.
+"""doctor --speed: measure in 15 to 40 s whether this computer is fast enough to record and grasp in real time.
 
-Each real-time part of `record` and `grasp` is measured separately: waking on time, the online step of the pretrained
-detector, decoding of a camera's words, writing of segments. Then all run at once in a grasp with virtual devices
-(chain.py), which is the actual load.
+The cores must wake on time. Then a whole grasp runs in real time for 10 s, to find how many events per second this
+computer can process: a virtual camera plays random events at a given rate. Each part has its own process, as in a grasp
+with devices: parts that are fast enough separately may be too slow together. The first rate is a million events per
+second; if that is too much, 300,000, and then 600,000 or 100,000. Every rate that is reported was tried. A rate is fine
+if the grasp reaches its end, the recorder keeps up, and at most 1 % of slices and of commands are late because of this
+computer. In a real grasp, smaller faults cause a warning, and the grasp continues.
 
 All measurements are methods of one object, so that tests can replace this computer by another.
 """
 
+import json
 import os
 import sys
 import tempfile
@@ -19,43 +23,36 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli import resources
 from evetac_cli.commands.doctor import Doctor
-from evetac_cli.devices.dvxplorer import event_words
-from evetac_cli.devices.dvxplorer.usb_reader import READ_BYTES
-from evetac_cli.devices.virtual.word_sources import random_event_words
-from evetac_cli.errors import InputError
-from evetac_cli.events import FRAME_PX, SLICE_US, Events
-from evetac_cli.inspect.doctor import chain, check, show
+from evetac_cli.commands.grasp import Grasp
+from evetac_cli.errors import EvetacError, InputError, attached_outcome
+from evetac_cli.events import FRAME_PX
+from evetac_cli.inspect.doctor import check, show
 from evetac_cli.jobs import Outcome, Progress, Row, silent
-from evetac_cli.kernels.tracking import presets
 from evetac_cli.realtime.processes import REALTIME, raised_priority
-from evetac_cli.store.files import StageFile
-from evetac_cli.store.recordings.segments import RecordingWriter
 from evetac_cli.trials.grasp.controller_process import PRIORITY
-from evetac_cli.trials.grasp.online_detector import open_detector
-from evetac_cli.trials.session import RECORDER_MS
+from evetac_cli.trials.session import BEHIND_S
 
 SLEEP_S = 1e-3
 WAKING_S = 3.0  # total time on all cores
 LEAST_WAKING_S = 0.1  # minimum per core
 WAKE_P99_US = 500.0  # a quarter of a control step
 WAKE_MOST_US = 2000.0  # a whole control step: a command is missed
-USUAL_EVENTS, USUAL_P99_US = 500, 500.0  # events per slice; half of a slice, because decoding and writing need the rest
-BURST_EVENTS, BURST_MEDIAN_US = 5000, 1000.0  # a slower detector falls behind in a burst
-STEPS, FIRST_STEPS = 1000, 50  # measured steps, and steps before them that load everything
-DIFFERENT_SLICES = 100
-DECODED_PER_S = 10e6  # the highest event rate that a DVXplorer Mini sends
-DECODING_S = 1.0
-WRITTEN_PER_S = 1e6
-SEGMENTS, SEGMENT_SLICES = 12, 250
-SLICE_EVENTS = 1000
 LEAST_CORES = 2
 GOVERNOR = "performance"
-PARTS = 4  # of the measurement
-DOT_RADIUS_PX = 11.0
+WANTED_PER_S = 1_000_000
+NEXT_PER_S = {  # rate -> (next rate if it was too much, next rate if it was fine); 0: none
+    1_000_000: (300_000, 0),
+    300_000: (100_000, 600_000),
+    600_000: (0, 0),
+    100_000: (0, 0),
+}
+SECONDS = 10.0
+MOST_LATE = 0.01
+TOUCH_S = 1.5  # duration of the scene's contact, before the phases that have flags
 DOTS_PX = np.stack(np.meshgrid(60.0 * np.arange(8) + 60.0, 60.0 * np.arange(7) + 50.0), axis=-1)
-ELSEWHERE = "run the command in a folder that is writable and intended for recordings"
+GRID = {"frame_px": FRAME_PX, "dot_xy_px": DOTS_PX.tolist(), "radius_px": 11.0}  # as written by `calibrate`
+FEWER = "reduce events with evetac record --readout-rate, --threshold-on, --threshold-off; use a smaller --model"
 CLOSE = "close other programs; connect a laptop to power"
 SET_GOVERNOR = f"sudo cpupower frequency-set -g {GOVERNOR}"
 PERMIT = (
@@ -73,11 +70,24 @@ class WakeUps(NamedTuple):
     scheduling: str
 
 
-class Written(NamedTuple):
-    """The recorder's rate of writing, and the time of its slowest segment."""
+class Tried(NamedTuple):
+    """The result of a grasp at a rate."""
 
-    events_per_s: float
-    longest_ms: float
+    events_per_s: int
+    ended: str = ""  # why it ended early; "" if it did not
+    slices: int = 0
+    late_slices: int = 0
+    commands: int = 0  # including missed ones
+    missed_by_us: int = 0
+    missed_by_gripper: int = 0  # by the pseudo terminal, which is not representative of a real gripper
+    behind_s: float = 0.0  # largest delay of the recorder
+    detector_share: float | None = None  # of a core
+
+    @property
+    def is_fine(self) -> bool:
+        """Whether this computer can process events at this rate."""
+        in_time = self.late_slices <= MOST_LATE * self.slices and self.missed_by_us <= MOST_LATE * self.commands
+        return not self.ended and in_time and self.behind_s <= BEHIND_S
 
 
 @dataclass
@@ -115,67 +125,53 @@ class Computer:
         except OSError:
             return None
 
-    def steps_us(self, events: int) -> NDArray[np.float64]:
-        """Measure online steps of the pretrained detector, on slices with this many events at the rims of the dots."""
-        sensor = {"sensor/frame_px": FRAME_PX, "sensor/dot_xy_px": DOTS_PX, "sensor/dot_radius_px": DOT_RADIUS_PX}
-        with StageFile(resources.MODEL, "model") as model:
-            detector = open_detector(model, sensor, presets.PRESETS["stable"])
-        rng = np.random.default_rng(0)
-        slices = [_rim_events(rng, events) for _ in range(DIFFERENT_SLICES)]
-        times_us = []
-        with raised_priority(PRIORITY):
-            for k in range(FIRST_STEPS + STEPS):
-                begun_s = time.perf_counter()
-                detector.step(slices[k % DIFFERENT_SLICES])
-                _ = detector.signal
-                times_us.append(1e6 * (time.perf_counter() - begun_s))
-        return np.array(times_us[FIRST_STEPS:])
+    def grasped(
+        self, events_per_s: int, folder: Path, progress: Callable[[float], None], seconds: float = SECONDS
+    ) -> Tried:
+        """Grasp once with virtual devices at this event rate; progress: called with the elapsed seconds.
 
-    def decoded_per_s(self) -> float:
-        """Measure the decoded events per second from a camera's words, in transfers of the driver's size."""
-        words = random_event_words(DECODED_PER_S, 0.1, np.random.default_rng(0)).astype("<u4").tobytes()
-        parts = [words[first : first + READ_BYTES] for first in range(0, len(words), READ_BYTES)]
-        event_words.step(event_words.start(), parts[0])
-        events, began_s = 0, time.perf_counter()
-        while (passed_s := time.perf_counter() - began_s) < DECODING_S or not events:
-            decoder = event_words.start()
-            events += sum(event_words.step(decoder, part).size for part in parts)
-        return events / passed_s
+        Files are written into a temporary folder in `folder`, which is removed; InputError or OSError if that fails.
+        """
+        from evetac_cli.trials import grasp
+        from evetac_cli.trials.grasp import real_time
+        from evetac_cli.trials.grasp.settings import DeviceGrasp
 
-    def written(self, folder: Path) -> Written:
-        """Measure the recorder on a temporary recording of 3 s in the folder, which is removed."""
-        rng = np.random.default_rng(0)
-        x, y = (rng.integers(0, size, SLICE_EVENTS).astype(np.uint16) for size in FRAME_PX)
-        p = rng.integers(0, 2, SLICE_EVENTS).astype(np.uint8)
-        t = np.sort(rng.integers(0, SLICE_US, SLICE_EVENTS))
-        times_s = []
+        def watch(done: float, total: float, doing: str = "") -> None:
+            progress(done * 1e-3)
+
         with tempfile.TemporaryDirectory(dir=folder, prefix=".speed-") as temporary:
-            sensor = {"sensor/frame_px": np.array(FRAME_PX, np.int32), "t_offset": np.int64(0)}
-            writer = RecordingWriter(Path(temporary) / "a.recording.h5", sensor)
+            grid = Path(temporary) / "grid.json"
+            grid.write_text(json.dumps(GRID))
+            half_s = (seconds - TOUCH_S) / 2
+            params = Grasp(
+                camera=f"virtual:prepared={events_per_s}",
+                gripper="virtual",
+                calibration=grid,
+                lift_s=half_s,
+                balance_s=half_s,
+            )
+            (job,) = grasp.jobs([], params, Path(temporary) / "a.recording.h5")
+            assert isinstance(job, DeviceGrasp)
+            ended = ""
             try:
-                for segment in range(SEGMENTS):
-                    for k in range(SEGMENT_SLICES * segment, SEGMENT_SLICES * (segment + 1)):
-                        writer.append(Events(t + k * SLICE_US, x, y, p))
-                    begun_s = time.perf_counter()
-                    writer.close_segment()
-                    times_s.append(time.perf_counter() - begun_s)
-            finally:
-                writer.discard()
-        return Written(SEGMENTS * SEGMENT_SLICES * SLICE_EVENTS / sum(times_s), 1e3 * max(times_s))
-
-    def grasped(self, events_per_s: int, folder: Path, progress: Callable[[float], None]) -> chain.Tried:
-        """Run a grasp with virtual devices at this event rate; progress: called with the elapsed seconds."""
-        dots = {"dot_xy_px": DOTS_PX.tolist(), "radius_px": DOT_RADIUS_PX}
-        return chain.attempt(events_per_s, folder, dots, progress)
-
-
-def _rim_events(rng: np.random.Generator, count: int) -> Events:
-    """Return a slice of events near the rims of dots at rest."""
-    dots = DOTS_PX.reshape(-1, 2)[rng.integers(0, DOTS_PX.size // 2, count)]
-    angle, radius = rng.uniform(0, 2 * np.pi, count), DOT_RADIUS_PX + rng.normal(0, 1, count)
-    x, y = (dots + radius[:, np.newaxis] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)).T
-    p = rng.integers(0, 2, count).astype(np.uint8)
-    return Events(np.sort(rng.integers(0, SLICE_US, count)), x.astype(np.uint16), y.astype(np.uint16), p)
+                outcome = real_time.run(job, force=False, progress=watch, say=lambda line: None)
+            except EvetacError as error:
+                outcome, ended = attached_outcome(error), error.message.splitlines()[0]
+                if outcome is None:
+                    return Tried(events_per_s, ended)
+        row = outcome.rows[0]
+        missed, by_gripper = row["command_misses"] or 0, row["command_misses_by_gripper"] or 0
+        return Tried(
+            events_per_s,
+            ended,
+            row["slices"],
+            row["late_slices"],
+            row["commands"] + missed,
+            missed - by_gripper,
+            by_gripper,
+            row["recorder_behind_s"],
+            row["detector_core_share"],
+        )
 
 
 def run(
@@ -187,87 +183,75 @@ def run(
     time, 0 for none, and None if this could not be tried.
     """
     computer = computer or Computer()
-    folder = folder or Path.cwd()
-    progress(0, PARTS, "measuring wake-ups")
+    progress(0, 2, "measuring wake-ups")
     rows = _waking(computer)
-    progress(1, PARTS, "measuring detector and decoder")
-    rows += _computing(computer)
-    progress(2, PARTS, "measuring the disk")
-    rows += _writing(computer, folder)
-    grasped, judged = _grasping(computer, folder, progress)
-    rows += grasped
-    return Outcome(rows, False, {"wrong": sum(row["ok"] is False for row in rows), "judged_events_per_s": judged})
-
-
-def _grasping(computer: Computer, folder: Path, progress: Progress) -> tuple[list[Row], int | None]:
-    """Run all parts at once; return rows and the events per second, None if the folder is not writable."""
     try:
-        return chain.rows(lambda rate, passed: computer.grasped(rate, folder, passed), progress, CLOSE)
+        grasped, judged = _grasping(computer, folder or Path.cwd(), progress)
+        rows += grasped
     except (InputError, OSError) as error:
-        reason = f"not tried: {' '.join(str(error).split())}"
-        return [check("grasp", "judges in time", None, reason, "a folder to write in", ELSEWHERE)], None
+        reason, judged = f"not tried: {' '.join(str(error).split())}", None
+        fix = "run the command in a folder that is writable and intended for recordings"
+        rows.append(check("grasp", "judges in time", None, reason, "a folder to write in", fix))
+    return Outcome(rows, False, {"wrong": sum(row["ok"] is False for row in rows), "judged_events_per_s": judged})
 
 
 def _waking(computer: Computer) -> list[Row]:
     cores = computer.cores()
-    row = check
-    few = (
-        ""
-        if len(cores) >= LEAST_CORES
-        else "use another computer, or permit more cores (`taskset -p $$` shows the permitted ones)"
-    )
-    rows = [row("cores", "for this program", not few, str(len(cores)), f"at least {LEAST_CORES}", few)]
+    few = "use another computer, or permit more cores (`taskset -p $$` shows the permitted ones)"
+    enough = len(cores) >= LEAST_CORES
+    rows = [check("cores", "for this program", enough, str(len(cores)), f"at least {LEAST_CORES}", few)]
     each_s = max(WAKING_S / len(cores), LEAST_WAKING_S)
     woken = {core: computer.wake_ups_us(core, each_s) for core in cores}
     scheduling = woken[cores[0]].scheduling
     first = scheduling.startswith(REALTIME)
     governor = computer.governor()
     slow = governor not in (None, GOVERNOR)
+    ways = [CLOSE, *([] if first else [PERMIT]), *([SET_GOVERNOR] if slow else [])]
     for core, (late_us, _) in woken.items():
         p99, most = float(np.percentile(late_us, 99)), float(late_us.max())
         fine = p99 <= WAKE_P99_US and most <= WAKE_MOST_US
-        ways = [CLOSE, *([] if first else [PERMIT]), *([SET_GOVERNOR] if slow else [])]
         words = f"99 % of sleeps of 1 ms end at most {p99:.0f} us late, all of them at most {most:.0f} us"
         limit = f"{WAKE_P99_US:.0f} us and {WAKE_MOST_US:.0f} us"
-        rows.append(row("cores", f"core {core} wakes", fine, words, limit, "" if fine else "; ".join(ways)))
-    rows.append(row("cores", "priority", first or None, scheduling, REALTIME, "" if first else PERMIT))
+        rows.append(check("cores", f"core {core} wakes", fine, words, limit, "; ".join(ways)))
+    rows.append(check("cores", "priority", first or None, scheduling, REALTIME, PERMIT))
     if governor is not None:
-        fix = SET_GOVERNOR if slow else ""
-        rows.append(row("cores", "clock rate", None if slow else True, f"governor {governor}", GOVERNOR, fix))
+        rows.append(
+            check("cores", "clock rate", None if slow else True, f"governor {governor}", GOVERNOR, SET_GOVERNOR)
+        )
     return rows
 
 
-def _computing(computer: Computer) -> list[Row]:
-    rows = []
-    limits: tuple[tuple[int, str, float, Callable[[NDArray[np.float64]], float]], ...] = (
-        (USUAL_EVENTS, "99 %", USUAL_P99_US, lambda us: float(np.percentile(us, 99))),
-        (BURST_EVENTS, "half", BURST_MEDIAN_US, lambda us: float(np.median(us))),
-    )
-    for events, share, most_us, of in limits:
-        us = of(computer.steps_us(events))
-        fine = us <= most_us
-        words = f"{share} of steps take at most {us:.0f} us"
-        fix = "" if fine else f"{CLOSE}; or use a smaller network: --model"
-        limit = f"{most_us:.0f} us, for 1000 slices per second"
-        rows.append(check("slip detector", f"{events} events", fine, words, limit, fix))
-    decoded = computer.decoded_per_s()
-    fine = decoded >= DECODED_PER_S
-    words, limit = (f"{per_s * 1e-6:.1f} million events per second" for per_s in (decoded, DECODED_PER_S))
-    fix = "" if fine else f"{CLOSE}; reduce events with evetac record --readout-rate, --threshold-on, --threshold-off"
-    return [*rows, check("camera", "decoding", fine, words, f"{limit}, the highest rate of a camera", fix)]
+def _grasping(computer: Computer, folder: Path, progress: Progress) -> tuple[list[Row], int | None]:
+    """Return a row for each rate that was tried and one for the result, and the highest fine rate (0: none)."""
+    found: list[Row] = []
+    judged, rate = 0, WANTED_PER_S
+    while rate:
+        doing = f"s of a grasp at {rate:,} events/s"
+        tried = computer.grasped(rate, folder, lambda passed_s, doing=doing: progress(passed_s, SECONDS, doing))  # type: ignore[misc]
+        judged = max(judged, rate * tried.is_fine)
+        found.append(_row(tried))
+        rate = NEXT_PER_S[rate][tried.is_fine]
+    words = f"{judged:,} events per second; tried for {SECONDS:g} s each: {', '.join(row['check'] for row in found)}"
+    if not judged:
+        words = f"less than {tried.events_per_s:,} events per second"
+    limit = f"{WANTED_PER_S:,} events per second"
+    found.append(check("grasp", "judges in time", judged >= WANTED_PER_S, words, limit, f"{CLOSE}; {FEWER}"))
+    return found, judged
 
 
-def _writing(computer: Computer, folder: Path) -> list[Row]:
-    try:
-        events_per_s, longest_ms = computer.written(folder)
-    except (InputError, OSError) as error:
-        return [check("disk", "writes", False, " ".join(str(error).split()), "a folder to write in", ELSEWHERE)]
-    elsewhere = "record to an internal disk with -o"
-    speed, limit = (f"{per_s * 1e-6:.1f} million events per second" for per_s in (events_per_s, WRITTEN_PER_S))
-    fine, quick = events_per_s >= WRITTEN_PER_S, longest_ms <= RECORDER_MS
-    fix = f"{elsewhere}; {CLOSE}"
-    longest = f"the longest of {SEGMENTS} segments takes {longest_ms:.0f} ms"
-    return [
-        check("disk", "writes", fine, f"{speed} in {folder}", limit, "" if fine else elsewhere),
-        check("disk", "segments", quick, longest, f"{RECORDER_MS:.0f} ms", "" if quick else fix),
-    ]
+def _row(tried: Tried) -> Row:
+    """Return the row with the result of a grasp at a rate."""
+    parts = [f"{tried.late_slices:,} of {tried.slices:,} slices late"]
+    parts.append(f"{tried.missed_by_us:,} of {tried.commands:,} commands missed")
+    if tried.missed_by_gripper:
+        parts.append(f"{tried.missed_by_gripper:,} more by the virtual gripper")
+    if tried.behind_s > BEHIND_S:
+        parts.append(f"the recorder is {tried.behind_s:.1f} s behind")
+    if tried.detector_share is not None:
+        parts.append(f"the detector takes {100 * tried.detector_share:.0f} % of a core")
+    if tried.ended:
+        parts.insert(0, tried.ended)
+    verdict = "fine" if tried.is_fine else "not fine"
+    limit = f"a complete grasp, with at most {MOST_LATE:.0%} of slices late and of commands missed"
+    found = f"{verdict}: {'; '.join(parts)}"
+    return check("grasp", f"at {tried.events_per_s:,}/s", tried.is_fine, found, limit, CLOSE)

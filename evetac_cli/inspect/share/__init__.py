@@ -14,7 +14,7 @@ from evetac_cli.console import plain
 from evetac_cli.errors import InputError
 from evetac_cli.formats.write.hub_card import Card
 from evetac_cli.inspect.share import data_card, model_card
-from evetac_cli.inspect.share.citation import upload
+from evetac_cli.inspect.share.sections import upload
 from evetac_cli.jobs import Outcome, Progress, require_possible_name, silent
 from evetac_cli.store.files import stem
 from evetac_cli.store.made_folders import new_folder, require_replaceable

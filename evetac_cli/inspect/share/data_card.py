@@ -3,7 +3,6 @@
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from functools import partial
-from glob import escape
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +12,7 @@ from evetac_cli.errors import InputError, MissingLibrary
 from evetac_cli.events import SLICES_PER_S
 from evetac_cli.formats.write.hub_card import Card, card_fields, inline, opening, table
 from evetac_cli.formats.write.hub_tables import EVENTS, SLICES, TRIALS, HubTables
-from evetac_cli.formats.write.write_table import column_names, is_simulated
-from evetac_cli.inspect.share.citation import citation, made_with, upload
-from evetac_cli.inspect.share.limitations import limitations, look
-from evetac_cli.inspect.share.splits import trials_of
+from evetac_cli.inspect.share.sections import citation, limitations, look, made_with, trials_of
 from evetac_cli.jobs import Progress
 from evetac_cli.store.hdf5.disk import utf8_path
 from evetac_cli.store.index import IndexRow, read_index
@@ -27,9 +23,6 @@ SIZES = (
     *((10_000_000, "1M<n<10M"), (100_000_000, "10M<n<100M"), (1_000_000_000, "100M<n<1B")),
 )
 LARGER = "1B<n<10B"
-PARQUET = ".parquet"
-OTHERS = (PARQUET, ".csv")  # files that `export` writes for other programs, which are shared too
-LEROBOT = "meta/info.json"
 MOST_LISTED = 20  # objects or sensors
 HELD = {
     TRIALS: "one row per trial: object, sensor, seed, outcome, length, file",
@@ -65,15 +58,7 @@ From the Hub, `datasets.load_dataset("NAME", "slices")` loads one of the tables 
 
 
 def describe(folder: Path, params: Share, progress: Progress) -> Card:
-    """Return the card of a folder of stage files, and of tables exported from them; InputError if one is unreadable."""
-    for_lerobot = next((path.parent.parent for path in folder.rglob(LEROBOT) if path.is_file()), None)
-    if for_lerobot is not None:  # only some of its files are tables; rearranged, they would not be a data set any more
-        raise InputError(
-            "a LeRobot data set has its own card and cannot be shared with this command",
-            where=str(for_lerobot),
-            expected="stage files, or tables",
-            hint=f"upload it as it is: {upload(for_lerobot, for_lerobot.resolve().name, 'data set')}",
-        )
+    """Return the card of a folder of stage files; InputError if one is unreadable."""
     index = read_index(folder, progress)
     passed_over = index.foreign_note
     rows = [row for row in index.rows if row.kind is not None or row.error is not None]
@@ -83,13 +68,9 @@ def describe(folder: Path, params: Share, progress: Progress) -> Card:
         raise InputError(
             "a damaged file cannot be shared", where=str(folder / broken.path), found=broken.error or "", hint=hint
         )
-    others = sorted(
-        path for path in folder.rglob("*") if path.suffix in OTHERS and path.is_file() and not path.name.startswith(".")
-    )
-    if not rows and not others:
-        raise InputError("the folder has nothing to share", where=str(folder), expected="stage files, or tables")
+    if not rows:
+        raise InputError("the folder has nothing to share", where=str(folder), expected="stage files")
     links = {f"data/{path}": folder / path for path in (row.path for row in rows)}
-    links |= {f"data/{path.relative_to(folder)}": path for path in others}
     contents, tables, note = look(folder, rows, progress), None, ""
     recordings = [row for row in rows if row.kind == "recording"]
     if params.tables == EVENTS and not recordings:
@@ -98,7 +79,7 @@ def describe(folder: Path, params: Share, progress: Progress) -> Card:
         )
     if params.tables != "none" and recordings:
         tables, note = _tables(folder, recordings, params, progress)
-    simulated = any(row.simulated for row in rows) or any(is_simulated(path) for path in others)
+    simulated = any(row.simulated for row in rows)
     title = params.title or folder.resolve().name
     trials = {row.recording or row.path: row for row in rows if row.kind != "recording" and row.recording}
     trials |= {row.recording or row.path: row for row in recordings}
@@ -110,15 +91,14 @@ def describe(folder: Path, params: Share, progress: Progress) -> Card:
         "license": params.license,
         "author": params.author,
         "figures": figures,
-        "files": _kinds(rows, others),
+        "files": [
+            {"kind": kind, "files": count, "size_bytes": sum(row.size_bytes for row in rows if row.kind == kind)}
+            for kind, count in sorted(Counter(str(row.kind) for row in rows).items())
+        ],
         "tables": _listed_tables(tables),
         "formats": {kind: sorted(numbers) for kind, numbers in contents.formats.items()},
         "recipe_ids": sorted({row.recipe_id for row in recordings if row.recipe_id}),
     }
-    configs = [
-        *(tables.configs() if tables else []),
-        *_found_configs(others, folder, "exported" if tables else "default"),
-    ]
     examples = max([*(tables.rows.values() if tables else ()), len(trials)])
     fields = {
         **card_fields(simulated, params.license),
@@ -126,7 +106,7 @@ def describe(folder: Path, params: Share, progress: Progress) -> Card:
         "task_categories": ["robotics"],
         "size_categories": [next((name for most, name in SIZES if examples < most), LARGER)],
         # Otherwise the Hub would guess from the HDF5 files, and show an error on its page.
-        **({"configs": configs} if configs else {"viewer": False}),
+        **({"configs": tables.configs()} if tables else {"viewer": False}),
     }
     page = _page(title, about, figures, tables, rows, params)
     split = list(zip((trial.split for trial in trials_of(folder, recordings)), recordings, strict=True))
@@ -176,19 +156,6 @@ def _figures(trials: Sequence[IndexRow]) -> dict[str, Any]:
     }
 
 
-def _kinds(rows: Sequence[IndexRow], others: Sequence[Path]) -> list[dict[str, Any]]:
-    """Return the number and size of files of each kind."""
-    kinds = [
-        {"kind": kind, "files": count, "size_bytes": sum(row.size_bytes for row in rows if row.kind == kind)}
-        for kind, count in sorted(Counter(str(row.kind) for row in rows).items())
-    ]
-    return kinds + [
-        {"kind": suffix[1:], "files": len(alike), "size_bytes": sum(path.stat().st_size for path in alike)}
-        for suffix in OTHERS
-        if (alike := [path for path in others if path.suffix == suffix])
-    ]
-
-
 def _listed_tables(tables: HubTables | None) -> list[dict[str, Any]]:
     if tables is None:
         return []
@@ -196,20 +163,6 @@ def _listed_tables(tables: HubTables | None) -> list[dict[str, Any]]:
     return [
         {"table": name, "holds": HELD[name], "rows": rows, "columns": columns[name], "splits": ", ".join(tables.splits)}
         for name, rows in tables.rows.items()
-    ]
-
-
-def _found_configs(others: Sequence[Path], folder: Path, name: str) -> list[dict[str, Any]]:
-    """Return configurations for tables that were in the folder: one for all with the same columns."""
-    groups: dict[tuple[str, ...], list[str]] = {}
-    for path in others:
-        if path.suffix == PARQUET:
-            groups.setdefault(column_names(path), []).append(f"data/{path.relative_to(folder)}")
-    if len(groups) == 1:
-        return [{"config_name": name, "data_files": f"data/**/*{PARQUET}"}]
-    return [
-        {"config_name": f"{name}-{number}", "data_files": [escape(file) for file in files]}
-        for number, files in enumerate(groups.values(), 1)
     ]
 
 
@@ -231,11 +184,8 @@ def _page(
     if tables is not None:
         page.append(table(about["tables"], format_value))
     page.append("## How to read it")
-    page.append(READ.replace("NAME", inline(rows[0].path.removesuffix(f".{rows[0].kind}.h5"))) if rows else ALONE)
+    page.append(READ.replace("NAME", inline(rows[0].path.removesuffix(f".{rows[0].kind}.h5"))))
     return page if tables is None else [*page, READ_TABLES.replace("SPLIT", tables.splits[0])]
-
-
-ALONE = "Tables in Parquet or CSV, written by `evetac export`. Column names end in their units."
 
 
 def _listed(trials: Sequence[IndexRow], name: str) -> str:

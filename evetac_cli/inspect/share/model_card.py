@@ -9,8 +9,7 @@ from evetac_cli.console import format_value
 from evetac_cli.errors import InputError
 from evetac_cli.formats.write.hub_card import Card, card_fields, inline, opening, table
 from evetac_cli.inspect import info, validate
-from evetac_cli.inspect.share.citation import citation, made_with
-from evetac_cli.inspect.share.limitations import UNLIKE
+from evetac_cli.inspect.share.sections import UNLIKE, citation, made_with
 from evetac_cli.stages.model_files import why_useless
 from evetac_cli.stages.train.log import course
 from evetac_cli.store.files import StageFile

@@ -7,7 +7,7 @@ from evetac_cli.commands.report import Report
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Outcome, Progress, require_possible_name, silent
 from evetac_cli.pages import shared
-from evetac_cli.pages.report.figures import TIMING_MS, matched
+from evetac_cli.pages.report.figures import matched
 from evetac_cli.pages.report.page import render
 from evetac_cli.pages.report.study import read_study, remark, tell_sensors_apart
 from evetac_cli.store.hdf5.disk import check_free
@@ -38,7 +38,7 @@ def run(
         "size_bytes": len(content),
         "trials": sum(len(study.trials) for study in studies),
         "abstained": sum(bool(trial.doubt) for study in studies for trial in study.trials),
-        "outliers": sum(remark(trial, TIMING_MS)[0] > 0 for study in studies for trial in study.trials),
+        "outliers": sum(remark(trial)[0] > 0 for study in studies for trial in study.trials),
         "reports": sum(len(study.evaluations) for study in studies),
         "unreadable": sum(len(study.unreadable) for study in studies),
     }

@@ -6,15 +6,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from evetac_cli.evaluate.labels import EARLIEST_MS, LATEST_MS
 from evetac_cli.evaluate.source import LABELS
 from evetac_cli.events import SLICES_PER_S
-from evetac_cli.kernels.slip import metrics
-from evetac_cli.pages.report.study import Study, StudyTrial
-from evetac_cli.pages.report.tables import figure_text
-
-TIMING_MS = (metrics.EARLIEST_MS, metrics.LATEST_MS)
-LABELS_MS = (EARLIEST_MS, LATEST_MS)
+from evetac_cli.pages.report.study import LABELS_MS, TIMING_MS, Study, StudyTrial
+from evetac_cli.pages.shared import figure_text
 
 
 class StudyFigure(NamedTuple):

@@ -16,6 +16,7 @@ from evetac_cli.evaluate.source import LABELS, Source
 from evetac_cli.events import SLICE_US
 from evetac_cli.jobs import Progress, Rows
 from evetac_cli.kernels.grip.paper import GraspPhase
+from evetac_cli.kernels.slip import metrics
 from evetac_cli.pages.shared import LARGEST_BYTES
 from evetac_cli.pages.view.event_images import picture
 from evetac_cli.stages.splits import UNKNOWN_SENSOR, RecordedSensor, sensor_names, sensor_of
@@ -26,6 +27,8 @@ from evetac_cli.store.recordings.onset import labelled_onset
 from evetac_cli.store.recordings.read import Recording, open_recording, true_onset
 from evetac_cli.text_files import open_regular, read_bytes
 
+TIMING_MS = (metrics.EARLIEST_MS, metrics.LATEST_MS)  # of a correct first detection
+LABELS_MS = (EARLIEST_MS, LATEST_MS)
 OF_TRIAL = ("recording", "labels", "tracks", "features", "touch")
 SHOWN_MS = 5  # duration of events in a thumbnail
 THUMBNAIL_PX = 160
@@ -73,7 +76,6 @@ class StudyTrial:
     has_truth: bool = False
     has_dots: bool = False  # a grid of dots to follow
     has_window: bool = False
-    frame_px: tuple[int, int] | None = None
     sensor: RecordedSensor = UNKNOWN_SENSOR
     t_s: int | None = None  # ms; truth
     t_c: int | None = None  # ms; labels; None if they abstain
@@ -128,7 +130,6 @@ class Study:
     unreadable: list[tuple[str, str]]  # path, reason
     simulated: bool
     notes: list[str]
-    models_at: list[Path] = field(default_factory=list)  # of slip detectors
 
     def reports(self, command: str) -> list[Found]:
         """Return the reports of an evaluation."""
@@ -159,8 +160,6 @@ def read_study(folder: Path, progress: Progress) -> Study:
     for row in rows:
         if row.kind == "report":
             _read_report(study, row.path)
-        if row.kind == "model":
-            study.models_at.append(folder / row.path)
     groups: dict[str, dict[str, IndexRow]] = {}
     several: Counter[str] = Counter()
     for row in rows:
@@ -240,7 +239,6 @@ def _read_trial(folder: Path, trial: StudyTrial, *, draw: bool) -> None:
                 trial.has_truth = recording.has("truth")
                 trial.has_dots = recording.dot_xy_px is not None
                 trial.has_window = recording.window_px is not None
-                trial.frame_px = recording.frame_px
                 trial.t_s = true_onset(recording) if trial.has_truth else None
                 if draw and len(recording):
                     trial.thumbnail = _thumbnail(trial, recording)
@@ -317,11 +315,8 @@ def _judge(study: Study) -> None:
 LOST, NEVER = 1e6, 1e5  # higher than any error in ms
 
 
-def remark(trial: StudyTrial, timing_ms: tuple[int, int]) -> tuple[float, str]:
-    """Return an outlier's score, 0 for other trials, and the reasons.
-
-    Timing_ms: window of a correct first detection.
-    """
+def remark(trial: StudyTrial) -> tuple[float, str]:
+    """Return an outlier's score, 0 for other trials, and the reasons."""
     reasons: list[tuple[float, str]] = []
     if trial.broken:
         reasons.append((10 * LOST, trial.broken))
@@ -334,8 +329,8 @@ def remark(trial: StudyTrial, timing_ms: tuple[int, int]) -> tuple[float, str]:
     if trial.has_truth and trial.t_s is None and trial.t_c is not None:
         reasons.append((NEVER, "does not slip, but the labels have an onset"))
     for source, error, (low, high) in (
-        ("labels", trial.label_error_ms, (EARLIEST_MS, LATEST_MS)),
-        ("model" if len(trial.late_by) == 1 else "models", trial.model_error_ms, timing_ms),
+        ("labels", trial.label_error_ms, LABELS_MS),
+        ("model" if len(trial.late_by) == 1 else "models", trial.model_error_ms, TIMING_MS),
     ):
         if error == np.inf:
             reasons.append((NEVER, f"slip not found by the {source}"))

@@ -4,27 +4,34 @@ import html
 import math
 import os
 from base64 import b64encode
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+import numpy as np
+
+from evetac_cli.evaluate import picture
+from evetac_cli.evaluate.picture import CORRECT, EARLY, LATE
 from evetac_cli.events import SLICES_PER_S
 from evetac_cli.pages import shared
-from evetac_cli.pages.report import charts, figures
-from evetac_cli.pages.report.figures import LABELS_MS, TIMING_MS
-from evetac_cli.pages.report.missing import command_for
-from evetac_cli.pages.report.study import Study, StudyTrial, remark
-from evetac_cli.pages.report.tables import cell, table
+from evetac_cli.pages.report import figures
+from evetac_cli.pages.report.study import LABELS_MS, TIMING_MS, Study, StudyTrial, remark
+from evetac_cli.pages.shared import cell, table
 
 MOST_TRIALS = 2000  # in the table: outliers first
 FILTERED = ("study", "object", "scene", "sensor", "outcome")  # columns by which trials are filtered
 EMPTY = ("<td></td>", cell(None))
-TIMES = {
-    "t_s": "t_s is the true onset of gross slip",
-    "t_c": "t_c is the onset in the labels",
-    "t_m": "t_m is the first detection by a model",
-}
+HINT = (
+    "Criteria: a lost object; labels that miss the true onset, or are not within -4 to +3 ms of it; a first detection"
+    " that is missing, or not within -50 to +20 ms of the labels' onset. t_s is the true onset of gross slip, t_c the"
+    " onset in the labels, t_m the first detection by a model. Click a point above to show its trial. Thumbnails: white"
+    " is brighter, black is darker. <code class='command'>evetac view RECORDING</code> makes a page of its own for a"
+    " trial, to which its name then links."
+)
+SHOWN_MS = 100  # farther onsets are drawn at the edge
+WIDTH_IN = 7.0  # of a chart of onsets
 LABEL_AXIS = "labels' onset after the true onset [ms]"
 MODEL_AXIS = "first detection after the labels' onset [ms]"
 
@@ -70,13 +77,13 @@ def onset_charts(studies: Sequence[Study]) -> Iterator[tuple[str, str]]:
             ("Labels against the truth", "label_error_ms", LABELS_MS, LABEL_AXIS),
             (models, "model_error_ms", TIMING_MS, MODEL_AXIS),
         ):
-            if chart := charts.onset_chart(study, number, kind, window_ms, axis):
+            if chart := _onset_chart(study, number, kind, window_ms, axis):
                 yield f"{study.name}: {title}" if len(studies) > 1 else title, chart
 
 
 def trial_table(studies: Sequence[Study], page: Path) -> str:
     """Return the table of all trials, outliers first; page: where the report is written, for relative links."""
-    rows = [(remark(trial, TIMING_MS), study, at, trial) for study in studies for at, trial in enumerate(study.trials)]
+    rows = [(remark(trial), study, at, trial) for study in studies for at, trial in enumerate(study.trials)]
     rows.sort(key=lambda row: -row[0][0])  # stable: other trials stay sorted by name
     if not rows:
         return "<p class='hint'>There are no trials here.</p>" + table([], [], "all-trials") + _unreadable(studies)
@@ -86,71 +93,18 @@ def trial_table(studies: Sequence[Study], page: Path) -> str:
     shown = shown[:MOST_TRIALS]
     heads = [head for head in shown[0][0] if any(cells[head] not in EMPTY for cells, *_ in shown)]
     heads = [head for head in heads if head != "study" or len(studies) > 1]
-    trials = [trial for *_, trial in rows]
-    sentences = [_outliers(trials), *_meanings(heads), _own_pages(studies), _first_of(len(rows))]
-    text = f"<p class='hint'>{' '.join(sentence for sentence in sentences if sentence)}</p>"
+    outliers = sum(score > 0 for (score, _), *_ in rows)
+    first = f" The first {MOST_TRIALS:,} are shown." if len(rows) > MOST_TRIALS else ""
+    text = f"<p class='hint'>{outliers} of {len(rows)} trials are outliers, at the top of the table.{first} {HINT}</p>"
     body = []
     for cells, study, at, trial, remarked in shown:
         values = {name: getattr(trial.row, name, None) for name in FILTERED} | {"study": study.name}
         attributes = "".join(f" data-{name}='{shared.short(_text(value))}'" for name, value in values.items())
         outlier = " data-outlier" if remarked else ""
-        row = f"id='{charts.row_id(studies.index(study), at)}'{attributes}{outlier}"
+        row = f"id='{_row_id(studies.index(study), at)}'{attributes}{outlier}"
         body.append(f"<tr {row}>{''.join(cells[head] for head in heads)}</tr>")
     filters = _filters([row[1:] for row in rows], len(studies) > 1)
     return text + filters + table(heads, body, "all-trials") + _unreadable(studies)
-
-
-def _outliers(trials: Sequence[StudyTrial]) -> str:
-    """Return the number of outliers, and the criteria for them, as far as any trial has the data."""
-    reasons = []
-    if any(trial.grasp is not None for trial in trials):
-        reasons.append("a lost object")
-    if any(trial.has_truth and trial.labelled_by is not None for trial in trials):
-        reasons.append(f"a labelled onset that is missing, or not within {_within(LABELS_MS)} of the true onset")
-    if any(trial.late_by for trial in trials):
-        reasons.append(f"a first detection that is missing, or not within {_within(TIMING_MS)} of the labels' onset")
-    outside = sum(remark(trial, TIMING_MS)[0] > 0 for trial in trials)
-    if outside:
-        verb = "is an outlier" if outside == 1 else "are outliers"
-        by = f", worst first. Criteria: {'; '.join(reasons)}" if reasons else ""
-        return f"{outside} of {len(trials)} trials {verb}, at the top of the table{by}."
-    if not reasons:
-        return ""
-    none = "The trial is not an outlier" if len(trials) == 1 else f"None of the {len(trials)} trials is an outlier"
-    return f"{none}. Criteria: {'; '.join(reasons)}."
-
-
-def _within(window_ms: tuple[int, int]) -> str:
-    return f"{window_ms[0]} to {window_ms[1]:+d} ms"
-
-
-def _meanings(heads: Sequence[str]) -> list[str]:
-    """Return the meanings of those columns and thumbnails that are shown."""
-    meanings = [meaning for name, meaning in TIMES.items() if any(name in head for head in heads)]
-    sentences = [f"{', '.join(meanings)}."] if meanings else []
-    if any(head.startswith(("t_c - ", "t_m - ")) for head in heads):
-        sentences.append("Click a point above to show its trial.")
-    if "onset, else busiest" in heads:
-        sentences.append("Thumbnails: white is brighter, black is darker.")
-    return sentences
-
-
-def _own_pages(studies: Sequence[Study]) -> str:
-    """Return how many trials have a page of `view`, and the command that creates one more."""
-    without = [study.folder / trial.row.path for study in studies for trial in study.trials if trial.page is None]
-    trials = sum(len(study.trials) for study in studies)
-    if not without:
-        return "Each trial has its own page: click its name."
-    command = f"<code class='command'>{html.escape(command_for('view', without[:1]))}</code>"
-    if len(without) == trials:
-        return f"No trial has its own page yet: {command} creates one."
-    having = trials - len(without)
-    verb = "has its own page" if having == 1 else "have their own page"
-    return f"{having} of {trials} {verb}; {command} creates another."
-
-
-def _first_of(rows: int) -> str:
-    return f"The first {MOST_TRIALS:,} of {rows:,} are shown." if rows > MOST_TRIALS else ""
 
 
 def _median_of(study: Study) -> str:
@@ -225,3 +179,50 @@ def _unreadable(studies: Sequence[Study]) -> str:
     if not rows:
         return ""
     return f"<h3>{len(rows)} files cannot be read</h3>" + table(["file", "reason"], rows[:MOST_TRIALS])
+
+
+def _row_id(study: int, trial: int) -> str:
+    """Return the HTML id of a trial's row, by the numbers of study and trial."""
+    return f"trial-{study}-{trial}"
+
+
+def _onset_chart(study: Study, number: int, kind: str, window_ms: tuple[int, int], x_label: str) -> str:
+    """Return an SVG with a point per trial's error (`label_error_ms` or `model_error_ms`), a line per object.
+
+    number: of the study on the page. Empty without errors.
+    """
+    errors = [(_row_id(number, at), _object(trial), getattr(trial, kind)) for at, trial in enumerate(study.trials)]
+    points = [point for point in errors if point[2] is not None]
+    names = sorted({name for _, name, _ in points}, key=lambda name: (len(name), name))
+    if not points:
+        return ""
+
+    def draw(figure: Any) -> None:
+        axes = figure.subplots()
+        axes.axvspan(*window_ms, color=CORRECT, alpha=0.1, linewidth=0)
+        axes.axvline(0, color="0.4", linewidth=1)
+        low, high = window_ms
+        counts: Counter[str] = Counter()
+        groups: dict[tuple[str, str, str], list[tuple[float, float, str]]] = {}
+        for row, name, ms in sorted(points, key=lambda point: point[2]):
+            line = names.index(name) + 0.2 * (counts[name] % 3 - 1)  # three sub-lines, so that fewer points overlap
+            counts[name] += 1
+            looks = (EARLY, "early", "<") if ms < low else (LATE, "late or never", ">") if ms > high else None
+            colour, words, edge = looks or (CORRECT, f"within {low:+d} to {high:+d} ms", "o")
+            shown_ms = float(np.clip(ms, -SHOWN_MS, SHOWN_MS))
+            groups.setdefault((words, colour, "o" if shown_ms == ms else edge), []).append((shown_ms, line, f"#{row}"))
+        for (words, colour, marker), some in groups.items():
+            x, y, links = zip(*some, strict=True)
+            label = words if marker == "o" else f"{words}, beyond {SHOWN_MS} ms"
+            style: dict[str, Any] = {"color": colour, "marker": marker, "alpha": 0.75, "linewidths": 0, "zorder": 3}
+            axes.scatter(x, y, s=32, label=label, **style).set_urls(links)
+        axes.set(xlabel=x_label, ylim=(len(names) - 0.5, -0.5))
+        axes.set_yticks(range(len(names)), [picture.plain(name) for name in names])
+        axes.grid(visible=False, axis="y")
+        picture.legend(figure, [axes])
+
+    return picture.svg(draw, (WIDTH_IN, 1.2 + 0.26 * len(names)))
+
+
+def _object(trial: StudyTrial) -> str:
+    return "unknown" if trial.row.object is None else f"object {trial.row.object}"

@@ -1,10 +1,8 @@
-"""view: show a recording and its results on one self-contained page, as an animation, or in rerun."""
+"""view: show a recording and its results on one self-contained page, or in rerun."""
 
 from functools import partial
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from evetac_cli.commands.view import View
 from evetac_cli.errors import InputError
@@ -34,10 +32,7 @@ from evetac_cli.store.recordings.onset import PERSON, labelled_onset
 def run(
     files: list[Path], params: View, out: Path | None, *, force: bool = False, progress: Progress = silent
 ) -> Outcome:
-    """Write the page of one trial, or the file for rerun, and the animation if requested.
-
-    Raises InputError if one of them exists, unless `force`.
-    """
+    """Write the page of one trial, or the file for rerun; raise InputError if it exists, unless `force`."""
     if params.rrd:
         rerun_file.load_rerun()
     else:
@@ -54,25 +49,18 @@ def run(
         )
     ending = ".rrd" if params.rrd else ".html"
     target = shared.page_path(files[0].parent, stem(files[0]) + ending, out)
-    outputs = [target] if params.film is None else [target, shared.with_suffix(params.film, ".gif", "--film")]
-    for path in outputs:
-        require_possible_name(path)
-        check_free(path, force=force)
+    require_possible_name(target)
+    check_free(target, force=force)
     with open_trial(files, progress) as trial:
         view = collect_view(trial, params, progress)
-        written = {} if params.rrd else {target: render_page(trial, view)}
-        if params.film is not None:
-            written[params.film] = _film(trial, view)
-        if params.rrd:
-            with taking_the_place_of(target, ending, partial(check_free, target, force=force)) as temporary:
+        with taking_the_place_of(target, ending, partial(check_free, target, force=force)) as temporary:
+            if params.rrd:
                 rerun_file.write_rrd(trial, view, temporary, progress)
-    for path, content in written.items():
-        shared.write_page(path, content, force=force)
+            else:
+                temporary.write_bytes(render_page(trial, view))
     row: dict[str, Any] = {
         "output" if params.rrd else "page": str(target),
         "size_bytes": target.stat().st_size,
-        "film": None if params.film is None else str(params.film),
-        "film_bytes": None if params.film is None else len(written[params.film]),
         "frame_times": len(view.frame_times),
         "images": len(view.pictures),
         "series": sum(len(panel.lines) for panel in view.panels),
@@ -85,12 +73,6 @@ def run(
 def collect_view(trial: OpenTrial, params: View, progress: Progress) -> ViewData:
     """Collect the data to draw of a trial; their size is the same for an hour as for a second."""
     span = _span(trial, params)
-    empty = span[0] == span[1]
-    probability = model_output(trial, span)
-    of_touch = [] if empty or trial.touch is None else touch.touch_panels(trial.touch, span)
-    panels = [] if empty else series_panels(trial, span, probability, of_touch)
-    notes = _label_notes(trial) + _mark_notes(trial) + trial.notes
-    others = [] if empty else streams.stream_panels(trial, span, notes)
     view = ViewData(
         slices=trial.slices,
         span=span,
@@ -98,31 +80,28 @@ def collect_view(trial: OpenTrial, params: View, progress: Progress) -> ViewData
         simulated=any(file.header["simulated"] for file in trial.files),
         frame_px=frame_size_px(trial),
         window_px=window_px(trial),
-        onsets={} if empty else slip_onsets(trial, span, probability),
         labelled=None if trial.labels is None else labelled_onset(trial.labels),
-        # gripper below events, which come first if there is a recording
-        panels=[] if empty else [*panels[:1], *gripper.gripper_panels(trial, span), *panels[1:], *others],
-        lanes=[] if empty else slip_lanes(trial, span, probability),
-        phases=[] if empty else gripper.phase_lanes(trial, span),
-        notes=notes,
-        frame_times=np.empty(0, np.int64),
-        dense={},
-        contact_times={} if empty else gripper.contact_times(trial, span),
-        pictures=[],
-        events=[],
-        rest_xy_px=None,
-        dot_xy_px=None,
-        lost=None,
-        true_xy_px=None,
-        side=None,
+        notes=_label_notes(trial) + _mark_notes(trial) + trial.notes,
     )
-    if not empty and (trial.recording is not None or trial.tracks is not None):
+    if span[0] == span[1]:
+        return view
+    probability = model_output(trial, span)
+    of_touch = [] if trial.touch is None else touch.touch_panels(trial.touch, span)
+    panels = series_panels(trial, span, probability, of_touch)
+    # gripper below events, which come first if there is a recording
+    view.panels = [*panels[:1], *gripper.gripper_panels(trial, span), *panels[1:]]
+    view.panels += streams.stream_panels(trial, span, view.notes)
+    view.onsets = slip_onsets(trial, span, probability)
+    view.lanes = slip_lanes(trial, span, probability)
+    view.phases = gripper.phase_lanes(trial, span)
+    view.contact_times = gripper.contact_times(trial, span)
+    if trial.recording is not None or trial.tracks is not None:
         choose_frame_times(view, trial, params.images)
         draw_pictures(view, trial, progress)
         place_dots(view, trial)
         streams.draw_cameras(view, trial)
         touch.place_touch(view, trial)
-        view.side = gripper.side_view(trial, np.minimum(view.frame_times + view.shown_ms, span[1]) - 1)
+        view.side = gripper.side_view(trial, view.ends)
         view.opens_at = telling_frame(view)
     return view
 
@@ -142,14 +121,6 @@ def _mark_notes(trial: OpenTrial) -> list[str]:
     """Return a note on the marks that a robot's program set during recording."""
     marked = "" if trial.recording is None else marks.in_words(trial.recording.marks)
     return [f"Marked by the robot's program: {marked}."] if marked else []
-
-
-def _film(trial: OpenTrial, view: ViewData) -> bytes:
-    if not view.pictures:
-        raise InputError("there is nothing to animate: no event images", where=str(trial.files[0].path))
-    from evetac_cli.pages.view.film import render_film
-
-    return render_film(view, trial.files[0].path.name)
 
 
 def _span(trial: OpenTrial, params: View) -> tuple[int, int]:

@@ -128,7 +128,7 @@ def telling_frame(view: ViewData) -> int:
 
 def place_dots(view: ViewData, trial: OpenTrial) -> None:
     """Set the positions of the dots at the end of each image, tracked and true; NaN after the end of the tracks."""
-    ends = np.minimum(view.frame_times + view.shown_ms, view.span[1]) - 1
+    ends = view.ends
     if trial.tracks is not None:
         view.rest_xy_px = trial.tracks.read("sensor/dot_xy_px").reshape(-1, 2)
         tracked = trial.tracks.length("dot_xy_px")

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US, SLICES_PER_S
 from evetac_cli.kernels.grip.paper import GraspPhase
-from evetac_cli.pages.shared import BLUE, GREEN, INK, ORANGE, PINK
+from evetac_cli.pages.shared import BLUE, GREEN, INK, ORANGE, PINK, inner
 from evetac_cli.pages.view.event_images import read_rows
-from evetac_cli.pages.view.time_series import decimated, first_row, own_clock, rows_of, timed
-from evetac_cli.pages.view.trial_files import OpenTrial, inner
+from evetac_cli.pages.view.time_series import decimated, first_row, lane_of, rows_of, slice_times_s, timed
+from evetac_cli.pages.view.trial_files import OpenTrial
 from evetac_cli.pages.view.view_data import Lane, Panel, Series, SideView
 from evetac_cli.store.recordings.read import Recording
 
@@ -27,13 +27,13 @@ def gripper_panels(trial: OpenTrial, span: tuple[int, int]) -> list[Panel]:
         return []
     simulated = bool(recording.header["simulated"])
     t_s, first, _ = timed(recording, "gripper/t_us", span)
-    position = own_clock(t_s, {"position": BLUE}, rows_of(recording, "gripper/position_ticks", first))
+    position = decimated({"position": BLUE}, t_s, rows_of(recording, "gripper/position_ticks", first))
 
     def currents(start: int, stop: int) -> NDArray[Any]:
         names = ("current_ma", "current_target_ma")
         return np.stack([recording.read(f"gripper/{name}", first + start, first + stop) for name in names], axis=1)
 
-    measured = own_clock(t_s, {"measured": ORANGE, "target": INK}, currents)
+    measured = decimated({"measured": ORANGE, "target": INK}, t_s, currents)
     current = Panel("Gripper, current", "mA", measured, {}, simulated)
     if not recording.has("control"):
         from evetac_cli.sim.gripper import gap_m
@@ -44,11 +44,11 @@ def gripper_panels(trial: OpenTrial, span: tuple[int, int]) -> list[Panel]:
         ]
         return [current, Panel("Gripper, width between the fingers", "mm", width, {}, simulated)]
     control_s, first_step, _ = timed(recording, "control/t_us", span)
-    goal = own_clock(control_s, {"goal": INK}, rows_of(recording, "control/goal_ticks", first_step))
+    goal = decimated({"goal": INK}, control_s, rows_of(recording, "control/goal_ticks", first_step))
     panels = [Panel("Gripper, goal and position (up closes)", "ticks", [*goal, *position], {}, simulated), current]
-    start, stop = span
+    start, slices_s = span[0], slice_times_s(*span)
     if recording.has("truth/table_gap_mm"):
-        heights = decimated({"height": GREEN}, start, stop - start, rows_of(recording, "truth/table_gap_mm", start))
+        heights = decimated({"height": GREEN}, slices_s, rows_of(recording, "truth/table_gap_mm", start))
         panels.append(Panel("Object, height above the table, truth", "mm", heights, {}, simulated=True))
     scale, touched = _mm_per_px(trial), _gripped_at(recording)
     if scale is not None and touched is not None and recording.has("truth"):
@@ -59,7 +59,7 @@ def gripper_panels(trial: OpenTrial, span: tuple[int, int]) -> list[Panel]:
             away[np.arange(start + begin, start + end) < touched] = np.nan
             return np.asarray(away[:, None])
 
-        lines = decimated({"moved": PINK}, start, stop - start, moved)
+        lines = decimated({"moved": PINK}, slices_s, moved)
         panels.append(Panel("Object, moved in the gripper since the grip, truth", "mm", lines, {}, simulated=True))
     return panels
 
@@ -84,14 +84,12 @@ def phase_lanes(trial: OpenTrial, span: tuple[int, int]) -> list[Lane]:
     if recording is None or not recording.has("control"):
         return []
     t_s, first, last = timed(recording, "control/t_us", span)
-    phase, ends = recording.read("control/phase", first, last), np.append(t_s, span[1] / SLICES_PER_S)
-    borders = np.flatnonzero(np.diff(phase, prepend=255, append=255))
-    stretches = list(zip(borders[:-1].tolist(), borders[1:].tolist(), strict=True))
-    return [
-        Lane(name, colour, [(float(ends[a]), float(ends[b])) for a, b in stretches if phase[a] == number], [])
+    phase, ends_s = recording.read("control/phase", first, last)[:, None], np.append(t_s, span[1] / SLICES_PER_S)
+    lanes = [
+        lane_of(name, colour, ends_s, lambda begin, end, number=number: phase[begin:end] == number)  # type: ignore[misc]
         for name, number, colour in PHASES
-        if (phase == number).any()
     ]
+    return [lane for lane in lanes if lane.slip]
 
 
 def contact_times(trial: OpenTrial, span: tuple[int, int]) -> dict[str, int]:

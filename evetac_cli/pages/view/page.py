@@ -6,7 +6,6 @@ are drawn by the small script in page.html. This module escapes and places text 
 
 import html
 from base64 import b64encode
-from itertools import zip_longest
 from typing import Any
 
 import numpy as np
@@ -14,15 +13,28 @@ from numpy.typing import NDArray
 
 from evetac_cli.events import SLICES_PER_S
 from evetac_cli.pages import shared
-from evetac_cli.pages.shared import INK, NEUTRAL, UNKNOWN, shown_colour
+from evetac_cli.pages.shared import NEUTRAL, UNKNOWN, inner, shown_colour
 from evetac_cli.pages.view.gripper import outcome_badges
-from evetac_cli.pages.view.trial_files import OpenTrial, inner
+from evetac_cli.pages.view.trial_files import OpenTrial
 from evetac_cli.pages.view.view_data import Lane, Panel, TouchView, ViewData
 from evetac_cli.resources import DATA, PACKAGE
 from evetac_cli.store.recordings.onset import LabelledOnset
 
 LOW_PX, TALL_PX, FEW_PANELS = 104, 180, 3  # height of a chart; taller if there are few
 AXIS_PX = 24  # for the times below it
+LOOKS = {  # of charts, by class of Bokeh
+    "Plot": {
+        **{f"min_border_{side}": px for side, px in {"left": 58, "right": 14, "top": 4, "bottom": 4}.items()},
+        "background_fill_alpha": 0,
+        "border_fill_alpha": 0,
+        "outline_line_color": None,
+    },
+    "Axis": {
+        **{f"{part}_color": NEUTRAL for part in ("axis_line", "major_tick_line", "major_label_text")},
+        "minor_tick_line_color": None,
+    },
+    "Grid": {"grid_line_color": NEUTRAL, "grid_line_alpha": 0.22},
+}
 
 
 def render_page(trial: OpenTrial, view: ViewData) -> bytes:
@@ -220,12 +232,14 @@ def _charts(view: ViewData) -> tuple[str, str, str]:
     """Return Bokeh's script for this page, its library, and the HTML of the charts."""
     if not view.panels and not view.lanes:
         return "", "", ""
+    from bokeh.embed import components
     from bokeh.models.ranges import Range1d
+    from bokeh.resources import Resources
+    from bokeh.themes import Theme
 
     start_s, stop_s = (at / SLICES_PER_S for at in view.span)
     x_range = Range1d(start=start_s, end=stop_s, bounds=(start_s, stop_s))
-    figures = []
-    heads = []
+    figures, texts = [], []
     number = 0
     height = TALL_PX if len(view.panels) <= FEW_PANELS else LOW_PX
     for panel in view.panels:
@@ -237,26 +251,24 @@ def _charts(view: ViewData) -> tuple[str, str, str]:
             for at, line in enumerate(panel.lines)
         )
         keys += "".join(f"<span class='key level'>{name} {value:.3g}</span>" for name, value in panel.levels.items())
-        heads.append(_head(panel.title, panel.unit, panel.simulated, keys))
+        says = f"<p class='hint'>{html.escape(panel.says)}</p>" if panel.says else ""
+        texts.append((_head(panel.title, panel.unit, panel.simulated, keys), says))
         figures.append(_panel_figure(panel, x_range, number, height))
         number += len(panel.lines)
-    if view.lanes:
-        keys = "<span class='key unknown'>not examined</span>" if any(lane.unknown for lane in view.lanes) else ""
-        heads.append(_head("Slip", "", False, keys))
-        figures.append(_lane_figure(view.lanes, x_range))
-    if view.phases:
-        heads.append(_head("Phase of the grasp", "", False, ""))
-        figures.append(_lane_figure(view.phases, x_range))
-    script, library, places = shared.embed(figures)
-    words = [f"<p class='hint'>{html.escape(panel.says)}</p>" if panel.says else "" for panel in view.panels]
+    for title, lanes in (("Slip", view.lanes), ("Phase of the grasp", view.phases)):
+        if lanes:
+            unknown = any(lane.unknown for lane in lanes)
+            texts.append((_head(title, keys="<span class='key unknown'>not examined</span>" if unknown else ""), ""))
+            figures.append(_lane_figure(lanes, x_range))
+    script, places = components(tuple(figures), theme=Theme(json={"attrs": LOOKS}))
     charts = "".join(
-        f"<section class='chart'>{head}{place}{text}</section>"
-        for head, place, text in zip_longest(heads, places, words, fillvalue="")
+        f"<section class='chart'>{head}{place}{says}</section>"
+        for (head, says), place in zip(texts, places, strict=True)
     )
-    return script, library, charts
+    return script, Resources(mode="inline", components=["bokeh"]).render_js(), charts
 
 
-def _head(title: str, unit: str, simulated: bool, keys: str) -> str:
+def _head(title: str, unit: str = "", simulated: bool = False, keys: str = "") -> str:
     unit = f" <small>{shared.short(unit)}</small>" if unit else ""
     mark = " <span class='badge simulated'>simulated</span>" if simulated else ""
     return f"<h2>{shared.short(title)}{unit}{mark}<span class='keys'>{keys}</span></h2>"
@@ -267,11 +279,13 @@ def _time_figure(x_range: Any, **more: Any) -> Any:
     from bokeh.models.annotations.geometry import Span
     from bokeh.models.formatters import PrintfTickFormatter
     from bokeh.models.tools import BoxZoomTool, WheelZoomTool
+    from bokeh.plotting import figure
 
-    chart = shared.bare_figure(x_range=x_range, **more)
     drag, wheel = BoxZoomTool(dimensions="width"), WheelZoomTool(dimensions="width", modifiers={"ctrl": True})
-    chart.add_tools(drag, wheel)
-    chart.toolbar.active_drag, chart.toolbar.active_scroll = drag, wheel
+    chart = figure(
+        x_range=x_range, sizing_mode="stretch_width", toolbar_location=None, tools=[drag, wheel], active_drag=drag,
+        active_scroll=wheel, **more,
+    )  # fmt: skip
     chart.add_layout(
         Span(location=x_range.start, dimension="height", line_color="#e0a000", line_width=2, name="cursor")
     )
@@ -282,10 +296,9 @@ def _time_figure(x_range: Any, **more: Any) -> Any:
 
 def _panel_figure(panel: Panel, x_range: Any, number: int, height: int) -> Any:
     """Return one axis with its series; their sources are named series0, series1, ... for the page's script."""
-    from bokeh.models.ranges import Range1d
     from bokeh.models.sources import ColumnDataSource
 
-    more = {} if panel.ends is None else {"y_range": Range1d(start=panel.ends[0], end=panel.ends[1])}
+    more = {} if panel.ends is None else {"y_range": panel.ends}
     kind = "log" if panel.logarithmic else "linear"
     chart = _time_figure(x_range, height=height + AXIS_PX, y_axis_type=kind, **more)
     if not panel.logarithmic:
@@ -314,17 +327,10 @@ def _lane_figure(lanes: list[Lane], x_range: Any) -> Any:
     chart = _time_figure(
         x_range, height=AXIS_PX + 10 + 26 * len(lanes), y_range=[lane.name for lane in reversed(lanes)]
     )
-    chart.ygrid.grid_line_color = None
+    chart.ygrid.visible = False
     for lane in lanes:
-        for parts, colour, height in ((lane.unknown, UNKNOWN, 0.16), (lane.slip, lane.colour, 0.7)):
-            shown = NEUTRAL if colour == INK else colour
-            chart.hbar(
-                y=[lane.name] * len(parts),
-                left=np.array([first for first, _ in parts]),
-                right=np.array([last for _, last in parts]),
-                height=height,
-                fill_color=shown,
-                line_color=shown,
-                line_width=1,  # a slip of one millisecond is still visible
-            )
+        for parts, colour, height in ((lane.unknown, UNKNOWN, 0.16), (lane.slip, shown_colour(lane.colour), 0.7)):
+            left, right = np.array(parts).reshape(-1, 2).T
+            # a line of 1 px, so that a slip of one millisecond is still visible
+            chart.hbar([lane.name] * len(parts), height, right, left=left, fill_color=colour, line_color=colour)
     return chart

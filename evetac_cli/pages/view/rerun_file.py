@@ -27,14 +27,7 @@ from numpy.typing import NDArray
 from evetac_cli.errors import InputError, missing_extra
 from evetac_cli.events import SLICE_US, SLICES_PER_S
 from evetac_cli.jobs import Progress
-from evetac_cli.pages.shared import (
-    BLUE,
-    GREEN,
-    INK,
-    ORANGE,
-    PINK,
-    shown_colour,
-)
+from evetac_cli.pages.shared import BLUE, GREEN, INK, ORANGE, PINK, shown_colour
 from evetac_cli.pages.view.trial_files import OpenTrial
 from evetac_cli.pages.view.view_data import Lane, Panel, TouchView, ViewData
 from evetac_cli.store.files import StageFile
@@ -66,41 +59,36 @@ def load_rerun() -> Any:
 
 def write_rrd(trial: OpenTrial, view: ViewData, path: Path, progress: Progress) -> None:
     """Write the file; raise InputError if it is incomplete, for example because the disk is full."""
-    with utf8_path(path) as plain:
-        _write(trial, view, plain, progress)
-
-
-def _write(trial: OpenTrial, view: ViewData, path: Path, progress: Progress) -> None:
     rr = load_rerun()
     start, stop = view.span
     file = _File(rr, f"{trial.recording_id}-{start}-{stop}")
-    # rerun reports a full disk only in its log, so the finished file is read back
-    file.stream.save(path, default_blueprint=_blueprint(rr.blueprint, trial, view))
     title = as_utf8(trial.files[0].path.name)
-    file.stream.send_recording_name(f"{title} (simulated)" if view.simulated else title)
-    notes = []
-    if trial.recording is not None:
-        notes += file.events(trial.recording, view.span, progress)
-        if trial.recording.has("truth/dot_xy_px"):
-            notes += file.dots("true_dots", trial.recording, "truth/dot_xy_px", view.span, None)
-    if trial.tracks is not None:
-        notes += file.dots("dots", trial.tracks, "dot_xy_px", view.span, view.rest_xy_px)
-    file.images(view)
-    if view.touch is not None:
-        file.touch(view, view.touch)
-    file.series(view)
-    for lane in view.lanes:
-        file.states(f"slip/{_name(lane.name)}", [lane], start / SLICES_PER_S, ["slip"])
-    if view.phases:
-        file.states("phase", view.phases, start / SLICES_PER_S, [lane.name for lane in view.phases])
-    file.static("about", rr.TextDocument(_about(title, trial, view, notes), media_type="text/markdown"))
-    file.stream.flush()
-    file.stream.disconnect()
-    try:
-        rr.chunk.RrdReader(path).store()
-    except Exception as error:
-        reason = (str(error).splitlines() or [type(error).__name__])[0][:200]
-        raise InputError("the file is not complete", where=str(path), found=reason, hint="is the disk full?") from None
+    with utf8_path(path) as plain:
+        file.stream.save(plain, default_blueprint=_blueprint(rr.blueprint, trial, view))
+        file.stream.send_recording_name(f"{title} (simulated)" if view.simulated else title)
+        notes = []
+        if trial.recording is not None:
+            notes += file.events(trial.recording, view.span, progress)
+            if trial.recording.has("truth/dot_xy_px"):
+                notes += file.dots("true_dots", trial.recording, "truth/dot_xy_px", view.span, None)
+        if trial.tracks is not None:
+            notes += file.dots("dots", trial.tracks, "dot_xy_px", view.span, view.rest_xy_px)
+        file.images(view)
+        if view.touch is not None:
+            file.touch(view, view.touch)
+        file.series(view)
+        for lane in view.lanes:
+            file.states(f"slip/{_name(lane.name)}", [lane], start / SLICES_PER_S, ["slip"])
+        if view.phases:
+            file.states("phase", view.phases, start / SLICES_PER_S, [lane.name for lane in view.phases])
+        file.static("about", rr.TextDocument(_about(title, trial, view, notes), media_type="text/markdown"))
+        file.stream.flush()
+        file.stream.disconnect()
+        try:  # rerun reports a full disk only in its log
+            rr.chunk.RrdReader(plain).store()
+        except Exception as error:
+            found = (str(error).splitlines() or [type(error).__name__])[0][:200]
+            raise InputError("the file is not complete", where=str(path), found=found, hint="disk full?") from None
 
 
 class _File:
@@ -269,27 +257,23 @@ def _about(title: str, trial: OpenTrial, view: ViewData, notes: list[str]) -> st
     """Return a description of the file in Markdown."""
     start_s, stop_s = (at / SLICES_PER_S for at in view.span)
     onsets = [f"- {name}: {'none' if at is None else f'{at / SLICES_PER_S:.3f} s'}" for name, at in view.onsets.items()]
-    lines = [
+    all_notes = [
+        "Data of a 1 ms slice are at its start.",
+        "Event images: white is brighter, black is darker, grey is no event.",
+        "Series: every value, or the smallest and largest value in each of 3,000 time bins.",
+        *(f"{panel.title}: {panel.says}" for panel in view.panels if panel.says),
+        *([] if view.touch is None else [view.touch.words]),
+        *notes,
+        *view.notes,
+    ]
+    parts = [
         f"# {title}",
         "**Simulated.**" if view.simulated else "",
         f"{start_s:.3f} to {stop_s:.3f} s of {view.slices / SLICES_PER_S:.3f} s, of `{trial.recording_id[:12]}`",
-        "## First slip" if onsets else "",
-        "\n".join(onsets),
-        "## Notes",
-        "\n".join(
-            f"- {note}"
-            for note in (
-                "Data of a 1 ms slice are at its start.",
-                *(["Event images: white is brighter, black is darker, grey is no event."] if view.pictures else []),
-                "Series: every value, or the smallest and largest value in each of 3,000 time bins.",
-                *(f"{panel.title}: {panel.says}" for panel in view.panels if panel.says),
-                *([] if view.touch is None else [view.touch.words]),
-                *notes,
-                *view.notes,
-            )
-        ),
+        "\n".join(["## First slip", *onsets]) if onsets else "",
+        "\n".join(["## Notes", *(f"- {note}" for note in all_notes)]),
     ]
-    return as_utf8("\n\n".join(line for line in lines if line))
+    return as_utf8("\n\n".join(part for part in parts if part))
 
 
 def _chart(number: int, panel: Panel) -> str:

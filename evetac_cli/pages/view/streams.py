@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.events import SLICE_US
 from evetac_cli.pages.shared import BLUE, GREEN, INK, ORANGE, PINK
-from evetac_cli.pages.view.time_series import own_clock, timed
+from evetac_cli.pages.view.time_series import decimated, timed
 from evetac_cli.pages.view.trial_files import OpenTrial
 from evetac_cli.pages.view.view_data import CameraImages, Panel, ViewData
 from evetac_cli.store.recordings import streams
@@ -28,51 +28,42 @@ def stream_panels(trial: OpenTrial, span: tuple[int, int], notes: list[str]) -> 
     recording = trial.recording
     if recording is None:
         return []
+    axes: list[tuple[str, str, list[str]]] = []  # name of the stream, unit, columns
     paths = recording.contents()
-    panels: list[Panel] = []
-    left_out = 0
     for name in streams.names(paths):
         group = f"{streams.GROUP}/{name}"
-        t_s, first, _ = timed(recording, f"{group}/t_us", span)
         units = parse_json(recording.read(f"{group}/about")).get("units", {})
-        columns = [path.rpartition("/")[2] for path in paths if path.startswith(f"{group}/")]
         by_unit: dict[str, list[str]] = {}
-        for column in columns:
-            if column not in streams.TAKEN:
+        for path in paths:
+            column = path.rpartition("/")[2]
+            if path.startswith(f"{group}/") and column not in streams.TAKEN:
                 by_unit.setdefault(units.get(column, ""), []).append(column)
+        most = len(COLOURS)
         for unit, alike in by_unit.items():
-            for at in range(0, len(alike), len(COLOURS)):
-                axis_columns = alike[at : at + len(COLOURS)]
-                if len(panels) == MOST_PANELS:
-                    left_out += len(axis_columns)
-                    continue
-                title = f"{name}, {axis_columns[0]}" if len(axis_columns) == 1 else name
-                lines = own_clock(
-                    t_s, dict(zip(axis_columns, COLOURS, strict=False)), _Columns(recording, group, axis_columns, first)
-                )
-                panels.append(
-                    Panel(title, unit, lines, marks=not unit and all(_are_codes(line.value) for line in lines))
-                )
-    if left_out:
+            axes += [(name, unit, alike[at : at + most]) for at in range(0, len(alike), most)]
+    if left_out := sum(len(columns) for _, _, columns in axes[MOST_PANELS:]):
         notes.append(f"Streams: {left_out} columns beyond the first {MOST_PANELS} charts are not drawn.")
+    panels = [_panel(recording, span, *axis) for axis in axes[:MOST_PANELS]]
     return [panel for panel in panels if panel.lines]
+
+
+def _panel(recording: Recording, span: tuple[int, int], name: str, unit: str, columns: list[str]) -> Panel:
+    group = f"{streams.GROUP}/{name}"
+    t_s, first, _ = timed(recording, f"{group}/t_us", span)
+
+    def read(start: int, stop: int) -> NDArray[Any]:
+        rows = [recording.read(f"{group}/{column}", first + start, first + stop) for column in columns]
+        return np.stack(rows, axis=1)
+
+    lines = decimated(dict(zip(columns, COLOURS, strict=False)), t_s, read)
+    title = f"{name}, {columns[0]}" if len(columns) == 1 else name
+    return Panel(title, unit, lines, marks=not unit and all(_are_codes(line.value) for line in lines))
 
 
 def _are_codes(values: NDArray[np.float64]) -> bool:
     """Whether numbers without a unit are codes, such as the source of a trigger, and not a quantity."""
     distinct = np.unique(values[np.isfinite(values)])
     return len(distinct) <= MOST_CODES and bool((distinct == np.rint(distinct)).all())
-
-
-class _Columns:
-    """Rows of some columns of a stream, counted from the first shown row."""
-
-    def __init__(self, recording: Recording, group: str, columns: list[str], first: int) -> None:
-        self._recording, self._paths, self._first = recording, [f"{group}/{name}" for name in columns], first
-
-    def __call__(self, start: int, stop: int) -> NDArray[Any]:
-        rows = [self._recording.read(path, self._first + start, self._first + stop) for path in self._paths]
-        return np.stack(rows, axis=1)
 
 
 def draw_cameras(view: ViewData, trial: OpenTrial) -> None:
@@ -82,7 +73,7 @@ def draw_cameras(view: ViewData, trial: OpenTrial) -> None:
         return
     paths = recording.contents()
     cameras = [name for name in streams.names(paths) if f"{streams.GROUP}/{name}/frames" in paths]
-    ends_us = np.minimum(view.frame_times + view.shown_ms, view.span[1]) * SLICE_US
+    ends_us = (view.ends + 1) * SLICE_US
     for name in cameras:
         group = f"{streams.GROUP}/{name}"
         rows = np.searchsorted(recording.read(f"{group}/t_us"), ends_us) - 1  # -1 before its first image

@@ -14,14 +14,7 @@ from numpy.typing import NDArray
 from evetac_cli.events import SLICE_US, SLICES_PER_S
 from evetac_cli.kernels.grip.paper import GraspPhase
 from evetac_cli.kernels.slip.alarms import alarming
-from evetac_cli.pages.shared import (
-    BLUE,
-    GREEN,
-    INK,
-    ORANGE,
-    PINK,
-    UNKNOWN,
-)
+from evetac_cli.pages.shared import BLUE, GREEN, INK, ORANGE, PINK, UNKNOWN
 from evetac_cli.pages.view.trial_files import OpenTrial
 from evetac_cli.pages.view.view_data import Lane, Panel, Series
 from evetac_cli.store.files import StageFile
@@ -43,22 +36,18 @@ def extremes(length: int, read: Read) -> list[tuple[NDArray[np.int64], NDArray[n
     are ignored; a bin without finite values becomes NaN. The result is (row, value) per column.
     """
     if length <= 2 * BINS:
-        rows = read(0, length).astype(np.float64)
-        rows[~np.isfinite(rows)] = np.nan
-        return [(np.arange(length), column) for column in rows.T]
-    columns: list[list[tuple[int, float]]] = []
-    for start, rows, edges in _blocks(length, read):
-        columns = columns or [[] for _ in range(rows.shape[1])]
-        for column, picked in zip(rows.T, columns, strict=True):
-            for first, last in pairwise(edges):
-                part = column[first:last].astype(np.float64)
-                finite = np.flatnonzero(np.isfinite(part))
-                if not len(finite):
-                    picked.append((start + first, np.nan))
-                    continue
-                ends = {int(finite[np.argmin(part[finite])]), int(finite[np.argmax(part[finite])])}
-                picked += [(start + first + at, float(part[at])) for at in sorted(ends)]
-    return [(np.array([at for at, _ in picked]), np.array([value for _, value in picked])) for picked in columns]
+        values = read(0, length).astype(np.float64)
+        return [(np.arange(length), np.where(np.isfinite(column), column, np.nan)) for column in values.T]
+    found_at, found = [], []
+    for start, bins in _blocks(length, read):
+        finite = np.isfinite(bins)
+        lowest, highest = np.where(finite, bins, np.inf).argmin(axis=1), np.where(finite, bins, -np.inf).argmax(axis=1)
+        at = np.sort(np.stack((lowest, highest), axis=1), axis=1)
+        found.append(np.take_along_axis(np.where(finite, bins, np.nan), at, axis=1))
+        found_at.append(at + start + bins.shape[1] * np.arange(len(bins))[:, None, None])
+    rows, values = (np.concatenate(parts).reshape(-1, parts[0].shape[2]).T for parts in (found_at, found))
+    once = [np.unique(column, return_index=True) for column in rows]  # one value may be a bin's smallest and largest
+    return [(at, column[first]) for (at, first), column in zip(once, values, strict=True)]
 
 
 def stretches(length: int, read: Read) -> tuple[list[tuple[int, int]], list[tuple[int, int]]]:
@@ -66,29 +55,25 @@ def stretches(length: int, read: Read) -> tuple[list[tuple[int, int]], list[tupl
 
     A bin with any 1 counts as 1, so that no short slip is lost. read(start, stop) returns (rows, 1).
     """
-    states: list[int] = []
-    borders = [0]
-    for start, rows, edges in _blocks(length, read):
-        for first, last in pairwise(edges):
-            part = rows[first:last, 0]
-            states.append(1 if (part == 1).any() else -1 if (part < 0).all() else 0)
-            borders.append(start + last)
-    by_state: dict[int, list[tuple[int, int]]] = {1: [], 0: [], -1: []}
-    begin = 0
-    for at, state in enumerate(states):
-        if at + 1 == len(states) or states[at + 1] != state:
-            by_state[state].append((borders[begin], borders[at + 1]))
-            begin = at + 1
-    return by_state[1], by_state[-1]
+    states = np.concatenate([np.empty(0), *(np.fmax.reduce(bins[..., 0], axis=1) for _, bins in _blocks(length, read))])
+    borders = np.flatnonzero(np.diff(states, prepend=np.nan, append=np.nan))
+    size = _bin_rows(length)
+    parts = [(states[a], (a * size, min(b * size, length))) for a, b in pairwise(borders.tolist())]
+    return [rows for state, rows in parts if state == 1], [rows for state, rows in parts if state < 0]
 
 
-def _blocks(length: int, read: Read) -> Iterator[tuple[int, NDArray[Any], list[int]]]:
-    """Yield rows in pieces of whole bins: (first row, the rows, edges of the bins relative to it)."""
-    edges = np.linspace(0, length, min(length, BINS) + 1).astype(np.int64)
-    at_once = max(1, int(BLOCK_ROWS * (len(edges) - 1) / max(length, 1)))
-    for first in range(0, len(edges) - 1, at_once):
-        piece = edges[first : first + at_once + 1]
-        yield int(piece[0]), read(int(piece[0]), int(piece[-1])), (piece - piece[0]).tolist()
+def _bin_rows(length: int) -> int:
+    return max(1, -(-length // BINS))
+
+
+def _blocks(length: int, read: Read) -> Iterator[tuple[int, NDArray[np.float64]]]:
+    """Yield the rows in blocks of whole bins, filled with NaN at the end: first row, (bins, rows of a bin, columns)."""
+    size = _bin_rows(length)
+    at_once = size * max(1, BLOCK_ROWS // size)
+    for first in range(0, length, at_once):
+        rows = read(first, min(first + at_once, length)).astype(np.float64)
+        whole = np.pad(rows, ((0, -len(rows) % size), (0, 0)), constant_values=np.nan)
+        yield first, whole.reshape(-1, size, rows.shape[1])
 
 
 def first_row(length: int, read: Read, wanted: Callable[[NDArray[Any]], NDArray[np.bool_]]) -> int | None:
@@ -105,19 +90,23 @@ def rows_of(file: StageFile, path: str, start: int) -> Read:
     return lambda first, last: file.read(path, start + first, start + last)[:, None]
 
 
-def decimated(
-    names: dict[str, str], start: int, length: int, read: Read, deviations: Mapping[str, Read] | None = None
-) -> list[Series]:
-    """Return a series for each column of read, without columns that are all NaN; names -> colours.
+def slice_times_s(start: int, stop: int) -> NDArray[np.float64]:
+    """Return the times of slices [start, stop)."""
+    return np.arange(start, max(start, stop)) / SLICES_PER_S
 
-    deviations: name -> (rows, 1), the standard deviation of each value of that column.
+
+def decimated(
+    names: Mapping[str, str], t_s: NDArray[np.float64], read: Read, deviations: Mapping[str, Read] | None = None
+) -> list[Series]:
+    """Return a series for each column of read, whose rows are at t_s, without columns that are all NaN.
+
+    names: name -> colour of each column. deviations: name -> (rows, 1), the standard deviation of each value.
     """
     lines = []
-    for (name, colour), (at, value) in zip(names.items(), extremes(length, read), strict=True):
-        if not np.isfinite(value).any():
-            continue
-        sd = _rows_at(at, deviations[name]) if deviations and name in deviations else None
-        lines.append(Series(name, colour, (start + at) / SLICES_PER_S, value, sd))
+    for (name, colour), (at, value) in zip(names.items(), extremes(len(t_s), read), strict=True):
+        if np.isfinite(value).any():
+            sd = _rows_at(at, deviations[name]) if deviations and name in deviations else None
+            lines.append(Series(name, colour, t_s[at], value, sd))
     return lines
 
 
@@ -128,14 +117,6 @@ def _rows_at(rows: NDArray[np.int64], read: Read) -> NDArray[np.float64]:
     return np.concatenate(parts).astype(np.float64)
 
 
-def own_clock(t_s: NDArray[np.float64], names: dict[str, str], read: Read) -> list[Series]:
-    """Return series of rows with their own clock, whose times are t_s."""
-    return [
-        Series(line.name, line.colour, t_s[np.rint(line.t_s * SLICES_PER_S).astype(np.int64)], line.value)
-        for line in decimated(names, 0, len(t_s), read)
-    ]
-
-
 def series_panels(
     trial: OpenTrial, span: tuple[int, int], probability: NDArray[np.float32] | None, of_touch: Sequence[Panel] = ()
 ) -> list[Panel]:
@@ -144,12 +125,13 @@ def series_panels(
     probability: from model_output. of_touch: panels of a touch file, placed below the panels of the true values.
     """
     start, stop = span
+    t_s = slice_times_s(start, stop)
     panels = []
     recording, tracks, labels = trial.recording, trial.tracks, trial.labels
     if recording is not None:
         per_slice = np.diff(recording.starts[start : stop + 1])
         counts = np.maximum(per_slice, 1)[:, None]  # a logarithmic axis has no 0
-        lines = decimated({"events": BLUE}, start, stop - start, lambda first, last: counts[first:last])
+        lines = decimated({"events": BLUE}, t_s, lambda first, last: counts[first:last])
         panels.append(Panel("Events per millisecond", "", lines, logarithmic=True))
     if recording is not None and recording.has("truth"):
 
@@ -158,10 +140,10 @@ def series_panels(
             shear = recording.read("truth/shear_force_n", start + first, start + last)
             return np.stack((normal, np.hypot(shear[:, 0], shear[:, 1])), axis=1)
 
-        lines = decimated({"normal": INK, "shear": ORANGE}, start, stop - start, forces)
+        lines = decimated({"normal": INK, "shear": ORANGE}, t_s, forces)
         panels.append(Panel("Forces on one pad, truth", "N", lines, simulated=True))
         if recording.has("truth/tone_hz"):
-            lines = decimated({"tone": PINK}, start, stop - start, rows_of(recording, "truth/tone_hz", start))
+            lines = decimated({"tone": PINK}, t_s, rows_of(recording, "truth/tone_hz", start))
             panels.append(Panel("Tone, truth", "Hz", lines, simulated=True))
         else:
 
@@ -169,7 +151,7 @@ def series_panels(
                 paths = ("truth/visible_slip_share", "truth/slip_share")
                 return np.stack([recording.read(path, start + first, start + last) for path in paths], axis=1)
 
-            lines = decimated({"that the camera sees": ORANGE, "whole": INK}, start, stop - start, shares)
+            lines = decimated({"that the camera sees": ORANGE, "whole": INK}, t_s, shares)
             panels.append(Panel("Share of the contact that slips, truth", "", lines, simulated=True))
     panels += of_touch
     if tracks is not None:
@@ -183,17 +165,17 @@ def series_panels(
             mean = np.where(np.isfinite(away).any(axis=1), np.nansum(away, axis=1) / dot_count, np.nan)
             return np.stack((mean, np.fmax.reduce(away, axis=1, initial=np.nan)), axis=1)
 
-        lines = decimated({"mean": BLUE, "farthest": PINK}, start, _length(tracks, "dot_xy_px", span), moved)
+        lines = decimated({"mean": BLUE, "farthest": PINK}, t_s[: _length(tracks, "dot_xy_px", span)], moved)
         panels.append(Panel("Dots, distance from rest", "px", lines))
     if labels is not None:
         panels.append(_flow(labels, span))
     levels = {"threshold": float(trial.model.read("threshold"))} if trial.model is not None else {}
     if probability is not None:
         column = probability[:, None]
-        lines = decimated({"model": PINK}, start, len(column), lambda first, last: column[first:last])
+        lines = decimated({"model": PINK}, t_s[: len(column)], lambda first, last: column[first:last])
         panels.append(Panel("Slip probability, model", "", lines, levels))
     elif recording is not None and recording.has("control/probability"):
-        lines = decimated({"detector": PINK}, start, stop - start, rows_of(recording, "control/probability", start))
+        lines = decimated({"detector": PINK}, t_s, rows_of(recording, "control/probability", start))
         threshold = recording.header["parameters"].get("slip_threshold")
         levels = {"threshold": float(threshold)} if isinstance(threshold, (int, float)) else {}
         panels.append(Panel("Slip probability, detector while grasping", "", lines, levels))
@@ -213,7 +195,8 @@ def _flow(labels: StageFile, span: tuple[int, int]) -> Panel:
         return np.stack((np.where(examined, values, np.nan), np.where(examined, np.nan, values)), axis=1)
 
     names = {"window against gel": GREEN, "not examined": UNKNOWN}
-    lines = decimated(names, start, _length(labels, "relative_flow_px", span), flow)
+    t_s = slice_times_s(start, start + _length(labels, "relative_flow_px", span))
+    lines = decimated(names, t_s, flow)
     parameters = labels.header["parameters"]
     method = parameters.get("method")
     title = "Flow that labels slip" + (f", {method}" if isinstance(method, str) else "")
@@ -290,8 +273,7 @@ def slip_onsets(
     if trial.recording is not None and trial.recording.has("truth"):
         onsets["truth"] = true_onset(trial.recording, start, stop)
     examined = start
-    source = trial.labels or (trial.features if trial.features is not None and trial.features.has("label") else None)
-    if source is not None:
+    if (source := _labelled(trial)) is not None:
         label = source.read("label", start, stop)
         onsets["label"] = _first(label == 1, start)
         if abstains(source):  # its guess is before the slices that certainly slip
@@ -314,30 +296,34 @@ def _first(slip: NDArray[np.bool_], start: int) -> int | None:
     return start + int(slices[0]) if len(slices) else None
 
 
+def lane_of(name: str, colour: str, t_s: NDArray[np.float64], read: Read) -> Lane:
+    """Return the intervals in which rows are 1, and in which they are negative; t_s: begin of each row, and the end."""
+    slip, unknown = ([(float(t_s[a]), float(t_s[b])) for a, b in rows] for rows in stretches(len(t_s) - 1, read))
+    return Lane(name, colour, slip, unknown)
+
+
 def slip_lanes(trial: OpenTrial, span: tuple[int, int], probability: NDArray[np.float32] | None) -> list[Lane]:
     """Return intervals of slip in the span, by truth, label and model or detector, if known."""
     start, stop = span
+    t_s = slice_times_s(start, stop + 1)
     lanes = []
-
-    def lane(name: str, colour: str, length: int, read: Read, t_s: Callable[[int], float]) -> None:
-        slip, unknown = ([(t_s(first), t_s(last)) for first, last in rows] for rows in stretches(length, read))
-        lanes.append(Lane(name, colour, slip, unknown))
-
-    def by_slice(at: int) -> float:
-        return (start + at) / SLICES_PER_S
-
-    recording, labels = trial.recording, trial.labels
+    recording = trial.recording
     if recording is not None and recording.has("truth"):
-        lane("truth", INK, stop - start, rows_of(recording, "truth/slip", start), by_slice)
-    source = labels or (trial.features if trial.features is not None and trial.features.has("label") else None)
-    if source is not None:
-        lane("label", GREEN, _length(source, "label", span), rows_of(source, "label", start), by_slice)
+        lanes.append(lane_of("truth", INK, t_s, rows_of(recording, "truth/slip", start)))
+    if (source := _labelled(trial)) is not None:
+        rows = rows_of(source, "label", start)
+        lanes.append(lane_of("label", GREEN, t_s[: _length(source, "label", span) + 1], rows))
     if probability is not None and trial.model is not None:
         slip = alarming(probability, float(trial.model.read("threshold"))).astype(np.int8)
         slip[np.isnan(probability)] = -1
-        lane("model", PINK, len(slip), lambda first, last: slip[first:last, None], by_slice)
+        lanes.append(lane_of("model", PINK, t_s[: len(slip) + 1], lambda first, last: slip[first:last, None]))
     elif recording is not None and recording.has("control"):
-        t_s, first, last = timed(recording, "control/t_us", span)
-        ends = np.append(t_s, stop / SLICES_PER_S)
-        lane("detector", PINK, last - first, rows_of(recording, "control/slip", first), lambda at: float(ends[at]))
+        at_s, first, _ = timed(recording, "control/t_us", span)
+        ends_s = np.append(at_s, stop / SLICES_PER_S)
+        lanes.append(lane_of("detector", PINK, ends_s, rows_of(recording, "control/slip", first)))
     return lanes
+
+
+def _labelled(trial: OpenTrial) -> StageFile | None:
+    """Return the labels, else the features if they have labels."""
+    return trial.labels or (trial.features if trial.features is not None and trial.features.has("label") else None)

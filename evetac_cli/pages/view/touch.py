@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.pages import touch_words
+from evetac_cli.pages import shared
 from evetac_cli.pages.shared import BLUE, GREEN, INK, ORANGE, PINK
 from evetac_cli.pages.view.event_images import read_rows
-from evetac_cli.pages.view.time_series import Read, decimated, rows_of
+from evetac_cli.pages.view.time_series import Read, decimated, rows_of, slice_times_s
 from evetac_cli.pages.view.trial_files import OpenTrial
 from evetac_cli.pages.view.view_data import LEVELS, SHEAR_LEVELS, Panel, TouchView, ViewData
 from evetac_cli.store.files import StageFile
@@ -24,7 +24,7 @@ SHOWN_SHARE = 0.99  # of touched cells are within the scale, so that a few outli
 
 def touch_panels(touch: StageFile, span: tuple[int, int]) -> list[Panel]:
     """Return forces, torsion, area and sticking share of the span, each with its standard deviation."""
-    start, length = span[0], max(0, min(touch.length("known"), span[1]) - span[0])
+    start, t_s = span[0], slice_times_s(span[0], min(touch.length("known"), span[1]))
 
     def size(name: str) -> Read:
         return lambda first, last: np.hypot(*touch.read(name, start + first, start + last).T)[:, None]
@@ -33,11 +33,7 @@ def touch_panels(touch: StageFile, span: tuple[int, int]) -> list[Panel]:
         return lambda first, last: touch.read(name, start + first, start + last).max(axis=1, keepdims=True)
 
     def panel(title: str, unit: str, says: str, *lines: tuple[str, str, Read, Read], **more: Any) -> Panel:
-        series = [
-            one
-            for name, colour, value, sd in lines
-            for one in decimated({name: colour}, start, length, value, {name: sd})
-        ]
+        series = [one for name, colour, value, sd in lines for one in decimated({name: colour}, t_s, value, {name: sd})]
         return Panel(title, unit, series, says=says, **more)
 
     def rows(name: str) -> Read:
@@ -73,12 +69,12 @@ def touch_panels(touch: StageFile, span: tuple[int, int]) -> list[Panel]:
 def _how_sure(touch: StageFile) -> str:
     """Return the meaning of the band of estimated forces, and how well the gel's stiffness, their scale, is known."""
     texts = {
-        touch_words.ADAPTED: "The scale was adapted to this sensor with known forces.",
-        touch_words.KNOWN: "The stiffness of this gel is taken as known.",
-        touch_words.UNKNOWN: "The stiffness of this gel is not known, and a typical value is assumed: a curve may be"
+        shared.ADAPTED: "The scale was adapted to this sensor with known forces.",
+        shared.KNOWN: "The stiffness of this gel is taken as known.",
+        shared.NOT_KNOWN: "The stiffness of this gel is not known, and a typical value is assumed: a curve may be"
         " wrong by one constant factor. Use predict-touch --sensor if the stiffness is known.",
     }
-    return f"Band: plus and minus one standard deviation. {texts[touch_words.stiffness(touch.header)]}"
+    return f"Band: plus and minus one standard deviation. {texts[shared.stiffness(touch.header)]}"
 
 
 def place_touch(view: ViewData, trial: OpenTrial) -> None:
@@ -86,7 +82,7 @@ def place_touch(view: ViewData, trial: OpenTrial) -> None:
     touch = trial.touch
     if touch is None or not touch.has("map/slice") or not len(view.frame_times):
         return
-    ends = np.minimum(view.frame_times + view.shown_ms, view.span[1]) - 1
+    ends = view.ends
     x_mm, y_mm = touch.read("map/x_mm"), touch.read("map/y_mm")
     at = np.searchsorted(touch.read("map/slice"), ends, side="right") - 1  # -1 before the first
     wanted = np.unique(at[at >= 0])

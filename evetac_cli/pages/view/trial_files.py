@@ -12,6 +12,7 @@ from evetac_cli.commands.track import Track
 from evetac_cli.errors import MAKE_MODEL, InputError, UnavailableError, made_by
 from evetac_cli.jobs import Job, Progress, silent
 from evetac_cli.kernels.slip.architectures import ImageArchitecture, PluginImageArchitecture
+from evetac_cli.pages.shared import inner
 from evetac_cli.stages import featurize, track
 from evetac_cli.stages.model_files import why_useless
 from evetac_cli.store.files import StageFile, stem
@@ -20,7 +21,6 @@ from evetac_cli.store.layout.rules import named_architecture
 from evetac_cli.store.recordings.read import Recording
 
 KINDS = ("recording", "tracks", "labels", "features", "touch")
-MOST_NEIGHBOURS = 200  # recordings with other names that are searched for a file's own recording
 
 
 @dataclass
@@ -68,13 +68,6 @@ class OpenTrial:
         setattr(self, file.kind, file)
 
 
-def inner(table: Any, *names: str) -> Any:
-    """Return a value inside nested tables of a header, which may contain anything; None if there is none."""
-    for name in names:
-        table = table.get(name) if isinstance(table, dict) else None
-    return table
-
-
 @contextmanager
 def open_trial(paths: list[Path], progress: Progress = silent) -> Iterator[OpenTrial]:
     """Open the given files and those next to them; raise InputError if the given files are not of one trial.
@@ -108,7 +101,7 @@ def open_trial(paths: list[Path], progress: Progress = silent) -> Iterator[OpenT
             else:
                 trial.notes.append(f"Left out: {path.name} was made from another recording.")
         if trial.recording is None:
-            _search_recording(trial, files[0].path.parent, stack)
+            trial.notes.append(f"The recording {trial.recording_id[:12]} is not next to these files: no event images.")
         _find_model_input(trial, stack, progress)
         _check_model(trial)
         yield trial
@@ -216,18 +209,3 @@ def _beside(files: list[StageFile]) -> list[Path]:
         file.path.with_name(f"{stem(file.path)}.{kind}.h5") for file in files if file.kind != "model" for kind in KINDS
     ]
     return [path for path in dict.fromkeys(paths) if path.is_file()]
-
-
-def _search_recording(trial: OpenTrial, folder: Path, stack: ExitStack) -> None:
-    """Find the recording under another name in the same folder."""
-    for path in sorted(folder.glob("*.recording.h5"))[:MOST_NEIGHBOURS]:
-        try:
-            with StageFile(path, "recording") as file:
-                file.check()
-                same = file.header["id"] == trial.recording_id
-            if same:
-                trial.recording = stack.enter_context(Recording(path))
-                return
-        except (InputError, UnavailableError):
-            continue
-    trial.notes.append(f"The recording {trial.recording_id[:12]} is not next to these files: no event images.")

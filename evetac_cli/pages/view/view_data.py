@@ -126,7 +126,7 @@ class TouchView:
 
 @dataclass
 class ViewData:
-    """All data that a page or an animation draws; frames are the times of the event images."""
+    """All data that a page draws; frames are the times of the event images."""
 
     slices: int
     span: tuple[int, int]  # slices shown, end excluded
@@ -134,22 +134,27 @@ class ViewData:
     simulated: bool
     frame_px: tuple[int, int]
     window_px: tuple[int, int, int, int] | None
-    onsets: dict[str, int | None]  # truth, label, model or detector -> first slice of slip
     labelled: LabelledOnset | None  # onset in the labels
-    panels: list[Panel]
-    lanes: list[Lane]
-    phases: list[Lane]  # of a grasp
     notes: list[str]
-    frame_times: NDArray[np.int64]  # first slice of each image
-    dense: dict[str, int]  # slices around which images are dense, and why
-    contact_times: dict[str, int]  # gripped, first touch -> slice
-    pictures: list[bytes]  # PNG of each frame; none without a recording
-    events: list[int]  # number in each picture
-    rest_xy_px: NDArray[np.float64] | None  # (dots, 2)
-    dot_xy_px: NDArray[np.float32] | None  # (frames, dots, 2), at the end of each picture
-    lost: NDArray[np.uint8] | None  # (frames, dots)
-    true_xy_px: NDArray[np.float32] | None  # (frames, dots, 2), simulated
-    side: SideView | None  # simulated
+    onsets: dict[str, int | None] = field(default_factory=dict)  # truth, label, model or detector -> first slip
+    panels: list[Panel] = field(default_factory=list)
+    lanes: list[Lane] = field(default_factory=list)
+    phases: list[Lane] = field(default_factory=list)  # of a grasp
+    frame_times: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))  # first slice of each image
+    dense: dict[str, int] = field(default_factory=dict)  # slices around which images are dense, and why
+    contact_times: dict[str, int] = field(default_factory=dict)  # gripped, first touch -> slice
+    pictures: list[bytes] = field(default_factory=list)  # PNG of each frame; none without a recording
+    events: list[int] = field(default_factory=list)  # number in each picture
+    rest_xy_px: NDArray[np.float64] | None = None  # (dots, 2)
+    dot_xy_px: NDArray[np.float32] | None = None  # (frames, dots, 2), at the end of each picture
+    lost: NDArray[np.uint8] | None = None  # (frames, dots)
+    true_xy_px: NDArray[np.float32] | None = None  # (frames, dots, 2), simulated
+    side: SideView | None = None  # simulated
     opens_at: int = 0  # most informative frame
     cameras: list[CameraImages] = field(default_factory=list)
     touch: TouchView | None = None
+
+    @property
+    def ends(self) -> NDArray[np.int64]:
+        """The last slice of each event image."""
+        return np.minimum(self.frame_times + self.shown_ms, self.span[1]) - 1

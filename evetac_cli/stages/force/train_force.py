@@ -60,7 +60,7 @@ def _refuse_unused(params: TrainForce) -> None:
     if params.method == "touch":
         has |= set() if params.sensor is None else {TouchOption.SENSOR}
         flags += "" if params.sensor else ", no --sensor"
-    refuse_unused(params, has, flags)
+    refuse_unused(params, has, flags, never=[TouchOption.OF_NO_MODEL])
 
 
 def jobs(files: list[Path], params: TrainForce, out: Path | None) -> list[Job]:

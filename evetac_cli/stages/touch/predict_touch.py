@@ -27,16 +27,9 @@ SHAPE_FLAGS = {"height_mm", "print_depth_mm", "lens_mm", "gel_mm"}  # stored in 
 
 def jobs(files: list[Path], params: PredictTouch, out: Path | None) -> list[Job]:
     """Return a job for every tracks file."""
-    if params.model is not None and params.sensor is not None:
-        raise InputError(
-            "an adapted model already has the stiffness of its sensor",
-            where="--sensor",
-            found=f"{params.sensor}, and --model {params.model}",
-            hint="leave out one of the two",
-        )
     has = [TouchOption.OF_NO_MODEL] if params.model is None else []
     has += [] if params.sensor is None else [TouchOption.SENSOR]
-    refuse_unused(params, has, "--model" if params.model is not None else "no --sensor")
+    refuse_unused(params, has, "--model" if params.model is not None else "no --sensor", never=[TouchOption.TOUCH])
     check_depth(params.print_depth_mm, params.height_mm)
     of_model = () if params.model is None else (params.model,)
     return [Job((*job.inputs, *of_model), job.output) for job in per_file(files, OUTPUT, out)]

@@ -23,7 +23,7 @@ from evetac_cli.devices.rh_p12_rn.dynamixel_bus import Bus
 from evetac_cli.devices.virtual.dvxplorer import VirtualDvxplorer
 from evetac_cli.devices.virtual.gripper import VirtualGripper
 from evetac_cli.devices.virtual.word_sources import PreparedWords
-from evetac_cli.errors import DeviceTimeout, install_hint
+from evetac_cli.errors import install_hint
 from evetac_cli.inspect import doctor
 from evetac_cli.jobs import Outcome
 from tests.quick import few
@@ -295,17 +295,6 @@ def test_the_flag_that_doctor_names_reaches_the_gripper(machine: Made, plugged: 
     assert len(flag) == len(f"--gripper {port}") + 2 * (id_ != 1) + (1 + len(str(baud))) * (baud != 2_000_000)
 
 
-def test_no_answer_leads_to_the_gripper_in_two_steps(machine: Made, plugged: Any) -> None:
-    """Assert that who names the wrong id is sent to doctor, and by doctor to the right flag."""
-    port, gripper = plugged(registers=GOOD | {"ID": 5})
-    with pytest.raises(DeviceTimeout, match="no answer to: ping") as lost, Bus(str(port), 2_000_000, 1) as bus:
-        bus.ping()
-    assert f"evetac doctor --gripper {port}" in str(lost.value)
-    host = dataclasses.replace(machine, broadcast_ms=BROADCAST_MS)
-    rows = rows_of_device(doctor.run(Doctor(gripper=str(port)), host), "gripper 5")
-    assert rows["flag"]["found"] == f"--gripper {port}:5"
-
-
 @pytest.mark.parametrize("asked", few([":7", ":7@2000000", ":0"], ":7"))
 def test_an_id_that_does_not_answer(machine: Made, plugged: Any, asked: str) -> None:
     """Assert that a gripper that was named by an id that is not there is missed, with those that are."""
@@ -383,15 +372,6 @@ def test_what_is_no_serial_port(machine: Made, tmp_path: Path, monkeypatch: pyte
     (row,) = wrong(doctor.run(Doctor(gripper=name), machine)).values()
     assert row["found"] == "not a serial port"
     assert "/dev/ttyUSB*" in row["fix"] and "kill" not in row["fix"]
-
-
-@pytest.mark.parametrize("name", ["virtual", "virtual:lost-answer", "sim"])
-def test_a_virtual_gripper_needs_no_doctor(machine: Made, name: str) -> None:
-    """Assert that doctor says so, and finds no fault."""
-    result = doctor.run(Doctor(gripper=name), machine)
-    assert wrong(result) == {}
-    (row,) = rows_of_device(result, "gripper").values()
-    assert row["found"] == f"no: a {name.partition(':')[0]} gripper needs no check"
 
 
 def test_from_the_command_line(monkeypatch: pytest.MonkeyPatch, machine: Made) -> None:

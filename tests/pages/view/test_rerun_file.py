@@ -2,7 +2,6 @@
 
 import io
 import json
-import shlex
 import sys
 from collections import defaultdict
 from pathlib import Path
@@ -20,7 +19,6 @@ from evetac_cli.pages import view
 from evetac_cli.pages.view import rerun_file
 from evetac_cli.store.recordings.read import open_recording
 from tests.pages.view.trials import (
-    NASTY,
     REST,
     SENSOR,
     SLICES,
@@ -30,7 +28,6 @@ from tests.pages.view.trials import (
     write_touch,
     write_tracks,
 )
-from tests.test_readme import PAGES, shown_commands
 
 rerun = pytest.importorskip("rerun")
 
@@ -110,27 +107,6 @@ def test_everything_of_a_trial_is_there(trial: Path) -> None:
     assert [row["StateChange:state"][0] for _, row in rows["/slip/label"]] == ["not examined", "", "slip", ""]
     words = static_text(path)
     assert "**Simulated.**" in words and "- truth: 0.200 s" in words and "one in" not in words
-
-
-def test_estimates_have_their_deviation(trial: Path) -> None:
-    """Assert that an estimated force lies between itself less and more its deviation, and that words say what it is."""
-    rng = np.random.default_rng(3)
-    arrays = {
-        "shear_n": rng.normal(size=(SLICES, 2)).astype(np.float32),
-        "shear_sd_n": rng.uniform(0.1, 9.0, (SLICES, 2)).astype(np.float32),
-        "normal_n": rng.uniform(0, 2, SLICES).astype(np.float32),
-        "normal_sd_n": rng.uniform(0.1, 1.0, SLICES).astype(np.float32),
-    }
-    write_touch(trial, arrays)
-    path = rrd_of(trial)
-    rows = rows_of(path)
-    value, low, high = (
-        np.array([row["Scalars:scalars"][0] for _, row in rows[f"/series/05_force_on_the_gel_estimated/{name}"]])
-        for name in ("normal", "normal_minus_sd", "normal_plus_sd")
-    )
-    np.testing.assert_allclose(high - value, arrays["normal_sd_n"], rtol=1e-5)
-    np.testing.assert_allclose(low, np.maximum(value - arrays["normal_sd_n"], 0), atol=1e-6)
-    assert "one standard deviation" in static_text(path) and "white is brighter" in static_text(path)
 
 
 def test_touch_maps_are_pictures_and_arrows(trial: Path) -> None:
@@ -228,14 +204,6 @@ def test_an_empty_recording_and_tracks_alone(tmp_path: Path) -> None:
     assert {"/gel/dots", "/gel/displacement", "/slip/label"} <= rows_of(rrd_of(path.with_name("a.tracks.h5"))).keys()
 
 
-def test_strange_names(tmp_path: Path) -> None:
-    """Assert that whatever a file is called, its name is text and nothing else."""
-    path = tmp_path / (NASTY[20:60].replace("/", "|") + ".recording.h5")
-    write_recording(path, slices=5, truth=False)
-    view.run([path], View(rrd=True), tmp_path / "a.rrd")
-    assert path.name in static_text(tmp_path / "a.rrd")
-
-
 @pytest.mark.slow
 def test_from_the_command_line(trial: Path) -> None:
     """Assert where the file is, that it is replaced on demand alone, and that it ends in .rrd."""
@@ -275,16 +243,3 @@ def test_rerun_needs_the_extra_view(trial: Path, monkeypatch: pytest.MonkeyPatch
     monkeypatch.setitem(sys.modules, "rerun", None)
     with pytest.raises(EvetacError, match=r"pip install .*'\.\[view\]'"):
         rrd_of(trial)
-
-
-@pytest.mark.slow
-def test_the_commands_of_the_docs_run(trial: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that the page on view writes files that rerun reads."""
-    monkeypatch.chdir(trial.parent)
-    commands = [command for command in shown_commands(PAGES["docs/view-and-report.md"]) if "--rrd" in command]
-    assert len(commands) == 2
-    for command in commands:
-        run = CliRunner().invoke(app, shlex.split(command)[1:])
-        assert run.exit_code == 0, run.output
-    assert len(rows_of(trial.with_name("a.rrd"))["/gel/events"]) == SLICES
-    assert len(rows_of(trial.with_name("piece.rrd"))["/gel/events"]) == 100

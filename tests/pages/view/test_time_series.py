@@ -17,7 +17,6 @@ from evetac_cli.kernels.slip.architectures import ARCHITECTURES
 from evetac_cli.pages.view import collect_view, time_series
 from evetac_cli.pages.view.trial_files import open_trial
 from evetac_cli.pages.view.view_data import Panel, ViewData
-from evetac_cli.store.layout import schema
 from evetac_cli.store.recordings.read import open_recording
 from tests.conftest import Made
 from tests.pages.view.trials import ONSET, SLICES, moving, shown, write_labels, write_touch, write_tracks
@@ -150,16 +149,6 @@ def test_flow_is_no_larger_than_it_means(
     assert ("lost" in panel.says) == (after > high)
 
 
-def test_flow_without_an_onset(trial: Path) -> None:
-    """Assert that where every slice is examined there is one line of flow, and no word of others."""
-    with open_recording(trial) as recording:
-        header = recording.header
-    write_labels(trial.with_name("a.labels.h5"), header, SLICES, begins=0, method="event-flow", slip_distance_px=0.3)
-    panel = panel_of(shown(trial, images=1), "Flow that labels slip")
-    assert [line.name for line in panel.lines] == ["window against gel"]
-    assert "not examined" not in panel.says
-
-
 TOUCH = {
     "shear_n": np.stack((np.full(SLICES, 3.0), np.linspace(0.0, 4.0, SLICES)), axis=1).astype(np.float32),
     "shear_sd_n": np.stack((np.full(SLICES, 0.2), np.linspace(0.1, 0.5, SLICES)), axis=1).astype(np.float32),
@@ -185,7 +174,6 @@ DRAWN = {  # panel -> name of each line, and the dataset that it is of
 @pytest.mark.parametrize(
     ("chosen", "words"),
     [
-        ({}, "stiffness of this gel is not known"),
         ({"known": {"mm_per_px": 0.03}}, "stiffness of this gel is not known"),
         ({"known": {"shear_modulus_pa": 5e4}}, "stiffness of this gel is taken as known"),
         ({"adapted": True}, "adapted to this sensor"),
@@ -229,22 +217,6 @@ def _sd_of(dataset: str) -> str:
         if dataset.endswith(unit):
             return f"{dataset.removesuffix(unit)}_sd{unit}"
     return f"{dataset}_sd"
-
-
-def test_every_deviation_in_a_file_is_drawn(trial: Path) -> None:
-    """Assert that no dataset of a trial that is a standard deviation is left out of what view draws."""
-    kinds = ("recording", "tracks", "labels", "features", "touch")
-    of_files = {f"{kind} {row.path}" for kind in kinds for row in schema.load(kind).datasets if "_sd" in row.path}
-    of_lines = {f"touch {_sd_of(dataset)}" for names in DRAWN.values() for dataset in names.values()}
-    of_maps = {f"touch {name}" for name in ("centre_sd_mm", "map/shear_sd_pa", "map/pressure_sd_pa")}
-    assert of_files == of_lines | of_maps, "draw the new one too"
-    write_touch(trial)
-    data = shown(trial, images=1)
-    drawn = [line.name for panel in data.panels for line in panel.lines if line.sd is not None]
-    assert drawn == [name for names in DRAWN.values() for name in names]
-    assert data.touch is not None
-    np.testing.assert_allclose(data.touch.highest[:, [1, 3]], [[2e3, 1e3]], rtol=1e-6)
-    np.testing.assert_allclose(data.touch.slices["centre_sd_mm"], 0.1, rtol=1e-6)
 
 
 @pytest.mark.parametrize("away_px", [5.0, 40.0, 600.0])
