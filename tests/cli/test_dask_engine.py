@@ -246,7 +246,7 @@ def test_folders_of_the_own_cluster_are_this_users(own_cluster: Any) -> None:
         return str(dask_scheduler.local_directory)
 
     def of_worker(dask_worker: Any) -> str:
-        return str(dask_engine.local_directory)
+        return str(dask_worker.local_directory)
 
     folders = [own_cluster.run_on_scheduler(of_scheduler), *own_cluster.run(of_worker).values()]
     assert len(set(folders)) == 2
