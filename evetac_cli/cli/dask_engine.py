@@ -377,21 +377,6 @@ class _Run:
                 where="--engine",
                 hint="run the command again: finished files are kept",
             ) from None
-        except ModuleNotFoundError as error:
-            lacks = (error.name or "").partition(".")[0]  # the worker could not read the task
-            if lacks in ("evetac_cli", *(part.module.partition(".")[0] for part in plugins.parts())):
-                return WorkerRefused(f"has no {lacks}")
-            raise
-        except RuntimeError as error:
-            if not plugins.parts() or "deserialization of the task graph" not in str(error):
-                raise
-            packages = ", ".join(plugins.used())
-            raise EvetacError(
-                f"the Dask scheduler cannot read the jobs, which need {packages}",
-                where="--engine",
-                found=str(error.__cause__ or "an error of Dask's"),
-                hint=f"install {packages} also on the scheduler's computer",
-            ) from None
         return result
 
     def _look_at_workers(self) -> None:

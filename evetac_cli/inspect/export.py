@@ -93,12 +93,8 @@ def _options(params: Export) -> dict[str, Any]:
 def _size(text: str) -> tuple[int, int]:
     """Parse width and height from text such as `160x120`; raise InputError if it is invalid."""
     width, _, height = text.partition("x")
-    if not (width.isdecimal() and height.isdecimal() and max(len(width), len(height)) < 6):
-        raise InputError(
-            "not a valid size", where="--size", expected="WIDTHxHEIGHT in px, for example 160x120", found=text
-        )
-    if 0 in (int(width), int(height)):
-        raise InputError("not a valid size", where="--size", expected="a width and height of at least 1 px", found=text)
+    if not (width.isdecimal() and height.isdecimal() and max(len(width), len(height)) < 6 and int(width) * int(height)):
+        raise InputError("not a valid size", where="--size", expected="WIDTHxHEIGHT in px, e.g. 160x120", found=text)
     return int(width), int(height)
 
 

@@ -50,18 +50,12 @@ def run(
 
 def _check(folders: list[Path], params: Report) -> None:
     """Raise InputError unless the folders exist and their number is correct."""
+    wanted = "two folders" if params.compare else "one folder"
     for folder in folders:
-        if not folder.exists():
-            raise InputError("no such folder", where=str(folder), expected="a folder of stage files")
         if not folder.is_dir():
             hint = f"evetac view {folder} shows one trial" if folder.suffix == ".h5" else ""
-            raise InputError("not a folder", where=str(folder), expected="a folder of stage files", hint=hint)
-    wanted = 2 if params.compare else 1
-    if len(folders) != wanted:
-        raise InputError(
-            "wrong number of folders",
-            where="evetac report --compare" if params.compare else "evetac report",
-            expected="two folders" if params.compare else "one folder",
-            found=str(len(folders)),
-            hint="--compare compares two folders" if len(folders) == 2 else "",
-        )
+            fault = "not a folder" if folder.exists() else "no such folder"
+            raise InputError(fault, where=str(folder), expected="a folder of stage files", hint=hint)
+    if len(folders) != 1 + params.compare:
+        where, found = f"evetac report{' --compare' * params.compare}", str(len(folders))
+        raise InputError("wrong number of folders", where=where, expected=wanted, found=found)

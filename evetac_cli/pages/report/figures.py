@@ -6,7 +6,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from evetac_cli.evaluate.source import LABELS
 from evetac_cli.events import SLICES_PER_S
 from evetac_cli.pages.report.study import LABELS_MS, TIMING_MS, Study, StudyTrial
 from evetac_cli.pages.shared import figure_text
@@ -84,16 +83,6 @@ def headline(study: Study) -> list[StudyFigure]:
             never = f"; {len(judged) - len(known_ms)} never detected" if len(judged) > len(known_ms) else ""
             over = f"{len(known_ms)}{more} pairs{never}{why}"
             figures.append(StudyFigure(f"t_m - {symbol}, median [ms]", float(np.median(known_ms)), over))
-    figures += [
-        StudyFigure(
-            "F1 of the best model",
-            report.summary[key],
-            f"slices of {report.summary['trajectories']} trials, judged by {report.summary.get('judged_by', LABELS)}",
-        )
-        for report in study.reports("evaluate slip")
-        for key in ("f1", "best_f1")
-        if report.summary.get(key) is not None
-    ][:1]
     dots = [trial.tracking_px for trial in trials if trial.tracking_px is not None]
     if dots:
         rms = float(np.sqrt(np.mean(np.square(dots))))
