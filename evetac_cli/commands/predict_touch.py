@@ -10,7 +10,7 @@ OF_A_GEL = (TouchOption.OF_NO_MODEL, TouchOption.TOUCH)
 
 
 @dataclass(frozen=True)
-class Gel:
+class GelFlags:
     """What is known of a gel, for predict-touch without --model and for train-force --method touch."""
 
     sensor: str | None = parameter(
@@ -50,7 +50,7 @@ class Gel:
 
 
 @dataclass(frozen=True)
-class PredictTouch(Gel):
+class PredictTouch(GelFlags):
     """Estimate where the gel is touched, how hard and in which direction, in each slice, from tracked dots.
 
     Leave out the flags of the gel with --model, which stores them.

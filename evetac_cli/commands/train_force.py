@@ -3,12 +3,12 @@
 from dataclasses import dataclass
 
 from evetac_cli.commands.parameter import Command, parameter
-from evetac_cli.commands.predict_touch import Gel
+from evetac_cli.commands.predict_touch import GelFlags
 from evetac_cli.names import TouchOption
 
 
 @dataclass(frozen=True)
-class TrainForce(Gel):
+class TrainForce(GelFlags):
     """Train on known forces: the paper's force models for one dot grid, or the scale of your sensor's touch maps.
 
     The flags of the gel and its sensor are for the method touch.

@@ -17,13 +17,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from evetac_cli.errors import InputError
-from evetac_cli.formats.exports import export
-from evetac_cli.jobs import silent
 from evetac_cli.resources import PACKAGE
 from evetac_cli.store.files import write_stage
 from evetac_cli.store.layout.provenance import Header, Recipe
-from evetac_cli.store.recordings.read import open_recording
 from tests.patience import PATIENCE_S
 
 BOUND_S = 20.0  # on a machine that is not busy it is 1 s
@@ -58,18 +54,6 @@ def recording(path: Path, seed: int) -> Header:
     return write_stage(path, Recipe("recording", 1, {}, seed=seed, simulated_source=True), arrays)
 
 
-def tracks(path: Path, of: Header) -> None:
-    """Dots that do not move."""
-    shape = (SLICES, ROWS * COLUMNS)
-    arrays = {
-        "dot_xy_px": np.broadcast_to(GRID_PX.reshape(1, -1, 2), (*shape, 2)).astype(np.float32),
-        "events_per_dot": np.ones(shape, np.int32),
-        "lost": np.zeros(shape, np.uint8),
-        **SENSOR,
-    }
-    write_stage(path, Recipe("tracks", 1, {"preset": "default", "constants": {}}, parents=(of,)), arrays)
-
-
 def features(path: Path, seed: int) -> None:
     """What a detector can be trained on for hours."""
     shape = (TRAINED_SLICES, ROWS * COLUMNS)
@@ -99,16 +83,8 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
         kind, seed = name.split(".")[-2], int(name.startswith("b."))
         if kind == "recording":
             recording(path, seed)
-        elif kind == "tracks":
-            with open_recording(make("a.recording.h5")) as source:
-                tracks(path, source.header)
         elif kind == "features":
             features(path, seed)
-        else:
-            try:
-                export(make("a.recording.h5"), kind, path, force=False, progress=silent)
-            except InputError as error:
-                pytest.skip(str(error))
         return path
 
     return make
@@ -119,9 +95,7 @@ COMMANDS = {
     "validate": "validate {a.recording.h5}",
     "label": "label {a.recording.h5} -o OUT",
     "track two": "track {a.recording.h5} {b.recording.h5} --jobs 2 -o OUT",
-    "featurize": "featurize {a.recording.h5} --tracks {a.tracks.h5} -o OUT",
     "train": "train {a.features.h5} {b.features.h5} --epochs 100000 --max-steps 10000000 -o OUT",
-    "import text": "record --from {a.text.txt} --frame-size 640x480 -o OUT",
     "simulate two": "record --count 4 --jobs 2 -o OUT",
     "grasp again": "grasp --camera replay:{a.recording.h5} -o OUT",
 }

@@ -239,23 +239,6 @@ def test_no_stranger_gives_work_to_the_own_cluster(own_cluster: Any, credentials
             asyncio.run(call(address))
 
 
-def test_folders_of_the_own_cluster_are_this_users(own_cluster: Any) -> None:
-    """Assert that those of scheduler and worker lie in one of mode 0700 whose name nobody can guess."""
-
-    def of_scheduler(dask_scheduler: Any) -> str:
-        return str(dask_scheduler.local_directory)
-
-    def of_worker(dask_worker: Any) -> str:
-        return str(dask_worker.local_directory)
-
-    folders = [own_cluster.run_on_scheduler(of_scheduler), *own_cluster.run(of_worker).values()]
-    assert len(set(folders)) == 2
-    for folder in folders:
-        above = [path for path in Path(folder).parents if path.name.startswith("evetac-dask-")]
-        assert len(above) == 1
-        assert (above[0].stat().st_mode & 0o777, above[0].stat().st_uid) == (0o700, os.geteuid())
-
-
 def test_no_cluster_is_started_without_credentials(monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert words and a line that installs it where cryptography is missing, before anything is started."""
     pytest.importorskip("distributed")

@@ -11,21 +11,18 @@ import h5py
 import numpy as np
 import pytest
 
-from evetac_cli.commands.evaluate import EvaluateLabels, EvaluateSlip, EvaluateTracking, EvaluateVibration
+from evetac_cli.commands.evaluate import EvaluateLabels, EvaluateSlip, EvaluateTracking
 from evetac_cli.commands.featurize import Featurize
 from evetac_cli.commands.label import Label
 from evetac_cli.commands.predict_touch import PredictTouch
 from evetac_cli.commands.track import Track
 from evetac_cli.commands.track_rgb import TrackRgb
 from evetac_cli.commands.trim import Trim
-from evetac_cli.commands.view import View
 from evetac_cli.errors import InputError
 from evetac_cli.evaluate import labels as evaluate_labels
 from evetac_cli.evaluate import slip as evaluate_slip
 from evetac_cli.evaluate import tracking as evaluate_tracking
-from evetac_cli.evaluate import vibration as evaluate_vibration
 from evetac_cli.inspect import validate
-from evetac_cli.pages import view
 from evetac_cli.stages import featurize, label, track, track_rgb, trim
 from evetac_cli.stages.touch import predict_touch
 from evetac_cli.store.files import StageFile, put_header
@@ -278,14 +275,6 @@ def rewrite_header(path: Path, **changes: Any) -> None:
         put_header(h5, header)
 
 
-@pytest.mark.parametrize("parameters", [{}, {"preset": 3, "constants": {}}, {"preset": "default"}])
-def test_m4_evaluate_tracking_of_tracks_without_a_preset(parameters: dict[str, Any], small: dict[str, Path]) -> None:
-    """Assert that tracks whose header names no preset are refused in words."""
-    rewrite_header(small["tracks"], parameters=parameters)
-    with pytest.raises(InputError, match="preset"):
-        STAGES["evaluate tracking"][1](small["tracks"])
-
-
 def without(small: dict[str, Path], kind: str, slices: int) -> None:
     """Cut the last slices off a file of tracks or labels, as somebody may who edits it."""
     with h5py.File(small[kind], "r+") as h5:
@@ -329,23 +318,6 @@ def test_m4_stages_of_files_without_slices(stage: str, tmp_path: Path, monkeypat
     assert [row["faults"] for row in validate.run(written).rows] == [None] * len(written)
 
 
-def test_m4_evaluate_vibration_of_events_before_time_0(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that events with a negative time are refused in words."""
-    monkeypatch.setattr(small_files, "SLICES", 240)
-    path = tmp_path / "a.recording.h5"
-    small_files.recording(path)
-    in_recording("events/t", slice(0, 10), -5000, "").apply(path)
-    with pytest.raises(InputError, match="events/t"):
-        outcome_of(evaluate_vibration, EvaluateVibration(windows="0.1"), path)
-
-
-def test_m4_view_of_a_grid_that_does_not_fit(small: dict[str, Path]) -> None:
-    """Assert that view refuses tracks whose grid has fewer dots than they follow."""
-    tracks("sensor/dot_xy_px", None, GRID_OF_TWO_ROWS, "").apply(small["tracks"])
-    with pytest.raises(InputError, match="sensor/dot_xy_px"):
-        view.run([small["tracks"]], View(), small["tracks"].with_name("page.html"))
-
-
 def test_m4_evaluate_tracking_of_tracks_from_frames(small: dict[str, Path]) -> None:
     """Assert that tracks of an RGB sensor, which have the constants of a camera and not of a tracker, are evaluated."""
     rewrite_header(small["tracks"], parameters={"preset": "rgb", "camera": {"frame_ms": 40}, "seed": 0})
@@ -365,13 +337,3 @@ def test_m4_evaluate_tracking_with_the_truth_of_another_grid(small: dict[str, Pa
     assert validate.run([small["tracks"]]).summary["invalid"] == 0
     with pytest.raises(InputError, match="numbers of dots"):
         STAGES["evaluate tracking"][1](small["tracks"])
-
-
-def test_m4_featurize_with_infinite_dots_beside_missing_ones(small: dict[str, Path]) -> None:
-    """Assert that an infinite place is refused also where other dots are missing, NaN in grid and tracks."""
-    for dataset, index in (("sensor/dot_xy_px", (0, 0)), ("dot_xy_px", (slice(None), 0))):
-        tracks(dataset, index, NAN, "").apply(small["tracks"])
-    assert validate.run([small["tracks"]]).summary["invalid"] == 0
-    tracks("dot_xy_px", (2, 1), INF, "").apply(small["tracks"])
-    with pytest.raises(InputError, match="dot_xy_px"):
-        STAGES["featurize"][1](small["recording"])

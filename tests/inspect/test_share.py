@@ -186,26 +186,33 @@ def test_nothing_is_replaced_unasked(trials: Path, tmp_path: Path) -> None:
     assert sorted(visible) == ["a trial", "hub", "mine"]
 
 
-def test_what_is_shared_is_not_replaced_by_it(trials: Path, tmp_path: Path) -> None:
-    """Assert that a model or data set inside the output is refused."""
-    with pytest.raises(InputError, match="would replace the folder"):
-        shared(trials, out=tmp_path, force=True)
-    assert sorted(path.name for path in trials.glob("*.h5")) == ["a.recording.h5", "a.tracks.h5"]
+REFUSED: dict[str, tuple[str, str, dict[str, Any], str]] = {
+    # name: what is shared, -o, flags, part of where
+    "no model": ("data/a.tracks.h5", "hub", {}, "a.tracks.h5"),
+    "an empty folder": ("empty", "hub", {}, "empty"),
+    "into itself": ("data", "data/hub", {}, "data/hub"),
+    "over its own folder": ("data", ".", {"force": True}, "."),
+    "a damaged file": ("damaged", "hub", {}, "b.recording.h5"),
+    "tables of a model": ("data/a.tracks.h5", "hub", {"tables": "none"}, "--tables"),
+    "events without recordings": ("alone", "hub", {"tables": "events"}, "--tables events"),
+}
 
 
-def test_what_cannot_be_shared(trials: Path, tmp_path: Path) -> None:
-    """Assert that other files, broken ones, empty folders and a place inside the data are refused, and nothing left."""
-    with pytest.raises(InputError, match="not a model"):
-        shared(next(trials.glob("*.tracks.h5")), out=tmp_path / "hub")
-    (tmp_path / "empty").mkdir()
-    with pytest.raises(InputError, match="nothing to share"):
-        shared(tmp_path / "empty", out=tmp_path / "hub")
-    with pytest.raises(InputError, match="inside the folder"):
-        shared(trials, out=trials / "hub")
-    (trials / "b.recording.h5").write_bytes(b"\x89HDF\r\n\x1a\n broken")
-    with pytest.raises(InputError, match="cannot be shared"):
-        shared(trials, out=tmp_path / "hub")
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["a trial", "empty"]
+@pytest.mark.parametrize("case", REFUSED)
+def test_refused(case: str, trials: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert the place of the error, and that nothing is made."""
+    monkeypatch.chdir(tmp_path)
+    trials.rename("data")
+    for name in ("empty", "damaged", "alone"):
+        Path(name).mkdir()
+    shutil.copy("data/a.tracks.h5", "alone")
+    Path("damaged/b.recording.h5").write_bytes(b"\x89HDF\r\n\x1a\n broken")
+    before = {path for path in Path().rglob("*") if not path.name.startswith(".")}
+    source, out, flags, where = REFUSED[case]
+    with pytest.raises(InputError) as refused:
+        shared(Path(source), out=Path(out), **flags)
+    assert where in refused.value.where
+    assert {path for path in Path().rglob("*") if not path.name.startswith(".")} == before
 
 
 def test_course_of_a_training(made: Made) -> None:

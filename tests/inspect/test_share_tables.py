@@ -17,7 +17,6 @@ from evetac_cli.errors import InputError, MissingLibrary
 from evetac_cli.formats.write import hub_tables
 from evetac_cli.inspect import share
 from evetac_cli.inspect.share.sections import NOT_LIKE
-from evetac_cli.resources import MODEL
 from tests import small_files
 from tests.formats.trials import write_grasp
 from tests.inspect.test_share import fields, shared
@@ -155,19 +154,6 @@ def test_without_pyarrow_there_are_no_tables(folder: Path, tmp_path: Path, monke
     with pytest.raises(MissingLibrary, match="tables need pyarrow"):
         shared(folder, out=tmp_path / "events", tables="events")
     assert not (tmp_path / "events").exists()
-
-
-def test_tables_of_nothing_are_refused(folder: Path, tmp_path: Path) -> None:
-    """Assert that `--tables` is refused with a model, and events where no recording is."""
-    with pytest.raises(InputError, match="has no effect"):
-        shared(MODEL, out=tmp_path / "hub", tables="none")
-    alone = tmp_path / "alone"
-    alone.mkdir()
-    shutil.copy(folder / "learn" / "a.tracks.h5", alone)
-    with pytest.raises(InputError, match="no recordings"):
-        shared(alone, out=tmp_path / "hub", tables="events")
-    shared(alone, out=tmp_path / "hub")
-    assert fields(tmp_path / "hub")["viewer"] is False
 
 
 def test_nothing_is_left_of_tables_that_fail(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,7 +1,6 @@
 """view --rrd: rerun's own reader finds every part of a trial, on one timeline, and what was thinned is said."""
 
 import io
-import json
 import sys
 from collections import defaultdict
 from pathlib import Path
@@ -10,9 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
-from typer.testing import CliRunner
 
-from evetac_cli.cli.main import app
 from evetac_cli.commands.view import View
 from evetac_cli.errors import EvetacError, InputError
 from evetac_cli.pages import view
@@ -132,29 +129,6 @@ def test_touch_maps_are_pictures_and_arrows(trial: Path) -> None:
     assert "40 kPa" in static_text(path) and "10 kPa of shear" in static_text(path)
 
 
-@pytest.mark.slow
-def test_a_grasp_has_its_phases(tmp_path: Path) -> None:
-    """Assert that contact, lift and balance follow each other, and that the blueprint names what is simulated."""
-    path = tmp_path / "a.recording.h5"
-    write_recording(path, grasp=True)
-    rows = rows_of(rrd_of(path))
-    phases = [(at, row["StateChange:state"][0]) for at, row in rows["/phase"]]
-    assert phases == [(0, "contact"), (102_000, "lift"), (200_000, "balance"), (300_000, "")]
-    blueprint = path.with_name("a.rrd").read_bytes()
-    assert len(blueprint) > 1000
-    reader = rerun.chunk.RrdReader(path.with_name("a.rrd"))
-    (store,) = reader.blueprints()
-    names = [
-        value
-        for chunk in reader.stream(store=store)
-        for column in chunk.to_record_batch().to_pydict().items()
-        if column[0] == "ViewBlueprint:display_name"
-        for values in column[1]
-        for value in values or []
-    ]
-    assert "Gripper, current [mA] (simulated)" in names and "Phase of the grasp" in names
-
-
 def test_a_long_recording_is_thinned_and_says_so(trial: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert every third event, rows of two slices and dots of every fourth slice, none of them shifted in time."""
     monkeypatch.setattr(rerun_file, "MOST_EVENTS", 4 * SLICES // 3)
@@ -202,24 +176,6 @@ def test_an_empty_recording_and_tracks_alone(tmp_path: Path) -> None:
     write_labels(path.with_name("a.labels.h5"), header)
     path.unlink()
     assert {"/gel/dots", "/gel/displacement", "/slip/label"} <= rows_of(rrd_of(path.with_name("a.tracks.h5"))).keys()
-
-
-@pytest.mark.slow
-def test_from_the_command_line(trial: Path) -> None:
-    """Assert where the file is, that it is replaced on demand alone, and that it ends in .rrd."""
-    run = CliRunner().invoke(app, ["view", str(trial), "--rrd", "--json"])
-    assert run.exit_code == 0, run.output
-    (row,) = json.loads(run.stdout)["rows"]
-    assert row["output"] == str(trial.with_name("a.rrd")) and row["size_bytes"] > 1000
-    assert CliRunner().invoke(app, ["view", str(trial), "--rrd"]).exit_code == 2
-    assert CliRunner().invoke(app, ["view", str(trial), "--rrd", "--force", "-q"]).exit_code == 0
-    assert CliRunner().invoke(app, ["view", str(trial), "--rrd", "-o", str(trial.with_name("b.html"))]).exit_code == 2
-    assert sorted(one.name for one in trial.parent.iterdir()) == [
-        "a.labels.h5",
-        "a.recording.h5",
-        "a.rrd",
-        "a.tracks.h5",
-    ]
 
 
 @pytest.mark.slow
