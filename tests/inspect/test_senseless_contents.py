@@ -249,7 +249,6 @@ REFUSED_BY = [
     ("evaluate tracking", tracks("dot_xy_px", (2, 1), INF, "dot_xy_px")),
     ("evaluate tracking", in_recording("truth/dot_xy_px", (0, 0), NAN, "truth/dot_xy_px")),
     ("evaluate slip", model("threshold", (), 2.0, "threshold")),
-    ("evaluate slip", features("label", 0, 7, "label")),
     ("predict-touch", tracks("dot_xy_px", (2, 1), INF, "dot_xy_px")),
 ]  # fmt: skip
 
