@@ -27,10 +27,9 @@ from script_tables import RESULTS, table_of, write
 from evetac_cli.commands.evaluate import EvaluateBenchmark
 from evetac_cli.devices.simulated import SimulatedGripper, rig
 from evetac_cli.errors import InputError
-from evetac_cli.evaluate.benchmark import command, data_set, lifts, predictions, scores, truth
-from evetac_cli.evaluate.benchmark.data_set import Benchmark
+from evetac_cli.evaluate.benchmark import command, data_set, own_methods, predictions, scores
+from evetac_cli.evaluate.benchmark.data_set import Benchmark, Truth
 from evetac_cli.evaluate.benchmark.predictions import WARNING_KINDS, Predictions
-from evetac_cli.evaluate.benchmark.truth import Truth
 from evetac_cli.jobs import Row, Rows
 from evetac_cli.kernels.grip.control import Control
 from evetac_cli.sim import grasp_outcome
@@ -100,8 +99,8 @@ def truth_as_predictions(benchmark: Benchmark, true: dict[str, Truth]) -> Predic
 def oracle_lifts(benchmark: Benchmark, law: str) -> Rows:
     """Return the outcomes of all lifts with a law that has the truth of the simulation."""
     rows = []
-    for name, lift in lifts.read(benchmark).items():
-        params = lifts.asked(benchmark, name, lift, controller="none")
+    for name, lift in own_methods.read_lifts(benchmark).items():
+        params = own_methods.lift_flags(benchmark, name, lift, controller="none")
         (one,) = grasp.jobs([], params, Path(f"{name}.recording.h5"))
         assert isinstance(one, SimulatedGrasp)
         devices = rig(one.plan, one.seeds(), untimed, lift_s=lift["lift_s"], balance_s=lift["balance_s"])
@@ -126,7 +125,7 @@ def all_methods(
 ) -> dict[str, Rows]:
     """Return the rows of each method; the paper's network and force model are left out if no file is given."""
     benchmark = data_set.read(folder)
-    true = truth.read(benchmark)
+    true = data_set.read_truth(benchmark)
     model: Any = paper_model if paper_model is not None else Path("none")
     of_paper: dict[str, Any] = {"tracker": "paper", "model": model}
     of_force: dict[str, Any] = {"shear_force": "none"}
@@ -204,7 +203,9 @@ def tables(benchmark: Benchmark, found: dict[str, Rows], words: str) -> tuple[Ro
 
 def _seeds(benchmark: Benchmark) -> set[str]:
     lines = (benchmark.folder / "truth" / "recordings.csv").read_text().splitlines()[1:]
-    return {line.rsplit(",", 1)[1] for line in lines} | {str(lift["seed"]) for lift in lifts.read(benchmark).values()}
+    return {line.rsplit(",", 1)[1] for line in lines} | {
+        str(lift["seed"]) for lift in own_methods.read_lifts(benchmark).values()
+    }
 
 
 def main() -> None:

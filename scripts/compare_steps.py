@@ -35,11 +35,11 @@ import numpy as np
 
 from evetac_cli.arrays import Flags
 from evetac_cli.console import show
-from evetac_cli.evaluate.cost.chain import ChainTrial, run_chain, run_grasp, slip_trial
+from evetac_cli.evaluate.cost.pipeline import ChainTrial, run_chain, run_grasp, slip_trial
 from evetac_cli.evaluate.labels import EARLIEST_MS, LATEST_MS, true_onsets
-from evetac_cli.evaluate.paired import ConfidenceInterval, finite_or_none, share, share_difference
-from evetac_cli.evaluate.rows import SolverSetting
+from evetac_cli.evaluate.rows import ConfidenceInterval, SolverSetting, finite_or_none, share_difference
 from evetac_cli.jobs import Row
+from evetac_cli.kernels import estimates
 from evetac_cli.kernels.slip import metrics
 from evetac_cli.store.recordings.read import open_recording
 
@@ -144,13 +144,18 @@ def _differences(slips: list[Row], name: str) -> Row:
     for limit_ms in APART_MS:
         beyond = np.abs(apart) > limit_ms
         row[f"over_{limit_ms}_ms"] = int(beyond.sum())
-        row |= {f"share_over_{limit_ms}_ms_{end}": value for end, value in _ends(share(beyond)).items()}
+        row |= {f"share_over_{limit_ms}_ms_{end}": value for end, value in _ends(_share(beyond)).items()}
     return row
+
+
+def _share(flags: Flags) -> ConfidenceInterval:
+    """Return the share of trials in which a condition holds, with Wilson's interval."""
+    return ConfidenceInterval(*estimates.share(int(np.count_nonzero(flags)), len(flags)), len(flags))
 
 
 def _shares(what: str, holds: dict[str, Flags]) -> Row:
     """Return the share of trials in which a condition holds by default and with the fine step, and the difference."""
-    shares = {one: share(holds[one]) for one in BOTH}
+    shares = {one: _share(holds[one]) for one in BOTH}
     shares["more_by_default"] = share_difference(holds[DEFAULT], holds[FINE])
     row: Row = {"what": what, "trials": len(holds[DEFAULT])}
     for name, interval in shares.items():

@@ -24,9 +24,8 @@ from report_facts import facts, methods, report_header
 from reproduce import RESULTS
 from run_command import run_command
 
-from evetac_cli.evaluate.likeness.facts import Fact
+from evetac_cli.evaluate.likeness.facts import Fact, Ours, ResultTables
 from evetac_cli.evaluate.likeness.facts import facts as public_facts
-from evetac_cli.evaluate.likeness.tables import Ours, ResultTables
 from evetac_cli.jobs import Row, Rows
 
 OBJECTS = (

@@ -34,7 +34,7 @@ from likeness_trials import (
     planned,
 )
 
-from evetac_cli.evaluate.likeness.single_slice import Slip, judge
+from evetac_cli.evaluate.likeness.counts import Slip, judge
 from evetac_cli.jobs import Row
 from evetac_cli.kernels.slip.metrics import EARLIEST_MS, LATEST_MS
 from evetac_cli.sim.setup.plan import Plan

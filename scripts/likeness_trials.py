@@ -18,9 +18,8 @@ from typing import Any
 import numpy as np
 
 from evetac_cli.commands.record import Record
-from evetac_cli.evaluate.cost.chain import timed
-from evetac_cli.evaluate.likeness import single_slice
-from evetac_cli.evaluate.likeness.counts import HELD_UNTIL_MS, SliceCounts, about_slip, count, rate
+from evetac_cli.evaluate.cost.pipeline import timed
+from evetac_cli.evaluate.likeness.counts import HELD_UNTIL_MS, SliceCounts, about_slip, count, rate, slip
 from evetac_cli.evaluate.likeness.measures import shares, slipping_ms
 from evetac_cli.jobs import Row, silent
 from evetac_cli.sim.setup.plan import Plan
@@ -94,7 +93,7 @@ def _of_slip(recording: Recording, counts: SliceCounts) -> Row:
         **{name: about[name] for name in OF_EVENTS},
         **slipping_ms(recording.read("truth/visible_slip_share"), counts.onset),
         "loud_ms": loud_ms(counts),
-        "after_ms": list(single_slice.slip("", counts).after_ms),
+        "after_ms": list(slip("", counts).after_ms),
     }
 
 

@@ -43,7 +43,7 @@ from studies import PART_FIGURES
 from evetac_cli.commands.grasp import Grasp
 from evetac_cli.commands.record import Record
 from evetac_cli.errors import EvetacError, InputError
-from evetac_cli.evaluate.cost.chain import (
+from evetac_cli.evaluate.cost.pipeline import (
     BALANCE_S,
     LIFT_S,
     chain_of,

@@ -17,8 +17,8 @@ from script_rows import add_rows, rows_in
 
 from evetac_cli.arrays import Singles
 from evetac_cli.errors import SceneError
-from evetac_cli.evaluate import alarm_rules
-from evetac_cli.evaluate.alarm_rules import RULES
+from evetac_cli.evaluate import slip_warnings
+from evetac_cli.evaluate.slip_warnings import RULES
 from evetac_cli.jobs import Row
 from evetac_cli.kernels.slip import alarms, metrics
 from evetac_cli.kernels.slip.labels import is_slip, shift_labels
@@ -66,8 +66,8 @@ def judged(motion: str, trial: Trial, scores: Scores) -> Row:
     """Return the results of every score in a trial: counts by threshold."""
     held = trial.normal_n > 0.0
     slips = trial.slips & held
-    row: Row = {"minutes": round(float(held.sum()) / 60_000, 5), "slips": len(alarm_rules.slip_begins(slips))}
-    begins = alarm_rules.slip_begins(slips)
+    row: Row = {"minutes": round(float(held.sum()) / 60_000, 5), "slips": len(slip_warnings.slip_begins(slips))}
+    begins = slip_warnings.slip_begins(slips)
     if motion in SLIPS and begins and begins[0] >= RAMP_MS:
         before = trial.normal_n[max(begins[0] - SPEED_MS, 0) : begins[0]]
         row["unloading_n_s"] = round(float(before[0] - before[-1]) / (1e-3 * len(before)), 3)
@@ -79,14 +79,14 @@ def judged(motion: str, trial: Trial, scores: Scores) -> Row:
 
 def _counted(motion: str, trial: Trial, score: Singles, horizon_ms: int, slips: Any) -> Row:
     held = trial.normal_n > 0.0
-    every = [alarm_rules.judge(alarms.alarming(score, at) & held, trial.slip_share, slips) for at in THRESHOLDS]
+    every = [slip_warnings.judge(alarms.alarming(score, at) & held, trial.slip_share, slips) for at in THRESHOLDS]
     counted: Row = {
         "horizon_ms": horizon_ms,
         "calibration": _calibration(trial, score, horizon_ms, slips),
         "false": {rule: [one.false[rule] for one in every] for rule in RULES},
         "leads_ms": {rule: [one.leads_ms[rule] for one in every] for rule in RULES},
     }
-    begins = alarm_rules.slip_begins(slips)
+    begins = slip_warnings.slip_begins(slips)
     if motion not in SLIPS or not begins or begins[0] < RAMP_MS:
         return counted
     onset = begins[0]
@@ -107,7 +107,7 @@ def _calibration(trial: Trial, score: Singles, horizon_ms: int, slips: Any) -> l
 
     Slices count while the object is held, up to F1_CUT_MS after its first slip, as in a report on slip.
     """
-    begins = alarm_rules.slip_begins(slips)
+    begins = slip_warnings.slip_begins(slips)
     stop = min((begins[0] + F1_CUT_MS) if begins else len(score), len(score) - horizon_ms)
     said = np.nan_to_num(score[: max(stop, 0)])
     counted = (trial.normal_n[: len(said)] > 0.0) & (said >= ABOVE)

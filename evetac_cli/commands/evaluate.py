@@ -152,9 +152,8 @@ class EvaluateCost:
         "sim",
         "Part to measure. sim: the simulator. pipeline: simulation settings, by their effect at the end of the whole"
         " pipeline. label: slip labels. track: the dot tracker. model: slip detectors. grasp: grasps with a delayed"
-        " detector, a slow controller or other detectors. scenes: cost per slice of the elements of three scenes, each"
-        " scene with and without them.",
-        choices=("sim", "pipeline", "label", "track", "model", "grasp", "scenes"),
+        " detector, a slow controller or other detectors.",
+        choices=("sim", "pipeline", "label", "track", "model", "grasp"),
         flag="PART",
     )
     model: Path | None = parameter(
@@ -182,7 +181,7 @@ class EvaluateCost:
 
 @dataclass(frozen=True)
 class EvaluateStability:
-    """Run stiff, extreme and nonsensical cases of one part: each must stay in bounds or be refused with an error."""
+    """Run stiff and extreme cases of one part: each must stay in bounds or be refused with an error."""
 
     part: str = parameter(
         "sim",

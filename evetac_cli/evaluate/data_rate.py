@@ -17,7 +17,8 @@ in the paper.
 """
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -27,6 +28,7 @@ from evetac_cli.commands.evaluate import EvaluateDataRate
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.errors import InputError
 from evetac_cli.evaluate import paper, picture, report, report_job
+from evetac_cli.evaluate.rows import each, mean, sd
 from evetac_cli.events import SLICES_PER_S
 from evetac_cli.jobs import Job, Outcome, Progress, Row, Rows, Stage, silent
 from evetac_cli.kernels.slip.covariates import TOUCH_N
@@ -82,11 +84,10 @@ def run(job: Job, params: EvaluateDataRate, *, force: bool = False, progress: Pr
 
     def measure() -> tuple[Rows, dict[str, Any]]:
         trials: list[tuple[Row, Intervals]] = []
-        for number, path in enumerate(job.inputs):
+        for path in each(job.inputs, progress):
             with open_recording(path) as recording:
                 spans = intervals(recording, params.around_s)
                 trials.append((_row(recording, spans, params), spans))
-            progress(number + 1, len(job.inputs))
         rows = [row for row, _ in trials]
         of_intervals = [_interval_row(interval, trials, as_papers=as_papers) for interval in INTERVALS]
         objects = list(dict.fromkeys(row["object"] for row in rows))
@@ -137,12 +138,8 @@ def _share_in_words(row: Row) -> str:
 def _rgb_bytes_s(params: EvaluateDataRate) -> float:
     """Return the bytes per second of the RGB sensor; raise InputError if `--rgb-frame` is not a size."""
     if not re.fullmatch("[1-9][0-9]{0,4}x[1-9][0-9]{0,4}x[1-9][0-9]?", params.rgb_frame):
-        raise InputError(
-            "not a frame size",
-            where="--rgb-frame",
-            expected="width x height x bytes, such as 540x480x3",
-            found=params.rgb_frame,
-        )
+        expected = "width x height x bytes, such as 540x480x3"
+        raise InputError("not a frame size", where="--rgb-frame", expected=expected, found=params.rgb_frame)
     width, height, pixel = (int(size) for size in params.rgb_frame.split("x"))
     return width * height * pixel * params.rgb_hz
 
@@ -226,6 +223,35 @@ def labels_beside(recording: Recording) -> _Labels | None:
         return _Labels(labels.header, labelled_onset(labels))
 
 
+def headers_beside(recording: Recording) -> list[Header]:
+    """Return headers of a recording and of the files next to it.
+
+    Raise InputError if these belong to another recording.
+    """
+    labels = None if recording.has("truth") else labels_beside(recording)
+    with dot_places(recording) as dots:
+        tracks = dots[0] if dots is not None and dots[0] is not recording else None
+        return [recording.header, *([labels.header] if labels else []), *([tracks.header] if tracks else [])]
+
+
+@contextmanager
+def dot_places(recording: Recording) -> Iterator[tuple[StageFile, str] | None]:
+    """Yield the file and dataset of the dot positions of a recording: its truth, or the tracks next to it, or None.
+
+    Raises InputError if the tracks belong to another recording.
+    """
+    if recording.has("truth"):
+        yield recording, "truth/dot_xy_px"
+        return
+    path = output_path(recording.path, "tracks", None)
+    if not path.exists():
+        yield None
+        return
+    with StageFile(path, "tracks") as tracks:
+        check_made_from(tracks, recording)
+        yield tracks, "dot_xy_px"
+
+
 def _as_the_papers(header: Header) -> bool:
     """Whether the simulated recordings behind a file are all of the paper's scene.
 
@@ -244,24 +270,23 @@ def _interval_row(
     The others are `left_out`. `called`: the object of these trajectories, or ALL. The row has the paper's figures only
     if the motions are like the paper's.
     """
-    shares, of_window = (
-        [row[f"{name}_{interval}"] for row, _ in trials if row[f"{name}_{interval}"] is not None]
-        for name in ("share", "window_share")
-    )
-    mean = float(np.mean(shares)) if shares else None
+    shares = [row[f"share_{interval}"] for row, _ in trials if row[f"share_{interval}"] is not None]
+    share_mean = mean(shares)
     whys = [spans[interval].missing_because for _, spans in trials if spans[interval].missing_because]
     paper_mean = paper.value("data rate", interval) if as_papers else None
     paper_sd = paper.value("data rate, sd", interval) if as_papers else None
-    off = None if mean is None or paper_mean is None or paper_sd is None else (mean - paper_mean) / paper_sd
+    off = None
+    if share_mean is not None and paper_mean is not None and paper_sd is not None:
+        off = (share_mean - paper_mean) / paper_sd
     return {
         "interval": interval,
         "object": called,
         "trajectories": len(shares),
         "left_out": len(whys),
         "left_out_because": in_short(whys) or None,
-        "share_mean": mean,
-        "share_sd": float(np.std(shares, ddof=1)) if len(shares) > 1 else None,
-        "window_share_mean": float(np.mean(of_window)) if of_window else None,
+        "share_mean": share_mean,
+        "share_sd": sd(shares),
+        "window_share_mean": mean(row[f"window_share_{interval}"] for row, _ in trials),
         "columns": paper.COLUMNS,
         "paper_share_mean": paper_mean,
         "paper_share_sd": paper_sd,

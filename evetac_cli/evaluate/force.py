@@ -21,16 +21,11 @@ from evetac_cli.arrays import Floats
 from evetac_cli.commands.evaluate import EvaluateForce
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.errors import InputError
-from evetac_cli.evaluate import (
-    paper,
-    picture,
-    report,
-    report_job,
-    touch_force,
-)
+from evetac_cli.evaluate import paper, picture, report, report_job, touch_force
+from evetac_cli.evaluate.rows import each, mean
 from evetac_cli.evaluate.touch_force import ForceReportJob
 from evetac_cli.events import SLICES_PER_S
-from evetac_cli.jobs import Outcome, Progress, Rows, Stage, silent
+from evetac_cli.jobs import Outcome, Progress, Row, Rows, Stage, silent
 from evetac_cli.kernels.force import models as forces
 from evetac_cli.stages.force.train_force import (
     ForceModel,
@@ -72,12 +67,7 @@ def jobs(files: list[Path], params: EvaluateForce, out: Path | None) -> list[For
     own = named_files(params.adapt_on, "tracks", "--adapt-on") if params.adapt_on else []
     for is_given, flag in ((own, "--adapt-on"), (params.identified, "--identified")):
         if is_given and models:
-            raise InputError(
-                "a model of the paper's method works only for the sensor that it was trained on",
-                where=flag,
-                expected="touch maps, which are evaluated without --model",
-                found=f"--model {params.model}",
-            )
+            raise InputError("is for touch maps alone", where=flag, expected="no --model", found=f"{params.model}")
     (job,) = report_job(files, "force", out, *own, *models)
     return [ForceReportJob(job.inputs, job.output, len(models), len(own))]
 
@@ -104,9 +94,7 @@ def run(job: ForceReportJob, params: EvaluateForce, *, force: bool = False, prog
     def predictions() -> list[TrialForce]:
         if not trials:
             noise = np.random.default_rng(params.seed)
-            for number, path in enumerate(files):
-                trials.append(_predict(path, models, params, noise))
-                progress(number + 1, len(files))
+            trials.extend(_predict(path, models, params, noise) for path in each(files, progress))
         return trials
 
     def measure() -> tuple[Rows, dict[str, Any]]:
@@ -146,12 +134,8 @@ def _models(paths: tuple[Path, ...]) -> Models:
         same_sensor.append((path, header, model))
         first_path, first_header, _ = same_sensor[0]
         if _without_seed(header) != _without_seed(first_header):
-            raise InputError(
-                f"two models of dots tracked in {model.sensor}, with different parameters or trajectories",
-                where="--model",
-                expected="one model per sensor and tracker, or several that differ only in the seed",
-                found=f"{first_path}, {path}",
-            )
+            expected = "models per sensor and tracker that differ only in the seed"
+            raise InputError("two different models", where="--model", expected=expected, found=f"{first_path}, {path}")
     return by_sensor
 
 
@@ -172,12 +156,9 @@ def _models_for(tracks: StageFile, models: Models) -> list[tuple[Path, Header, F
     """Return the models for the sensor and tracker of a tracks file; raise InputError if there are none."""
     sensor, tracker = sensor_sort(tracks.header), _trackers(tracks.header)
     if (sensor, tracker) not in models:
-        raise InputError(
-            f"none of the models is for dots tracked in {sensor} by {tracker}",
-            where=str(tracks.path),
-            expected=f"a model that was fitted to tracks in {sensor} by {tracker}",
-            found=", ".join(str(path) for of_sensor in models.values() for path, _, _ in of_sensor),
-        )
+        expected = f"a model for dots tracked in {sensor} by {tracker}"
+        found = ", ".join(str(path) for of_sensor in models.values() for path, _, _ in of_sensor)
+        raise InputError("no model for these tracks", where=str(tracks.path), expected=expected, found=found)
     return models[sensor, tracker]
 
 
@@ -187,11 +168,10 @@ def _predict(path: Path, models: Models, params: EvaluateForce, noise: np.random
         sensor, tracker = sensor_sort(tracks.header), _trackers(tracks.header)
         sensor_name = str(tracks.read("sensor/name"))
     samples = read_samples(path, params, noise)
+    moved_px = samples.moved_px
     predicted_n = {
-        "regression": np.stack(
-            [forces.apply_regression(model.regression, samples.moved_px) for model in selected_models]
-        ),
-        "network": np.stack([forces.apply_network(model.network, samples.moved_px) for model in selected_models]),
+        "regression": np.stack([forces.apply_regression(model.regression, moved_px) for model in selected_models]),
+        "network": np.stack([forces.apply_network(model.network, moved_px) for model in selected_models]),
     }
     fitted = sensor_name in selected_models[0].sensor_name.split(", ")
     return TrialForce(path, sensor, tracker, sensor_name, fitted, samples, predicted_n)
@@ -227,29 +207,18 @@ def _summary(trials: list[TrialForce], rows: Rows, params: EvaluateForce) -> dic
 
     With several trackers of a sensor, the names of the means and of their numbers of trajectories contain the tracker.
     """
-    fitted_rows = [row for row in rows if row["fitted"]]
-    trackers = {sensor: {row["tracker"] for row in fitted_rows if row["sensor"] == sensor} for sensor in SENSORS}
-    means = {
-        f"{sensor}{f'_{tracker}' * (len(of_sensor) > 1)}_{model}_mae_n_{letter}": float(
-            np.mean([row[f"mae_n_{letter}"] for row in selected_rows])
-        )
-        for sensor, of_sensor in trackers.items()
-        for tracker in sorted(of_sensor)
-        for model in STYLES
-        for letter in forces.AXES
-        if (
-            selected_rows := [
-                row for row in fitted_rows if (row["sensor"], row["tracker"], row["model"]) == (sensor, tracker, model)
-            ]
-        )
-    }
-    counts = {
-        f"{sensor}{f'_{tracker}' * (len(of_sensor) > 1)}_trajectories": sum(
-            (one.fitted, one.sensor, one.tracker) == (True, sensor, tracker) for one in trials
-        )
-        for sensor, of_sensor in trackers.items()
-        for tracker in sorted(of_sensor)
-    }
+    counts: Row = {}
+    means: Row = {}
+    fitted = [row for row in rows if row["fitted"]]
+    for sensor in SENSORS:
+        trackers = sorted({row["tracker"] for row in fitted if row["sensor"] == sensor})
+        for tracker in trackers:
+            name = sensor if len(trackers) == 1 else f"{sensor}_{tracker}"
+            own = [row for row in fitted if (row["sensor"], row["tracker"]) == (sensor, tracker)]
+            counts[f"{name}_trajectories"] = sum(row["model"] == own[0]["model"] for row in own)
+            for model in STYLES:
+                of_model = [row for row in own if row["model"] == model]
+                means |= {f"{name}_{model}_mae_n_{x}": mean(row[f"mae_n_{x}"] for row in of_model) for x in forces.AXES}
     force = np.concatenate([one.samples.force_n for one in trials])
     return {
         "trajectories": len(trials),

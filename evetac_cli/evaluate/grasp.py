@@ -23,13 +23,14 @@ from evetac_cli.commands.evaluate import EvaluateGrasp
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.errors import InputError
 from evetac_cli.evaluate import grip_forces, paper, picture, report, report_job
-from evetac_cli.evaluate.grasp_settings import describe_setting, with_detectors, without_gain
+from evetac_cli.evaluate.rows import each, mean, quantile, sd
 from evetac_cli.evaluate.source import Source
 from evetac_cli.events import SLICES_PER_S
 from evetac_cli.jobs import Job, Outcome, Progress, Rows, Stage, silent
 from evetac_cli.kernels import estimates
+from evetac_cli.kernels.grip.load_law import MARGIN
 from evetac_cli.sim import grasp_outcome
-from evetac_cli.sim.setup.plan import read_plan
+from evetac_cli.sim.setup.plan import Plan, read_plan
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.layout.provenance import Header
 from evetac_cli.store.recordings import slip_grid
@@ -45,10 +46,10 @@ MEANS = (
     "reopened_share",
 )
 
+USUAL = {"gain": 1.0, "latency_ms": 0, "control_hz": 500.0}  # named in a setting only if they differ from these
 Lines = list[tuple[int, dict[str, Any]]]  # of the plot, from the top down: number and row
 
 WIDTH_IN, FORCES_IN = 13.0, 4.5  # of the plot, and the height of its part on force against weight
-PAPER_ORDER = (18, 17, 10, 11, 12, 13, 15, 16, 14, 19, 20)
 MOST_SETTINGS = 8  # this many markers can be distinguished
 # Column of the rows by object; the trials' column behind it, if any; axis label.
 PANELS = (
@@ -77,22 +78,14 @@ def run(job: Job, params: EvaluateGrasp, *, force: bool = False, progress: Progr
     headers = []
     for path in job.inputs:
         with StageFile(path, "recording") as recording:
-            for group, reason in (
-                ("control", "the recording is not a grasp"),
-                ("truth/table_gap_mm", "only simulations record how a grasp ended"),
-            ):
-                if not recording.has(group):
-                    raise InputError(
-                        f"the outcome is unknown: {reason}", where=str(path), expected=f"{group} in the file"
-                    )
+            lacking = [name for name in ("control", "truth/table_gap_mm") if not recording.has(name)]
+            if lacking:
+                raise InputError("not a simulated grasp", where=str(path), expected=f"{lacking[0]} in the file")
             headers.append(recording.header)
 
     def measure() -> tuple[Rows, dict[str, Any]]:
-        trials: Rows = []
-        for number, (path, header) in enumerate(zip(job.inputs, headers, strict=True)):
-            trials.append(trial_row(path, header))
-            progress(number + 1, len(job.inputs))
-        return tables(with_detectors(trials, headers))
+        paths = zip(each(job.inputs, progress), headers, strict=True)
+        return tables(with_detectors([trial_row(path, header) for path, header in paths], headers))
 
     outcome = report(job, "evaluate grasp", METHOD, recipe_of(params), headers, measure, force=force)
     source = Source.of(headers)
@@ -157,8 +150,8 @@ def tables(trials: Rows) -> tuple[Rows, dict[str, Any]]:
         ]
         objects += [_with_papers(row, "paper_success", "paper_opening_after_balance_ticks") for row in rows]
         row = {"setting": name, "columns": len(columns), **_alike(members), **figures(members)}
-        row["reopened_share"] = _mean([each["reopened_share"] for each in rows])  # every column counts the same
-        row["reopened_columns"] = sum(each["reopened_share"] is not None for each in rows)
+        row["reopened_share"] = mean(one["reopened_share"] for one in rows)  # every column counts the same
+        row["reopened_columns"] = sum(one["reopened_share"] is not None for one in rows)
         row |= _ends(members, rows)
         row |= {key: value for key, value in grip_forces.firmness(members).items() if key not in ("grasps", "kept")}
         whole.append(_with_papers(row, "paper_success", "paper_reopened_share"))
@@ -211,29 +204,16 @@ def figures(trials: Rows) -> dict[str, Any]:
         "success": len(held_trials) / len(trials),
         "lifted": len(lifted) / len(trials),
         "balanced": len(held_trials) / len(lifted) if lifted else None,
-        **{name: _mean([row[name] for row in held_trials]) for name in MEANS},
-        "opening_after_balance_ticks_sd": _sd([row["opening_after_balance_ticks"] for row in held_trials]),
-        "force_end_n": _mean([row["force_end_n"] for row in held_trials]),
-        "moved_lift_mm_median": _quantile([row["moved_lift_mm"] for row in held_trials], 0.5),
-        "moved_mm_median": _quantile(moved, 0.5),
-        "moved_mm_mean": _mean(moved),
-        "moved_mm_p90": _quantile(moved, 0.9),
-        "moved_below_10_mm_share": _mean([value < MOVED_MM for value in moved]),
-        "slip_events_mean": _mean([row["slip_events"] for row in trials]),
+        **{name: mean(row[name] for row in held_trials) for name in MEANS},
+        "opening_after_balance_ticks_sd": sd([row["opening_after_balance_ticks"] for row in held_trials]),
+        "force_end_n": mean(row["force_end_n"] for row in held_trials),
+        "moved_lift_mm_median": quantile([row["moved_lift_mm"] for row in held_trials], 0.5),
+        "moved_mm_median": quantile(moved, 0.5),
+        "moved_mm_mean": mean(moved),
+        "moved_mm_p90": quantile(moved, 0.9),
+        "moved_below_10_mm_share": mean(value < MOVED_MM for value in moved),
+        "slip_events_mean": mean(row["slip_events"] for row in trials),
     }
-
-
-def _mean(values: Sequence[float | None]) -> float | None:
-    known_values = [value for value in values if value is not None]
-    return float(np.mean(known_values)) if known_values else None
-
-
-def _sd(values: Sequence[float]) -> float | None:
-    return float(np.std(values, ddof=1)) if len(values) > 1 else None
-
-
-def _quantile(values: Sequence[float], share: float) -> float | None:
-    return float(np.quantile(values, share)) if values else None
 
 
 def _with_papers(row: dict[str, Any], *columns: str) -> dict[str, Any]:
@@ -258,7 +238,7 @@ def _lines(by_object: Rows) -> tuple[Lines, list[str]]:
     """Return the line of each row by object and setting, with a gap between objects, and the settings to draw."""
     shown = list(dict.fromkeys(row["setting"] for row in by_object))[:MOST_SETTINGS]
     lines: Lines = []
-    for number in sorted({row["object"] for row in by_object}, key=_figure_place):
+    for number in sorted({row["object"] for row in by_object}, key=lambda called: (isinstance(called, str), called)):
         of_object = {row["setting"]: row for row in by_object if row["object"] == number}
         start = lines[-1][0] + 2 if lines else 0
         present = [setting for setting in shown if setting in of_object]
@@ -343,11 +323,52 @@ def _papers(lines: Lines, name: str, source: Source) -> Iterator[tuple[float, fl
             yield beside.value, place, picture.of_paper(beside.mark, "real gripper")
 
 
-def _figure_place(called: int | str) -> tuple[int, str]:
-    """Return a sort key: objects in the order of the paper's figure, then evetac's others, then user-defined ones."""
-    if isinstance(called, str):
-        return 1000, called
-    return (PAPER_ORDER.index(called) if called in PAPER_ORDER else 100 + called), ""
+def with_detectors(trials: Rows, headers: Sequence[Header]) -> Rows:
+    """Return the trials with detector, tracker and threshold, which are None without a detector.
+
+    Where grasps of a report differ in detector or threshold, these words are added to the setting.
+    """
+    sources: dict[str, dict[str, Any]] = {}
+    rows: Rows = []
+    for trial, header in zip(trials, headers, strict=True):
+        planned = header["parameters"]
+        key = json.dumps([header["parents"], planned.get("tracker")], sort_keys=True)
+        if key not in sources:
+            source = Source.of([header])
+            detector, tracker = (source.detector, " + ".join(source.trackers)) if source.detectors else (None, None)
+            sources[key] = {"slip_detector": detector, "tracker": tracker}
+        rows.append({**trial, **sources[key], "slip_threshold": planned.get("slip_threshold")})
+    detectors = {row["slip_detector"] for row in rows} - {None}
+    for row in rows:
+        words = [f"detector {row['slip_detector']}"] if row["slip_detector"] and len(detectors) > 1 else []
+        same = {one["slip_threshold"] for one in rows if one["slip_detector"] == row["slip_detector"]}
+        words += [f"threshold {row['slip_threshold']:g}"] if len(same) > 1 else []
+        row["setting"] = ", ".join([row["setting"], *words])
+    return rows
+
+
+def describe_setting(plan: Plan, planned: dict[str, Any]) -> str:
+    """Return the words for a setting: its controller and all non-default choices, without object and trial."""
+    gain, latency_ms, control_hz = (planned.get(name, usual) for name, usual in USUAL.items())
+    margin = planned.get("law", {}).get("margin", MARGIN) if planned["controller"] == "load-proportional" else MARGIN
+    second = "" if plan.second is None or plan.second.name == plan.sensor_name else f", {plan.second.name}"
+    words = (
+        (planned["controller"], True),
+        (f"gain {gain:g}", gain != USUAL["gain"]),
+        (f"margin {margin:g}", margin != MARGIN),
+        (plan.scene.name, plan.scene.name != "lift"),
+        (plan.sensor_name, plan.sensor_name != "evetac"),
+        (f"two fingers{second}", plan.second is not None),
+        ("closed gel", not plan.scene.gel.cut),
+        (f"{latency_ms} ms late", latency_ms != USUAL["latency_ms"]),
+        (f"{control_hz:g} Hz", control_hz != USUAL["control_hz"]),
+    )
+    return ", ".join(word for word, unusual in words if unusual)
+
+
+def without_gain(setting: str) -> str:
+    """Return the name of a setting without its gain."""
+    return ", ".join(word for word in setting.split(", ") if not word.startswith("gain "))
 
 
 STAGE = Stage(jobs, run, for_people=for_people)

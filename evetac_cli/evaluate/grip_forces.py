@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from evetac_cli.evaluate import picture
+from evetac_cli.evaluate.rows import mean, quantile
 from evetac_cli.jobs import Row, Rows
 from evetac_cli.sim.scenes.slip_limit import GRAVITY_M_S2
 
@@ -30,24 +31,26 @@ def firmness(trials: Rows) -> Row:
     row: Row = {
         "grasps": len(trials),
         "kept": len(held_trials) / len(trials),
-        "lost": ", ".join(f"{count} {how}" for how, count in Counter(_losses(trials)).most_common()),
+        "lost": ", ".join(
+            f"{count} {how}" for how, count in Counter(row["failure"] for row in trials if row["failure"]).most_common()
+        ),
     }
     row["over_holding_counted"] = len(with_excess)
     for name in ("end", "mean", "peak"):
         values = [one[f"over_holding_{name}"] for one in with_excess]
         row |= {
-            f"over_holding_{name}_median": _quantile(values, 0.5),
-            f"over_holding_{name}_p95": _quantile(values, 0.95),
+            f"over_holding_{name}_median": quantile(values, 0.5),
+            f"over_holding_{name}_p95": quantile(values, 0.95),
         }
     for low, high in CLASSES_G:
         values = [one["over_holding_end"] for one in with_excess if low <= one["carried_g"] < high]
         row[f"over_holding_counted_{low:g}_{high:g}_g"] = len(values)
-        row[f"over_holding_end_p95_{low:g}_{high:g}_g"] = _quantile(values, 0.95)
+        row[f"over_holding_end_p95_{low:g}_{high:g}_g"] = quantile(values, 0.95)
     row["force_follows_weight"] = rank_correlation(
         [one["carried_g"] for one in with_excess], [one["force_end_n"] for one in with_excess]
     )
-    row["stayed_share"] = float(np.mean([one["moved_mm"] < STAYED_MM for one in held_trials])) if held_trials else None
-    row["motor_work_j_median"] = _quantile([one["motor_work_j"] for one in held_trials], 0.5)
+    row["stayed_share"] = mean(one["moved_mm"] < STAYED_MM for one in held_trials)
+    row["motor_work_j_median"] = quantile([one["motor_work_j"] for one in held_trials], 0.5)
     reactions, false = (sum(one[name] for one in trials) for name in ("slip_events", "false_slip_events"))
     return {**row, "reactions_mean": reactions / len(trials), "false_share": false / reactions if reactions else None}
 
@@ -59,14 +62,6 @@ def rank_correlation(first: Sequence[float], second: Sequence[float]) -> float |
     from scipy import stats  # takes half a second to load
 
     return float(stats.spearmanr(first, second).statistic)
-
-
-def _losses(trials: Rows) -> list[str]:
-    return [str(row["failure"]) for row in trials if row["failure"]]
-
-
-def _quantile(values: Sequence[float], share: float) -> float | None:
-    return float(np.quantile(values, share)) if values else None
 
 
 def draw(figure: Any, settings: Sequence[tuple[int, str, Rows]]) -> None:

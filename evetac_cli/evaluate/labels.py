@@ -19,6 +19,7 @@ from evetac_cli.arrays import Floats
 from evetac_cli.commands.evaluate import EvaluateLabels
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.evaluate import report, report_job
+from evetac_cli.evaluate.rows import each, mean, quantile
 from evetac_cli.jobs import Job, Outcome, Progress, Row, Rows, Stage, silent
 from evetac_cli.stages.related_files import recording_with_truth
 from evetac_cli.store.files import StageFile
@@ -46,7 +47,7 @@ def run(job: Job, params: EvaluateLabels, *, force: bool = False, progress: Prog
     """
     rows: Rows = []
     headers = []
-    for number, path in enumerate(job.inputs):
+    for path in each(job.inputs, progress):
         with StageFile(path, "labels") as labels, recording_with_truth(labels) as recording:
             labelled = labelled_onset(labels)
             true, nodes = true_onsets(recording), slip_grid.nodes_of(recording)
@@ -55,7 +56,6 @@ def run(job: Job, params: EvaluateLabels, *, force: bool = False, progress: Prog
         method = str(labels.header["parameters"].get("method", "farneback"))
         row = {"file": path.name, "method": method, **judged(labelled, true, slid_px), slip_grid.COLUMN: nodes}
         rows.append(row)
-        progress(number + 1, len(job.inputs))
 
     def measure() -> tuple[Rows, dict[str, Any]]:
         return rows, summary(rows)
@@ -99,8 +99,7 @@ def summary(rows: Rows) -> dict[str, Any]:
     slipped = [row for row in rows if row["t_s_ms"] is not None]
     rest = [row for row in slipped if not row["abstained"]]
     found = [row for row in rest if row["onset_error_ms"] is not None]
-    errors = np.array([row["onset_error_ms"] for row in found], float)
-    any_error = len(errors) > 0
+    errors = [row["onset_error_ms"] for row in found]
     early = [row for row in rows if not row["abstained"] and (row["onset_before_gross_slip_ms"] or 0) > -EARLIEST_MS]
     later = [row["t_every_node_ms"] - row["t_s_ms"] for row in slipped if row["t_every_node_ms"] is not None]
     judged_rest = [row for row in rest if row["interval_covers"] is not None]
@@ -111,22 +110,22 @@ def summary(rows: Rows) -> dict[str, Any]:
         "counted": len(rest),
         "onsets_found": len(errors),
         "abstained": sum(row["abstained"] for row in rows),
-        "abstained_share": _share(row["abstained"] for row in slipped),
-        "rest_within_half_px": _share(is_near(row) for row in rest),
+        "abstained_share": mean(row["abstained"] for row in slipped),
+        "rest_within_half_px": mean(is_near(row) for row in rest),
         "rest_over_10_ms_early": sum((row["onset_error_ms"] or 0) < -EARLY_MS for row in rest),
-        "rest_within_minus4_plus3_ms": _share(_in_time(row) for row in rest),
-        "within_half_px": _share(is_near(row) for row in slipped),
+        "rest_within_minus4_plus3_ms": mean(_in_time(row) for row in rest),
+        "within_half_px": mean(is_near(row) for row in slipped),
         "intervals_counted": len(judged_rest),
-        "interval_coverage": _share(row["interval_covers"] for row in judged_rest),
-        "interval_width_px_median": _median(row["interval_width_px"] for row in judged_rest),
-        "interval_width_ms_median": _median(row["interval_width_ms"] for row in judged_rest),
-        "onset_error_px_median": _median(row["onset_error_px"] for row in found),
-        "onset_error_ms_median": float(np.median(errors)) if any_error else None,
-        "onset_error_ms_worst": float(errors[np.argmax(np.abs(errors))]) if any_error else None,
-        "within_minus4_plus3_ms": _share(_in_time(row) for row in slipped),
+        "interval_coverage": mean(row["interval_covers"] for row in judged_rest),
+        "interval_width_px_median": quantile(row["interval_width_px"] for row in judged_rest),
+        "interval_width_ms_median": quantile(row["interval_width_ms"] for row in judged_rest),
+        "onset_error_px_median": quantile(row["onset_error_px"] for row in found),
+        "onset_error_ms_median": quantile(errors),
+        "onset_error_ms_worst": float(max(errors, key=abs)) if errors else None,
+        "within_minus4_plus3_ms": mean(_in_time(row) for row in slipped),
         "earlier_than_4_ms_before_gross_slip": len(early),
         "every_node_counted": len(later),
-        "every_node_after_t_s_ms_median": float(np.median(later)) if later else None,
+        "every_node_after_t_s_ms_median": quantile(later),
         "every_node_after_t_s_ms_most": max(later, key=abs) if later else None,
     }
 
@@ -141,34 +140,17 @@ def _in_time(row: Row) -> bool:
     return row["onset_error_ms"] is not None and EARLIEST_MS <= row["onset_error_ms"] <= LATEST_MS
 
 
-def _share(flags: Any) -> float | None:
-    flag_list = list(flags)
-    return sum(flag_list) / len(flag_list) if flag_list else None
-
-
-def _median(values: Any) -> float | None:
-    numbers = list(values)
-    return float(np.median(numbers)) if numbers else None
-
-
 def for_people(rows: Rows, params: EvaluateLabels) -> tuple[Rows, list[str]]:
     """Return all rows, and sentences with the number of correct onsets."""
     slipped = [row for row in rows if row["t_s_ms"] is not None]
     rest = [row for row in slipped if not row["abstained"]]
-    right = sum(is_near(row) for row in rest)
-    missed = sum(row["t_c_ms"] is None for row in rest)
-    errors = [row["onset_error_ms"] for row in rest if row["onset_error_ms"] is not None]
-    words = (
-        f"Onset within {NEAR_PX} px of sliding of the true onset, at most {EARLY_MS} ms early,"
-        f" in {right} of {len(rest)}"
-    )
     wrong = [row["onset_error_ms"] for row in rest if row["onset_error_ms"] is not None and not is_near(row)]
-    errors_in_words = [f"early in {sum(error < 0 for error in wrong)}", f"late in {sum(error >= 0 for error in wrong)}"]
     sentences = [
-        ", ".join([words, *(errors_in_words if wrong else []), *([f"not found in {missed}"] if missed else [])]) + "."
+        f"Onset within {NEAR_PX} px of sliding of the true onset, at most {EARLY_MS} ms early, in"
+        f" {sum(is_near(row) for row in rest)} of {len(rest)}, early in {sum(error < 0 for error in wrong)}, late in"
+        f" {sum(error >= 0 for error in wrong)}, not found in {sum(row['t_c_ms'] is None for row in rest)}.",
+        f"Within {EARLIEST_MS} to +{LATEST_MS} ms: {sum(_in_time(row) for row in rest)} of {len(rest)}.",
     ]
-    in_time = sum(EARLIEST_MS <= error <= LATEST_MS for error in errors)
-    sentences.append(f"Within {EARLIEST_MS} to +{LATEST_MS} ms: {in_time} of {len(rest)}.")
     if abstained := len(slipped) - len(rest):
         sentences.append(
             f"The labels abstain in {abstained} of {len(slipped)} trials that slip; these are not evaluated:"

@@ -210,10 +210,6 @@ def _scenes(source: Source) -> str:
     return " + ".join(source.scenes)
 
 
-def _several(source: Source) -> str:
-    return f", {source.networks} networks" if source.networks > 1 else ""
-
-
 def _by(what: str, names: Iterable[str]) -> str:
     return f"{what} by {' + '.join(names)}"
 
@@ -229,7 +225,8 @@ def _of_slip(quantity: str) -> Callable[[Row], Key]:
 
 
 def _our_slip(row: Row, source: Source) -> Conditions:
-    several = _several(source) + (f", {row['folds']} folds" if row.get("folds") else "")
+    several = f", {source.networks} networks" if source.networks > 1 else ""
+    several += f", {row['folds']} folds" if row.get("folds") else ""
     dots = [] if "img" in row["model"] else [_by("dots", source.trackers)]
     size = (row["trajectories"], row["seeds"], source.training_recordings)
     inputs = ", ".join([*dots, _by("labels", source.labels)])
@@ -238,15 +235,12 @@ def _our_slip(row: Row, source: Source) -> Conditions:
 
 
 def _our_force(row: Row, source: Source) -> Conditions:
-    dots = f"dots by {row['tracker']}" if row.get("tracker") else _by("dots", source.trackers)
-    inputs = "frames" if row["sensor"] == "frames" else dots
+    inputs = "frames" if row["sensor"] == "frames" else _dots(row, source)
     return Conditions(row["model"], _scenes(source), (row["trajectories"], source.training_recordings), inputs)
 
 
-def _our_data_rate(row: Row, source: Source) -> Conditions:
-    columns = row.get("columns")  # reports of method version 1 counted all columns
-    counted = "all columns" if columns is None else f"{columns} columns"
-    return Conditions("bytes a second", _scenes(source), (row["trajectories"],), counted)
+def _dots(row: Row, source: Source) -> str:
+    return f"dots by {row['tracker']}" if row.get("tracker") else _by("dots", source.trackers)
 
 
 class PaperSetting(NamedTuple):
@@ -259,21 +253,14 @@ class PaperSetting(NamedTuple):
 
     @classmethod
     def of(cls, row: Row) -> "PaperSetting":
-        """Read a row's setting. Scene, sensor and gel are columns; older rows have them as words of the setting."""
+        """Read a row's setting; without these columns, its scene is `lift` on the paper's sensor."""
         law, *words = row["setting"].split(", ")
         gain = next((word.removeprefix("gain ") for word in words if word.startswith("gain ")), "1")
-        words = [word for word in words if not word.startswith(("gain ", "detector ", "threshold "))]
         unusual = [word for word in words if word.endswith((" late", " Hz")) or word.startswith(("margin ", "two "))]
-        places = [word for word in words if word not in unusual]
-        sensor, gel = row.get("sensor"), row.get("gel")
-        scene = row.get("scene") or next((word for word in places if word in ROBUSTNESS), None)
-        is_other_sensor = sensor not in (None, PAPERS_SENSOR) or gel == "closed"
-        if sensor is None:
-            is_other_sensor = scene is None and bool(places)
-        method = ", ".join(["paper" if law in LAWS else law, *unusual])
-        if not is_other_sensor:
-            return cls(law, scene or "lift", gain, method)
-        return cls(law, OTHER_SENSOR if scene in (None, "lift") else f"{scene}, {OTHER_SENSOR}", gain, method)
+        scene = row.get("scene", "lift")
+        if row.get("sensor", PAPERS_SENSOR) != PAPERS_SENSOR or row.get("gel") == "closed":
+            scene = OTHER_SENSOR if scene == "lift" else f"{scene}, {OTHER_SENSOR}"
+        return cls(law, scene, gain, ", ".join(["paper" if law in LAWS else law, *unusual]))
 
 
 def _kept(row: Row) -> Key:
@@ -290,10 +277,6 @@ def _kept(row: Row) -> Key:
     return ("kept",) if setting.method == "paper" and row["columns"] > 1 else ()
 
 
-def _reopened(row: Row) -> Key:
-    return ("reopened",) if _kept(row) == ("kept",) else ()
-
-
 def _opening(row: Row) -> Key:
     kept = _kept(row)
     return ("opening", *kept[1:]) if len(kept) == 3 else ()
@@ -304,8 +287,7 @@ def _our_grasp(row: Row, source: Source) -> Conditions:
     number = (row["trials"],) if "object" in row else (row["columns"], row["trials"])
     if setting.law == "none" or setting.law.startswith("fixed"):
         return Conditions(setting.method, setting.scene, number)
-    dots = f"dots by {row['tracker']}" if row.get("tracker") else _by("dots", source.trackers)
-    inputs = f"{dots}, {row.get('slip_detector') or source.detector}"
+    inputs = f"{_dots(row, source)}, {row.get('slip_detector') or source.detector}"
     return Conditions(setting.method, setting.scene, (*number, *source.grasp_s), inputs)
 
 
@@ -318,42 +300,30 @@ class PaperColumn(NamedTuple):
     may_need: tuple[str, ...] = ()  # read if the row has them
 
 
+def _of_model(key: Callable[[Row], Key], *more: str) -> PaperColumn:
+    needs = ("model", "horizon_ms", "preset", "seeds", "trajectories", *more)
+    return PaperColumn(key, _our_slip, needs, ("folds", "paper_f1", "true_slip_share"))
+
+
 def _of_preset(quantity: str) -> PaperColumn:
-    return PaperColumn(
-        lambda row: (quantity, row["preset"]),
-        lambda row, source: Conditions(row["preset"], _scenes(source), (row["trajectories"],)),
-        ("preset", "trajectories"),
-    )
+    def ours(row: Row, source: Source) -> Conditions:
+        return Conditions(row["preset"], _scenes(source), (row["trajectories"],))
+
+    return PaperColumn(lambda row: (quantity, row["preset"]), ours, ("preset", "trajectories"))
 
 
 def _of_interval(quantity: str) -> PaperColumn:
-    return PaperColumn(
-        lambda row: (quantity, row["interval"]), _our_data_rate, ("interval", "trajectories"), ("columns",)
-    )
+    def ours(row: Row, source: Source) -> Conditions:
+        return Conditions("bytes a second", _scenes(source), (row["trajectories"],), f"{row['columns']} columns")
+
+    return PaperColumn(lambda row: (quantity, row["interval"]), ours, ("interval", "trajectories", "columns"))
 
 
 def _of_axis(quantity: str, axis: str) -> PaperColumn:
-    return PaperColumn(
-        lambda row: (quantity, row["model"], row["sensor"], axis),
-        _our_force,
-        ("sensor", "model", "trajectories"),
-        ("tracker",),
-    )
+    def key(row: Row) -> Key:
+        return quantity, row["model"], row["sensor"], axis
 
-
-def _of_model(quantity: str) -> PaperColumn:
-    needs = ("model", "horizon_ms", "preset", "seeds", "trajectories")
-    return PaperColumn(_of_slip(quantity), _our_slip, needs, ("folds", "paper_f1", "true_slip_share"))
-
-
-def _of_object() -> PaperColumn:
-    """Return the column of timing on one object by several models; the paper has it where its detector often fails."""
-    return PaperColumn(
-        lambda row: ("correct", "object", row["model"], row["horizon_ms"], str(row["object"])),
-        lambda row, source: _our_slip({**row, "seeds": row["models"]}, source),
-        ("model", "horizon_ms", "preset", "models", "object", "trajectories"),
-        ("folds", "true_slip_share"),
-    )
+    return PaperColumn(key, _our_force, ("sensor", "model", "trajectories"), ("tracker",))
 
 
 def _of_tone(quantity: str) -> PaperColumn:
@@ -363,12 +333,10 @@ def _of_tone(quantity: str) -> PaperColumn:
         tone_hz = row.get("expected_hz")
         return (quantity, "all" if tone_hz is None else f"{tone_hz:g}", row["window_s"])
 
-    return PaperColumn(
-        key,
-        lambda row, source: Conditions(row["method"], _scenes(source), (row["windows"],)),
-        ("method", "window_s", "windows"),
-        ("expected_hz",),
-    )
+    def ours(row: Row, source: Source) -> Conditions:
+        return Conditions(row["method"], _scenes(source), (row["windows"],))
+
+    return PaperColumn(key, ours, ("method", "window_s", "windows"), ("expected_hz",))
 
 
 def _of_setting(key: Callable[[Row], Key]) -> PaperColumn:
@@ -376,31 +344,33 @@ def _of_setting(key: Callable[[Row], Key]) -> PaperColumn:
     return PaperColumn(key, _our_grasp, ("setting", "trials"), may_need)
 
 
+def _of_all_grasps(quantity: str) -> PaperColumn:
+    return _of_setting(lambda row: (quantity,) if _kept(row) == ("kept",) else ())
+
+
 SHOWN: dict[str, PaperColumn] = {
-    "paper_slip_correct": _of_model("correct"),
-    "paper_f1": _of_model("f1"),
-    "paper_slip_correct_of_object": _of_object(),
-    "paper_10_to_0_ms_ahead": _of_model("10_to_0_ms_ahead"),
-    "paper_timing_share": PaperColumn(
+    "paper_slip_correct": _of_model(_of_slip("correct")),
+    "paper_f1": _of_model(_of_slip("f1")),
+    "paper_slip_correct_of_object": PaperColumn(  # by several models; the paper has it where its detector often fails
+        lambda row: ("correct", "object", row["model"], row["horizon_ms"], str(row["object"])),
+        lambda row, source: _our_slip({**row, "seeds": row["models"]}, source),
+        ("model", "horizon_ms", "preset", "models", "object", "trajectories"),
+        ("folds", "true_slip_share"),
+    ),
+    "paper_10_to_0_ms_ahead": _of_model(_of_slip("10_to_0_ms_ahead")),
+    "paper_timing_share": _of_model(
         lambda row: (row["bin"], "unseen" if row["object"] == "all" else "object", row["model"], row["horizon_ms"]),
-        _our_slip,
-        ("bin", "object", "model", "horizon_ms", "preset", "seeds", "trajectories"),
-        ("folds", "true_slip_share"),
+        *("bin", "object"),
     ),
-    "paper_inference_ms": PaperColumn(
-        lambda row: ("inference", row["model"]),
-        _our_slip,
-        ("model", "horizon_ms", "preset", "seeds", "trajectories"),
-        ("folds", "true_slip_share"),
-    ),
+    "paper_inference_ms": _of_model(lambda row: ("inference", row["model"])),
     "paper_consistent_share": _of_preset("consistent"),
     "paper_dots_lost_mean": _of_preset("dots lost"),
     "paper_success": _of_setting(_kept),
-    "paper_reopened_share": _of_setting(_reopened),
+    "paper_reopened_share": _of_all_grasps("reopened"),
     "paper_opening_after_balance_ticks": _of_setting(_opening),
     **{f"paper_{quantity}_n_{axis}": _of_axis(quantity, axis) for quantity in ("mae", "sd") for axis in "xy"},
-    "paper_moved_below_10_mm_share": _of_setting(lambda row: ("moved below 10 mm",) if _kept(row) == ("kept",) else ()),
-    "paper_moved_lift_mm_median": _of_setting(lambda row: ("moved in the lift",) if _kept(row) == ("kept",) else ()),
+    "paper_moved_below_10_mm_share": _of_all_grasps("moved below 10 mm"),
+    "paper_moved_lift_mm_median": _of_all_grasps("moved in the lift"),
     "paper_share": _of_tone("vibration"),
     "paper_among_three_share": _of_tone("among three"),
     "paper_half_tone_share": _of_tone("half tone"),
@@ -434,10 +404,7 @@ def value_of(column: str, row: Row) -> float | None:
 
 
 def beside(column: str, row: Row, source: Source) -> Beside | None:
-    """Return the paper's figure and its mark for a row of a report.
-
-    None if the evaluation stored no figure of the paper, and for rows of older reports that lack the needed columns.
-    """
+    """Return the paper's figure and its mark for a row of a report; None without one, or without the needed columns."""
     paper_column = SHOWN[column]
     if row.get(column) is None or any(row.get(name) is None for name in paper_column.needs):
         return None

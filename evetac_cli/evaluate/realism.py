@@ -12,6 +12,7 @@ recordings of the real sensor (--same), or between alternate seconds of the real
 
 import functools
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -24,21 +25,105 @@ from evetac_cli.commands.evaluate import EvaluateRealism
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.errors import InputError
 from evetac_cli.evaluate import picture, report, report_job
-from evetac_cli.evaluate.phases import SHORTEST_MOTION, ContactPhase, rest_and_motion, stroked
+from evetac_cli.events import SLICE_US, Events, concatenate
 from evetac_cli.jobs import Job, Outcome, Progress, Rows, Stage, silent
 from evetac_cli.kernels.calibration import rest_image
+from evetac_cli.kernels.identify.rest import check_still, find_hot
 from evetac_cli.kernels.realism import classifier, figures
+from evetac_cli.sim.setup.plan import one_sensor
 from evetac_cli.stages.identify import pressed
-from evetac_cli.stages.identify.at_rest import SHORTEST_REST
+from evetac_cli.stages.identify.at_rest import LONGEST_REST, SHORTEST_REST
 from evetac_cli.store.layout.provenance import Header
 from evetac_cli.store.recordings.read import Recording, open_recording
 
+SHORTEST_MOTION = 300  # slices
+MOST_EVENTS = 5_000_000  # limit per phase
+
+Counts = NDArray[np.int64]
 OUTPUT = "report"
 METHOD = 4
 MOST_WINDOWS = 240  # per recording, for the classifier: two minutes
 NEAR = 0.10  # distances up to this count as near in the summary
 EDGES = ("dot_radius_px", "edge_sigma_px", "contrast_over_threshold")  # figures of the dots' edges
 RELATIVE, CUMULATIVE, HELD_OUT = "relative difference", "largest gap of cumulative shares", "AUC of held-out windows"
+
+
+@dataclass(frozen=True)
+class ContactPhase:
+    """The events of one phase on a continuous time axis without the gaps between its pieces, and events per slice."""
+
+    events: Events
+    counts: Counts
+
+    @property
+    def duration_us(self) -> int:
+        """Duration of the phase."""
+        return len(self.counts) * SLICE_US
+
+    def part(self, first: int, stop: int) -> "ContactPhase":
+        """Return the slices [first, stop) of the phase, with time starting at 0."""
+        begin, end = (int(self.counts[:place].sum()) for place in (first, stop))
+        events = self.events.part(begin, end)
+        return ContactPhase(events._replace(t=events.t - first * SLICE_US), self.counts[first:stop])
+
+    def halves(self) -> tuple["ContactPhase", "ContactPhase"]:
+        """Return the first and the second half."""
+        middle = len(self.counts) // 2
+        return self.part(0, middle), self.part(middle, 2 * middle)
+
+
+def rest_and_motion(recording: Recording) -> tuple[ContactPhase | None, ContactPhase | None]:
+    """Return the longest rest and all motion of a recording; None for either if it is missing or too short."""
+    counts = np.diff(recording.starts)
+    spells = rest_image.quiet_spells(counts)
+    first, stop = max(spells, key=lambda spell: spell[1] - spell[0], default=(0, 0))
+    stop = min(stop, first + LONGEST_REST)
+    rest = _phase(recording, [(first, stop)]) if stop - first >= SHORTEST_REST else None
+    if rest is not None and not _is_still(rest, recording.frame_px):
+        rest, spells = None, []  # something always moves: this is only the slowest motion
+    edges = [0, *(edge for spell in spells for edge in spell), len(counts)]
+    moving = [(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b > a]
+    whole = sum(b - a for a, b in moving) >= SHORTEST_MOTION
+    return rest, _phase(recording, moving) if whole else None
+
+
+def stroked(recording: Recording, rest: ContactPhase | None) -> pressed.Press | None:
+    """Return the dots that were stroked from rest and the estimates from them; None if no dots were stroked."""
+    noise_hz = 0.0
+    if rest is not None:
+        noise_hz = figures.at_rest(*rest.events, recording.frame_px, rest.duration_us)["ordinary_hz"]
+    with suppress(ValueError):
+        return pressed.find(recording, one_sensor("evetac").log_contrast, None, noise_hz, np.random.default_rng(0))
+    return None
+
+
+def _is_still(phase: ContactPhase, frame_px: tuple[int, int]) -> bool:
+    width, height = frame_px
+    pixel = phase.events.y.astype(np.int64) * width + phase.events.x
+    hot = find_hot(np.bincount(pixel, minlength=width * height), phase.duration_us * 1e-6)
+    try:
+        check_still(hot.reshape(height, width))
+    except ValueError:
+        return False
+    return True
+
+
+def _phase(recording: Recording, pieces: list[tuple[int, int]]) -> ContactPhase | None:
+    """Return pieces of a recording joined end to end, up to MOST_EVENTS; None if the first slice already has more."""
+    parts: list[Events] = []
+    counts: list[Counts] = []
+    slices, event_count = 0, 0
+    for first, end in pieces:
+        room = recording.starts[first] + MOST_EVENTS - event_count
+        stop = min(end, int(np.searchsorted(recording.starts, room, side="right")) - 1)
+        if stop <= first:
+            break
+        events = recording.between(first, stop)
+        parts.append(events._replace(t=events.t + (slices - first) * SLICE_US))
+        counts.append(np.diff(recording.starts[first : stop + 1]))
+        slices += stop - first
+        event_count += events.size
+    return ContactPhase(concatenate(parts), np.concatenate(counts).astype(np.int64)) if parts else None
 
 
 @dataclass(frozen=True)
@@ -54,8 +139,8 @@ class Side:
 def jobs(files: list[Path], params: EvaluateRealism, out: Path | None) -> list[Job]:
     """Return one report job over a real and a simulated recording, in this order."""
     if len(files) != 2:
-        raise InputError("two recordings are needed", expected="the real one, then the simulated one",
-                         found=f"{len(files)} files")  # fmt: skip
+        expected = "two recordings: the real one, then the simulated one"
+        raise InputError("another number of files", expected=expected, found=f"{len(files)}")
     return report_job(files, "realism", out, *([params.same] if params.same else []))
 
 
@@ -76,11 +161,8 @@ def run(job: Job, params: EvaluateRealism, *, force: bool = False, progress: Pro
     def measure() -> tuple[Rows, dict[str, Any]]:
         rows = compare(*sides(), frame_px)
         if not rows:
-            raise InputError(
-                "the recordings have no phase in common",
-                where=f"{job.inputs[0]}, {job.inputs[1]}",
-                expected=f"{SHORTEST_REST} ms at rest, or {SHORTEST_MOTION} ms of motion, in both",
-            )
+            where, expected = f"{job.inputs[0]}, {job.inputs[1]}", f"{SHORTEST_REST} ms at rest or {SHORTEST_MOTION} ms"
+            raise InputError("no phase in common", where=where, expected=f"{expected} of motion, in both")
         compared, with_halves, as_halves = _counts(rows)
         apart = _told_apart(job.inputs, progress)
         beside = "auc_of_halves" if params.same is None else "auc_of_same"
@@ -136,17 +218,12 @@ def _headers(paths: Sequence[Path]) -> tuple[list[Header], tuple[int, int]]:
         with open_recording(path) as recording:
             header, frame_px = recording.header, recording.frame_px
         if header["id"] in [other["id"] for other in headers]:
-            expected = "different recordings, including --same"
-            raise InputError("a recording would be compared with itself", where=str(path), expected=expected)
+            raise InputError("a recording given twice", where=str(path), expected="different recordings")
         headers.append(header)
         frames.append(frame_px)
         if frame_px != frames[0]:
-            raise InputError(
-                "the recordings have different frames",
-                where=str(path),
-                expected="{} x {} px".format(*frames[0]),
-                found="{} x {} px".format(*frame_px),
-            )
+            expected, found = ("{} x {} px".format(*frame) for frame in (frames[0], frame_px))
+            raise InputError("different frames", where=str(path), expected=expected, found=found)
     return headers, frames[0]
 
 

@@ -11,11 +11,11 @@ without slip (slip_warnings.py).
 
 The rows form nine tables with different columns:
 
-- the covariates of the slips, which decide how far the figures of two data sets can be compared (slip_covariates.py);
+- the covariates of the slips, which decide how far the figures of two data sets can be compared (slip_models.py);
 - the figures of each setting next to the paper's;
 - the times from the labels' onset to the first detection;
 - reliability: predicted probability against frequency of slip;
-- predictions over time about the onset, by object (slip_over_time.py);
+- predictions over time about the onset, by object;
 - the figures by object; by sensor; by model; by trajectory.
 
 With --truth, simulated trials are judged by the true onset instead of the labels'. Then no trial is left out, and the
@@ -41,7 +41,7 @@ from evetac_cli.evaluate import (
     picture,
     report,
     report_job,
-    slip_covariates,
+    slip_models,
     slip_warnings,
 )
 from evetac_cli.evaluate.slip_models import AT_ONCE, Model, check, predict_all
@@ -66,40 +66,21 @@ TITLE_WIDTH = 38  # characters per line of a panel's title
 FEW_TRAJECTORIES = 10
 MOST_VERDICTS = 8
 BY = {"sensor": {"sensor", "counted"}, "object": {"object", "counted"}, "model": {"seed", "slips"}}  # columns of rows
-OF_TRAJECTORIES = {
-    "file": "file",
-    "setting": "model",
-    "t_c_ms": "t_c_ms",
-    "t_m_ms": "t_m_ms",
-    "t_m_minus_t_c_ms": "late_by_ms",
-    "timing": "timing",
-    "abstained": "abstained",
-}
-SHARES = {  # of a group of trials, with how many they are
-    "trajectories": "trajectories",
+OF_TRAJECTORIES = ("file", "setting", "t_c_ms", "t_m_ms", "t_m_minus_t_c_ms", "timing", "abstained")
+SHARES = (  # of a group of trials, with how many they are
+    *("trajectories", "counted", "abstained", "no_slip"),
+    *("slip_early", "slip_correct", "slip_late", "warned_10_ms", "false_alarms_per_min", "f1"),
+)
+OF_GROUPS = ("sensor", "object", "file", "setting", *SHARES)  # of --by
+OF_SETTINGS = ("setting", "seeds", *SHARES, "paper_slip_correct", "paper_f1")
+SHORT = {
     "counted": "n",
-    "abstained": "abstained",
-    "no_slip": "no_slip",
     "slip_early": "early",
     "slip_correct": "correct",
     "slip_late": "late",
-    "warned_10_ms": "warned_10_ms",
     "false_alarms_per_min": "false/min",
-    "f1": "f1",
-}
-OF_GROUPS = {  # of --by
-    "sensor": "sensor",
-    "object": "object",
-    "file": "model_file",
-    "setting": "model",
-    **SHARES,
-}
-OF_SETTINGS = {
-    "setting": "setting",
-    "seeds": "seeds",
-    **SHARES,
+    "t_m_minus_t_c_ms": "late_by_ms",
     "paper_slip_correct": "paper_correct",
-    "paper_f1": "paper_f1",
 }
 
 
@@ -107,11 +88,8 @@ def jobs(files: list[Path], params: EvaluateSlip, out: Path | None) -> list[Mode
     """Return one report job over all features files and models."""
     features, models = split_models(files, params.model)
     if not features:
-        raise InputError(
-            "no features files given",
-            expected="labelled features of trajectories that the models were not trained on",
-            hint=made_by("features"),
-        )
+        expected = "labelled features of trajectories that the models were not trained on"
+        raise InputError("no features files given", expected=expected, hint=made_by("features"))
     (job,) = report_job(features, "slip-truth" if params.truth else "slip", out, *models)
     return [ModelsReportJob(job.inputs, job.output, len(models))]
 
@@ -163,9 +141,7 @@ def split_models(files: list[Path], model_path: Path | None) -> tuple[list[Path]
             else:
                 others.append(path)
     if not models:
-        raise InputError(
-            "no model file given", where="--model", expected="model files or their folder", hint=made_by("model")
-        )
+        raise InputError("no model file given", where="--model", hint=made_by("model"))
     return others, list(models.values())
 
 
@@ -175,7 +151,7 @@ def run(job: ModelsReportJob, params: EvaluateSlip, *, force: bool = False, prog
     paths = job.inputs[:split]
     models = [Model.read(path) for path in job.inputs[split:]]
     headers = check(models, paths, labels_needed=not params.truth)
-    recordings = slip_covariates.with_truth(paths, params.recordings)
+    recordings = slip_models.with_truth(paths, params.recordings)
     true = _all_with_truth(paths, recordings) if params.truth else None
     if isinstance(job, JudgingJob):
         predict_all(models, paths, headers, progress, job.output.parent, true)
@@ -190,7 +166,7 @@ def run(job: ModelsReportJob, params: EvaluateSlip, *, force: bool = False, prog
         doubts = {} if params.truth else _doubts(paths)
         judged_by = TRUTH if params.truth else LABELS
         rows, summary = tables(models, thresholds, predictions, paths, doubts=doubts, judged_by=judged_by)
-        covariates = slip_covariates.rows(paths, recordings, doubts)
+        covariates = slip_models.covariate_rows(paths, recordings, doubts)
         return [*covariates, *rows], {**summary, "with_truth": truth_count}
 
     parents = [*(model.header for model in models), *headers]
@@ -206,13 +182,9 @@ def _all_with_truth(paths: Sequence[Path], recordings: Sequence[Path | None]) ->
             with StageFile(path, "features") as features:
                 real = not features.header["simulated"]
                 at = None if real else Origins("recording").must_find(features, OTHER_FOLDER)
-            raise InputError(
-                "a trial cannot be judged by its truth",
-                where=str(path),
-                expected="a simulated recording, with its ground truth",
-                found="a trial of a real sensor" if real else f"{at}, which has no truth or is another recording",
-                hint="leave out --truth: trials are then judged by their labels",
-            )
+            found = "a trial of a real sensor" if real else f"{at}, which has no truth or is another recording"
+            expected, hint = "a simulated recording, with its ground truth", "leave out --truth"
+            raise InputError("no truth to judge by", where=str(path), expected=expected, found=found, hint=hint)
     return [recording for recording in recordings if recording is not None]
 
 
@@ -248,24 +220,23 @@ def for_people(rows: Rows, params: EvaluateSlip) -> tuple[Rows, list[str]]:
         f"Correct: from {-metrics.EARLIEST_MS} ms before the {onset}, to {metrics.LATEST_MS} ms after it,"
         " as in the paper. Earlier is early; later or never is late."
     )
-    verdict += slip_covariates.in_words(rows)
+    verdict += slip_models.missing_covariates(rows)
     if params.all_tables:
         return rows, verdict
     verdict.append("--all prints every table; --json prints every row.")
     few = len(trajectories) <= FEW_TRAJECTORIES
-    shown, names = (trajectories, OF_TRAJECTORIES) if few else (settings, OF_SETTINGS)
+    shown, columns, names = (trajectories, OF_TRAJECTORIES, SHORT) if few else (settings, OF_SETTINGS, SHORT)
     if params.by:
-        shown, names = [row for row in rows if BY[params.by] <= row.keys()], OF_GROUPS
-        names = {name: short for name, short in names.items() if any(name in row for row in shown)}
-    columns = [
-        name
-        for name in names
-        if not name.startswith(("paper_", "abstained", "no_slip")) or any(row[name] for row in shown)
-    ]
+        shown, names = [row for row in rows if BY[params.by] <= row.keys()], {**SHORT, "file": "model_file"}
+        columns = tuple(name for name in OF_GROUPS if any(name in row for row in shown))
+    if columns is not OF_SETTINGS:
+        names = {**names, "setting": "model"}
+    optional = ("paper_", "abstained", "no_slip")
+    columns = tuple(name for name in columns if not name.startswith(optional) or any(row[name] for row in shown))
     if by_truth:
-        names = names | {key: short.replace("t_c", "t_s") for key, short in names.items()}
+        names = {**names, "t_c_ms": "t_s_ms"}
     covariates = [] if params.by else [row for row in rows if "covariate" in row]
-    return [*covariates, *({names[name]: row.get(name) for name in columns} for row in shown)], verdict
+    return [*covariates, *({names.get(name, name): row.get(name) for name in columns} for row in shown)], verdict
 
 
 def _verdict(row: dict[str, Any]) -> str:

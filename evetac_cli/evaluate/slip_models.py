@@ -3,11 +3,14 @@
 Their probabilities are stored in a folder next to the report, `NAME.judged`: one zip archive per trajectory, named by
 its recipe id, with the probabilities of each model as float32. So a report on more models or trajectories computes only
 what is new, and an interrupted report continues. The folder can be removed at any time.
+
+Covariates of the slips come from the truth of the simulated recordings behind the features. Without truth they come
+from labels and events in the features, which have no event positions: events outside the strip of the window count too.
 """
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,9 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.commands.label import Label
-from evetac_cli.errors import MAKE_MODEL, InputError
-from evetac_cli.jobs import Progress
+from evetac_cli.errors import MAKE_MODEL, EvetacError, InputError
+from evetac_cli.jobs import Progress, Rows
 from evetac_cli.kernels.slip.architectures import Architecture
+from evetac_cli.kernels.slip.covariates import WORDS, SlipCovariates, of_labels, summary
 from evetac_cli.kernels.slip.detector import Detector
 from evetac_cli.kernels.slip.labels import shift_labels
 from evetac_cli.kernels.slip.metrics import Prediction
@@ -31,6 +35,7 @@ from evetac_cli.stages.model_files import (
     learned_true_slip_share,
     read_horizon_ms,
 )
+from evetac_cli.stages.related_files import OTHER_FOLDER, Origins, check_made_from
 from evetac_cli.stages.slip_detectors import first_labelled, first_needed, load_detector, probabilities, read_series
 from evetac_cli.stages.splits import check_disjoint, object_name, sensor_names, sensor_of
 from evetac_cli.store.files import StageFile
@@ -39,6 +44,7 @@ from evetac_cli.store.layout.ancestry import TRAINING
 from evetac_cli.store.layout.provenance import Header
 from evetac_cli.store.recordings.onset import abstains
 from evetac_cli.store.recordings.read import open_recording
+from evetac_cli.store.recordings.slip_covariates import covariates_of_truth
 
 AT_ONCE = 8  # trajectories per parallel task
 MOST_SLICES = 1 << 17  # in memory at once; trajectories of hours are split
@@ -134,18 +140,13 @@ def check(models: Sequence[Model], paths: Sequence[Path], *, labels_needed: bool
     for path in paths:
         with StageFile(path, "features") as file:
             if labels_needed and not file.has("label"):
-                raise InputError(
-                    "the features have no labels", where=str(path), hint="run evetac label, then evetac featurize"
-                )
+                raise InputError("no labels", where=str(path), hint="run evetac label, then evetac featurize")
             shape = tuple(file.read("dot_shape").tolist())
             for model in models:
                 if shape != model.dot_shape:
+                    expected, found = f"{list(model.dot_shape)}, as {model.path}", str(list(shape))
                     raise InputError(
-                        f"the features have a different dot grid from {model.path}",
-                        where=str(path),
-                        expected=str(list(model.dot_shape)),
-                        found=str(list(shape)),
-                        hint=MAKE_MODEL,
+                        "another dot grid", where=str(path), expected=expected, found=found, hint=MAKE_MODEL
                     )
             headers.append(file.header)
     for model in models:
@@ -281,3 +282,73 @@ def _probabilities(kept: bytes | None, slices: int) -> NDArray[np.float32] | Non
         return None
     values = np.frombuffer(kept, np.float32)
     return values if np.all(np.isnan(values) | ((values >= 0) & (values <= 1))) else None
+
+
+def with_truth(paths: Sequence[Path], folder: Path | None) -> list[Path | None]:
+    """Return for each features file its simulated recording; None if it is not found, not readable or has no truth.
+
+    With a folder (--recordings), InputError if a recording is not found there or cannot be read.
+    """
+    origins = Origins("recording", folder)
+    found = []
+    for path in paths:
+        with StageFile(path, "features") as features:
+            recording = origins.find(features) if folder is None else origins.must_find(features, OTHER_FOLDER)
+            found.append(recording if recording and _has_truth(features, recording, folder) else None)
+    return found
+
+
+def _has_truth(features: StageFile, path: Path, folder: Path | None) -> bool:
+    try:
+        with open_recording(path) as recording:
+            if folder is not None:
+                check_made_from(features, recording)
+            return recording.header["id"] in features.header["parents"] and recording.has("truth")
+    except EvetacError:
+        if folder is not None:
+            raise
+        return False  # features can do without
+
+
+def covariate_rows(paths: Sequence[Path], recordings: Sequence[Path | None], left_out: Collection[Path] = ()) -> Rows:
+    """Return a row for each covariate that these labelled features provide, over the slips that are evaluated.
+
+    recordings: those with truth, from `with_truth`. left_out: features whose labels abstain.
+    """
+    slips = []
+    for path, simulated in zip(paths, recordings, strict=True):
+        if path in left_out:
+            continue
+        if simulated is None:
+            with StageFile(path, "features") as features:
+                slip = _of_features(features)
+        else:
+            with open_recording(simulated) as recording:
+                slip = covariates_of_truth(recording)
+        slips += [slip] if slip is not None else []
+    return summary(slips)
+
+
+def missing_covariates(rows: Rows) -> list[str]:
+    """Return a sentence on the covariates that the rows of a report lack; nothing if they have all."""
+    present = {row["covariate"] for row in rows if "covariate" in row}
+    missing = [words for words in WORDS.values() if words not in present]
+    if not present or not missing:
+        return []
+    return [
+        "Unknown for these slips (the truth of simulated recordings has most of them, see --recordings):"
+        f" {'; '.join(missing)}."
+    ]
+
+
+def _of_features(features: StageFile) -> SlipCovariates | None:
+    """Return the covariates from labels and events of features; None if the labels have no slip."""
+    onset = int(features.read("onset_slice"))
+    if onset < 0:
+        return None
+
+    def outside(start: int, stop: int) -> NDArray[np.int64]:
+        counts: NDArray[np.int64] = features.read("events_outside", start, stop)
+        return counts
+
+    return of_labels(onset, features.read("label"), outside)

@@ -8,17 +8,17 @@ Trajectories of an object are alike, so intervals come from resampling objects (
 object's row from resampling its trajectories. Seeds of training are averaged first.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from evetac_cli.evaluate import paper, slip_over_time, slip_warnings
+from evetac_cli.evaluate import paper, slip_warnings
+from evetac_cli.evaluate.rows import mean, quantile, sd
 from evetac_cli.evaluate.slip_models import Model
 from evetac_cli.evaluate.slip_warnings import Judged
 from evetac_cli.evaluate.source import TRUTH
-from evetac_cli.jobs import Rows
+from evetac_cli.jobs import Row, Rows
 from evetac_cli.kernels import estimates
 from evetac_cli.kernels.slip import metrics
 from evetac_cli.kernels.slip.metrics import Prediction
@@ -36,6 +36,9 @@ TIMING_BINS = (
 
 COUNTS = {"trajectories": "trajectories", "counted": "slips", "abstained": "abstained", "no_slip": "no_slip"}
 OF_GROUP = ("slip_early", "slip_correct", "slip_late", "f1")
+OF_SETTING = ("slip_correct", "f1")  # with a standard deviation
+TABLES = ("settings", "timing", "reliability", "over time", "objects", "sensors", "models", "trajectories")
+TIMES_MS = range(-20, 61, 5)  # about the onset; the paper's range
 TRUE_SLIP_SHARE = "true slip share"  # in the name of a setting that also learned this
 ALWAYS = ("model", "truth")  # traits that are always part of a setting's name
 
@@ -80,122 +83,90 @@ def tables(
     *,
     doubts: Mapping[Path, str],
     judged_by: str,
-) -> tuple[Rows, dict[str, Any]]:
+) -> tuple[Rows, Row]:
     """Return all rows and a summary.
 
     predictions: for each model, one per path. doubts: why labels abstain. judged_by: where the onsets come from, LABELS
     or TRUTH; the paper's figures are only for those of labels.
     """
     scores = [metrics.score(of_model, at) for of_model, at in zip(predictions, thresholds, strict=True)]
-    settings: Rows = []
-    timing_bins: Rows = []
-    objects: Rows = []
-    sensors: Rows = []
-    steps: Rows = []  # bins of probability
-    over_time: Rows = []
     judged = [
         [Judged.of(prediction, at) for prediction in of_model]
         for of_model, at in zip(predictions, thresholds, strict=True)
     ]
+    found: dict[str, Rows] = {name: [] for name in TABLES}
     for setting, members in group_by_setting(models).items():
         first = models[members[0]]
+        own, ats = [predictions[index] for index in members], [thresholds[index] for index in members]
+        seeds = [judged[index] for index in members]
         cells, of_sensors = (
-            [by_group(predictions[index], thresholds[index], factor) for index in members]
+            [by_group(of_seed, at, factor) for of_seed, at in zip(own, ats, strict=True)]
             for factor in ("object", "sensor")
         )
-        late_by = [
-            (prediction.object, _late_by(prediction, thresholds[index]))
-            for index in members
-            for prediction in predictions[index]
-            if prediction.onset >= 0 and prediction.timed
-        ]
-        seeds, of_seeds = [judged[index] for index in members], [predictions[index] for index in members]
-        settings.append(setting_row(setting, first, cells) | slip_warnings.columns(seeds, of_seeds) | _f1_ends(cells))
-        over_time += slip_over_time.rows(setting, of_seeds, [thresholds[index] for index in members])
-        sensors += [
-            {
-                "setting": setting,
-                "sensor": name,
-                **_counts(score),
-                **{figure: _mean(_values([one[name] for one in of_sensors], figure)) for figure in OF_GROUP},
-                **slip_warnings.group(seeds, "sensor", name),
-            }
-            for name, score in of_sensors[0].items()
-        ]
-        steps += slip_warnings.reliability_rows(setting, of_seeds)
-        timing_bins.append({"setting": setting, **_timing_bins(late_by), **_paper_timing_bins(first, set(cells[0]))})
+        row = setting_row(setting, first, cells) | slip_warnings.columns(seeds, own) | _f1_ends(cells)
+        found["settings"].append(row)
+        found["timing"].append({"setting": setting, **_timing_bins(own, ats), **_paper_timing(first, set(cells[0]))})
+        found["reliability"] += slip_warnings.reliability_rows(setting, own)
+        found["over time"] += over_time_rows(setting, own, ats)
         for name in cells[0]:
-            of_object = [cell[name] for cell in cells]
-            correct, f1 = _values(of_object, "slip_correct"), _values(of_object, "f1")
-            objects.append(
-                {
-                    "setting": setting,
-                    "object": name,
-                    **_counts(of_object[0]),
-                    "slip_early": _mean(_values(of_object, "slip_early")),
-                    "slip_correct": _mean(correct),
-                    "slip_correct_sd_seeds": _sd(correct),
-                    "slip_late": _mean(_values(of_object, "slip_late")),
-                    "f1": _mean(f1),
-                    "f1_sd_seeds": _sd(f1),
-                    **slip_warnings.group(seeds, "object", name),
-                    **_papers_object(first, name, len(members)),
-                }
-            )
-    by_model = [
-        {"setting": setting, "file": models[index].path.name, "seed": _seed(models[index]), **scores[index]}
-        for setting, members in group_by_setting(models).items()
-        for index in members
-    ]
-    trajectories = [
-        _trajectory_row(setting, models[index], thresholds[index], prediction, path)
-        | {"abstained_because": doubts.get(path), **_of_judged(one)}
-        for setting, members in group_by_setting(models).items()
-        for index in members
-        for prediction, one, path in zip(predictions[index], judged[index], paths, strict=True)
-    ]
-    tables_ = [*settings, *timing_bins, *steps, *over_time, *objects, *sensors, *by_model, *trajectories]
-    for row in tables_:
+            row = {"setting": setting, "object": name, **_group_columns([cell[name] for cell in cells], with_sd=True)}
+            row |= slip_warnings.group(seeds, "object", name)
+            found["objects"].append(row | _papers_object(first, name, len(members)))
+        for name in of_sensors[0]:
+            row = {"setting": setting, "sensor": name, **_group_columns([one[name] for one in of_sensors])}
+            found["sensors"].append(row | slip_warnings.group(seeds, "sensor", name))
+        for index in members:
+            model = models[index]
+            about = {"file": model.path.name, "seed": model.header["parameters"].get("seed")}
+            found["models"].append({"setting": setting, **about, **scores[index]})
+            found["trajectories"] += [
+                _trajectory_row(setting, model, thresholds[index], prediction, path)
+                | {"abstained_because": doubts.get(path), **_of_judged(one)}
+                for prediction, one, path in zip(predictions[index], judged[index], paths, strict=True)
+            ]
+    rows = [row for table in found.values() for row in table]
+    for row in rows:
         row["judged_by"] = judged_by
         if judged_by == TRUTH:
             row.update(dict.fromkeys(name for name in row if name.startswith("paper_")))
-    return tables_, {**_summary(scores, settings), "judged_by": judged_by}
+    return rows, {**_summary(scores, found["settings"]), "judged_by": judged_by}
 
 
-def _counts(score: dict[str, Any]) -> dict[str, int]:
+def _group_columns(scores: Sequence[Row], *, with_sd: bool = False) -> Row:
+    """Return the columns of an object or a sensor from its score for every seed."""
+    row: Row = _counts(scores[0])
+    for figure in OF_GROUP:
+        row[figure] = mean(score[figure] for score in scores)
+        if with_sd and figure in OF_SETTING:
+            row[f"{figure}_sd_seeds"] = sd(score[figure] for score in scores)
+    return row
+
+
+def _counts(score: Row) -> Row:
     """Return how many trajectories are behind shares of slips, and how many are left out."""
     return {name: score[key] for name, key in COUNTS.items()}
 
 
-def _papers_object(model: Model, name: str, models: int) -> dict[str, Any]:
+def _papers_object(model: Model, name: str, models: int) -> Row:
     """Return the model's columns in an object's row, with the paper's timing on objects 12 and 15.
 
     The paper's detector often fails on these two. None where it has no figure, and for objects seen in training.
     """
-    parameters = model.header["parameters"]
-    architecture = model.architecture.name
-    seen = name in model.objects
+    key = ("correct", "object", model.architecture.name, model.horizon_ms, name)
     return {
-        "model": architecture,
+        "model": model.architecture.name,
         "horizon_ms": model.horizon_ms,
-        "preset": parameters.get("preset"),
+        "preset": model.header["parameters"].get("preset"),
         "models": models,
-        "paper_slip_correct_of_object": None
-        if seen
-        else paper.value("correct", "object", architecture, model.horizon_ms, name),
+        "paper_slip_correct_of_object": None if name in model.objects else paper.value(*key),
     }
 
 
-def _of_judged(one: Judged) -> dict[str, Any]:
+def _of_judged(one: Judged) -> Row:
     return {"sensor_name": one.sensor, "lead_ms": one.lead_ms, "false_alarms": one.false_alarms}
 
 
-def _seed(model: Model) -> int | None:
-    seed: int | None = model.header["parameters"].get("seed")
-    return seed
-
-
-def by_group(predictions: Sequence[Prediction], threshold: float, factor: str) -> dict[str, dict[str, Any]]:
+def by_group(predictions: Sequence[Prediction], threshold: float, factor: str) -> dict[str, Row]:
     """Return the score of one model on the trajectories of each object or each sensor (factor)."""
     groups: dict[str, list[Prediction]] = {}
     for prediction in predictions:
@@ -203,13 +174,7 @@ def by_group(predictions: Sequence[Prediction], threshold: float, factor: str) -
     return {name: metrics.score(members, threshold) for name, members in groups.items()}
 
 
-def _late_by(prediction: Prediction, threshold: float) -> int | None:
-    """Return t_m - t_c in ms; None if nothing was detected."""
-    first = metrics.onset(prediction.detected(threshold))
-    return first - prediction.onset if first >= 0 else None
-
-
-def setting_row(setting: str, model: Model, cells: list[dict[str, Any]]) -> dict[str, Any]:
+def setting_row(setting: str, model: Model, cells: list[Row]) -> Row:
     """Return a setting's figures, means over objects and seeds, next to the paper's.
 
     `cells`: for every seed, the score of every object. *_sd is over objects and seeds; *_sd_seeds is over the means
@@ -217,7 +182,7 @@ def setting_row(setting: str, model: Model, cells: list[dict[str, Any]]) -> dict
     """
     every = [score for cell in cells for score in cell.values()]
     parameters = model.header["parameters"]
-    row: dict[str, Any] = {
+    row: Row = {
         "setting": setting,
         "model": model.architecture.name,
         "horizon_ms": model.horizon_ms,
@@ -230,24 +195,23 @@ def setting_row(setting: str, model: Model, cells: list[dict[str, Any]]) -> dict
         "seeds": len(cells),
         **{name: sum(score[key] for score in cells[0].values()) for name, key in COUNTS.items()},
         "objects_counted": sum(score["slips"] > 0 for score in cells[0].values()),
-        "slip_early": _mean(_values(every, "slip_early")),
-        "slip_late": _mean(_values(every, "slip_late")),
+        "slip_early": mean(score["slip_early"] for score in every),
+        "slip_late": mean(score["slip_late"] for score in every),
     }
-    for figure in ("slip_correct", "f1"):
-        of_seeds = [_mean(_values(list(cell.values()), figure)) for cell in cells]
-        row[figure] = _mean(_values(every, figure))
-        row[f"{figure}_sd"] = _sd(_values(every, figure))
-        row[f"{figure}_sd_seeds"] = _sd([value for value in of_seeds if value is not None])
+    for figure in OF_SETTING:
+        row[figure] = mean(score[figure] for score in every)
+        row[f"{figure}_sd"] = sd(score[figure] for score in every)
+        row[f"{figure}_sd_seeds"] = sd(mean(score[figure] for score in cell.values()) for cell in cells)
     return row | _paper(model, set(cells[0]))
 
 
-def _paper(model: Model, objects: set[str]) -> dict[str, Any]:
+def _paper(model: Model, objects: set[str]) -> Row:
     """Return the paper's figures for the same model, on objects seen or not seen in training; None where it has none.
 
     Models on the 6 x 6 images for a CPU are compared with the paper's full images.
     """
     name = model.architecture.name.removesuffix("-6x6")
-    figures: dict[str, Any] = {"paper_slip_correct": None, "paper_f1": None}
+    figures: Row = {"paper_slip_correct": None, "paper_f1": None}
     if "unknown" in objects:
         return figures
     if objects <= model.objects:
@@ -258,44 +222,44 @@ def _paper(model: Model, objects: set[str]) -> dict[str, Any]:
     return figures
 
 
-def _f1_ends(cells: list[dict[str, Any]]) -> dict[str, float | None]:
+def _f1_ends(cells: list[Row]) -> dict[str, float | None]:
     """Return the ends of F1's interval, from resampling objects; `cells`: for every seed, the score of every object."""
-    of_objects = [_mean(_values([cell[name] for cell in cells], "f1")) for name in cells[0]]
+    of_objects = [mean(cell[name]["f1"] for cell in cells) for name in cells[0]]
     known = np.array([value for value in of_objects if value is not None])
     weights = estimates.cluster_weights(range(len(known))) if len(known) > 1 else None
     f1 = None if weights is None else estimates.ratio_of_clusters(known, np.ones(len(known)), weights)
     return {"f1_low": None, "f1_high": None} if f1 is None else {"f1_low": f1.low, "f1_high": f1.high}
 
 
-def _timing_bins(late_by: Sequence[tuple[str, int | None]]) -> dict[str, Any]:
-    """Return shares of trajectories with an onset by bins of t_m - t_c, and the median of those with a detection.
-
-    late_by: object and t_m - t_c of each trajectory and seed.
-    """
-    detected = [value for _, value in late_by if value is not None]
-    inside = {
-        name: np.array([value is not None and low <= value <= high for _, value in late_by], np.float64)
-        for name, low, high in TIMING_BINS
-    } | {"never_detected": np.array([value is None for _, value in late_by], np.float64)}
-    row: dict[str, Any] = {
-        "pairs_counted": len(late_by),
-        "t_m_minus_t_c_ms_median": float(np.median(detected)) if detected else None,
-    }
-    row |= {name: float(one.mean()) if len(one) else None for name, one in inside.items()}
-    weights = estimates.cluster_weights([name for name, _ in late_by])
+def _timing_bins(predictions: Sequence[Sequence[Prediction]], thresholds: Sequence[float]) -> Row:
+    """Return shares of trajectories with an onset by bins of t_m - t_c, and the median of those with a detection."""
+    objects: list[str] = []
+    late_by: list[float] = []  # of each trajectory and seed; NaN if nothing was detected
+    for of_seed, threshold in zip(predictions, thresholds, strict=True):
+        for prediction in of_seed:
+            if prediction.onset >= 0 and prediction.timed:
+                first = metrics.onset(prediction.detected(threshold))
+                objects.append(prediction.object)
+                late_by.append(first - prediction.onset if first >= 0 else np.nan)
+    late = np.array(late_by, np.float64)
+    inside = {name: ((late >= low) & (late <= high)).astype(np.float64) for name, low, high in TIMING_BINS}
+    inside["never_detected"] = np.isnan(late).astype(np.float64)
+    row: Row = {"pairs_counted": len(late), "t_m_minus_t_c_ms_median": quantile(late_by)}
+    row |= {name: mean(one) for name, one in inside.items()}
+    weights = estimates.cluster_weights(objects)
     for name, one in inside.items():
         share = estimates.ratio_of_clusters(one, np.ones(len(one)), weights)
         row |= {f"{name}_low": share and share.low, f"{name}_high": share and share.high}
     return row
 
 
-def _paper_timing_bins(model: Model, objects: set[str]) -> dict[str, Any]:
+def _paper_timing(model: Model, objects: set[str]) -> Row:
     unseen = not objects & (model.objects | {"unknown"})
     share = paper.value("10_to_0_ms_ahead", "unseen", model.architecture.name, model.horizon_ms)
     return {"paper_10_to_0_ms_ahead": share if unseen else None}
 
 
-def _trajectory_row(setting: str, model: Model, threshold: float, prediction: Prediction, path: Path) -> dict[str, Any]:
+def _trajectory_row(setting: str, model: Model, threshold: float, prediction: Prediction, path: Path) -> Row:
     first = metrics.onset(prediction.detected(threshold))
     labelled = prediction.onset >= 0 and prediction.timed
     return {
@@ -312,11 +276,11 @@ def _trajectory_row(setting: str, model: Model, threshold: float, prediction: Pr
     }
 
 
-def _summary(scores: Rows, settings: Rows) -> dict[str, Any]:
+def _summary(scores: Rows, settings: Rows) -> Row:
     """Return the score of a single model; for several models, the best settings."""
     if len(scores) == 1:
         return scores[0]
-    best: dict[str, Any] = {}
+    best: Row = {}
     for figure in ("slip_correct", "f1"):
         scored = [row for row in settings if row[figure] is not None]
         top = max(scored, key=lambda row: row[figure], default=None)
@@ -324,14 +288,36 @@ def _summary(scores: Rows, settings: Rows) -> dict[str, Any]:
     return {"models": len(scores), "settings": len(settings), **_counts(scores[0]), **best}
 
 
-def _values(scores: Iterable[dict[str, Any]], key: str) -> list[float]:
-    """Return one figure of several scores, without missing ones: an object that never slips has no timing."""
-    return [float(score[key]) for score in scores if score[key] is not None]
+def over_time_rows(setting: str, predictions: Sequence[Sequence[Prediction]], thresholds: Sequence[float]) -> Rows:
+    """Return a row per object and time about the onset of slip (paper, figure of predictions over time).
 
+    The paper shows one trajectory of object 3. Here every slip counts: the mean probability, and the share of slips
+    whose probability reaches the threshold. predictions: for each model of the setting, one per trajectory.
 
-def _mean(values: Sequence[float]) -> float | None:
-    return float(np.mean(values)) if len(values) else None
-
-
-def _sd(values: Sequence[float]) -> float | None:
-    return float(np.std(values, ddof=1)) if len(values) > 1 else None
+    The column `predictions` counts trajectories and seeds with a probability at that time: recordings may end earlier.
+    """
+    found: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {}
+    for of_model, threshold in zip(predictions, thresholds, strict=True):
+        for prediction in of_model:
+            if prediction.onset < 0 or not prediction.timed:
+                continue
+            slices = prediction.onset + np.array(TIMES_MS)
+            inside = (slices >= 0) & (slices < len(prediction.probability))
+            probability, reached = np.full(len(slices), np.nan), np.full(len(slices), np.nan)
+            probability[inside] = prediction.probability[slices[inside]]
+            reached[inside] = prediction.detected(threshold)[slices[inside]]
+            found.setdefault(prediction.object, []).append((probability, reached))
+    return [
+        {
+            "setting": setting,
+            "object": name,
+            "after_onset_ms": after_ms,
+            "predictions": int(known.sum()),
+            "probability_mean": float(np.mean(probability[known])) if known.any() else None,
+            "detected_share": float(np.mean(reached[known])) if known.any() else None,
+        }
+        for name, pairs in found.items()
+        for probabilities, detections in [(np.stack([one for one, _ in pairs]), np.stack([two for _, two in pairs]))]
+        for after_ms, probability, reached in zip(TIMES_MS, probabilities.T, detections.T, strict=True)
+        for known in [~np.isnan(probability)]
+    ]

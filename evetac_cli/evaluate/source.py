@@ -44,7 +44,9 @@ class Source:
         return cls(
             simulated=any(one.get("simulated", False) for one in every.values()),
             scenes=_texts([*(_scene(one["parameters"]) for one in recordings), *(row["scene"] for row in rows)]),
-            trackers=_texts([*trackers - {"rgb"}, *map(_tracker, grasps)]),
+            trackers=_texts(
+                [*trackers - {"rgb"}, *((one["parameters"].get("tracker") or {}).get("preset") for one in grasps)]
+            ),
             labels=_texts([*labels, *(row["labels"] for row in rows)]),
             detectors=_texts(_detector(detectors[id_]["parameters"]) for id_ in used),
             grasp_s=tuple(second for pair in sorted(durations) for second in pair),
@@ -71,13 +73,6 @@ def _texts(values: Iterable[Any]) -> tuple[str, ...]:
 def _scene(parameters: Row) -> str | None:
     scene = parameters.get("scene")
     return scene if isinstance(scene, str) else scene_words(parameters, "name")
-
-
-def _tracker(grasp: Row) -> str | None:
-    """Return the preset by which a grasp tracked its dots; older recipes have its name alone."""
-    tracker: Any = grasp["parameters"].get("tracker")
-    preset: str | None = tracker["preset"] if isinstance(tracker, Mapping) else tracker
-    return preset
 
 
 def _detector(parameters: Row) -> str:

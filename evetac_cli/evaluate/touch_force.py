@@ -28,6 +28,7 @@ from evetac_cli.commands.evaluate import EvaluateForce
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.errors import InputError
 from evetac_cli.evaluate import ModelsReportJob, picture, report
+from evetac_cli.evaluate.rows import each, mean
 from evetac_cli.events import SLICES_PER_S
 from evetac_cli.jobs import Outcome, Progress, Rows
 from evetac_cli.kernels.force.gel_forces import Forces
@@ -97,13 +98,10 @@ def run(job: ForceReportJob, params: EvaluateForce, *, force: bool, progress: Pr
 
     def measure() -> tuple[Rows, dict[str, Any]]:
         gels: dict[str, dict[str, GelWeights]] = {}
-        for number, path in enumerate(files):
-            trials.append(_predict(path, folds, gels, by_sensor, identified, params))
-            progress(number + 1, len(files))
+        trials.extend(_predict(path, folds, gels, by_sensor, identified, params) for path in each(files, progress))
         range_n = max(float(one.normal_n.max()) for one in trials)
         if not range_n > 0:
-            expected = "recordings in which the gel is pressed"
-            raise InputError("these recordings have no contact", where=str(files[0]), expected=expected)
+            raise InputError("no contact", where=str(files[0]), expected="recordings in which the gel is pressed")
         rows = [_row(one, name, range_n) for one in trials for name in one.predicted]
         return rows, _summary(trials, rows, range_n, params)
 
@@ -126,21 +124,11 @@ def _headers(
     """
     headers, own_headers, names = [], [], []
     by_sensor: dict[str, list[Path]] = {}
-    true: dict[str, tuple[Path, KnownGel]] = {}
     for path in files:
         with StageFile(path, "tracks") as tracks, recording_with_truth(tracks) as recording:
-            sensor = known_sensor(recording)
+            known_sensor(recording)
             headers.append(tracks.header)
             names.append(str(tracks.read("sensor/name")))
-            of_gel = _true_gel(sensor)
-            first, other = true.setdefault(names[-1], (path, of_gel))
-            if other != of_gel:
-                raise InputError(
-                    f"two sensors with the name {names[-1]} have different gels",
-                    where=str(path),
-                    expected=f"{other.for_recipe()}, like {first}",
-                    found=f"{of_gel.for_recipe()}",
-                )
     for path in own:
         with StageFile(path, "tracks") as tracks, recording_with_truth(tracks):
             own_headers.append(tracks.header)
@@ -149,12 +137,8 @@ def _headers(
         check_disjoint(own_headers, headers, "evaluated on", list(files))
         missing = sorted(set(names) - set(by_sensor))
         if missing:
-            raise InputError(
-                "no tracks to adapt on",
-                where="--adapt-on",
-                expected="at least one tracks file of each evaluated sensor",
-                found=f"none of {', '.join(missing[:5])}",
-            )
+            expected, found = "tracks of each evaluated sensor", f"none of {', '.join(missing[:5])}"
+            raise InputError("no tracks to adapt on", where="--adapt-on", expected=expected, found=found)
     return headers, own_headers, by_sensor
 
 
@@ -277,13 +261,13 @@ def _summary(trials: list[ForceTrial], rows: Rows, range_n: float, params: Evalu
         known = [row for row in selected_rows if row["slices_counted"]]
         summary[f"{word}_counted"] = len(known)
         for key in ERRORS[2:]:
-            summary[f"{word}_{key}"] = float(np.mean([row[key] for row in known])) if known else None
+            summary[f"{word}_{key}"] = mean(row[key] for row in known)
         by_sensor: dict[str, list[float]] = {}
         for row in known:
             by_sensor.setdefault(row["sensor_name"], []).append(row["mae_n"])
         summary[f"{word}_sensors"] = len(by_sensor)
         summary[f"{word}_worst_sensor_mae_n"] = max((float(np.mean(of)) for of in by_sensor.values()), default=None)
-    summary["contact_right"] = float(np.mean([row["contact_right"] for row in rows if row["stiffness"] == "unknown"]))
+    summary["contact_right"] = mean(row["contact_right"] for row in rows if row["stiffness"] == "unknown")
     return summary
 
 

@@ -24,8 +24,9 @@ from evetac_cli.commands.evaluate import EvaluateTracking
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.errors import InputError
 from evetac_cli.evaluate import paper, picture, report, report_job
+from evetac_cli.evaluate.rows import each, mean
 from evetac_cli.evaluate.source import Source
-from evetac_cli.jobs import Job, Outcome, Progress, Rows, Stage, silent
+from evetac_cli.jobs import Job, Outcome, Progress, Row, Rows, Stage, silent
 from evetac_cli.stages import row_blocks
 from evetac_cli.stages.related_files import OTHER_FOLDER, Origins, check_made_from
 from evetac_cli.store.files import StageFile
@@ -68,12 +69,11 @@ def run(job: Job, params: EvaluateTracking, *, force: bool = False, progress: Pr
 
     def measure() -> tuple[Rows, dict[str, Any]]:
         rows: Rows = []
-        for number, (path, name) in enumerate(zip(job.inputs, names, strict=True)):
+        for path, name in zip(each(job.inputs, progress), names, strict=True):
             with StageFile(path, "tracks") as tracks, _truth(tracks, params.recordings) as truth:
                 row, squares = _trajectory(tracks, truth)
             rows.append({"file": path.name, "preset": name, **row})
             over_time.setdefault(name, []).extend([squares] if squares is not None else [])
-            progress(number + 1, len(job.inputs))
         presets = [_preset(name, [row for row in rows if row["preset"] == name]) for name in dict.fromkeys(names)]
         summary = {
             "trajectories": len(rows),
@@ -139,24 +139,15 @@ def _truth(tracks: StageFile, folder: Path | None) -> Iterator[Recording | None]
             return
         true, dots = (file.contents()[name][1][1] for file, name in ((recording, TRUE_DOTS), (tracks, DOTS)))
         if true != dots:
-            raise InputError(
-                "the tracks and the truth have different numbers of dots",
-                where=str(tracks.path),
-                expected=f"{true} dots, like {path}",
-                found=f"{dots} dots",
-            )
+            expected = f"{true} dots, like the truth in {path}"
+            raise InputError("another number of dots", where=str(tracks.path), expected=expected, found=str(dots))
         yield recording
 
 
 def _check_preset(path: Path, parameters: dict[str, Any]) -> None:
     """Raise InputError unless the parameters of tracks name the preset by which they are compared."""
     if not isinstance(parameters.get("preset"), str) or ("constants" not in parameters and "camera" not in parameters):
-        raise InputError(
-            "the header of the tracks does not contain a preset with its constants",
-            where=str(path),
-            expected="parameters as `evetac track` writes them",
-            found=", ".join(str(key)[:40] for key in list(parameters)[:8]) or "none",
-        )
+        raise InputError("no preset in the header", where=str(path), expected="tracks of `evetac track`")
 
 
 def _preset_names(parameters: list[dict[str, Any]]) -> list[str]:
@@ -262,24 +253,30 @@ def _lengths(rows: Rows) -> dict[str, Any]:
 def _preset(name: str, rows: Rows) -> dict[str, Any]:
     """Return the row of a preset, with the paper's figures where it has them."""
     decided = [row for row in rows if row["consistent"] is not None]
-    failed = [row["dots_lost"] for row in decided if not row["consistent"]]
-    before_reset = [row["dots_lost_before_reset"] for row in decided if not row["consistent_before_reset"]]
+
+    def ends(when: str, *papers: Row) -> Row:
+        """Return how many trajectories are consistent, and the dots lost in the others."""
+        lost = [row[f"dots_lost{when}"] for row in decided if not row[f"consistent{when}"]]
+        consistent = len(decided) - len(lost) if decided else None
+        of_paper = papers or ({}, {})
+        return {
+            f"consistent{when}": consistent,
+            f"consistent{when}_share": None if consistent is None else consistent / len(decided),
+            **of_paper[0],
+            f"dots_lost{when}_counted": len(lost),
+            f"dots_lost{when}_mean": mean(lost),
+            **of_paper[1],
+        }
+
+    of_paper = (("paper_consistent_share", "consistent"), ("paper_dots_lost_mean", "dots lost"))
     return {
         "preset": name,
         "trajectories": len(rows),
         "decided": len(decided),
-        "consistent": len(decided) - len(failed) if decided else None,
-        "consistent_share": (len(decided) - len(failed)) / len(decided) if decided else None,
-        "paper_consistent_share": paper.value("consistent", name),
-        "dots_lost_counted": len(failed),
-        "dots_lost_mean": float(np.mean(failed)) if failed else None,
-        "paper_dots_lost_mean": paper.value("dots lost", name),
-        "consistent_before_reset": len(decided) - len(before_reset) if decided else None,
-        "consistent_before_reset_share": (len(decided) - len(before_reset)) / len(decided) if decided else None,
-        "dots_lost_before_reset_counted": len(before_reset),
-        "dots_lost_before_reset_mean": float(np.mean(before_reset)) if before_reset else None,
+        **ends("", *({column: paper.value(quantity, name)} for column, quantity in of_paper)),
+        **ends("_before_reset"),
         "dots_put_back": sum(row["dots_put_back"] for row in rows),
-        "events_per_dot": float(np.mean([row["events_per_dot"] for row in rows])),
+        "events_per_dot": mean(row["events_per_dot"] for row in rows),
         **_lengths(rows),
     }
 

@@ -59,12 +59,8 @@ def run(job: Job, params: EvaluateVibration, *, force: bool = False, progress: P
     """
     windows_ms = _windows_ms(params.windows)
     if params.lowest_hz >= params.rate / 2:
-        raise InputError(
-            "no frequencies remain between --lowest-hz and half of --rate",
-            where="--lowest-hz",
-            expected=f"below {params.rate / 2:g} Hz",
-            found=f"{params.lowest_hz:g}",
-        )
+        expected = f"below half of --rate, {params.rate / 2:g} Hz"
+        raise InputError("no frequencies remain", where="--lowest-hz", expected=expected, found=f"{params.lowest_hz:g}")
     headers = []
     for path in job.inputs:
         with open_recording(path) as recording:
@@ -132,12 +128,8 @@ def _windows_ms(text: str) -> list[int]:
     except ValueError:
         lengths = []
     if not lengths or not all(SHORTEST_MS <= length <= LONGEST_MS for length in lengths):
-        raise InputError(
-            "not a list of window lengths",
-            where="--windows",
-            expected=f"seconds from {SHORTEST_MS / 1000:g} to {LONGEST_MS / 1000:g}, such as 10,2,1",
-            found=text,
-        )
+        expected = f"seconds from {SHORTEST_MS / 1000:g} to {LONGEST_MS / 1000:g}, such as 10,2,1"
+        raise InputError("not a list of window lengths", where="--windows", expected=expected, found=text)
     return sorted({round(length) for length in lengths}, reverse=True)
 
 
@@ -154,17 +146,11 @@ def _span(recording: Recording, params: EvaluateVibration) -> tuple[int, int, fl
             # Truth is for the end of a slice: in the last slice the tone still sounds at first.
             start, stop = int(sounding[0]), min(int(sounding[-1]) + 2, stop)
             if len(np.unique(tone_hz[sounding])) > 1:
-                raise InputError(
-                    "the recording has more than one tone", where=str(recording.path), expected="one tone per recording"
-                )
+                raise InputError("more than one tone", where=str(recording.path), expected="one tone per recording")
             expected_hz = float(tone_hz[start]) if expected_hz is None else expected_hz
     if stop - start < SHORTEST_MS:
-        raise InputError(
-            "the recording is too short to find a frequency",
-            where=str(recording.path),
-            expected=f"{SHORTEST_MS} ms or more",
-            found=f"{stop - start} ms",
-        )
+        where, expected = str(recording.path), f"{SHORTEST_MS} ms or more"
+        raise InputError("too short to find a frequency", where=where, expected=expected, found=f"{stop - start} ms")
     return start, stop, expected_hz
 
 

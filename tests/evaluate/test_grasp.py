@@ -8,8 +8,7 @@ import pytest
 from evetac_cli.commands.evaluate import EvaluateGrasp
 from evetac_cli.evaluate import grasp as evaluate_grasp
 from evetac_cli.evaluate import paper
-from evetac_cli.evaluate.grasp import tables
-from evetac_cli.evaluate.grasp_settings import describe_setting, with_detectors, without_gain
+from evetac_cli.evaluate.grasp import describe_setting, tables, with_detectors, without_gain
 from evetac_cli.evaluate.source import Source
 from evetac_cli.sim.setup.plan import first_plan, read_plan
 from tests.make import run_stage

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from evetac_cli.evaluate.paired import difference, on_front, share, share_difference
+from evetac_cli.evaluate.rows import difference, on_front, share_difference
 
 
 def array(*values: float) -> np.ndarray:
@@ -58,16 +58,6 @@ def test_only_what_is_sure_is_on_the_front() -> None:
     assert on_front(errors, times) == [False, True, False]
     assert on_front(errors[:1], times[:1]) == [True]
     assert on_front([error[:1] for error in errors], [time[:1] for time in times]) == [False] * 3
-
-
-def test_the_interval_of_a_share_is_wilsons() -> None:
-    """Assert two published intervals: of 0 of 10, and of 81 of 263 (Newcombe, Statistics in Medicine 17, 1998)."""
-    none = share(np.zeros(10, bool))
-    assert (none.mean, none.low, none.trials) == (0.0, 0.0, 10)
-    assert none.high == pytest.approx(0.2775, abs=1e-4)
-    published = share(np.arange(263) < 81)
-    assert (published.low, published.high) == pytest.approx((0.2553, 0.3662), abs=1e-4)
-    assert math.isnan(share(np.zeros(0, bool)).mean)
 
 
 def test_the_interval_of_a_difference_of_shares_holds_what_it_promises() -> None:

@@ -69,7 +69,7 @@ def in_report(evaluated: dict[str, Any]) -> str:
     (column,) = (
         column
         for subject in evaluations.SUBJECTS
-        for column in subject.columns
+        for column in evaluations.columns_of(subject, subject.rows(report))
         if column.paper == "paper_consistent_share"
     )
     (beside,) = re.findall(r"\((.*)\)", page._with_paper(column, ROW, report))
@@ -139,11 +139,18 @@ GRASP_ROW = {"setting": "paper", "columns": 12, "trials": 120, "paper_success": 
 GRASPS = Source(True, ("lift",), ("paper",), (), ("fast-slow 10 ms ahead by paper",), (10.0, 20.0), 360)
 ALONE = {"setting": "none", "columns": 11, "trials": 55, "paper_success": 0.0}
 OBJECT_17 = {"setting": "paper", "object": 17, "trials": 10, "paper_opening_after_balance_ticks": -7.6}
-SIDEWAYS = {"setting": "paper, sideways", "columns": 1, "trials": 10, "paper_success": 1.0}
+SIDEWAYS = {
+    "setting": "paper, sideways",
+    "scene": "sideways",
+    "sensor": "evetac",
+    "columns": 1,
+    "trials": 10,
+    "paper_success": 1.0,
+}
 FORCE_ROW = {"sensor": "frames", "model": "network", "trajectories": 1, "paper_mae_n_x": 0.35}
 FORCE = Source(True, ("shear",), ("stable",), training_recordings=4)
 TONE = {"method": "paper", "expected_hz": 200.0, "window_s": 1.0, "windows": 100, "paper_share": 0.69}
-INTERVAL = {"interval": "whole", "trajectories": 5, "paper_share_mean": 0.017}
+INTERVAL = {"interval": "whole", "trajectories": 5, "columns": 540, "paper_share_mean": 0.017}
 
 
 @pytest.mark.parametrize(
@@ -166,8 +173,10 @@ INTERVAL = {"interval": "whole", "trajectories": 5, "paper_share_mean": 0.017}
         ("paper_success", ALONE, GRASPS, {}, (0.0, "fitted")),
         ("paper_opening_after_balance_ticks", OBJECT_17, GRASPS, {}, (-7.6, "fitted")),
         ("paper_success", SIDEWAYS, GRASPS, {}, (1.0, SAME)),
-        ("paper_success", SIDEWAYS, GRASPS, {"setting": "paper, second", "columns": 4}, (0.95, SIZE)),
-        ("paper_success", SIDEWAYS, GRASPS, {"setting": "paper, soft-gel", "columns": 4}, (0.95, SIZE)),
+        ("paper_success", SIDEWAYS, GRASPS, {"setting": "paper, second", "scene": "lift", "sensor": "second",
+         "columns": 4}, (0.95, SIZE)),
+        ("paper_success", SIDEWAYS, GRASPS, {"setting": "paper, closed gel", "scene": "lift", "gel": "closed",
+         "columns": 4}, (0.95, SIZE)),
         ("paper_success", SIDEWAYS, GRASPS, {"setting": "paper, mine", "scene": "lift", "sensor": "mine", "columns": 4},
          (0.95, SIZE)),
         ("paper_success", SIDEWAYS, GRASPS, {"setting": "paper, mine", "scene": "mine", "sensor": "evetac"}, None),
@@ -181,12 +190,11 @@ INTERVAL = {"interval": "whole", "trajectories": 5, "paper_share_mean": 0.017}
         ("paper_share", TONE, Source(True, ("vibration",)), {}, (0.69, "fitted")),
         ("paper_share", TONE, Source(True, ("vibration",)), {"method": "default"}, (0.69, METHOD)),
         ("paper_share", TONE, Source(True, ("vibration-randomized",)), {}, (0.69, SCENE)),
-        ("paper_share_mean", INTERVAL, Source(True, ("data-rate",)), {}, (0.017, METHOD)),
-        ("paper_share_mean", INTERVAL, Source(True, ("data-rate",)), {"columns": 540}, (0.017, SAME)),
-        ("paper_share_mean", {**INTERVAL, "columns": 540}, Source(True, ("data-rate",)), {"trajectories": 3},
-         (0.017, SIZE)),
+        ("paper_share_mean", INTERVAL, Source(True, ("data-rate",)), {}, (0.017, SAME)),
+        ("paper_share_mean", INTERVAL, Source(True, ("data-rate",)), {"columns": 640}, (0.017, METHOD)),
+        ("paper_share_mean", INTERVAL, Source(True, ("data-rate",)), {"trajectories": 3}, (0.017, SIZE)),
         ("paper_slip_correct", SLIP_ROW, SLIP, {"true_slip_share": True}, (0.926, METHOD)),
-        ("paper_share_mean", INTERVAL, Source(), {}, (0.017, METHOD)),
+        ("paper_share_mean", INTERVAL, Source(), {}, (0.017, SCENE)),
     ],
 )  # fmt: skip
 def test_each_row_has_its_figure_and_mark(
@@ -267,7 +275,12 @@ def test_columns_name_figures_and_hold_none() -> None:
     tables = experiments
     columns = [column for table in tables for column in (*table.columns, *([table.across] if table.across else []))]
     named = [key for column in columns for key in results.keys(column.paper)]
-    named += [column.paper for subject in evaluations.SUBJECTS for column in subject.columns if column.paper]
+    named += [
+        f"paper_{name}"
+        for subject in evaluations.SUBJECTS
+        for name in subject.columns
+        if f"paper_{name}" in paper.SHOWN
+    ]
     assert len(named) > 20 and set(named) <= paper.SHOWN.keys()
     assert not [column for column in columns if re.search(r"\d", re.sub(r"{[^}]*}", "", column.paper))]
 

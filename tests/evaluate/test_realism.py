@@ -11,7 +11,7 @@ from evetac_cli.cli.main import app
 from evetac_cli.commands.evaluate import EvaluateRealism
 from evetac_cli.commands.record import Record
 from evetac_cli.errors import InputError
-from evetac_cli.evaluate import phases, realism
+from evetac_cli.evaluate import realism
 from evetac_cli.events import Events
 from evetac_cli.jobs import Outcome
 from evetac_cli.sim.setup.plan import one_sensor
@@ -160,7 +160,7 @@ def test_recordings_without_events(tmp_path: Path) -> None:
 
 def test_a_slice_with_too_many_events(same: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that a phase whose first slice has more events than are looked at is none."""
-    monkeypatch.setattr(phases, "MOST_EVENTS", 10)
+    monkeypatch.setattr(realism, "MOST_EVENTS", 10)
     with pytest.raises(InputError, match="no phase in common"):
         compared(*same, tmp_path)
 

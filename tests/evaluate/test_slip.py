@@ -18,7 +18,7 @@ from evetac_cli.commands.evaluate import EvaluateSlip
 from evetac_cli.commands.label import Label
 from evetac_cli.commands.train import Train
 from evetac_cli.errors import InputError
-from evetac_cli.evaluate import slip, slip_models, slip_over_time, slip_tables
+from evetac_cli.evaluate import slip, slip_models, slip_tables
 from evetac_cli.evaluate.slip_models import Model, check
 from evetac_cli.inspect import validate
 from evetac_cli.jobs import silent
@@ -236,7 +236,10 @@ def test_the_papers_figures(world: dict[str, Any], tmp_path: Path) -> None:
 )
 def test_timing_bins_at_their_borders(late_by: int, name: str) -> None:
     """Assert that each first detection is counted in one place, and those without one are never."""
-    shares = slip_tables._timing_bins([("1", late_by), ("2", None)])
+    at = np.arange(200)
+    shares = slip_tables._timing_bins(
+        [[prediction(at >= 100 + late_by, 100, "1"), prediction(at < 0, 100, "2")]], [0.5]
+    )
     assert shares[name] == 0.5
     assert shares["never_detected"] == 0.5
     assert sum(shares[key] for key in ("never_detected", *(key for key, _, _ in slip_tables.TIMING_BINS))) == 1
@@ -255,13 +258,13 @@ def test_intervals_of_f1_are_over_objects() -> None:
 def test_predictions_over_time() -> None:
     """Assert mean probability and detected share at each time about the onset, by object, while the recording lasts."""
     low, high = (prediction(np.arange(140) >= first, 100, "3") for first in (90, 110))
-    rows = slip_over_time.rows("a", [[low], [high]], [0.5, 0.5])
+    rows = slip_tables.over_time_rows("a", [[low], [high]], [0.5, 0.5])
     assert [row["after_onset_ms"] for row in rows] == [*range(-20, 61, 5)]
     by_time = {row["after_onset_ms"]: row for row in rows}
     assert [by_time[after]["detected_share"] for after in (-15, -10, 5, 10)] == [0.0, 0.5, 0.5, 1.0]
     assert by_time[35]["predictions"] == 2 and by_time[40]["predictions"] == 0
     assert by_time[40]["probability_mean"] is None
-    assert slip_over_time.rows("a", [[prediction(np.zeros(9, bool), -1, "3")]], [0.5]) == []
+    assert slip_tables.over_time_rows("a", [[prediction(np.zeros(9, bool), -1, "3")]], [0.5]) == []
 
 
 def prediction(detected: NDArray[np.bool_], onset: int, object_: str) -> Prediction:

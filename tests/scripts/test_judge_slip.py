@@ -16,8 +16,8 @@ import slip_trials
 from motions import MOTIONS, Trial
 
 from evetac_cli.errors import SceneError
-from evetac_cli.evaluate import alarm_rules
-from evetac_cli.evaluate.alarm_rules import RULES
+from evetac_cli.evaluate import slip_warnings
+from evetac_cli.evaluate.slip_warnings import RULES
 from evetac_cli.resources import MODEL
 
 MS = 3000
@@ -47,7 +47,7 @@ def test_alarms_are_false_by_two_rules() -> None:
     share, slips = np.zeros(MS, np.float32), flags((ONSET, MS))
     share[700:760] = 0.5
     share[ONSET - 60 :] = 1.0
-    judged = alarm_rules.judge(flags((100, 110), (705, 720), (ONSET - 40, ONSET + 30)), share, slips)
+    judged = slip_warnings.judge(flags((100, 110), (705, 720), (ONSET - 40, ONSET + 30)), share, slips)
     assert judged.false == {"partial": 1, "gross": 2}
     assert judged.leads_ms == dict.fromkeys(RULES, [40])
 
@@ -72,12 +72,12 @@ def test_an_alarm_that_ends_before_slip_warns_of_nothing() -> None:
     """Assert that slip is warned of by no alarm that went off before it, nor by one that began falsely or late."""
     share, slips = np.zeros(MS, np.float32), flags((ONSET, MS))
     share[ONSET - 300 :] = 0.5
-    gone = alarm_rules.judge(flags((ONSET - 200, ONSET - 100)), share, slips)
+    gone = slip_warnings.judge(flags((ONSET - 200, ONSET - 100)), share, slips)
     assert gone.leads_ms["partial"] == [None] and gone.false["partial"] == 0
-    late = alarm_rules.judge(flags((ONSET + 100, ONSET + 200)), share, slips)
+    late = slip_warnings.judge(flags((ONSET + 100, ONSET + 200)), share, slips)
     assert late.leads_ms["partial"] == [None]
     assert late.false == {"partial": 0, "gross": 0}  # it slides, and nobody was warned
-    on = alarm_rules.judge(flags((100, MS)), share, slips)
+    on = slip_warnings.judge(flags((100, MS)), share, slips)
     assert on.leads_ms == {rule: [None] for rule in RULES} and on.false["partial"] > 5
 
 

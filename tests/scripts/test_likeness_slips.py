@@ -16,8 +16,7 @@ import likeness_sensitivity as sensitivity
 import likeness_trials as trials
 from likeness_trials import SLIP, Task
 
-from evetac_cli.evaluate.likeness.counts import SliceCounts
-from evetac_cli.evaluate.likeness.single_slice import NEVER_MS, THRESHOLDS
+from evetac_cli.evaluate.likeness.counts import NEVER_MS, THRESHOLDS, SliceCounts
 from evetac_cli.sim.setup.plan import Plan, first_plan
 from evetac_cli.store.recordings.slip_grid import resolving_mm
 from evetac_cli.trials.record import simulated

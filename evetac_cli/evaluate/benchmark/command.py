@@ -48,13 +48,8 @@ def _check(params: EvaluateBenchmark) -> None:
         raise InputError("either recordings of lifts or a controller that plays them", where="--lifts", found=found)
     with_file = params.shear_force in ("regression", "network")
     if with_file != (params.force_model is not None):
-        expected = "both, or neither: --shear-force regression or network, and the file"
-        raise InputError(
-            "a force model and its method belong together",
-            where="--force-model",
-            expected=expected,
-            found=f"--shear-force {params.shear_force}, {params.force_model or 'no file'}",
-        )
+        expected = "with --shear-force regression or network, a file, else none"
+        raise InputError("model and method do not fit", where="--force-model", expected=expected)
 
 
 def run(job: BenchmarkJob, params: EvaluateBenchmark, *, force: bool = False, progress: Progress = silent) -> Outcome:
@@ -62,10 +57,10 @@ def run(job: BenchmarkJob, params: EvaluateBenchmark, *, force: bool = False, pr
 
     Predictions of evetac's methods are also written as tables, into NAME.files/predictions next to the report.
     """
-    from evetac_cli.evaluate.benchmark import lifts, own_methods, predictions, truth
+    from evetac_cli.evaluate.benchmark import own_methods, predictions
 
     benchmark = data_set.read(job.folder)
-    true = truth.read(benchmark)
+    true = data_set.read_truth(benchmark)
     parameters: dict[str, Any] = {"benchmark": benchmark.digest, "size": benchmark.size}
     parents: list[Header] = []
     work = job.output.with_name(job.output.name.removesuffix(".h5").removesuffix(".report") + ".files")
@@ -80,9 +75,9 @@ def run(job: BenchmarkJob, params: EvaluateBenchmark, *, force: bool = False, pr
         parents = methods.parents()
     played: Rows | None = None
     chosen = _of_controller(params) if params.controller else {}
-    every_lift = lifts.read(benchmark) if params.lifts is not None or params.controller else {}
+    every_lift = own_methods.read_lifts(benchmark) if params.lifts is not None or params.controller else {}
     if params.lifts is not None:
-        played = lifts.outcomes(benchmark, every_lift, params.lifts)
+        played = own_methods.lift_outcomes(benchmark, every_lift, params.lifts)
         parameters["lifts"] = played
     parameters["controller"] = params.controller
 
@@ -92,7 +87,7 @@ def run(job: BenchmarkJob, params: EvaluateBenchmark, *, force: bool = False, pr
             made = own_methods.predict(benchmark, methods, work, progress)
             predictions.write(work / "predictions", made, true)
         if params.controller:
-            played = lifts.play(benchmark, every_lift, chosen, work / "lifts", progress)
+            played = own_methods.play_lifts(benchmark, every_lift, chosen, work / "lifts", progress)
         rows = scores.all_rows(benchmark, true, made, played)
         return rows, _summary(benchmark.size, rows)
 

@@ -1,17 +1,31 @@
-"""The public part of a benchmark's folder: its recordings, and the instants at which dots and forces are judged."""
+"""A benchmark's folder: its recordings, the instants at which dots and forces are judged, and the truth.
+
+Only the scorer reads the truth.
+"""
 
 import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.arrays import Flags, Floats
 from evetac_cli.errors import InputError
+from evetac_cli.evaluate.slip_warnings import slip_begins
 from evetac_cli.formats.read.read_columns import read_columns
+from evetac_cli.store.hdf5.checked_hdf5 import CheckedHdf5
 from evetac_cli.text_files import MOST_JSON_BYTES, parse_json, read_text
 
 NAME, VERSION = "evetac-bench", 1
 ABOUT = "benchmark.json"
 MADE_BY = "make benchmark (docs/benchmark.md)"
+TRUTH_COLUMNS = ("recording", "true_sensor", "true_object", "motion", "seed")
+DATASETS = (
+    *("slip", "visible_slip_share", "normal_force_n", "onset_ms"),
+    *("dots_ms", "dot_xy_px", "force_ms", "shear_force_n"),
+)
 
 
 class BenchmarkTrial(NamedTuple):
@@ -50,13 +64,8 @@ def read(folder: Path) -> Benchmark:
         for name, kind, split, sensor in rows
     }
     if entries.keys() != about["recordings"].keys():
-        raise InputError(
-            "the recordings do not fit the benchmark",
-            where=str(folder / "recordings.csv"),
-            expected=f"the {len(about['recordings'])} recordings of {ABOUT}",
-            found=f"{len(entries)} recordings",
-            hint=MADE_BY,
-        )
+        where, expected = str(folder / "recordings.csv"), f"the {len(about['recordings'])} recordings of {ABOUT}"
+        raise InputError("other recordings", where=where, expected=expected, found=str(len(entries)), hint=MADE_BY)
     missing = [str(entry.path) for entry in entries.values() if not entry.path.exists()]
     if missing:
         raise InputError("a recording is missing", where=missing[0], expected=f"{len(entries)} files", hint=MADE_BY)
@@ -83,3 +92,68 @@ def _about(folder: Path) -> tuple[dict[str, Any], str]:
     if found != (NAME, VERSION) or not isinstance(about.get("recordings"), dict):
         raise InputError("another benchmark", where=str(path), expected=f"{NAME} {VERSION}", found=f"{found}")
     return about, hashlib.sha256(text.encode()).hexdigest()
+
+
+class Truth(NamedTuple):
+    """The truth of a recording: in each ms, and at the instants that are judged.
+
+    slips: gross slip in contact (slices,); share: slipping share of the visible contact; held: contact; onset_ms: first
+    gross slip after the grip began to open, None without; dot_xy_px: (instants, dots, 2); shear_n: (instants, 2).
+    """
+
+    sensor: str
+    touched: str
+    slips: Flags
+    share: NDArray[np.float32]
+    held: Flags
+    onset_ms: int | None
+    dots_ms: NDArray[np.int64]
+    dot_xy_px: Floats
+    force_ms: NDArray[np.int64]
+    shear_n: Floats
+
+    @property
+    def slices(self) -> int:
+        """Length of the recording in ms."""
+        return len(self.slips)
+
+    @property
+    def slip_begins(self) -> list[int]:
+        """The slices at which gross slip begins."""
+        return slip_begins(self.slips)
+
+
+def read_truth(benchmark: Benchmark) -> dict[str, Truth]:
+    """Return the truth of every recording by its name; InputError if a file is missing or damaged."""
+    path = benchmark.folder / "truth" / "recordings.csv"
+    if not path.exists():
+        raise InputError("the truth is missing", where=str(path), hint=f"scores need the folder truth/: {MADE_BY}")
+    columns = read_columns(path, TRUTH_COLUMNS)
+    every = {name: about for name, *about in zip(*(columns[name] for name in TRUTH_COLUMNS[:3]), strict=True)}
+    missing = [name for name in benchmark.entries if name not in every]
+    if missing:
+        raise InputError("the truth of a recording is missing", where=str(path), expected=missing[0], hint=MADE_BY)
+    return {name: _of_file(path.with_name(f"{name}.h5"), *every[name]) for name in benchmark.entries}
+
+
+def _of_file(path: Path, sensor: str, touched: str) -> Truth:
+    with CheckedHdf5(path, "the truth of a recording", MADE_BY) as file:
+        datasets = file.datasets()
+        missing = [name for name in DATASETS if name not in datasets]
+        if missing:
+            raise InputError("not the truth of a recording", where=str(path), expected=missing[0], hint=MADE_BY)
+        values: dict[str, Any] = {name: datasets[name][()] for name in DATASETS}
+    held = np.asarray(values["normal_force_n"]) > 0.0
+    onset = int(values["onset_ms"])
+    return Truth(
+        sensor,
+        touched,
+        (np.asarray(values["slip"]) > 0) & held,
+        np.asarray(values["visible_slip_share"], np.float32),
+        held,
+        None if onset < 0 else onset,
+        np.asarray(values["dots_ms"], np.int64),
+        np.asarray(values["dot_xy_px"], np.float64),
+        np.asarray(values["force_ms"], np.int64),
+        np.asarray(values["shear_force_n"], np.float64),
+    )

@@ -2,9 +2,11 @@
 
 The commands `track`, `featurize` and `predict-touch` process the inputs, which hold no truth, in a folder next to the
 report. Files that exist there are not made again.
+
+Closed-loop lifts are played by a law of evetac or of a plug-in, or read from anyone's recordings.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,27 +16,32 @@ from numpy.typing import NDArray
 
 from evetac_cli.arrays import Floats
 from evetac_cli.commands.featurize import Featurize
+from evetac_cli.commands.grasp import Grasp
 from evetac_cli.commands.predict_touch import PredictTouch
 from evetac_cli.commands.track import Track
 from evetac_cli.errors import MAKE_MODEL, InputError
-from evetac_cli.evaluate.benchmark.data_set import Benchmark, BenchmarkTrial
+from evetac_cli.evaluate import grasp as grasp_evaluation
+from evetac_cli.evaluate.benchmark.data_set import MADE_BY, Benchmark, BenchmarkTrial
 from evetac_cli.evaluate.benchmark.predictions import ONSET_KINDS, WARNING_KINDS, Predictions
 from evetac_cli.evaluate.slip_models import Model
-from evetac_cli.jobs import Job, Outcome, Progress
+from evetac_cli.jobs import Job, Outcome, Progress, Row, Rows, silent
 from evetac_cli.kernels.force import models as forces
 from evetac_cli.kernels.slip import metrics
 from evetac_cli.kernels.slip.architectures import ImageArchitecture, PluginImageArchitecture
 from evetac_cli.kernels.slip.labels import is_slip
+from evetac_cli.sim.setup import object_file, scene_file
+from evetac_cli.sim.setup.tables import as_table
 from evetac_cli.stages import featurize, track
 from evetac_cli.stages.force.train_force import ForceModel, check_grid, read_model, read_rest_px
 from evetac_cli.stages.slip_detectors import probabilities, read_series
 from evetac_cli.stages.touch import predict_touch
-from evetac_cli.store.files import StageFile
+from evetac_cli.store.files import StageFile, header_of
 from evetac_cli.store.layout.provenance import Header
 from evetac_cli.store.recordings.read import open_recording, ramp_start
-from evetac_cli.text_files import as_toml
+from evetac_cli.text_files import MOST_JSON_BYTES, as_toml, parse_json, read_text
+from evetac_cli.trials import grasp
 
-TOUCH, REGRESSION, NETWORK = "touch", "regression", "network"
+LIFT_FLAGS = ("sensor", "seed", "lift_s", "balance_s")
 
 
 @dataclass(frozen=True)
@@ -113,14 +120,9 @@ def _slip(entry: BenchmarkTrial, model: Model, tracks: Path) -> NDArray[np.float
     with StageFile(output, "features") as file:
         shape = tuple(int(size) for size in file.read("dot_shape"))
         if shape != model.dot_shape:
-            expected, found = (" x ".join(map(str, one)) for one in (model.dot_shape, shape))
-            raise InputError(
-                "the model is for another dot grid",
-                where=str(model.path),
-                expected=f"{found} dots",
-                found=expected,
-                hint=MAKE_MODEL,
-            )
+            found, expected = (" x ".join(map(str, one)) for one in (model.dot_shape, shape))
+            where = str(model.path)
+            raise InputError("another dot grid", where=where, expected=expected, found=found, hint=MAKE_MODEL)
         series = read_series(file, architecture)
         (score,) = probabilities([model.detector()], series, 0)
     return score
@@ -151,7 +153,7 @@ def _force(benchmark: Benchmark, entry: BenchmarkTrial, methods: Methods, tracks
     with StageFile(tracks, "tracks") as file:
         check_grid(methods.force, methods.force_path, file)
         moved_px = forces.displacement(file.read("dot_xy_px"), read_rest_px(file))
-    if methods.of_force == REGRESSION:
+    if methods.of_force == "regression":
         return forces.apply_regression(methods.force.regression, moved_px)
     return forces.apply_network(methods.force.network, moved_px)
 
@@ -170,3 +172,82 @@ def methods_of(
         model,
         header,
     )
+
+
+def read_lifts(benchmark: Benchmark) -> dict[str, Row]:
+    """Return the lifts by name: split, object, and the flags of `evetac grasp`."""
+    path = benchmark.folder / "truth" / "lifts.json"
+    if not path.exists():
+        raise InputError("the lifts are missing", where=str(path), hint=MADE_BY)
+    try:
+        found = parse_json(read_text(path, MOST_JSON_BYTES))
+    except ValueError as error:
+        raise InputError(f"not valid JSON: {error}", where=str(path)) from None
+    wanted = {"split", "object", *LIFT_FLAGS}
+    if not isinstance(found, dict) or any(not isinstance(row, dict) or set(row) != wanted for row in found.values()):
+        raise InputError("not the lifts of a benchmark", where=str(path), expected=", ".join(sorted(wanted)))
+    return found
+
+
+def lift_flags(benchmark: Benchmark, name: str, lift: Row, **chosen: Any) -> Grasp:
+    """Return the flags of `evetac grasp` that play a lift; chosen: controller, model and others."""
+    folder = benchmark.folder / "truth" / "lifts"
+    flags = {flag: lift[flag] for flag in LIFT_FLAGS}
+    scene, touched = (str(folder / f"{name}.{what}.toml") for what in ("scene", "object"))
+    return Grasp(scene=scene, objects=touched, **flags, **chosen)
+
+
+def play_lifts(
+    benchmark: Benchmark, lifts: Mapping[str, Row], chosen: Mapping[str, Any], folder: Path, progress: Progress = silent
+) -> Rows:
+    """Play every lift with the chosen controller and detector, and return the outcomes.
+
+    folder: of the recordings; those that exist are not made again.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    for number, (name, lift) in enumerate(lifts.items()):
+        params = lift_flags(benchmark, name, lift, **chosen)
+        (job,) = grasp.jobs([], params, folder / f"{name}.recording.h5")
+        made_or_kept(grasp.run, job, params)
+        progress(number + 1, len(lifts), "lifts")
+    return lift_outcomes(benchmark, lifts, folder)
+
+
+def lift_outcomes(benchmark: Benchmark, lifts: Mapping[str, Row], folder: Path) -> Rows:
+    """Return the outcome of each lift from its recording NAME.recording.h5 in a folder.
+
+    InputError if one is missing, or is another grasp: of another scene, object, sensor, seed or duration.
+    """
+    rows = []
+    for name, lift in lifts.items():
+        path = folder / f"{name}.recording.h5"
+        if not path.exists():
+            raise InputError("a lift is missing", where=str(path), expected=f"{len(lifts)} recordings, with {name}")
+        header = header_of(path, "recording")
+        _require_same(benchmark, name, lift, header, path)
+        outcome = grasp_evaluation.trial_row(path, header)
+        rows.append({**outcome, "name": name, **{key: lift[key] for key in ("split", "object", "sensor")}})
+    return rows
+
+
+def _require_same(benchmark: Benchmark, name: str, lift: Row, header: Mapping[str, Any], path: Path) -> None:
+    folder = benchmark.folder / "truth" / "lifts"
+    _, touched = object_file.read(folder / f"{name}.object.toml")
+    parameters = header["parameters"]
+    wanted = {
+        "scene": as_table(scene_file.load(str(folder / f"{name}.scene.toml"))),
+        "object_row": as_table(touched),
+        **{flag: lift[flag] for flag in LIFT_FLAGS if flag != "seed"},
+    }
+    found = {key: parameters.get(key) for key in wanted} | {"seed": header["seed"]}
+    for key, value in (wanted | {"seed": lift["seed"]}).items():
+        if _plain(found[key]) != _plain(value):
+            expected, other = str(value)[:100], str(found[key])[:100]
+            raise InputError(f"another lift: {key} differs", where=str(path), expected=expected, found=other)
+
+
+def _plain(value: Any) -> Any:
+    """Return a value with tuples as lists, as JSON has them."""
+    if isinstance(value, Mapping):
+        return {key: _plain(item) for key, item in value.items()}
+    return [_plain(item) for item in value] if isinstance(value, list | tuple) else value

@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.arrays import Floats
 from evetac_cli.errors import InputError
-from evetac_cli.evaluate.benchmark.data_set import Benchmark
-from evetac_cli.evaluate.benchmark.truth import Truth
+from evetac_cli.evaluate.benchmark.data_set import Benchmark, Truth
 from evetac_cli.formats.read.read_columns import PARQUET, Cells, read_columns
 from evetac_cli.store.hdf5.disk import taking_the_place_of
 
@@ -77,9 +76,9 @@ def read(given: Path, benchmark: Benchmark, truth: Mapping[str, Truth]) -> Predi
         elif task == "warning":
             made.warning = _warnings(table, benchmark, truth)
         elif task == "force":
-            made.force_n = _forces(table, benchmark, truth)
+            made.force_n = _at_instants(task, table, benchmark, truth)
         else:
-            made.dot_xy_px = _dots(table, benchmark, truth)
+            made.dot_xy_px = _at_instants(task, table, benchmark, truth)
     return made
 
 
@@ -102,26 +101,17 @@ class _Table:
             raise self.fault(row, f"a recording of kind {kinds}", name or "nothing")
         return name
 
-    def whole(self, row: int, column: str, below: int) -> int:
-        """Return a whole number from 0 to below `below`."""
+    def number(self, row: int, column: str, below: int | None = None) -> float:
+        """Return a finite number; with `below`, a whole one from 0."""
         text = self.cells[column][row].strip()
         try:
             value = float(text)
         except ValueError:
             value = math.nan
-        if not (value.is_integer() and 0 <= value < below):
-            raise self.fault(row, f"{column}: a whole number from 0 to {below - 1}", text or "nothing")
-        return int(value)
-
-    def number(self, row: int, column: str) -> float:
-        """Return a finite number."""
-        text = self.cells[column][row].strip()
-        try:
-            value = float(text)
-        except ValueError:
-            value = math.nan
-        if not math.isfinite(value):
+        if below is None and not math.isfinite(value):
             raise self.fault(row, f"{column}: a finite number", text or "nothing")
+        if below is not None and not (value.is_integer() and 0 <= value < below):
+            raise self.fault(row, f"{column}: a whole number from 0 to {below - 1}", text or "nothing")
         return value
 
     def missing(self, what: str) -> InputError:
@@ -137,7 +127,7 @@ def _onsets(table: _Table, benchmark: Benchmark, truth: Mapping[str, Truth]) -> 
         if name in found:
             raise table.fault(row, "one row for each recording", f"another one for {name}")
         empty = not table.cells["onset_ms"][row].strip()
-        found[name] = None if empty else table.whole(row, "onset_ms", truth[name].slices)
+        found[name] = None if empty else int(table.number(row, "onset_ms", truth[name].slices))
     for name in known:
         if name not in found:
             raise table.missing(f"one for {name}; onset_ms is empty if nothing is detected")
@@ -150,7 +140,7 @@ def _warnings(table: _Table, benchmark: Benchmark, truth: Mapping[str, Truth]) -
     last: dict[str, int] = {}
     for row in range(table.rows):
         name = table.recording(row, known, ", ".join(WARNING_KINDS))
-        ms = table.whole(row, "ms", truth[name].slices)
+        ms = int(table.number(row, "ms", truth[name].slices))
         if ms <= last.get(name, -1):
             raise table.fault(row, f"ms above {last[name]}, the one before in {name}", str(ms))
         last[name] = ms
@@ -168,55 +158,33 @@ def held_on(score: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.where(last < 0, np.float32(np.nan), score[last])
 
 
-def _instants(benchmark: Benchmark, task: str) -> dict[str, dict[int, int]]:
-    """Return recording -> ms -> its place among those that are judged."""
-    found: dict[str, dict[int, int]] = {}
+def _at_instants(task: str, table: _Table, benchmark: Benchmark, truth: Mapping[str, Truth]) -> dict[str, Floats]:
+    """Return the predictions of task force (instants, 2) or dots (instants, dots, 2) by recording."""
+    instants: dict[str, dict[int, int]] = {}  # recording -> ms -> its place among those that are judged
     for name, ms in benchmark.queries[task]:
-        of_name = found.setdefault(name, {})
+        of_name = instants.setdefault(name, {})
         of_name[ms] = len(of_name)
-    return found
-
-
-def _forces(table: _Table, benchmark: Benchmark, truth: Mapping[str, Truth]) -> dict[str, Floats]:
-    instants = _instants(benchmark, "force")
-    found = {name: np.full((len(places), 2), np.nan) for name, places in instants.items()}
+    kinds, *columns = ("press", "fx_n", "fy_n") if task == "force" else ("any", "x_px", "y_px")
+    shapes = {
+        name: (len(places), 2) if task == "force" else truth[name].dot_xy_px.shape for name, places in instants.items()
+    }
+    found = {name: np.full(shape, np.nan) for name, shape in shapes.items()}
     for row in range(table.rows):
-        name = table.recording(row, instants, "press")
-        place = _place(table, row, instants[name], name, truth[name].slices, "force")
-        if np.isfinite(found[name][place, 0]):
-            raise table.fault(row, "one row for each instant", f"another one for {name}")
-        found[name][place] = table.number(row, "fx_n"), table.number(row, "fy_n")
-    _require_all(table, found, instants)
-    return found
-
-
-def _dots(table: _Table, benchmark: Benchmark, truth: Mapping[str, Truth]) -> dict[str, Floats]:
-    instants = _instants(benchmark, "dots")
-    found = {name: np.full(truth[name].dot_xy_px.shape, np.nan) for name in instants}
-    for row in range(table.rows):
-        name = table.recording(row, instants, "any")
-        place = _place(table, row, instants[name], name, truth[name].slices, "dots")
-        dot = table.whole(row, "dot", np.shape(found[name])[1])
-        if np.isfinite(found[name][place, dot, 0]):
-            raise table.fault(row, "one row for each instant and dot", f"another one for {name}, dot {dot}")
-        found[name][place, dot] = table.number(row, "x_px"), table.number(row, "y_px")
-    _require_all(table, found, instants)
-    return found
-
-
-def _place(table: _Table, row: int, places: Mapping[int, int], name: str, slices: int, task: str) -> int:
-    ms = table.whole(row, "ms", slices)
-    if ms not in places:
-        raise table.fault(row, f"an instant of {name} in queries/{task}.csv", f"{ms} ms")
-    return places[ms]
-
-
-def _require_all(table: _Table, found: Mapping[str, Floats], instants: Mapping[str, Mapping[int, int]]) -> None:
+        name = table.recording(row, instants, kinds)
+        ms = int(table.number(row, "ms", truth[name].slices))
+        if ms not in instants[name]:
+            raise table.fault(row, f"an instant of {name} in queries/{task}.csv", f"{ms} ms")
+        at: tuple[int, ...] = (instants[name][ms],)
+        if task == "dots":
+            at += (int(table.number(row, "dot", shapes[name][1])),)
+        if np.isfinite(found[name][at][0]):
+            raise table.fault(row, "one row for each instant and dot", f"another one for {name}")
+        found[name][at] = [table.number(row, column) for column in columns]
     for name, values in found.items():
-        gaps = np.argwhere(~np.isfinite(values[..., 0]))
-        for place, *dot in gaps[:1].tolist():
+        for place, *dot in np.argwhere(~np.isfinite(values[..., 0]))[:1].tolist():
             which = "".join(f", dot {number}" for number in dot)
             raise table.missing(f"one for {name} at {list(instants[name])[place]} ms{which}")
+    return found
 
 
 def rows_of(made: Predictions, truth: Mapping[str, Truth]) -> Iterator[tuple[str, Iterable[Sequence[Any]]]]:

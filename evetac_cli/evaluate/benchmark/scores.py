@@ -3,7 +3,7 @@
 - onset: share of slips whose first detection is from 50 ms before to 20 ms after gross slip begins (the paper's rule).
 - warning: share of slips with a warning at least 10 ms ahead, at the lowest threshold with at most one false alarm per
   minute of contact in the recordings without slip. The rule of alarms is that of kernels/slip/alarms.py; the alarm that
-  is on when the object slips must have begun at most 200 ms before (rule `gross` of evaluate/alarm_rules.py).
+  is on when the object slips must have begun at most 200 ms before (rule `gross` of evaluate/slip_warnings.py).
 - force: mean absolute error of the shear force over instants and both axes, in N.
 - dots: root mean square of the distance from the true dots, over instants and dots, in px.
 - grip: share of lifts whose object is held to the end with a mean grip force of at most 3 times what just holds it.
@@ -18,10 +18,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.evaluate import alarm_rules
-from evetac_cli.evaluate.benchmark.data_set import Benchmark
+from evetac_cli.evaluate import slip_warnings
+from evetac_cli.evaluate.benchmark.data_set import Benchmark, Truth
 from evetac_cli.evaluate.benchmark.predictions import Predictions
-from evetac_cli.evaluate.benchmark.truth import Truth
+from evetac_cli.evaluate.rows import mean
 from evetac_cli.jobs import Row, Rows
 from evetac_cli.kernels import estimates
 from evetac_cli.kernels.estimates import Estimate
@@ -97,16 +97,11 @@ def task_rows(
         row |= {
             "sensors": len({part.sensor for part in chosen}),
             "objects": len({part.touched for part in chosen}),
-            **{name: _mean([part.more[name] for part in chosen]) for name in names},
+            **{name: mean(part.more[name] for part in chosen) for name in names},
             **{f"{name}_n": sum(bool(np.isfinite(part.more[name])) for part in chosen) for name in partly_known},
         }
         rows.append(row)
     return rows
-
-
-def _mean(values: Sequence[float]) -> float | None:
-    known = [value for value in values if np.isfinite(value)]
-    return float(np.mean(known)) if known else None
 
 
 def _estimate(parts: Sequence[TrialScore]) -> Estimate | None:
@@ -117,19 +112,21 @@ def _estimate(parts: Sequence[TrialScore]) -> Estimate | None:
     return estimates.ratio_of_clusters(above, below, weights)
 
 
+def _part(benchmark: Benchmark, true: Truth, name: str, above: float, **more: float) -> TrialScore:
+    return TrialScore(benchmark.entries[name].split, true.sensor, true.touched, above, more=more)
+
+
 def onset_parts(
     benchmark: Benchmark, truth: Mapping[str, Truth], onset_ms: Mapping[str, int | None]
 ) -> list[TrialScore]:
     """Return a part for each recording of kind slip whose object slips."""
     parts = []
     for name, detected in onset_ms.items():
-        true = truth[name]
-        if true.onset_ms is None:
-            continue
-        timing = metrics.timing(-1 if detected is None else detected, true.onset_ms)
-        more = {kind: float(timing == kind) for kind in ("early", "late")}
-        split = benchmark.entries[name].split
-        parts.append(TrialScore(split, true.sensor, true.touched, float(timing == "correct"), more=more))
+        onset = truth[name].onset_ms
+        if onset is not None:
+            timing = metrics.timing(-1 if detected is None else detected, onset)
+            more = {kind: float(timing == kind) for kind in ("early", "late")}
+            parts.append(_part(benchmark, truth[name], name, float(timing == "correct"), **more))
     return parts
 
 
@@ -177,11 +174,8 @@ def warning_parts(
         leads: list[int | None] = [None] * len(true.slip_begins)
         if threshold is not None:
             alarming = alarms.alarming(score, threshold) & true.held
-            leads = alarm_rules.judge(alarming, true.share, true.slips).leads_ms[RULE]
-        split = benchmark.entries[name].split
-        parts += [
-            TrialScore(split, true.sensor, true.touched, float(lead is not None and lead >= AHEAD_MS)) for lead in leads
-        ]
+            leads = slip_warnings.judge(alarming, true.share, true.slips).leads_ms[RULE]
+        parts += [_part(benchmark, true, name, float(lead is not None and lead >= AHEAD_MS)) for lead in leads]
     return parts
 
 
@@ -193,8 +187,7 @@ def force_parts(benchmark: Benchmark, truth: Mapping[str, Truth], force_n: Mappi
         error_n = np.abs(forces - true.shear_n).mean(axis=0)
         more = {"error_x_n": float(error_n[0]), "error_y_n": float(error_n[1])}
         more["true_force_n"] = float(np.abs(true.shear_n).mean())
-        split = benchmark.entries[name].split
-        parts.append(TrialScore(split, true.sensor, true.touched, float(error_n.mean()), more=more))
+        parts.append(_part(benchmark, true, name, float(error_n.mean()), **more))
     return parts
 
 
@@ -205,9 +198,7 @@ def dots_parts(benchmark: Benchmark, truth: Mapping[str, Truth], dot_xy_px: Mapp
         true = truth[name]
         squares = ((places - true.dot_xy_px) ** 2).sum(axis=2)
         more = {"median_px": float(np.sqrt(np.median(squares))), "worst_px": float(np.sqrt(squares.max()))}
-        parts.append(
-            TrialScore(benchmark.entries[name].split, true.sensor, true.touched, float(squares.mean()), more=more)
-        )
+        parts.append(_part(benchmark, true, name, float(squares.mean()), **more))
     return parts
 
 

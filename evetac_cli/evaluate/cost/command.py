@@ -12,14 +12,15 @@ from typing import Any, NamedTuple
 from evetac_cli.commands.evaluate import EvaluateCost
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.errors import InputError
-from evetac_cli.evaluate import own_report, picture, plots, report, report_job
-from evetac_cli.evaluate.cost import deciding, grasp, labels, models, pipeline, scene_parts, tracker
+from evetac_cli.evaluate import own_report, picture, report, report_job
+from evetac_cli.evaluate.cost import grasp, labels, models, pipeline, tracker
 from evetac_cli.evaluate.cost import simulator as simulator_cost
+from evetac_cli.evaluate.rows import draw, size_in
 from evetac_cli.jobs import Job, Outcome, Progress, Rows, Stage, silent
 from evetac_cli.store.files import header_of
 
 OUTPUT = "report"
-METHOD = 5
+METHOD = 6
 
 
 class CostPart(NamedTuple):
@@ -32,8 +33,8 @@ class CostPart(NamedTuple):
     errors: tuple[str, ...]
     measure: Callable[[EvaluateCost, Sequence[Path], Progress], Rows]
     summary: Callable[[Rows], dict[str, Any]]
-    draw: Callable[[Any, Rows, Sequence[str]], None] = plots.draw
-    size_in: Callable[[Rows], tuple[float, float]] = plots.size_in
+    draw: Callable[[Any, Rows, Sequence[str]], None] = draw
+    size_in: Callable[[Rows], tuple[float, float]] = size_in
     takes_trials: bool = True
     inputs: Callable[[list[Path], Path | None], tuple[Path, ...]] | None = None
 
@@ -50,8 +51,8 @@ PARTS: dict[str, CostPart] = {
         pipeline.ERRORS,
         pipeline.measure,
         pipeline.summary,
-        pipeline.draw,
-        pipeline.size_in,
+        pipeline.draw_settings,
+        lambda rows: (20.0, 4.2),
     ),
     "label": CostPart(
         "Methods of labelling: error against run time",
@@ -84,13 +85,6 @@ PARTS: dict[str, CostPart] = {
         grasp.draw,
         inputs=grasp.inputs,
     ),
-    "scenes": CostPart(
-        "Run time per slice of the parts of a scene",
-        (),
-        scene_parts.measure,
-        scene_parts.summary,
-        scene_parts.draw,
-    ),
 }
 
 
@@ -98,17 +92,11 @@ def jobs(files: list[Path], params: EvaluateCost, out: Path | None) -> list[Job]
     """Return the job of one report: next to its input files, else `<part>.cost.report.h5` in the working folder."""
     part = PARTS[params.part]
     if part.inputs is None and (files or params.model):
-        raise InputError(
-            "this part takes no files or models",
-            where="evaluate cost",
-            expected="files only with part model; --model only with part model or grasp",
-            found=f"part {params.part}",
-        )
+        expected = "files only with part model; --model only with part model or grasp"
+        raise InputError("takes no files or models", where=f"evaluate cost {params.part}", expected=expected)
     if params.trials is not None and not part.takes_trials:
         taking = ", ".join(name for name, other in PARTS.items() if other.takes_trials)
-        raise InputError(
-            "this part takes no --trials", where="--trials", expected=f"part {taking}", found=f"part {params.part}"
-        )
+        raise InputError("not of this part", where="--trials", expected=f"part {taking}", found=params.part)
     inputs = part.inputs(files, params.model) if part.inputs else ()
     if files:
         return report_job([inputs[0]], "cost", out, *inputs[1:])
@@ -149,7 +137,7 @@ def for_people(rows: Rows, params: EvaluateCost) -> tuple[Rows, list[str]]:
                 f"{row['setting']}, {row[error]:.3g} in {row['time_us_median']:.4g} us" for row in (least, fastest)
             ]
             lines.append(f"{error}: smallest with {words[0]}; fastest with {words[1]}.")
-    return rows, lines + deciding.undecided(rows)
+    return rows, lines
 
 
 STAGE = Stage(jobs, run, for_people=for_people)

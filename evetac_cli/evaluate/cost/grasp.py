@@ -4,14 +4,13 @@ Each setting differs in one respect from the default (no added latency, 500 Hz, 
 every controller on the same few seeded trials. `error_share_lost` is the share of trials whose object was not held to
 the end. `error_mm_moved` is the mean motion of held objects in the gripper, and `force_n` their grip force at the end.
 `more_mm_moved` is the paired difference from the default on the same trials if both held, with its interval (see
-paired). If it is undecided, the command that would decide it is included (see deciding).
+paired).
 
 Run times are those of the detector: tracker, features and network of one slice. `detector truth` uses the simulation's
 true slip instead of the network. No detector can know more about the present, though it may predict.
 """
 
 import math
-import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -25,10 +24,8 @@ from evetac_cli.commands.evaluate import EvaluateCost
 from evetac_cli.devices import Rig
 from evetac_cli.errors import InputError
 from evetac_cli.evaluate import picture
-from evetac_cli.evaluate.cost.deciding import Effort
 from evetac_cli.evaluate.cost.short_grasps import GraspResult, ShortGrasp, ground_truth_detector, run_short_grasp
-from evetac_cli.evaluate.paired import difference, finite_or_none
-from evetac_cli.evaluate.rows import Extent, collect, run_times
+from evetac_cli.evaluate.rows import Extent, collect, difference, finite_or_none, mean, run_times
 from evetac_cli.jobs import Progress, Row, Rows
 from evetac_cli.stages.related_files import named_files
 from evetac_cli.trials.grasp.loop import SliceDetector
@@ -62,12 +59,7 @@ class GraspSetting:
 def inputs(files: list[Path], model: Path | None) -> tuple[Path, ...]:
     """Return the pretrained model, then those given by `--model`: a file, a folder or a glob."""
     if files:
-        raise InputError(
-            "grasps are simulated, not read from files",
-            where="evaluate cost grasp",
-            expected="no files; give detectors for comparison with --model",
-            found=f"{len(files)} files",
-        )
+        raise InputError("takes no files", where="evaluate cost grasp", expected="detectors to compare by --model")
     model_files = [] if model is None else named_files(model, "model", "--model")
     return tuple(dict.fromkeys((resources.MODEL, *model_files)))
 
@@ -75,14 +67,8 @@ def inputs(files: list[Path], model: Path | None) -> tuple[Path, ...]:
 def measure(params: EvaluateCost, inputs: Sequence[Path], progress: Progress) -> Rows:
     """Return rows of every setting with every controller."""
     selected_settings = settings(params.full, inputs[1:])
-    started = time.process_time()
-    rows = collect(
-        _rows(selected_settings, params), len(CONTROLLERS.pick(params.full)) * len(selected_settings), progress
-    )
-    tried = params.trials or TRIALS.pick(params.full)
-    effort = Effort(params, tried, (time.process_time() - started) / 60.0 / tried)
-    compared = ("more_mm_moved", "interval_low_mm", "interval_high_mm", "trials_compared")
-    return [effort.beside(row, selected_settings[0].name, *compared) for row in rows]
+    total = len(CONTROLLERS.pick(params.full)) * len(selected_settings)
+    return collect(_rows(selected_settings, params), total, progress)
 
 
 def summary(rows: Rows) -> dict[str, Any]:
@@ -132,12 +118,12 @@ def _figures(results: Sequence[GraspResult], usual: Sequence[GraspResult]) -> Ro
     return {
         "trials": len(results),
         "error_share_lost": 1 - len(held_figures) / len(results),
-        "error_mm_moved": float(np.mean([figures["moved_mm"] for figures in held_figures])) if held_figures else None,
+        "error_mm_moved": mean(figures["moved_mm"] for figures in held_figures),
         "more_mm_moved": finite_or_none(apart.mean),
         "interval_low_mm": finite_or_none(apart.low),
         "interval_high_mm": finite_or_none(apart.high),
         "trials_compared": apart.trials,
-        "force_n": float(np.mean([figures["force_end_n"] for figures in held_figures])) if held_figures else None,
+        "force_n": mean(figures["force_end_n"] for figures in held_figures),
         **run_times(np.concatenate([result.detector_us for result in results])),
     }
 

@@ -3,7 +3,7 @@
 The reference is optical flow of both regions in every slice around the true onset. On whole recordings it would take a
 minute per recorded second, and even ten trials with 200 ms on either side four minutes. So its onset is computed
 without the gel flows that cannot change the result (a test checks this), and its run time is that of a few slices in
-full. The second setting searches the same slices as the stage does; the other settings label whole recordings.
+full. The other settings label whole recordings.
 """
 
 import math
@@ -20,13 +20,11 @@ from evetac_cli.commands.evaluate import EvaluateCost
 from evetac_cli.commands.label import Label
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.commands.record import Record
-from evetac_cli.evaluate.cost.deciding import Effort
-from evetac_cli.evaluate.paired import difference, finite_or_none
-from evetac_cli.evaluate.rows import Extent, collect, run_times
+from evetac_cli.evaluate.rows import Extent, collect, difference, finite_or_none, run_times
 from evetac_cli.jobs import Progress, Row, Rows
-from evetac_cli.kernels.labelling import event_flow, flow
+from evetac_cli.kernels.labelling import flow
 from evetac_cli.stages import label
-from evetac_cli.store.recordings.read import Recording, open_recording, ramp_start, true_onset
+from evetac_cli.store.recordings.read import Recording, open_recording, true_onset
 from evetac_cli.trials import record
 from evetac_cli.trials.trial import simulated_trials
 
@@ -35,7 +33,6 @@ SLICE_MS = 1.0  # onsets are whole slices
 OBJECTS = "1,3,4,6,8,10,12,14,16,17"  # these slip; one trial each
 AROUND_MS = 200  # slices on either side of the onset that the reference labels
 EVERY = Extent(quick=5, full=1)  # methods that label whole recordings run on every 5th or on every trial
-ROUND_ONSET = 2  # the first two methods label only the slices around the onset
 SAMPLE_MS = 8  # slices on either side of the onset computed in full for the reference's run time
 
 # Recording -> onset in slices, and run time per recorded millisecond in us.
@@ -47,23 +44,16 @@ def measure(params: EvaluateCost, inputs: Sequence[Path], progress: Progress) ->
 
     `error_ms_onset` is the median of |t_c - t_s| over the trials with an onset, t_s being the onset of gross slip, and
     `onset_share` is the share of these trials. `error_ms_reference` is the largest distance from the reference's onset.
-    `more_ms_onset` is the mean paired difference of the error from the reference's, with its interval (see paired) and,
-    if undecided, the command that would decide it (see deciding). Run times are over the trials. `speedup` is the
-    reference's run time over that of the setting.
+    `more_ms_onset` is the mean paired difference of the error from the reference's, with its interval (see paired). Run
+    times are over the trials. `speedup` is the reference's run time over that of the setting.
     """
-    requested = params.trials or OBJECTS.count(",") + 1
     with TemporaryDirectory() as folder:
-        started = time.process_time()
         recordings = _record(Record(scene="slip", objects=OBJECTS, seed=params.seed), Path(folder), params.trials)
-        minutes = [(time.process_time() - started) / 60.0 / requested]  # per trial: of recording, then of each setting
         every = EVERY.pick(params.full) if params.trials is None else 1
-        rows = collect(_rows(recordings, every, minutes), len(methods()), progress)
-    reference, compared = rows[0]["setting"], ("more_ms_onset", "interval_low_ms", "interval_high_ms", "trials")
+        rows = collect(_rows(recordings, every), len(methods()), progress)
     for row in rows:
         row["speedup"] = rows[0]["time_us_median"] / row["time_us_median"] if row["time_us_median"] else None
-    tried = [requested if number < ROUND_ONSET else max(requested // every, 1) for number in range(len(rows))]
-    efforts = (Effort(params, trials, sum(minutes)) for trials in tried)
-    return [effort.beside(row, reference, *compared) for effort, row in zip(efforts, rows, strict=True)]
+    return rows
 
 
 def summary(rows: Rows) -> dict[str, Any]:
@@ -77,30 +67,26 @@ def methods() -> list[tuple[str, Method]]:
     variants = [
         *((f"farneback, steps of {step} ms", replace(default, method="farneback", coarse_ms=step)) for step in (5, 20)),
         *((f"dis, steps of {step} ms", replace(default, method="dis", coarse_ms=step)) for step in (5, 20)),
+        ("event-flow", replace(default, method="event-flow")),
         ("event-count, steps of 5 ms", replace(default, method="event-count")),
     ]
     return [
         ("farneback of both regions, every slice", _every_slice),
-        ("farneback in the same slices, searched", _searched),
         *((setting, _stage(params)) for setting, params in variants),
-        *((f"farneback in steps of 5 ms, {times} x smaller", _smaller_frames(times)) for times in (2, 4)),
-        *((f"event-flow, motion seen over {px:g} px", _seen_over(px)) for px in (0.3, 0.6, 1.2)),
     ]
 
 
-def _rows(recordings: Sequence[Path], every: int, minutes: list[float]) -> Iterator[Row]:
+def _rows(recordings: Sequence[Path], every: int) -> Iterator[Row]:
     reference: list[int] = []
     for number, (setting, method) in enumerate(methods()):
-        step = 1 if number < ROUND_ONSET else every
+        step = every if number else 1
         onsets, true, took_us = [], [], []
-        started = time.process_time()
         for path in recordings[::step]:
             with open_recording(path) as recording:
                 true.append(_true_onset(recording))
                 onset, us = method(recording)
             onsets.append(onset)
             took_us.append(us)
-        minutes.append((time.process_time() - started) / 60.0 / max(len(onsets), 1))
         reference = reference or onsets
         yield _row(setting, np.array(onsets), np.array(true), np.array(reference[::step]), np.array(took_us))
 
@@ -177,41 +163,9 @@ def _every_slice(recording: Recording) -> tuple[int, float]:
     return onset, (time.perf_counter() - begin) * US / max(labels.flow_pairs, 1)
 
 
-def _searched(recording: Recording) -> tuple[int, float]:
-    """Run the stage's search for the onset in the same slices, and its labels after it."""
-    start, stop = _round_onset(recording, AROUND_MS)
-    begin = time.perf_counter()
-    onset = flow.label(recording.between, stop, *label.regions(recording), flow_constants(), start).onset
-    return onset, (time.perf_counter() - begin) * US / (stop - start)
-
-
 def _stage(params: Label) -> Method:
     """Return the method of the stage `label` with these parameters."""
     return lambda recording: _time(recording, lambda: label.compute(recording, params))
-
-
-def _smaller_frames(times: int) -> Method:
-    """Return the stage's search for the onset, with frames smaller by a factor."""
-
-    def method(recording: Recording) -> tuple[int, float]:
-        arguments = (*label.regions(recording), flow_constants(shrink=times), ramp_start(recording))
-        return _time(recording, lambda: flow.label(recording.between, len(recording), *arguments))
-
-    return method
-
-
-def _seen_over(seen_px: float) -> Method:
-    """Return the method `event-flow` with this motion over which it decides whether a dot follows."""
-
-    def method(recording: Recording) -> tuple[int, float]:
-        dots, radius = recording.dot_xy_px, float(recording.read("sensor/dot_radius_px"))
-        assert dots is not None  # a simulated recording
-        constants = event_flow.EventFlowConstants(seen_px=seen_px)
-        window, _ = label.regions(recording)
-        arguments = window, recording.frame_px, dots.reshape(-1, 2), radius, constants, ramp_start(recording)
-        return _time(recording, lambda: event_flow.label(recording.between, len(recording), *arguments))
-
-    return method
 
 
 def _time(recording: Recording, run: Callable[[], flow.Labels]) -> tuple[int, float]:

@@ -71,13 +71,9 @@ def inputs(files: list[Path], model: Path | None) -> tuple[Path, ...]:
         return ()
     reports, models = split_models(files, model)
     if len(reports) != 1:
-        raise InputError(
-            "the report of `evaluate slip` on these models is missing",
-            where="evaluate cost model",
-            expected="one report of `evaluate slip` on these models",
-            found=f"{len(reports)} files that are not models",
-            hint="run evetac evaluate slip FEATURES --model MODELS first; without files, untrained networks are timed",
-        )
+        expected, found = "one report of `evaluate slip` on these models", f"{len(reports)} files that are not models"
+        hint = "run evetac evaluate slip FEATURES --model MODELS; without files, untrained networks are timed"
+        raise InputError("a report is missing", where="evaluate cost model", expected=expected, found=found, hint=hint)
     return (*reports, *models)
 
 
@@ -111,12 +107,9 @@ def _report_rows(path: Path, models: Sequence[Model]) -> dict[str, Row]:
     model_ids = {model.header["id"] for model in models}
     command = header["parameters"].get("command")
     if command != "evaluate slip" or model_ids != reported or {*group_by_setting(models)} != {*by_setting}:
-        raise InputError(
-            "this is not the report of `evaluate slip` on the given models",
-            where=str(path),
-            expected=f"a report on these {len(model_ids)} models",
-            found=f"{command}, on {len(reported)} models, {len(reported & model_ids)} of these",
-        )
+        expected = f"the report of `evaluate slip` on these {len(model_ids)} models"
+        found = f"{command}, on {len(reported)} models, {len(reported & model_ids)} of these"
+        raise InputError("another report", where=str(path), expected=expected, found=found)
     return by_setting
 
 
@@ -183,12 +176,8 @@ def _grasp_step(candidate: Candidate, rng: np.random.Generator) -> Callable[[], 
     rows, columns = candidate.dot_shape
     whole = DOTS_PX.reshape(7, 9, 2)
     if rows > whole.shape[0] or columns > whole.shape[1]:
-        raise InputError(
-            "this grid of dots is too large to time",
-            where=candidate.setting,
-            expected="at most 7 x 9 dots",
-            found=f"{rows} x {columns}",
-        )
+        found = f"{rows} x {columns}"
+        raise InputError("too many dots to time", where=candidate.setting, expected="at most 7 x 9", found=found)
     rest = whole[:rows, :columns].reshape(-1, 2)
     window = None if columns == whole.shape[1] else (GEL_PX[0], 0, 640, 480)
     live = Live(candidate.detector, tracker.start(rest, TRACKER), window)

@@ -18,49 +18,61 @@ the same trials, simulated more finely in every respect. Columns, as means over 
 - time_us_*: processor time of the chain per recorded millisecond, over the trials. record_us_median, grasp_us_median:
   of recording alone, and per simulated millisecond of the grasp.
 
-A second table has the paired difference of every setting from the defaults, with its interval (see paired). If it is
-undecided, the table also has the command that would decide it and its minutes (see deciding). A third table has every
-trial with its onsets. A row is on the Pareto front of an error if the intervals show this against every other row; the
-reference is excluded. Every row contains the errors of labels, tracker and regression; the effect of a setting is in
-the differences.
+A second table has the paired difference of every setting from the defaults, with its interval (see paired). A third
+table has every trial with its onsets. A row is on the Pareto front of an error if the intervals show this against every
+other row; the reference is excluded. Every row contains the errors of labels, tracker and regression; the effect of a
+setting is in the differences.
+
+Only the chain is timed: the comparison with the reference is not.
 """
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
+from evetac_cli import resources
 from evetac_cli.arrays import Flags, Floats
 from evetac_cli.commands.evaluate import EvaluateCost
-from evetac_cli.evaluate import picture
-from evetac_cli.evaluate.cost.chain import (
-    BALANCE_S,
-    LIFT_S,
-    SLIP_ERRORS,
-    Chain,
-    ChainTrial,
-    Lifted,
-    detection_moved_ms,
-    fit_force,
-    run_chain,
-    run_grasp,
-    slip_errors,
+from evetac_cli.commands.featurize import Featurize
+from evetac_cli.commands.grasp import Grasp
+from evetac_cli.commands.label import Label
+from evetac_cli.commands.record import Record
+from evetac_cli.commands.track import Track
+from evetac_cli.evaluate.labels import true_onsets
+from evetac_cli.evaluate.rows import (
+    Extent,
+    SolverSetting,
+    difference,
+    draw,
+    finite_or_none,
+    line,
+    mean,
+    on_front,
+    quantile,
+    run_times,
+    share_difference,
 )
-from evetac_cli.evaluate.cost.deciding import Effort
-from evetac_cli.evaluate.paired import difference, finite_or_none, on_front, share_difference
-from evetac_cli.evaluate.rows import Extent, SolverSetting, line, run_times
-from evetac_cli.jobs import Progress, Row, Rows
+from evetac_cli.evaluate.slip_models import Model, check, predict_all
+from evetac_cli.jobs import Progress, Row, Rows, silent
+from evetac_cli.kernels.force import models as forces
+from evetac_cli.kernels.slip import metrics
+from evetac_cli.stages import featurize, label, track
+from evetac_cli.store.files import StageFile, output_path
+from evetac_cli.store.recordings.read import open_recording
+from evetac_cli.trials import grasp, record
+from evetac_cli.trials.grasp import simulated as simulated_grasp
+from evetac_cli.trials.grasp.settings import SimulatedGrasp
+from evetac_cli.trials.record import simulated as simulated_record
+from evetac_cli.trials.trial import SimulatedTrial
 
 TRIALS = Extent(quick=4, full=20)
 OBJECTS = (8, 1, 12, 4, 16, 3, 14, 6, 10, 17)  # these slip; used in turn
 GRASPED = (11, 17, 12, 13, 10, 18)  # used in turn
-CALIBRATION = (
-    ChainTrial(8, 9000, 11),
-    ChainTrial(3, 9001, 11),
-)  # for the force regression; seeds not used in the reported trials
 
 DEFAULTS = SolverSetting("defaults")
 REFERENCE = SolverSetting("reference", solver={"step_ms": 0.125, "node_pitch_mm": 0.625, "camera_substeps": 4})
@@ -82,17 +94,71 @@ CHOICES = Extent[tuple[SolverSetting, ...]](
     ),
 )
 
+DETECTION_MS = 5.0  # half of the network's 10 ms ahead
+# Columns of `slip_errors`, in its order.
+SLIP_ERRORS = (
+    "error_ms_gross_slip",
+    "error_ms_label",
+    "error_share_detection",
+    "error_px_dots",
+    "error_n_shear",
+)
 GRASP_ERRORS = ("error_share_lost", "error_mm_moved")
 ERRORS = (*SLIP_ERRORS, *GRASP_ERRORS)
-TITLES = {
-    "error_ms_gross_slip": "onset of gross slip, truth",
-    "error_ms_label": "onset according to labels",
-    "error_share_detection": "trials with a shifted first detection",
-    "error_px_dots": "tracked dots",
-    "error_n_shear": "shear force from dots",
-    "error_mm_moved": "object moved in the gripper",
-}
 SLICE_MS = 1.0  # onsets are whole slices
+Result = TypeVar("Result")
+
+GRASP_CHOICES: dict[str, Any] = {"controller": "paper", "model": Path(resources.SHIPPED), "node_pitch_mm": 1.45}
+LIFT_S, BALANCE_S = 3.5, 0.5  # of a grasp: the hand reaches 50 mm, the least that counts as held, after 3.1 s
+
+
+class ChainTrial(NamedTuple):
+    """A trial by the flags that select it: its object, its seed, and the object of the grasp with that seed.
+
+    number: index of the trial with that object and seed, as with `--count`.
+    """
+
+    object: int
+    seed: int
+    grasped: int
+    number: int = 0
+
+
+CALIBRATION = (ChainTrial(8, 9000, 11), ChainTrial(3, 9001, 11))  # of the regression; seeds of no reported trial
+
+
+class Chain(NamedTuple):
+    """Results of the chain for one trial; onsets are slices, None if not found.
+
+    - gross_slip_ms: in the simulation's truth; label_ms: in the labels;
+    - detection_ms: first slice that the detector takes for slip;
+    - dot_xy_px, true_dot_xy_px (slices, dots, 2): tracked and true positions; rest_xy_px (dots, 2);
+    - shear_force_n (slices, 2): of the object on one pad;
+    - record_us, chain_us: run time per recorded millisecond.
+    """
+
+    gross_slip_ms: int | None
+    label_ms: int | None
+    detection_ms: int | None
+    dot_xy_px: Floats
+    true_dot_xy_px: Floats
+    rest_xy_px: Floats
+    shear_force_n: Floats
+    record_us: float
+    chain_us: float
+
+    @property
+    def slices(self) -> int:
+        """Number of slices of the recording."""
+        return len(self.dot_xy_px)
+
+
+class Lifted(NamedTuple):
+    """Result of one grasp: held to the end or not, motion of the object in the gripper, and run time."""
+
+    held: bool
+    moved_mm: float
+    grasp_us: float
 
 
 class Measured:
@@ -162,7 +228,6 @@ def measure(params: EvaluateCost, inputs: Sequence[Path], progress: Progress) ->
         done += 1
         progress(done, total)
     force = fit_force(calibration)
-    started = time.process_time()
     for trial in tried:
         reference: tuple[Chain, Lifted] | None = None
         for entry in measured:
@@ -172,11 +237,10 @@ def measure(params: EvaluateCost, inputs: Sequence[Path], progress: Progress) ->
             entry.add(trial, results, slip_errors(results[0], reference[0], force), reference)
             done += 1
             progress(done, total)
-    minutes_a_trial = (time.process_time() - started) / 60.0 / len(tried)
-    return tables(measured, Effort(params, len(tried), minutes_a_trial))
+    return tables(measured)
 
 
-def tables(measured: Sequence[Measured], effort: Effort) -> Rows:
+def tables(measured: Sequence[Measured]) -> Rows:
     """Return the three tables; `measured` begins with the reference and the defaults."""
     reference, defaults, *_ = measured
     fronts = _fronts(measured[1:])
@@ -195,7 +259,6 @@ def tables(measured: Sequence[Measured], effort: Effort) -> Rows:
                     "interval_low": finite_or_none(apart.low),
                     "interval_high": finite_or_none(apart.high),
                     "trials": apart.trials,
-                    **effort.deciding(apart, shares),
                 }
             )
     return rows + [row for entry in measured for row in entry.trials]
@@ -226,29 +289,19 @@ def _row(entry: Measured, front: list[str] | None) -> Row:
     """Return the row of a setting; front: the errors on whose Pareto front it is, None for the reference."""
     own = front is None  # a reference has no errors against itself, except those of labels, tracker and regression
     compared_with_itself = ("error_ms_gross_slip", "error_share_detection", "error_mm_moved") if own else ()
-    errors = {name: None if name in compared_with_itself else _mean(entry.of(name)) for name in ERRORS}
+    errors = {name: None if name in compared_with_itself else mean(entry.of(name)) for name in ERRORS}
     on = None if front is None else ", ".join(name.removeprefix("error_") for name in front) or "none"
     return {
         "setting": entry.setting.name,
         "flags": entry.setting.flags or "none",
         "trials": len(entry.chain_us),
         **errors,
-        "detection_moved_ms_median": None if own else _median(np.array(entry.detection_moved_ms)),
+        "detection_moved_ms_median": None if own else quantile(entry.detection_moved_ms),
         **run_times(np.array(entry.chain_us)),
         "record_us_median": float(np.median(entry.record_us)),
         "grasp_us_median": float(np.median(entry.grasp_us)),
         "pareto": on,
     }
-
-
-def _mean(values: Floats) -> float | None:
-    finite = values[np.isfinite(values)]
-    return float(finite.mean()) if len(finite) else None
-
-
-def _median(values: Floats) -> float | None:
-    finite = values[np.isfinite(values)]
-    return float(np.median(finite)) if len(finite) else None
 
 
 def summary(rows: Rows) -> dict[str, Any]:
@@ -264,37 +317,137 @@ def summary(rows: Rows) -> dict[str, Any]:
     }
 
 
-def size_in(rows: Rows) -> tuple[float, float]:
-    """Return width and height of the plot in inches."""
-    return 13.0, 7.6
+def draw_settings(figure: Any, rows: Rows, errors: Sequence[str]) -> None:
+    """Plot each error of the settings over the run time of the chain, or of the grasp."""
+    draw(figure, [row for row in rows if "flags" in row], errors, dict.fromkeys(GRASP_ERRORS, "grasp_us_median"))
 
 
-def draw(figure: Any, rows: Rows, errors: Sequence[str]) -> None:
-    """Plot each error over the run time of the chain, with lines from the defaults; filled if on the Pareto front."""
-    settings = [row for row in rows if "flags" in row]
-    lines: dict[str, Rows] = {}
-    for row in settings[1:]:
-        lines.setdefault(row["setting"].partition(", ")[0], []).append(row)
-    names = [name for name in errors if name in TITLES]
-    panels = picture.panels(figure, len(names), 3)
-    for axes, name in zip(panels, names, strict=True):
-        time = "grasp_us_median" if name in GRASP_ERRORS else "time_us_median"
-        for number, (line_name, members) in enumerate(lines.items()):
-            points = sorted((row for row in members if row[name] is not None), key=lambda row: float(row[time]))
-            style = {**picture.series(number), "linestyle": "none"}
-            around = [row for row in (settings[1], *points) if row[name] is not None]
-            around.sort(key=lambda row: float(row[time]))
-            axes.plot([row[time] for row in around], [row[name] for row in around], color=style["color"], linewidth=0.8)
-            own = {"label": line_name, "mfc": "white", **style}
-            axes.plot([row[time] for row in points], [row[name] for row in points], **own)
-            best = [row for row in points if name.removeprefix("error_") in row["pareto"].split(", ")]
-            axes.plot([row[time] for row in best], [row[name] for row in best], **style)
-        if settings[0][name] is not None:
-            axes.axhline(settings[0][name], color="0.5", linewidth=1, linestyle=":", label="reference")
-        unit, top = name.split("_")[1], max((row[name] for row in settings if row[name] is not None), default=0.0)
-        axes.set(
-            title=TITLES[name], ylabel=f"error [{'N' if unit == 'n' else unit}]", ylim=(0, 1.1 * top if top else 1.0)
-        )
-        what = "simulated ms of the grasp" if name in GRASP_ERRORS else "recorded ms, whole chain"
-        axes.set_xlabel(f"run time of a {what}, median [us]")
-    picture.legend(figure, panels, title="filled: certainly on the Pareto front")
+def slip_trial(trial: ChainTrial, setting: SolverSetting, folder: Path, scene: str = "slip") -> SimulatedTrial:
+    """Return the trial of `evetac record --scene slip --object N --seed N` with the flags of a setting."""
+    options: dict[str, Any] = dict(setting.solver)
+    params = Record(scene=scene, objects=str(trial.object), seed=trial.seed, count=trial.number + 1, **options)
+    planned = record.jobs([], params, folder)[trial.number]
+    assert isinstance(planned, SimulatedTrial)
+    return planned
+
+
+def run_chain(trial: ChainTrial, setting: SolverSetting, folder: Path, scene: str = "slip") -> Chain:
+    """Record a trial with a setting, and compute everything that follows from it, in the given folder."""
+    return chain_of(slip_trial(trial, setting, folder, scene))
+
+
+def chain_of(trial: SimulatedTrial) -> Chain:
+    """Record a trial, and compute everything that follows from it, next to it."""
+    _, record_s = timed(lambda: simulated_record.run(trial, force=False, progress=silent))
+    path = trial.output
+
+    def further() -> int | None:
+        for stage, params in ((label, Label()), (track, Track()), (featurize, Featurize())):
+            (job,) = stage.jobs([path], params, None)
+            stage.run(job, params)
+        return detection(output_path(path, "features", None))
+
+    detected_ms, rest_s = timed(further)
+    with open_recording(path) as recording:
+        gross_slip_ms = true_onsets(recording)["t_s_ms"]
+        true_dots, shear = recording.read("truth/dot_xy_px"), recording.read("truth/shear_force_n")
+        slices = len(recording)
+    with StageFile(output_path(path, "labels", None), "labels") as labels:
+        onset = int(labels.read("onset_slice"))
+    with StageFile(output_path(path, "tracks", None), "tracks") as tracks:
+        dots, rest = tracks.read("dot_xy_px"), tracks.read("sensor/dot_xy_px").reshape(-1, 2)
+    return Chain(
+        gross_slip_ms,
+        onset if onset >= 0 else None,
+        detected_ms,
+        dots.astype(float),
+        true_dots.astype(float),
+        rest,
+        shear.astype(float),
+        1e6 * record_s / slices,
+        1e6 * (record_s + rest_s) / slices,
+    )
+
+
+def detection(features: Path) -> int | None:
+    """Return the first slice that the pretrained detector takes for slip; None if there is none."""
+    first = metrics.onset(prediction(features).detected(package_model().threshold))
+    return first if first >= 0 else None
+
+
+def prediction(features: Path) -> metrics.Prediction:
+    """Return the probabilities of the pretrained detector."""
+    model = package_model()
+    ((predicted,),) = predict_all([model], [features], check([model], [features]), silent)
+    return predicted
+
+
+@cache
+def package_model() -> Model:
+    """Return the pretrained slip detector."""
+    return Model.read(resources.MODEL)
+
+
+def run_grasp(trial: ChainTrial, setting: SolverSetting, folder: Path) -> Lifted:
+    """Run the grasp of `evetac grasp --object N --seed N` with the flags of GRASP_CHOICES and of a setting."""
+    options: dict[str, Any] = dict(setting.solver)
+    times: dict[str, Any] = {"count": trial.number + 1, "lift_s": LIFT_S, "balance_s": BALANCE_S}
+    params = Grasp(objects=str(trial.grasped), seed=trial.seed, **times, **(GRASP_CHOICES | options))
+    job = grasp.jobs([], params, folder)[trial.number]
+    assert isinstance(job, SimulatedGrasp)
+    outcome, seconds = timed(lambda: simulated_grasp.run(job, force=False, progress=silent))
+    (row,) = outcome.rows
+    return Lifted(bool(row["balanced"]), float(row["moved_mm"]), 1e6 * seconds / row["slices"])
+
+
+def timed(act: Callable[[], Result]) -> tuple[Result, float]:
+    """Return a function's result and its processor time in s; other programs do not count."""
+    started = time.process_time()
+    result = act()
+    return result, time.process_time() - started
+
+
+def fit_force(chains: list[Chain]) -> forces.Regression:
+    """Fit the shear force to the mean displacement of tracked dots, by least squares, up to gross slip."""
+    moved = [(chain.dot_xy_px - chain.rest_xy_px)[: chain.gross_slip_ms] for chain in chains]
+    force = [chain.shear_force_n[: chain.gross_slip_ms] for chain in chains]
+    return forces.fit_regression(np.concatenate(moved), np.concatenate(force))
+
+
+def slip_errors(chain: Chain, reference: Chain, force: forces.Regression) -> dict[str, float]:
+    """Return the errors of a chain against the reference's truth, by column; NaN if the reference does not slip.
+
+    A missing onset counts as one at the end of the recording. The detector is compared with itself on the reference: 1
+    if its first detection moves by more than DETECTION_MS, else 0. Tracks and forces are compared up to the reference's
+    onset of gross slip: after it the object falls, and a small shift in time is a large distance.
+    """
+    truth_ms = reference.gross_slip_ms
+    if truth_ms is None:
+        return dict.fromkeys(SLIP_ERRORS, float("nan"))
+    late = [abs(_found(chain, onset) - truth_ms) for onset in (chain.gross_slip_ms, chain.label_ms)]
+    stop = min(truth_ms, chain.slices)
+    apart_px = chain.dot_xy_px[:stop] - reference.true_dot_xy_px[:stop]
+    estimated_n = forces.apply_regression(force, (chain.dot_xy_px - chain.rest_xy_px)[:stop])
+    apart_n = estimated_n - reference.shear_force_n[:stop]
+    values: tuple[Any, ...] = (
+        *late,
+        detection_moved_ms(chain, reference) > DETECTION_MS,
+        np.sqrt((apart_px**2).sum(-1).mean()),
+        np.sqrt((apart_n**2).sum(-1).mean()),
+    )
+    return dict(zip(SLIP_ERRORS, map(float, values), strict=True))
+
+
+def detection_moved_ms(chain: Chain, reference: Chain) -> float:
+    """Return the distance in ms of the first detection from that on the reference; NaN if the reference does not slip.
+
+    Near its threshold a detector fires or does not: one setting in one trial can move the first detection by hundreds
+    of ms, so a mean over trials means little.
+    """
+    if reference.gross_slip_ms is None:
+        return float("nan")
+    return float(abs(_found(chain, chain.detection_ms) - _found(reference, reference.detection_ms)))
+
+
+def _found(chain: Chain, onset: int | None) -> int:
+    return chain.slices if onset is None else onset

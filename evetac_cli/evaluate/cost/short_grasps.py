@@ -107,8 +107,6 @@ class ShortGrasp:
     balance_s: float = 4.0
     latency_ms: int = 0
     control_hz: float = 500.0
-    scene: str = "lift"
-    sensor: str = "evetac"
 
 
 @dataclass(frozen=True)
@@ -132,7 +130,7 @@ def run_short_grasp(
     model: detector, default the pretrained one; `change_plan` modifies the default plan; `wrap_detector` inserts a
     wrapper between the detector and the controller. Raises ValueError if the plan cannot be simulated.
     """
-    plan = change_plan(first_plan(short.scene, str(short.object), short.sensor))
+    plan = change_plan(first_plan("lift", str(short.object)))
     touch_ms = round(SLICES_PER_S * plan.scene.time.touch_s)
     timing = Timing(
         touch_ms,

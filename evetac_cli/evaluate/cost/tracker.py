@@ -18,10 +18,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from evetac_cli.arrays import Floats
 from evetac_cli.commands.evaluate import EvaluateCost
 from evetac_cli.evaluate.cost.camera import Workload, oscillation, play
-from evetac_cli.evaluate.plots import STILL
-from evetac_cli.evaluate.rows import Extent, collect, run_times
+from evetac_cli.evaluate.rows import STILL, Extent, collect, run_times
 from evetac_cli.events import FRAME_PX, SLICE_US, Events
 from evetac_cli.jobs import Progress, Row, Rows
 from evetac_cli.kernels.tracking import tracker
@@ -135,22 +135,17 @@ def _rows(
 
 def _still_row(scenario: Scenario) -> Row:
     """Return the row of a tracker that never moves dots and takes no time."""
-    apart_px = np.linalg.norm(DOTS_PX - scenario.truth_px, axis=2)
-    rms_px = math.sqrt(np.mean(apart_px**2))
+    still_px = np.linalg.norm(DOTS_PX - scenario.truth_px, axis=2)
     return {
         "part": f"tracker, {scenario.name}",
         "setting": STILL,
-        "error_px_rms": rms_px,
-        "error_px_worst": float(apart_px.max()),
-        "still_px_rms": rms_px,
-        "dots_lost": 0,
-        "events_per_dot": 0.0,
+        **_figures(still_px, still_px, 0, 0),
         **run_times(np.empty(0)),
         **{f"time_us_{count}": None for count in EVENT_COUNTS},
     }
 
 
-def _errors(scenario: Scenario, constants: TrackerConstants, share: float, seed: int) -> dict[str, Any]:
+def _errors(scenario: Scenario, constants: TrackerConstants, share: float, seed: int) -> Row:
     rng = np.random.default_rng(seed)
     state = tracker.start(DOTS_PX, constants)
     error_px = np.empty(scenario.truth_px.shape[:2])
@@ -161,11 +156,15 @@ def _errors(scenario: Scenario, constants: TrackerConstants, share: float, seed:
         error_px[k] = np.linalg.norm(state.dot_xy_px - scenario.truth_px[k], axis=1)
         events += int(sample.sum())
     still_px = np.linalg.norm(DOTS_PX - scenario.truth_px, axis=2)
+    return _figures(error_px, still_px, int(state.lost.sum()), events)
+
+
+def _figures(error_px: Floats, still_px: Floats, lost: int, events: int) -> Row:
     return {
         "error_px_rms": math.sqrt(np.mean(error_px**2)),
         "error_px_worst": float(error_px.max()),
         "still_px_rms": math.sqrt(np.mean(still_px**2)),
-        "dots_lost": int(state.lost.sum()),
+        "dots_lost": lost,
         "events_per_dot": events / error_px.size,
     }
 

@@ -26,16 +26,25 @@ from evetac_cli import resources
 from evetac_cli.commands.evaluate import EvaluateLikeness
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.evaluate import report, report_job
-from evetac_cli.evaluate.likeness import beside
-from evetac_cli.evaluate.likeness.facts import NEAR, WITHIN, Fact, as_text, constant_of, facts, named_tables
-from evetac_cli.evaluate.likeness.tables import Ours, ResultTables
+from evetac_cli.evaluate.data_rate import headers_beside
+from evetac_cli.evaluate.likeness.facts import (
+    NEAR,
+    WITHIN,
+    Fact,
+    Ours,
+    ResultTables,
+    as_text,
+    constant_of,
+    facts,
+    named_tables,
+)
 from evetac_cli.jobs import Job, Outcome, Progress, Row, Rows, Stage, silent
 from evetac_cli.store.layout.ancestry import scene_words
 from evetac_cli.store.layout.provenance import Header
 from evetac_cli.store.recordings.read import open_recording
 
 if TYPE_CHECKING:
-    from evetac_cli.evaluate.likeness.single_slice import Slip
+    from evetac_cli.evaluate.likeness.counts import Slip
 
 OUTPUT = "report"
 METHOD = 2
@@ -66,7 +75,7 @@ def run(job: Job, params: EvaluateLikeness, *, force: bool = False, progress: Pr
     parents: list[Header] = []
     for path in job.inputs:
         with open_recording(path) as recording:
-            parents += beside.headers(recording)
+            parents += headers_beside(recording)
     listed = hashlib.sha256((resources.DATA / "likeness.toml").read_bytes()).hexdigest()
     parameters = {**recipe_of(params), "facts": listed, "tables": tables.digests(named_tables())}
 
@@ -120,8 +129,7 @@ def for_people(rows: Rows, params: EvaluateLikeness) -> tuple[Rows, list[str]]:
 
 
 def _measured_recording(path: Path) -> MeasuredRecording:
-    from evetac_cli.evaluate.likeness import single_slice
-    from evetac_cli.evaluate.likeness.counts import count
+    from evetac_cli.evaluate.likeness.counts import count, slip
     from evetac_cli.evaluate.likeness.measures import measure
 
     with open_recording(path) as recording:
@@ -133,9 +141,7 @@ def _measured_recording(path: Path) -> MeasuredRecording:
         judged = counts.onset is not None and (scene is None or scene in SLIPS)
         about = {"file": path.name, "scene": scene, "object": called, "onset_ms": counts.onset}
         row = {**about, "real": not simulated, **measure(recording, counts)}
-        return MeasuredRecording(
-            row, simulated, scene, single_slice.slip(str(called or path.name), counts) if judged else None
-        )
+        return MeasuredRecording(row, simulated, scene, slip(str(called or path.name), counts) if judged else None)
 
 
 def _fact_row(fact: Fact, measured: Iterable[MeasuredRecording], tables: ResultTables) -> Row:
@@ -200,7 +206,7 @@ def _of_recordings(fact: Fact, measured: list[MeasuredRecording]) -> Ours:
 
 def _judged(measured: list[MeasuredRecording]) -> Row:
     """Return how well one threshold detects the slips of recordings; empty if they are of one object."""
-    from evetac_cli.evaluate.likeness.single_slice import judge
+    from evetac_cli.evaluate.likeness.counts import judge
 
     return judge([one.slip for one in measured if one.slip is not None])
 

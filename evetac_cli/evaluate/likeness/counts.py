@@ -1,7 +1,14 @@
-"""Events per slice, separately for the columns that the paper counts and for the window, and measures around a slip."""
+"""Events per slice, in the columns that the paper counts and in the window; measures around a slip; one threshold.
+
+The single threshold is slip detection from one slice alone: more than k events in a slice. The first detection is the
+first such slice after the current began to fall. k is the one that is correct most often on all other objects, so that
+no object is evaluated with a threshold chosen on it.
+"""
 
 import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,7 +16,9 @@ from numpy.typing import NDArray
 from evetac_cli.arrays import Floats
 from evetac_cli.evaluate import paper
 from evetac_cli.evaluate.data_rate import labels_beside
+from evetac_cli.evaluate.slip_tables import TIMING_BINS
 from evetac_cli.jobs import Row
+from evetac_cli.kernels.slip.metrics import EARLIEST_MS, LATEST_MS
 from evetac_cli.store.recordings.read import Recording, ramp_start, true_onset
 
 ABOUT_MS = 250  # before and after the onset: the paper's half second
@@ -17,6 +26,8 @@ QUIETEST_MS = 100  # their mean rate is the floor without motion
 BUSY = 25  # events per slice; slices with more are active in the paper's training
 HELD_UNTIL_MS = 500  # before the onset
 BEFORE_MS, AFTER_MS = (-100, -30), (0, 30)
+THRESHOLDS = (25, 35, 50, 75, 100, 150, 200, 300, 400, 600, 800, 1000, 1500)  # events per slice
+NEVER_MS = 10**6  # after the onset: represents no detection
 
 
 @dataclass(frozen=True)
@@ -92,3 +103,50 @@ def rate(counts: SliceCounts, first_ms: int, stop_ms: int) -> float:
 
 def _mean(values: Floats) -> float:
     return float(values.mean()) if len(values) else math.nan
+
+
+class Slip(NamedTuple):
+    """A slip: its object, and its first detection for each threshold, in ms after the onset."""
+
+    object: str
+    after_ms: tuple[int, ...]
+
+
+def slip(called: str, counts: SliceCounts) -> Slip:
+    """Return a slip of an object; raise ValueError if the counts have no onset."""
+    if counts.onset is None:
+        raise ValueError("expected event counts with an onset of slip")
+    since_start = counts.sensing[counts.start :]
+    loud = (np.flatnonzero(since_start > k) for k in THRESHOLDS)
+    first = (counts.start + int(slices[0]) - counts.onset if len(slices) else NEVER_MS for slices in loud)
+    return Slip(called, tuple(first))
+
+
+def judge(slips: Sequence[Slip]) -> Row:
+    """Return shares of slips detected in time, and in each of the paper's intervals; {} with fewer than two objects.
+
+    `one_threshold_low` and `_high`: the smallest and the largest k that was chosen.
+    """
+    if len({one.object for one in slips}) < 2:
+        return {}
+    threshold_index = {
+        name: _best(one for one in slips if one.object != name) for name in {one.object for one in slips}
+    }
+    after_ms = np.array([one.after_ms[threshold_index[one.object]] for one in slips])
+    intervals = {
+        f"one_threshold_{name}": float(np.mean((after_ms >= low) & (after_ms <= high)))
+        for name, low, high in TIMING_BINS
+    }
+    return {
+        "one_threshold_correct": float(np.mean((after_ms >= EARLIEST_MS) & (after_ms <= LATEST_MS))),
+        **intervals,
+        "one_threshold_low": THRESHOLDS[min(threshold_index.values())],
+        "one_threshold_high": THRESHOLDS[max(threshold_index.values())],
+    }
+
+
+def _best(slips: Iterable[Slip]) -> int:
+    """Return the index of the threshold that is in time most often, the lowest if several are."""
+    after_ms = np.array([one.after_ms for one in slips])
+    in_time = ((after_ms >= EARLIEST_MS) & (after_ms <= LATEST_MS)).mean(axis=0)
+    return int(np.argmax(in_time))

@@ -1,1 +1,1 @@
-"""evaluate stability: stiff, extreme and invalid cases, part by part."""
+"""evaluate stability: stiff and extreme cases, part by part."""

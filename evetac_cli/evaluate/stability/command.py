@@ -1,4 +1,4 @@
-"""evaluate stability: whether a part stays within stated bounds in stiff, extreme or invalid cases.
+"""evaluate stability: whether a part stays within stated bounds in stiff and extreme cases.
 
 Every part is a function `(seed, full) -> cases`. A case is a function that runs it and returns its rows: one per
 measured quantity, with the bound and its reason (bounds.py). Cases that are refused with an error message are counted
@@ -19,7 +19,7 @@ from evetac_cli.evaluate.stability import simulator as simulator_stability
 from evetac_cli.jobs import Job, Outcome, Progress, Row, Rows, Stage, silent
 
 OUTPUT = "report"
-METHOD = 3
+METHOD = 4
 
 
 class StabilityPart(NamedTuple):

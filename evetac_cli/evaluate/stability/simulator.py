@@ -1,38 +1,50 @@
 """The part `sim` of `evaluate stability`: the simulated gel, gripper and camera in extreme cases.
 
-The gripper cases are drives without damping or mass, and stiff links; they check that a finger closes properly.
+The gripper cases are drives without damping or mass, and stiff links; they check that a finger closes properly. Those
+of the camera have extreme constants and motions: a slice must contain as many events as its case allows, in order,
+within the slice and within the frame.
 """
 
 import math
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, fields, replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 
 from evetac_cli.evaluate.rows import Extent
 from evetac_cli.evaluate.stability.bounds import (
+    EVENTS,
     FINITE,
+    ORDER,
     SURPLUS,
     TURNS,
     case_rows,
-    refusal,
     run_case,
 )
-from evetac_cli.evaluate.stability.camera import camera_cases, camera_rows, wrong_models, wrong_slices
-from evetac_cli.evaluate.stability.gel import gel_cases, gel_rows, random_case
-from evetac_cli.evaluate.stability.gel_case import AREA_M2, COULOMB, X_RANGE_M, Y_RANGE_M
-from evetac_cli.evaluate.stability.onset import onset_cases
+from evetac_cli.evaluate.stability.gel import (
+    AREA_M2,
+    X_RANGE_M,
+    Y_RANGE_M,
+    gel_cases,
+    gel_rows,
+    onset_cases,
+    random_case,
+)
+from evetac_cli.events import SLICE_US
 from evetac_cli.jobs import Rows
 from evetac_cli.sim import gripper
-from evetac_cli.sim.gel import gel
+from evetac_cli.sim.camera import optics
+from evetac_cli.sim.camera.camera_input import SliceMotion
+from evetac_cli.sim.camera.scanning import camera
 from evetac_cli.sim.gel.contact import ForceCurve, force_curve, gap_profile, pad_nodes
 
 THETAS = Extent[tuple[float, ...]](quick=(0.51,), full=(0.51, 1.0, 0.5))
 GEL_STEPS = Extent(quick=100, full=1000)
 CAMERA_SLICES = 10
 RANDOM_CASES = Extent(quick=10, full=200)
+DOTS_PX = np.stack(np.meshgrid(61.0 + 62.3 * np.arange(8), 41.0 + 62.4 * np.arange(7)), axis=-1).reshape(-1, 2)
+QUIET = camera.CameraModel(noise_rate_hz=0.0, hot_pixels=0)
 
 
 def cases(seed: int, full: bool) -> list[Callable[[], Rows]]:
@@ -46,59 +58,7 @@ def cases(seed: int, full: bool) -> list[Callable[[], Rows]]:
             runs.append(partial(gel_rows, renamed, GEL_STEPS.pick(full), theta, slides_within_s))
     runs += [partial(finger_rows, case) for case in finger_cases()]
     runs += [partial(camera_rows, case, CAMERA_SLICES, seed) for case in camera_cases()]
-    runs += [partial(refusal, name, call, part="nonsense") for name, call in nonsense()]
     return runs
-
-
-def nonsense() -> Iterator[tuple[str, Callable[[], object]]]:
-    """Yield calls with invalid values, by name; every one must be refused."""
-    bad = (math.nan, math.inf, -1.0)
-    nodes = pad_nodes(8, 6, X_RANGE_M, Y_RANGE_M)
-
-    def gel_state() -> gel.GelState:
-        return gel.start(nodes, gel.GelMaterial(), 0.1, 4e-5)
-
-    def step(**changes: Any) -> object:
-        arguments: dict[str, Any] = {"nodal_force_n": np.full((6, 8), 0.04), "body_force_n": (0.98, 0.0, 0.0)}
-        arguments |= {"friction": COULOMB, "dt_s": 1e-3}
-        return gel.step(gel_state(), **(arguments | changes))
-
-    parts: tuple[tuple[str, Any, dict[str, float]], ...] = (
-        ("gel", gel.GelMaterial, {}),
-        ("friction", gel.Friction, {"static": 0.8, "kinetic": 0.5}),
-        ("gripper", gripper.Drive, {}),
-    )
-    for what, kind, required in parts:
-        for item in fields(kind):
-            if item.type is float:
-                for value in bad:
-                    yield f"{what}, {item.name} {value:g}", partial(kind, **{**required, item.name: value})
-    for value in (*bad, 0.0):
-        yield f"object of {value:g} kg", partial(gel.start, nodes, gel.GelMaterial(), value, 4e-5)
-        yield f"moment of inertia {value:g}", partial(gel.start, nodes, gel.GelMaterial(), 0.1, value)
-        yield f"time step {value:g} s", partial(step, dt_s=value)
-    for value in bad:
-        yield f"grip of {value:g} N", partial(step, nodal_force_n=np.full((6, 8), value))
-        yield f"theta {value:g}", partial(step, theta=value)
-        yield f"gripper, time step {value:g} s", partial(_step_gripper, 10.0, value)
-        yield from wrong_models(value)
-    for value in (math.nan, math.inf, -math.inf):
-        yield f"force of {value:g} N on the object", partial(step, body_force_n=(value, 0.0, 0.0))
-        yield f"prescribed speed {value:g} m/s", partial(step, prescribed_twist=(value, 0.0, 0.0))
-        yield f"gripper, command {value:g}", partial(_step_gripper, value, 1e-3)
-        yield from wrong_slices(value)
-    yield "nodes that are no regular grid", partial(gel.start, nodes**2 + nodes, gel.GelMaterial(), 0.1, 4e-5)
-    yield "a state overwritten with NaN", partial(_step_from_nan, gel_state())
-
-
-def _step_from_nan(state: gel.GelState) -> object:
-    state.displacement_m[2, 3] = math.nan
-    return gel.step(state, np.full((6, 8), 0.1), (0.98, 0.0, 0.0), COULOMB, 1e-3)
-
-
-def _step_gripper(command: float, dt_s: float) -> object:
-    drive, curve = gripper.Drive(), finger_curve(1.8e3)
-    return gripper.step(gripper.start(drive, curve, gripper.ticks_at_gap(0.06)), drive, curve, "current", command, dt_s)
 
 
 @dataclass(frozen=True)
@@ -158,3 +118,77 @@ def _finger_rows(case: FingerCase, steps: int) -> Rows:
         band_n = drive.friction_n + drive.friction_share * state.force_n
         measured.append((SURPLUS, max(pushed_n - band_n, 0.0) / band_n))
     return case_rows(case.name, outcome, measured, part="gripper")
+
+
+@dataclass(frozen=True)
+class CameraCase:
+    """A camera, and the shifts of dots and object in px from their start at each whole millisecond."""
+
+    name: str
+    model: camera.CameraModel
+    dots: Callable[[int], tuple[float, float]] = lambda _: (0.0, 0.0)
+    object: Callable[[int], tuple[float, float]] = lambda _: (0.0, 0.0)
+    window_px: tuple[int, int, int, int] = (540, 0, 640, 480)
+    events: tuple[int, int] = (0, 1_000_000)  # allowed number per slice, ends included
+
+
+def camera_cases() -> list[CameraCase]:
+    """Return the extreme cases."""
+    usual, most = camera.CameraModel(), 1_000_000
+    return [
+        CameraCase("camera: nothing moves, no noise", QUIET, events=(0, 0)),
+        CameraCase("camera: noise of 1e4 Hz a pixel", replace(QUIET, noise_rate_hz=1e4), events=(most, most)),
+        CameraCase(
+            "camera: 1e5 hot pixels of 1e4 Hz",
+            replace(QUIET, hot_pixels=100_000, hot_rate_hz=(1e4, 1e4)),
+            events=(900_000, most),
+        ),
+        CameraCase(
+            "camera: texture over the whole frame at 50 px/ms, threshold 0.01",
+            replace(QUIET, threshold=0.01),
+            object=lambda k: (0.0, 50.0 * k),
+            window_px=(0, 0, 640, 480),
+            events=(most, most),
+        ),
+        CameraCase("camera: all dots jump by 50 px and back", usual, dots=lambda k: (50.0 * (k % 2), 0.0)),
+        CameraCase("camera: all dots at 50 px/ms, out of the frame", usual, dots=lambda k: (-50.0 * k, 0.0)),
+        CameraCase(
+            "camera: dots and object at 1e5 px/ms",
+            usual,
+            dots=lambda k: (1e5 * (k % 9), 0.0),
+            object=lambda k: (0.0, 1e5 * (k % 9)),
+        ),
+        CameraCase("camera: dots tremble by 1e-9 px", QUIET, dots=lambda k: (1e-9 * (k % 2), 0.0), events=(0, 0)),
+        CameraCase("camera: threshold of 100", replace(QUIET, threshold=100.0), dots=lambda k: (3.0 * k, 0.0)),
+    ]
+
+
+def camera_rows(case: CameraCase, slices: int = 10, seed: int = 0) -> Rows:
+    """Run a camera for some slices and count surplus or missing events and invalid ones."""
+    return run_case(case.name, lambda: _camera_rows(case, slices, np.random.default_rng(seed)), part="camera")
+
+
+def _camera_rows(case: CameraCase, slices: int, rng: np.random.Generator) -> Rows:
+    state = _camera(case.model, case.window_px, rng)
+    counts, astray, wrong = [], 0, 0
+    for k in range(slices):
+        moved, object_px = (np.array([path(k), path(k + 1)]) for path in (case.dots, case.object))
+        start, end = DOTS_PX + moved[0], DOTS_PX + moved[1]
+        events = camera.step(state, SliceMotion(start, end, object_px[0], object_px[1], 1.0), SLICE_US * k, rng)
+        counts.append(len(events.t))
+        least, most = case.events
+        astray += max(least - counts[-1], counts[-1] - most, 0)
+        off_slice = (events.t < SLICE_US * k) | (events.t >= SLICE_US * (k + 1))
+        off_frame = (events.x >= case.model.frame_px[0]) | (events.y >= case.model.frame_px[1])
+        wrong += int((off_slice | off_frame).sum() + (np.diff(events.t) < 0).sum())
+    not_finite = sum(int((~np.isfinite(array)).sum()) for array in (state.reference, state.window_reference))
+    outcome = f"{min(counts):,} to {max(counts):,} events per slice"
+    outcome += f", {state.dropped:,} dropped beyond the limit of a slice" if state.dropped else ""
+    measured = [(FINITE, float(not_finite)), (EVENTS, float(astray)), (ORDER, float(wrong))]
+    return case_rows(case.name, outcome, measured, part="camera")
+
+
+def _camera(
+    model: camera.CameraModel, window_px: tuple[int, int, int, int], rng: np.random.Generator
+) -> camera.CameraState:
+    return camera.start(model, DOTS_PX, None, (window_px, optics.texture(rng, (256, 256), 4.0, 0.5)), rng)

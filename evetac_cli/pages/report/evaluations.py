@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from evetac_cli.evaluate import paper
+from evetac_cli.evaluate.rows import mean
 from evetac_cli.jobs import Row, Rows
 from evetac_cli.pages.report.study import Found
 
@@ -20,13 +21,17 @@ class ReportColumn:
 
 @dataclass(frozen=True)
 class Subject:
-    """A table of a section: the rows that it takes from a report, and its columns; empty: all columns of the rows."""
+    """A table of a section: the rows that it takes from a report, and their columns; empty: all columns of the rows."""
 
     command: str
-    section: str
     title: str
     rows: Callable[[Found], Rows]
-    columns: tuple[ReportColumn, ...] = ()
+    columns: tuple[str, ...] = ()
+
+    @property
+    def section(self) -> str:
+        """The section in which it is."""
+        return self.command.removeprefix("evaluate ")
 
 
 @dataclass(frozen=True)
@@ -120,11 +125,6 @@ def _grouped(rows: Iterable[Row], keys: tuple[str, ...]) -> list[Rows]:
     return list(groups.values())
 
 
-def _mean(rows: Rows, key: str) -> float | None:
-    values = [row[key] for row in rows if row.get(key) is not None]
-    return sum(values) / len(values) if values else None
-
-
 def _timing(evaluation: Found) -> Rows:
     """Return the detection times of each setting, joined with the setting's own row."""
     settings = {row["setting"]: row for row in having("setting", "seeds")(evaluation)}
@@ -137,7 +137,8 @@ def _forces(evaluation: Found) -> Rows:
     groups = _grouped(rows, ("sensor", "tracker", "model", "sensor_name"))
     keys = ("mae_n_x", "mae_n_y", "paper_mae_n_x", "paper_mae_n_y")
     return [
-        {**members[0], "trajectories": len(members), **{key: _mean(members, key) for key in keys}} for members in groups
+        {**members[0], "trajectories": len(members), **{key: mean(row.get(key) for row in members) for key in keys}}
+        for members in groups
     ]
 
 
@@ -150,7 +151,7 @@ def _gel_forces(evaluation: Found) -> Rows:
             **members[0],
             "trajectories": len(members),
             "counted": sum(row["mae_n"] is not None for row in members),
-            **{key: _mean(members, key) for key in keys},
+            **{key: mean(row.get(key) for row in members) for key in keys},
         }
         for members in groups
     ]
@@ -184,298 +185,187 @@ def _summary(evaluation: Found) -> Rows:
     return [evaluation.summary]
 
 
-# Of rows of `evaluate slip`: how many trajectories are behind the shares, and how many are left out.
-COUNTS = (
-    ReportColumn("trajectories", "trajectories"),
-    ReportColumn("n", "counted"),
-    ReportColumn("abstained", "abstained"),
-    ReportColumn("no slip", "no_slip"),
-)
+# Headings of columns, where that is not the name of the column with spaces.
+HEADINGS = {
+    "10_to_0_ms_ahead": "10 to 0 ms ahead",
+    "balanced": "kept if lifted",
+    "consistent_share": "all dots end at their start",
+    "contact_right": "contact correct",
+    "counted": "n",
+    "decided": "n",
+    "dots_lost_counted": "n otherwise",
+    "dots_lost_mean": "dots lost otherwise",
+    "error_px_rms": "error, rms [px]",
+    "error_px_worst": "worst dot [px]",
+    "expected_hz": "tone [Hz]",
+    "f1": "F1",
+    "f1_sd": "sd of F1",
+    "force_end_n": "grip at the end [N]",
+    "frequency_hz": "frequency [Hz]",
+    "held_trials": "n kept",
+    "intervals_counted": "n of intervals",
+    "lifted_trials": "n lifted",
+    "mae_n": "shear error [N]",
+    "mae_n_x": "error of Fx [N]",
+    "mae_n_y": "error of Fy [N]",
+    "moved_mm_mean": "moved, mean [mm]",
+    "moved_mm_median": "moved, median [mm]",
+    "normal_mae_n": "normal error [N]",
+    "opening_after_balance_ticks": "opening at the end [ticks]",
+    "p10": "10 %",
+    "p90": "90 %",
+    "pairs_counted": "n",
+    "reopened_columns": "objects that closed the gripper",
+    "reopened_share": "reopened in balance",
+    "rest_over_10_ms_early": "others: over 10 ms early",
+    "rest_within_half_px": "others: within 0.5 px of sliding",
+    "rest_within_minus4_plus3_ms": "others: within -4..+3 ms",
+    "seconds": "duration [s]",
+    "share": "share correct",
+    "slip_correct": "timing correct",
+    "slip_correct_sd": "sd",
+    "slip_early": "early",
+    "slip_late": "late",
+    "slips": "that slip",
+    "stiffness": "gel stiffness",
+    "still_px_rms": "standing still [px]",
+    "success": "lifted and kept",
+    "uncertainty_hz": "uncertainty [Hz]",
+    "window_s": "window [s]",
+}
+# How many trajectories are behind the shares of `evaluate slip`, and how many are left out.
+COUNTS = ("trajectories", "counted", "abstained", "no_slip")
+SHARES = ("slip_correct", "slip_early", "slip_late", "f1")
 SUBJECTS = (
     Subject(
         "evaluate slip",
-        "slip",
         "The slips used for evaluation, median and 10-90 % range",
         having("covariate", "median"),
-        (
-            ReportColumn("covariate", "covariate"),
-            ReportColumn("median", "median"),
-            ReportColumn("10 %", "p10"),
-            ReportColumn("90 %", "p90"),
-            ReportColumn("n", "n"),
-        ),
+        ("covariate", "median", "p10", "p90", "n"),
     ),
     Subject(
         "evaluate slip",
-        "slip",
         "Models",
         having("setting", "seeds"),
-        (
-            ReportColumn("model", "setting"),
-            ReportColumn("judged by", "judged_by"),
-            ReportColumn("seeds", "seeds"),
-            *COUNTS,
-            ReportColumn("timing correct", "slip_correct", "paper_slip_correct"),
-            ReportColumn("sd", "slip_correct_sd"),
-            ReportColumn("early", "slip_early"),
-            ReportColumn("late", "slip_late"),
-            ReportColumn("F1", "f1", "paper_f1"),
-            ReportColumn("sd of F1", "f1_sd"),
-        ),
+        ("setting", "judged_by", "seeds", *COUNTS, *SHARES, "slip_correct_sd", "f1_sd"),
     ),
     Subject(
         "evaluate slip",
-        "slip",
         "By sensor",
         having("setting", "sensor", "counted"),
-        (
-            ReportColumn("model", "setting"),
-            ReportColumn("judged by", "judged_by"),
-            ReportColumn("sensor", "sensor"),
-            *COUNTS,
-            ReportColumn("timing correct", "slip_correct"),
-            ReportColumn("early", "slip_early"),
-            ReportColumn("late", "slip_late"),
-            ReportColumn("warned 10 ms ahead", "warned_10_ms"),
-            ReportColumn("false alarms per min", "false_alarms_per_min"),
-            ReportColumn("F1", "f1"),
-        ),
+        ("setting", "judged_by", "sensor", *COUNTS, *SHARES, "warned_10_ms", "false_alarms_per_min"),
     ),
     Subject(
         "evaluate slip",
-        "slip",
         "First detection relative to the onset, shares of pairs of slip and model",
         _timing,
         (
-            ReportColumn("model", "setting"),
-            ReportColumn("judged by", "judged_by"),
-            ReportColumn("n", "pairs_counted"),
-            ReportColumn("median [ms]", "t_m_minus_t_c_ms_median"),
-            ReportColumn("over 50 ms ahead", "over_50_ms_ahead"),
-            ReportColumn("50 to 31", "50_to_31_ms_ahead"),
-            ReportColumn("30 to 11", "30_to_11_ms_ahead"),
-            ReportColumn("10 to 0 ms ahead", "10_to_0_ms_ahead", "paper_10_to_0_ms_ahead"),
-            ReportColumn("1 to 20 ms after", "1_to_20_ms_after"),
-            ReportColumn("over 20 ms after", "over_20_ms_after"),
-            ReportColumn("never", "never_detected"),
+            *("setting", "judged_by", "pairs_counted", "t_m_minus_t_c_ms_median"),
+            *("over_50_ms_ahead", "50_to_31_ms_ahead", "30_to_11_ms_ahead", "10_to_0_ms_ahead", "1_to_20_ms_after"),
+            *("over_20_ms_after", "never_detected"),
         ),
     ),
     Subject(
         "evaluate labels",
-        "labels",
         "Labelled onset against gross slip",
         _summary,
         (
-            ReportColumn("method", "method"),
-            ReportColumn("trajectories", "trajectories"),
-            ReportColumn("that slip", "slips"),
-            ReportColumn("n", "counted"),
-            ReportColumn("abstained", "abstained"),
-            ReportColumn("others: within 0.5 px of sliding", "rest_within_half_px"),
-            ReportColumn("others: over 10 ms early", "rest_over_10_ms_early"),
-            ReportColumn("others: within -4..+3 ms", "rest_within_minus4_plus3_ms"),
-            ReportColumn("n of intervals", "intervals_counted"),
-            ReportColumn("interval covers onset", "interval_coverage"),
-            ReportColumn("interval width, median [px]", "interval_width_px_median"),
-            ReportColumn("onsets found", "onsets_found"),
-            ReportColumn("their median error [ms]", "onset_error_ms_median"),
-            ReportColumn("worst [ms]", "onset_error_ms_worst"),
-            ReportColumn("over 4 ms before gross slip", "earlier_than_4_ms_before_gross_slip"),
+            *("method", "trajectories", "slips", "counted", "abstained"),
+            *("rest_within_half_px", "rest_over_10_ms_early", "rest_within_minus4_plus3_ms"),
+            *("intervals_counted", "interval_coverage", "interval_width_px_median"),
+            *("onsets_found", "onset_error_ms_median", "onset_error_ms_worst", "earlier_than_4_ms_before_gross_slip"),
         ),
     ),
     Subject(
         "evaluate tracking",
-        "tracking",
         "Presets",
         having("preset", "consistent_share"),
         (
-            ReportColumn("preset", "preset"),
-            ReportColumn("trajectories", "trajectories"),
-            ReportColumn("n", "decided"),
-            ReportColumn("all dots end at their start", "consistent_share", "paper_consistent_share"),
-            ReportColumn("n otherwise", "dots_lost_counted"),
-            ReportColumn("dots lost otherwise", "dots_lost_mean", "paper_dots_lost_mean"),
-            ReportColumn("n with truth", "with_truth"),
-            ReportColumn("error, rms [px]", "error_px_rms"),
-            ReportColumn("worst dot [px]", "error_px_worst"),
-            ReportColumn("standing still [px]", "still_px_rms"),
+            *("preset", "trajectories", "decided", "consistent_share", "dots_lost_counted", "dots_lost_mean"),
+            *("with_truth", "error_px_rms", "error_px_worst", "still_px_rms"),
         ),
     ),
     Subject(
         "evaluate grasp",
-        "grasp",
         "Controllers and settings",
         having("setting", "columns"),
         (
-            ReportColumn("setting", "setting"),
-            ReportColumn("trials", "trials"),
-            ReportColumn("lifted and kept", "success", "paper_success"),
-            ReportColumn("lifted", "lifted"),
-            ReportColumn("n lifted", "lifted_trials"),
-            ReportColumn("kept if lifted", "balanced"),
-            ReportColumn("n kept", "held_trials"),
-            ReportColumn("lost", "lost"),
-            ReportColumn("grip at the end [N]", "force_end_n"),
-            ReportColumn("moved, median [mm]", "moved_mm_median"),
-            ReportColumn("moved, mean [mm]", "moved_mm_mean"),
-            ReportColumn("objects that closed the gripper", "reopened_columns"),
-            ReportColumn("reopened in balance", "reopened_share", "paper_reopened_share"),
+            *("setting", "trials", "success", "lifted", "lifted_trials", "balanced", "held_trials", "lost"),
+            *("force_end_n", "moved_mm_median", "moved_mm_mean", "reopened_columns", "reopened_share"),
         ),
     ),
     Subject(
         "evaluate grasp",
-        "grasp",
         "By object",
         having("setting", "object", "trials"),
         (
-            ReportColumn("setting", "setting"),
-            ReportColumn("object", "object"),
-            ReportColumn("trials", "trials"),
-            ReportColumn("lifted and kept", "success", "paper_success"),
-            ReportColumn("n kept", "held_trials"),
-            ReportColumn(
-                "opening at the end [ticks]", "opening_after_balance_ticks", "paper_opening_after_balance_ticks"
-            ),
-            ReportColumn("grip at the end [N]", "force_end_n"),
-            ReportColumn("moved, median [mm]", "moved_mm_median"),
+            *("setting", "object", "trials", "success", "held_trials", "opening_after_balance_ticks"),
+            *("force_end_n", "moved_mm_median"),
         ),
     ),
     Subject(
         "evaluate force",
-        "force",
         "Shear force, models for one sensor",
         _forces,
-        (
-            ReportColumn("dots from", "sensor"),
-            ReportColumn("tracker", "tracker"),
-            ReportColumn("model", "model"),
-            ReportColumn("sensor", "sensor_name"),
-            ReportColumn("trajectories", "trajectories"),
-            ReportColumn("error of Fx [N]", "mae_n_x", "paper_mae_n_x"),
-            ReportColumn("error of Fy [N]", "mae_n_y", "paper_mae_n_y"),
-        ),
+        ("sensor", "tracker", "model", "sensor_name", "trajectories", "mae_n_x", "mae_n_y"),
     ),
     Subject(
         "evaluate force",
-        "force",
         "Forces, a model for any sensor",
         _gel_forces,
         (
-            ReportColumn("gel stiffness", "stiffness"),
-            ReportColumn("trajectories", "trajectories"),
-            ReportColumn("n of errors", "counted"),
-            ReportColumn("shear error [N]", "mae_n"),
-            ReportColumn("normal error [N]", "normal_mae_n"),
-            ReportColumn("shear within its sd", "shear_within_sd"),
-            ReportColumn("normal within its sd", "normal_within_sd"),
-            ReportColumn("contact correct", "contact_right"),
+            *("stiffness", "trajectories", "counted", "mae_n", "normal_mae_n"),
+            *("shear_within_sd", "normal_within_sd", "contact_right"),
         ),
     ),
     Subject(
         "evaluate vibration",
-        "vibration",
         "Windows with the correct tone",
         _windows,
-        (
-            ReportColumn("method", "method"),
-            ReportColumn("tone [Hz]", "expected_hz"),
-            ReportColumn("window [s]", "window_s"),
-            ReportColumn("recordings", "recordings"),
-            ReportColumn("windows", "windows"),
-            ReportColumn("share correct", "share", "paper_share"),
-        ),
+        ("method", "expected_hz", "window_s", "recordings", "windows", "share"),
     ),
     Subject(
         "evaluate vibration",
-        "vibration",
         "Recordings",
         having("file", "method", "seconds"),
-        (
-            ReportColumn("recording", "file"),
-            ReportColumn("method", "method"),
-            ReportColumn("duration [s]", "seconds"),
-            ReportColumn("frequency [Hz]", "frequency_hz"),
-            ReportColumn("uncertainty [Hz]", "uncertainty_hz"),
-            ReportColumn("tone [Hz]", "expected_hz"),
-        ),
+        ("file", "method", "seconds", "frequency_hz", "uncertainty_hz", "expected_hz"),
     ),
-    Subject(
-        "evaluate data-rate",
-        "data-rate",
-        "Share of an RGB sensor's bytes",
-        having("interval", "share_mean"),
-        (
-            ReportColumn("interval", "interval"),
-            ReportColumn("object", "object"),
-            ReportColumn("n", "trajectories"),
-            ReportColumn("left out", "left_out"),
-            ReportColumn("why", "left_out_because"),
-            ReportColumn("share", "share_mean", "paper_share_mean"),
-            ReportColumn("sd", "share_sd", "paper_share_sd"),
-            ReportColumn("columns", "columns"),
-            ReportColumn("the window's share", "window_share_mean"),
-        ),
-    ),
-    Subject("evaluate realism", "realism", "Figures", having("figure", "distance")),
+    Subject("evaluate data-rate", "Share of an RGB sensor's bytes", having("interval", "share_mean")),
+    Subject("evaluate realism", "Figures", having("figure", "distance")),
     Subject(
         "evaluate likeness",
-        "likeness",
         "Facts with figures",
         lambda found: [row for row in having("fact", "public")(found) if row["not_told"] is None],
-        (
-            ReportColumn("counted", "counts"),
-            ReportColumn("fact", "fact"),
-            ReportColumn("public", "public"),
-            ReportColumn("simulated", "simulated"),
-            ReportColumn("from", "simulated_from"),
-            ReportColumn("compared", "compared"),
-            ReportColumn("real", "real"),
-            ReportColumn("unit", "unit"),
-            ReportColumn("class", "class"),
-        ),
+        ("counts", "fact", "public", "simulated", "simulated_from", "compared", "real", "unit", "class"),
     ),
     Subject(
         "evaluate benchmark",
-        "benchmark",
         "Scores by task and split",
         having("task", "split"),
         (
-            ReportColumn("task", "task"),
-            ReportColumn("split", "split"),
-            ReportColumn("score", "value"),
-            ReportColumn("low", "low"),
-            ReportColumn("high", "high"),
-            ReportColumn("unit", "unit"),
-            ReportColumn("n", "n"),
-            ReportColumn("left out", "left_out"),
-            ReportColumn("why", "left_out_because"),
-            ReportColumn("sensors", "sensors"),
-            ReportColumn("objects", "objects"),
+            *("task", "split", "value", "low", "high", "unit", "n", "left_out", "left_out_because"),
+            *("sensors", "objects"),
         ),
     ),
-    Subject("evaluate cost", "cost", "Settings", having("setting")),
+    Subject("evaluate cost", "Settings", having("setting")),
     Subject(
         "evaluate stability",
-        "stability",
         "Cases, each with the quantity nearest to its bound",
         _cases,
-        (
-            ReportColumn("part", "part"),
-            ReportColumn("case", "case"),
-            ReportColumn("ok", "ok"),
-            ReportColumn("quantity", "quantity"),
-            ReportColumn("value", "value"),
-            ReportColumn("bound", "bound"),
-            ReportColumn("unit", "unit"),
-            ReportColumn("outcome", "outcome"),
-            ReportColumn("reason for the bound", "reason"),
-        ),
+        ("part", "case", "ok", "quantity", "value", "bound", "unit", "outcome", "reason"),
     ),
 )
 
 
 def columns_of(subject: Subject, rows: Rows) -> tuple[ReportColumn, ...]:
-    """Return the columns that have a value in any row."""
+    """Return the columns that have a value in any row; the paper's figure is next to evetac's."""
     every = dict.fromkeys(key for row in rows for key in row)
-    columns = subject.columns or tuple(ReportColumn(key.replace("_", " "), key) for key in every)
-    return tuple(column for column in columns if any(row.get(column.key) is not None for row in rows))
+    names = subject.columns or tuple(
+        name for name in every if not (name.startswith("paper_") and name.removeprefix("paper_") in every)
+    )
+    return tuple(
+        ReportColumn(HEADINGS.get(name, name.replace("_", " ")), name, of_paper if of_paper in paper.SHOWN else "")
+        for name in names
+        for of_paper in [f"paper_{name}"]
+        if any(row.get(name) is not None for row in rows)
+    )

@@ -6,9 +6,8 @@ from typing import Any
 
 import pytest
 
-from evetac_cli.evaluate.benchmark import data_set, truth
-from evetac_cli.evaluate.benchmark.data_set import Benchmark
-from evetac_cli.evaluate.benchmark.truth import Truth
+from evetac_cli.evaluate.benchmark import data_set
+from evetac_cli.evaluate.benchmark.data_set import Benchmark, Truth
 from evetac_cli.sim.setup import object_file, scene_file
 from evetac_cli.text_files import as_toml
 from tests.conftest import Made
@@ -67,4 +66,4 @@ def bench(bench_folder: Path) -> Benchmark:
 @pytest.fixture(scope="session")
 def true(bench: Benchmark) -> dict[str, Truth]:
     """The truth of the folder."""
-    return truth.read(bench)
+    return data_set.read_truth(bench)

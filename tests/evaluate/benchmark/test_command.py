@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from evetac_cli.cli.main import app
 from evetac_cli.errors import InputError
-from evetac_cli.evaluate.benchmark import lifts
+from evetac_cli.evaluate.benchmark import own_methods
 from evetac_cli.evaluate.benchmark.data_set import Benchmark
 from evetac_cli.store.files import header_of
 from tests.conftest import Made
@@ -69,10 +69,10 @@ def test_lifts_of_an_own_loop(bench: Benchmark, made: Made, tmp_path: Path) -> N
     for key, other in (("seed", 1), ("lift_s", 2.0), ("sensor", "second")):
         lift = json.loads(lifts_path.read_text())["g0"] | {key: other}
         with pytest.raises(InputError, match=f"another lift: {key}"):
-            lifts.outcomes(bench, {"g0": lift}, tmp_path)
+            own_methods.lift_outcomes(bench, {"g0": lift}, tmp_path)
     (tmp_path / "g0.recording.h5").unlink()
     with pytest.raises(InputError, match="a lift is missing"):
-        lifts.outcomes(bench, lifts.read(bench), tmp_path)
+        own_methods.lift_outcomes(bench, own_methods.read_lifts(bench), tmp_path)
 
 
 @pytest.mark.slow

@@ -9,9 +9,8 @@ import pytest
 
 from evetac_cli.errors import InputError
 from evetac_cli.evaluate.benchmark import predictions
-from evetac_cli.evaluate.benchmark.data_set import Benchmark
+from evetac_cli.evaluate.benchmark.data_set import Benchmark, Truth
 from evetac_cli.evaluate.benchmark.predictions import Predictions
-from evetac_cli.evaluate.benchmark.truth import Truth
 
 
 def some(bench: Benchmark, true: dict[str, Truth]) -> Predictions:

@@ -8,9 +8,8 @@ import pytest
 
 from evetac_cli.commands.evaluate import EvaluateBenchmark
 from evetac_cli.evaluate.benchmark import command, scores
-from evetac_cli.evaluate.benchmark.data_set import Benchmark, BenchmarkTrial
+from evetac_cli.evaluate.benchmark.data_set import Benchmark, BenchmarkTrial, Truth
 from evetac_cli.evaluate.benchmark.predictions import Predictions
-from evetac_cli.evaluate.benchmark.truth import Truth
 from evetac_cli.jobs import Rows
 
 MS, ONSET = 60_000, 30_000

@@ -72,5 +72,5 @@ def test_detectors_to_compare_with(tmp_path: Path) -> None:
     assert cost.inputs([], tmp_path) == cost.inputs([], tmp_path / "*.model.h5") == (resources.MODEL, *models)
     assert cost.inputs([], models[1]) == (resources.MODEL, models[1])
     assert [setting.name for setting in cost.settings(False, models)][-2:] == ["detector a", "detector b"]
-    with pytest.raises(InputError, match="not read from files"):
+    with pytest.raises(InputError):
         cost.inputs([tmp_path / "x.features.h5"], None)

@@ -15,9 +15,10 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from evetac_cli.evaluate.cost.gel_trial import GRAVITY_M_S2, draw_trial
+from evetac_cli.evaluate.cost.simulator import draw_trial
 from evetac_cli.sim.gel import gel
 from evetac_cli.sim.gel.adaptive import Stepper
+from evetac_cli.sim.scenes.slip_limit import GRAVITY_M_S2
 from evetac_cli.sim.setup.solver import Solver
 
 pytestmark = pytest.mark.slow

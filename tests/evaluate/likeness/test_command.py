@@ -11,7 +11,8 @@ import pytest
 from evetac_cli.commands.evaluate import EvaluateLikeness
 from evetac_cli.commands.record import Record
 from evetac_cli.errors import InputError
-from evetac_cli.evaluate.likeness import command, tables
+from evetac_cli.evaluate.likeness import command
+from evetac_cli.evaluate.likeness import facts as listed
 from evetac_cli.evaluate.likeness.facts import facts
 from evetac_cli.events import Events
 from evetac_cli.jobs import Outcome, Row
@@ -108,7 +109,7 @@ def test_a_real_camera_at_rest(tmp_path: Path, outside_file: Callable[[str], Pat
 
 def test_without_tables(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that an installation without docs/results says so, and that --results names another folder."""
-    monkeypatch.setattr(tables, "IN_A_CLONE", tmp_path / "nowhere")
+    monkeypatch.setattr(listed, "IN_A_CLONE", tmp_path / "nowhere")
     path = slip_of(tmp_path / "3.recording.h5", 3, 60)
     rows, _ = evaluated([path], tmp_path)
     assert "--results" in rows["grasps-kept"]["not_told"]

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from evetac_cli.evaluate.likeness.counts import SliceCounts, about_slip
-from evetac_cli.evaluate.likeness.single_slice import NEVER_MS, THRESHOLDS, judge, slip
+from evetac_cli.evaluate.likeness.counts import NEVER_MS, THRESHOLDS, SliceCounts, about_slip, judge, slip
 
 ONSET, SLICES = 1000, 1500
 

@@ -7,8 +7,7 @@ from typing import Any
 import pytest
 
 from evetac_cli.errors import InputError
-from evetac_cli.evaluate.likeness.facts import by_name, facts
-from evetac_cli.evaluate.likeness.tables import IN_A_CLONE, ResultTables
+from evetac_cli.evaluate.likeness.facts import IN_A_CLONE, ResultTables, by_name, facts
 
 
 def tables(folder: Path, **rows: list[dict[str, Any]]) -> ResultTables:

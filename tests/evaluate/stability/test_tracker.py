@@ -5,13 +5,12 @@ import pytest
 
 from evetac_cli.evaluate.cost.tracker import DOTS_PX
 from evetac_cli.evaluate.stability import tracker as stability
-from evetac_cli.evaluate.stability.bounds import P99_DOT, SAME_DOTS, WORST_DOT, refusal
-from evetac_cli.evaluate.stability.tracker import duplicated_rows, extreme_cases, nonsense, scene_rows, track_rows
+from evetac_cli.evaluate.stability.bounds import P99_DOT, SAME_DOTS, WORST_DOT
+from evetac_cli.evaluate.stability.tracker import duplicated_rows, extreme_cases, scene_rows, track_rows
 from evetac_cli.kernels.tracking import tracker
 from evetac_cli.kernels.tracking.presets import PRESETS
 
 CASES = {case.name: case for case in extreme_cases()}
-NONSENSE = dict(nonsense())
 DISTANCES = [WORST_DOT.quantity, P99_DOT.quantity]
 
 
@@ -41,14 +40,6 @@ def test_order_does_not_matter_when_events_come_twice(preset):
     """Assert that duplicated events in any order give the same bits."""
     rows = {row["quantity"]: row for row in duplicated_rows(preset, slices=10)}
     assert rows[SAME_DOTS.quantity]["ok"]
-
-
-@pytest.mark.parametrize("name", NONSENSE)
-def test_nonsense_is_refused(name):
-    """Assert that nonsense is refused with the reason."""
-    (row,) = refusal(name, NONSENSE[name])
-    assert row["ok"]
-    assert len(row["outcome"]) > len("refused: ") + 10
 
 
 def test_stable_follows_where_it_should():
@@ -84,22 +75,12 @@ def test_a_dot_astray_is_not_ok_unless_it_is_flagged(monkeypatch):
 
 @pytest.mark.slow
 def test_dots_that_leave_the_frame_are_as_far_off_as_they_are_until_they_are_flagged():
-    """Assert that dots which jump out of the frame count until all are flagged, soon, and that their row says why."""
+    """Assert that dots which jump out of the frame count until all are flagged, and soon."""
     worst, _ = track_rows(CASES["dots leave the frame at 5 px/ms"], "stable", slices=200)
     assert 5.0 < worst["value"] < 20.0
     assert worst["outcome"].startswith("63 of 63 dots flagged lost, 0 others")
-    assert "; a dot jumps by 5.0 px in a slice; the tracker follows at most 3 px" in worst["outcome"]
     without_flags, _ = track_rows(CASES["dots leave the frame at 5 px/ms"], "paper", slices=200)
     assert without_flags["value"] > 300.0
-
-
-def test_why_a_row_is_out_of_bounds():
-    """Assert that a row names a grid that is off and a jump, and says nothing of what a tracker can see."""
-    assert "".join(stability._why_off(0.4, 2.9)) == ""
-    assert "up to 2.0 px wrong" in "".join(stability._why_off(2.0, 2.9))
-    assert "jumps by 3.5 px in a slice" in "".join(stability._why_off(0.1, 3.5))
-    assert stability._why_unseen(np.array([0.9])) == stability._why_unseen(np.empty(0)) == ""
-    assert "; 2 dots that vanished, up to 1.9 px off, not flagged" in stability._why_unseen(np.array([1.9, 1.1]))
 
 
 def test_faults_are_seen(monkeypatch):

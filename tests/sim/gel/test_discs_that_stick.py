@@ -5,9 +5,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from evetac_cli.evaluate.cost.gel_reference import dense_layer
 from evetac_cli.kernels.gel_layer import Squeeze, moved_by
 from evetac_cli.sim.gel import contact, gel
+from tests.sim.gel.dense_layer import dense_layer
 
 HEIGHT_M = gel.GelMaterial().height_m
 
