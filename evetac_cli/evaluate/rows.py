@@ -153,7 +153,7 @@ def draw_panel(axes: Any, rows: Rows, error: str, time: str = "time_us_median") 
         points = [row for row in members if row[error] and np.isfinite(row[error])]
         if points:
             knobs = [row["setting"].rpartition(", ")[2] for row in members]
-            label = line if knobs == [line] else f"{line}, {_knob_range(knobs[0], knobs[-1])}"
+            label = line if knobs == [line] else f"{line}, {knobs[0]} to {knobs[-1]}"
             axes.plot(
                 [row[time] for row in points], [row[error] for row in points], label=label, **picture.series(number)
             )
@@ -166,19 +166,6 @@ def draw_panel(axes: Any, rows: Rows, error: str, time: str = "time_us_median") 
             picture.log_axis(axis)
     else:
         picture.say_instead(axes, "errors are 0 or unknown")
-
-
-def _knob_range(first: str, last: str) -> str:
-    """Shorten two knob values to a range: `dt 10 ms`, `dt 0.1 ms` become `dt 10 to 0.1 ms`, without repeated words."""
-    if first == last:
-        return first
-    begin, end = first.split(" "), last.split(" ")
-    same = [one == other for one, other in zip(begin, end, strict=False)]
-    kept = end[same.index(False) :] if False in same else end
-    while begin[-1:] == end[-1:] and len(begin) > 1 and len(end) > 1:
-        begin.pop()
-        end.pop()
-    return f"{' '.join(begin)} to {' '.join(kept)}"
 
 
 class ConfidenceInterval(NamedTuple):
@@ -202,14 +189,14 @@ def difference(ours: Floats, theirs: Floats, resolution: float = 0.0) -> Confide
     count = len(apart)
     if count == 0:
         return ConfidenceInterval(math.nan, math.nan, math.nan, 0)
-    mean = float(apart.mean())
+    middle = float(apart.mean())
     if count == 1:
-        return ConfidenceInterval(mean, math.nan, math.nan, 1)
+        return ConfidenceInterval(middle, math.nan, math.nan, 1)
     spread = max(float(apart.std(ddof=1)), resolution / math.sqrt(6.0))
     from scipy import stats  # takes half a second to load
 
     half = float(stats.t.ppf(0.5 + CONFIDENCE / 2, count - 1)) * spread / math.sqrt(count)
-    return ConfidenceInterval(mean, mean - half, mean + half, count)
+    return ConfidenceInterval(middle, middle - half, middle + half, count)
 
 
 def share_difference(ours: Flags, theirs: Flags) -> ConfidenceInterval:

@@ -225,7 +225,8 @@ def for_people(rows: Rows, params: EvaluateSlip) -> tuple[Rows, list[str]]:
         return rows, verdict
     verdict.append("--all prints every table; --json prints every row.")
     few = len(trajectories) <= FEW_TRAJECTORIES
-    shown, columns, names = (trajectories, OF_TRAJECTORIES, SHORT) if few else (settings, OF_SETTINGS, SHORT)
+    columns: tuple[str, ...] = OF_TRAJECTORIES if few else OF_SETTINGS
+    shown, names = trajectories if few else settings, SHORT
     if params.by:
         shown, names = [row for row in rows if BY[params.by] <= row.keys()], {**SHORT, "file": "model_file"}
         columns = tuple(name for name in OF_GROUPS if any(name in row for row in shown))

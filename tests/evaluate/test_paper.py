@@ -69,6 +69,7 @@ def in_report(evaluated: dict[str, Any]) -> str:
     (column,) = (
         column
         for subject in evaluations.SUBJECTS
+        if subject.command == report.command
         for column in evaluations.columns_of(subject, subject.rows(report))
         if column.paper == "paper_consistent_share"
     )

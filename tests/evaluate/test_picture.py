@@ -57,11 +57,6 @@ def test_an_interval_of_a_share_stays_within_0_and_1(share: float, count: int) -
     assert below >= 0 and above >= 0 and 0 <= share - below < share + above <= 1
 
 
-def test_the_interval_is_wilsons() -> None:
-    """Assert the interval of 10 of 10, as tables have it."""
-    assert 1.0 - picture.wilson(1.0, 10)[0][0] == pytest.approx(0.7225, abs=1e-4)
-
-
 @pytest.mark.parametrize(
     ("low", "high", "labels"),
     [
@@ -80,21 +75,6 @@ def test_ticks_of_a_logarithmic_axis_are_written_out(low: float, high: float, la
     assert not any(label.get_text() for label in axes.get_xticklabels(minor=True))
     left, right = axes.get_xlim()
     assert left <= low < high <= right
-
-
-def test_an_axis_over_many_decades_keeps_room_between_its_ticks() -> None:
-    """Assert that over twenty decades not each of them has a tick."""
-    axes = Figure().subplots()
-    axes.plot([1e-10, 1e10], [1, 2])
-    picture.log_axis(axes.xaxis)
-    assert 3 <= len(axes.get_xticks()) <= picture.MOST_TICKS + 1
-
-
-def test_more_series_than_colours_differ() -> None:
-    """Assert that colour and marker together tell fifty series apart, and none has the paper's marker."""
-    styles = [picture.series(number) for number in range(50)]
-    assert len({(style["color"], style["marker"]) for style in styles}) == 50
-    assert {style["marker"] for style in styles}.isdisjoint(picture.PAPER_MARKERS.values())
 
 
 def slip_outcome(settings: int, objects: int, *, published: bool) -> Outcome:

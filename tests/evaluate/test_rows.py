@@ -1,18 +1,8 @@
 """What the rows of `evaluate cost` have in common: extents, progress, run times, settings and their flags."""
 
-from dataclasses import fields
-
 import numpy as np
 
-from evetac_cli.commands.grasp import Grasp
-from evetac_cli.commands.parameter import flag_of
-from evetac_cli.commands.record import Record
-from evetac_cli.evaluate.rows import Extent, SolverSetting, collect, line, run_times
-
-
-def test_an_extent_is_picked():
-    """Assert that --full picks the full amount."""
-    assert [Extent(2, 20).pick(full) for full in (False, True)] == [2, 20]
+from evetac_cli.evaluate.rows import SolverSetting, collect, line, run_times
 
 
 def test_rows_are_collected_with_progress():
@@ -38,10 +28,3 @@ def test_names_and_flags() -> None:
     assert (both.name, both.flags) == ("node pitch, 0.625 mm", "--node-pitch-mm 0.625 --step-ms 0.25")
     assert SolverSetting("tolerance", solver={"tolerance_um": 0.05}).flags == "--tolerance 0.05"
     assert SolverSetting("defaults").flags == ""
-
-
-def test_flags_are_those_of_both_commands() -> None:
-    """Assert that record and grasp have the flags under the same names."""
-    for command in (Record, Grasp):
-        flags = {flag_of(item) for item in fields(command)}
-        assert {"--step-ms", "--tolerance", "--theta", "--node-pitch-mm", "--camera-substeps"} <= flags

@@ -4,7 +4,6 @@ import json
 import shutil
 from collections.abc import Sequence
 from dataclasses import replace
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 from zipfile import ZIP_DEFLATED, ZIP_STORED, ZipFile
@@ -127,18 +126,6 @@ def test_a_model_counts_once(world: dict[str, Any], tmp_path: Path) -> None:
     assert job.inputs == (*world["known"], first)
 
 
-def test_what_is_missing_is_said(world: dict[str, Any], tmp_path: Path) -> None:
-    """Assert that no model, no features, and a model that is not there are errors in words."""
-    with pytest.raises(InputError, match="no model file"):
-        slip.jobs(world["known"], EvaluateSlip(), tmp_path)
-    with pytest.raises(InputError, match="no features files"):
-        slip.jobs(world["seeds"], EvaluateSlip(), tmp_path)
-    with pytest.raises(InputError, match="wrong kind"):
-        slip.jobs(world["known"][1:], EvaluateSlip(model=world["known"][0]), tmp_path)
-    with pytest.raises(InputError, match="no such file"):
-        evaluated(world["known"], tmp_path, model=tmp_path / "no.model.h5")
-
-
 def test_seeds_are_one_setting(world: dict[str, Any], tmp_path: Path) -> None:
     """Assert that models that differ in their seed alone share a row, with means and sd over objects and seeds."""
     rows, summary = evaluated([*world["known"], *world["seeds"], *world["ahead"]], tmp_path)
@@ -163,17 +150,6 @@ def test_every_object_counts_the_same(world: dict[str, Any], tmp_path: Path) -> 
         assert setting[figure] == pytest.approx(np.mean([row[figure] for row in objects]))
 
 
-def test_a_single_model_keeps_its_summary(world: dict[str, Any], tmp_path: Path) -> None:
-    """Assert that with one model the summary is its score, at its own threshold or the one that is given."""
-    (path,) = world["ahead"]
-    _, summary = evaluated(world["known"], tmp_path / "a", model=path)
-    with StageFile(path, "model") as model:
-        assert summary["threshold"] == model.read("threshold")
-    assert {"slip_early", "slip_correct", "slip_late", "f1"} <= summary.keys()
-    _, at = evaluated(world["known"], tmp_path / "b", model=path, threshold=0.975)
-    assert at["threshold"] == 0.975
-
-
 def test_ahead_shifts_f1_and_not_timing(world: dict[str, Any], tmp_path: Path) -> None:
     """Assert that t_c of a model trained ahead is the labels' onset, and its F1 that of labels shifted by 10 ms."""
     (path,) = world["ahead"]
@@ -187,13 +163,6 @@ def test_ahead_shifts_f1_and_not_timing(world: dict[str, Any], tmp_path: Path) -
     selected = slice(0, ONSET + 20)
     sklearn = pytest.importorskip("sklearn.metrics")
     assert row["f1"] == pytest.approx(sklearn.f1_score(label[selected], detected[selected]))
-
-
-def test_truth_is_a_setting_of_its_own(world: dict[str, Any], tmp_path: Path) -> None:
-    """Assert that a model trained on labels from truth is named so, and has its own row."""
-    rows, _ = evaluated([*world["known"], *world["seeds"], *world["truth"]], tmp_path)
-    assert [row["labels"] for row in table_of(rows, "seeds")] == ["event-flow", "truth"]
-    assert table_of(rows, "seeds")[1]["setting"] == "no-hist, labels truth, 1 trajectories"
 
 
 def test_other_scenes_are_a_setting_of_their_own(world: dict[str, Any], tmp_path: Path) -> None:
@@ -364,7 +333,7 @@ def test_only_what_is_new_is_judged(world: dict[str, Any], tmp_path: Path, monke
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("damage", ["cut", "nonsense", "short", "packed", "large", "unlikely"])
+@pytest.mark.parametrize("damage", ["cut", "short", "packed", "unlikely"])
 def test_what_was_kept_and_is_damaged_is_judged_again(
     world: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, damage: str
 ) -> None:
@@ -376,11 +345,9 @@ def test_what_was_kept_and_is_damaged_is_judged_again(
         ((key, values),) = {name: archive.read(name) for name in archive.namelist()}.items()
     if damage == "cut":
         kept.write_bytes(kept.read_bytes()[:-30])
-    elif damage == "nonsense":
-        kept.write_bytes(b"PK nonsense")
     else:
-        other = {"short": values[:-4], "large": bytes(10**6), "unlikely": np.full(len(values) // 4, 2.0, np.float32)}
-        with ZipFile(kept, "w", ZIP_DEFLATED if damage in ("packed", "large") else ZIP_STORED) as archive:
+        other = {"short": values[:-4], "unlikely": np.full(len(values) // 4, 2.0, np.float32)}
+        with ZipFile(kept, "w", ZIP_DEFLATED if damage == "packed" else ZIP_STORED) as archive:
             archive.writestr(key, bytes(other.get(damage, values)))
     calls = judged(monkeypatch)
     (tmp_path / "r.report.h5").unlink()
@@ -395,16 +362,10 @@ def test_piece_by_piece_as_a_whole(
     """Assert that a long trajectory is judged as it is in one piece, whatever the number of slices in memory."""
     files = [*world["known"], *trained(world["learn"], tmp_path / "models", model=model)]
     rows, _ = evaluated(files, tmp_path / "whole.report.h5")
-    before = {path.name: path.read_bytes() for path in (tmp_path / "whole.judged").iterdir()}
     calls = judged(monkeypatch)
     monkeypatch.setattr(slip_models, "MOST_SLICES", 37)
     assert evaluated(files, tmp_path / "pieces.report.h5")[0] == rows
     assert len(calls) > len(world["known"])
-    for path in (tmp_path / "pieces.judged").iterdir():
-        with ZipFile(path) as archive, ZipFile(BytesIO(before[path.name])) as whole:
-            assert {name: archive.read(name) for name in archive.namelist()} == {
-                name: whole.read(name) for name in whole.namelist()
-            }
 
 
 def test_parts_of_a_report(world: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -494,18 +455,6 @@ def test_recordings_that_do_not_fit(world: dict[str, Any], tmp_path: Path) -> No
         evaluated([files[0], world["seeds"][0]], tmp_path / "b.report.h5", recordings=tmp_path / "none")
 
 
-@pytest.mark.parametrize("place", ["..", "../recordings"])
-def test_recordings_in_other_folders_are_found(world: dict[str, Any], tmp_path: Path, place: str) -> None:
-    """Assert that recordings are found by their ids, under any name, above the features and in folders beside them."""
-    folder = tmp_path / "study" / "features"
-    folder.mkdir(parents=True)
-    (folder / place).mkdir(exist_ok=True)
-    path = Path(shutil.copy(world["known"][0], folder))
-    recording_of_features(path, folder).rename(folder / place / "another-name.recording.h5")
-    _, summary = evaluated([path, world["seeds"][0]], tmp_path / "a.report.h5")
-    assert summary["with_truth"] == 1
-
-
 def abstaining(path: Path, folder: Path) -> Path:
     """A copy of features whose labels abstain."""
     copied = Path(shutil.copy(path, folder))
@@ -555,13 +504,6 @@ def test_judged_by_truth(world: dict[str, Any], tmp_path: Path) -> None:
     }
     _, verdict = slip.for_people(rows, EvaluateSlip(truth=True))
     assert "judged by truth of the simulation" in verdict[0]
-
-
-def test_several_models_with_commas(world: dict[str, Any], tmp_path: Path) -> None:
-    """Assert that --model A,B evaluates both, and that the rows of all trials are in the result."""
-    both = Path(f"{world['seeds'][0]},{world['ahead'][0]}")
-    rows, summary = evaluated(world["known"], tmp_path, model=both)
-    assert (summary["models"], len(table_of(rows, "t_c_ms"))) == (2, 2 * len(world["known"]))
 
 
 def test_sensors_of_one_name_are_told_apart() -> None:

@@ -10,7 +10,6 @@ import pytest
 
 from evetac_cli.commands.evaluate import EvaluateVibration
 from evetac_cli.commands.record import Record
-from evetac_cli.errors import InputError
 from evetac_cli.evaluate import vibration
 from evetac_cli.events import SLICE_US, Events
 from evetac_cli.jobs import Outcome
@@ -175,25 +174,6 @@ def test_short_windows_are_judged_by_what_they_resolve(tmp_path: Path) -> None:
     assert [row["share"] for row in wider] == [1.0, 1.0]
 
 
-def test_the_picture_shows_each_tone_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that of many recordings of a tone the first alone is drawn, and each whose tone is not known."""
-    drawn: list[str] = []
-    monkeypatch.setattr(vibration, "_draw", lambda figure, spectra, *rest, **more: drawn.extend(n for n, _ in spectra))
-    paths = [swing(tmp_path, hz, truth=True, name=name) for name, hz in (("a", 90.0), ("b", 90.0), ("c", 120.0))]
-    evaluated([*paths, swing(tmp_path, 90.0, name="d")], windows="1")
-    assert drawn == [f"{name}.recording.h5" for name in "acd"]
-
-
-def test_several_recordings(tmp_path: Path) -> None:
-    """Assert that recordings come first, each with its methods, then windows, and shares are over all windows."""
-    paths = [swing(tmp_path, hz, truth=True, name=str(hz)) for hz in (100.0, 150.0)]
-    outcome = evaluated(paths, windows="1")
-    assert [row["frequency_hz"] for row in outcome.rows[:4:2]] == pytest.approx([100.0, 150.0], abs=0.05)
-    assert ["window_s" in row for row in outcome.rows] == 4 * [False] + 4 * [True]
-    assert outcome.summary["vibrating"] == outcome.summary["recordings"] == 2
-    assert outcome.summary["default_share_1_s"] == 1.0
-
-
 def test_a_picture_beside_the_report(tmp_path: Path) -> None:
     """Assert that a picture is drawn beside the report, and is not drawn again for a report that is up to date."""
     pytest.importorskip("matplotlib")
@@ -225,23 +205,6 @@ def test_length_costs_no_memory(tmp_path: Path) -> None:
 
     peak(1.0)  # compiles
     assert peak(8.0) < 1.1 * peak(2.0)
-
-
-@pytest.mark.parametrize("windows", ["", "x", "0.05", "11", "1,,2", "nan", "inf", "-1"])
-def test_wrong_windows_are_refused(windows: str, tmp_path: Path) -> None:
-    """Assert that what is no list of lengths from 0.1 to 10 s is refused."""
-    with pytest.raises(InputError, match="--windows"):
-        evaluated(swing(tmp_path, 100.0, seconds=0.2), windows=windows)
-
-
-def test_what_cannot_be_told_is_refused(tmp_path: Path) -> None:
-    """Assert that a recording too short for a frequency, and a band without any, are refused, and nothing is made."""
-    short = swing(tmp_path, 100.0, seconds=0.05)
-    with pytest.raises(InputError, match="too short"):
-        evaluated(short)
-    with pytest.raises(InputError, match="--lowest-hz"):
-        evaluated(swing(tmp_path, 100.0, seconds=0.5, name="b"), rate=100, lowest_hz=50.0)
-    assert not list(tmp_path.glob("*.report.*"))
 
 
 def test_shorter_than_its_windows(tmp_path: Path) -> None:

@@ -4,7 +4,7 @@ Each setting differs in one respect from the default (no added latency, 500 Hz, 
 every controller on the same few seeded trials. `error_share_lost` is the share of trials whose object was not held to
 the end. `error_mm_moved` is the mean motion of held objects in the gripper, and `force_n` their grip force at the end.
 `more_mm_moved` is the paired difference from the default on the same trials if both held, with its interval (see
-paired).
+rows).
 
 Run times are those of the detector: tracker, features and network of one slice. `detector truth` uses the simulation's
 true slip instead of the network. No detector can know more about the present, though it may predict.

@@ -44,7 +44,7 @@ def measure(params: EvaluateCost, inputs: Sequence[Path], progress: Progress) ->
 
     `error_ms_onset` is the median of |t_c - t_s| over the trials with an onset, t_s being the onset of gross slip, and
     `onset_share` is the share of these trials. `error_ms_reference` is the largest distance from the reference's onset.
-    `more_ms_onset` is the mean paired difference of the error from the reference's, with its interval (see paired). Run
+    `more_ms_onset` is the mean paired difference of the error from the reference's, with its interval (see rows). Run
     times are over the trials. `speedup` is the reference's run time over that of the setting.
     """
     with TemporaryDirectory() as folder:

@@ -18,7 +18,7 @@ the same trials, simulated more finely in every respect. Columns, as means over 
 - time_us_*: processor time of the chain per recorded millisecond, over the trials. record_us_median, grasp_us_median:
   of recording alone, and per simulated millisecond of the grasp.
 
-A second table has the paired difference of every setting from the defaults, with its interval (see paired). A third
+A second table has the paired difference of every setting from the defaults, with its interval (see rows). A third
 table has every trial with its onsets. A row is on the Pareto front of an error if the intervals show this against every
 other row; the reference is excluded. Every row contains the errors of labels, tracker and regression; the effect of a
 setting is in the differences.

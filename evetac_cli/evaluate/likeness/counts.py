@@ -1,8 +1,7 @@
 """Events per slice, in the columns that the paper counts and in the window; measures around a slip; one threshold.
 
 The single threshold is slip detection from one slice alone: more than k events in a slice. The first detection is the
-first such slice after the current began to fall. k is the one that is correct most often on all other objects, so that
-no object is evaluated with a threshold chosen on it.
+first such slice after the current began to fall. k is the one that is correct most often on all other objects.
 """
 
 import math

@@ -3,10 +3,10 @@
 Any recording provides rest, dots and rates. The onset of slip needs truth, or labels next to the recording; the path of
 the dots needs truth, or tracks next to it. Force, contact and the slipping share need the truth of a simulation.
 
-So do the distances of the published trackers from the true dots, next to that of a tracker that never moves dots: the
-authors' code of 2024 on slices of 1 ms, their code of 2026, and the paper's. The code of 2026 has the same arithmetic
-on slices of 5 ms, and requires 11 events per slice where that of 2024 requires 5. The background filter before the
-tracker in both codes is left out.
+So do the distances of three published trackers from the true dots, next to that of a tracker that never moves dots.
+These are the authors' code of 2024 on slices of 1 ms, their code of 2026, and the paper's. The code of 2026 has the
+same arithmetic on slices of 5 ms, and requires 11 events per slice where that of 2024 requires 5. The background filter
+before the tracker in both codes is left out.
 """
 
 import json

@@ -2,8 +2,7 @@
 
 Every part is a function `(seed, full) -> cases`. A case is a function that runs it and returns its rows: one per
 measured quantity, with the bound and its reason (bounds.py). Cases that are refused with an error message are counted
-separately from cases that were measured and are within their bounds. Yardsticks, which use the truth that only a
-simulation has, are shown but not counted.
+separately from cases that were measured and are within their bounds.
 """
 
 from collections.abc import Callable, Sequence
@@ -23,17 +22,16 @@ METHOD = 4
 
 
 class StabilityPart(NamedTuple):
-    """The cases of a part, the column by which they are counted, and the ending of yardstick groups."""
+    """The cases of a part, and the column by which they are counted."""
 
     cases: Callable[[int, bool], Sequence[Callable[[], Rows]]]
     counted_by: str
-    yardstick: str | None = None
 
 
 PARTS: dict[str, StabilityPart] = {
     "sim": StabilityPart(simulator_stability.cases, "part"),
     "track": StabilityPart(tracker.cases, "preset"),
-    "grasp": StabilityPart(grasp.cases, "controller", grasp.WITH_TRUTH),
+    "grasp": StabilityPart(grasp.cases, "controller"),
 }
 
 
@@ -86,12 +84,11 @@ def summary(rows: Rows, part: StabilityPart) -> dict[str, Any]:
 
     A case is ok if all its rows are. A refused case is not measured: there is no result that could be within a bound.
     """
-    counted = [row for row in rows if part.yardstick is None or not row[part.counted_by].endswith(part.yardstick)]
     ok: dict[tuple[str, str], bool] = {}
-    for row in counted:
+    for row in rows:
         key = _case(row, part)
         ok[key] = ok.get(key, True) and row["ok"]
-    refused = {_case(row, part) for row in counted if _is_refused(row)}
+    refused = {_case(row, part) for row in rows if _is_refused(row)}
     counts = []
     for group in dict.fromkeys(group for group, _ in ok):
         own = {key: good for key, good in ok.items() if key[0] == group}

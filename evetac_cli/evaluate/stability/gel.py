@@ -6,8 +6,8 @@ or work of the case; it is negative if energy is always lost.
 
 The onset is that of gross slip, as in the truth of a recording (sim.scenes.true_slip): the object has slid by half a
 pixel as one body. All of the pad is visible here. The grip falls evenly within a slice, and the force on the object is
-constant within a slice, as in scenes. It is found with the scenes' default steps and with fifty per slice: if friction
-falls with the slip speed, a node lets go within some ten microseconds, so the onset is the first quantity to suffer
+constant within a slice, as in scenes. It is found with the scenes' default steps and with fifty per slice. If friction
+falls with the slip speed, a node lets go within some ten microseconds. So the onset is the first quantity to suffer
 from steps that are too long.
 """
 

@@ -4,9 +4,6 @@ The object must be held: lifted, balanced, and moved by no more than a stated di
 stay in the gripper's range, the current within its limit, and the holding fingers at rest. A grasp that cannot continue
 must let go, with torque off, and report the reason in an error; this is as good as holding. An object dropped without
 an error is not ok, even if no gripper of limited force could have held it.
-
-A case that is not ok is repeated with a detector that receives the true gross slip (`WITH_TRUTH`), which only a
-simulation has. If this holds the object, the detector has failed; if not, the controller, the gripper or physics has.
 """
 
 from collections.abc import Callable
@@ -26,7 +23,6 @@ from evetac_cli.evaluate.cost.short_grasps import (
     GraspResult,
     ShortGrasp,
     WrappedDetector,
-    ground_truth_detector,
     run_short_grasp,
 )
 from evetac_cli.evaluate.stability.bounds import (
@@ -56,7 +52,6 @@ BALANCE_S = 2.0
 SETTLED_MS = 500  # at the end, in which the fingers must be at rest
 USUAL_OBJECT = 11
 DIES_AFTER_MS = 2500  # while the hand rises
-WITH_TRUTH = ", detector truth"  # suffix of controllers whose detector receives the true gross slip
 
 
 @dataclass
@@ -100,7 +95,6 @@ class GraspCase:
     wrap_detector: Callable[[SliceDetector, np.random.Generator], SliceDetector] = lambda detector, rng: detector
     timing: tuple[tuple[str, Any], ...] = ()  # fields of ShortGrasp
     paper_only: bool = False
-    own_detector: bool = False  # the case is about its detector, which must not be replaced
 
 
 def _servo(factor: float, plan: Plan) -> Plan:
@@ -131,13 +125,9 @@ def extreme_cases(*, full: bool) -> list[GraspCase]:
         *(GraspCase(f"servo gain x{factor:g}", partial(_servo, factor)) for factor in factors),
         *(GraspCase(f"law's gain x{factor:g}", timing=(("gain", factor),), paper_only=True) for factor in factors),
         *(GraspCase(f"friction {mu:g}", partial(_friction, mu)) for mu in frictions),
-        GraspCase("detector never fires", wrap_detector=_always(slips=False), own_detector=True),
-        GraspCase("detector always fires", wrap_detector=_always(slips=True), own_detector=True),
-        GraspCase(
-            "detector dies while the hand rises",
-            wrap_detector=lambda detector, rng: DyingDetector(detector),
-            own_detector=True,
-        ),
+        GraspCase("detector never fires", wrap_detector=_always(slips=False)),
+        GraspCase("detector always fires", wrap_detector=_always(slips=True)),
+        GraspCase("detector dies while the hand rises", wrap_detector=lambda detector, rng: DyingDetector(detector)),
         GraspCase("one slice in five lost", wrap_detector=lambda detector, rng: UnevenSlices(detector, rng, lost=0.2)),
         GraspCase(
             "one slice in five twice", wrap_detector=lambda detector, rng: UnevenSlices(detector, rng, twice=0.2)
@@ -159,37 +149,22 @@ def cases(seed: int, full: bool) -> list[Callable[[], Rows]]:
     """Return every case with every controller; only the paper's controller has a gain."""
     controllers = CONTROLLERS if full else QUICK_CONTROLLERS
     return [
-        partial(judged_rows, case, controller, seed)
+        partial(grasp_rows, case, controller, seed)
         for controller in controllers
         for case in extreme_cases(full=full)
         if not (case.paper_only and controller == "load-proportional")
     ]
 
 
-def judged_rows(case: GraspCase, controller: str, seed: int) -> Rows:
-    """Return the rows of a case and, if one is not ok, those with the true slip, which show what failed."""
-    rows = grasp_rows(case, controller, seed)
-    failed = {row["quantity"] for row in rows if not row["ok"]}
-    if not failed or case.own_detector:
-        return rows
-    with_truth = grasp_rows(case, controller, seed, true_slip=True)
-    still = failed & {row["quantity"] for row in with_truth if not row["ok"]}
-    verdict = "the detector fails: with the true slip this is ok"
-    if still:
-        verdict = "not because of the detector: this fails with the true slip too"
-    return [row if row["ok"] else {**row, "outcome": f"{row['outcome']}; {verdict}"} for row in rows] + with_truth
-
-
-def grasp_rows(case: GraspCase, controller: str, seed: int, *, true_slip: bool = False) -> Rows:
-    """Run one grasp of a case and return the rows of its outcome or abort, with the true slip if `true_slip`."""
-    name = f"{controller}{WITH_TRUTH}" if true_slip else controller
+def grasp_rows(case: GraspCase, controller: str, seed: int) -> Rows:
+    """Run one grasp of a case and return the rows of its outcome or abort."""
     rng = np.random.default_rng([seed, 1])
     short = replace(ShortGrasp(USUAL_OBJECT, controller, balance_s=BALANCE_S), **dict(case.timing))
     used: list[Rig] = []
 
     def wrap(detector: SliceDetector, devices: Rig) -> SliceDetector:
         used.append(devices)
-        return case.wrap_detector(ground_truth_detector(detector, devices) if true_slip else detector, rng)
+        return case.wrap_detector(detector, rng)
 
     def run() -> Rows:
         try:
@@ -197,10 +172,10 @@ def grasp_rows(case: GraspCase, controller: str, seed: int, *, true_slip: bool =
         except EvetacError as error:
             if not used:  # refused before the grasp began
                 raise
-            return let_go(case.name, name, error, used[0])
-        return check(case.name, name, result)
+            return let_go(case.name, controller, error, used[0])
+        return check(case.name, controller, result)
 
-    return run_case(case.name, run, controller=name)
+    return run_case(case.name, run, controller=controller)
 
 
 def let_go(name: str, controller: str, error: EvetacError, devices: Rig) -> Rows:

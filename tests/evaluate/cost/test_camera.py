@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from evetac_cli.evaluate.cost import camera as cost
-from evetac_cli.evaluate.cost.camera import SETTINGS, Workload, camera_rows, match, play, row_count
+from evetac_cli.evaluate.cost.camera import Workload, camera_rows, match, play, row_count
 from evetac_cli.events import Events
 from evetac_cli.sim.camera.scanning import camera
 from evetac_cli.sim.camera.scanning.camera import CameraModel
@@ -87,14 +87,3 @@ def test_events_pair_once() -> None:
     nothing = truth.part(0, 0)
     assert match(nothing, nothing).f1 == 1.0
     assert math.isinf(match(truth, nothing).count_share)
-
-
-def test_workloads_are_told_apart() -> None:
-    """Assert that the workloads have names of their own, and that noise, uneven thresholds and a window are there."""
-    loads = cost.workloads()
-    assert len({load.name for load in loads}) == len(loads)
-    assert [load.settings for load in loads[:3]] == [SETTINGS] * 3
-    harder = [load for load in loads if load.part != "camera"]
-    assert [load.texture is not None for load in harder] == [False, False, True]
-    assert [load.model.noise_rate_hz > 0 for load in harder] == [True, False, False]
-    assert [load.model.mismatch for load in harder] == pytest.approx([0.03, 0.3, 0.03])

@@ -7,7 +7,6 @@ from evetac_cli.evaluate.cost.short_grasps import (
     FixedDetector,
     GraspResult,
     ShortGrasp,
-    ground_truth_detector,
     run_short_grasp,
 )
 from evetac_cli.kernels.grip.control import SlipSignal
@@ -37,18 +36,3 @@ def test_a_fixed_detector(slip: bool) -> None:
     detector = FixedDetector(CountingDetector(), lambda: slip)
     assert [detector.step(None) for _ in range(3)] == [float(slip)] * 3
     assert detector.signal == SlipSignal(3 * slip, mean_displacement_x_px=1.5)
-
-
-def test_the_truth_as_a_detector() -> None:
-    """Assert that it counts slices in which the simulation says slip, whatever the network says."""
-
-    class Devices:
-        now = 0
-
-        def truth(self) -> dict:
-            self.now += 1
-            return {"truth/slip": self.now in (2, 3, 7)}
-
-    detector = ground_truth_detector(CountingDetector(), Devices())
-    assert [detector.step(None) for _ in range(8)] == [0, 1, 1, 0, 0, 0, 1, 0]
-    assert detector.signal == SlipSignal(3, mean_displacement_x_px=1.5)

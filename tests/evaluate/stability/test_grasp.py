@@ -9,25 +9,18 @@ import pytest
 
 from evetac_cli.commands.evaluate import EvaluateStability
 from evetac_cli.devices.simulated import SimulatedGripper
-from evetac_cli.errors import DeviceError
-from evetac_cli.evaluate.cost.short_grasps import FixedDetector, GraspResult
+from evetac_cli.evaluate.cost.short_grasps import GraspResult
 from evetac_cli.evaluate.stability import bounds, command
 from evetac_cli.evaluate.stability import grasp as stability
-from evetac_cli.evaluate.stability.extreme_scenes import LIFTS, merge
 from evetac_cli.evaluate.stability.grasp import (
     DyingDetector,
     GraspCase,
-    UnevenSlices,
-    extreme_cases,
     grasp_rows,
-    judged_rows,
 )
 from evetac_cli.jobs import Job, Rows
 from evetac_cli.kernels.grip.control import Control
 from evetac_cli.sim.gripper import Drive
-from evetac_cli.sim.setup.plan import Plan, first_plan
-from evetac_cli.trials.grasp.loop import SliceDetector
-from tests.evaluate.conftest import CountingDetector
+from evetac_cli.sim.setup.plan import Plan
 
 SHORT = (("lift_s", 0.3), ("balance_s", 0.1))
 HELD: Mapping[str, Any] = {"lifted": True, "balanced": True, "moved_mm": 1.0}
@@ -95,44 +88,6 @@ def test_a_grasp_that_breaks_off_lets_go(monkeypatch: pytest.MonkeyPatch) -> Non
     assert (row["value"], row["ok"]) == (np.inf, False)
 
 
-def test_a_dying_detector() -> None:
-    """Assert that it gives what the detector gives, and then fails."""
-    detector = DyingDetector(CountingDetector(), 2)
-    assert [detector.step(None) for _ in range(2)] == [0.25, 0.25]
-    with pytest.raises(DeviceError, match="died"):
-        detector.step(None)
-
-
-@pytest.mark.parametrize(("lost", "twice", "times"), [(0.2, 0.0, 0.8), (0.0, 0.2, 1.2)])
-def test_slices_that_are_lost_or_come_twice(lost: float, twice: float, times: float) -> None:
-    """Assert that slices are lost and doubled in their shares."""
-    counting = CountingDetector()
-    uneven = UnevenSlices(counting, np.random.default_rng(0), lost, twice)
-    probabilities = [uneven.step(None) for _ in range(5000)]
-    assert counting.slices == pytest.approx(5000 * times, rel=0.03)
-    assert np.isnan(probabilities).mean() == pytest.approx(lost, abs=0.02)
-
-
-def test_every_case_is_another() -> None:
-    """Assert that the suite has all extremes, each once, and more when it is full."""
-    quick, full = extreme_cases(full=False), extreme_cases(full=True)
-    names = [case.name for case in quick]
-    assert len(set(names)) == len(names)
-    assert {"detector never fires", "detector always fires", "friction 0.1", "friction 2",
-            "one slice in five lost", "one slice in five twice",
-            "law's gain x0.1", "law's gain x10", "detector dies while the hand rises",
-            *LIFTS} <= set(names)  # fmt: skip
-    assert len(full) > len(quick)
-    assert len(stability.cases(0, False)) == 2 * len(quick) - sum(case.paper_only for case in quick)
-
-
-def test_a_scene_changes_the_plan() -> None:
-    """Assert that the tables of a scene come into the plan of its case."""
-    usual = merge(first_plan("lift"), {"gripper": {"friction_factor": [0.9, 1.1]}})
-    case = next(case for case in extreme_cases(full=False) if case.name == "gear friction x0.7")
-    assert case.change_plan(usual).scene.gripper.friction_factor == (0.7, 0.7)
-
-
 def test_refusals_are_ok() -> None:
     """Assert that a case whose plan cannot be simulated is ok, and says why."""
 
@@ -147,55 +102,13 @@ def test_refusals_are_ok() -> None:
 
 @pytest.mark.slow
 def test_the_report(tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert rows of real grasps, what is not ok first, and counted by controller, without those told the true slip."""
+    """Assert rows of real grasps, what is not ok first, and counted by controller."""
     monkeypatch.setattr(stability, "extreme_cases", lambda full: [GraspCase("as usual", timing=SHORT)])
     chosen = EvaluateStability(part="grasp")
     outcome = command.run(Job((), tmp_path / "a.report.h5"), chosen)
     assert {(row["controller"], row["case"]) for row in outcome.rows} == {
-        (f"{controller}{told}", "as usual")
-        for controller in stability.QUICK_CONTROLLERS
-        for told in ("", stability.WITH_TRUTH)
+        (controller, "as usual") for controller in stability.QUICK_CONTROLLERS
     }
     assert outcome.rows[0]["quantity"] == bounds.HELD.quantity  # the hand rises by far less than 50 mm
-    assert outcome.rows[0]["outcome"].endswith("; not because of the detector: this fails with the true slip too")
     assert outcome.summary["cases"] == 2
     assert outcome.summary["not_ok_by_controller"] == "paper 1 of 1, load-proportional 1 of 1"
-
-
-@pytest.mark.parametrize("own_detector", [False, True])
-@pytest.mark.parametrize("holds", [False, True])
-def test_a_failed_detector_is_told_from_a_failed_grasp(
-    own_detector: bool, holds: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Assert that a case that fails is tried with the true slip, unless it is its detector, and what that tells."""
-    asked = []
-
-    def grasp_rows(case: GraspCase, controller: str, seed: int, *, true_slip: bool = False) -> Rows:
-        asked.append(true_slip)
-        measured = [(bounds.HELD, 0.0 if true_slip and holds else 1.0), (bounds.MOVED, 1.0)]
-        return bounds.case_rows(case.name, "lost", measured, controller=controller + stability.WITH_TRUTH * true_slip)
-
-    monkeypatch.setattr(stability, "grasp_rows", grasp_rows)
-    rows = judged_rows(GraspCase("x", own_detector=own_detector), "paper", 0)
-    assert asked == ([False] if own_detector else [False, True])
-    assert rows[1]["outcome"] == "lost"  # what is ok needs no verdict
-    if own_detector:
-        assert rows[0]["outcome"] == "lost"
-        return
-    verdict = "the detector fails: with the true slip this is ok" if holds else "not because of the detector"
-    assert rows[0]["outcome"].startswith(f"lost; {verdict}")
-    assert [row["controller"] for row in rows] == ["paper"] * 2 + ["paper, detector truth"] * 2
-
-
-def test_who_is_told_the_true_slip() -> None:
-    """Assert that the case's own detector stands behind one that is told, where the grasp is told, and only there."""
-    seen: list[SliceDetector] = []
-
-    def wrap(detector: SliceDetector, rng: np.random.Generator) -> SliceDetector:
-        seen.append(detector)
-        return DyingDetector(detector, 3)
-
-    case = GraspCase("x", wrap_detector=wrap, timing=SHORT)
-    rows = [grasp_rows(case, "paper", 0, true_slip=true_slip)[0] for true_slip in (False, True)]
-    assert [isinstance(detector, FixedDetector) for detector in seen] == [False, True]
-    assert [row["controller"] for row in rows] == ["paper", "paper, detector truth"]

@@ -5,7 +5,7 @@
 and grip, and with the memory of the package's scenes: with the others' half a wavelength of its unstable slip is 2.5
 nodes, and the onset hangs on the grid.
 Onset is when the object slid by half a pixel with no node stuck. A case that a reference of 5 us moves by more than
-0.2 ms is undecided, and only listed. Print the tables with `pytest -m slow -s tests/evaluate/cost/test_letting_go.py`.
+0.2 ms is undecided, and only listed. Print the tables with `pytest -m slow -s tests/sim/gel/test_letting_go.py`.
 """
 
 import math

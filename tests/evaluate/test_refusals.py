@@ -1,0 +1,62 @@
+"""What `evaluate` refuses: the type of the error and its place, before anything is written."""
+
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from evetac_cli.commands import evaluate as flags
+from evetac_cli.errors import InputError
+from evetac_cli.evaluate import data_rate, grasp, realism, slip, vibration
+from evetac_cli.evaluate.cost import command as cost
+from evetac_cli.evaluate.likeness import command as likeness
+from tests.make import event_arrays, events_at, run_stage, write_recording
+
+SLICES = {"a": 300, "b": 1000, "short": 50, "empty": 0}
+SMALL = (64, 48)
+WINDOWS = ("", "x", "0.05", "11", "1,,2", "nan", "-1")
+
+
+@pytest.mark.parametrize(
+    ("stage", "names", "params", "place"),
+    [
+        (data_rate, "a", flags.EvaluateDataRate(rgb_frame="540x480"), "--rgb-frame"),
+        (data_rate, "a", flags.EvaluateDataRate(rgb_frame="0x480x3"), "--rgb-frame"),
+        (data_rate, "empty", flags.EvaluateDataRate(), "empty"),
+        *((vibration, "a", flags.EvaluateVibration(windows=text), "--windows") for text in WINDOWS),
+        (vibration, "a", flags.EvaluateVibration(rate=100, lowest_hz=50.0), "--lowest-hz"),
+        (vibration, "short", flags.EvaluateVibration(), "short"),
+        (realism, "a", flags.EvaluateRealism(), ""),
+        (realism, "a a", flags.EvaluateRealism(), "a"),
+        (realism, "a b", flags.EvaluateRealism(), "b"),  # other frames
+        (realism, "a short", flags.EvaluateRealism(), "a"),  # no phase in common
+        (grasp, "a", flags.EvaluateGrasp(), "a"),
+        (slip, "", flags.EvaluateSlip(), "--model"),
+        (likeness, "a", flags.EvaluateLikeness(results=Path("nowhere")), "--results"),
+        (cost, "a", flags.EvaluateCost(part="label"), "evaluate cost label"),
+        (cost, "a", flags.EvaluateCost(part="grasp"), "evaluate cost grasp"),
+        (cost, "", flags.EvaluateCost(part="track", model=Path("a.model.h5")), "evaluate cost track"),
+        (cost, "", flags.EvaluateCost(part="track", trials=3), "--trials"),
+        (cost, "", flags.EvaluateCost(part="model", trials=3), "--trials"),
+    ],
+)
+def test_refused(stage: Any, names: str, params: Any, place: str, tmp_path: Path) -> None:
+    """Assert that flags and recordings that make no sense are an InputError at their place, and leave no report."""
+    files = []
+    for name in names.split():
+        slices = SLICES[name]
+        arrays = event_arrays(events_at(np.arange(slices) * 1000), slices, *([SMALL] if name != "b" else []))
+        files.append(write_recording(tmp_path / f"{name}.recording.h5", arrays))
+    with pytest.raises(InputError) as refused:
+        run_stage(stage, files, params, tmp_path / "r.report.h5")
+    at = place if place.startswith(("-", "evaluate")) or not place else str(tmp_path / f"{place}.recording.h5")
+    assert refused.value.where.startswith(at)
+    assert not list(tmp_path.glob("*.report.*"))
+
+
+def test_every_part_is_a_choice() -> None:
+    """Assert that the table of parts holds those that the command accepts, no more and no fewer."""
+    (part,) = (item for item in fields(flags.EvaluateCost) if item.name == "part")
+    assert tuple(cost.PARTS) == part.metadata["choices"]
