@@ -21,8 +21,6 @@ KINDS = ("model", "force-model")
 WHAT = {"model": "slip detector", "force-model": "force model"}
 # Figures of `info` that a card states elsewhere, or not at all.
 NOT_SHOWN = ("file", "kind", "id", "simulated", "size_bytes", "parameters", "made", "parents", "history", "seed")
-# Figures of a report that the Hub lists, with the names of its own metrics.
-METRICS = {"f1": ("f1", "F1 over slices"), "slip_correct": ("accuracy", "share of slips with correct timing")}
 
 
 def describe(path: Path, reports: Sequence[Path], params: Share) -> Card:
@@ -68,8 +66,6 @@ def describe(path: Path, reports: Sequence[Path], params: Share) -> Card:
         "made": creation,
     }
     fields = card_fields(simulated, params.license) | {"library_name": "evetac", "pipeline_tag": "robotics"}
-    if judged:
-        fields["model-index"] = [{"name": title, "results": [_result(one) for one in judged]}]
     page = [
         *opening(title, simulated=simulated, license_=params.license),
         f"A {what} for an event camera behind a dotted gel, made with evetac. Recipe id `{header['id']}`.",
@@ -178,20 +174,6 @@ def _shown(judged: dict[str, Any]) -> dict[str, Any]:
     names = ("trajectories", "slip_correct", "slip_early", "slip_late", "f1")
     main_figures = {name: figures.get(name) for name in names}
     return {"evaluation": judged["command"], **main_figures, "simulated": "yes" if judged["simulated"] else "no"}
-
-
-def _result(judged: dict[str, Any]) -> dict[str, Any]:
-    """Return an evaluation as an entry of the Hub's `model-index`."""
-    mark = " (simulated)" if judged["simulated"] else ""
-    return {
-        "task": {"type": "robotics", "name": "slip detection"},
-        "dataset": {"type": "evetac", "name": f"{judged['report']}{mark}"},
-        "metrics": [
-            {"type": kind, "name": f"{name}{mark}", "value": judged["figures"][key]}
-            for key, (kind, name) in METRICS.items()
-            if judged["figures"].get(key) is not None
-        ],
-    }
 
 
 def _flat(parameters: dict[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:

@@ -25,6 +25,17 @@ BINS = 3000
 BLOCK_ROWS = 16384
 LEAST_FLOW_PX = 0.01  # smallest drawn: a logarithmic axis has no 0, and less is noise
 MOST_FLOW_PX = 10.0  # largest drawn, or three times the limit if larger: higher values decide nothing
+BY_IMAGES = ("threshold", "threshold_px", "window relative to the gel over the look-ahead;")
+# Method of labels -> name and parameter of its limit, and what moves: event-flow sums the slide since the last stick.
+LIMITS = {
+    "farneback": BY_IMAGES,
+    "dis": BY_IMAGES,
+    "event-flow": (
+        "onset at a slide of",
+        "slip_distance_px",
+        "object relative to the gel in contact; a lasting slide of",
+    ),
+}
 
 Read = Callable[[int, int], NDArray[Any]]
 
@@ -200,24 +211,12 @@ def _flow(labels: StageFile, span: tuple[int, int]) -> Panel:
     parameters = labels.header["parameters"]
     method = parameters.get("method")
     title = "Flow that labels slip" + (f", {method}" if isinstance(method, str) else "")
-    # Methods on images compare the flow with a threshold; event-flow uses the distance slid since the last stick.
-    compared = method in (None, "farneback", "dis")
-    name, limit = ("threshold", "threshold_px") if compared else ("onset at a slide of", "slip_distance_px")
-    if not (compared or method == "event-flow") or not isinstance(parameters.get(limit), (int, float)):
+    name, limit, says = LIMITS.get(method if isinstance(method, str) else "farneback", ("", "", ""))
+    level = parameters.get(limit)
+    if not isinstance(level, (int, float)):
         return Panel(title, "px", lines, logarithmic=True)
-    level = float(parameters[limit])
     ends = LEAST_FLOW_PX, max(MOST_FLOW_PX, 3 * level)
-    if compared:
-        look_ahead = parameters.get("look_ahead_ms")
-        time = f"in {look_ahead} ms" if isinstance(look_ahead, int) else "over the look-ahead"
-        says = f"Motion of the window relative to the gel {time}; more than {level:g} px is slip."
-    else:
-        from evetac_cli.kernels.labelling.event_flow import EventFlowConstants
-
-        says = (
-            f"Motion of the object relative to the gel in contact in the next {EventFlowConstants.look_ahead_ms} ms."
-            f" Slip begins when a lasting slide exceeds {level:g} px."
-        )
+    says = f"Motion of the {says} more than {level:g} px is slip."
     if any(line.name == "not examined" for line in lines):
         says += " Grey: not examined."
     if any(np.nanmax(line.value) > ends[1] for line in lines):
