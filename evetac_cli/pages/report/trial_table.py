@@ -28,8 +28,8 @@ HINT = (
     f" {LABELS_MS[0]} to {LABELS_MS[1]:+d} ms of it; a first detection that is missing or not within"
     f" {TIMING_MS[0]} to {TIMING_MS[1]:+d} ms of the labels' onset. t_s is the true onset of gross slip, t_c the onset"
     " in the labels, t_m the first detection by a model. Click a point above to show its trial. Thumbnails: white is"
-    " brighter, black is darker. <code class='command'>evetac view RECORDING</code> makes a page of its own for a trial,"
-    " to which its name then links."
+    " brighter, black is darker. <code class='command'>evetac view RECORDING</code> makes a page of its own for a"
+    " trial, to which its name then links."
 )
 SHOWN_MS = 100  # farther onsets are drawn at the edge
 WIDTH_IN = 7.0  # of a chart of onsets
