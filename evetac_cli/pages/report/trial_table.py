@@ -24,12 +24,11 @@ MOST_TRIALS = 2000  # in the table: outliers first
 FILTERED = ("study", "object", "scene", "sensor", "outcome")  # columns by which trials are filtered
 EMPTY = ("<td></td>", cell(None))
 HINT = (
-    "Criteria: a lost object; labels that miss the true onset or are not within"
-    f" {LABELS_MS[0]} to {LABELS_MS[1]:+d} ms of it; a first detection that is missing or not within"
-    f" {TIMING_MS[0]} to {TIMING_MS[1]:+d} ms of the labels' onset. t_s is the true onset of gross slip, t_c the onset"
-    " in the labels, t_m the first detection by a model. Click a point above to show its trial. Thumbnails: white is"
-    " brighter, black is darker. <code class='command'>evetac view RECORDING</code> makes a page of its own for a"
-    " trial, to which its name then links."
+    "An outlier has lost its object, or a labelled onset or first detection is missing or outside of its limits. These"
+    f" are {LABELS_MS[0]} to {LABELS_MS[1]:+d} ms from the true onset t_s to the onset in the labels t_c, and"
+    f" {TIMING_MS[0]} to {TIMING_MS[1]:+d} ms from there to a model's first detection t_m. Click a point above to show"
+    " its trial. Thumbnails: white is brighter, black is darker. <code class='command'>evetac view RECORDING</code>"
+    " makes a page of its own for a trial, to which its name then links."
 )
 SHOWN_MS = 100  # farther onsets are drawn at the edge
 WIDTH_IN = 7.0  # of a chart of onsets
