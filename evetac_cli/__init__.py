@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from evetac_cli.errors import EvetacError, InputError, UnavailableError
     from evetac_cli.events import Events, SliceBlock, Slicer
     from evetac_cli.kernels.event_drawing import ImageBlock
-    from evetac_cli.kernels.sensitivity import Sensitivity
+    from evetac_cli.kernels.slip.architectures import Sensitivity
     from evetac_cli.kernels.touch.touch_map import TouchReading
     from evetac_cli.sim.touch_sensor import Touch, TouchSensor
     from evetac_cli.store.recordings.read import Recording, open_recording

@@ -18,11 +18,9 @@ from evetac_cli.errors import InputError
 from evetac_cli.events import FRAME_PX, Events
 from evetac_cli.kernels import event_drawing, event_representation
 from evetac_cli.kernels.calibration import grid
-from evetac_cli.kernels.sensitivity import UNKNOWN, Sensitivity, sensitivity_of
-from evetac_cli.kernels.slip.architectures import ARCHITECTURES
+from evetac_cli.kernels.slip.architectures import ARCHITECTURES, UNKNOWN_SENSITIVITY, Sensitivity, sensitivity_of
 from evetac_cli.kernels.touch import touch_map
-from evetac_cli.kernels.touch.dot_modes import DotNoise
-from evetac_cli.kernels.touch.dot_motion import ENDLESS_MM
+from evetac_cli.kernels.touch.dot_motion import ENDLESS_MM, DotNoise
 from evetac_cli.kernels.touch.sticking import NO_TOUCH
 from evetac_cli.kernels.touch.sticking import step as sticking_step
 from evetac_cli.kernels.tracking import presets, tracker
@@ -154,7 +152,7 @@ class Gel(NamedTuple):
     dot_xy_px: NDArray[np.float64] | None
     dot_radius_px: float | None
     window_px: tuple[int, int, int, int] | None = None
-    sensitivity: Sensitivity = UNKNOWN
+    sensitivity: Sensitivity = UNKNOWN_SENSITIVITY
     frame_px: tuple[int, int] = FRAME_PX
 
 

@@ -39,7 +39,6 @@ EXTRAS = {
     "plot": ("matplotlib", "bokeh", "PIL"),
     "view": ("rerun",),
     "cluster": ("dask", "distributed", "cryptography"),
-    "log": ("tensorboard",),
     "robot": ("mujoco", "gymnasium", "cma"),
 }
 # The command that makes each kind of file; recordings are also made by grasp, trim and repair.

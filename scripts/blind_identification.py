@@ -10,7 +10,7 @@ For each sensor randomized-narrow:N the script does four things:
 - It runs `evetac identify` and compares the interval of each parameter in PARAMETERS with the truth.
 - It simulates rest and press again, by the sensor itself with another seed, and by its twin, the identified sensor,
   with a third seed.
-- A classifier (kernels/realism) learns to distinguish half seconds of recordings: first from second, either from the
+- A classifier (kernels/realism.py) learns to distinguish half seconds of recordings: first from second, either from the
   twin's, and first from the next sensor's.
 
 The comparison was fixed by a commit before the first run on sensors from 20,000. The script skips sensors whose results

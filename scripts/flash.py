@@ -2,7 +2,7 @@
 
 Each pixel of a dot has an event when the flash comes on and one when it goes off. Other pixels have none, except for
 motion and noise. So the mean position of these pixels is the centre of the dot, independently of its history. A tracker
-that has drifted can be reset there (`tracker.place`).
+that has drifted can be reset there (`place`).
 
 The change of light at which a pixel makes an event depends on its history, which differs between the side that a dot
 came from and the side it moved to. So there are two pulses: a bright one that sets the pixels of the dots, and a
@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 
 from evetac_cli.arrays import Floats
 from evetac_cli.kernels.compiled import njit
+from evetac_cli.kernels.tracking import lost_dots
+from evetac_cli.kernels.tracking.tracker import TrackerState
 
 REACH_PX = 4.0  # beyond the rim: pixels farther away are not part of a dot
 LEAST_SHARE = 0.6  # of a dot's area in events: with less, the dot is partly hidden and the centre is wrong
@@ -60,3 +62,24 @@ def _find(x: NDArray[np.uint16], y: NDArray[np.uint16], dot_xy_px: Floats, radiu
         if count < least:
             dot_xy_px[i, 0] = np.nan
             dot_xy_px[i, 1] = np.nan
+
+
+def place(state: TrackerState, dot_xy_px: Floats, share: float = 1.0) -> None:
+    """Move the dots of a tracker to positions (n, 2) in px, or by a share of the way; dots with NaN stay as they are.
+
+    They are followed from the new position and are no longer lost.
+    """
+    assert dot_xy_px.shape == state.dot_xy_px.shape and 0.0 <= share <= 1.0
+    seen = ~np.isnan(dot_xy_px).any(axis=1)
+    most_px = state.record["frame_px"][0] - 1.0
+    moved = state.dot_xy_px[seen] + share * (dot_xy_px[seen] - state.dot_xy_px[seen])
+    state.dot_xy_px[seen] = np.clip(moved, 0.0, most_px)
+    _start_anew(state.record, seen)
+
+
+@njit(cache=True)
+def _start_anew(record: NDArray[np.void], which: NDArray[np.bool_]) -> None:
+    state = record[0]
+    for i in range(which.shape[0]):
+        if which[i]:
+            lost_dots.start_anew(state, i)

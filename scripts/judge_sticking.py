@@ -36,7 +36,7 @@ from evetac_cli.evaluate.slip_warnings import begins
 from evetac_cli.jobs import Row
 from evetac_cli.kernels.touch.rest import BLOCK_MS
 from evetac_cli.kernels.touch.sticking import ALARM, PATIENCE
-from evetac_cli.stages.touch.sticking_network import shipped
+from evetac_cli.stages.touch.sticking_share import shipped_network
 
 NAME = "sticking-share"
 SLIPS = 0.2
@@ -141,9 +141,9 @@ def row_of(motion: str, number: int, seed: int) -> Row:
     rng = np.random.default_rng([seed, number, 1])
     if motion == WITH_CAMERA:
         trial, dot_px = tracked_trial(number, seed)
-        return judged(trial, trials.looks_at(trial, dot_px, np.zeros(len(trial.rest_px), np.bool_), shipped()))
+        return judged(trial, trials.looks_at(trial, dot_px, np.zeros(len(trial.rest_px), np.bool_), shipped_network()))
     trial = motions.played(motions.planned(motion, number, seed), seed)
-    return judged(trial, trials.looks_of(trial, rng, shipped()))
+    return judged(trial, trials.looks_of(trial, rng, shipped_network()))
 
 
 def summary(motion: str, rows: list[Row]) -> Row:

@@ -54,7 +54,7 @@ from evetac_cli.evaluate.cost.pipeline import (
 from evetac_cli.evaluate.labels import EARLIEST_MS, LATEST_MS
 from evetac_cli.jobs import Row, silent
 from evetac_cli.kernels.slip import metrics
-from evetac_cli.kernels.slip.labels import shift_labels
+from evetac_cli.kernels.slip.metrics import shift_labels
 from evetac_cli.sim.setup.scene_file import changed
 from evetac_cli.stages import label
 from evetac_cli.store.files import StageFile, output_path

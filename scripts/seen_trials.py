@@ -14,9 +14,8 @@ from slip_trials import Scores
 from evetac_cli.arrays import Floats, Singles
 from evetac_cli.evaluate.slip_models import Model
 from evetac_cli.events import Events
-from evetac_cli.kernels.sensitivity import sensitivity_of
-from evetac_cli.kernels.slip import extras, features
-from evetac_cli.kernels.slip.architectures import Architecture, DotArchitecture
+from evetac_cli.kernels.slip import features, inputs
+from evetac_cli.kernels.slip.architectures import Architecture, DotArchitecture, sensitivity_of
 from evetac_cli.kernels.slip.detector import over_each
 from evetac_cli.kernels.slip.inputs import DotsAndExtras
 from evetac_cli.kernels.tracking import tracker
@@ -75,10 +74,10 @@ class Seen:
         slices = len(self._dot_px)
         share = np.array(self._share, np.float32)
         if not self._gripper:
-            return extras.columns(slices, sticking_share=share)
+            return inputs.extra_columns(slices, sticking_share=share)
         t_us, *values = (np.array(column) for column in zip(*self._gripper, strict=True))
-        known = [extras.known_at_start(t_us.astype(np.int64), column, slices) for column in values]
-        return extras.columns(slices, *known, share)
+        known = [inputs.known_at_start(t_us.astype(np.int64), column, slices) for column in values]
+        return inputs.extra_columns(slices, *known, share)
 
     def probabilities(self, models: Mapping[str, Model]) -> dict[str, tuple[Singles, int]]:
         """Return the probabilities of each model by name, with its horizon in ms."""

@@ -20,7 +20,7 @@ import numpy as np
 from motions import Trial
 
 from evetac_cli.arrays import Floats, Singles
-from evetac_cli.kernels import logistic
+from evetac_cli.kernels import estimates
 
 HERE = Path(__file__).resolve().parent
 FILE = HERE / "slip-oracles.json"
@@ -74,7 +74,7 @@ def fit(trials: list[Trial], oracle: str, horizon_ms: int) -> Floats:
     inputs, label = np.concatenate(rows), np.concatenate(wanted).astype(np.float64)
     share = float(label.mean())
     importance = np.where(label > 0, 0.5 / share, 0.5 / (1 - share))
-    return logistic.fit(inputs, label, np.full(inputs.shape[1], PENALTY * len(label)), importance)
+    return estimates.logistic_weights(inputs, label, np.full(inputs.shape[1], PENALTY * len(label)), importance)
 
 
 @cache

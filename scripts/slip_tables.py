@@ -26,7 +26,7 @@ from evetac_cli.kernels.estimates import Estimate, cluster_weights, ratio_of_clu
 from evetac_cli.kernels.slip.alarms import ALARM_SLICES, LEADS_MS
 from evetac_cli.kernels.slip.metrics import Counts, timing
 from evetac_cli.kernels.slip.reliability import ReliabilityBin, expected_error
-from evetac_cli.stages.model_files import controller_threshold, read_curve
+from evetac_cli.stages.model_files import chosen_threshold, read_curve
 from evetac_cli.store.files import StageFile
 
 HERE = Path(__file__).resolve().parent
@@ -112,7 +112,7 @@ def thresholds_of(path: Path) -> Row:
     """Return the thresholds in a model's file, in the form that `thresholds` has for each oracle."""
     with StageFile(path, "model") as file:
         chosen = int(file.read("checkpoint/chosen"))
-        timing_at, grasp_at = float(file.read("checkpoint/threshold")[chosen]), controller_threshold(file)
+        timing_at, grasp_at = float(file.read("checkpoint/threshold")[chosen]), chosen_threshold(file)
         curve = read_curve(file)
         alarm_at = grasp_at if curve is None else curve.threshold_for(PER_MINUTE)
     at = {"timing": timing_at, "grasp": grasp_at, **dict.fromkeys(RULES, alarm_at)}

@@ -21,8 +21,7 @@ from evetac_cli.evaluate import slip_warnings
 from evetac_cli.evaluate.slip_warnings import RULES
 from evetac_cli.jobs import Row
 from evetac_cli.kernels.slip import alarms, metrics
-from evetac_cli.kernels.slip.labels import is_slip, shift_labels
-from evetac_cli.kernels.slip.metrics import F1_CUT_MS
+from evetac_cli.kernels.slip.metrics import F1_CUT_MS, is_slip, shift_labels
 from evetac_cli.kernels.slip.reliability import ABOVE
 
 # Thresholds are denser near 0 and 1, where the rare scores differ.

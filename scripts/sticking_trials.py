@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 
 from evetac_cli.arrays import Flags, Floats, Singles
 from evetac_cli.kernels.touch import rest, sticking
-from evetac_cli.kernels.touch.dot_modes import DotNoise
+from evetac_cli.kernels.touch.dot_motion import DotNoise
 from evetac_cli.kernels.touch.sticking import StickingNetwork
 from evetac_cli.kernels.touch.touch_map import BEGINS, ENDS
 
 UNSEEN = ("fast jerks", "data-rate", "weights", "vibration", "slip-speeds", "opening", "light touch")  # not in training
 # The tracker's error, as standard deviations in px: two errors that drift and return within DRIFT_S, as in
-# kernels/touch/dot_modes.py, and one from slice to slice.
+# kernels/touch/dot_motion.py, and one from slice to slice.
 OWN_PX, COMMON_PX, SLICE_PX, DRIFT_S = 0.05, 0.2, 0.03, 1.0
 KNOT_MS = 50
 LOW, HIGH = 0.05, 0.95  # slipping shares: practically none below LOW, practically all above HIGH

@@ -7,7 +7,7 @@ An independent implementation of the layer (contact_maker.py) computes contacts 
 The dots of the sensor `evetac` are seen with the tracker's errors: 0.05 px of each dot and 0.2 px of all. Each contact
 is pressed, held, moved, and then read. It takes minutes; simulated.
 
-`--calibrate` prints the factors of kernels/touch/patch_fit.py, and of normal force by shape, that follow from the
+`--calibrate` prints the factors of kernels/touch/patch.py, and of normal force by shape, that follow from the
 seeds, and writes nothing. `make results` puts the tables into docs/touch-maps.md.
 """
 
@@ -35,13 +35,13 @@ from evetac_cli.arrays import Flags, Floats  # noqa: E402
 from evetac_cli.jobs import Row  # noqa: E402
 from evetac_cli.kernels.touch import touch_map  # noqa: E402
 from evetac_cli.kernels.touch.dot_motion import CELL_MM, GelLayer  # noqa: E402
-from evetac_cli.kernels.touch.patch_fit import SUM_FACTORS, TRACTION_FACTORS  # noqa: E402
+from evetac_cli.kernels.touch.patch import SUM_FACTORS, TRACTION_FACTORS  # noqa: E402
 from evetac_cli.kernels.touch.touch_map import TouchReading, TouchState  # noqa: E402
 from evetac_cli.sim.camera.gel_camera import dot_grid  # noqa: E402
 from evetac_cli.sim.setup.plan import named_sensor  # noqa: E402
 from evetac_cli.sim.setup.sensor import Sensor  # noqa: E402
 
-OWN_PX, COMMON_PX = 0.05, 0.2  # the tracker's error, see kernels/touch/dot_modes.py
+OWN_PX, COMMON_PX = 0.05, 0.2  # the tracker's error, see kernels/touch/dot_motion.py
 TOUCHED = 0.05  # share of the largest pressure above which a cell is in the true patch
 WIDE = ("flat", "ball", "cylinder", "off centre", "twisted", "partial slip")  # at least 5 mm in both directions
 SIGMAS = {"68": 1.0, "95": 1.96}

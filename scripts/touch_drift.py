@@ -21,7 +21,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 import untouched
-from flash import dots_in_flash
+from flash import dots_in_flash, place
 from numpy.typing import NDArray
 from script_tables import RESULTS, table_of, write
 from untouched import UntouchedState
@@ -151,7 +151,7 @@ class RestDetection(Remedy):
         for first, end in zip(starts[:-1], starts[1:], strict=True):
             tracker.step(self.state, events.x[first:end], events.y[first:end], events.p[first:end])
             if untouched.step(self.untouched, self.state.dot_xy_px, self.state.lost):
-                tracker.place(self.state, self.rest_px)
+                place(self.state, self.rest_px)
 
 
 class Frames(Remedy):
@@ -167,7 +167,7 @@ class Frames(Remedy):
         super().follow(events, starts, true_px, number)
         if (number + len(starts) - 1) % (1000 * self.every_s) == 0:
             seen = true_px[-1] + self.rng.normal(size=self.rest_px.shape) * FRAME_PX
-            tracker.place(self.state, seen, FRAME_SHARES[self.every_s])
+            place(self.state, seen, FRAME_SHARES[self.every_s])
 
 
 class Flashes(Remedy):
@@ -191,7 +191,7 @@ class Flashes(Remedy):
             last = slice(starts[FLASH_SLICES - 1], starts[FLASH_SLICES])
             darker = events.p[last] == 0
             found = dots_in_flash(events.x[last][darker], events.y[last][darker], self.state.dot_xy_px, self.radius_px)
-            tracker.place(self.state, found)
+            place(self.state, found)
             self.shown_px, self.true_px = found, true_px[FLASH_SLICES - 1]
             starts = starts[FLASH_SLICES:]
         super().follow(events, starts, true_px, number)

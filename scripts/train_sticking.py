@@ -20,8 +20,7 @@ from motions import Trial
 from scipy.linalg import block_diag
 
 from evetac_cli.arrays import Flags, Floats, Singles
-from evetac_cli.kernels.touch.dot_field import X_MM, Y_MM
-from evetac_cli.kernels.touch.sticking import FIELDS, INPUTS, StickingNetwork
+from evetac_cli.kernels.touch.sticking import FIELDS, INPUTS, X_MM, Y_MM, StickingNetwork
 from evetac_cli.resources import STICKING_MODEL
 
 FIRST_SEED, RESHAPED_SEED, CHOOSING_SEED = 1000, 1100, 2000

@@ -84,7 +84,7 @@ ONLY_IN = {
         "kernels/slip/training.py",
         "kernels/force/training.py",
         "stages/train/__init__.py",
-        "stages/train/log.py",
+        "stages/train/plan.py",
         "testing.py",
     ),
     "typer": ("cli/main.py", "cli/flags.py", "cli/exit_codes.py"),

@@ -19,7 +19,7 @@ from evetac_cli.kernels.slip.inputs import DotsAndExtras
 from evetac_cli.kernels.tracking import presets
 from evetac_cli.resources import MODEL
 from evetac_cli.stages import featurize, track
-from evetac_cli.stages.model_files import controller_threshold
+from evetac_cli.stages.model_files import chosen_threshold
 from evetac_cli.stages.slip_detectors import load_detector, read_series
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.recordings.read import Recording, open_recording
@@ -133,7 +133,7 @@ def test_a_grasp_can_be_replayed_offline(made: Made) -> None:
         np.testing.assert_array_equal(recording.read("control/probability"), offline)
         last_seen = recording.read("control/t_us") // SLICE_US - 1  # the slice that ended as a control step began
         step_slip = recording.read("control/slip")
-        threshold = controller_threshold(model)
+        threshold = chosen_threshold(model)
     slips = np.concatenate([[0], np.cumsum(alarming(offline, threshold))])
     np.testing.assert_array_equal(step_slip, np.diff(slips[last_seen + 1], prepend=0) > 0)
 

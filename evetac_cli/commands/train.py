@@ -54,26 +54,9 @@ class Train:
         unit="steps",
         low=1,
     )
-    patience: int | None = parameter(
-        None,
-        "Stop early when the validation loss has not fallen for this many of the 100 checks, which are evenly spread"
-        " over the steps. The network with the lowest loss becomes one of the checkpoints. Default: take all steps.",
-        low=1,
-        high=100,
-        panel=TRAINING,
-        recipe=False,  # added to the recipe only if given: models trained before this option existed stay up to date
-    )
     seed: int = parameter(0, "Seed of the first weights, sampling and augmentation.", low=0, high=2**31 - 1)
     seeds: int = parameter(
         1, "Number of models to train, each with the next seed and in a separate file.", low=1, high=1000, recipe=False
-    )
-    log: str | None = parameter(
-        None,
-        "tensorboard: write the losses to NAME.model.log during training. A CSV file of them is always written next to"
-        " the model.",
-        choices=("tensorboard",),
-        panel=TRAINING,
-        recipe=False,
     )
     device: str = parameter(
         "cpu", "Device that computes the training; the numbers depend on it.", choices=("cpu", "cuda"), panel=TRAINING

@@ -32,8 +32,7 @@ from evetac_cli.evaluate.rows import each, mean, sd
 from evetac_cli.events import SLICES_PER_S
 from evetac_cli.jobs import Job, Outcome, Progress, Row, Rows, Stage, silent
 from evetac_cli.kernels.slip.covariates import TOUCH_N
-from evetac_cli.stages.related_files import check_made_from
-from evetac_cli.stages.splits import object_name
+from evetac_cli.stages.related_files import check_made_from, object_name
 from evetac_cli.store.files import StageFile, output_path
 from evetac_cli.store.layout.ancestry import scene_words
 from evetac_cli.store.layout.provenance import Header

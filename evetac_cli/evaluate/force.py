@@ -35,8 +35,7 @@ from evetac_cli.stages.force.train_force import (
     read_samples,
     sensor_sort,
 )
-from evetac_cli.stages.related_files import named_files, recording_with_truth
-from evetac_cli.stages.splits import check_disjoint
+from evetac_cli.stages.related_files import check_disjoint, named_files, recording_with_truth
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.layout.ancestry import trajectories
 from evetac_cli.store.layout.provenance import Header

@@ -27,12 +27,12 @@ from evetac_cli.errors import InputError
 from evetac_cli.evaluate import picture, report, report_job
 from evetac_cli.events import SLICE_US, Events, concatenate
 from evetac_cli.jobs import Job, Outcome, Progress, Rows, Stage, silent
+from evetac_cli.kernels import realism
 from evetac_cli.kernels.calibration import rest_image
 from evetac_cli.kernels.identify.rest import check_still, find_hot
-from evetac_cli.kernels.realism import classifier, figures
 from evetac_cli.sim.setup.plan import one_sensor
 from evetac_cli.stages.identify import pressed
-from evetac_cli.stages.identify.at_rest import LONGEST_REST, SHORTEST_REST
+from evetac_cli.stages.identify.pressed import LONGEST_REST, SHORTEST_REST
 from evetac_cli.store.layout.provenance import Header
 from evetac_cli.store.recordings.read import Recording, open_recording
 
@@ -91,7 +91,7 @@ def stroked(recording: Recording, rest: ContactPhase | None) -> pressed.Press | 
     """Return the dots that were stroked from rest and the estimates from them; None if no dots were stroked."""
     noise_hz = 0.0
     if rest is not None:
-        noise_hz = figures.at_rest(*rest.events, recording.frame_px, rest.duration_us)["ordinary_hz"]
+        noise_hz = realism.at_rest(*rest.events, recording.frame_px, rest.duration_us)["ordinary_hz"]
     with suppress(ValueError):
         return pressed.find(recording, one_sensor("evetac").log_contrast, None, noise_hz, np.random.default_rng(0))
     return None
@@ -253,26 +253,26 @@ def window_features(recording: Recording) -> Floats:
     at_rest = np.zeros(len(counts), np.bool_)
     for first, stop in rest_image.quiet_spells(counts):
         at_rest[first:stop] = True
-    length = classifier.WINDOW_SLICES
+    length = realism.WINDOW_SLICES
     whole = min(len(counts) // length, MOST_WINDOWS) * length
     rows = [
-        classifier.features(block.events, block.starts, at_rest[block.first : block.stop], recording.frame_px)
+        realism.features(block.events, block.starts, at_rest[block.first : block.stop], recording.frame_px)
         for block in recording.blocks(length, stop=whole)
     ]
-    return np.array(rows, np.float64).reshape(-1, len(classifier.FEATURES))
+    return np.array(rows, np.float64).reshape(-1, len(realism.FEATURES))
 
 
 def auc(first: Floats, second: Floats) -> float | None:
     """Return the AUC of held-out windows of two recordings; None if they are too short."""
     try:
-        return classifier.told_apart(first, second)
+        return realism.told_apart(first, second)
     except ValueError:
         return None
 
 
 def auc_of_halves(of: Floats) -> float | None:
     """Return the AUC between alternate pairs of windows of one recording; None if it is too short."""
-    other = np.arange(len(of)) // classifier.BLOCK % 2 == 1
+    other = np.arange(len(of)) // realism.BLOCK % 2 == 1
     return auc(of[~other], of[other])
 
 
@@ -305,17 +305,17 @@ def compare(real: Side, simulated: Side, frame_px: tuple[int, int]) -> Rows:
 
 def _at_rest(phase: ContactPhase, frame_px: tuple[int, int]) -> tuple[dict[str, float], dict[str, NDArray]]:
     events = phase.events
-    scalars = figures.at_rest(*events, frame_px, phase.duration_us)
-    hot, ordinary, _ = figures.split_hot(*events, frame_px, phase.duration_us * 1e-6)
+    scalars = realism.at_rest(*events, frame_px, phase.duration_us)
+    hot, ordinary, _ = realism.split_hot(*events, frame_px, phase.duration_us * 1e-6)
     return scalars, {
         "events_a_slice, distribution": phase.counts,
-        "hot_interval_us, distribution": figures.times_between(hot)[0],
-        "ordinary_interval_us, distribution": figures.times_between(ordinary)[0],
+        "hot_interval_us, distribution": realism.times_between(hot)[0],
+        "ordinary_interval_us, distribution": realism.times_between(ordinary)[0],
     }
 
 
 def _in_motion(phase: ContactPhase, frame_px: tuple[int, int]) -> tuple[dict[str, float], dict[str, NDArray]]:
-    return figures.in_motion(*phase.events, frame_px, phase.counts), {"events_a_slice, distribution": phase.counts}
+    return realism.in_motion(*phase.events, frame_px, phase.counts), {"events_a_slice, distribution": phase.counts}
 
 
 def _phase_rows(
@@ -334,8 +334,8 @@ def _phase_rows(
     ]  # fmt: skip
     for figure, sample in samples.items():
         ours, theirs = (float(np.median(one)) if len(one) else float("nan") for one in (sample, other_samples[figure]))
-        of_halves = figures.largest_gap(halves[0][1][figure], halves[1][1][figure])
-        gap = figures.largest_gap(sample, other_samples[figure])
+        of_halves = realism.largest_gap(halves[0][1][figure], halves[1][1][figure])
+        gap = realism.largest_gap(sample, other_samples[figure])
         rows.append(_row(name, figure, ours, theirs, gap, of_halves, CUMULATIVE))
     return rows
 
@@ -376,17 +376,17 @@ def _draw(figure: Any, real: Side, simulated: Side, frame_px: tuple[int, int]) -
         style = {"color": colour, "label": label}
         if side.rest:
             seconds = side.rest.duration_us * 1e-6
-            hot, _, _ = figures.split_hot(*side.rest.events, frame_px, seconds)
+            hot, _, _ = realism.split_hot(*side.rest.events, frame_px, seconds)
             for polarity, line in ((None, "-"), (1, "--"), (0, ":")):
                 line_style = {**style, "label": f"{label}{'' if polarity is None else (', OFF', ', ON')[polarity]}"}
-                _cumulative(panels[0], figures.times_between(hot, polarity)[0], linestyle=line, **line_style)
+                _cumulative(panels[0], realism.times_between(hot, polarity)[0], linestyle=line, **line_style)
             pixel = side.rest.events.y.astype(np.int64) * frame_px[0] + side.rest.events.x
             busiest = np.sort(np.bincount(pixel))[::-1] / seconds
             if busiest.any():
                 panels[1].plot(1 + np.arange(np.count_nonzero(busiest)), busiest[busiest > 0], **style)
         phase = side.motion or side.rest
         if phase:
-            frequency_hz, power = figures.spectrum(phase.counts)
+            frequency_hz, power = realism.spectrum(phase.counts)
             if power.any():
                 panels[2].plot(frequency_hz, power, **style)
         if side.press:

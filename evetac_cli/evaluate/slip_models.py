@@ -26,8 +26,7 @@ from evetac_cli.jobs import Progress, Rows
 from evetac_cli.kernels.slip.architectures import Architecture
 from evetac_cli.kernels.slip.covariates import WORDS, SlipCovariates, of_labels, summary
 from evetac_cli.kernels.slip.detector import Detector
-from evetac_cli.kernels.slip.labels import shift_labels
-from evetac_cli.kernels.slip.metrics import Prediction
+from evetac_cli.kernels.slip.metrics import Prediction, shift_labels
 from evetac_cli.stages.label import from_truth
 from evetac_cli.stages.model_files import (
     chosen_threshold,
@@ -35,9 +34,16 @@ from evetac_cli.stages.model_files import (
     learned_true_slip_share,
     read_horizon_ms,
 )
-from evetac_cli.stages.related_files import OTHER_FOLDER, Origins, check_made_from
+from evetac_cli.stages.related_files import (
+    OTHER_FOLDER,
+    Origins,
+    check_disjoint,
+    check_made_from,
+    object_name,
+    sensor_names,
+    sensor_of,
+)
 from evetac_cli.stages.slip_detectors import first_labelled, first_needed, load_detector, probabilities, read_series
-from evetac_cli.stages.splits import check_disjoint, object_name, sensor_names, sensor_of
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.hdf5.disk import taking_the_place_of
 from evetac_cli.store.layout.ancestry import TRAINING

@@ -25,7 +25,7 @@ from evetac_cli.arrays import Flags, Singles
 from evetac_cli.jobs import Rows
 from evetac_cli.kernels import estimates
 from evetac_cli.kernels.estimates import Estimate
-from evetac_cli.kernels.slip import alarms, metrics, reliability, warning_curve
+from evetac_cli.kernels.slip import alarms, metrics, reliability
 from evetac_cli.kernels.slip.metrics import Prediction
 from evetac_cli.kernels.slip.reliability import ReliabilityBin
 
@@ -61,7 +61,7 @@ class Judged(NamedTuple):
             slips,
             metrics.timing(first, prediction.onset) == "correct" if slips else None,
             alarms.lead_ms(alarming, prediction.onset) if slips else None,
-            *warning_curve.false_alarms(prediction, threshold),
+            *alarms.false_alarms(prediction, threshold),
         )
 
     def warned(self, ahead_ms: int) -> bool:
@@ -116,7 +116,7 @@ def columns(judged: Seeds, predictions: Sequence[Sequence[Prediction]]) -> dict[
     else:
         figures |= dict.fromkeys(WARNED.values()) | _ends("slip_correct", None) | _ends("warned_10_ms", None)
     false = false_alarms(judged)
-    minutes = sum(one.quiet_slices for one in judged[0]) / warning_curve.SLICES_PER_MIN
+    minutes = sum(one.quiet_slices for one in judged[0]) / alarms.SLICES_PER_MIN
     leads = [seed[place].lead_ms for seed in judged for place in slips]
     known_leads = [lead for lead in leads if lead is not None]
     return {
@@ -136,7 +136,7 @@ def false_alarms(judged: Seeds) -> Estimate | None:
     """
     trials = judged[0]
     count = _of_seeds([[one.false_alarms for one in seed] for seed in judged])
-    minutes = np.array([one.quiet_slices for one in trials]) / warning_curve.SLICES_PER_MIN
+    minutes = np.array([one.quiet_slices for one in trials]) / alarms.SLICES_PER_MIN
     if not minutes.sum():
         return None
     if not count.any():
@@ -173,7 +173,7 @@ def group(judged: Seeds, factor: str, name: str) -> dict[str, Any]:
     of_seeds = [[one._replace(sensor="") for one in seed if getattr(one, factor) == name] for seed in judged]
     members = [one for seed in of_seeds for one in seed]
     slips = [one for one in members if one.slips]
-    minutes = sum(one.quiet_slices for one in members) / warning_curve.SLICES_PER_MIN
+    minutes = sum(one.quiet_slices for one in members) / alarms.SLICES_PER_MIN
     return {
         **_ends("slip_correct", correct(of_seeds)),
         "warned_10_ms": float(np.mean([one.warned(10) for one in slips])) if slips else None,

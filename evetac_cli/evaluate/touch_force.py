@@ -36,8 +36,7 @@ from evetac_cli.kernels.force.models import CONTACT_N
 from evetac_cli.sim.setup.plan import read_sensor
 from evetac_cli.sim.setup.sensor import Sensor
 from evetac_cli.stages.force import adapt_touch, readings
-from evetac_cli.stages.related_files import recording_with_truth
-from evetac_cli.stages.splits import check_disjoint
+from evetac_cli.stages.related_files import check_disjoint, recording_with_truth
 from evetac_cli.stages.touch import known_gel
 from evetac_cli.stages.touch.known_gel import SHEAR_MODULUS_PA, GelShape, GelWeights, KnownGel
 from evetac_cli.store.files import StageFile

@@ -16,7 +16,7 @@ from evetac_cli.inspect import info_slip
 from evetac_cli.jobs import Outcome
 from evetac_cli.kernels.calibration.grid import in_words
 from evetac_cli.pages.shared import KNOWN, inner, stiffness
-from evetac_cli.stages.model_files import TRUE_SLIP_SHARES, labelled_by, learned_true_slip_share, read_curve
+from evetac_cli.stages.model_files import TRUE_SLIP_SHARE, labelled_by, learned_true_slip_share, read_curve
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.recordings import marks, slip_grid, streams
 from evetac_cli.store.recordings.onset import abstains, labelled_onset
@@ -266,7 +266,7 @@ def _features(file: StageFile) -> dict[str, Any]:
         "dots": in_words(rows, columns),
         "labelled": file.has("label"),
         "abstained": abstains(file),
-        "true_slip_share": any(map(file.has, TRUE_SLIP_SHARES)),
+        "true_slip_share": file.has(TRUE_SLIP_SHARE),
         "onset_ms": _onset_ms(file) if file.has("onset_slice") else None,
     }
 

@@ -1,4 +1,4 @@
-"""An estimate with its 95 % interval, and the intervals of counts and shares.
+"""An estimate with its 95 % interval, the intervals of counts and shares, and logistic regression.
 
 scipy.stats takes half a second to load, so functions that need a distribution import it themselves.
 """
@@ -8,6 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
+from evetac_cli.arrays import Floats
 
 LEVEL = 0.95  # confidence level of all intervals
 BLOCKS = 20  # equal blocks of time from which callers estimate the variation of a rate
@@ -98,3 +100,24 @@ def ratio_of_clusters(
     whole = weights @ below
     samples = (weights @ above)[whole > 0] / whole[whole > 0]
     return of_samples(float(above.sum() / below.sum()), samples)
+
+
+NEWTON_ROUNDS = 50  # of Newton's method, without any other stopping rule
+LONGEST_STEP = 3.0  # largest change of a weight per round: far from the optimum a whole Newton step would overshoot
+
+
+def logistic_weights(columns: Floats, label: Floats, penalty: Floats, importance: Floats) -> Floats:
+    """Return weights (k,) of a logistic regression, by Newton's method, from columns (n, k) and labels 0 or 1 (n,).
+
+    They minimise the negative log likelihood plus half of penalty (k,) times the squared weights; importance (n,):
+    weight of each row.
+    """
+    from scipy.special import expit  # here, because other users of the module do not need scipy
+
+    weights = np.zeros(columns.shape[1])
+    for _ in range(NEWTON_ROUNDS):
+        probability = expit(columns @ weights)
+        slope = columns.T @ (importance * (probability - label)) + penalty * weights
+        bend = (columns * (importance * probability * (1 - probability))[:, None]).T @ columns + np.diag(penalty)
+        weights = weights - np.clip(np.linalg.solve(bend, slope), -LONGEST_STEP, LONGEST_STEP)
+    return weights

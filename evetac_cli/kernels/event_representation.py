@@ -1,6 +1,6 @@
-"""Contents of event images: kind, size, rate and window. Free of compiled code, so that tables do not load numba.
+"""Contents of event images: kind, size, rate and window, which event_drawing.py draws; and an image for people.
 
-event_drawing.py draws them.
+Free of compiled code, so that tables, pages and exports do not load numba.
 """
 
 import math
@@ -8,9 +8,10 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from evetac_cli.checks import check_range, check_whole
-from evetac_cli.events import SLICES_PER_S
+from evetac_cli.events import FRAME_PX, SLICES_PER_S
 
 Kind = Literal["frames", "histogram", "voxels", "surface"]
 Polarity = Literal["split", "signed", "sum"]
@@ -114,3 +115,19 @@ def representation(
 ) -> Representation:  # fmt: skip
     """Return a Representation; by default images have the size of the frame."""
     return Representation(kind, frame_px, frame_px if size_px is None else size_px, rate_hz, window_ms, **more)
+
+
+def event_image(
+    x: NDArray[np.uint16], y: NDArray[np.uint16], p: NDArray[np.uint8], frame_px: tuple[int, int] = FRAME_PX
+) -> NDArray[np.int8]:
+    """Draw events, in order of time, as (height, width): +1 brighter, -1 darker, 0 none; a pixel's last event wins.
+
+    frame_px is (width, height); events outside it are left out.
+    Source: paper, "Evetac Touch Features", the set of events in image form.
+    """
+    assert x.ndim == 1 and x.shape == y.shape == p.shape
+    width, height = frame_px
+    image = np.zeros((height, width), np.int8)
+    inside = (x < width) & (y < height)
+    image[y[inside], x[inside]] = np.where(p[inside], np.int8(1), np.int8(-1))  # the last of several events stays
+    return image

@@ -4,7 +4,7 @@ The detector writes the slip signal at 1000 Hz, and the controller reads it at 5
 controller to recognize a dead detector or a silent camera, and the age of the signal.
 
 If each of two fingers has a camera, two detectors write, each its own status. The controller reads both, and a signal
-combined from both (kernels/grip/two_fingers.py).
+combined from both (kernels/grip/control.py).
 
 A new slice with slip rings a bell, for a controller that sleeps until its next step (early_answer.py).
 
@@ -18,7 +18,7 @@ import math
 import multiprocessing
 from typing import NamedTuple
 
-from evetac_cli.kernels.grip import two_fingers
+from evetac_cli.kernels.grip import control
 from evetac_cli.kernels.grip.control import SlipSignal
 from evetac_cli.realtime.bell import Bell
 from evetac_cli.realtime.shared_row import SharedRow
@@ -51,7 +51,7 @@ class DetectorStatus(NamedTuple):
     @property
     def control_signal(self) -> SlipSignal:
         """The input signal of the control law: that of one finger, or the combination of both."""
-        return self.signal if self.second is None else two_fingers.both(self.signal, self.second.signal)
+        return self.signal if self.second is None else control.both_fingers(self.signal, self.second.signal)
 
     def slip_began_us(self, seen: int) -> float:
         """Return the first event of the earliest remembered slice with slip after the first `seen` ones.

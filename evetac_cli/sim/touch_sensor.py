@@ -29,7 +29,7 @@ import numpy as np
 from evetac_cli.arrays import Floats
 from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US, Events, concatenate
-from evetac_cli.kernels.sensitivity import Sensitivity
+from evetac_cli.kernels.slip.architectures import Sensitivity
 from evetac_cli.sim.camera.gel_camera import GelCamera
 from evetac_cli.sim.gel import contact, dots, gel
 from evetac_cli.sim.gel.cell_gaps import CellGaps, cell_samples, gaps_of

@@ -30,12 +30,10 @@ def row_blocks(rows: int, most: int | None = None) -> Iterator[tuple[int, int]]:
         yield first, min(first + most, rows)
 
 
-def one_file(outputs: Sequence[Any], out: Path | None) -> None:
+def one_file(outputs: Sequence[Any], out: Path | None, suffix: str = ".h5") -> None:
     """Raise InputError for `-o NAME.h5` if there are several outputs."""
-    if out is not None and out.suffix == ".h5" and len(outputs) > 1:
+    if out is not None and out.suffix == suffix and len(outputs) > 1:
+        expected = f"a folder for {len(outputs)} files"
         raise InputError(
-            "one output file cannot hold several results",
-            where="--out",
-            expected=f"a folder for {len(outputs)} files",
-            found=str(out),
+            "one output file cannot hold several results", where="--out", expected=expected, found=str(out)
         )

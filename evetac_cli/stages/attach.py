@@ -55,9 +55,7 @@ def run(job: Job, params: Attach, *, force: bool = False, progress: Progress = s
         taken = streams.names(recording.contents())
         twice = next((name for name in sources if name in taken), None)
         if twice:
-            raise InputError(
-                f"already has a stream {twice}", where=str(job.inputs[0]), hint="choose another name for the new one"
-            )
+            raise InputError(f"already has a stream {twice}", where=str(job.inputs[0]))
         for number, (name, source) in enumerate(sources.items()):
             progress(number, len(sources), "streams read")
             start_us, slices = int(recording.read("t_offset")), len(recording)

@@ -22,7 +22,7 @@ from evetac_cli.kernels.calibration import gel_layout, grid
 from evetac_cli.kernels.calibration.gel_layout import Grid
 from evetac_cli.sim.setup import sensor_file
 from evetac_cli.sim.setup.plan import one_sensor
-from evetac_cli.stages import calibrated_gel
+from evetac_cli.stages import calibrated_gel, one_file
 from evetac_cli.stages.calibrated_gel import FoundDots
 from evetac_cli.store.calibration import Calibration, read_calibration, read_quality, up_to_date, write_calibration
 from evetac_cli.store.files import stem
@@ -41,23 +41,14 @@ def jobs(files: list[Path], params: Calibrate, out: Path | None) -> list[Job]:
     """Return a job for every recording, with output `<name>.calibration.json`, or one for the imported file."""
     calibrated_gel.check_options(params)
     if params.source is not None and (files or params.refine):
-        raise InputError(
-            "cannot be combined with recordings or a default grid", where="--import", found=str(params.source)
-        )
+        raise InputError("cannot be combined with recordings or a default grid", where="--import")
     if params.source is None and not files:
-        raise InputError(
-            "no recording is given",
-            expected="a press recording, or --import FILE",
-            hint="evetac record makes one: with --camera dvxplorer, --from FILE, or simulated with --scene press",
-        )
+        raise InputError("no recording is given", expected="a press recording, or --import FILE")
     sources = [params.source] if params.source is not None else files
     if out is not None and out.suffix == ".h5":
-        raise InputError(
-            "a calibration is a JSON file", where="--out", expected="a name that ends in .json", found=str(out)
-        )
+        raise InputError("a calibration is a JSON file", where="--out", expected="NAME.json", found=str(out))
+    one_file(sources, out, ".json")
     if out is not None and out.suffix == ".json":
-        if len(sources) > 1:
-            raise InputError("one output file cannot hold several results", where="--out", found=str(out))
         return [Job((sources[0],), out)]
     return [Job((file,), (out or file.parent) / f"{stem(file)}.{OUTPUT}.json") for file in sources]
 
@@ -84,14 +75,10 @@ def run(job: Job, params: Calibrate, *, force: bool = False, progress: Progress 
         places = dot_search.find(picture)
         if len(places.radius_px) < LEAST_DOTS:
             largest = dot_search.LARGEST_SHARE * min(recording.frame_px)
-            raise InputError(
-                "too few dots were seen to move",
-                where=where,
-                expected=f"{LEAST_DOTS} or more, dark and round, of {dot_search.SMALLEST_RADIUS_PX} to {largest:.0f} px"
-                " radius",
-                found=str(len(places.radius_px)),
-                hint=calibrated_gel.PRESS,
-            )
+            radii = f"{dot_search.SMALLEST_RADIUS_PX} to {largest:.0f} px radius"
+            expected, found = f"{LEAST_DOTS} or more, dark and round, of {radii}", str(len(places.radius_px))
+            message = "too few dots were seen to move"
+            raise InputError(message, where=where, expected=expected, found=found, hint=calibrated_gel.PRESS)
         radius = float(np.median(places.radius_px))
         if default is None:
             dots, window = calibrated_gel.arranged(_found(recording, places.centre_xy_px, radius), params)
@@ -101,13 +88,9 @@ def run(job: Job, params: Calibrate, *, force: bool = False, progress: Progress 
             window, left_out = default.window_px, {}
         jitter = gel_at_rest.jitter_px(halves, dots, radius)
         if not jitter <= WORST_JITTER_PX:
-            raise InputError(
-                "the dots come to rest at different positions after each stroke",
-                where=where,
-                expected=f"jitter of at most {WORST_JITTER_PX:g} px rms",
-                found=f"{jitter:.2f} px" if np.isfinite(jitter) else "too few strokes to measure it",
-                hint=calibrated_gel.PRESS,
-            )
+            message = "the dots come to rest at different positions after each stroke, or there are too few strokes"
+            expected, found = f"jitter of at most {WORST_JITTER_PX:g} px rms", f"{jitter:.2f} px"
+            raise InputError(message, where=where, expected=expected, found=found, hint=calibrated_gel.PRESS)
         figures = {"jitter_px_rms": jitter, "kept_from_default": from_default, **left_out}
         figures |= _against_stored(recording, dots)
         calibration = Calibration(recording.frame_px, dots, radius, window)
@@ -131,21 +114,16 @@ def _import(job: Job, params: Calibrate, force: bool) -> Outcome:
     else:
         centres, radius = read_pickle(source)
         if (centres < 0).any() or (centres > np.array(FRAME_PX) - 1).any():
-            raise InputError(
-                "a dot is outside the frame of the official software, whose files do not state one",
-                where=str(source),
-                expected=f"{FRAME_PX[0]} x {FRAME_PX[1]} px",
-                hint="write the dots as JSON with frame_px, see docs/recordings.md",
+            message, hint = (
+                "a dot is outside the frame of the official software",
+                "write the dots as JSON with frame_px",
             )
+            raise InputError(message, where=str(source), expected="{} x {} px".format(*FRAME_PX), hint=hint)
         dots, window = calibrated_gel.arranged(FoundDots(centres, radius, FRAME_PX, str(source)), params)
         if np.isfinite(dots[..., 0]).sum() != len(centres):
-            raise InputError(
-                "the dots do not form a grid",
-                where=str(source),
-                expected=f"{len(centres)} dots in rows and columns",
-                found=f"{np.isfinite(dots[..., 0]).sum()}",
-                hint=calibrated_gel.IRREGULAR,
-            )
+            expected, found = f"{len(centres)} dots in rows and columns", str(np.isfinite(dots[..., 0]).sum())
+            message, hint = "the dots do not form a grid", calibrated_gel.IRREGULAR
+            raise InputError(message, where=str(source), expected=expected, found=found, hint=hint)
         calibration = Calibration(FRAME_PX, dots, radius, window)
     recipe = Recipe(OUTPUT, METHOD, recipe_of(params) | {"source": source.name}, content=calibration.digest())
     if up_to_date(job.output, recipe, force=force):
@@ -231,9 +209,8 @@ def _refined(default: Grid, measured: Grid, where: str) -> tuple[Grid, int]:
         every_dot = np.arange(len(offset))
         near = np.flatnonzero(distance[every_dot, nearest] < reach)
         if len(near) < LEAST_DOTS:
-            raise InputError(
-                "the default grid does not fit", where=where, expected=f"{LEAST_DOTS} of its dots", found=str(len(near))
-            )
+            expected = f"{LEAST_DOTS} of its dots"
+            raise InputError("the default grid does not fit", where=where, expected=expected, found=str(len(near)))
         shift = shift + np.median(offset[near, nearest[near]], axis=0)
     refined = default.reshape(-1, 2) + shift
     refined[near] = measured[nearest[near]]

@@ -4,6 +4,7 @@ The dots are compared with prior information: an Evetac's size, the flags, and t
 leaves the gel undetermined, the user has to decide, because a wrong window would silently make wrong labels.
 """
 
+from contextlib import suppress
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -79,9 +80,8 @@ def arranged(seen: FoundDots, params: Calibrate) -> tuple[Grid, Window | None]:
     try:
         dots = grid.lattice(seen.places_px, size or (0, 0))
     except ValueError as error:
-        raise InputError(
-            f"the dots do not form a grid: {error}", where=seen.where, hint=_either(seen.remedy, IRREGULAR)
-        ) from None
+        hint = f"{seen.remedy}; {IRREGULAR}" if seen.remedy else IRREGULAR
+        raise InputError(f"the dots do not form a grid: {error}", where=seen.where, hint=hint) from None
     if size is None:
         if dots.shape[:2] != SIZES["closed"] or gel_layout.free_sides(dots, seen.frame_px):
             raise _which_gel(dots, seen)
@@ -169,69 +169,38 @@ def _many_missing(dots: Grid) -> bool:
 
 def _which_gel(dots: Grid, seen: FoundDots) -> InputError:
     """Return the error for dots that are not those of a closed Evetac, if nothing states which gel it is."""
-    rows, columns = dots.shape[:2]
+    rows, columns = shape = dots.shape[:2]
     as_it_is = f"--rows {rows} --columns {columns}"
-    if (rows, columns) == SIZES["cut"]:
-        try:
-            side, window = gel_layout.window(dots, seen.radius_px, seen.frame_px)
-        except ValueError:
-            pass
-        else:
-            return _space_on_one_side(dots, side, window, seen)
-    elif (rows, columns) == SIZES["closed"]:
-        free = ", ".join(gel_layout.free_sides(dots, seen.frame_px))
-        return InputError(
-            "there is space for more dots than those of an Evetac",
-            where=seen.where,
-            expected="dots that fill the frame",
-            found=f"{_in_words(dots)}; space: {free}",
-            hint=f"{as_it_is} --gel closed if the gel has no more dots",
-        )
-    if (columns, rows) in SIZES.values():
+    if shape == SIZES["cut"]:
+        with suppress(ValueError):
+            return _space_on_one_side(dots, *gel_layout.window(dots, seen.radius_px, seen.frame_px), seen)
+    if shape == SIZES["closed"]:
+        why = f"there is space for more dots: {', '.join(gel_layout.free_sides(dots, seen.frame_px))}"
+        return _refused(dots, seen, why, _sizes(), f"{as_it_is} --gel closed if the gel has no more dots")
+    if shape[::-1] in SIZES.values():
         return _turned(dots, seen)
-    try:
-        whole = gel_layout.completed(dots, SIZES["closed"], seen.frame_px)
-        worn = "" if _many_missing(whole) else "--gel closed if the missing dots are worn"
-    except ValueError:
-        worn = ""
-    return InputError(
-        "these dots are not the whole grid of an Evetac",
-        where=seen.where,
-        expected=_sizes(),
-        found=_in_words(dots),
-        hint=_either(seen.remedy, worn, f"{as_it_is} if the gel has no more dots", REFINE),
-    )
+    worn = "--gel closed if the missing dots are worn" if rows <= ROWS and columns <= CLOSED_COLUMNS else ""
+    why = "these dots are not the whole grid of an Evetac"
+    return _refused(dots, seen, why, _sizes(), seen.remedy, worn, f"{as_it_is} if the gel has no more dots", REFINE)
 
 
 def _turned(dots: Grid, seen: FoundDots) -> InputError:
     """Return the error for dots with the rows and columns of an Evetac exchanged."""
     rows, columns = dots.shape[:2]
-    as_it_is = f"--rows {rows} --columns {columns}"
-    if (columns, rows) == SIZES["closed"]:
-        hint = f"{as_it_is} --gel closed accepts them as they are"
-    else:
-        hint = f"{as_it_is} --gel cut accepts them as they are; --rows {rows + 1} --columns {columns} --gel closed"
-        hint += " if a row is not visible"
-    return InputError(
-        "these are the dots of an Evetac that is turned by 90 degrees",
-        where=seen.where,
-        expected=_sizes(),
-        found=_in_words(dots),
-        hint=hint,
-    )
+    closed = (columns, rows) == SIZES["closed"]
+    hint = f"--rows {rows} --columns {columns} --gel {'closed' if closed else 'cut'} accepts them as they are"
+    another = "" if closed else f"--rows {rows + 1} --columns {columns} --gel closed if a row is not visible"
+    return _refused(dots, seen, "the dots of an Evetac that is turned by 90 degrees", _sizes(), hint, another)
 
 
 def _space_on_one_side(dots: Grid, side: str, window: Window, seen: FoundDots) -> InputError:
     """Return the error for dots that leave space on one side."""
     what = "column" if side in ("left", "right") else "row"
+    why = f"is the gel cut, or is a {what} of dots not visible? There is space for either at the {side}"
     place = " ".join(map(str, window))
-    return InputError(
-        f"is the gel cut, or is a {what} of dots not visible? There is space for either at the {side}",
-        where=seen.where,
-        expected=f"--gel cut for a window there (window_px {place}), --gel closed for a {what} that is worn or missing",
-        found=_in_words(dots),
-        hint=_either("--gel cut or --gel closed", seen.remedy and f"if the {what} was not pressed: {seen.remedy}"),
-    )
+    expected = f"--gel cut for a window there (window_px {place}), --gel closed for a missing {what}"
+    pressed = f"if the {what} was not pressed: {seen.remedy}" if seen.remedy else ""
+    return _refused(dots, seen, why, expected, "--gel cut or --gel closed", pressed)
 
 
 def _another_size(dots: Grid, size: tuple[int, int], gel: str | None, seen: FoundDots, why: str = "") -> InputError:
@@ -239,20 +208,21 @@ def _another_size(dots: Grid, size: tuple[int, int], gel: str | None, seen: Foun
     shape = rows, columns = dots.shape[:2]
     if size in SIZES.values() and shape == size[::-1]:
         return _turned(dots, seen)
-    lacks = rows < size[0] or columns < size[1] or _many_missing(dots)
     if shape == size:
         hint = REFINE
     elif gel == "cut" and shape == SIZES["closed"]:
         hint = "--gel closed if there is no window"
     else:
         hint = f"--rows {rows} --columns {columns}{f' --gel {gel}' if gel else ''} if the gel has no more dots"
-    return InputError(
-        f"these are not the dots of the gel{f': {why}' if why else ''}",
-        where=seen.where,
-        expected=f"{size[0]} rows and {size[1]} columns" + (f" of a {gel} gel" if gel else ""),
-        found=_in_words(dots),
-        hint=_either(seen.remedy if lacks else "", hint),
-    )
+    lacks = rows < size[0] or columns < size[1] or _many_missing(dots)
+    expected = f"{size[0]} rows and {size[1]} columns" + (f" of a {gel} gel" if gel else "")
+    why = f"these are not the dots of the gel{f': {why}' if why else ''}"
+    return _refused(dots, seen, why, expected, seen.remedy if lacks else "", hint)
+
+
+def _refused(dots: Grid, seen: FoundDots, why: str, expected: str, *hints: str) -> InputError:
+    hint = "; ".join(filter(None, hints))
+    return InputError(why, where=seen.where, expected=expected, found=_in_words(dots), hint=hint)
 
 
 def _too_many(where: str, count: int) -> InputError:
@@ -272,7 +242,3 @@ def _in_words(dots: Grid) -> str:
     if len(dots) == 1:
         return f"{dots.shape[1]} dots, {place}"
     return f"{dots.shape[0]} rows and {dots.shape[1]} columns, {missing} dots missing, {place}"
-
-
-def _either(*hints: str) -> str:
-    return "; ".join(filter(None, hints))

@@ -23,8 +23,8 @@ from evetac_cli.events import FRAME_PX
 from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
 from evetac_cli.kernels.slip.architectures import GEL_PX
 from evetac_cli.stages import one_file, row_blocks
-from evetac_cli.stages.model_files import TRUE_SLIP_SHARES
-from evetac_cli.stages.related_files import check_made_from
+from evetac_cli.stages.model_files import TRUE_SLIP_SHARE
+from evetac_cli.stages.related_files import check_made_from, no_truth
 from evetac_cli.store.files import StageFile, output_path, up_to_date, write_stage
 from evetac_cli.store.index import Known
 from evetac_cli.store.layout.provenance import Header, Recipe
@@ -33,7 +33,6 @@ from evetac_cli.store.recordings.read import Recording, open_recording
 
 OUTPUT = "features"
 METHOD = 6
-TRUE_SLIP_SHARE = TRUE_SLIP_SHARES[0]  # the same name as in a simulated recording
 COLUMNS = ("displacement_px", "displacement_xy_px", "events_per_dot", "events_outside")  # one row per slice
 
 
@@ -42,12 +41,8 @@ def jobs(files: list[Path], params: Featurize, out: Path | None) -> list[Job]:
     one_file(files, out)
     single_files = [path for path in (params.tracks, params.labels) if path and not path.is_dir()]
     if len(files) > 1 and single_files:
-        raise InputError(
-            "one file cannot belong to several recordings",
-            where="--tracks, --labels",
-            expected="a folder, or one recording",
-            found=f"{single_files[0]} and {len(files)} recordings",
-        )
+        found = f"{single_files[0]} and {len(files)} recordings"
+        raise InputError("one file cannot belong to several recordings", where="--tracks, --labels", found=found)
     new_jobs = []
     for file in files:
         tracks = _input_path(file, "tracks", params.tracks)
@@ -83,12 +78,8 @@ def run(job: Job, params: Featurize, *, force: bool = False, progress: Progress 
     with ExitStack() as opened:
         recording = opened.enter_context(open_recording(recording_path))
         if not tracks_path.exists():
-            raise InputError(
-                "the tracks of this recording are missing",
-                where=str(recording_path),
-                expected=str(tracks_path),
-                hint=f"evetac track {recording_path}",
-            )
+            hint = f"evetac track {recording_path}"
+            raise InputError("its tracks are missing", where=str(recording_path), expected=str(tracks_path), hint=hint)
         parents = [recording.header]
         arrays: dict[str, Any] = {}
         tracks = opened.enter_context(StageFile(tracks_path, "tracks"))
@@ -139,7 +130,7 @@ def _gripper(recording: Recording) -> dict[str, NDArray[np.float32]]:
 
     The goal current is NaN in position mode; the goal position is NaN if no controller wrote one.
     """
-    from evetac_cli.kernels.slip.extras import known_at_start
+    from evetac_cli.kernels.slip.inputs import known_at_start
 
     if not recording.has("gripper") or not recording.length("gripper/t_us"):
         return {}
@@ -173,11 +164,7 @@ def _sticking_share(tracks: StageFile) -> NDArray[np.float32]:
 def _true_slip_share(recording: Recording) -> NDArray[np.float32]:
     """Return the slipping share of the visible contact, (slices,); InputError for a recording without it."""
     if not recording.has(TRUE_SLIP_SHARE):
-        raise InputError(
-            "the recording has no truth: only simulated recordings have it",
-            where=str(recording.path),
-            hint="leave out --true-slip-share, or use a recording simulated by `evetac record`",
-        )
+        raise no_truth(recording.path, "leave out --true-slip-share")
     share: NDArray[np.float32] = recording.read(TRUE_SLIP_SHARE)
     return share
 

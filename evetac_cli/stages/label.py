@@ -25,6 +25,7 @@ from evetac_cli.events import FRAME_PX, Events
 from evetac_cli.jobs import Job, Outcome, Progress, Rows, Stage, outcome, silent
 from evetac_cli.kernels.labelling import flow
 from evetac_cli.stages import per_file
+from evetac_cli.stages.related_files import no_truth
 from evetac_cli.store.calibration import MAKE_GRID
 from evetac_cli.store.files import up_to_date, write_stage
 from evetac_cli.store.index import Known
@@ -149,11 +150,8 @@ def compute(recording: Recording, params: Label, progress: Progress = silent) ->
         if params.method == "event-flow":
             dots = recording.dot_xy_px
             if dots is None:
-                raise InputError(
-                    "event-flow needs the dots, but the recording has no dot grid",
-                    where=str(recording.path),
-                    hint=f"{MAKE_GRID} to evetac record, or label with --method farneback",
-                )
+                hint = f"{MAKE_GRID} to evetac record, or label with --method farneback"
+                raise InputError("the recording has no dot grid", where=str(recording.path), hint=hint)
             radius = float(recording.read("sensor/dot_radius_px"))
             from evetac_cli.kernels.labelling import event_flow
 
@@ -166,23 +164,15 @@ def compute(recording: Recording, params: Label, progress: Progress = silent) ->
         parameters = {name: value for name, value in recipe_of(params).items() if name in names}
         return flow.label(between, slices, window, gel, flow.FlowConstants(**parameters), start)
     except ValueError as error:
-        raise InputError(
-            f"slip cannot be labelled: {error}",
-            where=str(recording.path),
-            hint="the object needs a texture that is visible in the window; a scene has one with record --texture on",
-        ) from error
+        hint = "the object needs a texture that is visible in the window; a scene has one with record --texture on"
+        raise InputError(f"slip cannot be labelled: {error}", where=str(recording.path), hint=hint) from error
 
 
 def regions(recording: Recording) -> tuple[flow.Region, flow.Region]:
     """Return the regions of the window and the gel, without the cut edge between them; InputError without a window."""
     if recording.window_px is None:
-        raise InputError(
-            "slip cannot be labelled: the gel has no window",
-            where=str(recording.path),
-            expected="a recording with sensor/window_px",
-            hint="only a cut gel shows slip: evetac calibrate --gel cut makes its grid; pass it to record with"
-            " --calibration. For a closed gel, use a detector that was trained on a cut one",
-        )
+        hint = "only a cut gel shows slip: evetac calibrate --gel cut makes its grid for record --calibration"
+        raise InputError("slip cannot be labelled: the gel has no window", where=str(recording.path), hint=hint)
     x0, y0, x1, y1 = recording.window_px
     width, height = recording.frame_px
     # The gel is on the side of the window with most of the frame: at the left in an upright Evetac.
@@ -207,11 +197,7 @@ def from_truth(recording: Recording, after_ms: int, *, from_start: bool = False)
     onset is that of the ramp.
     """
     if not recording.has("truth/slip"):
-        raise InputError(
-            "the recording has no truth: only simulated recordings have it",
-            where=str(recording.path),
-            hint="label with another --method",
-        )
+        raise no_truth(recording.path, "label with another --method")
     slips = recording.read("truth/slip")
     labels = slips.astype(np.int8)
     start = ramp_start(recording)

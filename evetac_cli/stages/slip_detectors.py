@@ -8,14 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
-from evetac_cli.kernels.slip import extras, features, inputs, onnx_graphs, sampling
+from evetac_cli.kernels.slip import features, inputs, onnx_graphs, sampling
 from evetac_cli.kernels.slip.architectures import Architecture, ImageArchitecture, PluginImageArchitecture
 from evetac_cli.kernels.slip.detector import Detector, over_each
 from evetac_cli.kernels.slip.inputs import Trajectory
-from evetac_cli.kernels.slip.labels import shift_labels
-from evetac_cli.kernels.slip.metrics import Prediction
-from evetac_cli.stages.model_files import TRUE_SLIP_SHARES, read_weights
-from evetac_cli.stages.splits import object_name
+from evetac_cli.kernels.slip.metrics import Prediction, shift_labels
+from evetac_cli.stages.model_files import TRUE_SLIP_SHARE, read_weights
+from evetac_cli.stages.related_files import object_name
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.layout.provenance import Header
 from evetac_cli.store.layout.rules import named_architecture
@@ -30,13 +29,13 @@ def read_trajectory(path: Path, architecture: Architecture, *, true_slip_share: 
     true_slip_share: whether to read the true slipping share of a simulation as well, if present.
     """
     with _labelled(path) as file:
-        truth = next(filter(file.has, TRUE_SLIP_SHARES), None) if true_slip_share else None
+        known = true_slip_share and file.has(TRUE_SLIP_SHARE)
         return Trajectory(
             read_series(file, architecture),
             file.read("events_outside"),
             file.read("label"),
             int(file.read("onset_slice")),
-            None if truth is None else file.read(truth),
+            file.read(TRUE_SLIP_SHARE) if known else None,
             not abstains(file),
         )
 
@@ -52,9 +51,7 @@ def read_pool_sizes(path: Path, architecture: Architecture, horizon_ms: int) -> 
 def _labelled(path: Path) -> Iterator[StageFile]:
     with StageFile(path, "features") as file:
         if not file.has("label"):
-            raise InputError(
-                "the features have no labels", where=str(path), hint="run evetac label, then evetac featurize"
-            )
+            raise InputError("the features have no labels", where=str(path), hint="evetac label, then evetac featurize")
         yield file
 
 
@@ -62,33 +59,21 @@ def read_series(file: StageFile, architecture: Architecture, start: int = 0, sto
     """Read the features that an architecture needs, for the slices [start, stop) of a file; InputError if missing."""
     if isinstance(architecture, ImageArchitecture):
         if not file.has("image"):
-            raise InputError(
-                f"{architecture.name} needs event images, but the features have none",
-                where=str(file.path),
-                hint="evetac featurize --images",
-            )
+            message, hint = f"{architecture.name} needs event images", "evetac featurize --images"
+            raise InputError(message, where=str(file.path), hint=hint)
         begin = file.read("image/start", start, None if stop is None else stop + 1)
         pixels = (file.read(f"image/{name}", int(begin[0]), int(begin[-1])) for name in ("pixel", "sign"))
         return features.EventImages(begin - begin[0], *pixels)
     if isinstance(architecture, PluginImageArchitecture):
         if not file.has("gel_events"):
-            raise InputError(
-                f"{architecture.name} needs event images, but the features have no events",
-                where=str(file.path),
-                hint="evetac featurize --events",
-            )
+            message, hint = f"{architecture.name} needs events", "evetac featurize --events"
+            raise InputError(message, where=str(file.path), hint=hint)
         begin = file.read("gel_events/start", start, None if stop is None else stop + 1)
         columns = features.GelEvents._fields[1:]
         of_events = (file.read(f"gel_events/{name}", int(begin[0]), int(begin[-1])) for name in columns)
         return features.GelEvents(begin - begin[0], *of_events)
     displacement_xy_px = None
     if architecture.sees_direction:
-        if not file.has("displacement_xy_px"):
-            raise InputError(
-                f"{architecture.name} needs displacements with their direction, but the features have none",
-                where=str(file.path),
-                hint="the file was made by an older evetac; run evetac featurize --force",
-            )
         displacement_xy_px = file.read("displacement_xy_px", start, stop)
     dots = features.series(
         file.read("displacement_px", start, stop),
@@ -99,7 +84,7 @@ def read_series(file: StageFile, architecture: Architecture, start: int = 0, sto
     if not architecture.extras:
         return dots
     extra_columns = [file.read(name, start, stop) if file.has(name) else None for name in EXTRA_COLUMNS]
-    return inputs.DotsAndExtras(dots, extras.columns(len(dots), *extra_columns))
+    return inputs.DotsAndExtras(dots, inputs.extra_columns(len(dots), *extra_columns))
 
 
 def predict(detectors: Sequence[Detector], trajectory: Trajectory, header: Header, horizon_ms: int) -> list[Prediction]:

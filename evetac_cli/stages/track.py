@@ -143,11 +143,7 @@ def _calibration(recording: Recording, path: Path | None) -> Calibration:
     if path is not None:
         return read_calibration(path, recording.frame_px)
     if recording.dot_xy_px is None:
-        raise InputError(
-            "the recording has no dot grid",
-            where=str(recording.path),
-            hint=MAKE_GRID,
-        )
+        raise InputError("the recording has no dot grid", where=str(recording.path), hint=MAKE_GRID)
     return stored_calibration(recording)
 
 

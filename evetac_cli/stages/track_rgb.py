@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.commands.track_rgb import TrackRgb
-from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
 from evetac_cli.sim.camera.rgb_sensor import RgbCamera, frame, start_tracker, track
 from evetac_cli.sim.setup.object_file import seed_of
 from evetac_cli.stages import per_file, row_blocks
+from evetac_cli.stages.related_files import no_truth
 from evetac_cli.stages.track import COLUMNS
 from evetac_cli.store.files import up_to_date, write_stage
 from evetac_cli.store.layout.provenance import Header, Recipe
@@ -68,11 +68,7 @@ def run(job: Job, params: TrackRgb, *, force: bool = False, progress: Progress =
         parameters = {"preset": PRESET, "camera": dataclasses.asdict(camera), **recipe_of(params)}
         recipe = Recipe(OUTPUT, METHOD, parameters, seed=params.seed, parents=(recording.header,))
         if not recording.has("truth"):
-            raise InputError(
-                "no frames can be rendered: only simulated recordings have the true motion of the gel",
-                where=str(recording.path),
-                hint="evetac record --scene NAME simulates a recording",
-            )
+            raise no_truth(recording.path)
         if up_to_date(job.output, recipe, force=force):
             return outcome(job, made=False, simulated=True)
         arrays = {name: recording.read(name) for name in SENSOR if recording.has(name)}

@@ -44,12 +44,8 @@ CLOCKS = {"commands": "gripper/t_us", "control_steps": "control/t_us", "marks": 
 def jobs(files: list[Path], params: Trim, out: Path | None) -> list[Job]:
     """Return a job for every recording, with output <name>-<from>-<to>ms, or <name>-denoised for all slices."""
     if params.to_ms is not None and params.to_ms <= params.from_ms:
-        raise InputError(
-            "the piece ends before it begins",
-            where="--to-ms",
-            expected=f"more than --from-ms {params.from_ms}",
-            found=f"{params.to_ms}",
-        )
+        expected = f"more than --from-ms {params.from_ms}"
+        raise InputError("the piece ends before it begins", where="--to-ms", expected=expected, found=f"{params.to_ms}")
     if params.support_ms is not None and not params.denoise:
         raise InputError("has no effect", where="--support-ms", expected="--denoise", found="none")
     one_file(files, out)
@@ -68,12 +64,8 @@ def run(job: Job, params: Trim, *, force: bool = False, progress: Progress = sil
         first = params.from_ms
         end = len(recording) if params.to_ms is None else params.to_ms
         if not first < end <= len(recording):
-            raise InputError(
-                "slices out of range",
-                where=str(job.inputs[0]),
-                expected=f"--from-ms and --to-ms within 0 and {len(recording)}",
-                found=f"{first} to {end}",
-            )
+            expected, found = f"--from-ms and --to-ms within 0 and {len(recording)}", f"{first} to {end}"
+            raise InputError("slices out of range", where=str(job.inputs[0]), expected=expected, found=found)
         header = recording.header
         simulated = bool(header["simulated"])
         parameters = {**header["parameters"], "trimmed": {"from_ms": first, "to_ms": end}}

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
 from evetac_cli.kernels.calibration import grid
-from evetac_cli.kernels.sensitivity import UNKNOWN, Sensitivity
+from evetac_cli.kernels.slip.architectures import UNKNOWN_SENSITIVITY, Sensitivity
 from evetac_cli.store.hdf5.disk import taking_the_place_of
 from evetac_cli.store.layout.provenance import Recipe, content_digest, first_difference, other_recipe
 from evetac_cli.store.recordings.read import HOT_PIXELS
@@ -42,7 +42,7 @@ class Calibration:
     dot_xy_px: NDArray[np.float64]  # (rows, columns, 2)
     dot_radius_px: float
     window_px: tuple[int, int, int, int] | None
-    sensitivity: Sensitivity = UNKNOWN
+    sensitivity: Sensitivity = UNKNOWN_SENSITIVITY
     hot_xy_px: NDArray[np.uint16] = field(default_factory=lambda: np.empty((0, 2), np.uint16))  # hot pixels
 
     def arrays(self) -> dict[str, Any]:

@@ -22,7 +22,7 @@ import h5py
 
 from evetac_cli.errors import EvetacError, InputError, SchemaError
 from evetac_cli.interrupts import leave_if_interrupted
-from evetac_cli.kernels.sensitivity import DATASETS, Sensitivity, sensitivity_of
+from evetac_cli.kernels.slip.architectures import SENSITIVITY_DATASETS, Sensitivity, sensitivity_of
 from evetac_cli.store.hdf5.checked_hdf5 import MOST_READ_BYTES, CheckedHdf5, damage_in_words
 from evetac_cli.store.hdf5.chunks import RowReader, RowWriter, put
 from evetac_cli.store.hdf5.disk import Recheck, existing_folder, new_file, taking_the_place_of
@@ -100,7 +100,7 @@ class StageFile:
     @property
     def sensitivity(self) -> Sensitivity:
         """The sensor's known sensitivity to contact."""
-        return sensitivity_of({path: self.read(path) for path in DATASETS.values() if self.has(path)})
+        return sensitivity_of({path: self.read(path) for path in SENSITIVITY_DATASETS.values() if self.has(path)})
 
     def check(self) -> None:
         """Check every dataset as before reading it; InputError if one is damaged or invalid.

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from evetac_cli.events import Events
-from evetac_cli.kernels.event_image import event_image
+from evetac_cli.kernels.event_representation import event_image
 
 FINE = 2  # enlargement while drawing
 ARROWS = 5.0  # times the true displacement

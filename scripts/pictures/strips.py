@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from evetac_cli.evaluate import picture
 from evetac_cli.events import SLICES_PER_S
-from evetac_cli.kernels.event_image import event_image
+from evetac_cli.kernels.event_representation import event_image
 from evetac_cli.sim.setup.scene_file import changed
 from evetac_cli.store.recordings.read import Recording, open_recording, true_onset
 

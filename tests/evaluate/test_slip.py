@@ -24,10 +24,9 @@ from evetac_cli.jobs import silent
 from evetac_cli.kernels.slip.covariates import WORDS
 from evetac_cli.kernels.slip.detector import Detector
 from evetac_cli.kernels.slip.inputs import Series
-from evetac_cli.kernels.slip.labels import is_slip
-from evetac_cli.kernels.slip.metrics import Prediction
+from evetac_cli.kernels.slip.metrics import Prediction, is_slip
 from evetac_cli.stages import slip_detectors, train
-from evetac_cli.stages.splits import RecordedSensor, sensor_names, sensor_of
+from evetac_cli.stages.related_files import RecordedSensor, sensor_names, sensor_of
 from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.layout.provenance import Recipe
 from tests.make import event_arrays, events_at, run_stage, truth_arrays

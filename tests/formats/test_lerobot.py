@@ -23,7 +23,7 @@ from evetac_cli.errors import InputError
 from evetac_cli.formats.exports import export_folder
 from evetac_cli.formats.write.lerobot import episodes, statistics, write_lerobot
 from evetac_cli.inspect.export import trial_files
-from evetac_cli.kernels.event_image import event_image
+from evetac_cli.kernels.event_representation import event_image
 from evetac_cli.store.recordings.read import Recording
 from tests.formats.trials import write_grasp
 from tests.small_files import DOTS, SLICES

@@ -264,7 +264,7 @@ def test_every_writer_of_csv_is_known() -> None:
     writes = re.compile(r"csv\.writer|DictWriter|CSVWriter|write_csv\(|to_csv")
     texts = {str(path.relative_to(PACKAGE)): path.read_text() for path in PACKAGE.rglob("*.py")}
     writers = {name for name, text in texts.items() if writes.search(text)}
-    plain = {"stages/train/log.py", "evaluate/benchmark/predictions.py"}  # the course of a training; predictions
+    plain = {"stages/train/plan.py", "evaluate/benchmark/predictions.py"}  # the course of a training; predictions
     assert writers == {"formats/write/write_table.py", *plain}
     assert "csv_text" in texts["formats/write/write_table.py"]
 

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from evetac_cli.kernels.touch.dot_field import LATTICE_MM
-from evetac_cli.kernels.touch.sticking import FIELDS, INPUTS, PATIENCE, StickingNetwork, slip_estimate
+from evetac_cli.kernels.touch.sticking import FIELDS, INPUTS, LATTICE_MM, PATIENCE, StickingNetwork, slip_estimate
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
 import judge_sticking as judge

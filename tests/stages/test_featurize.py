@@ -10,7 +10,7 @@ from evetac_cli.commands.featurize import Featurize
 from evetac_cli.commands.track import Track
 from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US
-from evetac_cli.kernels.event_image import event_image
+from evetac_cli.kernels.event_representation import event_image
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES, EVENTS_A_RIM, SHEAR_MODULUS_PA
 from evetac_cli.kernels.slip.features import GelEvents
 from evetac_cli.kernels.slip.inputs import DotsAndExtras

@@ -11,7 +11,7 @@ import pytest
 
 from evetac_cli.errors import InputError
 from evetac_cli.events import empty
-from evetac_cli.kernels.sensitivity import UNKNOWN, Sensitivity
+from evetac_cli.kernels.slip.architectures import UNKNOWN_SENSITIVITY, Sensitivity
 from evetac_cli.store.calibration import (
     Calibration,
     read_calibration,
@@ -126,7 +126,7 @@ def test_written_is_read(tmp_path: Path) -> None:
     dots = GRID + np.random.default_rng(0).uniform(-3, 3, GRID.shape)
     dots[1, 1] = np.nan
     path = tmp_path / "new" / "grid.json"
-    for window, sensor in ((None, Sensitivity(7.25, 1.5e5)), ((540, 0, 640, 480), UNKNOWN)):
+    for window, sensor in ((None, Sensitivity(7.25, 1.5e5)), ((540, 0, 640, 480), UNKNOWN_SENSITIVITY)):
         calibration = Calibration((640, 480), dots, 14.4321, window, sensor)
         write_calibration(path, calibration, [[1], [0]], {"a_px": 1.0}, {"id": "x"}, "x")
         again = read_calibration(path)

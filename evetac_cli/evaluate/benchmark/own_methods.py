@@ -28,7 +28,7 @@ from evetac_cli.jobs import Job, Outcome, Progress, Row, Rows, silent
 from evetac_cli.kernels.force import models as forces
 from evetac_cli.kernels.slip import metrics
 from evetac_cli.kernels.slip.architectures import ImageArchitecture, PluginImageArchitecture
-from evetac_cli.kernels.slip.labels import is_slip
+from evetac_cli.kernels.slip.metrics import is_slip
 from evetac_cli.sim.setup import object_file, scene_file
 from evetac_cli.sim.setup.tables import as_table
 from evetac_cli.stages import featurize, track

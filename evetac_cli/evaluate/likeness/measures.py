@@ -25,7 +25,7 @@ from evetac_cli.evaluate.likeness.counts import ABOUT_MS, SliceCounts, about_sli
 from evetac_cli.evaluate.realism import ContactPhase, rest_and_motion, stroked
 from evetac_cli.events import SLICE_US, SLICES_PER_S
 from evetac_cli.jobs import Row
-from evetac_cli.kernels.realism import figures
+from evetac_cli.kernels import realism
 from evetac_cli.kernels.tracking import presets, tracker
 from evetac_cli.stages import row_blocks
 from evetac_cli.store.files import StageFile
@@ -61,10 +61,10 @@ def measure(recording: Recording, counts: SliceCounts) -> Row:
 
 def _at_rest(rest: ContactPhase, frame_px: tuple[int, int]) -> Row:
     """Return the noise: over the whole frame, and of ordinary and hot pixels in the counted columns."""
-    whole = figures.at_rest(*rest.events, frame_px, rest.duration_us)
+    whole = realism.at_rest(*rest.events, frame_px, rest.duration_us)
     own = rest.events.x < paper.COLUMNS
     sensing = (rest.events.t[own], rest.events.x[own], rest.events.y[own], rest.events.p[own])
-    hot, ordinary, hot_pixels = figures.split_hot(*sensing, frame_px, rest.duration_us * 1e-6)
+    hot, ordinary, hot_pixels = realism.split_hot(*sensing, frame_px, rest.duration_us * 1e-6)
     rest_ms = rest.duration_us / SLICE_US
     return {
         "events_ms": whole["events_a_slice"],

@@ -62,7 +62,6 @@ SERVES = {
     "plot": "pictures of reports, pages",
     "view": "view --rrd",
     "cluster": "--engine dask",
-    "log": "train --log tensorboard",
     "robot": "evetac_cli.gym, examples",
 }
 

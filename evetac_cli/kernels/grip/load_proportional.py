@@ -30,7 +30,7 @@ and friction, so each grasp finds the ratio again:
 
 import math
 
-from evetac_cli.kernels.grip import fingers
+from evetac_cli.kernels.grip import load_law
 from evetac_cli.kernels.grip.load_law import Felt, LoadLaw, LoadState
 from evetac_cli.kernels.grip.paper import GraspPhase
 
@@ -48,7 +48,7 @@ def step(state: LoadState, phase: GraspPhase, felt: Felt, position_ticks: int, d
         state.ratio, state.spare = law.first_ratio, state.light_ticks + law.first_ticks
         state.next_ignore_s, state.probe_share = law.ignore_s, law.probe
     state.phase = phase
-    fingers.observe(state, position_ticks)
+    load_law.observe(state, position_ticks)
     load = _load(felt, state.rest_px, law)
     _watch_load(state, math.hypot(*load), dt_s, law)
     if phase is GraspPhase.BALANCE and not state.carried:
@@ -67,7 +67,7 @@ def step(state: LoadState, phase: GraspPhase, felt: Felt, position_ticks: int, d
     opens = (before - state.rest_ticks) * dt_s / (law.settle_s if state.carried else law.leaks_s)
     state.wanted_ticks = max(wanted, before - opens)
     state.x_ref = state.wanted_ticks
-    push = fingers.push(state, state.wanted_ticks, state.rest_ticks, dt_s, law.gear)
+    push = load_law.push(state, state.wanted_ticks, state.rest_ticks, dt_s, law.gear)
     state.u_ff = -float(push)
     return _clip_whole(position_ticks + push, law.gear.last_tick)
 

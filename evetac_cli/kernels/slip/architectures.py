@@ -2,6 +2,8 @@
 
 The table is in this module and not with the networks because `grasp` and `evaluate` need a detector's history and
 inputs, but must not import torch. This module only needs numpy.
+
+`Sensitivity` has the known properties of a sensor that make it respond differently from another to the same contact.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -13,11 +15,41 @@ from numpy.typing import NDArray
 
 from evetac_cli.events import FRAME_PX, SLICES_PER_S
 from evetac_cli.kernels.event_representation import Representation
-from evetac_cli.kernels.sensitivity import Sensitivity
+
+
+class Sensitivity(NamedTuple):
+    """Properties of one sensor, as estimated by `evetac identify`; None if unknown.
+
+    `contrast_over_threshold`: log contrast of a dot over the camera's threshold, which is the number of events of a
+    pixel when the rim of a dot passes. `shear_modulus_pa`: of the gel; under the same force a gel of twice the modulus
+    moves half as far. Stage files store them as datasets of these names, calibration files as keys.
+
+    >>> import evetac_cli as evetac
+    >>> with evetac.open_recording("a.recording.h5") as recording:
+    ...     evetac.Sensitivity(shear_modulus_pa=9e4).known(), sorted(recording.sensitivity.known())
+    ({'shear_modulus_pa': 90000.0}, ['contrast_over_threshold', 'shear_modulus_pa'])
+    """
+
+    contrast_over_threshold: float | None = None
+    shear_modulus_pa: float | None = None
+
+    def known(self) -> dict[str, float]:
+        """Return the known properties by name."""
+        return {name: value for name, value in self._asdict().items() if value is not None}
+
+
+UNKNOWN_SENSITIVITY = Sensitivity()
+SENSITIVITY_DATASETS = {name: f"sensor/{name}" for name in Sensitivity._fields}
+
+
+def sensitivity_of(sensor: Mapping[str, Any]) -> Sensitivity:
+    """Return the properties among the datasets `sensor/...` of a file or a trial."""
+    return Sensitivity(**{name: float(sensor[path]) for name, path in SENSITIVITY_DATASETS.items() if path in sensor})
+
 
 CHANNELS = ("distance", "events", "x", "y")  # features of every dot and slice; displacements in px
 
-# Optional inputs of every slice in addition to the dots: position and command of the fingers in ticks (extras.py), and
+# Optional inputs of every slice in addition to the dots: position and command of the fingers in ticks (inputs.py), and
 # the share of the contact that sticks, 0 to 1.
 EXTRAS = ("position", "command", "sticking")
 IN_TICKS = ("position", "command")

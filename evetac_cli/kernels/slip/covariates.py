@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.kernels.slip.labels import BUSY_EVENTS
+from evetac_cli.kernels.slip.metrics import BUSY_EVENTS
 
 INCIPIENT_SHARE = 0.8  # of the visible contact
 CREEP_PX = 0.5

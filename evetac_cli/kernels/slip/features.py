@@ -142,10 +142,8 @@ def displacement(dot_xy_px: NDArray[np.floating], rest_xy_px: NDArray[np.floatin
     dot_xy_px: (n, 2) or (slices, n, 2), rest_xy_px: (n, 2); returns (n,) or (slices, n). Source: paper,
     "Evetac Touch Features", D_C.
     """
-    dots, rest = _checked_dots(dot_xy_px, rest_xy_px)
-    result = np.empty(dots.shape[:-1], np.float32)
-    _distances(dots.reshape(-1, len(rest), 2), rest, result.reshape(-1, len(rest)))
-    return result
+    offset = _offsets(dot_xy_px, rest_xy_px)
+    return np.nan_to_num(np.sqrt(offset[..., 0] ** 2 + offset[..., 1] ** 2).astype(np.float32))
 
 
 def displacement_xy(dot_xy_px: NDArray[np.floating], rest_xy_px: NDArray[np.floating]) -> NDArray[np.float32]:
@@ -153,10 +151,7 @@ def displacement_xy(dot_xy_px: NDArray[np.floating], rest_xy_px: NDArray[np.floa
 
     Accepts the same arrays as `displacement`, which returns its length.
     """
-    dots, rest = _checked_dots(dot_xy_px, rest_xy_px)
-    result = np.empty(dots.shape, np.float32)
-    _offsets(dots.reshape(-1, len(rest), 2), rest, result.reshape(-1, len(rest), 2))
-    return result
+    return np.nan_to_num(_offsets(dot_xy_px, rest_xy_px).astype(np.float32))
 
 
 def rotate(windows: NDArray[np.float32], quarter_turns: int) -> NDArray[np.float32]:
@@ -193,9 +188,9 @@ def events_outside(
         return np.diff(starts).astype(np.int32)
     assert len(window_px) == 4
     x0, y0, x1, y1 = (int(edge) for edge in window_px)
-    outside = np.empty(len(starts) - 1, np.int32)
-    _count_outside(x, y, starts, (x0, y0, x1, y1), outside)
-    return outside
+    outside = (x < x0) | (x >= x1) | (y < y0) | (y >= y1)
+    before = np.append(0, np.cumsum(outside))
+    return np.diff(before[starts]).astype(np.int32)
 
 
 class EventImages(NamedTuple):
@@ -265,14 +260,10 @@ def gel_image(
     return pixel[:pixels], sign[:pixels]
 
 
-def _checked_dots(
-    dot_xy_px: NDArray[np.floating], rest_xy_px: NDArray[np.floating]
-) -> tuple[NDArray[np.floating], NDArray[np.float64]]:
-    rest = _checked_rest(rest_xy_px)
-    dots = np.asarray(dot_xy_px)
-    assert dots.ndim in (2, 3) and dots.shape[-2:] == rest.shape
-    assert not np.isinf(dots).any()
-    return dots, rest
+def _offsets(dot_xy_px: NDArray[np.floating], rest_xy_px: NDArray[np.floating]) -> NDArray[np.float64]:
+    rest, dots = _checked_rest(rest_xy_px), np.asarray(dot_xy_px, np.float32)
+    assert dots.ndim in (2, 3) and dots.shape[-2:] == rest.shape and not np.isinf(dots).any()
+    return dots - rest
 
 
 def _checked_rest(rest_xy_px: NDArray[np.floating]) -> NDArray[np.float64]:
@@ -293,32 +284,11 @@ def _distance(x_px: float, y_px: float, rest_x_px: float, rest_y_px: float) -> n
 
 
 @njit(cache=True)
-def _distances(
-    dot_xy_px: NDArray[np.floating], rest_xy_px: NDArray[np.float64], displacement_px: NDArray[np.float32]
-) -> None:
-    for k in range(dot_xy_px.shape[0]):
-        for i in range(rest_xy_px.shape[0]):
-            displacement_px[k, i] = _distance(
-                dot_xy_px[k, i, 0], dot_xy_px[k, i, 1], rest_xy_px[i, 0], rest_xy_px[i, 1]
-            )
-
-
-@njit(cache=True)
 def _offset(place_px: float, rest_px: float) -> np.float32:
     offset = np.float32(place_px) - rest_px
     if isnan(offset):
         return np.float32(0.0)
     return np.float32(offset)
-
-
-@njit(cache=True)
-def _offsets(
-    dot_xy_px: NDArray[np.floating], rest_xy_px: NDArray[np.float64], displacement_xy_px: NDArray[np.float32]
-) -> None:
-    for k in range(dot_xy_px.shape[0]):
-        for i in range(rest_xy_px.shape[0]):
-            displacement_xy_px[k, i, 0] = _offset(dot_xy_px[k, i, 0], rest_xy_px[i, 0])
-            displacement_xy_px[k, i, 1] = _offset(dot_xy_px[k, i, 1], rest_xy_px[i, 1])
 
 
 @njit(cache=True)
@@ -344,22 +314,6 @@ def take_slice(record: NDArray[np.void], dot_xy_px: NDArray[np.floating], events
     for i in range(len(EXTRAS)):
         extras_ring[row, i] = extras_ring[row + history, i] = np.float32(extras[i])
     state["slices"] += 1
-
-
-@njit(cache=True)
-def _count_outside(
-    x: NDArray[np.uint16],
-    y: NDArray[np.uint16],
-    starts: NDArray[np.int64],
-    window_px: tuple[int, int, int, int],
-    outside: NDArray[np.int32],
-) -> None:
-    x0, y0, x1, y1 = window_px
-    for k in range(outside.shape[0]):
-        inside = 0
-        for i in range(starts[k], starts[k + 1]):
-            inside += (x0 <= x[i]) & (x[i] < x1) & (y0 <= y[i]) & (y[i] < y1)
-        outside[k] = starts[k + 1] - starts[k] - inside
 
 
 @njit(cache=True)

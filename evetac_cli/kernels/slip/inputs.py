@@ -2,6 +2,14 @@
 
 One kernel serves training, whole trajectories and the online detector, so all three see identical bits. It takes a
 series of slices, and the slices at which inputs end. The online detector passes its last slices as a series.
+
+Extras are optional inputs in addition to the dots: finger position, finger command, and sticking share. Per slice they
+are (extras,), in the order of EXTRAS, NaN for unknown ones. A slice has the values that were known at its start, as a
+detector that runs next to a gripper knows them; offline, the last reading and command at or before its start.
+
+Goals in ticks and in mA are combined into one command. Otherwise a network would learn the difference between trials
+that end in slip, under a falling current, and grasps, which have goals in ticks. A goal current is converted to the
+ticks that press as hard.
 """
 
 from collections.abc import Iterable, Sequence
@@ -14,19 +22,146 @@ from numpy.typing import NDArray
 from evetac_cli.events import SLICE_US, Events
 from evetac_cli.kernels.compiled import njit
 from evetac_cli.kernels.event_drawing import images_ending
-from evetac_cli.kernels.slip import extras, features
+from evetac_cli.kernels.slip import features
 from evetac_cli.kernels.slip.architectures import (
     CHANNELS,
     EXTRAS,
     GEL_PX,
+    IN_TICKS,
     Architecture,
     ChannelView,
     DotArchitecture,
+    ExtraView,
     ImageArchitecture,
     OverImages,
     PluginImageArchitecture,
 )
 from evetac_cli.kernels.slip.features import EventImages, GelEvents
+
+# Conversion of a goal current: 0.40 N/mA of the servo over some 0.2 N per tick of further closing (both simulated; on a
+# real gripper neither has been measured). An error within a factor of two hardly changes the network's input.
+TICKS_PER_MA = 2.0
+# Limit on changes in ticks: a change of the control mode is a step of 100 ticks, and one such step would set the
+# normalisation of the input.
+MOST_CHANGE = 10.0
+UNKNOWN_EXTRAS = np.full(len(EXTRAS), np.nan, np.float32)
+
+
+def command_ticks(goal_ticks: float, goal_ma: float) -> float:
+    """Return the command in the unit of EXTRAS from a goal position or a goal current; the other, or both, are NaN."""
+    return goal_ma * TICKS_PER_MA if np.isnan(goal_ticks) else goal_ticks
+
+
+def known_at_start(t_us: NDArray[np.int64], values: NDArray[np.number], slices: int) -> NDArray[np.float32]:
+    """Return the last value, of rising times (rows,), at the start of each slice, (slices,); NaN before the first."""
+    last = np.searchsorted(t_us, np.arange(slices, dtype=np.int64) * SLICE_US, side="right") - 1
+    result = np.full(slices, np.nan, np.float32)
+    result[last >= 0] = values[last[last >= 0]]
+    return result
+
+
+def extra_columns(
+    slices: int,
+    position_ticks: NDArray[np.float32] | None = None,
+    goal_ticks: NDArray[np.float32] | None = None,
+    goal_ma: NDArray[np.float32] | None = None,
+    sticking_share: NDArray[np.float32] | None = None,
+) -> NDArray[np.float32]:
+    """Return extras (slices, extras) from quantities per slice, (slices,) each."""
+    unknown = np.full(slices, np.nan, np.float32)
+    all_columns = [unknown if each is None else each for each in (position_ticks, goal_ticks, goal_ma, sticking_share)]
+    assert all(each.shape == (slices,) for each in all_columns)
+    position, goal, current, sticking = all_columns
+    command = np.where(np.isnan(goal), current * np.float32(TICKS_PER_MA), goal)
+    return np.stack([position, command, sticking], axis=1).astype(np.float32)
+
+
+def extra_table(views: Sequence[ExtraView]) -> NDArray[np.int64]:
+    """Return the views for `fill_extras`, flat: per view its extra, newest or not, number and lengths of changes."""
+    numbers: list[int] = []
+    for view in views:
+        numbers += [EXTRAS.index(view.extra), int(view.newest), len(view.changes_ms), *view.changes_ms]
+    return np.array(numbers, np.int64)
+
+
+def extra_inputs(architecture: DotArchitecture) -> dict[str, slice]:
+    """Return the inputs of a dot that belong to each extra of a network."""
+    first, places = architecture.own_inputs, {}
+    for view in architecture.extras:
+        places[view.extra] = slice(first, first + view.width)
+        first += view.width
+    return places
+
+
+def scaled_inputs(architecture: DotArchitecture) -> NDArray[np.bool_]:
+    """Return which inputs of a dot, (inputs,), scale with the forces: all of its own, and changes in ticks."""
+    scaled = np.arange(architecture.inputs_per_dot) < architecture.own_inputs
+    for extra, place in extra_inputs(architecture).items():
+        if extra in IN_TICKS:
+            scaled[place.start + 1 : place.stop] = True
+    return scaled
+
+
+def never_known(architecture: DotArchitecture, training_extras: NDArray[np.float32] | None) -> NDArray[np.bool_]:
+    """Return which inputs of a dot, (inputs,), belong to extras that are unknown in all training slices.
+
+    The network has not learned their meaning and must not see them later, so its scale for them is 0.
+    training_extras: (slices, extras), of all training slices.
+    """
+    unknown = np.zeros(architecture.inputs_per_dot, np.bool_)
+    for extra, place in extra_inputs(architecture).items():
+        unknown[place] = training_extras is None or not np.isfinite(training_extras[:, EXTRAS.index(extra)]).any()
+    return unknown
+
+
+def learned_extras(architecture: DotArchitecture, input_scale: NDArray[np.float32]) -> tuple[str, ...]:
+    """Return the extras that a network has learned to use, from the scale of its inputs (inputs,)."""
+    return tuple(extra for extra, place in extra_inputs(architecture).items() if input_scale[place].any())
+
+
+def leave_out_extras(architecture: DotArchitecture, batch: NDArray[np.float32], left_out: NDArray[np.bool_]) -> None:
+    """Set extras to unknown in inputs (samples, dots, inputs): of the gripper, and of the sticking share.
+
+    left_out: (samples, 2).
+    """
+    for extra, place in extra_inputs(architecture).items():
+        batch[left_out[:, 0 if extra in IN_TICKS else 1], :, place] = 0.0
+
+
+@njit(cache=True)
+def fill_extras(
+    extras: NDArray[np.float32],
+    ends: NDArray[np.int64],
+    views: NDArray[np.int64],
+    first: int,
+    inputs: NDArray[np.float32],
+) -> None:
+    """Write the extras of a series (slices, extras), for samples that end at these slices, into inputs from `first` on.
+
+    inputs: (samples, dots, inputs). views: from `extra_table`. Nothing is checked.
+    """
+    for sample in range(ends.shape[0]):
+        end, column, at = ends[sample], first, 0
+        while at < views.shape[0]:
+            extra, newest, changes = views[at], views[at + 1], views[at + 2]
+            now = extras[end, extra]
+            is_known = np.isfinite(now)
+            for number in range(changes):
+                is_known &= np.isfinite(extras[end - views[at + 3 + number], extra])
+            for dot in range(inputs.shape[1]):
+                inputs[sample, dot, column] = np.float32(is_known)
+            column += 1
+            for number in range(newest + changes):
+                value = np.float32(0.0)
+                if is_known:
+                    value = now
+                    if number >= newest:
+                        value = now - extras[end - views[at + 3 + number - newest], extra]
+                        value = min(max(value, np.float32(-MOST_CHANGE)), np.float32(MOST_CHANGE))
+                for dot in range(inputs.shape[1]):
+                    inputs[sample, dot, column] = value
+                column += 1
+            at += 3 + changes
 
 
 class DotsAndExtras(NamedTuple):
@@ -145,7 +280,7 @@ def at(architecture: Architecture, series: Series, slices: NDArray[np.integer]) 
     if architecture.extras:
         values = series.extras if isinstance(series, DotsAndExtras) else _unknown(len(of_dots))
         assert values.shape == (len(of_dots), len(EXTRAS))
-        extras.fill(values, ends, extras.table(architecture.extras), architecture.own_inputs, dots)
+        fill_extras(values, ends, extra_table(architecture.extras), architecture.own_inputs, dots)
     return dots
 
 
@@ -159,7 +294,7 @@ def _stack(architecture: PluginImageArchitecture, events: GelEvents) -> NDArray[
 
 def _unknown(slices: int) -> NDArray[np.float32]:
     """Return extras (slices, extras) that are all unknown; a view, as all rows are the same."""
-    return np.broadcast_to(extras.UNKNOWN, (slices, len(EXTRAS)))
+    return np.broadcast_to(UNKNOWN_EXTRAS, (slices, len(EXTRAS)))
 
 
 def _checked_ends(slices: NDArray[np.integer], history: int, available: int) -> NDArray[np.int64]:
@@ -195,7 +330,7 @@ def turn(
     own = architecture.own_inputs
     _turn(batch, turns, factors, *_turning(architecture, rows, columns), result)
     if architecture.extras:
-        scaled = extras.scaled_inputs(architecture)[own:]
+        scaled = scaled_inputs(architecture)[own:]
         result[:, :, own:] = np.where(scaled, batch[:, :, own:] * factors.reshape(-1, 1, 1), batch[:, :, own:])
     return result
 

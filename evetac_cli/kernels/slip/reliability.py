@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.kernels import logistic
+from evetac_cli.kernels import estimates
 from evetac_cli.kernels.slip.metrics import F1_CUT_MS, Prediction
 
 ABOVE = 0.1  # reliability only uses slices with a higher probability: most others are near 0
@@ -53,7 +53,7 @@ def fit(predictions: Sequence[Prediction]) -> OddsScale:
     # Platt's targets: one more slice of each kind, so that a perfect separation does not make anything certain.
     count = np.count_nonzero(slips)
     target = np.where(slips, (count + 1) / (count + 2), 1 / (len(slips) - count + 2))
-    scale, offset = logistic.fit(columns, target, np.full(2, PENALTY), np.ones(len(slips))).tolist()
+    scale, offset = estimates.logistic_weights(columns, target, np.full(2, PENALTY), np.ones(len(slips))).tolist()
     if not (np.isfinite([scale, offset]).all() and scale > 0):
         raise ValueError(f"expected slip to be more frequent at higher probabilities, found a scale of {scale:g}")
     return OddsScale(scale, offset)

@@ -13,24 +13,21 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from evetac_cli.checks import check_range
-from evetac_cli.kernels.slip import extras
+from evetac_cli.kernels.slip import inputs
 from evetac_cli.kernels.slip.architectures import DotArchitecture
 from evetac_cli.kernels.slip.inputs import DotsAndExtras
 from evetac_cli.kernels.slip.networks import Network, build, from_weights, weights
-from evetac_cli.kernels.slip.sample_groups import SampleGroups
 from evetac_cli.kernels.slip.sampling import (
     STILL_DRAWN,
     STILL_SHARE,
+    SampleGroups,
     SlipSamples,
     augment,
     channel_stats,
-    pool_shares,
     quarter_turns,
 )
 
 CURVE_POINTS = 100  # of the loss curve
-VALIDATION_SAMPLES = 2000  # of each pool, evenly spaced: enough for the loss within some percent
-VALIDATION_BATCH = 200
 PROGRESS_STEPS = 10  # steps between two calls of the progress hook
 # Share of the samples in which the gripper is unknown; the same, independently, for the sticking share. So one model
 # also works without them.
@@ -124,58 +121,33 @@ class SlipTraining:
 
     @property
     def cut(self) -> bool:
-        """Whether max_steps or patience ended the run before its last epoch."""
+        """Whether max_steps ended the run before its last epoch."""
         return self.steps < self.steps_planned
 
 
 TrainingState = dict[str, NDArray[Any]]  # an unfinished run, as named arrays
 
 
-class TrainingLimits(NamedTuple):
-    """When a training run ends; `epochs` None uses the preset's.
-
-    With `patience`, the loss on the samples in `validation` is computed at each point of the loss curve. The run ends
-    when the loss has not fallen below its minimum for this many points. The network of the minimum becomes a
-    checkpoint.
-    """
-
-    epochs: int | None = None
-    max_steps: int | None = None
-    validation: SlipSamples | None = None
-    patience: int | None = None
-
-
-class Hooks(NamedTuple):
-    """Functions that are called while a network is trained.
-
-    `progress`: (step, steps), every 10 steps. `save`: every 50 steps, with a function that returns the run's state as
-    named arrays. `point`: for each point of the loss curve, with step, loss, and with patience the validation loss.
-    """
-
-    progress: Callable[[int, int], None] | None = None
-    save: Callable[[Callable[[], TrainingState]], None] | None = None
-    point: Callable[[int, float, float | None], None] | None = None
-
-
-NO_LIMITS, NO_HOOKS = TrainingLimits(), Hooks()
-
-
 def train(
     samples: SlipSamples | SampleGroups,
     preset: Preset,
     rng: np.random.Generator,
-    limits: TrainingLimits = NO_LIMITS,
-    hooks: Hooks = NO_HOOKS,
+    epochs: int | None = None,
+    max_steps: int | None = None,
     *,
+    on_progress: Callable[[int, int], None] | None = None,
+    on_save: Callable[[Callable[[], TrainingState]], None] | None = None,
     device: str = "cpu",
     resume_from: TrainingState | None = None,
     start: Mapping[str, NDArray[np.float32]] | None = None,
 ) -> SlipTraining:
     """Train one network with binary cross entropy (paper, Model Training & Data Selection).
 
-    Checkpoints are taken every `preset.checkpoint_every` epochs and at the end. If `max_steps` cuts the run, the same
-    number is spread evenly over its steps, and the result's `cut` is True. The result depends on the generator's state
-    alone, on one kind of machine and number of torch threads, which the caller sets.
+    epochs: None uses the preset's. Checkpoints are taken every `preset.checkpoint_every` epochs and at the end. If
+    `max_steps` cuts the run, the same number is spread evenly over its steps, and the result's `cut` is True.
+    on_progress: called with (step, steps) every 10 steps. on_save: called every 50 steps with a function that returns
+    the run's state as named arrays. The result depends on the generator's state alone, on one kind of machine and
+    number of torch threads, which the caller sets.
 
     With samples in groups, the first group determines the normalisation, and an epoch goes through all groups. `start`:
     weights and normalisation of a trained network to start from, as returned by `networks.weights`. `resume_from`: a
@@ -183,8 +155,6 @@ def train(
     random generators draw all earlier values again and discard them. ValueError if the loss becomes infinite or NaN, or
     if `resume_from` is the state of another run.
     """
-    epochs, max_steps, validation, patience = limits
-    on_progress, on_save, on_point = hooks
     epochs = preset.epochs if epochs is None else epochs
     check_range("epochs", epochs, 1)
     check_range("max_steps", 1 if max_steps is None else max_steps, 1)
@@ -204,9 +174,6 @@ def train(
     run = _TrainingRun(*network, preset, device, steps, planned)
     if resume_from is not None:
         run.restore(resume_from)
-        if on_point:
-            for done, loss in zip(run.curve_step, run.curve_loss, strict=True):
-                on_point(done, loss, None)
     for step, batch in enumerate(islice(groups.batches(draws), steps), start=1):
         ends = np.concatenate(batch)
         turned = quarter_turns(len(ends), turns)
@@ -218,7 +185,7 @@ def train(
         target[: len(batch.slip)] = 1
         varied = augment(groups.now, groups.now.inputs(ends), turned, factor)
         if isinstance(architecture, DotArchitecture) and architecture.extras:
-            extras.leave_out(architecture, varied, left_out)
+            inputs.leave_out_extras(architecture, varied, left_out)
         run.advance(varied, target, groups.now.slip_share[ends], (step - 1) / steps, len(batch.still))
         if on_progress and (step % PROGRESS_STEPS == 0 or step == steps):
             on_progress(step, steps)
@@ -226,12 +193,6 @@ def train(
             mean = run.mean_loss()
             if not np.isfinite(mean):
                 raise ValueError(f"preset {preset.name}: expected a finite loss, found {mean} by step {step}")
-            waited = 0 if validation is None or patience is None else run.waits(validation)
-            if on_point:
-                on_point(step, mean, run.validated)
-            if patience is not None and waited >= patience:
-                run.end_here()
-                break
         if step in checkpoint_steps:
             run.checkpoints.append(Checkpoint(step, run.weights()))
         if on_save and step % SAVE_STEPS == 0 and step < steps:
@@ -280,9 +241,6 @@ class _TrainingRun:
         self.loss_sum = torch.zeros((), device=device)
         self.step = self.since = 0
         self.checkpoints: list[Checkpoint] = []
-        self.least, self.waited = math.inf, 0  # smallest validation loss, and points since then
-        self.best: Checkpoint | None = None  # the network of the smallest validation loss
-        self.validated: float | None = None  # the last validation loss
         self.curve_step: list[int] = []
         self.curve_loss: list[float] = []
 
@@ -330,24 +288,6 @@ class _TrainingRun:
         hardest = np.sort(np.argsort(-logits, kind="stable")[:each])
         return np.concatenate([np.arange(first + each), first + each + hardest])
 
-    def waits(self, validation: SlipSamples) -> int:
-        """Compute the loss on validation samples; return the number of such losses since the smallest."""
-        now = Checkpoint(self.step, self.weights())
-        self.validated = loss = validation_loss(validation, now.weights, self.device)
-        if loss < self.least:
-            self.least, self.best, self.waited = loss, now, 0
-        else:
-            self.waited += 1
-        return self.waited
-
-    def end_here(self) -> None:
-        """Make this the last step; the last checkpoints are this network and that of the smallest validation loss."""
-        assert self.best is not None
-        more = [self.best, Checkpoint(self.step, self.weights())]
-        checkpoint_by_step = {checkpoint.step: checkpoint for checkpoint in (*self.checkpoints, *more)}
-        self.checkpoints = [checkpoint_by_step[step] for step in sorted(checkpoint_by_step)]
-        self.steps = self.step
-
     def mean_loss(self) -> float:
         """Return the mean loss since the last call, and add it to the loss curve."""
         mean = float(self.loss_sum) / (self.step - self.since)
@@ -368,8 +308,6 @@ class _TrainingRun:
             "since": np.array(self.since),
             "steps": np.array(self.steps),
             "planned": np.array(self.planned),
-            "least": np.array(self.least),
-            "waited": np.array(self.waited),
             "loss_sum": self.loss_sum.cpu().numpy().copy(),
             "curve_step": np.array(self.curve_step, np.int64),
             "curve_loss": np.array(self.curve_loss, np.float64),
@@ -384,10 +322,8 @@ class _TrainingRun:
             for name, value in tensors.items():
                 if value is not None:
                     arrays[f"optimiser/{index}/{name}"] = value.cpu().numpy().copy()
-        for group, checkpoints in (("checkpoint", self.checkpoints), ("best", [self.best] if self.best else [])):
-            for checkpoint in checkpoints:
-                for name, array in checkpoint.weights.items():
-                    arrays[f"{group}/{checkpoint.step}/{name}"] = array
+        for checkpoint in self.checkpoints:
+            arrays |= {f"checkpoint/{checkpoint.step}/{name}": array for name, array in checkpoint.weights.items()}
         return arrays
 
     def restore(self, saved: TrainingState) -> None:
@@ -408,8 +344,6 @@ class _TrainingRun:
                 optimiser["state"].setdefault(int(index), {})[key] = torch.from_numpy(np.array(array))
             self.optimiser.load_state_dict(optimiser)
             self.checkpoints = _checkpoints(groups["checkpoint"])
-            self.best = next(iter(_checkpoints(groups["best"])), None)
-            self.least, self.waited = float(saved["least"]), int(saved["waited"])
             self.loss_sum.copy_(torch.from_numpy(np.array(saved["loss_sum"])))
             self.step, self.since = int(saved["step"]), int(saved["since"])
             self.curve_step, self.curve_loss = saved["curve_step"].tolist(), saved["curve_loss"].tolist()
@@ -419,33 +353,13 @@ class _TrainingRun:
 
 def _groups(saved: TrainingState) -> dict[str, TrainingState]:
     """Return the arrays by the first part of their names."""
-    names = ("weights", "share", "average", "optimiser", "checkpoint", "best")
+    names = ("weights", "share", "average", "optimiser", "checkpoint")
     groups: dict[str, TrainingState] = {name: {} for name in names}
     for name, array in saved.items():
         group, _, rest = name.partition("/")
         if rest:
             groups[group][rest] = array
     return groups
-
-
-def validation_loss(samples: SlipSamples, arrays: Mapping[str, NDArray[np.float32]], device: str = "cpu") -> float:
-    """Return the mean binary cross entropy of a network over samples, each pool with its share of a batch.
-
-    Samples are not rotated. arrays: the network's weights, as from `networks.weights`.
-    """
-    network = from_weights(samples.architecture, arrays, samples.rows, samples.columns).to(device)
-    total = weight = 0.0
-    for share, pool, wanted in pool_shares(samples):
-        spaced = pool[:: max(1, len(pool) // VALIDATION_SAMPLES)]
-        losses = 0.0
-        with torch.no_grad():
-            for begin in range(0, len(spaced), VALIDATION_BATCH):
-                batch = torch.from_numpy(samples.inputs(spaced[begin : begin + VALIDATION_BATCH])).to(device)
-                target = torch.full((len(batch),), wanted, device=device)
-                logits = network(batch)
-                losses += float(functional.binary_cross_entropy_with_logits(logits, target, reduction="sum"))
-        total, weight = total + share * losses / max(1, len(spaced)), weight + share
-    return total / weight
 
 
 def _checkpoints(saved: TrainingState) -> list[Checkpoint]:
@@ -470,7 +384,7 @@ def _network(
     architecture = samples.architecture
     if isinstance(architecture, DotArchitecture) and architecture.extras and start is None:
         values = samples.series.extras if isinstance(samples.series, DotsAndExtras) else None
-        unknown = extras.never_known(architecture, values)
+        unknown = inputs.never_known(architecture, values)
         scale = np.where(unknown, 0.0, 1.0 if scale is None else scale)
     with torch.random.fork_rng(devices=[]):  # torch draws initial weights from its global generator only
         torch.manual_seed(seed)

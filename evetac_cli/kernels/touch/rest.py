@@ -13,7 +13,7 @@ import numpy as np
 
 from evetac_cli.arrays import Flags, Floats, Ints
 from evetac_cli.kernels.compiled import njit
-from evetac_cli.kernels.touch.dot_modes import DotNoise
+from evetac_cli.kernels.touch.dot_motion import DotNoise
 
 BLOCK_MS = 5  # ms per mean
 REST_MS = 200

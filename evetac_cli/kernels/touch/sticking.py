@@ -1,13 +1,16 @@
 """Share of a contact that sticks, and the direction in which the rest slips, from tracked dots, slice by slice.
 
 `start`, then `step` with each slice's dots. Every 5 ms a small network evaluates four fields: the displacement at the
-reference, the change since then, and the changes within the last 20 and 100 ms. They are on the lattice of
-dot_field.py, which makes the network independent of the grid of dots. All are divided by the present displacement. The
-reference is the field when it last came to rest (rest.py), or at first touch. The training data of the network are
-listed next to its weights (data/models/sticking.json).
+reference, the change since then, and the changes within the last 20 and 100 ms. They are on a lattice in mm, which
+makes the network independent of the grid of dots. All are divided by the present displacement. The reference is the
+field when it last came to rest (rest.py), or at first touch. The training data of the network are listed next to its
+weights (data/models/sticking.json).
 
 Reason for a network: a push on a firmly held object moves dots as far as a push on an object that is about to slip. The
 difference is in which dots stay behind, and that depends on the shape of the contact.
+
+At each position of the lattice, the value is that of a plane fitted to the displacements of the dots around it, with
+more weight for nearer dots. Where no dot is near (next to a cut gel, between lost dots), the value is 0.
 """
 
 import math
@@ -20,9 +23,38 @@ from numpy.typing import NDArray
 from evetac_cli.arrays import Flags, Floats, Singles
 from evetac_cli.kernels.compiled import njit
 from evetac_cli.kernels.touch import rest
-from evetac_cli.kernels.touch.dot_field import LATTICE_MM, LEAST_DOTS, lattice_weights
-from evetac_cli.kernels.touch.dot_modes import DotNoise
+from evetac_cli.kernels.touch.dot_motion import DotNoise
 from evetac_cli.kernels.touch.rest import RestState
+
+X_MM = np.array([-8.4, -6.0, -3.6, -1.2, 1.2, 3.6, 6.0, 8.4])
+Y_MM = np.array([-6.0, -3.6, -1.2, 1.2, 3.6, 6.0])
+LATTICE_MM: Floats = np.stack(np.meshgrid(X_MM, Y_MM), axis=-1).reshape(-1, 2)  # from the centre of the view
+WIDTH_MM = 1.7  # standard deviation of the weight over distance: about a pitch of the paper's dots
+WIDTH_PITCHES = 0.85  # ... for wider grids: in pitches
+REACH_WIDTHS = 1.25  # a position has no value if its nearest dot is farther than this many widths
+LEAST_DOTS = 6  # fewer dots do not determine a field
+
+
+def lattice_weights(rest_mm: Floats) -> Floats:
+    """Return weights (positions, dots) that give the displacement at each lattice position from dots at (dots, 2)."""
+    apart = rest_mm[None] - LATTICE_MM[:, None]
+    distance = np.linalg.norm(apart, axis=2)
+    width = max(WIDTH_MM, WIDTH_PITCHES * _pitch_mm(rest_mm))
+    nearer = np.exp(-0.5 * (distance / width) ** 2)
+    terms = np.concatenate([np.ones_like(apart[..., :1]), apart], axis=2)
+    squares = np.einsum("ld,ldi,ldj->lij", nearer, terms, terms)
+    inverse = np.linalg.pinv(squares, rcond=1e-6, hermitian=True)
+    weights: Floats = np.einsum("lj,ldj,ld->ld", inverse[:, 0], terms, nearer)
+    weights[distance.min(axis=1) > REACH_WIDTHS * width] = 0.0
+    return weights
+
+
+def _pitch_mm(rest_mm: Floats) -> float:
+    """Return the median distance of a dot from its nearest neighbour."""
+    apart = np.linalg.norm(rest_mm[:, None] - rest_mm[None], axis=2)
+    np.fill_diagonal(apart, np.inf)
+    return float(np.median(apart.min(axis=1)))
+
 
 LOOKS_BACK = (4, 20)  # changes over 20 and 100 ms, in blocks of 5 ms
 KEPT_LOOKS = LOOKS_BACK[-1] + 1  # a "look" is one evaluation of the network, one per block
@@ -116,7 +148,7 @@ def start(
 ) -> StickingState:
     """Start with dots at rest (dots, 2) in mm from the middle of the image, NaN for a missing one.
 
-    network: for example the pretrained one (stages/touch/sticking_network.py). ValueError for impossible dots.
+    network: for example the pretrained one (stages/touch/sticking_share.py). ValueError for impossible dots.
     """
     rest_mm = np.asarray(rest_mm, np.float64)
     if rest_mm.ndim != 2 or rest_mm.shape[1] != 2 or np.isfinite(rest_mm).all(axis=1).sum() < LEAST_DOTS:

@@ -23,15 +23,15 @@ from evetac_cli.arrays import Flags, Floats
 from evetac_cli.kernels.touch.dot_motion import KINDS, PRESSURE
 
 SMOOTH_CELLS = 1.0  # standard deviation of the window that smooths the varying part, in cells
-COMMON = 4.0  # standard deviation of the common part over that of the varying part, as in posterior.py
-PRESSURE_RATIO = 2.0  # of pressure over shear, as in posterior.py
+COMMON = 4.0  # standard deviation of the common part over that of the varying part, as in patch.py
+PRESSURE_RATIO = 2.0  # of pressure over shear, as in patch.py
 LIMIT = 4.0  # largest error of a right dot, in deviations
 MOST_SHARE = 0.2  # of the dots: if more seem wrong, the patch is wrong, and no dot is rejected
 
 # Error of the tracker per axis after some time: 0.1 px of each dot and 0.3 px of all together, at 0.0329 mm per px.
 OWN_MM, COMMON_MM = 0.1 * 0.0329, 0.3 * 0.0329
 LEAST_MM = 0.3 * 0.0329  # a dot with a smaller error is never wrong
-MODEL_SHARE = 0.05  # deviation of gel and layer model, as a share of the dots' motion (rms), as in dot_modes.py
+MODEL_SHARE = 0.05  # deviation of gel and layer model, as a share of the dots' motion (rms), as in dot_motion.py
 LEAST_DOTS = 6  # fewer dots cannot be compared
 MEDIAN_OFF = 1.1774  # median distance of a two-dimensional normal distribution, in deviations
 SHARE_OF_SIZE = 0.4  # of the dots, those that tractions move most: they determine the size of the tractions

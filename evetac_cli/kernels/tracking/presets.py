@@ -36,7 +36,7 @@ class TrackerConstants:
     gradient_clip: float = 400.0  # px per axis, on the data term: 1.2 px per slice; from the authors' published code
     ascend: bool = False  # step up the gradient of the data term, as the published code does, instead of down
     slices_per_step: int = 1  # slices whose events one step uses together; with `fit` always 1
-    # any pixel with more events, and far more than its neighbours, is hot (hot_pixels.py); 0: off
+    # any pixel with more events, and far more than its neighbours, is hot (buckets.py); 0: off
     hot_pixel_events: int = 16
     rest_slices: int = 0  # slices of rest after which a lost dot is put back; 0: never
     fit: bool = False  # solve for the motion, with polarity, instead of a gradient step
@@ -48,27 +48,22 @@ class TrackerConstants:
 
     def __post_init__(self) -> None:
         """Raise ValueError for constants that the tracker cannot use."""
-        check_range("radius_px", self.radius_px, 0.0, MAX_REACH_PX, above=True)
-        check_range("ring_outer_px", self.ring_outer_px, 0.0, MAX_REACH_PX, above=True)
+        for name in ("radius_px", "ring_outer_px", "count_radius_px", "trust_px"):
+            check_range(name, getattr(self, name), 0.0, MAX_REACH_PX, above=True)
+        for name in ("step_size", "gradient_clip", "most_events"):
+            check_range(name, getattr(self, name), above=True)
         check_range("ring_inner_px", self.ring_inner_px, 0.0, self.ring_outer_px, below=True)
-        check_range("count_radius_px", self.count_radius_px, 0.0, MAX_REACH_PX, above=True)
-        check_range("step_size", self.step_size, above=True)
         check_range("regulariser_weight", self.regulariser_weight)
         check_whole("min_events", self.min_events, 0, 2**31 - 1)
-        check_range("gradient_clip", self.gradient_clip, above=True)
         check_whole("hot_pixel_events", self.hot_pixel_events, 0, 2**14)
         check_whole("rest_slices", self.rest_slices, 0, 2**31 - 1)
         check_whole("slices_per_step", self.slices_per_step, 1, 1 if self.fit else 1000)
         check_whole("sweeps", self.sweeps, 1, 10_000)
-        check_range("trust_px", self.trust_px, 0.0, MAX_REACH_PX, above=True)
         check_range("rim_lag_px", self.rim_lag_px, 0.0, MAX_REACH_PX)
         check_range("event_px", self.event_px, 0.0, 1.0)
-        check_range("most_events", self.most_events, above=True)
-        if self.fit and abs(self.ring_inner_px + self.ring_outer_px - 2.0 * self.radius_px) > 1e-9 * self.radius_px:
-            raise ValueError(
-                f"radius_px: expected the middle of the ring, {(self.ring_inner_px + self.ring_outer_px) / 2},"
-                f" found {self.radius_px}"
-            )
+        middle_px = (self.ring_inner_px + self.ring_outer_px) / 2
+        if self.fit and abs(middle_px - self.radius_px) > 1e-9 * self.radius_px:
+            raise ValueError(f"radius_px: expected the middle of the ring, {middle_px}, found {self.radius_px}")
 
     def for_dots(self, dot_radius_px: float) -> "TrackerConstants":
         """Return the constants for dots of this radius: with `fit` the ring changes with it; otherwise nothing does.

@@ -18,17 +18,16 @@ Reasons:
 import math
 from collections.abc import Sequence
 from dataclasses import fields
-from math import inf, sqrt
+from math import inf
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.checks import check_range
 from evetac_cli.events import FRAME_PX
 from evetac_cli.kernels.calibration import grid
 from evetac_cli.kernels.compiled import njit
-from evetac_cli.kernels.tracking import buckets, descent, fit, hot_pixels, lost_dots
+from evetac_cli.kernels.tracking import buckets, descent, fit, lost_dots
 from evetac_cli.kernels.tracking.presets import MAX_REACH_PX, TrackerConstants
 
 CAPACITY = grid.MOST_DOTS  # number of dots that a state has room for
@@ -66,7 +65,7 @@ STATE = np.dtype(
         ("first_dot", np.uint32, buckets.BUCKETS + 1),  # the dot near a bucket, if only one is
         ("bucket_start", np.uint32, buckets.BUCKETS + 1),  # index in bucket_dots at which each bucket's dots begin
         ("bucket_dots", np.uint32, buckets.most_entries(CAPACITY, MAX_REACH_PX)),
-        ("pixel_events", np.uint16, (grid.MOST_FRAME_PX + 2) ** 2),  # recent events of every pixel, see hot_pixels.py
+        ("pixel_events", np.uint16, (grid.MOST_FRAME_PX + 2) ** 2),  # recent events of every pixel, see buckets.py
         ("lost", np.uint8, CAPACITY),  # 1: not to be trusted, see lost_dots.py
         ("left_behind", np.uint8, CAPACITY),  # 1: lost for a reason other than its distance
         ("too_far", np.uint8, CAPACITY),  # 1: in this slice both rims show more motion than may be followed
@@ -112,20 +111,18 @@ class TrackerState:
 def start(
     dot_xy_px: NDArray[np.float64],
     constants: TrackerConstants,
-    neighbours: NDArray[np.int32] | None = None,
     *,
     frame_px: Sequence[int] = FRAME_PX,
 ) -> TrackerState:
     """Start tracking dots from their centres at rest.
 
     dot_xy_px: (n, 2) in any order, n up to CAPACITY, inside the frame and all different. A row of NaN is a missing dot:
-    no motion, no events, no neighbour of another dot. neighbours: (n, 8) indices filled up with -1; by
-    default from `grid.neighbours`. frame_px: width and height. ValueError if the dots or the frame are not
-    valid, or if the constants overshoot or stall on these dots (`require_followable`).
+    no motion, no events, no neighbour of another dot. frame_px: width and height. ValueError if the frame is too large,
+    or if the constants overshoot or stall on these dots (`require_followable`).
     """
     rest = _checked_dots(dot_xy_px, frame_px)
     n = len(rest)
-    pairs = grid.neighbours(rest) if neighbours is None else _checked_neighbours(neighbours, rest)
+    pairs = grid.neighbours(rest)
     rest_distance_px2 = np.where(pairs >= 0, np.sum((rest[:, None] - rest[pairs]) ** 2, axis=2), 0.0)
     require_followable(constants, rest_distance_px2)
     array = np.zeros(1, STATE)
@@ -159,30 +156,17 @@ def require_followable(constants: TrackerConstants, rest_distance_px2: NDArray[n
     if constants.fit:
         most = constants.sweeps * constants.most_events / grid.MAX_NEIGHBOURS
         if weight > most:
-            raise ValueError(
-                f"regulariser_weight: expected at most {most:g} (sweeps * most_events / {grid.MAX_NEIGHBOURS}: with"
-                f" more, neighbours keep every dot in place), found {weight:g}; choose a smaller regulariser_weight"
-            )
+            raise ValueError(f"regulariser_weight: expected at most {most:g}, found {weight:g}: no dot would move")
         return
     nearest_px2 = np.min(rest_distance_px2, axis=1, where=rest_distance_px2 > 0.0, initial=inf)
     pitch_px2 = float(np.median(nearest_px2[np.isfinite(nearest_px2)])) if np.isfinite(nearest_px2).any() else 0.0
     ring_events = constants.min_events + 1
-    rule = (
-        f"step_size * (4 N / 3 + {STIFFNESS:g} * regulariser_weight * pitch**2) < 2 with N = {ring_events}, the fewest"
-    )
-    rule += f" ring events that move a dot, and dots {sqrt(pitch_px2):.1f} px apart"
     by_events, by_neighbours = 4.0 * ring_events / 3.0, STIFFNESS * weight * pitch_px2
     if step_size * by_events >= 2.0:
-        raise ValueError(
-            f"step_size: expected below {2.0 / by_events:.3g} ({rule}), found {step_size:g}; choose a smaller step_size"
-            f"{' or min_events' if constants.min_events else ''}"
-        )
+        raise ValueError(f"step_size: expected below {2.0 / by_events:.3g}, found {step_size:g}: steps would grow")
     if step_size * (by_events + by_neighbours) >= 2.0:
         most = (2.0 / step_size - by_events) / (STIFFNESS * pitch_px2)
-        raise ValueError(
-            f"regulariser_weight: expected below {most:.3g} ({rule}), found {weight:g} with step_size {step_size:g};"
-            " choose a smaller regulariser_weight or step_size"
-        )
+        raise ValueError(f"regulariser_weight: expected below {most:.3g}, found {weight:g}: steps would grow")
 
 
 def step(state: TrackerState, x: NDArray[np.uint16], y: NDArray[np.uint16], p: NDArray[np.uint8] | None = None) -> None:
@@ -213,30 +197,6 @@ def checked_polarities(
     if p.dtype != _POLARITY or p.shape != x.shape:
         raise ValueError(f"p: expected uint8 polarities, as many as the events {x.shape}, found {p.dtype} {p.shape}")
     return p
-
-
-def place(state: TrackerState, dot_xy_px: NDArray[np.float64], share: float = 1.0) -> None:
-    """Move dots to positions from a source other than their events, or by a share of the way; updates `state`.
-
-    dot_xy_px: (n, 2) in px. Dots with NaN stay as they are; the others are followed from the new position and are no
-    longer lost. ValueError for another share.
-    """
-    assert dot_xy_px.shape == state.dot_xy_px.shape
-    check_range("share", share, 0.0, 1.0)
-    seen = ~np.isnan(dot_xy_px).any(axis=1)
-    assert np.isfinite(dot_xy_px[seen]).all() and not np.isnan(state.rest_xy_px[seen]).any()
-    most_px = state.record["frame_px"][0] - 1.0
-    moved = state.dot_xy_px[seen] + share * (dot_xy_px[seen] - state.dot_xy_px[seen])
-    state.dot_xy_px[seen] = np.clip(moved, 0.0, most_px)
-    _start_anew(state.record, seen)
-
-
-@njit(cache=True)
-def _start_anew(record: NDArray[np.void], which: NDArray[np.bool_]) -> None:
-    state = record[0]
-    for i in range(which.shape[0]):
-        if which[i]:
-            lost_dots.start_anew(state, i)
 
 
 class Tracks(NamedTuple):
@@ -302,7 +262,7 @@ def take_slice(record: NDArray[np.void], x: NDArray[np.uint16], y: NDArray[np.ui
     events, ring_events = state["events"][: dots + 1], np.empty(dots + 1, np.int32)
     any_hot = False
     if state["hot_pixel_events"] > 0:
-        any_hot = hot_pixels.count(x, y, hot_pixels.counts(state), state["slices"], state["hot_pixel_events"])
+        any_hot = buckets.count_pixels(x, y, buckets.pixel_counts(state), state["slices"], state["hot_pixel_events"])
     if buckets.left_margin(centre_xy_px, listed_xy_px):
         buckets.fill(state)
     shift_px = np.empty((dots, 2))
@@ -374,35 +334,13 @@ def turn_px(record: NDArray[np.void]) -> float:
 
 def _checked_dots(dot_xy_px: NDArray[np.float64], frame_px: Sequence[int]) -> NDArray[np.float64]:
     dots = np.array(dot_xy_px, dtype=np.float64, order="C")
-    if dots.ndim != 2 or dots.shape[1] != 2:
-        raise ValueError(f"dot_xy_px: expected shape (n, 2), found {dots.shape}")
-    if len(dots) > CAPACITY:
-        raise ValueError(f"dot_xy_px: expected at most {CAPACITY} dots, found {len(dots)}")
+    assert dots.ndim == 2 and dots.shape[1] == 2 and len(dots) <= CAPACITY
     missing = np.isnan(dots)
-    if (missing[:, 0] != missing[:, 1]).any():
-        raise ValueError("dot_xy_px: expected NaN in both coordinates of a missing dot, found it in one")
     present = dots[~missing[:, 0]]
-    if len(present) == 0:
-        raise ValueError(f"dot_xy_px: expected at least one dot, found {len(dots)} rows, all missing")
+    assert (missing[:, 0] == missing[:, 1]).all() and len(present)
     width, height = frame_px
-    if not 0 < min(width, height) <= max(width, height) <= grid.MOST_FRAME_PX:
-        most = grid.MOST_FRAME_PX
-        raise ValueError(f"frame_px: expected a width and height from 1 to {most} px, found {width} x {height}")
-    if not ((present >= 0) & (present <= np.array(frame_px) - 1)).all():
-        raise ValueError(f"dot_xy_px: expected centres inside {width} x {height} px, found {present.tolist()}")
-    if len(np.unique(present, axis=0)) != len(present):
-        raise ValueError("dot_xy_px: expected all dots at different positions, found two at the same position")
+    if max(width, height) > grid.MOST_FRAME_PX:
+        raise ValueError(f"frame_px: expected at most {grid.MOST_FRAME_PX} px, found {width} x {height}")
+    assert ((present >= 0) & (present <= np.array(frame_px) - 1)).all()
+    assert len(np.unique(present, axis=0)) == len(present)
     return dots
-
-
-def _checked_neighbours(neighbours: NDArray[np.int32], rest_xy_px: NDArray[np.float64]) -> NDArray[np.int32]:
-    pairs = np.array(neighbours)
-    n = len(rest_xy_px)
-    assert pairs.shape == (n, grid.MAX_NEIGHBOURS) and pairs.dtype.kind in "iu"
-    used = pairs >= 0
-    owner = np.arange(n)[:, None]
-    missing = np.isnan(rest_xy_px[:, 0])
-    gap = used[:, 1:] & ~used[:, :-1]
-    assert (pairs >= -1).all() and (pairs < n).all() and not gap.any()
-    assert not (used & ((pairs == owner) | missing[pairs] | missing[owner])).any()
-    return pairs.astype(np.int32)

@@ -19,7 +19,7 @@ from evetac_cli.kernels.grip.paper import GraspPhase
 from evetac_cli.kernels.slip import metrics
 from evetac_cli.pages.shared import LARGEST_BYTES
 from evetac_cli.pages.view.event_images import picture
-from evetac_cli.stages.splits import UNKNOWN_SENSOR, RecordedSensor, sensor_names, sensor_of
+from evetac_cli.stages.related_files import UNKNOWN_SENSOR, RecordedSensor, sensor_names, sensor_of
 from evetac_cli.store.files import StageFile, stem
 from evetac_cli.store.index import IndexRow, read_index
 from evetac_cli.store.layout.ancestry import recording_of

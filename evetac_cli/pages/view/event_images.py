@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.events import SLICES_PER_S, Events
 from evetac_cli.jobs import Progress
-from evetac_cli.kernels.event_image import event_image
+from evetac_cli.kernels.event_representation import event_image
 from evetac_cli.pages.view.trial_files import OpenTrial
 from evetac_cli.pages.view.view_data import ViewData
 from evetac_cli.store.files import StageFile

@@ -10,7 +10,7 @@ from typing import Annotated, Any, ClassVar, Literal
 from msgspec import Meta
 
 from evetac_cli.events import FRAME_PX
-from evetac_cli.kernels.sensitivity import Sensitivity
+from evetac_cli.kernels.slip.architectures import Sensitivity
 from evetac_cli.sim.setup.tables import RISING, Share, Table, UpTo100, UpTo1000
 
 SENSOR_NAME = "^[a-z][a-z0-9-]{0,39}$"

@@ -18,7 +18,7 @@ from evetac_cli.kernels.force import gel_forces
 from evetac_cli.kernels.force.gel_forces import KnownForces
 from evetac_cli.stages.force import readings
 from evetac_cli.stages.force.readings import Readings
-from evetac_cli.stages.touch import known_gel, predict_touch, touch_model
+from evetac_cli.stages.touch import known_gel, predict_touch
 from evetac_cli.stages.touch.known_gel import GelShape, GelWeights
 from evetac_cli.store.files import StageFile, up_to_date, write_stage
 from evetac_cli.store.layout.provenance import Recipe
@@ -56,10 +56,7 @@ def run(job: Job, params: TrainForce, *, force: bool, progress: Progress = silen
         sources.append(readings.digest(path))
     sensors = sorted(set(names) - {UNKNOWN_SENSOR}) or [UNKNOWN_SENSOR]
     if len(sensors) > 1:
-        expected = "recordings of one sensor"
-        raise InputError(
-            "recordings of different sensors", where=str(job.inputs[0]), expected=expected, found=", ".join(sensors)
-        )
+        raise InputError("recordings of different sensors", where=str(job.inputs[0]), found=", ".join(sensors))
     shape = GelShape.of(params, gel_values)
     parameters: dict[str, Any] = {
         "method": "touch",
@@ -77,7 +74,7 @@ def run(job: Job, params: TrainForce, *, force: bool, progress: Progress = silen
     rng = np.random.default_rng(params.seed)
     force_readings, unused = known_forces(gel, job.inputs, params.noise_n, rng, progress)
     after = adapted(gel, force_readings, params.noise_n)
-    arrays = {"sensor": "events", "sensor_name": sensors[0], **touch_model.arrays_of(after)}
+    arrays = {"sensor": "events", "sensor_name": sensors[0], **known_gel.arrays_of(after)}
     made = write_stage(job.output, recipe, arrays, force=force) is not None
     return outcome(
         job,
@@ -153,11 +150,8 @@ def known_forces(
         progress(number_of_file + 1, len(paths))
     whole = KnownForces(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
     if not len(whole.contact):
-        raise InputError(
-            "there is no reading during a contact",
-            where=f"{paths[0]} and {len(paths) - 1} more" if len(paths) > 1 else str(paths[0]),
-            expected=f"contacts of {SHORTEST_CONTACT_MS} ms or more, with readings",
-        )
+        expected = f"contacts of {SHORTEST_CONTACT_MS} ms or more, with readings"
+        raise InputError("there is no reading during a contact", where=", ".join(map(str, paths)), expected=expected)
     return whole, unused
 
 

@@ -56,12 +56,8 @@ def read(tracks: StageFile, noise_n: float, rng: np.random.Generator) -> Reading
             shear_n = recording.read("truth/shear_force_n")[::EVERY].astype(float)
             normal_n = recording.read("truth/normal_force_n")[::EVERY].astype(float)
     except InputError as error:
-        raise InputError(
-            f"no known forces: {error.message}",
-            where=str(tracks.path),
-            expected=f"a table {table.name} with {', '.join(COLUMNS)}, or a simulated recording",
-            hint="evetac record --scene shear simulates one",
-        ) from None
+        expected = f"a table {table.name} with {', '.join(COLUMNS)}, or a simulated recording"
+        raise InputError(f"no known forces: {error.message}", where=str(tracks.path), expected=expected) from None
     slices = EVERY * np.arange(len(shear_n))
     return Readings(
         slices,
@@ -84,9 +80,8 @@ def _from_table(path: Path, slices: int) -> Readings:
         raise InputError(f"not a table of forces: {error}", where=str(path), expected=",".join(COLUMNS)) from None
     first = [name.strip() for name in lines[0]] if lines else []
     if first != COLUMNS:
-        raise InputError(
-            "not a table of forces", where=f"{path}, line 1", expected=",".join(COLUMNS), found=",".join(first)[:80]
-        )
+        found = ",".join(first)[:80]
+        raise InputError("not a table of forces", where=f"{path}, line 1", expected=",".join(COLUMNS), found=found)
     rows = []
     for number, line in enumerate(lines[1:], start=2):
         if not line:
@@ -102,9 +97,8 @@ def _from_table(path: Path, slices: int) -> Readings:
         if not 0 <= row[0] * SLICES_PER_S < slices:
             written = f"{row[0]:g} s"
             expected = f"a time within the recording, 0 to {slices / SLICES_PER_S:g} s"
-            raise InputError(
-                "a reading outside the recording", where=f"{path}, line {number}", expected=expected, found=written
-            )
+            where = f"{path}, line {number}"
+            raise InputError("a reading outside the recording", where=where, expected=expected, found=written)
         rows.append(row)
     values = np.array(rows).reshape(-1, len(COLUMNS))
     values = values[np.isfinite(values[:, 1:]).any(axis=1)]

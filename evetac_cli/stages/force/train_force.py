@@ -22,8 +22,7 @@ from evetac_cli.kernels.calibration.grid import in_words
 from evetac_cli.kernels.force import models as forces
 from evetac_cli.names import TouchOption
 from evetac_cli.stages.force import adapt_touch
-from evetac_cli.stages.related_files import recording_with_truth
-from evetac_cli.stages.splits import check_disjoint
+from evetac_cli.stages.related_files import check_disjoint, check_same, recording_with_truth
 from evetac_cli.stages.track_rgb import PRESET
 from evetac_cli.store.files import StageFile, up_to_date, write_stage
 from evetac_cli.store.layout.provenance import Header, Recipe
@@ -69,12 +68,7 @@ def jobs(files: list[Path], params: TrainForce, out: Path | None) -> list[Job]:
     if params.method == "touch":
         return [adapt_touch.job(files, params, out)]
     if len(files) < 2:
-        raise InputError(
-            "no file is left to hold out",
-            expected="at least two tracks files, one per trajectory",
-            found="one",
-            hint=made_by("tracks"),
-        )
+        raise InputError("no file is left to hold out", expected="at least two tracks files", hint=made_by("tracks"))
     output = out if out is not None and out.suffix == ".h5" else (out or files[0].parent) / f"shear.{OUTPUT}.h5"
     return [Job(tuple(files), output)]
 
@@ -92,14 +86,7 @@ def run(job: Job, params: TrainForce, *, force: bool = False, progress: Progress
             shapes.append(read_dot_shape(tracks))
     check_disjoint(headers[:-1], headers[-1:], "held out", job.inputs[-1:])
     for what, values in (("sensors", sensors), ("dot grids", shapes)):
-        if len(set(values)) > 1:
-            odd = next(number for number, entry in enumerate(values) if entry != values[0])
-            raise InputError(
-                f"the files have different {what}",
-                where=str(job.inputs[odd]),
-                expected=f"{values[0]}, as in {job.inputs[0]}",
-                found=str(values[odd]),
-            )
+        check_same(what, values, job.inputs)
     parameters = {key: value for key, value in recipe_of(params).items() if key in OF_THE_PAPER}
     recipe = Recipe(OUTPUT, METHOD, parameters, seed=params.seed, parents=tuple(headers))
     simulated = recipe.simulated
@@ -126,9 +113,8 @@ def run(job: Job, params: TrainForce, *, force: bool = False, progress: Progress
             progress,
         )
     except ValueError as error:
-        raise InputError(
-            f"no force can be fitted: {error}", where=f"{job.inputs[0]} and {len(job.inputs) - 1} more"
-        ) from error
+        where = f"{job.inputs[0]} and {len(job.inputs) - 1} more"
+        raise InputError(f"no force can be fitted: {error}", where=where) from error
     arrays: dict[str, Any] = {
         "sensor": sensors[0],
         "sensor_name": ", ".join(dict.fromkeys(sensor_names)),
@@ -190,12 +176,8 @@ def read_model(path: Path) -> tuple[Header, ForceModel]:
     """Return header and contents of a force model of the paper's method; InputError for another."""
     with StageFile(path, OUTPUT) as file:
         if not file.has("regression"):
-            raise InputError(
-                "the force model is not of the paper's method",
-                where=str(path),
-                expected="a model of train-force --method paper",
-                hint="evetac evaluate force evaluates touch maps without --model; --adapt-on adapts them",
-            )
+            expected = "a model of train-force --method paper"
+            raise InputError("the force model is not of the paper's method", where=str(path), expected=expected)
         rows, columns = file.read("dot_shape").tolist()
         regression = forces.Regression(file.read("regression/slope_n_px"), file.read("regression/offset_n"))
         layers = tuple(
@@ -213,13 +195,9 @@ def check_grid(model: ForceModel, model_path: Path, tracks: StageFile) -> None:
     """Raise InputError if the tracks do not have the dot grid of the model."""
     shape = read_dot_shape(tracks)
     if shape != model.dot_shape:
-        raise InputError(
-            "the tracks have a different dot grid from the force model",
-            where=str(tracks.path),
-            expected=f"{in_words(*model.dot_shape)}, as in {model_path}",
-            found=in_words(*shape),
-            hint="evetac train-force trains a model for this gel",
-        )
+        expected, found = f"{in_words(*model.dot_shape)}, as in {model_path}", in_words(*shape)
+        message = "the tracks have a different dot grid from the force model"
+        raise InputError(message, where=str(tracks.path), expected=expected, found=found)
 
 
 STAGE = Stage(jobs, run)

@@ -50,7 +50,7 @@ def run(job: Job, params: Identify, *, force: bool = False, progress: Progress =
     recipe = Recipe(OUTPUT, METHOD, recipe_of(params), parents=_headers(job.inputs))
     if _up_to_date(job.output, recipe, force=force):
         return outcome(job, made=False, simulated=recipe.simulated)
-    from evetac_cli.stages.identify import at_rest, gripped, gripper_rows, pressed
+    from evetac_cli.stages.identify import gripped, gripper_rows, pressed
 
     like = plan.one_sensor(params.like)
     mm_per_px = like.mm_per_px if params.pixel_mm is None else params.pixel_mm
@@ -63,7 +63,7 @@ def run(job: Job, params: Identify, *, force: bool = False, progress: Progress =
             if recording.has("gripper/t_us"):  # while the gripper holds still, the gel creeps, so it is not at rest
                 grips.append(gripped.find(recording, mm_per_px, servo_rng))
             else:
-                rests.append(at_rest.longest(recording, noise_rng))
+                rests.append(pressed.longest_rest(recording, noise_rng))
                 others.append((path, press_rng))
         progress(number + 1, steps)
     rest = max((one for one in rests if one), key=lambda one: one.noise.duration_s, default=None)
@@ -77,7 +77,7 @@ def run(job: Job, params: Identify, *, force: bool = False, progress: Progress =
                 no_press[recording.event_count] = f"{path.name}: {error}"
         progress(len(job.inputs) + number + 1, steps)
     progress(steps, steps)
-    rows, values = at_rest.rows(rest)
+    rows, values = pressed.rest_rows(rest)
     best = max(presses, key=lambda one: one.dots, default=None)
     why_none = no_press[max(no_press)] if no_press else ""  # of the recording with most events, as a press has
     more_rows, more = pressed.rows(best, like, why_none)
@@ -96,13 +96,8 @@ def run(job: Job, params: Identify, *, force: bool = False, progress: Progress =
         try:
             sensor_file.read(temporary, plan.one_sensor)  # a sensor that record would refuse is not written
         except InputError as error:
-            raise InputError(
-                f"the estimated sensor cannot be simulated: {error.message}",
-                where=", ".join(map(str, job.inputs)),
-                expected=error.expected,
-                found=error.found,
-                hint=error.hint,
-            ) from None
+            message, where = f"the estimated sensor cannot be simulated: {error}", ", ".join(map(str, job.inputs))
+            raise InputError(message, where=where) from None
     status = "made" if recheck.made else "up to date"
     summary = {"sensor": str(job.output), "status": status, "all_other_keys": f"as in {params.like}; {NOT_ESTIMATED}"}
     if unused := _unused(job.inputs, rows):
@@ -122,12 +117,9 @@ def _headers(paths: Sequence[Path]) -> tuple[Header, ...]:
         with open_recording(path) as recording:
             header, frame_px, name = recording.header, recording.frame_px, str(recording.read("sensor/name"))
         if frame_px != FRAME_PX:
-            raise InputError(
-                "sensors with this frame size cannot be simulated",
-                where=str(path),
-                expected="{} x {} px".format(*FRAME_PX),
-                found="{} x {} px".format(*frame_px),
-            )
+            expected, found = ("{} x {} px".format(*size) for size in (FRAME_PX, frame_px))
+            message = "sensors with this frame size cannot be simulated"
+            raise InputError(message, where=str(path), expected=expected, found=found)
         if header["id"] in headers:
             other = f"the same events as {headers[header['id']][0]}"
             raise InputError("a recording is given twice", where=str(path), expected="each once", found=other)
@@ -135,12 +127,8 @@ def _headers(paths: Sequence[Path]) -> tuple[Header, ...]:
         sensors.setdefault((name, header["simulated"]), path)
     sensor_names = {name for name, _ in sensors} - {UNKNOWN_SENSOR}
     if len(sensor_names) > 1 or len({simulated for _, simulated in sensors}) > 1:
-        each = "; ".join(
-            f"{name}{' (simulated)' if simulated else ''} in {path.name}" for (name, simulated), path in sensors.items()
-        )
-        raise InputError(
-            "recordings of different sensors", where=str(paths[0]), expected="recordings of one sensor", found=each
-        )
+        named = (f"{name}{' (simulated)' * simulated} in {path.name}" for (name, simulated), path in sensors.items())
+        raise InputError("recordings of different sensors", where=str(paths[0]), found="; ".join(named))
     return tuple(header for _, header in headers.values())
 
 
@@ -181,11 +169,8 @@ def _up_to_date(path: Path, recipe: Recipe, *, force: bool) -> bool:
         raise InputError("cannot be read", where=str(path), found=str(error)) from None
     if f"# recipe {recipe.id}" in written:
         return True
-    raise InputError(
-        "the file exists and was made with another recipe, or by hand",
-        where=str(path),
-        hint="--force replaces it, -o NAME writes to another file",
-    )
+    hint = "--force replaces it, -o NAME writes to another file"
+    raise InputError("the file exists and was made with another recipe, or by hand", where=str(path), hint=hint)
 
 
 STAGE = Stage(jobs, run)

@@ -1,4 +1,4 @@
-"""Estimates from a press: positions, size, blur and contrast of the dots, the lens, and the thresholds."""
+"""Estimates without a gripper: the camera's noise from the longest rest; dots, optics and thresholds from a press."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -7,17 +7,95 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.kernels.calibration import dot_search, grid
+from evetac_cli.events import SLICE_US
+from evetac_cli.kernels.calibration import dot_search, grid, rest_image
 from evetac_cli.kernels.calibration.rest_image import RestImage
 from evetac_cli.kernels.estimates import Estimate
-from evetac_cli.kernels.identify import dots, thresholds
-from evetac_cli.kernels.identify.dots import Optics, RimProfile, Runs
+from evetac_cli.kernels.identify import dots, rest, thresholds
+from evetac_cli.kernels.identify.dots import Optics, Runs
+from evetac_cli.kernels.identify.rest import RestNoise
 from evetac_cli.kernels.identify.thresholds import Polarity, StrokeEvents
 from evetac_cli.sim.setup.sensor import Sensor
 from evetac_cli.sim.setup.tables import as_table
 from evetac_cli.stages import calibrate, calibrated_gel, gel_at_rest
 from evetac_cli.stages.identify.sensor_text import Entry, EstimateRow
 from evetac_cli.store.recordings.read import Recording
+
+SHORTEST_REST = 500  # slices
+LONGEST_REST = 60_000  # slices that are used
+MOST_EVENTS = 20_000_000  # events that are used
+MAKE_REST = "cannot be estimated from these recordings: make one of 3 s or more in which nothing touches the gel"
+MAKE_HOT = "cannot be estimated from these recordings: make a longer one in which nothing touches the gel"
+
+
+@dataclass(frozen=True)
+class LongestRest:
+    """The longest rest of a recording: its noise, and its source."""
+
+    noise: RestNoise
+    source: str
+
+
+def longest_rest(recording: Recording, rng: np.random.Generator) -> LongestRest | None:
+    """Return the noise in the longest time at rest; None if the recording has no rest of SHORTEST_REST."""
+    spells = rest_image.quiet_spells(np.diff(recording.starts))
+    first, stop = max(spells, key=lambda spell: spell[1] - spell[0], default=(0, 0))
+    stop = min(stop, first + LONGEST_REST)
+    most = int(np.searchsorted(recording.starts, recording.starts[first] + MOST_EVENTS, side="right")) - 1
+    stop = min(stop, most)
+    if stop - first < SHORTEST_REST:
+        return None
+    events = recording.between(first, stop)
+    columns = (events.t - SLICE_US * first, events.x, events.y, events.p)
+    try:
+        noise = rest.analyse(*columns, recording.frame_px, SLICE_US * (stop - first), rng)
+    except ValueError:  # too many pixels are busy for a rest
+        return None
+    return LongestRest(noise, f"{recording.path.name}, {first} to {stop} ms")
+
+
+def rest_rows(resting: LongestRest | None) -> tuple[list[EstimateRow], dict[str, Entry]]:
+    """Return rows and keys of the camera's noise."""
+    units = {
+        "noise_hz": "Hz a pixel",
+        "noise_on_share": "",
+        "hot pixels above 20 Hz": "",
+        "events of hot pixels": "Hz",
+        "ON share of hot pixels": "",
+        "hot_pixel_table.dead_time_us": "us",
+        "timestamp_step_us": "us",
+    }
+    if resting is None:
+        return [EstimateRow(name, unit, None, MAKE_REST) for name, unit in units.items()], {}
+    noise = resting.noise
+    estimates = (
+        noise.noise_hz,
+        noise.noise_on_share if np.isfinite(noise.noise_on_share.value) else None,
+        noise.hot_pixels,
+        noise.hot_total_hz,
+        noise.hot_on_share if np.isfinite(noise.hot_on_share.value) else None,
+        noise.dead_time_us,
+        noise.timestamp_step_us,
+    )
+    listed_rows = [
+        EstimateRow(name, unit, estimate, MAKE_HOT if estimate is None else resting.source)
+        for (name, unit), estimate in zip(units.items(), estimates, strict=True)
+    ]
+    values = {"noise_hz": Entry(noise.noise_hz.value, noise.noise_hz, resting.source)}
+    if np.isfinite(noise.noise_on_share.value):
+        values["noise_on_share"] = Entry(noise.noise_on_share.value, noise.noise_on_share, resting.source)
+    if noise.timestamp_step_us is not None:
+        values["timestamp_step_us"] = Entry(noise.timestamp_step_us.value, noise.timestamp_step_us, resting.source)
+    values["hot_pixels"] = Entry(0, None, f"{resting.source}: all hot pixels are in the table")
+    listed = noise.table
+    if len(listed.x_px):
+        half = np.median((listed.high_hz - listed.low_hz) / 2 / listed.rate_hz)
+        about = f"{resting.source}: {len(listed.x_px)} above {rest.HOT_HZ:g} Hz; rates within {half:.0%} (median, 95 %)"
+        dead_us = 0.0 if noise.dead_time_us is None else noise.dead_time_us.value
+        columns = {name: column for name, column in listed._asdict().items() if name not in ("low_hz", "high_hz")}
+        values["hot_pixel_table"] = Entry({**columns, "dead_time_us": dead_us}, None, about)
+    return listed_rows, values
+
 
 MAKE_PRESS = "make one in which a blunt tip strokes the whole gel, as for evetac calibrate"
 MAKE_WHOLE = "cannot be estimated from these recordings: some dots were not seen; press on the whole gel"
@@ -65,7 +143,6 @@ class Press:
     off_over_on: Estimate | None
     mismatch: Estimate | None
     is_apart: bool
-    profile: RimProfile
     frame_px: tuple[int, int]
     source: str
 
@@ -108,7 +185,7 @@ def find(
         )
     expected = _filled(seen)
     looked_for = np.isfinite(expected[..., 0])
-    fitted, profile = dots.fit_rims(runs, expected[looked_for], radius_px, log_contrast)
+    fitted = dots.fit_rims(runs, expected[looked_for], radius_px, log_contrast)
     places_px = np.full(seen.shape, np.nan)
     places_px[looked_for] = fitted.centre_xy_px
     ratio = _polarity(events, 0.5 * noise_hz * seconds, rng)
@@ -124,7 +201,6 @@ def find(
         off_over_on=thresholds.without_last_thresholds(ratio.off_over_on, whole) if ratio else None,
         mismatch=ratio.mismatch if ratio and is_apart else _beside(events, whole, rng),
         is_apart=is_apart,
-        profile=profile,
         frame_px=recording.frame_px,
         source=recording.path.name,
     )

@@ -1,4 +1,7 @@
-"""Prior knowledge of a sensor's gel: values from a sensor's file, and expected values for an unknown gel."""
+"""Prior knowledge of a sensor's gel: values from a sensor's file, and expected values for an unknown gel.
+
+Force-model files of touch maps are written by `train-force --method touch` and read by `predict-touch --model`.
+"""
 
 from collections.abc import Container, Sequence
 from pathlib import Path
@@ -13,7 +16,7 @@ from evetac_cli.commands.train_force import TrainForce
 from evetac_cli.errors import InputError
 from evetac_cli.events import FRAME_PX
 from evetac_cli.kernels.force import gel_forces
-from evetac_cli.kernels.force.gel_forces import ForceErrorModel, Scale, Stiffness
+from evetac_cli.kernels.force.gel_forces import CREEP_ARMS, ForceErrorModel, Scale, Stiffness
 from evetac_cli.kernels.touch.dot_motion import ENDLESS_MM, GelLayer
 from evetac_cli.sim.setup import sensor_file
 from evetac_cli.sim.setup.plan import one_sensor
@@ -184,11 +187,69 @@ def check_scale(tracks: StageFile, gel_values: KnownGel) -> None:
     width, height = (int(size) for size in tracks.read("sensor/frame_px"))
     if (width, height) == FRAME_PX or gel_values.mm_per_px is not None:
         return
-    raise InputError(
-        "the scale of this frame, in mm per pixel on the gel, is unknown",
-        where=str(tracks.path),
-        expected="{} x {} px, or --sensor with mm_per_px".format(*FRAME_PX),
-        found=f"{width} x {height} px",
-        hint='measure mm_per_px with a ruler on the gel, write it with like = "evetac" into mine.sensor.toml, and use'
-        " --sensor mine.sensor.toml",
+    message, expected = "the scale of this frame is unknown", "{} x {} px, or --sensor with mm_per_px".format(*FRAME_PX)
+    hint = 'measure mm_per_px with a ruler on the gel, and write it with like = "evetac" into a file for --sensor'
+    raise InputError(message, where=str(tracks.path), expected=expected, found=f"{width} x {height} px", hint=hint)
+
+
+KIND = "force-model"
+SHAPE = ("height_mm", "print_depth_mm", "lens_mm")  # numbers of a GelShape
+SHAPES = {  # shapes that the schema leaves open
+    "adapted/shear_covariance": (2, CREEP_ARMS + 2, CREEP_ARMS + 2),
+    "adapted/normal": (3,),
+    "adapted/normal_covariance": (3, 3),
+    "adapted/creep_time_s": (CREEP_ARMS,),
+    "adapted/edges_mm": (4,),
+    "adapted/errors": (len(ForceErrorModel._fields),),
+}
+
+
+def arrays_of(gel: GelWeights) -> dict[str, Any]:
+    """Return the datasets of an adapted scale."""
+    return {
+        **{f"adapted/{name}": values for name, values in gel.scale._asdict().items()},
+        **{f"adapted/{name}": np.float64(getattr(gel.shape, name)) for name in SHAPE},
+        "adapted/edges_mm": np.where(np.isfinite(gel.shape.edges_mm), gel.shape.edges_mm, np.nan),
+        "adapted/modulus_pa": np.float64(gel.modulus_pa),
+        "adapted/mm_per_px": np.float64(gel.mm_per_px),
+        "adapted/mm_log_sd": np.float64(gel.mm_log_sd),
+        "adapted/creep_time_s": gel.creep_time_s,
+        "adapted/errors": np.array(gel.errors),
+    }
+
+
+def read_own(path: Path) -> tuple[Header, str, GelWeights]:
+    """Return header, sensor name and weights of an adapted model; InputError for a model of the paper's method."""
+    with StageFile(path, KIND) as file:
+        if not file.has("adapted"):
+            expected = "a model of train-force --method touch"
+            raise InputError("the force model is of the paper's method", where=str(path), expected=expected)
+        shapes = {name: shape for name, (_, shape) in file.contents().items() if name in SHAPES}
+        if shapes != SHAPES:
+            hint = "train it again"
+            raise InputError(
+                "arrays of another shape", where=str(path), expected=str(SHAPES), found=str(shapes), hint=hint
+            )
+        return file.header, str(file.read("sensor_name")), _weights(file)
+
+
+def _weights(file: StageFile) -> GelWeights:
+    def number(name: str) -> float:
+        return float(file.read(f"adapted/{name}"))
+
+    return GelWeights(
+        number("modulus_pa"),
+        GelShape(number("height_mm"), number("print_depth_mm"), number("lens_mm"), _edges(file)),
+        number("mm_per_px"),
+        number("mm_log_sd"),
+        Scale(*(file.read(f"adapted/{name}") for name in Scale._fields)),
+        file.read("adapted/creep_time_s"),
+        ForceErrorModel(*file.read("adapted/errors").tolist()),
     )
+
+
+def _edges(file: StageFile) -> tuple[float, float, float, float]:
+    """Return the edges of a gel; NaN in the file marks an edge that is far away."""
+    stored = file.read("adapted/edges_mm")
+    x0, y0, x1, y1 = (float(edge) for edge in np.where(np.isnan(stored), ENDLESS_MM, stored))
+    return x0, y0, x1, y1

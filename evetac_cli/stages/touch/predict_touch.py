@@ -14,7 +14,7 @@ from evetac_cli.events import SLICES_PER_S
 from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
 from evetac_cli.names import TouchOption
 from evetac_cli.stages import per_file, row_blocks
-from evetac_cli.stages.touch import known_gel, touch_model
+from evetac_cli.stages.touch import known_gel
 from evetac_cli.stages.touch.known_gel import GelShape, GelWeights, KnownGel
 from evetac_cli.store.files import StageFile, up_to_date, write_stage
 from evetac_cli.store.layout.provenance import Header, Recipe
@@ -46,7 +46,7 @@ def run(job: Job, params: PredictTouch, *, force: bool = False, progress: Progre
     """Apply the touch map to the tracks, slice by slice, and store a row for every slice, and some maps."""
     path, *models = job.inputs
     gel_values = known_gel.known_of(params.sensor)
-    own = touch_model.read_own(models[0]) if models else None
+    own = known_gel.read_own(models[0]) if models else None
     with StageFile(path, "tracks") as tracks:
         if own is None:
             known_gel.check_scale(tracks, gel_values)
@@ -76,13 +76,11 @@ def _check_sensor(tracks: StageFile, adapted_to: str, model: Path) -> None:
     """Raise InputError if the tracks are not from the sensor to which the model was adapted."""
     name = str(tracks.read("sensor/name"))
     if len({name, adapted_to} - {UNKNOWN_SENSOR}) > 1:
-        raise InputError(
-            "the tracks are not from the sensor to which the model was adapted",
-            where=str(tracks.path),
-            expected=f"{adapted_to}, as in {model}",
-            found=name,
-            hint="train-force --method touch adapts a model to this sensor; or leave out --model",
+        message, expected = (
+            "not the tracks of the sensor to which the model was adapted",
+            f"{adapted_to}, as in {model}",
         )
+        raise InputError(message, where=str(tracks.path), expected=expected, found=name)
 
 
 class _Summary:

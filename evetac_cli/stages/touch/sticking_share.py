@@ -3,22 +3,44 @@
 It uses the network of touch maps without the map itself, which takes milliseconds to compute, and assumes the expected
 scale of a frame (known_gel.py). `featurize` applies it to tracks, and a detector trained with it to the dots that it
 tracks; both give identical bits.
+
+The network is loaded from a file of named arrays, which contains no code.
 """
 
+import functools
 import math
+import zipfile
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.arrays import Flags, Floats
-from evetac_cli.kernels.touch import dot_field, rest, sticking
-from evetac_cli.kernels.touch.dot_modes import DotNoise
-from evetac_cli.kernels.touch.sticking import StickingState
+from evetac_cli.errors import InputError
+from evetac_cli.kernels.touch import rest, sticking
+from evetac_cli.kernels.touch.dot_motion import DotNoise
+from evetac_cli.kernels.touch.sticking import StickingNetwork, StickingState
 from evetac_cli.kernels.touch.touch_map import BEGINS, ENDS, apart_rms
 from evetac_cli.kernels.touch.touch_map import LEAST_DOTS as LEAST_TOUCHED
-from evetac_cli.stages.touch import sticking_network
+from evetac_cli.resources import STICKING_MODEL
 from evetac_cli.stages.touch.known_gel import DRIFT_PX, TRACKER_PX, expected_mm_per_px
+
+
+@functools.cache
+def shipped_network() -> StickingNetwork:
+    """Return the pretrained network."""
+    return read_network(STICKING_MODEL)
+
+
+def read_network(path: Path) -> StickingNetwork:
+    """Read a network from a file of named arrays (.npz); InputError if it contains none."""
+    try:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
+            return StickingNetwork.of_arrays({name: arrays[name] for name in arrays.files})
+    except (OSError, ValueError, EOFError, TypeError, AttributeError, zipfile.BadZipFile) as error:
+        expected, found = "named arrays (.npz) as written by scripts/train_sticking.py", str(error)
+        raise InputError("not a sticking-share network", where=str(path), expected=expected, found=found) from None
 
 
 class StickingShare:
@@ -34,8 +56,8 @@ class StickingShare:
         self._touches = False
         self._slices = 0
         self._state: StickingState | None = None
-        if np.count_nonzero(np.isfinite(self._rest_mm).all(axis=1)) >= dot_field.LEAST_DOTS:
-            self._state = sticking.start(self._rest_mm, sticking_network.shipped(), noise)
+        if np.count_nonzero(np.isfinite(self._rest_mm).all(axis=1)) >= sticking.LEAST_DOTS:
+            self._state = sticking.start(self._rest_mm, shipped_network(), noise)
 
     def step(self, dot_xy_px: NDArray[np.floating], lost: NDArray[np.bool_] | NDArray[np.uint8]) -> float:
         """Process one slice, with its dots (dots, 2) and which of them are lost (dots,), and return the share."""

@@ -14,12 +14,12 @@ from evetac_cli.arrays import Flags, Floats
 from evetac_cli.errors import InputError
 from evetac_cli.kernels.force import gel_forces
 from evetac_cli.kernels.force.gel_forces import CreepMemory, Forces
-from evetac_cli.kernels.touch import dot_field, sticking, touch_map
-from evetac_cli.kernels.touch.dot_modes import DotNoise
+from evetac_cli.kernels.touch import sticking, touch_map
+from evetac_cli.kernels.touch.dot_motion import DotNoise
 from evetac_cli.kernels.touch.sticking import StickingReading, StickingState
 from evetac_cli.kernels.touch.touch_map import TouchState
 from evetac_cli.stages import row_blocks
-from evetac_cli.stages.touch import sticking_network
+from evetac_cli.stages.touch import sticking_share
 from evetac_cli.stages.touch.known_gel import DRIFT_PX, TRACKER_PX, GelWeights, at_window
 from evetac_cli.store.files import StageFile
 
@@ -192,9 +192,9 @@ class TouchFold:
 
 def sticking_of(state: TouchState) -> StickingState | None:
     """Start estimating the sticking share from the dots of a touch map; None with too few dots."""
-    if np.count_nonzero(state.there) < dot_field.LEAST_DOTS:
+    if np.count_nonzero(state.there) < sticking.LEAST_DOTS:
         return None
-    return sticking.start(state.rest_mm, sticking_network.shipped(), state.noise)
+    return sticking.start(state.rest_mm, sticking_share.shipped_network(), state.noise)
 
 
 def _slices(tracks: StageFile, mm_per_px: float, first: int, stop: int) -> Iterator[tuple[Floats, Flags]]:

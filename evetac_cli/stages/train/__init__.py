@@ -7,8 +7,7 @@ objects, by networks that are trained only for this purpose. --adapt continues f
 On the same trajectories, probabilities are calibrated, and the threshold is chosen by the rate of false alarms, except
 with preset paper (validating.py). So the validation trajectories should include trials without slip.
 
-The course of the training is written next to the model, as NAME.model.csv; with --log tensorboard also to
-NAME.model.log, during the training.
+The course of the training is written next to the model, as NAME.model.csv.
 
 An interrupted run leaves `NAME.model.RECIPE.part` for each network, and so does one that was refused at its end because
 another has made the output. The same command continues from there, with the same result as without the interruption.
@@ -22,7 +21,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli import plugins
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.commands.train import Train
 from evetac_cli.errors import InputError, made_by
@@ -31,7 +29,6 @@ from evetac_cli.kernels.calibration import grid
 from evetac_cli.kernels.slip.architectures import (
     LEAST_COLUMNS,
     LEAST_ROWS,
-    Architecture,
     DotArchitecture,
     PluginLayers,
     joined,
@@ -44,34 +41,31 @@ from evetac_cli.resources import model_file
 from evetac_cli.sim.setup.plan import numbers
 from evetac_cli.stages import one_file
 from evetac_cli.stages.model_files import (
-    TRUE_SLIP_SHARES,
+    TRUE_SLIP_SHARE,
     USELESS_HINT,
     learned_true_slip_share,
     read_calibration,
     read_weights,
     why_useless,
 )
-from evetac_cli.stages.related_files import named_files
-from evetac_cli.stages.splits import check_disjoint, make_folds, object_name
+from evetac_cli.stages.related_files import check_disjoint, check_same, make_folds, named_files, object_name
 from evetac_cli.stages.train import validating
-from evetac_cli.stages.train.log import add_checkpoints, log_folder, require_tensorboard, write_course
-from evetac_cli.stages.train.plan import group_parameters, series_bytes
+from evetac_cli.stages.train.plan import (
+    group_parameters,
+    series_bytes,
+    write_course,
+)
 from evetac_cli.store.files import StageFile, header_of, up_to_date, write_stage
 from evetac_cli.store.layout.provenance import Header, Recipe
 from evetac_cli.store.layout.rules import named_architecture
 from evetac_cli.store.recordings.onset import PERSON, abstains
 
 if TYPE_CHECKING:  # torch takes more than a second to import, numba half of it
-    from evetac_cli.kernels.slip.inputs import Trajectory
     from evetac_cli.kernels.slip.training import SlipTraining
 
 OUTPUT = "model"
 METHOD = 9
 VALIDATE_EVERY = 8
-COMPARED = 64  # inputs of a file on which the two forms of a plug-in's network are compared
-# Probability. evetac's nine networks on dots differ by at most 6e-7 after training, and by 4e-6 with random weights of
-# standard deviation 0.3, over inputs of three simulated slips.
-FORMS_AGREE = 1e-4
 FEWEST_VALIDATED_ON = 4  # trajectories; with fewer, a far too low threshold may score as well as a good one
 
 
@@ -95,7 +89,6 @@ class TrainJob(Job):
 
     learned: int
     seed: int
-    withheld: int  # inputs not trained on because --validate names them, too
 
 
 @dataclass(frozen=True)
@@ -113,19 +106,14 @@ def jobs(files: list[Path], params: Train, out: Path | None) -> list[TrainJob]:
     """Return a job for every seed, each with all features files."""
     validate = named_files(params.validate, "features", "--validate") if params.validate else []
     files, validate = _with_objects(files, params), _with_objects(validate, params)
-    withheld = len(set(files) & set(validate))
     if not validate:
         validate = files[VALIDATE_EVERY - 1 :: VALIDATE_EVERY] or files[-1:]
     learn = [file for file in files if file not in validate]
     if not learn:
         for file in files:  # a missing file, or one of another kind, is the likelier cause
             header_of(file, "features")
-        raise InputError(
-            "no file is left to train on",
-            expected="at least two features files",
-            hint=made_by("features"),
-            found=f"{len(files)}, all used for validation",
-        )
+        expected, found = "at least two features files", f"{len(files)}, all used for validation"
+        raise InputError("no file is left to train on", expected=expected, found=found, hint=made_by("features"))
     settings, _ = _settings(params)
     one_file(range(params.seeds), out)
     trainings = []
@@ -134,7 +122,7 @@ def jobs(files: list[Path], params: Train, out: Path | None) -> list[TrainJob]:
         number = f"-s{seed}" if params.seeds > 1 else ""
         name = f"{settings.model}{horizon_ms}{number}.model.h5"
         output = out if out is not None and out.suffix == ".h5" else (out or learn[0].parent) / name
-        trainings.append(TrainJob((*learn, *validate), output, len(learn), seed, withheld))
+        trainings.append(TrainJob((*learn, *validate), output, len(learn), seed))
     return trainings
 
 
@@ -144,22 +132,12 @@ def parts(job: TrainJob, params: Train) -> list[NetworkJob]:
     count = settings.networks * (params.folds + 1)
     numbers = range(count if count > 1 else 0)
     places = [job.output.with_name(f"{job.output.name}.network{number + 1}") for number in numbers]
-    return [
-        NetworkJob(job.inputs, places[number], job.learned, job.seed, job.withheld, number, job.output)
-        for number in numbers
-    ]
+    return [NetworkJob(job.inputs, places[number], job.learned, job.seed, number, job.output) for number in numbers]
 
 
 def cautions(jobs: Sequence[TrainJob], params: Train) -> list[str]:
     """Return notes to print before a training, which may take long."""
-    notes = {_few(len(job.inputs) if params.folds else len(job.inputs) - job.learned) for job in jobs}
-    notes |= {
-        f"{job.withheld} of the given files {'is' if job.withheld == 1 else 'are'} not trained on, because --validate"
-        f" names {'it' if job.withheld == 1 else 'them'}, too"
-        for job in jobs
-        if job.withheld
-    }
-    return sorted(notes - {""})
+    return sorted({_few(len(job.inputs) - (0 if params.folds else job.learned)) for job in jobs} - {""})
 
 
 def for_people(rows: list[dict[str, Any]], params: Train) -> tuple[list[dict[str, Any]], list[str]]:
@@ -175,21 +153,16 @@ def _few(validated_on: int) -> str:
     """Return a note if a threshold is chosen on too few trajectories; otherwise an empty text."""
     if validated_on >= FEWEST_VALIDATED_ON:
         return ""
-    count = f"{validated_on} trajector{'y' if validated_on == 1 else 'ies'}"
-    return (
-        f"checkpoint and threshold are chosen on {count}, which is too few: the model may fail on others; use at least"
-        f" {FEWEST_VALIDATED_ON} trajectories, not used for training, with --validate"
-    )
+    least = f"use at least {FEWEST_VALIDATED_ON} in --validate"
+    return f"too few trajectories to choose checkpoint and threshold on: {validated_on}; {least}"
 
 
 def _short(minutes: float) -> str:
     """Return a note if false alarms are counted in too short a time to choose a threshold; otherwise an empty text."""
     if minutes >= validating.LEAST_MINUTES:
         return ""
-    return (
-        f"false alarms are counted in {minutes:.1f} minutes without slip, which is too short to measure their rate; add"
-        f" at least {validating.LEAST_MINUTES:g} minutes to --validate in which fingers open or push and nothing slips"
-    )
+    enough = f"use at least {validating.LEAST_MINUTES:g}, in which fingers open or push, in --validate"
+    return f"too few minutes without slip to count false alarms in: {minutes:.1f}; {enough}"
 
 
 def _with_objects(files: list[Path], params: Train) -> list[Path]:
@@ -222,19 +195,9 @@ def _settings(params: Train) -> tuple[Settings, TrainedModel | None]:
         fixed |= {name: getattr(usual, name) for name in ("model", "horizon_ms", "networks")}
         for name, value in fixed.items():
             if getattr(params, name) not in (value, None):
-                raise InputError(
-                    "cannot be combined with --adapt",
-                    where=f"--{name.replace('_', '-')}",
-                    expected=f"{value}, as in the model, or left out" if value else "left out",
-                    found=str(getattr(params, name)),
-                )
+                flag, expected = f"--{name.replace('_', '-')}", f"{value}, as in the model" if value else "left out"
+                raise InputError("cannot be combined with --adapt", where=flag, expected=expected)
     values = {name: getattr(params, name) for name in Settings._fields}
-    if params.patience is not None and (params.folds or (values["networks"] or usual.networks) > 1):
-        raise InputError(
-            "needs a model of one network, without --folds: several networks would stop at different steps",
-            where="--patience",
-            found=str(params.patience),
-        )
     return usual._replace(**{name: value for name, value in values.items() if value is not None}), trained
 
 
@@ -261,27 +224,23 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
         progress(number, len(job.inputs), "files inspected")
         with StageFile(path, "features") as file:
             headers.append(file.header)
-            shapes.append(tuple(int(size) for size in file.read("dot_shape")))
+            rows, columns = file.read("dot_shape").tolist()
+            shapes.append((rows, columns))
             memory_bytes.append(series_bytes(file, architecture))
-            know_truth.append(any(map(file.has, TRUE_SLIP_SHARES)))
+            know_truth.append(file.has(TRUE_SLIP_SHARE))
             slip.append(not file.has("onset_slice") or int(file.read("onset_slice")) >= 0)
             unsure.append(abstains(file))
     learn, seed = job.learned, job.seed
     learned_from = [*headers[:learn], *([adapted.header] if adapted is not None else [])]
     check_disjoint(learned_from, headers[learn:], "validated on", job.inputs[learn:])
     if params.learn_true_slip_share and not any(know_truth[:learn]):
-        raise InputError(
-            "none of the features files has the true slipping share of the contact",
-            where="--learn-true-slip-share",
-            found=f"{job.inputs[0]} and {learn - 1} more",
-            hint="evetac featurize --true-slip-share copies it from simulated recordings",
-        )
+        hint = "evetac featurize --true-slip-share copies it from simulated recordings"
+        raise InputError("no features file has the true slipping share", where="--learn-true-slip-share", hint=hint)
     labels = _label_method(job.inputs[:learn], headers[:learn], slip[:learn])
     folds = make_folds(headers, learn, params.folds)
     parameters = {**recipe_of(params), **settings._asdict(), "seed": seed, "trained_on": learn}
-    for name in ("patience", "false_alarms_per_min"):
-        if getattr(params, name) is not None:
-            parameters[name] = getattr(params, name)
+    if params.false_alarms_per_min is not None:
+        parameters["false_alarms_per_min"] = params.false_alarms_per_min
     parameters |= group_parameters(memory_bytes[:learn])
     if isinstance(architecture, PluginLayers):
         parameters["model_method"] = architecture.method
@@ -290,8 +249,6 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
     simulated = any(header["simulated"] for header in parents)
     output = job.model if isinstance(job, NetworkJob) else job.output
     if up_to_date(output, recipe, force=force):
-        if not isinstance(job, NetworkJob) and not output.with_suffix(".csv").exists():
-            write_course(output)
         if isinstance(job, NetworkJob):
             return outcome(job, made=False, simulated=simulated)
         return outcome(job, made=False, simulated=simulated, warning=_warning(output))
@@ -304,28 +261,23 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
     from evetac_cli.stages.slip_detectors import predict, read_trajectory
     from evetac_cli.stages.train.networks import Networks
 
-    log = log_folder(output) if params.log is not None else None
-    if log is not None:
-        require_tensorboard()
-
     if params.device == "cuda" and not torch.cuda.is_available():
         raise InputError("torch finds no GPU", where="--device", expected="cpu", found=params.device)
     torch.set_num_threads(1)  # the networks are too small for several threads, and results depend on their number
-    shape = _common_shape(job.inputs, shapes)
+    check_same("dot grids", [grid.in_words(*each) for each in shapes], job.inputs)
+    shape = shapes[0]
     if adapted is not None and adapted.dot_shape != shape:
-        raise InputError(
-            "the model is for another dot grid",
-            where=str(adapted.path),
-            expected="{} x {} dots, as in {}".format(*shape, job.inputs[0]),
-            found="{} x {}".format(*adapted.dot_shape),
-            hint="evetac train without --adapt makes a model for this grid",
+        found, expected = grid.in_words(*adapted.dot_shape), grid.in_words(*shape)
+        raise InputError("the model is for another dot grid", where=str(adapted.path), expected=expected, found=found)
+    if isinstance(architecture, DotArchitecture) and (shape[0] < LEAST_ROWS or shape[1] < LEAST_COLUMNS):
+        expected, hint = (
+            f"at least {LEAST_ROWS} rows and {LEAST_COLUMNS} columns",
+            "--model no-hist-img-6x6 uses events",
         )
-    if isinstance(architecture, DotArchitecture):
-        _check_grid(shape, job.inputs[0])
+        where, found = str(job.inputs[0]), grid.in_words(*shape)
+        raise InputError("this network needs a grid of dots", where=where, expected=expected, found=found, hint=hint)
     start = None if adapted is None else adapted.weights
-    if isinstance(architecture, PluginLayers):  # before hours of training, and again on the result
-        _require_same_forms(architecture, None, shape, read_trajectory(job.inputs[0], architecture), job.inputs[0])
-    networks = Networks(output, job.inputs, memory_bytes, folds, recipe, shape, start, log)
+    networks = Networks(output, job.inputs, memory_bytes, folds, recipe, shape, start)
     predictions: list[list[Prediction]] = []
     resumed: int | None = None
     try:
@@ -348,7 +300,6 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
             for done, index in enumerate(fold.evaluated_on):
                 progress(done, len(fold.evaluated_on), "files evaluated")
                 trajectory = read_trajectory(job.inputs[index], architecture)
-                _require_same_forms(architecture, last[-1], shape, trajectory, job.inputs[index])
                 found = predict(detectors, trajectory, headers[index], settings.horizon_ms)
                 for of_detector, prediction in zip(predictions, found, strict=True):
                     of_detector.append(prediction)
@@ -361,9 +312,8 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
         ]
         graphs = [onnx_graphs.build(architecture, weights, *shape) for weights in last]
     except ValueError as error:
-        raise InputError(
-            f"cannot be trained: {error}", where=f"{job.inputs[0]} and {len(job.inputs) - 1} more"
-        ) from error
+        where = f"{job.inputs[0]} and {len(job.inputs) - 1} more"
+        raise InputError(f"cannot be trained: {error}", where=where) from error
     arrays: dict[str, Any] = {
         **{f"weights/{name}": value for name, value in last[choice.checkpoint].items()},
         "onnx": np.frombuffer(graphs[choice.checkpoint], np.uint8),
@@ -385,9 +335,6 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
     }
     made = write_stage(job.output, recipe, arrays, force=force) is not None
     write_course(job.output)
-    if log is not None:
-        about = {**parameters, "recipe id": recipe.id, "simulated": "yes" if simulated else "no"}
-        add_checkpoints(log, arrays, about, simulated=simulated)
     networks.remove_states()
     return outcome(
         job,
@@ -417,37 +364,6 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
     )
 
 
-def _require_same_forms(
-    architecture: Architecture,
-    weights: dict[str, NDArray[np.float32]] | None,
-    shape: tuple[int, int],
-    trajectory: "Trajectory",
-    path: Path,
-) -> None:
-    """Raise InputError if a plug-in's network computes another probability in torch than as an ONNX graph.
-
-    weights: of all networks of the detector; None for new ones. trajectory: the inputs of a file, of which some are
-    compared; path: that file.
-    """
-    import torch
-
-    from evetac_cli.kernels.slip import inputs, networks
-
-    plugin = plugins.by_name(plugins.NETWORKS, architecture.name)
-    slices = inputs.length(trajectory.series)
-    if plugin is None or slices < architecture.history:
-        return
-    ends = np.unique(np.linspace(architecture.history - 1, slices - 1, COMPARED).astype(np.int64))
-    batch = inputs.at(architecture, trajectory.series, ends)
-    with torch.random.fork_rng(devices=[]):  # new weights are drawn, and a training may draw later
-        drawn = networks.weights(networks.build(architecture, *shape)) if weights is None else weights
-    for each in parted(drawn):
-        difference = networks.difference_of_forms(architecture, each, *shape, batch)
-        if not difference <= FORMS_AGREE:
-            found = f"for inputs from {path}, torch and ONNX return probabilities up to {difference:.3g} apart"
-            raise plugin.error(f"{found}: its `hidden` and `add_layers` are not the same network")
-
-
 def _learned_truth(params: Train, adapted: TrainedModel | None) -> bool:
     """Whether the model, or the model from which it was adapted, learned the true slipping share of the contact."""
     return params.learn_true_slip_share or (adapted is not None and learned_true_slip_share(adapted.header))
@@ -472,43 +388,9 @@ def _label_method(paths: tuple[Path, ...], headers: list[Header], slip: list[boo
                 methods.setdefault(str(ancestor["parameters"].get("method", "farneback")), path)
     if len(methods) > 1 and (len(methods.keys() - {PERSON}) > 1 or "truth" in methods):
         (first, path), (other, elsewhere) = list(methods.items())[:2]
-        raise InputError(
-            "the files to train on are labelled by different methods",
-            where=str(elsewhere),
-            expected=f"{first}, as in {path}",
-            found=other,
-        )
+        message, expected = "the files to train on are labelled by different methods", f"{first}, as in {path}"
+        raise InputError(message, where=str(elsewhere), expected=expected, found=other)
     return ", ".join(sorted(methods)) or "none"
-
-
-def _common_shape(paths: Sequence[Path], of_each: Sequence[tuple[int, ...]]) -> tuple[int, int]:
-    """Return rows and columns of the dot grid, which all files must share."""
-    shapes: dict[tuple[int, ...], Path] = {}
-    for path, shape in zip(paths, of_each, strict=True):
-        shapes.setdefault(shape, path)
-    if len(shapes) > 1:
-        (first, path), (other, elsewhere) = list(shapes.items())[:2]
-        raise InputError(
-            "the files have different dot grids",
-            where=str(elsewhere),
-            expected=f"{first[0]} x {first[1]}, as in {path}",
-            found=f"{other[0]} x {other[1]}",
-        )
-    rows, columns = next(iter(shapes))
-    return rows, columns
-
-
-def _check_grid(shape: tuple[int, int], path: Path) -> None:
-    """Raise InputError if the dots do not form a grid that is large enough for a network on dots."""
-    rows, columns = shape
-    if rows < LEAST_ROWS or columns < LEAST_COLUMNS:
-        raise InputError(
-            "this network needs a grid of dots",
-            where=str(path),
-            expected=f"at least {LEAST_ROWS} rows and {LEAST_COLUMNS} columns",
-            found=grid.in_words(rows, columns),
-            hint="--model no-hist-img-6x6 uses events instead of dots; run featurize with --images for it",
-        )
 
 
 STAGE = Stage(jobs, run, cautions=cautions, parts=parts, for_people=for_people)

@@ -17,12 +17,10 @@ from numpy.typing import NDArray
 from evetac_cli.jobs import Progress
 from evetac_cli.kernels.slip import sampling
 from evetac_cli.kernels.slip.inputs import Trajectory
-from evetac_cli.kernels.slip.sample_groups import SampleGroups, Size, drawn_groups
-from evetac_cli.kernels.slip.sampling import PoolSizes, SlipSamples
+from evetac_cli.kernels.slip.sampling import PoolSizes, SampleGroups, Size, SlipSamples, drawn_groups
+from evetac_cli.stages.related_files import Fold
 from evetac_cli.stages.slip_detectors import read_pool_sizes, read_trajectory
-from evetac_cli.stages.splits import Fold
 from evetac_cli.stages.train import plan
-from evetac_cli.stages.train.log import for_tensorboard
 from evetac_cli.store.hdf5.disk import taking_the_place_of
 from evetac_cli.store.layout.provenance import Recipe
 from evetac_cli.store.layout.rules import named_architecture
@@ -44,7 +42,6 @@ class Networks:
     recipe: Recipe  # with all settings of the training
     shape: tuple[int, int]  # rows and columns of dots
     start: Sequence[dict[str, NDArray[np.float32]]] | None  # initial weights of each network of a fold
-    log: Path | None = None  # folder for TensorBoard
     _gathered: dict[int, SampleGroups] = field(default_factory=dict, init=False)  # of the last requested fold
 
     @property
@@ -84,24 +81,19 @@ class Networks:
                 written = time.monotonic()
 
         seed = parameters["seed"]
-        log = None if self.log is None else self.log / f"network{number + 1}"
-        with for_tensorboard(log, simulated=self.recipe.simulated) as on_point:
-            result = training.train(
-                self._groups_of(number // parameters["networks"], progress),
-                preset,
-                # (0, 0) would be the same as 0, since numpy pads the words of a seed with zeros.
-                np.random.default_rng(seed if number == self.count - 1 else (seed, number + 1)),
-                training.TrainingLimits(
-                    parameters["epochs"],
-                    parameters["max_steps"],
-                    self._validation(progress) if parameters.get("patience") else None,
-                    parameters.get("patience"),
-                ),
-                training.Hooks(lambda step, steps: progress(number * steps + step, self.count * steps), save, on_point),
-                device=parameters["device"],
-                resume_from=saved,
-                start=start,
-            )
+        result = training.train(
+            self._groups_of(number // parameters["networks"], progress),
+            preset,
+            # (0, 0) would be the same as 0, since numpy pads the words of a seed with zeros.
+            np.random.default_rng(seed if number == self.count - 1 else (seed, number + 1)),
+            parameters["epochs"],
+            parameters["max_steps"],
+            on_progress=lambda step, steps: progress(number * steps + step, self.count * steps),
+            on_save=save,
+            device=parameters["device"],
+            resume_from=saved,
+            start=start,
+        )
         if self.count > 1:
             _write(place, self.recipe, result.state)
         return result, None if saved is None else int(saved["step"])
@@ -120,7 +112,7 @@ class Networks:
 
     def _groups(self, numbers: Sequence[int], progress: Progress) -> SampleGroups:
         """Return the samples of these inputs: all together if memory allows, otherwise in groups drawn by the seed."""
-        if self._takes(numbers) <= plan.HELD_BYTES:
+        if sum(self.memory_bytes[number] for number in numbers) <= plan.HELD_BYTES:
             return SampleGroups.alone(self._samples(numbers, progress))
         sizes = []
         for done, number in enumerate(numbers):
@@ -131,14 +123,6 @@ class Networks:
         groups = [[numbers[index] for index in group] for group in index_groups]
         steps = [PoolSizes(*np.sum([sizes[index].samples for index in group], axis=0)).steps for group in index_groups]
         return SampleGroups(steps, lambda group: self._samples(groups[group], progress))
-
-    def _validation(self, progress: Progress) -> SlipSamples:
-        """Return the samples of the validation inputs: of all, or of as many, evenly spread, as memory allows."""
-        numbers = self.folds[-1].evaluated_on
-        return self._samples(numbers[:: max(1, -(-self._takes(numbers) // plan.HELD_BYTES))], progress)
-
-    def _takes(self, numbers: Sequence[int]) -> int:
-        return sum(self.memory_bytes[number] for number in numbers)
 
     def _pool_sizes(self, number: int) -> PoolSizes:
         parameters = self.recipe.parameters

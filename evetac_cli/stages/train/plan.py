@@ -1,7 +1,10 @@
-"""Planning of a training: the memory for its features, and the files of its saved state."""
+"""Planning of a training: the memory for its features, the files of its saved state, and the file of its course."""
 
+import csv
+import io
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from evetac_cli.kernels.slip.architectures import (
     CHANNELS,
@@ -11,6 +14,7 @@ from evetac_cli.kernels.slip.architectures import (
     PluginImageArchitecture,
 )
 from evetac_cli.store.files import StageFile
+from evetac_cli.store.hdf5.disk import taking_the_place_of
 from evetac_cli.store.layout.provenance import Recipe
 
 # Limit for features in memory: 6.7 million slices of 56 dots without directions, or half as many with directions.
@@ -41,3 +45,36 @@ def state_file(model: Path, recipe: Recipe, number: int, networks: int) -> Path:
     """
     name = "" if number == networks - 1 else f".network{number + 1}"
     return model.with_name(f"{model.name.removesuffix('.h5')}.{recipe.id[:8]}{name}.part")
+
+
+COLUMNS = ("step", "loss", "validation_score", "threshold", "chosen", "simulated")
+
+
+def course(model: StageFile) -> str:
+    """Return the course of a training as CSV, with a row for each step with a loss or a checkpoint's score."""
+    rows: dict[int, dict[str, Any]] = {}
+    if model.has("curve/loss"):
+        for step, loss in zip(model.read("curve/step").tolist(), model.read("curve/loss").tolist(), strict=True):
+            rows.setdefault(step, {})["loss"] = loss
+    if model.has("checkpoint/step"):
+        chosen_number = int(model.read("checkpoint/chosen"))
+        figures = zip(
+            *(model.read(f"checkpoint/{name}").tolist() for name in ("step", "score", "threshold")), strict=True
+        )
+        for number, (step, score, threshold) in enumerate(figures):
+            row = {"validation_score": score, "threshold": threshold, "chosen": int(number == chosen_number)}
+            rows.setdefault(step, {}).update(row)
+    text = io.StringIO()
+    writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
+    writer.writeheader()
+    simulated = "yes" if model.header["simulated"] else "no"
+    writer.writerows({"step": step, **rows[step], "simulated": simulated} for step in sorted(rows))
+    return text.getvalue()
+
+
+def write_course(model: Path) -> None:
+    """Write the CSV file next to a model, NAME.model.csv."""
+    with StageFile(model, "model") as file:
+        text = course(file)
+    with taking_the_place_of(model.with_suffix(".csv")) as temporary:
+        temporary.write_text(text)

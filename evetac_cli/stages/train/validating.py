@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from evetac_cli.errors import InputError
-from evetac_cli.kernels.slip import metrics, reliability, warning_curve
+from evetac_cli.kernels.slip import alarms, metrics, reliability
+from evetac_cli.kernels.slip.alarms import WarningCurve
 from evetac_cli.kernels.slip.metrics import Choice, Prediction
 from evetac_cli.kernels.slip.reliability import OddsScale
-from evetac_cli.kernels.slip.warning_curve import WarningCurve
 
 if TYPE_CHECKING:  # torch takes more than a second to import
     from evetac_cli.kernels.slip.training import Preset
@@ -56,15 +56,11 @@ class Validated:
         ]
         choice = _of_calibrated(metrics.choose_threshold(checkpoints), calibrations)
         best_predictions = calibrated[choice.checkpoint]
-        curve = warning_curve.of_predictions(best_predictions)
+        curve = alarms.warning_curve(best_predictions)
         if per_min is not None and not curve.minutes:
-            raise InputError(
-                "false alarms cannot be counted in the validation files",
-                where="--false-alarms-per-min",
-                expected="slices labelled no slip, at least 200 ms from any slip, as in trials without slip",
-                found="none",
-                hint="add such trials to --validate, or leave the option out",
-            )
+            hint = "add trials without slip to --validate, or leave the option out"
+            message = "false alarms cannot be counted in the validation files"
+            raise InputError(message, where="--false-alarms-per-min", hint=hint)
         if per_min is not None or (preset.calibrated and curve.minutes >= LEAST_MINUTES):
             threshold = curve.threshold_for(FALSE_ALARMS_PER_MIN if per_min is None else per_min)
             detected_share, slip_share = metrics.shares(best_predictions, threshold)

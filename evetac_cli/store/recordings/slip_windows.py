@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
-from evetac_cli.kernels.slip.sample_groups import Size, drawn_groups
-from evetac_cli.kernels.slip.sampling import PoolSizes
+from evetac_cli.kernels.slip.sampling import PoolSizes, Size, drawn_groups
 from evetac_cli.store.files import StageFile
 
 MEMORY_GB = 3.0

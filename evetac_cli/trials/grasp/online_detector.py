@@ -20,12 +20,12 @@ from evetac_cli.errors import MAKE_MODEL, InputError
 from evetac_cli.events import FRAME_PX, Events
 from evetac_cli.kernels.calibration.grid import in_words
 from evetac_cli.kernels.grip.control import SlipSignal
-from evetac_cli.kernels.sensitivity import UNKNOWN, Sensitivity, sensitivity_of
 from evetac_cli.kernels.slip import alarms
 from evetac_cli.kernels.slip.alarms import AlarmState
+from evetac_cli.kernels.slip.architectures import UNKNOWN_SENSITIVITY, Sensitivity, sensitivity_of
 from evetac_cli.kernels.slip.detector import Live
 from evetac_cli.kernels.tracking import presets, tracker
-from evetac_cli.stages.model_files import chosen_threshold, controller_threshold
+from evetac_cli.stages.model_files import chosen_threshold
 from evetac_cli.stages.slip_detectors import load_detector
 from evetac_cli.stages.touch.sticking_share import StickingShare
 from evetac_cli.store.files import StageFile
@@ -80,7 +80,7 @@ class OnlineSlipDetector:
         dot_xy_px: NDArray[np.float64],
         window_px: NDArray[np.int32] | tuple[int, int, int, int] | None,
         constants: presets.TrackerConstants,
-        sensor: Sensitivity = UNKNOWN,
+        sensor: Sensitivity = UNKNOWN_SENSITIVITY,
         *,
         frame_px: Sequence[int] = FRAME_PX,
     ) -> "OnlineSlipDetector":
@@ -167,7 +167,7 @@ def open_detector(
 ) -> OnlineSlipDetector:
     """Return the detector of a model, for a sensor with these datasets `sensor/...`, set up for a controller.
 
-    threshold: None for the choice of `controller_threshold`. constants: of the tracker, for dots of the usual size;
+    threshold: None for the model's own. constants: of the tracker, for dots of the usual size;
     sticking: whether the signal includes the sticking share. InputError if the model is for another dot grid.
     """
     constants = constants.for_dots(float(sensor["sensor/dot_radius_px"]))
@@ -179,7 +179,7 @@ def open_detector(
         sensitivity_of(sensor),
         frame_px=sensor["sensor/frame_px"],
     )
-    detector.threshold = controller_threshold(model) if threshold is None else threshold
+    detector.threshold = chosen_threshold(model) if threshold is None else threshold
     if sticking:
         detector.tell_what_sticks()
     return detector

@@ -18,7 +18,7 @@ from evetac_cli.kernels.grip.load_law import MARGIN
 from evetac_cli.kernels.grip.paper import GripLaw
 from evetac_cli.kernels.tracking import presets
 from evetac_cli.kernels.tracking.presets import TrackerConstants
-from evetac_cli.stages.model_files import controller_threshold, require_useful
+from evetac_cli.stages.model_files import chosen_threshold, require_useful
 from evetac_cli.stages.slip_detectors import check_graph
 from evetac_cli.store.calibration import Calibration
 from evetac_cli.store.files import StageFile
@@ -62,7 +62,7 @@ class DetectorModel:
             check_graph(model)
             require_useful(model)
             header = model.header
-            threshold = controller_threshold(model, params.slip_threshold, params.false_alarms_per_min)
+            threshold = chosen_threshold(model, params.slip_threshold, params.false_alarms_per_min)
         constants = presets.PRESETS[params.tracker]
         return cls(path, header, params.tracker, constants, threshold, sticking)
 

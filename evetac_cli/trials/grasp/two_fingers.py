@@ -3,7 +3,7 @@
 The first camera leads. At the end of each of its slices, the second detector has processed its own slices that had
 ended by then, according to the offset between their clocks. In real time each detector has its own process instead, and
 the controller merges their status (realtime/shared_status.py). The merging rule is the same:
-kernels/grip/two_fingers.py.
+kernels/grip/control.py.
 """
 
 import math
@@ -12,7 +12,7 @@ from typing import Any
 
 from evetac_cli.devices import EventCamera
 from evetac_cli.events import SLICE_US, Events
-from evetac_cli.kernels.grip import two_fingers
+from evetac_cli.kernels.grip import control
 from evetac_cli.kernels.grip.control import SlipSignal
 from evetac_cli.trials.grasp.online_detector import OnlineSlipDetector
 
@@ -88,4 +88,4 @@ class TwoFingers:
         """The signal to the controller after the last slice."""
         if self._first is None or self._second is None:
             return SlipSignal()
-        return two_fingers.both(self._first.signal, self._second.signal)
+        return control.both_fingers(self._first.signal, self._second.signal)

@@ -8,8 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from evetac_cli.kernels.grip.fingers import FingerState, Gear, observe, push
-from evetac_cli.kernels.grip.load_law import Felt, LoadLaw
+from evetac_cli.kernels.grip.load_law import Felt, FingerState, Gear, LoadLaw, observe, push
 from evetac_cli.kernels.grip.load_proportional import start, step
 from evetac_cli.kernels.grip.paper import GraspPhase
 

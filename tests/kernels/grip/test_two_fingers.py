@@ -4,9 +4,8 @@ import math
 
 import pytest
 
-from evetac_cli.kernels.grip.control import Control, SlipSignal, make_law
+from evetac_cli.kernels.grip.control import Control, SlipSignal, both_fingers, make_law
 from evetac_cli.kernels.grip.paper import GraspPhase
-from evetac_cli.kernels.grip.two_fingers import both
 
 
 def test_slip_of_either_is_slip() -> None:
@@ -14,7 +13,7 @@ def test_slip_of_either_is_slip() -> None:
     counts = [(0, 0), (1, 0), (1, 0), (1, 2), (1, 2), (3, 3)]
     control, seen = Control(make_law("paper")), []
     for first, second in counts:
-        control.step(GraspPhase.LIFT, both(SlipSignal(first), SlipSignal(second)), 400)
+        control.step(GraspPhase.LIFT, both_fingers(SlipSignal(first), SlipSignal(second)), 400)
         seen.append(control.slip)
     assert seen == [False, True, False, True, False, True]
 
@@ -30,7 +29,7 @@ def test_load_is_half_of_what_both_carry(share: float) -> None:
         SlipSignal(0, 0.1, *(2 * part * each for each in (x_px, y_px, turn_px))) for part in (share, 1 - share)
     )
     faced = second._replace(mean_displacement_y_px=-second.mean_displacement_y_px, turn_px=-second.turn_px)
-    told = both(first, faced)
+    told = both_fingers(first, faced)
     assert told[2:5] == pytest.approx((x_px, y_px, turn_px))
 
 
@@ -39,6 +38,6 @@ def test_the_finger_nearer_to_slip_counts() -> None:
     nan = math.nan
     for first, second, told in (((0.2, 0.9), (0.7, 0.4), (0.7, 0.4)), ((0.2, nan), (nan, 0.4), (0.2, 0.4))):
         given = [SlipSignal(probability=each[0], sticking_share=each[1]) for each in (first, second)]
-        found = both(*given)
+        found = both_fingers(*given)
         assert (found.probability, found.sticking_share) == told
-    assert math.isnan(both(SlipSignal(), SlipSignal()).probability)
+    assert math.isnan(both_fingers(SlipSignal(), SlipSignal()).probability)

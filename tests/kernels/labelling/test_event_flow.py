@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from evetac_cli.events import FRAME_PX, Events, empty
-from evetac_cli.kernels.labelling import event_flow, flow, slide
+from evetac_cli.kernels.labelling import event_flow, flow
 
 WINDOW = (565, 0, 640, 480)
 DOTS = np.stack(np.meshgrid([120.0, 260.0, 400.0], [100.0, 240.0, 380.0]), axis=-1).reshape(-1, 2)
@@ -243,13 +243,13 @@ def test_the_slide_that_is_found_is_the_one_that_lasts() -> None:
     for first, last in ((100, 105), (200, 300)):
         log_odds[first:last], slide_px[first:last] = 3.0, 0.1
     how = {"slip_distance_px": 0.4, "lasting_px": 1.5, "pause_ms": 3, "search_ms": 200, "trust": 0.4, "outside": 0.03}
-    sure = slide.find(slide.Evidence(log_odds, slide_px), 0, **how)
+    sure = event_flow.find(event_flow.Evidence(log_odds, slide_px), 0, **how)
     assert sure is not None
     assert abs(sure.onset - 204) <= 1
     assert sure.width_px <= 0.3
     log_odds[190:200], slide_px[190:200] = -0.1, 0.1  # nearly as good
-    doubt = slide.find(slide.Evidence(log_odds, slide_px), 0, **how)
+    doubt = event_flow.find(event_flow.Evidence(log_odds, slide_px), 0, **how)
     assert doubt is not None
     assert doubt.earliest < 200 <= doubt.latest <= sure.latest
     assert doubt.width_px > 0.5
-    assert slide.find(slide.Evidence(log_odds, slide_px), 250, **{**how, "lasting_px": 9.0}) is None
+    assert event_flow.find(event_flow.Evidence(log_odds, slide_px), 250, **{**how, "lasting_px": 9.0}) is None

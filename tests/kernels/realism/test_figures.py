@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from evetac_cli.kernels.realism import figures
+from evetac_cli.kernels import realism
 
 FRAME = (8, 4)
 
@@ -20,7 +20,7 @@ def regular() -> tuple[np.ndarray, ...]:
 
 def test_at_rest() -> None:
     """Assert rates, shares and times of a hot pixel and of an ordinary one."""
-    result = figures.at_rest(*regular(), FRAME, 10**6)
+    result = realism.at_rest(*regular(), FRAME, 10**6)
     assert result["events_a_slice"] == pytest.approx(0.102)
     assert result["hot_pixels"] == 1 and result["hot_event_share"] == pytest.approx(100 / 102)
     assert result["ordinary_hz"] == pytest.approx(2 / 31) and result["ordinary_on_share"] == 1.0
@@ -34,7 +34,7 @@ def test_in_motion() -> None:
     """Assert counts, times and bands of a rate that swings at 20 Hz."""
     counts = np.round(100 + 50 * np.sin(2 * np.pi * 20 * np.arange(1024) / 1000)).astype(np.int64)
     t, x, y, p = regular()
-    result = figures.in_motion(t, x, y, p, FRAME, counts)
+    result = realism.in_motion(t, x, y, p, FRAME, counts)
     assert result["pixels_with_events_share"] == pytest.approx(2 / 32)
     assert result["interval_us_median"] == 10_000
     assert result["band_10_30_hz"] > 0.95
@@ -44,17 +44,17 @@ def test_in_motion() -> None:
 def test_without_events() -> None:
     """Assert that figures which do not exist are NaN, without a warning."""
     nothing = tuple(np.empty(0, kind) for kind in (np.int64, np.uint16, np.uint16, np.uint8))
-    result = figures.at_rest(*nothing, FRAME, 10**6)
+    result = realism.at_rest(*nothing, FRAME, 10**6)
     assert result["hot_pixels"] == 0.0 and result["ordinary_hz"] == 0.0
     assert all(np.isnan(value) for name, value in result.items() if "interval" in name or "share" in name)
-    moving = figures.in_motion(*nothing, FRAME, np.empty(0, np.int64))
+    moving = realism.in_motion(*nothing, FRAME, np.empty(0, np.int64))
     assert np.isnan(moving["events_a_slice"]) and np.isnan(moving["band_3_10_hz"])
 
 
 def test_largest_gap() -> None:
     """Assert the distance of two samples: 0 of equal ones, 1 of separate ones, a half of a shifted half."""
     first = np.arange(100)
-    assert figures.largest_gap(first, first) == 0.0
-    assert figures.largest_gap(first, first + 1000) == 1.0
-    assert figures.largest_gap(first, first + 50) == 0.5
-    assert np.isnan(figures.largest_gap(first, first[:0]))
+    assert realism.largest_gap(first, first) == 0.0
+    assert realism.largest_gap(first, first + 1000) == 1.0
+    assert realism.largest_gap(first, first + 50) == 0.5
+    assert np.isnan(realism.largest_gap(first, first[:0]))

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from evetac_cli.kernels.slip import alarms
-from evetac_cli.kernels.slip.labels import is_slip
+from evetac_cli.kernels.slip.metrics import is_slip
 
 PROBABILITIES = st.lists(st.sampled_from([float("nan"), 0.2, 0.7, 0.95, 1.0]), max_size=40)
 

@@ -7,15 +7,16 @@ from typing import Any
 
 import pytest
 
-from evetac_cli.kernels.sensitivity import UNKNOWN, Sensitivity
 from evetac_cli.kernels.slip.architectures import (
     ARCHITECTURES,
     EVENTS_A_RIM,
     SHEAR_MODULUS_PA,
+    UNKNOWN_SENSITIVITY,
     Architecture,
     ChannelView,
     DotArchitecture,
     ImageArchitecture,
+    Sensitivity,
     prefixes,
 )
 
@@ -72,7 +73,11 @@ def test_features_are_scaled_to_one_sensor() -> None:
     assert ours.factors(Sensitivity(2 * EVENTS_A_RIM)) == (1.0, 0.5)
     assert ours.factors(Sensitivity(None, SHEAR_MODULUS_PA / 2)) == (0.5, 0.5)
     assert ours.factors(Sensitivity(2 * EVENTS_A_RIM, SHEAR_MODULUS_PA / 2)) == (0.5, 0.25)
-    assert ours.factors(UNKNOWN) == paper.factors(Sensitivity(2 * EVENTS_A_RIM, 2 * SHEAR_MODULUS_PA)) == (1.0, 1.0)
+    assert (
+        ours.factors(UNKNOWN_SENSITIVITY)
+        == paper.factors(Sensitivity(2 * EVENTS_A_RIM, 2 * SHEAR_MODULUS_PA))
+        == (1.0, 1.0)
+    )
 
 
 def test_columns_of_a_channel() -> None:

@@ -7,7 +7,7 @@ import onnxruntime
 import pytest
 from numpy.typing import NDArray
 
-from evetac_cli.kernels.slip import dot_network, onnx_graphs
+from evetac_cli.kernels.slip import detector, onnx_graphs
 from evetac_cli.kernels.slip.architectures import (
     ARCHITECTURES,
     DotArchitecture,
@@ -53,7 +53,7 @@ def predicted(
     batch: NDArray[np.float32],
 ) -> NDArray[np.float32]:
     probability = np.empty(len(batch), np.float32)
-    dot_network.predict(batch, *dot_network.pack(architecture, weights, rows, columns), probability)
+    detector.predict_dots(batch, *detector.pack_networks(architecture, weights, rows, columns), probability)
     return probability
 
 

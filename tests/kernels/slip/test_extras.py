@@ -5,7 +5,7 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from evetac_cli.kernels.slip import extras, inputs, networks, onnx_graphs, sampling, training
+from evetac_cli.kernels.slip import inputs, networks, onnx_graphs, sampling, training
 from evetac_cli.kernels.slip.architectures import (
     ARCHITECTURES,
     EXTRAS,
@@ -18,7 +18,7 @@ from tests.kernels.slip.test_detector import WINDOW, events_about_rims, make_ser
 
 GRIP = ARCHITECTURES["disp-xy-grip"]
 assert isinstance(GRIP, DotArchitecture)
-PLACES = extras.first_inputs(GRIP)
+PLACES = inputs.extra_inputs(GRIP)
 
 
 def told(slices: int) -> NDArray[np.float32]:
@@ -52,8 +52,8 @@ def test_views_by_hand() -> None:
     result = inputs.at(row, inputs.DotsAndExtras(dots, series), np.array([3, 4, 5]))
     assert result[:, 0, 1:].tolist() == [
         [1, 3, 0, 0, 0, 0],  # the share 3 ms before is not known
-        [1, -extras.MOST_CHANGE, 1, 0.25, -0.25, -0.25],
-        [1, -extras.MOST_CHANGE, 1, 1.0, 0.75, 0.25],
+        [1, -inputs.MOST_CHANGE, 1, 0.25, -0.25, -0.25],
+        [1, -inputs.MOST_CHANGE, 1, 1.0, 0.75, 0.25],
     ]
     np.testing.assert_array_equal(result[:, 0, 1:], result[:, 1, 1:])
     np.testing.assert_array_equal(result[..., 0], dots[3:, :, 1])
@@ -93,7 +93,7 @@ def test_what_is_left_out_is_as_if_never_known() -> None:
     assert isinstance(dots, np.ndarray)
     at = np.full(4, 60)
     batch = inputs.at(GRIP, inputs.DotsAndExtras(dots, known), at)
-    extras.leave_out(GRIP, batch, np.array([[False, False], [True, False], [False, True], [True, True]]))
+    inputs.leave_out_extras(GRIP, batch, np.array([[False, False], [True, False], [False, True], [True, True]]))
     for sample, gone in enumerate(([], [0, 1], [2], [0, 1, 2])):
         less = known.copy()
         less[:, gone] = np.nan
@@ -110,8 +110,7 @@ def test_what_was_never_known_is_not_learned() -> None:
     for series, learned in ((inputs.DotsAndExtras(dots, known), ("position", "command")), (dots, ())):
         samples = sampling.gather([inputs.Trajectory(series, outside, label, 90)], GRIP)
         for preset in ("adamw", "paper"):
-            limits = training.TrainingLimits(max_steps=2)
-            result = training.train(samples, training.PRESETS[preset], np.random.default_rng(1), limits)
+            result = training.train(samples, training.PRESETS[preset], np.random.default_rng(1), max_steps=2)
             detector = Detector(onnx_graphs.build(GRIP, result.checkpoints[-1].weights), GRIP)
             assert detector.learned_extras == learned
             more = known.copy()
@@ -139,16 +138,16 @@ def test_turns_leave_extras_and_factors_scale_changes_in_ticks() -> None:
 def test_a_slice_is_told_what_was_known_when_it_began() -> None:
     """Assert that a reading at a slice's start counts for it and a later one for the next, and none comes first."""
     t_us = np.array([1000, 2000, 3999, 4000])
-    known = extras.known_at_start(t_us, np.array([7, 8, 9, 10], np.int32), 6)
+    known = inputs.known_at_start(t_us, np.array([7, 8, 9, 10], np.int32), 6)
     np.testing.assert_array_equal(known, [np.nan, 7, 8, 8, 10, 10])
-    assert np.isnan(extras.known_at_start(t_us[:0], np.empty(0), 2)).all()
+    assert np.isnan(inputs.known_at_start(t_us[:0], np.empty(0), 2)).all()
 
 
 def test_goals_in_ticks_and_in_ma_are_one_command() -> None:
     """Assert that a goal current is told as ticks, the same live as in columns."""
     ticks, current = np.array([300, np.nan, np.nan], np.float32), np.array([np.nan, 60, np.nan], np.float32)
-    told = extras.columns(3, goal_ticks=ticks, goal_ma=current)
-    live = [extras.command_ticks(float(a), float(b)) for a, b in zip(ticks, current, strict=True)]
+    told = inputs.extra_columns(3, goal_ticks=ticks, goal_ma=current)
+    live = [inputs.command_ticks(float(a), float(b)) for a, b in zip(ticks, current, strict=True)]
     np.testing.assert_array_equal(told[:, 1], np.array(live, np.float32))
     assert np.isnan(told[:, [0, 2]]).all()
 

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from evetac_cli.kernels.event_image import event_image
+from evetac_cli.kernels.event_representation import event_image
 from evetac_cli.kernels.slip import features
 from evetac_cli.kernels.slip.architectures import Factors
 from evetac_cli.kernels.slip.features import DOT_CAPACITY, HISTORY_CAPACITY, STATE, FeatureState

@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from evetac_cli.kernels.slip.labels import is_slip, shift_labels
-from evetac_cli.kernels.slip.metrics import THRESHOLDS, Prediction
+from evetac_cli.kernels.slip.metrics import THRESHOLDS, Prediction, is_slip, shift_labels
 
 
 def test_labels_shifted_by_hand() -> None:

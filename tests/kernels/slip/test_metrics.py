@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 from sklearn.metrics import f1_score, precision_score, recall_score
 
 from evetac_cli.kernels.slip import metrics
-from evetac_cli.kernels.slip.labels import shift_labels
-from evetac_cli.kernels.slip.metrics import THRESHOLDS, Prediction, choose_threshold
+from evetac_cli.kernels.slip.metrics import THRESHOLDS, Prediction, choose_threshold, shift_labels
 
 
 def prediction(slices: int, onset: int, first: int, object: str = "", probability: float = 1.0) -> Prediction:

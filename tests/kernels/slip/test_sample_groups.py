@@ -2,6 +2,7 @@
 
 import gc
 import weakref
+from collections.abc import Callable
 from itertools import islice
 
 import numpy as np
@@ -12,8 +13,7 @@ from hypothesis import strategies as st
 from evetac_cli.kernels.slip import sampling, training
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES
 from evetac_cli.kernels.slip.inputs import Trajectory
-from evetac_cli.kernels.slip.sample_groups import SampleGroups, Size, drawn_groups
-from evetac_cli.kernels.slip.sampling import PoolSizes, SlipSamples
+from evetac_cli.kernels.slip.sampling import PoolSizes, SampleGroups, Size, SlipSamples, drawn_groups
 
 HIST10 = ARCHITECTURES["hist10"]
 BUSY = 46  # samples of a trajectory: every other slice of 9 .. 99
@@ -89,29 +89,27 @@ def test_a_group_leaves_memory_before_the_next_is_read() -> None:
         return samples
 
     groups = SampleGroups([2, 2, 2], noted)
-    training.train(groups, training.PRESETS["adam"], np.random.default_rng(0), training.TrainingLimits(max_steps=7))
+    training.train(groups, training.PRESETS["adam"], np.random.default_rng(0), max_steps=7)
     assert shelf.read == [0, 1, 2, 0]
 
 
 def test_each_network_of_the_same_groups_is_the_same() -> None:
     """Assert that a training is the same whichever group is in memory when it begins, and where it was broken off."""
-    limits = training.TrainingLimits(max_steps=9)
     saved: list[training.TrainingState] = []
     shelf = Shelf()
     preset = training.PRESETS["adam"]
-    first = training.train(shelf.groups, preset, np.random.default_rng(0), limits)
+    first = training.train(shelf.groups, preset, np.random.default_rng(0), max_steps=9)
     assert shelf.read[-1] != 0
-    second = training.train(shelf.groups, preset, np.random.default_rng(0), limits)
+    second = training.train(shelf.groups, preset, np.random.default_rng(0), max_steps=9)
 
-    def stop(step: int, _: float, __: float | None) -> None:
-        if step == 5:
-            raise KeyboardInterrupt
+    def stop(state: Callable[[], training.TrainingState]) -> None:
+        saved.append(state())
+        raise KeyboardInterrupt
 
-    hooks = training.Hooks(save=lambda state: saved.append(state()), point=stop)
     with pytest.MonkeyPatch.context() as patch, pytest.raises(KeyboardInterrupt):
         patch.setattr(training, "SAVE_STEPS", 4)
-        training.train(Shelf().groups, preset, np.random.default_rng(0), limits, hooks)
-    third = training.train(Shelf().groups, preset, np.random.default_rng(0), limits, resume_from=saved[-1])
+        training.train(Shelf().groups, preset, np.random.default_rng(0), max_steps=9, on_save=stop)
+    third = training.train(Shelf().groups, preset, np.random.default_rng(0), max_steps=9, resume_from=saved[-1])
     for other in (second, third):
         for name, array in first.checkpoints[-1].weights.items():
             np.testing.assert_array_equal(array, other.checkpoints[-1].weights[name])

@@ -15,7 +15,7 @@ from evetac_cli.kernels.slip.features import EventImages
 from evetac_cli.kernels.slip.inputs import DotsAndExtras, Trajectory
 from evetac_cli.kernels.slip.networks import from_weights
 from evetac_cli.kernels.slip.sampling import SlipSamples
-from evetac_cli.kernels.slip.training import ADAPT, PRESETS, Hooks, SlipTraining, TrainingLimits
+from evetac_cli.kernels.slip.training import ADAPT, PRESETS, SlipTraining
 
 HIST10 = ARCHITECTURES["hist10"]
 PAPER = PRESETS["paper"]
@@ -67,10 +67,10 @@ def same(first: SlipTraining, second: SlipTraining) -> bool:
 @pytest.mark.slow
 def test_same_seed_same_network(problem: SlipSamples, preset: training.Preset) -> None:
     """Assert that the generator's seed fixes all weights and losses, whatever torch's own generator did before."""
-    first = training.train(problem, preset, np.random.default_rng(4), TrainingLimits(max_steps=20))
+    first = training.train(problem, preset, np.random.default_rng(4), max_steps=20)
     torch.rand(3)
-    second = training.train(problem, preset, np.random.default_rng(4), TrainingLimits(max_steps=20))
-    other = training.train(problem, preset, np.random.default_rng(5), TrainingLimits(max_steps=20))
+    second = training.train(problem, preset, np.random.default_rng(4), max_steps=20)
+    other = training.train(problem, preset, np.random.default_rng(5), max_steps=20)
     assert same(first, second)
     np.testing.assert_array_equal(first.curve_loss, second.curve_loss)
     assert not same(first, other)
@@ -79,23 +79,21 @@ def test_same_seed_same_network(problem: SlipSamples, preset: training.Preset) -
 def test_seed_sets_the_first_weights_too(problem: SlipSamples) -> None:
     """Assert that runs that learn nothing still end with other weights for another seed."""
     idle = replace(PAPER, learning_rate=0.0)
-    first, second = (
-        training.train(problem, idle, np.random.default_rng(seed), TrainingLimits(max_steps=1)) for seed in (4, 5)
-    )
+    first, second = (training.train(problem, idle, np.random.default_rng(seed), max_steps=1) for seed in (4, 5))
     assert not same(first, second)
 
 
 def test_global_generators_are_left_alone(problem: SlipSamples) -> None:
     """Assert that training neither uses nor moves torch's global generator."""
     before = torch.random.get_rng_state()
-    training.train(problem, PAPER, np.random.default_rng(4), TrainingLimits(max_steps=2))
+    training.train(problem, PAPER, np.random.default_rng(4), max_steps=2)
     assert torch.equal(torch.random.get_rng_state(), before)
 
 
 @pytest.mark.parametrize(("preset", "factor"), [(PAPER, 1.5), (ADAM, 100)], ids=["paper", "adam"])
 def test_separable_problem_is_learned(problem: SlipSamples, preset: training.Preset, factor: float) -> None:
     """Assert that 500 steps bring the loss down by a factor of 1.5 with the paper's preset, of 100 with Adam."""
-    result = training.train(problem, preset, np.random.default_rng(6), TrainingLimits(max_steps=500))
+    result = training.train(problem, preset, np.random.default_rng(6), max_steps=500)
     assert loss_falls(result) > factor
     network = from_weights(HIST10, result.checkpoints[-1].weights)
     with torch.no_grad():
@@ -108,7 +106,7 @@ def test_checkpoints_follow_the_epochs(problem: SlipSamples) -> None:
     """Assert that a whole run keeps a checkpoint every so many epochs and at its end, and is not called cut."""
     every_two = replace(ADAM, checkpoint_every=2)
     steps = sampling.steps_per_epoch(problem)
-    result = training.train(problem, every_two, np.random.default_rng(7), TrainingLimits(epochs=5))
+    result = training.train(problem, every_two, np.random.default_rng(7), epochs=5)
     assert [checkpoint.step for checkpoint in result.checkpoints] == [2 * steps, 4 * steps, 5 * steps]
     assert (result.steps, result.steps_planned, result.cut) == (5 * steps, 5 * steps, False)
     assert result.preset == every_two
@@ -116,26 +114,26 @@ def test_checkpoints_follow_the_epochs(problem: SlipSamples) -> None:
 
 def test_cut_run_spreads_its_checkpoints_and_says_so(problem: SlipSamples) -> None:
     """Assert that max_steps leaves the paper's seven checkpoints, evenly, the last at the end, and sets `cut`."""
-    result = training.train(problem, PAPER, np.random.default_rng(8), TrainingLimits(max_steps=35))
+    result = training.train(problem, PAPER, np.random.default_rng(8), max_steps=35)
     assert [checkpoint.step for checkpoint in result.checkpoints] == [5, 10, 15, 20, 25, 30, 35]
     assert (result.steps, result.steps_planned) == (35, 70 * sampling.steps_per_epoch(problem))
     assert result.cut
-    short = training.train(problem, PAPER, np.random.default_rng(8), TrainingLimits(max_steps=3))
+    short = training.train(problem, PAPER, np.random.default_rng(8), max_steps=3)
     assert [checkpoint.step for checkpoint in short.checkpoints] == [1, 2, 3]
 
 
 def test_max_steps_beyond_the_epochs_changes_nothing(problem: SlipSamples) -> None:
     """Assert that a limit that is not reached gives the uncut run."""
-    free = training.train(problem, PAPER, np.random.default_rng(9), TrainingLimits(epochs=1))
-    limited = training.train(problem, PAPER, np.random.default_rng(9), TrainingLimits(epochs=1, max_steps=10**6))
+    free = training.train(problem, PAPER, np.random.default_rng(9), epochs=1)
+    limited = training.train(problem, PAPER, np.random.default_rng(9), epochs=1, max_steps=10**6)
     assert same(free, limited)
     assert not limited.cut
 
 
 def test_checkpoints_are_stages_of_one_run(problem: SlipSamples) -> None:
     """Assert that a checkpoint holds the weights of its step, not of the end."""
-    long = training.train(problem, ADAM, np.random.default_rng(10), TrainingLimits(max_steps=14))
-    short = training.train(problem, ADAM, np.random.default_rng(10), TrainingLimits(max_steps=4))
+    long = training.train(problem, ADAM, np.random.default_rng(10), max_steps=14)
+    short = training.train(problem, ADAM, np.random.default_rng(10), max_steps=4)
     middle = next(checkpoint for checkpoint in long.checkpoints if checkpoint.step == 4)
     last = short.checkpoints[-1]
     assert last.step == 4
@@ -150,8 +148,8 @@ def test_loss_curve_covers_the_run(problem: SlipSamples) -> None:
         problem,
         ADAM,
         np.random.default_rng(11),
-        TrainingLimits(max_steps=125),
-        Hooks(lambda *point: heard.append(point)),
+        max_steps=125,
+        on_progress=lambda *point: heard.append(point),
     )
     assert len(result.curve_step) == len(result.curve_loss) == 100
     assert result.curve_step[-1] == 125
@@ -163,16 +161,14 @@ def test_loss_curve_covers_the_run(problem: SlipSamples) -> None:
 def test_paper_leaves_the_inputs_alone(problem: SlipSamples) -> None:
     """Assert that the paper's preset is plain SGD at 0.001 for 70 epochs on inputs as they are."""
     assert (PAPER.optimiser, PAPER.learning_rate, PAPER.epochs, PAPER.checkpoint_every) == ("sgd", 0.001, 70, 10)
-    arrays = (
-        training.train(problem, PAPER, np.random.default_rng(12), TrainingLimits(max_steps=1)).checkpoints[0].weights
-    )
+    arrays = training.train(problem, PAPER, np.random.default_rng(12), max_steps=1).checkpoints[0].weights
     assert np.all(arrays["input_scale"] == 1)
     assert np.all(arrays["input_offset"] == 0)
 
 
 def test_paper_step_is_plain_gradient_descent(problem: SlipSamples) -> None:
     """Assert that the second step too moves the weights by 0.001 times the gradient of binary cross entropy alone."""
-    steps = training.train(problem, PAPER, np.random.default_rng(13), TrainingLimits(max_steps=2))
+    steps = training.train(problem, PAPER, np.random.default_rng(13), max_steps=2)
     network = from_weights(HIST10, steps.checkpoints[0].weights)
     # the draws and turns of step 2, from the same streams
     _, draws, turns = np.random.default_rng(13).spawn(3)
@@ -200,9 +196,7 @@ def test_adam_normalises_from_the_training_samples() -> None:
     label = (np.arange(400) >= 380).astype(np.int8)
     one = Trajectory(series, np.where(busy, 26, 25).astype(np.int32), label, 380)
     samples = sampling.gather([one], HIST10)
-    arrays = (
-        training.train(samples, ADAM, np.random.default_rng(15), TrainingLimits(max_steps=1)).checkpoints[0].weights
-    )
+    arrays = training.train(samples, ADAM, np.random.default_rng(15), max_steps=1).checkpoints[0].weights
     mixture = [(samples.slip, 32), (samples.busy, 32), (samples.quiet, 8)]
     moved = [((samples.inputs(at) - arrays["input_offset"]) * arrays["input_scale"], share) for at, share in mixture]
     mean = sum(share / 72 * values.mean(axis=(0, 1)) for values, share in moved)
@@ -217,14 +211,14 @@ def test_diverging_training_stops(problem: SlipSamples) -> None:
     """Assert that a loss that is not finite ends the run with the preset's name instead of weights of NaN."""
     wild = replace(PAPER, name="wild", learning_rate=1e30)
     with pytest.raises(ValueError, match="preset wild: expected a finite loss"):
-        training.train(problem, wild, np.random.default_rng(16), TrainingLimits(max_steps=50))
+        training.train(problem, wild, np.random.default_rng(16), max_steps=50)
 
 
 @pytest.mark.parametrize("limits", [{"epochs": 0}, {"max_steps": 0}, {"epochs": -3}])
 def test_no_training_is_refused(problem: SlipSamples, limits: dict[str, Any]) -> None:
     """Assert that a run of no step is refused."""
     with pytest.raises(ValueError, match="expected 1 or more"):
-        training.train(problem, PAPER, np.random.default_rng(0), TrainingLimits(**limits))
+        training.train(problem, PAPER, np.random.default_rng(0), **limits)
 
 
 def test_training_without_quiet_slices(problem: SlipSamples) -> None:
@@ -232,7 +226,7 @@ def test_training_without_quiet_slices(problem: SlipSamples) -> None:
     assert len(problem.quiet) > 0
     noisy = replace(problem, quiet=np.empty(0, np.int64))
     for preset in ALL:
-        result = training.train(noisy, preset, np.random.default_rng(17), TrainingLimits(max_steps=5))
+        result = training.train(noisy, preset, np.random.default_rng(17), max_steps=5)
         assert np.all(np.isfinite(result.curve_loss))
 
 
@@ -251,7 +245,7 @@ def run_and_stop(samples: SlipSamples, preset: training.Preset, after: int, step
             raise Interruption
 
     with pytest.raises(Interruption):
-        training.train(samples, preset, np.random.default_rng(20), TrainingLimits(max_steps=steps), Hooks(save=save))
+        training.train(samples, preset, np.random.default_rng(20), max_steps=steps, on_save=save)
     return states[0]
 
 
@@ -261,12 +255,10 @@ def test_an_interrupted_run_goes_on_to_the_same_result(
     problem: SlipSamples, preset: training.Preset, after: int
 ) -> None:
     """Assert that a run broken off and taken up again ends with the same checkpoints and curve, bit for bit."""
-    whole = training.train(problem, preset, np.random.default_rng(20), TrainingLimits(max_steps=140))
+    whole = training.train(problem, preset, np.random.default_rng(20), max_steps=140)
     saved = run_and_stop(problem, preset, after, 140)
     assert all(array.dtype != object for array in saved.values())
-    resumed = training.train(
-        problem, preset, np.random.default_rng(20), TrainingLimits(max_steps=140), resume_from=saved
-    )
+    resumed = training.train(problem, preset, np.random.default_rng(20), max_steps=140, resume_from=saved)
     assert [one.step for one in resumed.checkpoints] == [one.step for one in whole.checkpoints]
     for one, other in zip(resumed.checkpoints, whole.checkpoints, strict=True):
         assert one.weights.keys() == other.weights.keys()
@@ -281,7 +273,7 @@ def test_a_saved_run_of_another_network_is_refused(problem: SlipSamples) -> None
     other = replace(problem, architecture=ARCHITECTURES["no-hist"])
     for samples, preset in ((other, PAPER), (problem, ADAMW)):
         with pytest.raises(ValueError, match="expected a saved run of this network"):
-            training.train(samples, preset, np.random.default_rng(20), TrainingLimits(max_steps=60), resume_from=saved)
+            training.train(samples, preset, np.random.default_rng(20), max_steps=60, resume_from=saved)
 
 
 def test_adamw_keeps_the_running_mean(problem: SlipSamples) -> None:
@@ -289,8 +281,7 @@ def test_adamw_keeps_the_running_mean(problem: SlipSamples) -> None:
     plain = replace(ADAMW, average=0.0)
     idle = replace(plain, learning_rate=0.0)
     start, direction, results = (
-        training.train(problem, preset, np.random.default_rng(1), TrainingLimits(max_steps=7))
-        for preset in (idle, plain, ADAMW)
+        training.train(problem, preset, np.random.default_rng(1), max_steps=7) for preset in (idle, plain, ADAMW)
     )
     mean = start.checkpoints[0].weights["fc3.weight"].astype(np.float64)
     for step in range(1, 8):
@@ -304,7 +295,7 @@ def test_adamw_slows_down(problem: SlipSamples) -> None:
     flat = replace(ADAMW, average=0.0, cosine=False, weight_decay=0.0)
     falling = replace(flat, cosine=True)
     start, *runs = (
-        training.train(problem, preset, np.random.default_rng(2), TrainingLimits(max_steps=7))
+        training.train(problem, preset, np.random.default_rng(2), max_steps=7)
         for preset in (replace(flat, learning_rate=0.0), flat, falling)
     )
     first, other = (run.checkpoints[0].weights["fc3.weight"] for run in runs)
@@ -331,7 +322,7 @@ def test_factors_are_drawn_log_uniformly() -> None:
 def test_the_first_step_sees_the_varied_samples(problem: SlipSamples) -> None:
     """Assert that a batch is turned, then multiplied sample by sample: the loss of step 1 is that of such a batch."""
     idle = replace(ADAMW, learning_rate=0.0, weight_decay=0.0, average=0.0, share_weight=0.0)
-    result = training.train(problem, idle, np.random.default_rng(13), TrainingLimits(max_steps=1))
+    result = training.train(problem, idle, np.random.default_rng(13), max_steps=1)
     _, draws, turns, gains = np.random.default_rng(13).spawn(4)
     batch = next(sampling.batches(problem, draws))
     ends = np.concatenate(batch)
@@ -359,7 +350,7 @@ def test_the_share_that_slips_is_learned_beside_the_labels(problem: SlipSamples)
     unknown = replace(problem, slip_share=np.full_like(problem.slip_share, np.nan))
 
     def trained(samples: SlipSamples, preset: training.Preset) -> SlipTraining:
-        return training.train(samples, preset, np.random.default_rng(20), TrainingLimits(max_steps=20))
+        return training.train(samples, preset, np.random.default_rng(20), max_steps=20)
 
     with_share = trained(problem, preset)
     assert not same(with_share, trained(problem, ADAMW))
@@ -378,59 +369,13 @@ def test_images_are_trained_on() -> None:
     one = Trajectory(images, counts.astype(np.int32), label, 40)
     samples = sampling.gather([one, one], ARCHITECTURES["no-hist-img-6x6"])
     assert (len(samples.slip), len(samples.busy), len(samples.quiet)) == (30, 80, 0)
-    short, again = (
-        training.train(samples, ADAM, np.random.default_rng(1), TrainingLimits(max_steps=2)) for _ in range(2)
-    )
+    short, again = (training.train(samples, ADAM, np.random.default_rng(1), max_steps=2) for _ in range(2))
     assert same(short, again)
-    result = training.train(samples, ADAM, np.random.default_rng(1), TrainingLimits(max_steps=25))
+    result = training.train(samples, ADAM, np.random.default_rng(1), max_steps=25)
     network = from_weights(samples.architecture, result.checkpoints[-1].weights)
     with torch.no_grad():
         slipping, holding = (network(torch.from_numpy(samples.inputs(at))) for at in (samples.slip, samples.busy))
     assert slipping.min() > holding.max()
-
-
-@pytest.mark.slow
-def test_patience_ends_a_run_that_no_longer_learns(problem: SlipSamples) -> None:
-    """Assert that a run ends so many looks after its least validation loss, also one that was broken off."""
-    usual = replace(ADAM, checkpoint_every=10**6)
-    idle = replace(usual, learning_rate=0.0)
-    saved: list[training.TrainingState] = []
-
-    def run(preset: training.Preset, steps: int, patience: int | None, **more: Any) -> SlipTraining:
-        rng = np.random.default_rng(3)
-        watched = {"validation": problem, "patience": patience} if patience else {}
-        return training.train(problem, preset, rng, TrainingLimits(10**6, steps, **watched), **more)
-
-    made = run(idle, 2000, 4, hooks=Hooks(save=lambda state: saved.append(state())))
-    assert made.steps == 5 * 20  # looks are 20 steps apart, the first is the best
-    assert [one.step for one in made.checkpoints] == [20, 100]
-    assert made.cut
-    assert len(made.curve_step) == 5
-    resumed = run(idle, 2000, 4, resume_from=saved[0])
-    assert [one.step for one in resumed.checkpoints] == [20, 100]
-    np.testing.assert_array_equal(resumed.curve_loss, made.curve_loss)
-    again = training.ended(idle, made.state)
-    assert again is not None
-    assert again.steps == 100
-    assert training.ended(idle, saved[0]) is None
-
-    learning, whole = run(usual, 60, 100), run(usual, 60, None)
-    assert same(learning, whole)
-    assert len(learning.checkpoints) == len(whole.checkpoints)
-
-
-def test_validation_loss_counts_every_pool_by_its_share(problem: SlipSamples) -> None:
-    """Assert that it is the mean over a batch of 72 in which each pool has its mean."""
-    arrays = (
-        training.train(problem, ADAM, np.random.default_rng(3), TrainingLimits(max_steps=3)).checkpoints[-1].weights
-    )
-    network = from_weights(HIST10, arrays)
-    total = 0.0
-    for share, pool, wanted in ((32, problem.slip, 1.0), (32, problem.busy, 0.0), (8, problem.quiet, 0.0)):
-        with torch.no_grad():
-            p = torch.sigmoid(network(torch.from_numpy(problem.inputs(pool)))).numpy().astype(float)
-        total += share / 72 * float(np.mean(-np.log(p if wanted else 1 - p)))
-    assert training.validation_loss(problem, arrays) == pytest.approx(total, rel=1e-5)
 
 
 def with_stillness(rng: np.random.Generator) -> SlipSamples:
@@ -465,7 +410,7 @@ def test_of_what_never_slips_the_hardest_is_trained_on(monkeypatch: pytest.Monke
         return kept
 
     monkeypatch.setattr(training._TrainingRun, "_samples_to_train_on", watched)
-    training.train(samples, ADAM, np.random.default_rng(1), TrainingLimits(epochs=2, max_steps=4))
+    training.train(samples, ADAM, np.random.default_rng(1), epochs=2, max_steps=4)
     assert {size for size in sizes if size[0] == 48} == {(48, 16, True)}
     assert np.all(np.array(kept_logits) >= np.array(other_logits))
 
@@ -484,10 +429,11 @@ def test_a_run_with_stillness_and_extras_goes_on_to_the_same() -> None:
         made.append(Trajectory(DotsAndExtras(dots, told), outside, label, 150 if slips else -1))
     samples = sampling.gather(made, grip)
     saved: list[Any] = []
-    hooks, limits = Hooks(save=lambda state: saved.append(state())), TrainingLimits(max_steps=7)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(training, "SAVE_STEPS", 3)
-        first = training.train(samples, ADAMW, np.random.default_rng(0), limits, hooks)
-    second = training.train(samples, ADAMW, np.random.default_rng(0), limits, resume_from=saved[0])
+        first = training.train(
+            samples, ADAMW, np.random.default_rng(0), max_steps=7, on_save=lambda state: saved.append(state())
+        )
+    second = training.train(samples, ADAMW, np.random.default_rng(0), max_steps=7, resume_from=saved[0])
     assert same(first, second)
     assert int(saved[0]["step"]) == 3

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from evetac_cli.kernels.slip import warning_curve
+from evetac_cli.kernels.slip import alarms
 from evetac_cli.kernels.slip.metrics import Prediction
 
 
@@ -27,7 +27,7 @@ def one_of_each() -> list[Prediction]:
 
 def test_curve_by_hand() -> None:
     """Assert that alarms of a minute and slips warned of 10 ms ahead are counted at each threshold."""
-    curve = warning_curve.of_predictions(one_of_each())
+    curve = alarms.warning_curve(one_of_each())
     assert (curve.minutes, curve.slips) == (pytest.approx(1.0, rel=0.01), 2)
     for threshold, false, warned in ((0.3, 2, 0.5), (0.6, 1, 0.5), (0.85, 1, 0.0), (0.93, 0, 0.0)):
         per_min, share = curve.at(threshold)
@@ -39,22 +39,22 @@ def test_curve_by_hand() -> None:
 def test_the_threshold_is_the_lowest_that_keeps_to_the_number() -> None:
     """Assert that a chosen threshold has no more false alarms than allowed, and the one below it has."""
     predictions = one_of_each()
-    curve = warning_curve.of_predictions(predictions)
+    curve = alarms.warning_curve(predictions)
     for per_min, least, most in ((1.0, 0.5, 0.53), (0.5, 0.9, 0.92)):
         threshold = curve.threshold_for(per_min)
         assert least < threshold < most
-        assert sum(warning_curve.false_alarms(one, threshold)[0] for one in predictions) <= per_min
+        assert sum(alarms.false_alarms(one, threshold)[0] for one in predictions) <= per_min
 
 
 def test_without_quiet_slices_no_threshold_is_chosen() -> None:
     """Assert that a choice by false alarms is refused where every slice is near slip, and that all then is unknown."""
-    curve = warning_curve.of_predictions([prediction(np.full(300, 0.5), 150)])
+    curve = alarms.warning_curve([prediction(np.full(300, 0.5), 150)])
     with pytest.raises(ValueError, match="without slip"):
         curve.threshold_for(1.0)
 
 
 def test_a_detector_that_always_alarms_gets_the_highest_threshold() -> None:
     """Assert so, and that its price is five alarms per second."""
-    curve = warning_curve.of_predictions([prediction(np.ones(60_000))])
+    curve = alarms.warning_curve([prediction(np.ones(60_000))])
     assert curve.threshold_for(1.0) == curve.threshold[-1]
     assert curve.false_alarms_per_min[-1] == pytest.approx(300, rel=0.01)

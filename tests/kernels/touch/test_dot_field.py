@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from evetac_cli.arrays import Floats
-from evetac_cli.kernels.touch.dot_field import LATTICE_MM, lattice_weights
+from evetac_cli.kernels.touch.sticking import LATTICE_MM, lattice_weights
 
 
 def grid(pitch_mm: float = 2.0, *, seed: int = 0, offset_mm: float = 0.0) -> Floats:

@@ -5,10 +5,17 @@ import math
 import numpy as np
 import pytest
 
-from evetac_cli.kernels.touch import patch, posterior
-from evetac_cli.kernels.touch.dot_modes import MOST_MODES, DotModes, DotNoise, modes_of
-from evetac_cli.kernels.touch.dot_motion import GelLayer, cells_about, dot_motion
-from evetac_cli.kernels.touch.patch_fit import NORMAL, TORSION, fit, weights_of_sums
+from evetac_cli.kernels.touch import patch
+from evetac_cli.kernels.touch.dot_motion import (
+    MOST_MODES,
+    DotModes,
+    DotNoise,
+    GelLayer,
+    cells_about,
+    dot_motion,
+    modes_of,
+)
+from evetac_cli.kernels.touch.patch import NORMAL, TORSION, fit, weights_of_sums
 
 LAYER = GelLayer()
 DOTS = np.stack(np.meshgrid(np.linspace(-7, 7, 8), np.linspace(-5, 5, 6)), -1).reshape(-1, 2)
@@ -115,14 +122,14 @@ def test_the_posterior_is_that_of_the_normal_equations() -> None:
     moved = np.einsum("dakc,kc->da", motion, np.stack([5e3 * spot, -2e3 * spot, 9e3 * spot]))
     moved += rng.normal(size=moved.shape) * NOISE.own_mm
     sums = weights_of_sums(MIDDLE)
-    told = posterior.posterior(modes, MIDDLE, spot, modes.of(moved), modes.variance_mm2(NOISE, moved), sums)
+    told = patch.posterior(modes, MIDDLE, spot, modes.of(moved), modes.variance_mm2(NOISE, moved), sums)
 
     own_mm2 = NOISE.own_mm**2 + NOISE.model_share**2 * np.mean(moved**2)
     errors = np.kron(own_mm2 * np.eye(9) + NOISE.common_mm**2, np.eye(2))
     operator = motion[..., spot].reshape(18, -1)
     away = np.linalg.norm(MIDDLE[spot, None] - MIDDLE[spot], axis=-1)
-    one = np.exp(-away / posterior.LENGTH_MM) + posterior.COMMON**2
-    prior = np.kron(np.diag([1, 1, posterior.PRESSURE_RATIO**2]), one)
+    one = np.exp(-away / patch.LENGTH_MM) + patch.COMMON**2
+    prior = np.kron(np.diag([1, 1, patch.PRESSURE_RATIO**2]), one)
     data = moved.ravel()
 
     def deviance(size: float) -> float:
@@ -131,7 +138,7 @@ def test_the_posterior_is_that_of_the_normal_equations() -> None:
         misfit = max(1.0, square / 18)  # errors and tractions may both be so much larger
         return square / misfit + 18 * math.log(misfit) + float(np.linalg.slogdet(whole)[1])
 
-    size = min(posterior.SIZES_PA, key=deviance)
+    size = min(patch.SIZES_PA, key=deviance)
     whole = size**2 * operator @ prior @ operator.T + errors
     gain = size**2 * prior @ operator.T @ np.linalg.inv(whole)
     covariance = size**2 * prior - gain @ operator @ prior * size**2
@@ -151,14 +158,14 @@ def test_a_known_patch_gives_its_forces() -> None:
     moved = pushed()
     data, variance = MODES.of(moved), MODES.variance_mm2(NOISE, moved)
     sums = weights_of_sums(MIDDLE - [1.0, 0.0])
-    told = posterior.posterior(MODES, MIDDLE, DISC, data, variance, sums)
+    told = patch.posterior(MODES, MIDDLE, DISC, data, variance, sums)
     area = DISC.sum() * 1e-6
     found = told.of_sums @ data
     assert found[:2] == pytest.approx([6e3 * area, 0.0], abs=0.02 * 6e3 * area)
     assert found[NORMAL] == pytest.approx(15e3 * area, rel=0.1)
     assert abs(found[TORSION]) < 0.02
     change = pushed(pressure_pa=0.0)
-    alone = posterior.posterior(MODES, MIDDLE, DISC, MODES.of(change), variance, sums[:3, :2])
+    alone = patch.posterior(MODES, MIDDLE, DISC, MODES.of(change), variance, sums[:3, :2])
     assert (alone.of_sums @ MODES.of(change))[:2] == pytest.approx([6e3 * area, 0.0], abs=0.01 * 6e3 * area)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from evetac_cli.kernels.touch import rest
-from evetac_cli.kernels.touch.dot_modes import DotNoise
+from evetac_cli.kernels.touch.dot_motion import DotNoise
 from evetac_cli.kernels.touch.rest import BLOCK_MS, REST_MS, RestState
 
 DOTS = np.stack(np.meshgrid(np.linspace(-8, 8, 9), np.linspace(-6, 6, 7)), -1).reshape(-1, 2)

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from evetac_cli.kernels.touch import touch_map
-from evetac_cli.kernels.touch.dot_modes import DotNoise
-from evetac_cli.kernels.touch.dot_motion import ENDLESS_MM, GelLayer
+from evetac_cli.kernels.touch.dot_motion import ENDLESS_MM, DotNoise, GelLayer
 from evetac_cli.kernels.touch.touch_map import LEAST_DOTS, RENEWAL_SLICES, TouchReading, TouchState
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "scripts"))

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from evetac_cli.kernels.tracking import hot_pixels, tracker
+from evetac_cli.kernels.tracking import buckets, tracker
 from evetac_cli.kernels.tracking.presets import PRESETS, TrackerConstants
 from evetac_cli.kernels.tracking.tracker import TrackerState
 
@@ -137,7 +137,7 @@ def test_events_of_hot_pixels_are_left_out() -> None:
     places = []
     for x, y, p in (cool, mixed):
         state = tracker.start(grid(), STABLE)
-        hot_pixels.counts.py_func(state.record[0])[hot_xy[:, 1] + 1, hot_xy[:, 0] + 1] = 0xFFFF
+        buckets.pixel_counts.py_func(state.record[0])[hot_xy[:, 1] + 1, hot_xy[:, 0] + 1] = 0xFFFF
         tracker.step(state, x, y, p)
         places.append((state.dot_xy_px.tobytes(), state.events_per_dot.tobytes()))
     assert np.frombuffer(places[0][1], np.int32).sum() == len(cool[0])

@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 
 from evetac_cli.events import FRAME_PX
-from evetac_cli.kernels.tracking import hot_pixels
+from evetac_cli.kernels.tracking import buckets
 
 LIMIT = 16
 
@@ -20,9 +20,9 @@ class Filter:
     def step(self, xy: NDArray[np.integer]) -> NDArray[np.integer]:
         x, y = np.asarray(xy, np.uint16).reshape(-1, 2).T.copy()
         inside = (x < FRAME_PX[0]) & (y < FRAME_PX[1])
-        any_hot = hot_pixels.count(x, y, self.pixel_events, self.slices, LIMIT)
+        any_hot = buckets.count_pixels(x, y, self.pixel_events, self.slices, LIMIT)
         self.slices += 1
-        hot = self.pixel_events[y[inside] + 1, x[inside] + 1] & hot_pixels.HOT > 0
+        hot = self.pixel_events[y[inside] + 1, x[inside] + 1] & buckets.HOT > 0
         assert any_hot == hot.any()
         return np.column_stack([x, y])[inside][~hot]
 
@@ -56,7 +56,7 @@ def test_a_hot_pixel_counts_again_after_a_while() -> None:
     for _ in range(40):
         hot_filter.step(np.array([[7, 400]]))
     assert len(hot_filter.step(np.array([[7, 400]]))) == 0
-    for _ in range(2 * hot_pixels.FADE_SLICES):
+    for _ in range(2 * buckets.FADE_SLICES):
         hot_filter.step(np.empty((0, 2)))
     assert hot_filter.pixel_events[401, 8] == 41 // 4
     assert len(hot_filter.step(np.array([[7, 400]]))) == 1

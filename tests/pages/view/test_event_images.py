@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from evetac_cli.kernels.event_image import event_image
+from evetac_cli.kernels.event_representation import event_image
 from evetac_cli.pages.view import event_images
 from evetac_cli.store.recordings.read import open_recording
 from tests.pages.view.trials import HEIGHT, SLICES, WIDTH, shown, write_recording

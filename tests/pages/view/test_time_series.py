@@ -11,9 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from evetac_cli.commands.view import View
-from evetac_cli.kernels.sensitivity import UNKNOWN
 from evetac_cli.kernels.slip.alarms import ALARM_SLICES
-from evetac_cli.kernels.slip.architectures import ARCHITECTURES
+from evetac_cli.kernels.slip.architectures import ARCHITECTURES, UNKNOWN_SENSITIVITY
 from evetac_cli.pages.view import collect_view, time_series
 from evetac_cli.pages.view.trial_files import open_trial
 from evetac_cli.pages.view.view_data import Panel, ViewData
@@ -84,7 +83,7 @@ def test_model_output(trial: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         length=lambda path: SLICES,
         read=lambda path, start=0, stop=None: displacement[start:stop],
         has=lambda path: False,
-        sensitivity=UNKNOWN,
+        sensitivity=UNKNOWN_SENSITIVITY,
     )
     model = SimpleNamespace(read=lambda path: 0.5)
     with open_trial([trial]) as real:

@@ -16,7 +16,7 @@ from evetac_cli.commands.identify import Identify
 from evetac_cli.commands.record import Record
 from evetac_cli.commands.trim import Trim
 from evetac_cli.errors import InputError, SchemaError
-from evetac_cli.kernels.realism import figures
+from evetac_cli.kernels import realism
 from evetac_cli.sim.camera.gel_camera import dot_grid
 from evetac_cli.sim.setup import scene_file, sensor_file
 from evetac_cli.sim.setup.plan import one_sensor
@@ -223,7 +223,7 @@ def rest_figures(path: Path) -> dict[str, float]:
     """Figures of the first HALF_MS of a recording."""
     with open_recording(path) as recording:
         events = recording.between(0, HALF_MS)
-    return figures.at_rest(*events, (640, 480), 1000 * HALF_MS)
+    return realism.at_rest(*events, (640, 480), 1000 * HALF_MS)
 
 
 @pytest.mark.slow

@@ -14,8 +14,7 @@ from evetac_cli.commands.predict_touch import PredictTouch
 from evetac_cli.errors import InputError
 from evetac_cli.kernels.force import gel_forces
 from evetac_cli.kernels.touch import sticking, touch_map
-from evetac_cli.kernels.touch.dot_modes import DotNoise
-from evetac_cli.kernels.touch.dot_motion import GelLayer
+from evetac_cli.kernels.touch.dot_motion import DotNoise, GelLayer
 from evetac_cli.sim.setup.plan import sensor_ranges
 from evetac_cli.sim.setup.sampling import sample_sensor
 from evetac_cli.stages.touch import known_gel, predict_touch, touch_fold

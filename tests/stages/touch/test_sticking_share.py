@@ -7,8 +7,8 @@ import pytest
 
 from evetac_cli.events import FRAME_PX
 from evetac_cli.kernels.touch import rest, sticking
-from evetac_cli.kernels.touch.dot_modes import DotNoise
-from evetac_cli.stages.touch import sticking_network
+from evetac_cli.kernels.touch.dot_motion import DotNoise
+from evetac_cli.stages.touch import sticking_share
 from evetac_cli.stages.touch.known_gel import DRIFT_PX, MM_PER_PX, TRACKER_PX
 from evetac_cli.stages.touch.sticking_share import StickingShare
 
@@ -37,7 +37,7 @@ def test_as_the_kernel_tells_it(frame_px: tuple[int, int], times: int) -> None:
 
     online = StickingShare(seen(DOTS_PX), frame_px)
     noise = DotNoise(TRACKER_PX * scale, DRIFT_PX * scale)
-    state = sticking.start((seen(DOTS_PX) - middle_px) * scale, sticking_network.shipped(), noise)
+    state = sticking.start((seen(DOTS_PX) - middle_px) * scale, sticking_share.shipped_network(), noise)
     shares = []
     for slice_ in range(160):
         at_px = seen(pressed(slice_)).astype(np.float32)  # as tracks are stored

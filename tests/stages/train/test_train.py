@@ -18,7 +18,7 @@ from evetac_cli.kernels.slip import onnx_graphs
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES, DotArchitecture, parted, with_scaled_logit
 from evetac_cli.kernels.slip.detector import Detector
 from evetac_cli.resources import MODEL
-from evetac_cli.stages import model_files, slip_detectors, splits, train
+from evetac_cli.stages import model_files, related_files, slip_detectors, train
 from evetac_cli.stages.train import networks, plan
 from evetac_cli.store.files import StageFile, header_of, write_stage
 from evetac_cli.store.layout.provenance import Recipe
@@ -188,25 +188,6 @@ def test_features_that_do_not_fit_into_memory_are_trained_on_in_groups(
     recipes = [header_of(path, "model")["parameters"] for path in (whole, first)]
     assert ["held_bytes" in parameters for parameters in recipes] == [False, True]
     assert recipes[1]["held_bytes"] == 80_000
-
-
-def test_as_much_validates_as_fits_into_memory(
-    trials: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Assert that with patience, of two validating trials one is read where there is room for one, else both."""
-    chosen = small(max_steps=24, patience=5, validate=str(trials[0].with_name("trial-0[23].features.h5")))
-    read: list[Path] = []
-
-    def noted(path: Path, architecture: Any, **options: Any) -> Any:
-        read.append(path)
-        return slip_detectors.read_trajectory(path, architecture, **options)
-
-    monkeypatch.setattr(networks, "read_trajectory", noted)
-    for held_bytes, expected in ((plan.HELD_BYTES, [trials[2], trials[3]]), (80_000, [trials[2]])):
-        read.clear()
-        monkeypatch.setattr(plan, "HELD_BYTES", held_bytes)
-        run_stage(train, trials[:2], chosen, tmp_path / str(held_bytes))
-        assert [path for path in read if path in trials[2:]] == expected
 
 
 @pytest.mark.parametrize("model", ["hist10", "disp-xy", "no-hist-img-6x6"])
@@ -420,18 +401,18 @@ def test_folds_leave_objects_out(tmp_path: Path) -> None:
     for path in files:
         with StageFile(path, "features") as file:
             headers.append(file.header)
-    assert splits.make_folds(headers, 3, 0) == [splits.Fold([0, 1, 2], [3, 4])]
-    assert splits.make_folds(headers, 3, 3) == [
-        splits.Fold([1, 2], [0, 3]),
-        splits.Fold([0, 2], [1, 4]),
-        splits.Fold([0, 1], [2]),
-        splits.Fold([0, 1, 2], []),
+    assert related_files.make_folds(headers, 3, 0) == [related_files.Fold([0, 1, 2], [3, 4])]
+    assert related_files.make_folds(headers, 3, 3) == [
+        related_files.Fold([1, 2], [0, 3]),
+        related_files.Fold([0, 2], [1, 4]),
+        related_files.Fold([0, 1], [2]),
+        related_files.Fold([0, 1, 2], []),
     ]
-    left_out = [fold.evaluated_on for fold in splits.make_folds(headers, 3, 2)]
+    left_out = [fold.evaluated_on for fold in related_files.make_folds(headers, 3, 2)]
     assert left_out == [[0, 2, 3], [1, 4], []]  # 9 and 11; 10; none
     for wrong in (1, 4):
         with pytest.raises(InputError, match=r"(?s)--folds.*2 to 3, or 0.*9, 10, 11"):
-            splits.make_folds(headers, 3, wrong)
+            related_files.make_folds(headers, 3, wrong)
 
 
 @pytest.mark.slow
@@ -459,27 +440,6 @@ def test_folds_choose_the_threshold_alone(trials: list[Path], tmp_path: Path, mo
     train.run(again, params)
     assert contents(again.output) == folded
     assert sorted(path.name for path in again.output.parent.iterdir()) == ["hist10.model.csv", "hist10.model.h5"]
-
-
-@pytest.mark.slow
-def test_patience_is_part_of_the_recipe(trials: list[Path], tmp_path: Path) -> None:
-    """Assert that the recipe says patience where it is given alone, and that it is refused where it means nothing."""
-    (job,) = train.jobs(trials, small(), tmp_path)
-    train.run(job, small())
-    with StageFile(job.output) as file:
-        assert "patience" not in file.header["parameters"]
-    with pytest.raises(InputError, match=r"(?s)another recipe.*patience"):
-        train.run(job, small(patience=100))
-    (patient,) = train.jobs(trials, small(patience=100), tmp_path / "patient")
-    (row,) = train.run(patient, small(patience=100)).rows
-    assert row["steps"] == 120
-    with StageFile(patient.output) as file:
-        assert file.header["parameters"]["patience"] == 100
-    # it never has to wait for so long
-    assert contents(patient.output) | {"id": b""} == contents(job.output) | {"id": b""}
-    for several in ({"folds": 2}, {"networks": 2}):
-        with pytest.raises(InputError, match=r"--patience: .*model of one network"):
-            train.jobs(trials, small(patience=3, **several), tmp_path)
 
 
 @pytest.mark.slow

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from evetac_cli.commands.train import Train
 from evetac_cli.errors import InputError
 from evetac_cli.inspect import info
-from evetac_cli.kernels.slip import reliability, warning_curve
+from evetac_cli.kernels.slip import alarms, reliability
 from evetac_cli.kernels.slip.metrics import Prediction
 from evetac_cli.kernels.slip.training import PRESETS
 from evetac_cli.resources import MODEL
@@ -90,7 +90,7 @@ def test_the_model_keeps_what_its_warnings_cost(model: Path, trials: list[Path])
     with StageFile(model, "model") as file:
         curve, threshold = model_files.read_curve(file), float(file.read("threshold"))
     assert curve is not None
-    ours = warning_curve.of_predictions(predictions(model, trials[4:]))
+    ours = alarms.warning_curve(predictions(model, trials[4:]))
     assert (curve.minutes, curve.slips) == (pytest.approx(ours.minutes), 2)
     assert np.count_nonzero(np.abs(curve.false_alarms_per_min - ours.false_alarms_per_min) > 1e-9) <= 2  # float32
     assert curve.at(threshold)[0] <= 1.0

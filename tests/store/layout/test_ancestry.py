@@ -13,7 +13,7 @@ from evetac_cli.evaluate.source import Source
 from evetac_cli.inspect import validate
 from evetac_cli.resources import MODEL
 from evetac_cli.stages.model_files import labelled_by, learned_true_slip_share
-from evetac_cli.stages.splits import check_disjoint, recording_ids
+from evetac_cli.stages.related_files import check_disjoint, recording_ids
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.layout import ancestry
 from evetac_cli.store.layout.ancestry import Header

@@ -68,7 +68,7 @@ def test_the_threshold_is_the_models_unless_named() -> None:
     A model that keeps no price of its thresholds is not run at its own, which was chosen for timing.
     """
     with StageFile(MODEL, "model") as model:
-        own = float(model.read("threshold")) if model.has("warnings") else 0.3
+        own = float(model.read("threshold"))
     for named, expected in ((None, own), (0.25, 0.25)):
         settings = GraspSettings.of(Grasp(slip_threshold=named))
         assert settings.detector is not None and settings.detector.threshold == expected

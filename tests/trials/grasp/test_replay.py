@@ -21,7 +21,7 @@ from evetac_cli.kernels.slip.alarms import alarming
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES, with_scaled_logit
 from evetac_cli.kernels.slip.inputs import DotsAndExtras
 from evetac_cli.stages import featurize, track
-from evetac_cli.stages.model_files import controller_threshold
+from evetac_cli.stages.model_files import chosen_threshold
 from evetac_cli.stages.slip_detectors import load_detector, read_series
 from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.layout.provenance import Recipe
@@ -120,7 +120,7 @@ def test_decisions_are_those_of_the_pipeline(grasped: Path, tmp_path: Path) -> N
         assert isinstance(series, DotsAndExtras) and np.isfinite(series.extras[2:, :2]).all()
         assert np.isfinite(series.extras[:, 2]).any()
         assert np.nanmax(np.abs(probability - detector.over(series.dots))) > 0.01  # what it is told matters
-        slips = np.cumsum(alarming(probability, controller_threshold(model)))
+        slips = np.cumsum(alarming(probability, chosen_threshold(model)))
     law = Control(PAPER)
     with open_recording(again) as now:
         np.testing.assert_array_equal(now.read("control/probability"), probability)

@@ -24,7 +24,7 @@ from evetac_cli.formats.write.lerobot import other_streams, point_sets
 from evetac_cli.formats.write.lerobot.other_streams import NUMBERS, StreamShapes
 from evetac_cli.formats.write.lerobot.point_sets import OF_WRENCH, PointSet
 from evetac_cli.formats.write.slice_columns import Masked, TrialFiles, columns_of, read_columns
-from evetac_cli.kernels.event_image import event_image
+from evetac_cli.kernels.event_representation import event_image
 from evetac_cli.store.layout.ancestry import scene_words
 from evetac_cli.store.recordings.read import Recording
 
