@@ -84,7 +84,7 @@ __all__ = [
 _MODULES = {
     **dict.fromkeys(("Events", "SliceBlock", "Slicer"), "events"),
     "ImageBlock": "kernels.event_drawing",
-    "Sensitivity": "kernels.sensitivity",
+    "Sensitivity": "kernels.slip.architectures",
     **dict.fromkeys(("EvetacError", "InputError", "UnavailableError"), "errors"),
     **dict.fromkeys(("Touch", "TouchSensor"), "sim.touch_sensor"),
     "TouchReading": "kernels.touch.touch_map",

@@ -33,7 +33,7 @@ from evetac_cli.kernels.event_representation import Representation
 from evetac_cli.sim.gel import gel
 from evetac_cli.sim.setup.plan import HIGHEST_TONE_HZ
 from evetac_cli.sim.setup.solver import LIFT_PITCH_MM, Solver
-from evetac_cli.stages import model_files, train, trim
+from evetac_cli.stages import train, trim
 from evetac_cli.stages.identify import gripper_rows
 from evetac_cli.stages.train import validating
 from evetac_cli.store.files import StageFile
@@ -93,7 +93,7 @@ SAID: dict[tuple[str, str], Callable[[], str]] = {
     ("train", "networks"): lambda: f"{train.USUAL.networks}, or as many as the model of --adapt",
     ("train", "validate"): lambda: f"every {train.VALIDATE_EVERY}th input",
     ("grasp", "model"): lambda: f"`shipped`, the pretrained {_shipped()}",
-    ("grasp", "slip_threshold"): lambda: f"the model's own, or {model_files.OLDER_CONTROLLER_THRESHOLD:g} for a model",
+    ("grasp", "slip_threshold"): lambda: "the model's own",
     ("trim", "support_ms"): lambda: f"{trim.DV_SUPPORT_MS:g}",
     ("export", "fps"): lambda: f"{RATE_HZ:g} for images of events, {_of_lerobot('fps')} for LeRobot",
     ("export", "polarity"): lambda: Representation.polarity,

@@ -32,7 +32,7 @@ class Grasp(Devices, Trials):
     slip_threshold: float | None = parameter(
         None,
         "Slip probability that three consecutive slices must reach before slip is reported to the controller; default:"
-        " the model's own, or 0.3 for a model without a measured rate of false alarms.",
+        " the model's own.",
         low=0.0,
         high=1.0,
         panel=GRIP,

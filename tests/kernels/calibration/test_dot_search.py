@@ -115,11 +115,3 @@ def test_other_shapes_are_no_dots() -> None:
     assert contrast(RestImage(nothing, nothing)) == 0.0
     with pytest.raises(ValueError, match="found fewer"):
         fit(RestImage(nothing, nothing), places(1, 1), 10.0)
-
-
-def test_places_outside_are_refused() -> None:
-    """Assert that looking where no picture is, or no dot, finds none and does not fail."""
-    seen = picture(places(2, 2), 12.0)
-    far = np.array([[-500.0, 50.0], [5000.0, 5000.0], [71.0, 71.0], [0.0, 0.0], [319.0, 239.0]])
-    assert np.isnan(fit(seen, far, 12.0).centre_xy_px).all()
-    assert fit(seen, np.empty((0, 2)), 12.0).centre_xy_px.shape == (0, 2)

@@ -54,22 +54,3 @@ def test_generator_decides_alone() -> None:
     for layer, again, differs in zip(one.network.layers, same.network.layers, other.network.layers, strict=True):
         assert np.array_equal(layer.weight, again.weight)
         assert not np.array_equal(layer.weight, differs.weight)
-
-
-def test_progress_is_told() -> None:
-    """Assert that each epoch is reported once, in order."""
-    seen: list[tuple[int, int]] = []
-    training.train(
-        *gel(30, 1), *gel(30, 2), np.random.default_rng(0), 3, lambda done, total: seen.append((done, total))
-    )
-    assert seen == [(1, 3), (2, 3), (3, 3)]
-
-
-def test_nonsense_is_refused() -> None:
-    """Assert that dots that never move and no epochs are refused."""
-    rng = np.random.default_rng(0)
-    good, still = gel(10, 1), (np.zeros((10, DOTS, 2)), np.ones((10, 2)))
-    with pytest.raises(ValueError, match="dots that move"):
-        training.train(*still, *good, rng)
-    with pytest.raises(ValueError, match="epochs"):
-        training.train(*good, *good, rng, epochs=0)

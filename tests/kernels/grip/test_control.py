@@ -118,13 +118,6 @@ def test_a_fixed_grip_stays_where_it_closed_to() -> None:
     assert control.step(LIFT, SlipSignal(), 702) == paper.PAPER.last_tick
 
 
-def test_a_rate_out_of_range() -> None:
-    """Assert that a rate of control that is not finite and above 0 is refused."""
-    for hz in (0.0, -1.0, math.nan, math.inf):
-        with pytest.raises(ValueError, match="control_hz"):
-            Control(make_law("load-proportional"), hz)
-
-
 @dataclass(frozen=True)
 class Given(PluginLaw):
     """A law of another package: it answers as it is told to."""

@@ -296,10 +296,3 @@ def test_another_rate_changes_u_ff_as_much_a_second() -> None:
         step(slipping, LIFT, True, 100, law)
         assert slipping.u_ff == pytest.approx(max(-500 / hz, -5.0))
     assert PAPER.at(500) == PAPER
-
-
-def test_what_is_no_rate() -> None:
-    """Assert that a rate that is not finite and above 0 is refused."""
-    for hz in (0.0, -500.0, math.nan, math.inf):
-        with pytest.raises(ValueError, match="control_hz"):
-            PAPER.at(hz)

@@ -52,14 +52,6 @@ def test_slow_strokes_lose_nothing() -> None:
     assert state.kept_share > 0.99
 
 
-def test_what_does_not_fit() -> None:
-    """Assert that events outside the frame are left out."""
-    state = thresholds.start(FRAME_PX)
-    one = np.ones(1, np.uint8)
-    thresholds.add(state, np.zeros(1, np.int64), np.array([8], np.uint16), np.array([1], np.uint16), one, 0)
-    assert state.events.sum() == 0
-
-
 def of_each_polarity(off_over_on: float, spread: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """ON and OFF events of pixels that rise as much as they fall, but for one unfinished threshold of either."""
     rng = np.random.default_rng(seed)

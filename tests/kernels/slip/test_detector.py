@@ -113,18 +113,6 @@ def test_a_column_more_is_tracked_and_not_seen() -> None:
     np.testing.assert_array_equal(np.array(online, np.float32), result.over(series))
 
 
-@pytest.mark.parametrize("name", ["hist10", "hist10-img-6x6"])
-def test_wrong_columns_are_refused(name: str) -> None:
-    """Assert that events of another type, or without polarities, are refused in words and leave the tracks alone."""
-    live = Live(trained(name), started(), WINDOW)
-    before = live.tracking.record.tobytes()
-    x, p = np.array([100, 200], np.uint16), np.ones(2, np.uint8)
-    for wrong in ((x.astype(np.int64), x, p), (x, x[:1], p), (x, x, p[:1]), (x, x, p.astype(np.bool_))):
-        with pytest.raises(ValueError, match="expected"):
-            live.step(*wrong)
-    assert live.tracking.record.tobytes() == before
-
-
 def test_down5_predicts_every_fifth_slice_and_holds() -> None:
     """Assert that down5 says something new at slices 49, 54, ... alone, which is what hist would say there."""
     result = trained("down5")
@@ -190,13 +178,6 @@ def test_no_probability_of_onnxruntime_is_above_one() -> None:
     probabilities = Detector(model.SerializeToString(), ARCHITECTURES["no-hist-img"]).probability(logits)
     assert probabilities.dtype == np.float32
     assert 0.999 < probabilities.min() <= probabilities.max() <= 1
-
-
-@pytest.mark.parametrize("name", ["hist10", "hist10-img"])
-def test_damaged_graphs_are_refused(name: str) -> None:
-    """Assert that bytes which are no ONNX graph are refused in words."""
-    with pytest.raises(ValueError, match="expected an ONNX graph"):
-        Detector(b"nonsense", ARCHITECTURES[name])
 
 
 def test_needs_no_torch() -> None:

@@ -1,7 +1,6 @@
 """What a detector is told beside the dots: by hand, unknown, left out, and the same live as over a file."""
 
 import numpy as np
-import pytest
 import torch
 from numpy.typing import NDArray
 
@@ -150,13 +149,3 @@ def test_goals_in_ticks_and_in_ma_are_one_command() -> None:
     live = [inputs.command_ticks(float(a), float(b)) for a, b in zip(ticks, current, strict=True)]
     np.testing.assert_array_equal(told[:, 1], np.array(live, np.float32))
     assert np.isnan(told[:, [0, 2]]).all()
-
-
-def test_impossible_views_are_refused() -> None:
-    """Assert that an architecture refuses an extra it does not know, one twice, and one of which it sees nothing."""
-    view = (ChannelView("events", 1),)
-    for wrong in (ExtraView("force", True),), (ExtraView("position", True),) * 2, (ExtraView("position"),):
-        with pytest.raises(ValueError, match="extras: expected"):
-            DotArchitecture("", view, 1, 1, extras=wrong)
-    with pytest.raises(ValueError, match="extras: expected"):
-        DotArchitecture("", view, 1, 1, extras=(ExtraView("position", changes_ms=(0,)),))

@@ -1,10 +1,5 @@
 """Touch features: hand-made values, live equals whole recording bit for bit, and what a rotation keeps."""
 
-import copy
-import mmap
-import pickle
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -14,7 +9,7 @@ from numpy.typing import NDArray
 from evetac_cli.kernels.event_representation import event_image
 from evetac_cli.kernels.slip import features
 from evetac_cli.kernels.slip.architectures import Factors
-from evetac_cli.kernels.slip.features import DOT_CAPACITY, HISTORY_CAPACITY, STATE, FeatureState
+from evetac_cli.kernels.slip.features import DOT_CAPACITY, HISTORY_CAPACITY
 
 REST = np.array([[100.0, 50.0], [200.0, 50.0], [np.nan, np.nan]])
 
@@ -91,39 +86,6 @@ def test_live_equals_recording(seed: int, history: int, n: int) -> None:
             windows = features.latest(state)
             assert windows.dtype == np.float32
             assert windows.tobytes() == expected[k - history + 1 : k + 1].tobytes()
-
-
-@pytest.mark.parametrize("make", [copy.copy, copy.deepcopy, lambda state: pickle.loads(pickle.dumps(state))])
-def test_a_copy_goes_on_alike_and_alone(make: Callable[[FeatureState], FeatureState]) -> None:
-    """Assert that a copy has the same bytes and goes on with the same bits, and that neither changes the other."""
-    rest, tracks, events = random_tracks(5, 30, 56)
-    state = features.start(rest, 10)
-    for k in range(15):
-        features.step(state, tracks[k], events[k])
-    other = make(state)
-    before = state.record.tobytes()
-    assert other.record.tobytes() == before
-    features.step(other, tracks[20], events[20])
-    assert state.record.tobytes() == before != other.record.tobytes()
-    features.step(state, tracks[20], events[20])
-    assert features.latest(state).tobytes() == features.latest(other).tobytes()
-    assert state.record.tobytes() == other.record.tobytes()
-
-
-def test_a_state_round_trips_through_bytes_and_shared_memory() -> None:
-    """Assert that a state from bytes, and one that lies in memory of another owner, go on with the same bits there."""
-    rest, tracks, events = random_tracks(6, 30, 63)
-    state = features.start(rest, 3)
-    for k in range(7):
-        features.step(state, tracks[k], events[k])
-    saved = FeatureState(np.frombuffer(bytearray(state.record.tobytes()), STATE))
-    memory = mmap.mmap(-1, STATE.itemsize)
-    memory.write(state.record.tobytes())
-    shared = FeatureState(np.frombuffer(memory, STATE, 1))
-    for one in (state, saved, shared):
-        features.step(one, tracks[20], events[20])
-    assert saved.record.tobytes() == memory[:] == state.record.tobytes()
-    assert features.latest(shared).tobytes() == features.latest(state).tobytes()
 
 
 def test_the_largest_state_fits() -> None:

@@ -76,20 +76,6 @@ def test_same_seed_same_network(problem: SlipSamples, preset: training.Preset) -
     assert not same(first, other)
 
 
-def test_seed_sets_the_first_weights_too(problem: SlipSamples) -> None:
-    """Assert that runs that learn nothing still end with other weights for another seed."""
-    idle = replace(PAPER, learning_rate=0.0)
-    first, second = (training.train(problem, idle, np.random.default_rng(seed), max_steps=1) for seed in (4, 5))
-    assert not same(first, second)
-
-
-def test_global_generators_are_left_alone(problem: SlipSamples) -> None:
-    """Assert that training neither uses nor moves torch's global generator."""
-    before = torch.random.get_rng_state()
-    training.train(problem, PAPER, np.random.default_rng(4), max_steps=2)
-    assert torch.equal(torch.random.get_rng_state(), before)
-
-
 @pytest.mark.parametrize(("preset", "factor"), [(PAPER, 1.5), (ADAM, 100)], ids=["paper", "adam"])
 def test_separable_problem_is_learned(problem: SlipSamples, preset: training.Preset, factor: float) -> None:
     """Assert that 500 steps bring the loss down by a factor of 1.5 with the paper's preset, of 100 with Adam."""
@@ -122,14 +108,6 @@ def test_cut_run_spreads_its_checkpoints_and_says_so(problem: SlipSamples) -> No
     assert [checkpoint.step for checkpoint in short.checkpoints] == [1, 2, 3]
 
 
-def test_max_steps_beyond_the_epochs_changes_nothing(problem: SlipSamples) -> None:
-    """Assert that a limit that is not reached gives the uncut run."""
-    free = training.train(problem, PAPER, np.random.default_rng(9), epochs=1)
-    limited = training.train(problem, PAPER, np.random.default_rng(9), epochs=1, max_steps=10**6)
-    assert same(free, limited)
-    assert not limited.cut
-
-
 def test_checkpoints_are_stages_of_one_run(problem: SlipSamples) -> None:
     """Assert that a checkpoint holds the weights of its step, not of the end."""
     long = training.train(problem, ADAM, np.random.default_rng(10), max_steps=14)
@@ -156,14 +134,6 @@ def test_loss_curve_covers_the_run(problem: SlipSamples) -> None:
     assert np.all(np.diff(result.curve_step) > 0)
     assert heard == [(step, 125) for step in (*range(10, 121, 10), 125)]
     assert result.curve_loss[0] == pytest.approx(np.log(2), abs=0.1)
-
-
-def test_paper_leaves_the_inputs_alone(problem: SlipSamples) -> None:
-    """Assert that the paper's preset is plain SGD at 0.001 for 70 epochs on inputs as they are."""
-    assert (PAPER.optimiser, PAPER.learning_rate, PAPER.epochs, PAPER.checkpoint_every) == ("sgd", 0.001, 70, 10)
-    arrays = training.train(problem, PAPER, np.random.default_rng(12), max_steps=1).checkpoints[0].weights
-    assert np.all(arrays["input_scale"] == 1)
-    assert np.all(arrays["input_offset"] == 0)
 
 
 def test_paper_step_is_plain_gradient_descent(problem: SlipSamples) -> None:
@@ -214,13 +184,6 @@ def test_diverging_training_stops(problem: SlipSamples) -> None:
         training.train(problem, wild, np.random.default_rng(16), max_steps=50)
 
 
-@pytest.mark.parametrize("limits", [{"epochs": 0}, {"max_steps": 0}, {"epochs": -3}])
-def test_no_training_is_refused(problem: SlipSamples, limits: dict[str, Any]) -> None:
-    """Assert that a run of no step is refused."""
-    with pytest.raises(ValueError, match="expected 1 or more"):
-        training.train(problem, PAPER, np.random.default_rng(0), **limits)
-
-
 def test_training_without_quiet_slices(problem: SlipSamples) -> None:
     """Assert that both recipes train where the quiet pool is empty."""
     assert len(problem.quiet) > 0
@@ -265,15 +228,6 @@ def test_an_interrupted_run_goes_on_to_the_same_result(
         assert all(np.array_equal(one.weights[name], other.weights[name]) for name in one.weights)
     np.testing.assert_array_equal(resumed.curve_step, whole.curve_step)
     np.testing.assert_array_equal(resumed.curve_loss, whole.curve_loss)
-
-
-def test_a_saved_run_of_another_network_is_refused(problem: SlipSamples) -> None:
-    """Assert that what was saved of one architecture or preset does not slip into another."""
-    saved = run_and_stop(problem, PAPER, 50, 60)
-    other = replace(problem, architecture=ARCHITECTURES["no-hist"])
-    for samples, preset in ((other, PAPER), (problem, ADAMW)):
-        with pytest.raises(ValueError, match="expected a saved run of this network"):
-            training.train(samples, preset, np.random.default_rng(20), max_steps=60, resume_from=saved)
 
 
 def test_adamw_keeps_the_running_mean(problem: SlipSamples) -> None:
@@ -334,14 +288,6 @@ def test_the_first_step_sees_the_varied_samples(problem: SlipSamples) -> None:
         logits = from_weights(HIST10, result.checkpoints[0].weights)(torch.from_numpy(varied))
         loss = torch.nn.functional.binary_cross_entropy_with_logits(logits, target)
     assert result.curve_loss[0] == pytest.approx(float(loss), rel=1e-5)
-
-
-def test_no_preset_learns_truth_by_itself() -> None:
-    """Assert that every preset learns from labels alone unless asked for the true share too, and is the same else."""
-    for preset in (*training.PRESETS.values(), training.ADAPT):
-        assert preset.share_weight == 0.0
-        asked = training.with_true_slip_share(preset)
-        assert asked.share_weight > 0 and replace(asked, share_weight=0.0) == preset
 
 
 def test_the_share_that_slips_is_learned_beside_the_labels(problem: SlipSamples) -> None:

@@ -81,23 +81,6 @@ def test_a_mirror_image_moves_alike() -> None:
     assert mirrored == pytest.approx(moved * sign, abs=1e-9 * np.abs(moved).max())
 
 
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"height_mm": 0.0},
-        {"height_mm": math.nan},
-        {"shear_modulus_pa": -1.0},
-        {"poisson": 0.6},
-        {"print_depth_mm": 4.0},
-        {"lens_mm": 0.0},
-    ],
-)
-def test_layers_that_cannot_be_are_refused(wrong: dict[str, float]) -> None:
-    """Assert that the refusal names the number."""
-    with pytest.raises(ValueError, match=next(iter(wrong))):
-        dot_motion(LAYER._replace(**wrong), cells_about(DOTS, 4.0), DOTS)
-
-
 def test_an_even_shear_moves_a_gel_that_ends_evenly() -> None:
     """Assert that all dots of a gel with free edges move by traction times height over modulus, in its own direction.
 

@@ -1,7 +1,5 @@
 """Whether a field of dots rests: after how long, in spite of which errors, and what ends it."""
 
-import copy
-
 import numpy as np
 import pytest
 
@@ -79,12 +77,3 @@ def test_lost_dots_stay_and_few_never_rest() -> None:
     for _ in range(REST_MS):
         rest.step(state, DOTS, lost)
     assert not state.rests
-
-
-def test_what_is_kept_goes_on_alike() -> None:
-    """Assert that a copy in the middle of a block goes on bit for bit as the whole did."""
-    slices = still(2 * REST_MS, own_mm=OWN)
-    whole = rests_after(slices)
-    half = copy.deepcopy(rests_after(slices[:233]))
-    again = rests_after(slices[233:], half)
-    assert again.rested == whole.rested and np.array_equal(again.rest_mm, whole.rest_mm)

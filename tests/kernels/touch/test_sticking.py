@@ -1,6 +1,5 @@
 """Sticking share slice by slice: its reference, its alarm, its direction, and what a network must be."""
 
-import copy
 import math
 
 import numpy as np
@@ -122,18 +121,6 @@ def test_any_grid_tells_about_the_same() -> None:
     state = sticking.start(DOTS, network())
     told = readings(state, [PRESSED] * 20, lost=np.arange(len(DOTS)) > 2)
     assert np.isnan(told[-1].sticking_share)  # three dots tell nothing
-
-
-def test_what_is_kept_goes_on_alike() -> None:
-    """Assert that a copy in the middle of a look goes on bit for bit as the whole did."""
-    rng = np.random.default_rng(3)
-    slices = [sheared(0.1 * k / 300) + 0.001 * rng.normal(size=DOTS.shape) for k in range(600)]
-    whole = readings(sticking.start(DOTS, network(seed=1)), slices)
-    state = sticking.start(DOTS, network(seed=1))
-    before = readings(state, slices[:333])
-    again = before + readings(copy.deepcopy(state), slices[333:])
-    assert np.array_equal(np.array(whole), np.array(again), equal_nan=True)
-    assert len({one.sticking_share for one in whole}) > 100
 
 
 def test_a_network_is_what_its_weights_say() -> None:

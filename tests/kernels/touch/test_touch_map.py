@@ -211,33 +211,6 @@ def test_a_caller_may_renew_when_it_has_the_time(ball: KnownContact) -> None:
     assert first.patch.any() and same(first, last)
 
 
-@pytest.mark.parametrize(
-    ("dots", "words"),
-    [
-        (DOTS[:, 0], "shape"),
-        (DOTS[:3], "4 to 1024 dots"),
-        (np.full((20, 2), np.nan), "found 0"),
-        (np.where(np.arange(2) == 0, np.nan, DOTS), "two finite numbers"),
-        (np.where(DOTS[5] == DOTS, np.inf, DOTS), "two finite numbers"),
-        (DOTS * 20, "mm2"),
-    ],
-)
-def test_dots_that_cannot_be_are_refused(dots: np.ndarray, words: str) -> None:
-    """Assert that the refusal says what is expected."""
-    with pytest.raises(ValueError, match=words):
-        touch_map.start(dots)
-
-
-def test_numbers_that_cannot_be_are_refused() -> None:
-    """Assert that noise, stiffness and the number of dots in a slice are checked."""
-    with pytest.raises(ValueError, match="own_mm"):
-        touch_map.start(DOTS, noise=DotNoise(own_mm=0.0))
-    with pytest.raises(ValueError, match="stiffness_error"):
-        touch_map.start(DOTS, stiffness_error=math.nan)
-    with pytest.raises(ValueError, match="shape"):
-        touch_map.step(touch_map.start(DOTS), DOTS[:-1])
-
-
 def test_a_renewal_in_parts_is_that_at_once(ball: KnownContact) -> None:
     """Assert equal readings whether a patch is renewed at once or part by part, and the old one until it is done."""
     at_once, in_parts = (touch_map.start(DOTS, renews=False) for _ in range(2))

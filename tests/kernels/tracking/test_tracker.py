@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.kernels.tracking import buckets, presets, tracker
 from evetac_cli.kernels.tracking.presets import PRESETS, TrackerConstants
-from evetac_cli.kernels.tracking.tracker import CAPACITY, STATE, TrackerState
+from evetac_cli.kernels.tracking.tracker import STATE, TrackerState
 
 PAPER = PRESETS["paper"]
 DESCENTS = [name for name, constants in PRESETS.items() if not constants.fit and constants.slices_per_step == 1]
@@ -362,28 +362,6 @@ def test_the_real_grid_is_taken(outside_file: Callable[[str], Path]) -> None:
     assert np.bincount((state.neighbours >= 0).sum(axis=1)).tolist() == [0, 0, 0, 4, 0, 24, 0, 0, 35]
 
 
-def test_one_dot_moves() -> None:
-    """Assert that one dot has no neighbours and still moves."""
-    state = single()
-    assert (state.neighbours == -1).all()
-    step(state, *columns([(318, 200)] * 11))
-    assert state.dot_xy_px[0, 0] > 300
-    assert not state.lost.any()
-
-
-def test_given_neighbours_are_used() -> None:
-    """Assert that a tracker without neighbours moves like the unregularised one and not like the regularised."""
-    rng = np.random.default_rng(9)
-    alone = tracker.start(grid(), PAPER, np.full((ROWS * COLUMNS, 8), -1, np.int32))
-    unregularised, paper = tracker.start(grid(), PRESETS["unregularised"]), tracker.start(grid(), PAPER)
-    for _ in range(10):
-        slice_ = random_events(rng, grid() + 2, 4000)
-        for state in (alone, unregularised, paper):
-            step(state, *slice_)
-    assert alone.dot_xy_px.tobytes() == unregularised.dot_xy_px.tobytes()
-    assert np.abs(alone.dot_xy_px - paper.dot_xy_px).max() > 1e-3
-
-
 def test_event_between_two_dots_is_both_dots() -> None:
     """Assert that an event within the counting radius of two dots that came close counts for both."""
     state = tracker.start(np.array([[300.0, 200.0], [330.0, 200.0]]), PAPER)
@@ -552,24 +530,6 @@ def test_impossible_constants_are_refused(constants: dict[str, float]) -> None:
         TrackerConstants(**constants)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize(
-    "dots",
-    [
-        np.zeros((3, 3)),
-        np.full((4, 2), np.nan),
-        np.array([[10.0, np.nan]]),
-        np.array([[10.0, np.inf]]),
-        np.array([[640.0, 10.0]]),
-        np.array([[10.0, -0.1]]),
-        np.array([[10.0, 10.0], [90.0, 10.0], [10.0, 10.0]]),
-    ],
-)
-def test_impossible_dots_are_refused(dots: NDArray[np.float64]) -> None:
-    """Assert that dots of the wrong shape, half missing, outside the frame or on top of each other are refused."""
-    with pytest.raises(ValueError, match="dot_xy_px: expected .* found"):
-        tracker.start(dots, PAPER)
-
-
 def test_wrong_columns_are_refused() -> None:
     """Assert that columns of another type or of unequal length are refused."""
     state = single()
@@ -636,20 +596,6 @@ def test_a_state_round_trips_through_bytes_and_shared_memory() -> None:
         step(one, *slice_)
     assert saved.record.tobytes() == state.record.tobytes()
     assert memory[:] == state.record.tobytes()
-
-
-def test_more_dots_than_there_is_room_for_are_refused() -> None:
-    """Assert that CAPACITY dots are tracked as they would be alone, and one more is refused with both numbers."""
-    dots = np.stack(np.meshgrid(np.arange(17), np.arange(16)), axis=-1).reshape(-1, 2) * 27.0 + 30.0
-    with pytest.raises(ValueError, match=f"dot_xy_px: expected at most {CAPACITY} dots, found {CAPACITY + 1}"):
-        tracker.start(dots[: CAPACITY + 1], PAPER)
-    state = tracker.start(dots[:CAPACITY], PRESETS["unregularised"])
-    few = tracker.start(dots[CAPACITY - 1 : CAPACITY], PRESETS["unregularised"])
-    slice_ = columns(np.repeat(dots[[CAPACITY - 1]] + (18, 0), 11, axis=0))
-    step(state, *slice_)
-    step(few, *slice_)
-    assert state.dot_xy_px[-1].tolist() == few.dot_xy_px[0].tolist() != dots[CAPACITY - 1].tolist()
-    assert state.events_per_dot[-1] == 11
 
 
 def test_the_reach_of_every_dot_at_once_fits() -> None:
@@ -721,24 +667,6 @@ def test_hot_pixels_do_not_depend_on_order() -> None:
         step(one, x, y)
         step(other, x[order], y[order])
     assert one.dot_xy_px.tolist() == other.dot_xy_px.tolist()
-
-
-@pytest.mark.parametrize(
-    ("preset", "changes", "named"),
-    [
-        ("paper", {"step_size": 0.3}, "step_size: expected below 0.136"),
-        ("unregularised", {"step_size": 0.14}, "step_size: expected below 0.136"),
-        ("official", {"step_size": 0.31}, "step_size: expected below 0.3"),
-        ("paper", {"regulariser_weight": 0.01}, "regulariser_weight: expected below 0.0017"),
-        ("unregularised", {"regulariser_weight": 1e300}, "regulariser_weight: expected below 0.0017"),
-        ("paper", {"step_size": 1e300, "regulariser_weight": 1e300}, "step_size: expected below 0.136"),
-        ("stable", {"regulariser_weight": 1001.0}, "regulariser_weight: expected at most 1000"),
-    ],
-)
-def test_constants_beyond_the_step_limit_are_refused(preset: str, changes: dict[str, float], named: str) -> None:
-    """Assert that what cannot follow any dot is refused: which constant, below what, what was found, what to do."""
-    with pytest.raises(ValueError, match=rf"^{named}.*, found .*; choose a smaller"):
-        tracker.start(grid(), replace(PRESETS[preset], **changes))  # type: ignore[arg-type]
 
 
 def test_the_step_limit_is_where_steps_begin_to_grow() -> None:

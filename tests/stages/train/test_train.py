@@ -212,18 +212,6 @@ def test_few_trajectories_to_choose_a_threshold_on_are_said(trials: list[Path], 
     assert train.cautions([job], small(folds=2)) == []
 
 
-def test_files_that_only_validate_are_said(trials: list[Path], tmp_path: Path) -> None:
-    """Assert a note on inputs that --validate takes out of the training, and none on other files."""
-    both = small(validate=trials[0])
-    assert any(
-        "1 of the given files is not trained on" in note
-        for note in train.cautions(train.jobs(trials, both, tmp_path), both)
-    )
-    assert not any(
-        "trained on, because" in note for note in train.cautions(train.jobs(trials[1:], both, tmp_path), both)
-    )
-
-
 def test_what_is_no_features_file_is_said(tmp_path: Path) -> None:
     """Assert that a missing file and one of another kind are named, not that all files validate."""
     missing = tmp_path / "a.features.h5"
@@ -612,13 +600,10 @@ def test_what_cannot_be_adapted(trials: list[Path], tmp_path: Path, given: dict[
         train.jobs(trials, Train(**({"adapt": "shipped"} | given)), tmp_path)
 
 
-TRUTH_NAMES = model_files.TRUE_SLIP_SHARES
-
-
 def test_truth_is_learned_on_request_alone(tmp_path: Path) -> None:
-    """Assert that features with the true share, by either name, train the same network as without, unless asked."""
+    """Assert that features with the true share train the same network as without, unless asked."""
     networks_of: dict[str, dict[str, bytes]] = {}
-    for name in ("", *TRUTH_NAMES):
+    for name in ("", model_files.TRUE_SLIP_SHARE):
         folder = tmp_path / (name.replace("/", "-") or "none")
         folder.mkdir()
         files = [features_file(folder, number, truth=name) for number in range(2)]
@@ -630,9 +615,8 @@ def test_truth_is_learned_on_request_alone(tmp_path: Path) -> None:
             assert model_files.learned_true_slip_share(header_of(output)) is asked
             assert header_of(output)["parameters"]["learn_true_slip_share"] is asked
     weights = {key: arrays["weights/fc3.weight"] for key, arrays in networks_of.items()}
-    first, second = TRUTH_NAMES
-    assert weights[" False"] == weights[f"{first} False"] == weights[f"{second} False"]
-    assert weights[f"{first} True"] == weights[f"{second} True"] != weights[" False"]
+    first = model_files.TRUE_SLIP_SHARE
+    assert weights[" False"] == weights[f"{first} False"] != weights[f"{first} True"]
 
 
 def test_truth_that_features_do_not_hold_is_refused(trials: list[Path], tmp_path: Path) -> None:
@@ -644,7 +628,7 @@ def test_truth_that_features_do_not_hold_is_refused(trials: list[Path], tmp_path
 
 def test_what_was_adapted_from_truth_learned_truth(tmp_path: Path) -> None:
     """Assert that a model says that it learned truth where only the model that it goes on from did."""
-    files = [features_file(tmp_path, number, truth=TRUTH_NAMES[0]) for number in range(2)]
+    files = [features_file(tmp_path, number, truth=model_files.TRUE_SLIP_SHARE) for number in range(2)]
     own = tmp_path / "own"
     own.mkdir()
     others = [features_file(own, number) for number in range(10, 12)]
@@ -655,19 +639,3 @@ def test_what_was_adapted_from_truth_learned_truth(tmp_path: Path) -> None:
         output, _ = run_stage(train, others, adapt, own / f"{asked}.model.h5")
         assert header_of(output)["parameters"]["learn_true_slip_share"] is False
         assert model_files.learned_true_slip_share(header_of(output)) is asked
-
-
-def test_models_of_before_the_choice(tmp_path: Path) -> None:
-    """Assert that models of methods that learned truth wherever it was known are said to have, and no others."""
-    assert model_files.learned_true_slip_share(header_of(MODEL, "model"))
-
-    def learned(method: int, preset: str, simulated: bool = True) -> bool:
-        recording = Recipe("recording", 1, {}, content="0", simulated_source=simulated).header()
-        features = Recipe("features", 4, {}, parents=(recording,)).header()
-        chosen = {"preset": preset, "trained_on": 1}
-        return model_files.learned_true_slip_share(Recipe("model", method, chosen, parents=(features,)).header())
-
-    assert all(learned(method, preset) for method in (4, 5, 6) for preset in ("adamw", "adapt"))
-    assert not learned(3, "adamw")
-    assert not learned(6, "paper")
-    assert not learned(6, "adamw", simulated=False)

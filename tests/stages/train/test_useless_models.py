@@ -103,7 +103,6 @@ def test_whoever_reads_it_is_told(natural_first_try: tuple[list[str], Path], mad
         ({"threshold": 0.0, "validation__detected_share": 0.5}, "it calls every slice"),
         ({"threshold": 0.025, "validation__detected_share": 1.0}, "at its threshold, 0.025, it calls every slice"),
         ({"threshold": 1.0, "validation__detected_share": 0.0}, "at its threshold, 1, it calls no slice"),
-        ({"threshold": 1.0}, ""),  # of an older evetac: may be saturated
         ({"validation__detected_share": 0.003}, ""),
         ({"validation__detected_share": 1.0, "validation__slip_share": 1.0}, "have no slice without slip"),
     ],

@@ -14,7 +14,6 @@ from evetac_cli.inspect import info
 from evetac_cli.kernels.slip import alarms, reliability
 from evetac_cli.kernels.slip.metrics import Prediction
 from evetac_cli.kernels.slip.training import PRESETS
-from evetac_cli.resources import MODEL
 from evetac_cli.stages import model_files, slip_detectors, train
 from evetac_cli.stages.train.validating import Validated
 from evetac_cli.store.files import StageFile, header_of, write_stage
@@ -131,16 +130,6 @@ def test_a_threshold_by_false_alarms(model: Path) -> None:
         assert model_files.chosen_threshold(file, threshold=0.25) == 0.25
         with pytest.raises(InputError, match="only one of the two"):
             model_files.chosen_threshold(file, 0.25, 1.0)
-
-
-def test_a_model_without_a_curve_is_refused_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that a model of before is run at its own threshold, and a number of false alarms is refused."""
-    monkeypatch.setattr(model_files, "read_curve", lambda model: None)
-    with StageFile(MODEL, "model") as file:
-        assert model_files.chosen_threshold(file) == float(file.read("threshold"))
-        with pytest.raises(InputError, match="no rate of false alarms") as refused:
-            model_files.chosen_threshold(file, false_alarms_per_min=1.0)
-    assert refused.value.hint
 
 
 def steady(probability: NDArray[np.floating], onset: int = -1) -> Prediction:
