@@ -254,7 +254,7 @@ def make_folds(headers: Sequence[Header], learn: int, folds: int) -> list[Fold]:
     names = [object_name(header) for header in headers]
     objects = sorted(set(names), key=lambda name: (len(name), name))
     if not 2 <= folds <= len(objects):
-        expected, found = f"0, or 2 to {len(objects)}", f"{folds}, and the objects {', '.join(objects)}"
+        expected, found = f"2 to {len(objects)}, or 0", f"{folds}, and the objects {', '.join(objects)}"
         raise InputError("there are too few objects", where="--folds", expected=expected, found=found)
     shares = [set(objects[first::folds]) for first in range(folds)]
     left_out = [

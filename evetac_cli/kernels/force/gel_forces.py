@@ -95,9 +95,6 @@ def shear_terms(
     The terms are force over modulus, its parts faster than each creep time, and 1. Samples that are NaN do not change
     the slow parts. memory: state after earlier samples, which this updates; without it, the gel was at rest.
     """
-    # here: scipy.signal takes most of a second to load, and is not needed if the file already exists
-    from scipy import signal
-
     memory = memory or CreepMemory()
     is_known = np.asarray(np.isfinite(shear_mm2).all(axis=1))
     last = (
@@ -110,11 +107,22 @@ def shear_terms(
         return terms
     for arm, time_s in enumerate(creep_time_s):
         kept = np.exp(-step_s / time_s)
-        slow, _ = signal.lfilter([1.0 - kept], [1.0, -kept], filled_mm2, axis=0, zi=kept * memory.slow_mm2[arm][None])
+        slow = np.column_stack(
+            [_low_pass(*pair, kept) for pair in zip(filled_mm2.T, memory.slow_mm2[arm], strict=True)]
+        )
         terms[:, :, 1 + arm] = shear_mm2 - slow
         memory.slow_mm2[arm] = slow[-1]
     memory.last_mm2 = filled_mm2[-1]
     return terms
+
+
+def _low_pass(values: Floats, before: float, kept: float) -> list[float]:
+    """Return values (n,) after a low pass of first order; in Python, because loading scipy.signal takes a second."""
+    passed = []
+    for value in values.tolist():
+        before = kept * before + (1.0 - kept) * value
+        passed.append(before)
+    return passed
 
 
 def normal_terms(normal_mm2: Floats, normal_sd_mm2: Floats) -> Floats:

@@ -39,6 +39,7 @@ FEWEST_PIXELS = 100  # of one dot, for a fit
 MOST_LACKING = 0.5  # a rim pixel counts if its run after the stroke has more than this share of the contrast
 INK_SHARE = 0.3  # a dot is fitted if some pixel has a share of darkening below this and another above 1 minus this
 WORST_RESIDUAL = 0.12  # rms of a fit, as a share of the contrast; worse fits are dropped
+BIN_PX = 0.25  # bin width of the rim profile
 
 RESAMPLES = 400  # of the bootstrap
 FEWEST_DOTS = 8  # for statistics over dots
@@ -92,6 +93,13 @@ class DotOptics(NamedTuple):
     excess: Floats
 
 
+class RimProfile(NamedTuple):
+    """Mean share of darkening events over the distance from the edge, (bins,), over all dots; NaN for empty bins."""
+
+    distance_px: Floats
+    share: Floats
+
+
 def darkening_share(distance_px: Floats, radius_px: float, sigma_px: float, log_contrast: float) -> Floats:
     """Return the position of the log brightness between dot (0) and gel (1) at a distance from a dot's centre."""
     ink = np.exp(-log_contrast)
@@ -99,7 +107,7 @@ def darkening_share(distance_px: Floats, radius_px: float, sigma_px: float, log_
     return share
 
 
-def fit_rims(runs: Runs, centre_xy_px: Floats, radius_px: float, log_contrast: float) -> DotOptics:
+def fit_rims(runs: Runs, centre_xy_px: Floats, radius_px: float, log_contrast: float) -> tuple[DotOptics, RimProfile]:
     """Fit every dot near its expected centre (dots, 2) and radius; ValueError if no dot moved."""
     if not any(side.any() for picture in runs for side in picture):
         raise ValueError("expected pictures in which dots have moved, found none")
@@ -113,6 +121,8 @@ def fit_rims(runs: Runs, centre_xy_px: Floats, radius_px: float, log_contrast: f
     before, after = up_before + down_before, up_after + down_after
     whole = np.minimum(*(picture.brighter.astype(np.int64) + picture.darker for picture in runs))
     share = darker / np.maximum(brighter + darker, 1e-9)
+    bins = int(2 * RIM_PX / BIN_PX)
+    sums = np.zeros((2, bins))
     fitted = np.full((len(centre_xy_px), 5), np.nan)
     for number, place in enumerate(centre_xy_px):
         pixels_xy, seen = _around(whole, share, place, radius_px)
@@ -123,9 +133,16 @@ def fit_rims(runs: Runs, centre_xy_px: Floats, radius_px: float, log_contrast: f
             continue
         fitted[number, :4] = best
         fitted[number, 4] = _excess(before, after, best)
+        off_px = np.linalg.norm(pixels_xy - best[:2], axis=1) - best[2]
+        near = np.abs(off_px) < RIM_PX
+        place_in_bins = ((off_px[near] + RIM_PX) / BIN_PX).astype(np.int64)
+        sums += [np.bincount(place_in_bins, seen[near], bins), np.bincount(place_in_bins, minlength=bins)]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        from_edge_px = np.linspace(0.5, bins - 0.5, bins) * BIN_PX - RIM_PX
+        profile = RimProfile(from_edge_px, sums[0] / sums[1])
     lost = np.isnan(fitted[:, 0])
     count[lost] = np.nan
-    return DotOptics(fitted[:, :2], fitted[:, 2], fitted[:, 3], count[:, 0], fitted[:, 4])
+    return DotOptics(fitted[:, :2], fitted[:, 2], fitted[:, 3], count[:, 0], fitted[:, 4]), profile
 
 
 def _excess(before: Floats, after: Floats, dot: Floats) -> float:

@@ -96,8 +96,9 @@ def run(job: Job, params: Identify, *, force: bool = False, progress: Progress =
         try:
             sensor_file.read(temporary, plan.one_sensor)  # a sensor that record would refuse is not written
         except InputError as error:
-            message, where = f"the estimated sensor cannot be simulated: {error}", ", ".join(map(str, job.inputs))
-            raise InputError(message, where=where) from None
+            message = f"the estimated sensor cannot be simulated: {error.message}"
+            where = ", ".join(map(str, job.inputs))
+            raise InputError(message, where=where, expected=error.expected, found=error.found) from None
     status = "made" if recheck.made else "up to date"
     summary = {"sensor": str(job.output), "status": status, "all_other_keys": f"as in {params.like}; {NOT_ESTIMATED}"}
     if unused := _unused(job.inputs, rows):

@@ -12,7 +12,7 @@ from evetac_cli.kernels.calibration import dot_search, grid, rest_image
 from evetac_cli.kernels.calibration.rest_image import RestImage
 from evetac_cli.kernels.estimates import Estimate
 from evetac_cli.kernels.identify import dots, rest, thresholds
-from evetac_cli.kernels.identify.dots import Optics, Runs
+from evetac_cli.kernels.identify.dots import Optics, RimProfile, Runs
 from evetac_cli.kernels.identify.rest import RestNoise
 from evetac_cli.kernels.identify.thresholds import Polarity, StrokeEvents
 from evetac_cli.sim.setup.sensor import Sensor
@@ -143,6 +143,7 @@ class Press:
     off_over_on: Estimate | None
     mismatch: Estimate | None
     is_apart: bool
+    profile: RimProfile
     frame_px: tuple[int, int]
     source: str
 
@@ -185,7 +186,7 @@ def find(
         )
     expected = _filled(seen)
     looked_for = np.isfinite(expected[..., 0])
-    fitted = dots.fit_rims(runs, expected[looked_for], radius_px, log_contrast)
+    fitted, profile = dots.fit_rims(runs, expected[looked_for], radius_px, log_contrast)
     places_px = np.full(seen.shape, np.nan)
     places_px[looked_for] = fitted.centre_xy_px
     ratio = _polarity(events, 0.5 * noise_hz * seconds, rng)
@@ -201,6 +202,7 @@ def find(
         off_over_on=thresholds.without_last_thresholds(ratio.off_over_on, whole) if ratio else None,
         mismatch=ratio.mismatch if ratio and is_apart else _beside(events, whole, rng),
         is_apart=is_apart,
+        profile=profile,
         frame_px=recording.frame_px,
         source=recording.path.name,
     )

@@ -153,16 +153,21 @@ def _few(validated_on: int) -> str:
     """Return a note if a threshold is chosen on too few trajectories; otherwise an empty text."""
     if validated_on >= FEWEST_VALIDATED_ON:
         return ""
-    least = f"use at least {FEWEST_VALIDATED_ON} in --validate"
-    return f"too few trajectories to choose checkpoint and threshold on: {validated_on}; {least}"
+    count = f"{validated_on} trajector{'y' if validated_on == 1 else 'ies'}"
+    return (
+        f"checkpoint and threshold are chosen on {count}, which is too few: the model may fail on others; use at least"
+        f" {FEWEST_VALIDATED_ON} trajectories, not used for training, with --validate"
+    )
 
 
 def _short(minutes: float) -> str:
     """Return a note if false alarms are counted in too short a time to choose a threshold; otherwise an empty text."""
     if minutes >= validating.LEAST_MINUTES:
         return ""
-    enough = f"use at least {validating.LEAST_MINUTES:g}, in which fingers open or push, in --validate"
-    return f"too few minutes without slip to count false alarms in: {minutes:.1f}; {enough}"
+    return (
+        f"false alarms are counted in {minutes:.1f} minutes without slip, which is too short to measure their rate; add"
+        f" at least {validating.LEAST_MINUTES:g} minutes to --validate in which fingers open or push and nothing slips"
+    )
 
 
 def _with_objects(files: list[Path], params: Train) -> list[Path]:
@@ -300,8 +305,8 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
             for done, index in enumerate(fold.evaluated_on):
                 progress(done, len(fold.evaluated_on), "files evaluated")
                 trajectory = read_trajectory(job.inputs[index], architecture)
-                found = predict(detectors, trajectory, headers[index], settings.horizon_ms)
-                for of_detector, prediction in zip(predictions, found, strict=True):
+                judged = predict(detectors, trajectory, headers[index], settings.horizon_ms)
+                for of_detector, prediction in zip(predictions, judged, strict=True):
                     of_detector.append(prediction)
         validated = validating.Validated.of(predictions, networks.preset, params.false_alarms_per_min)
         choice = validated.choice

@@ -36,18 +36,21 @@ def shown(radius_px: float | np.ndarray, sigma_px: float) -> dots.Runs:
 @pytest.mark.parametrize(("radius_px", "sigma_px"), [(15.0, 1.2), (13.2, 0.9), (16.4, 1.9)])
 def test_the_model_comes_back(radius_px: float, sigma_px: float) -> None:
     """Assert that radius, blur and events of a picture that follows the model are fitted, from a radius 1 px off."""
-    fitted = dots.fit_rims(shown(radius_px, sigma_px), CENTRES, radius_px + 1.0, LOG_CONTRAST)
+    fitted, profile = dots.fit_rims(shown(radius_px, sigma_px), CENTRES, radius_px + 1.0, LOG_CONTRAST)
     np.testing.assert_allclose(fitted.radius_px, radius_px, atol=0.02)
     np.testing.assert_allclose(fitted.sigma_px, sigma_px, atol=0.04)
     np.testing.assert_allclose(fitted.centre_xy_px, CENTRES, atol=0.02)
     np.testing.assert_allclose(fitted.inside_on, ON_EVENTS, rtol=0.01)
+    expected = dots.darkening_share(profile.distance_px + radius_px, radius_px, sigma_px, LOG_CONTRAST)
+    near = np.abs(profile.distance_px) < 5.0
+    np.testing.assert_allclose(profile.share[near], expected[near], atol=0.03)
     np.testing.assert_allclose(fitted.excess, 0.0, atol=0.03)
 
 
 def test_unequal_dots_are_no_blur() -> None:
     """Assert that dots of different size are each found in their size, and with the blur that they have in common."""
     radius_px = 15.0 * (1.0 + 0.06 * np.linspace(-1.5, 1.5, len(CENTRES)))
-    fitted = dots.fit_rims(shown(radius_px, 1.2), CENTRES + 0.8, 15.0, LOG_CONTRAST)
+    fitted, _ = dots.fit_rims(shown(radius_px, 1.2), CENTRES + 0.8, 15.0, LOG_CONTRAST)
     np.testing.assert_allclose(fitted.radius_px, radius_px, atol=0.05)
     np.testing.assert_allclose(fitted.sigma_px, 1.2, atol=0.05)
 
@@ -65,7 +68,7 @@ def test_the_model_is_the_cameras() -> None:
 def test_another_contrast_is_another_shape() -> None:
     """Assert that a contrast that is 1.5 times wrong hardly changes the radius, as docs/identify.md says."""
     for factor in (1 / 1.5, 1.5):
-        fitted = dots.fit_rims(shown(15.0, 1.2), CENTRES, 15.0, LOG_CONTRAST * factor)
+        fitted, _ = dots.fit_rims(shown(15.0, 1.2), CENTRES, 15.0, LOG_CONTRAST * factor)
         assert np.abs(fitted.radius_px - 15.0).max() < 0.3
 
 
@@ -75,7 +78,7 @@ def test_dots_that_do_not_show() -> None:
     with pytest.raises(ValueError, match="moved"):
         dots.fit_rims(dots.Runs(RestImage(nothing, nothing), RestImage(nothing, nothing)), CENTRES, 15.0, LOG_CONTRAST)
     away = np.array([[70.0, 70.0], [-200.0, 50.0], [900.0, 900.0]])
-    fitted = dots.fit_rims(shown(15.0, 1.2), away, 15.0, LOG_CONTRAST)
+    fitted, _ = dots.fit_rims(shown(15.0, 1.2), away, 15.0, LOG_CONTRAST)
     assert np.isnan(fitted.radius_px).all() and np.isnan(fitted.inside_on).all()
 
 

@@ -52,7 +52,7 @@ def test_several_networks_are_one_graph(name: str) -> None:
     model = onnx.load_model_from_string(graph)
     (mean,) = (node for node in model.graph.node if node.op_type == "Mean")
     mean.op_type = "Max"
-    with pytest.raises(ValueError, match="the operators Max"):
+    with pytest.raises(ValueError, match="expected the graph"):
         onnx_graphs.check(model.SerializeToString(), ARCHITECTURES[name], 7, 8)
 
 
@@ -68,7 +68,7 @@ def test_weights_are_read_back() -> None:
     }
     model = onnx.load_model_from_string(graph)
     next(node for node in model.graph.node if node.op_type == "Relu").op_type = "Abs"
-    with pytest.raises(ValueError, match="the operators Abs"):
+    with pytest.raises(ValueError, match="expected the graph"):
         onnx_graphs.read(model.SerializeToString(), HIST10)
     images = onnx_graphs.build(ARCHITECTURES["hist10-img-6x6"], weights_of("hist10-img-6x6"))
     with pytest.raises(ValueError, match="grid of dots"):
@@ -95,7 +95,7 @@ def test_other_weights_grids_and_architectures_are_refused() -> None:
         onnx_graphs.check(graph, HIST10, 7, 8, {**weights, "more": weights["fc4.bias"]})
     with pytest.raises(ValueError, match=r"weights fc3\.weight"):
         onnx_graphs.check(graph, HIST10, 9, 9)
-    with pytest.raises(ValueError, match="other constants or attributes"):
+    with pytest.raises(ValueError, match="expected the graph"):
         onnx_graphs.check(graph, HIST10, 6, 9)  # for which there are as many weights
     with pytest.raises(ValueError, match=r"weights input_scale|weights fc1\.weight"):
         onnx_graphs.check(graph, ARCHITECTURES["hist20"], 7, 8)
@@ -117,5 +117,5 @@ def test_cut_short_and_with_more_behind() -> None:
             onnx_graphs.check(graph[:length], ARCHITECTURES["no-hist"], 7, 8)
     model = onnx.load_model_from_string(graph)
     model.graph.initializer.append(numpy_helper.from_array(weights["fc5.bias"], "fc5.bias"))
-    with pytest.raises(ValueError, match="other constants"):
+    with pytest.raises(ValueError, match="expected the graph"):
         onnx_graphs.check(model.SerializeToString(), ARCHITECTURES["no-hist"], 7, 8)

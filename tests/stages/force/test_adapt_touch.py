@@ -74,7 +74,7 @@ def test_adaptation_finds_the_gel(own: list[Path], tmp_path: Path) -> None:
     assert from_tables.rows[0]["shear_modulus_kpa"] == pytest.approx(1e-3 * MODULUS_PA, rel=0.1)
 
     for files, chosen, message in (
-        ([write_contact(tmp_path, 21, contact(), name="second")], PredictTouch(model=model), "not from the sensor"),
+        ([write_contact(tmp_path, 21, contact(), name="second")], PredictTouch(model=model), "not the sensor"),
         ([path], PredictTouch(model=model, sensor="evetac"), "stiffness of its sensor"),
         ([path], PredictTouch(model=model, height_mm=3.0), "--height-mm: has no effect"),
     ):

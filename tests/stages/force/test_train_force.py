@@ -219,7 +219,7 @@ def test_what_cannot_be_answered(fits: Path, tmp_path: Path) -> None:
     refused(evaluate_force, [fits / "trial3.tracks.h5"], EvaluateForce(model=model), "too short", tmp_path)
     real = tracks_of_shear(tmp_path, 9, truth=False)
     refused(evaluate_force, [real], EvaluateForce(model=model), "has no truth", tmp_path)
-    refused(track_rgb, [tmp_path / "trial9.recording.h5"], TrackRgb(), "no frames can be rendered", tmp_path)
+    refused(track_rgb, [tmp_path / "trial9.recording.h5"], TrackRgb(), "has no truth", tmp_path)
 
 
 def test_damaged_network_is_refused(fits: Path, tmp_path: Path) -> None:

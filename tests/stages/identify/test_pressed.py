@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from evetac_cli.kernels.estimates import Estimate
-from evetac_cli.kernels.identify.dots import Optics
+from evetac_cli.kernels.identify.dots import Optics, RimProfile
 from evetac_cli.sim.camera.lens import Lens
 from evetac_cli.sim.setup.plan import one_sensor
 from evetac_cli.stages.identify import pressed
@@ -28,6 +28,7 @@ def press(**changed: object) -> pressed.Press:
         off_over_on=Estimate(1.0, 0.98, 1.02),
         mismatch=SURE,
         is_apart=False,
+        profile=RimProfile(np.zeros(1), np.zeros(1)),
         frame_px=FRAME_PX,
         source="press.recording.h5",
     )

@@ -128,7 +128,7 @@ def test_a_threshold_by_false_alarms(model: Path) -> None:
         most = float(curve.false_alarms_per_min[0])
         assert model_files.chosen_threshold(file, false_alarms_per_min=most) == curve.threshold[0] < own
         assert model_files.chosen_threshold(file, threshold=0.25) == 0.25
-        with pytest.raises(InputError, match="only one of the two"):
+        with pytest.raises(InputError, match="cannot be combined"):
             model_files.chosen_threshold(file, 0.25, 1.0)
 
 
