@@ -201,29 +201,6 @@ def test_nothing_folds(tone_hz: float, folded_hz: float) -> None:
     assert strongest_of_counts(counts, 1000, 25.0) == pytest.approx(folded_hz)
 
 
-def test_one_blinking_pixel_is_no_vibration() -> None:
-    """Assert that a strong line in one cell alone is not taken for a vibration, and in all cells is."""
-    rng = np.random.default_rng(6)
-    tally = trains(rng)
-    tally[5] = np.round(5 * np.sin(2 * np.pi * 100 * np.arange(BINS) / RATE_HZ))
-    assert tone_of(tally) is None
-    assert tone_of(trains(rng, tone_hz=100.0, depth=0.5)) is not None
-
-
-def test_sums_of_windows_find_what_one_does_not() -> None:
-    """Assert that a tone too weak for one window is found in the sum of many."""
-    rng = np.random.default_rng(8)
-    windows = [vibration.spectrum(trains(rng, tone_hz=150.0, depth=0.06), RATE_HZ) for _ in range(20)]
-    alone = sum(find(window, 25.0, 500.0).tone is not None for window in windows)
-    together = windows[0]
-    for window in windows[1:]:
-        together = together.plus(window)
-    line = find(together, 25.0, 500.0).tone
-    assert alone <= 5
-    assert line is not None and line.frequency_hz == pytest.approx(150.0, abs=0.5)
-    assert together.terms == 20 * 64
-
-
 def test_nothing_is_no_vibration() -> None:
     """Assert that without events, or with the same number in every bin, there is no frequency."""
     silent = vibration.spectrum(np.zeros((4, 500), np.int16), 1000)

@@ -149,15 +149,6 @@ def test_csv_is_aligned_by_its_clock(recording: Path, tmp_path: Path) -> None:
     assert [row["faults"] for row in validate.run([output]).rows] == [None]
 
 
-def test_offset_is_added(recording: Path, tmp_path: Path) -> None:
-    """Assert that a clock that began elsewhere is brought to that of the events, to the microsecond."""
-    source = pose_csv(tmp_path, first_s=5.0)
-    output, _ = attached(recording, f"arm={source}", offset=[f"arm={START_S - 5 + 0.012345}"])
-    with StageFile(output) as file:
-        assert file.read("streams/arm/t_us").tolist() == [12_345 + 10_000 * at for at in range(9)]
-        assert about(file, "arm")["offset_s"] == START_S - 5 + 0.012345
-
-
 def test_same_recipe_same_arrays(recording: Path, tmp_path: Path) -> None:
     """Assert that what is there is not made again, and that other samples are another recipe, which is refused."""
     source = pose_csv(tmp_path)
@@ -376,18 +367,6 @@ def test_what_is_asked_for_wrongly(
     bag(tmp_path, "ros1")
     with pytest.raises((InputError, FileNotFoundError), match=said):
         attached(recording, *stream, offset=offset)
-
-
-def test_a_name_that_is_taken(recording: Path, tmp_path: Path) -> None:
-    """Assert that a stream is not replaced, and that another can be added to what was made."""
-    source = pose_csv(tmp_path)
-    once, _ = attached(recording, f"arm={source}")
-    with pytest.raises(InputError, match="has a stream arm"):
-        attached(once, f"arm={source}")
-    twice, _ = attached(once, f"hand={source}")
-    with StageFile(twice) as file:
-        assert file.read("streams/arm/x_m").tolist() == file.read("streams/hand/x_m").tolist()
-        assert file.header["parameters"]["attached"].keys() == {"arm", "hand"}
 
 
 @pytest.mark.slow

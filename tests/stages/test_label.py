@@ -191,14 +191,6 @@ def test_event_flow_needs_dots_and_truth_needs_truth(tmp_path: Path) -> None:
     assert label_of(path, tmp_path, method="farneback")[1]["onset_ms"] is None
 
 
-def test_regions_keep_clear_of_the_cut_edge(made: Made) -> None:
-    """Assert that neither region touches the columns in which the cut edge moves."""
-    with open_recording(made.recordings[0]) as recording:
-        window, gel = label.regions(recording)
-    assert window == (565, 0, 640, 480)
-    assert gel == (0, 0, 530, 480)
-
-
 WAYS = {  # how a sensor can be mounted: places and size of the frame from those of an upright one
     "turned by 180 degrees": (lambda x, y: (639 - x, 479 - y), (640, 480)),
     "mirrored left to right": (lambda x, y: (639 - x, y), (640, 480)),
@@ -262,10 +254,3 @@ def test_leaving_out_does_not_change_the_onset(made: Made) -> None:
         ]
     assert len({labels.onset for labels in result}) == 1
     assert result[-1].flow_pairs < result[0].flow_pairs
-
-
-@pytest.mark.parametrize("method", METHODS)
-def test_pairs_of_flow_are_those_of_a_method_that_has_some(made: Made, tmp_path: Path, method: str) -> None:
-    """Assert that a row counts pairs of images only where the method compares images."""
-    _, row = label_of(made.recordings[0], tmp_path / "a.labels.h5", method=method)
-    assert (row["flow_pairs"] is None) == (method in ("event-flow", "truth"))

@@ -111,15 +111,3 @@ def test_dots_too_small_for_the_ring_are_refused(made: Made, tmp_path: Path) -> 
     (job,) = track.jobs([made.recordings[0]], params, tmp_path / "small.tracks.h5")
     with pytest.raises(InputError, match=r"dot_radius_px: expected .*4.*found 3.9"):
         track.run(job, params)
-
-
-@pytest.mark.parametrize("preset", ["stable", "paper"])
-def test_the_row_says_how_far_a_dot_moved(made: Made, tmp_path: Path, preset: str) -> None:
-    """Assert that the largest displacement of the row is that of the file."""
-    params = Track(preset=preset)
-    (job,) = track.jobs(made.recordings[:1], params, tmp_path)
-    (row,) = track.run(job, params).rows
-    with StageFile(job.output, "tracks") as file:
-        moved_px = file.read("dot_xy_px") - file.read("sensor/dot_xy_px").reshape(-1, 2)
-    assert row["max_displacement_px"] == pytest.approx(np.hypot(*moved_px.T).max(), rel=1e-4)
-    assert row["max_displacement_px"] > 1.0

@@ -169,12 +169,6 @@ def test_a_denoised_piece_is_a_piece_of_the_denoised(
         assert recording.header["parameters"]["denoised"] == {"support_ms": support_ms}
 
 
-def test_a_time_without_a_filter(tmp_path: Path) -> None:
-    """Assert that a time that nothing takes is refused."""
-    with pytest.raises(InputError, match="has no effect"):
-        piece(rich_recording(tmp_path / "a.recording.h5"), tmp_path, support_ms=1.0)
-
-
 @pytest.mark.parametrize(
     "flags", [{"from_ms": 5, "to_ms": 5}, {"from_ms": 6, "to_ms": 2}, {"from_ms": 12}, {"to_ms": 13}]
 )
@@ -184,10 +178,3 @@ def test_no_such_slices(flags: dict[str, int], tmp_path: Path) -> None:
     with pytest.raises(InputError):
         piece(whole, tmp_path / "out", **flags)
     assert not (tmp_path / "out").exists()
-
-
-def test_the_name_holds_the_range(tmp_path: Path) -> None:
-    """Assert that pieces lie beside the whole under names of their own, and never take its place."""
-    whole = rich_recording(tmp_path / "a.recording.h5")
-    assert piece(whole, tmp_path, from_ms=2).name == "a-2-endms.recording.h5"
-    assert piece(whole, tmp_path, from_ms=2, to_ms=7).name == "a-2-7ms.recording.h5"

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from evetac_cli.kernels.calibration import rest_image
-from evetac_cli.kernels.calibration.rest_image import RestImage, image, quiet_spells, start, step
+from evetac_cli.kernels.calibration.rest_image import image, quiet_spells, start, step
 
 
 def seen(polarities: list[int], *, backwards: bool = False, packet: int = 1000) -> tuple[int, int]:
@@ -59,15 +59,6 @@ def test_hot_pixels_and_foreign_places_are_left_out() -> None:
     step(state, *outside)
     assert state.highest.sum() == 50
     assert not image(state).brighter.any()
-
-
-def test_joined_is_the_most() -> None:
-    """Assert that joining takes the most of each side, in any order."""
-    rng = np.random.default_rng(0)
-    first, second = (RestImage(*rng.integers(0, 9, (2, 4, 5)).astype(np.uint8)) for _ in range(2))
-    joined = first.joined(second)
-    np.testing.assert_array_equal(joined.brighter, np.maximum(first.brighter, second.brighter))
-    np.testing.assert_array_equal(joined.darker, second.joined(first).darker)
 
 
 @pytest.mark.parametrize("noise", [0, 10, 95])

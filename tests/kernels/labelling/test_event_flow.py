@@ -119,23 +119,6 @@ def test_a_turning_object_takes_dots_along_each_its_own_way() -> None:
     assert (result.label[LOAD_MS : min(result.onset, result.earliest)] == 0).all()
 
 
-@pytest.mark.parametrize("creep", [0.0, 0.02, 0.1])
-def test_creep_together_is_no_slip(creep: float) -> None:
-    """Assert that an object which takes the gel along never slips, at any speed."""
-    result = labels(*slide_of(creep, 0.0, 520, 520))
-    assert (result.onset, result.earliest, result.latest, result.doubt) == (-1, -1, -1, "")
-    assert set(result.label[LOAD_MS:]) == {0}
-    assert np.isnan(result.confidence)
-
-
-def test_one_dot_that_follows_is_no_slip() -> None:
-    """Assert that the object does not slide while a single dot still goes with it."""
-    dot_px, object_px = slide_of(0.02, 0.1, 600, 680)
-    assert labels(dot_px, object_px).onset > 0
-    dot_px[600:, 4] += 0.1 * np.arange(len(object_px) - 600)[:, None] * [1.0, 0.0]
-    assert labels(dot_px, object_px).onset == -1
-
-
 def test_a_false_onset_that_does_not_last_is_none() -> None:
     """Assert that a slide of 1 px that comes to rest is no onset, and that the slip 100 ms after it is found."""
     dot_px, object_px = slide_of(0.0, 0.0, 600, 800)

@@ -52,15 +52,6 @@ def test_each_in_closed_form() -> None:
     assert set(slip.figures()) == set(covariates.WORDS)
 
 
-def test_a_share_that_falls_back_begins_anew() -> None:
-    """Assert that 80 % counts from when the share stays there, and what slipped before and stuck again does not."""
-    known = truth()
-    share = known.visible_share.copy()
-    share[ONSET - 100 : ONSET - 20] = 0.95
-    slip = of_truth(ONSET, SLICES, replace(known, visible_share=share), counted(events()))
-    assert slip.incipient_80_to_gross_ms == 12
-
-
 def test_unloading_begins_with_the_ramp() -> None:
     """Assert that force is compared with that at the start of the ramp where the ramp is shorter than 250 ms."""
     known = replace(truth(), ramp=ONSET - 100)
@@ -68,14 +59,6 @@ def test_unloading_begins_with_the_ramp() -> None:
     normal[-101:] = np.linspace(3, 2, 101)
     slip = of_truth(ONSET, SLICES, replace(known, normal_n=normal), counted(events()))
     assert slip.unloading_n_per_s == pytest.approx(10.0)
-
-
-def test_gross_slip_before_is_no_non_slip() -> None:
-    """Assert that slices of an earlier gross slip are left out of the non-slip slices."""
-    gross = np.zeros(ONSET, bool)
-    gross[ONSET - 200 :] = True
-    slip = of_truth(ONSET, SLICES, replace(truth(), gross=gross), counted(events()))
-    assert slip.non_slip_tenth_slipping == 0
 
 
 def test_without_ramp_contact_or_past() -> None:

@@ -16,7 +16,7 @@ import torch
 from numpy.typing import NDArray
 from onnx import TensorProto, helper
 
-from evetac_cli.kernels.slip import detector, features, inputs, networks, onnx_graphs
+from evetac_cli.kernels.slip import features, inputs, networks, onnx_graphs
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES, ImageArchitecture
 from evetac_cli.kernels.slip.detector import Detector, Live, over_each
 from evetac_cli.kernels.slip.features import EventImages
@@ -133,25 +133,6 @@ def test_a_part_is_judged_as_in_the_whole(name: str, first: int) -> None:
     full = result.architecture.history + result.architecture.every - 2
     part = result.over(inputs.part(series, first, 160), first)
     np.testing.assert_array_equal(part[full:], result.over(series)[first + full :])
-
-
-@pytest.mark.parametrize("name", ROWS)
-def test_batches_do_not_matter(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that few inputs at a time give what many give, bit for bit."""
-    result = trained(name)
-    series = make_series(name, 90)
-    whole = result.over(series)
-    monkeypatch.setattr(detector, "BATCH_VALUES", 5000)
-    np.testing.assert_array_equal(result.over(series), whole)
-
-
-@pytest.mark.parametrize("name", ["hist10", "no-hist-img-6x6"])
-def test_short_trajectories_have_no_probability(name: str) -> None:
-    """Assert that less than a history of slices gives NaN alone, and none gives nothing."""
-    result = trained(name)
-    short = result.architecture.history - 1
-    assert np.isnan(result.over(inputs.part(make_series(name, 12), 0, short))).all()
-    assert len(result.over(inputs.part(make_series(name, 12), 0, 0))) == 0
 
 
 def test_events_in_the_window_reach_no_model() -> None:

@@ -33,28 +33,6 @@ def test_displacement_by_hand() -> None:
     assert displacement_px.tolist() == [[0, 0, 0], [5, 5, 0], [1, 1, 0]]
 
 
-def test_displacement_of_a_dot_that_went_missing() -> None:
-    """Assert that a dot missing now but not at rest, or the other way round, has displacement 0."""
-    rest, now = REST.copy(), REST + 1
-    now[0] = np.nan
-    now[2] = 7.0
-    assert features.displacement(now, rest).tolist() == [0, np.float32(np.sqrt(2)), 0]
-
-
-def test_displacement_agrees_with_the_norm() -> None:
-    """Assert that displacements are the Euclidean norm, within the rounding of places to float32."""
-    rest, tracks, _ = random_tracks(0, 50, 56)
-    expected = np.nan_to_num(np.linalg.norm(tracks - rest, axis=2))
-    assert features.displacement(tracks, rest) == pytest.approx(expected, abs=5e-5)
-
-
-def test_stored_and_live_tracks_have_the_same_features() -> None:
-    """Assert that tracks stored as float32 give the same bits as the float64 ones they were made from."""
-    rest, tracks, _ = random_tracks(1, 50, 56)
-    live, stored = features.displacement(tracks, rest), features.displacement(tracks.astype(np.float32), rest)
-    assert live.tobytes() == stored.tobytes()
-
-
 def test_directions_by_hand() -> None:
     """Assert that right and down are positive, that a missing dot is at 0, and that their norm is the displacement."""
     now = REST + (3, -4)
@@ -110,31 +88,9 @@ def test_channels_by_hand() -> None:
     ]
 
 
-def test_series_without_directions() -> None:
-    """Assert that without directions there are the channels before them alone."""
-    series = features.series(np.ones((3, 2), np.float32), np.full((3, 2), 5, np.int32))
-    assert series.tolist() == [[[1, 5]] * 2] * 3
-
-
 def numbered(rows: int = 7, columns: int = 8) -> NDArray[np.float32]:
     """Two windows (2, rows, columns, 3) with all values different and none 0."""
     return np.arange(1, 2 * rows * columns * 3 + 1, dtype=np.float32).reshape(2, rows, columns, 3)
-
-
-def test_half_turn_is_exact() -> None:
-    """Assert that a half turn reverses rows and columns, loses nothing, and that two are nothing."""
-    windows = numbered()
-    assert (features.rotate(windows, 2) == windows[:, ::-1, ::-1]).all()
-    assert (features.rotate(features.rotate(windows, 2), 2) == windows).all()
-
-
-def test_no_turn_is_a_copy() -> None:
-    """Assert that 0 and 4 quarter turns give equal, but not the same, windows."""
-    windows = numbered()
-    for turns in (0, 4, -4):
-        turned = features.rotate(windows, turns)
-        assert (turned == windows).all()
-        assert not np.shares_memory(turned, windows)
 
 
 def test_quarter_turn_by_hand() -> None:
@@ -176,15 +132,6 @@ def test_quarter_turns_of_other_grids(rows: int, columns: int, first: int) -> No
                 row, column = (c, rows - 1 - r) if turn == 1 else (rows - 1 - c, r)
                 assert (square[:, r, c] == windows[:, row, first + column]).all()
         assert np.count_nonzero(turned) == square.size
-
-
-def test_quarter_turns_of_more_rows_than_columns() -> None:
-    """Assert that the square below the uppermost row turns about itself, and that the rest is 0."""
-    windows = numbered(4, 3)
-    for turn in (1, 3):
-        turned = features.rotate(windows, turn)
-        np.testing.assert_array_equal(turned[:, 1:], np.rot90(windows[:, 1:], turn, axes=(1, 2)))
-        assert (turned[:, 0] == 0).all()
 
 
 def test_events_outside_the_window() -> None:

@@ -126,14 +126,6 @@ def test_series_are_cut_and_joined(row: Architecture) -> None:
         assert not np.shares_memory(one, other)
 
 
-@pytest.mark.parametrize("name", ["hist10", "events-only", "fast-slow"])
-def test_channels_that_are_not_viewed_may_be_missing(name: str) -> None:
-    """Assert the same bits from the channels before the directions alone."""
-    row, series = ARCHITECTURES[name], dots(60)
-    ends = np.array([59, 49])
-    assert inputs.at(row, series[..., :2].copy(), ends).tobytes() == inputs.at(row, series, ends).tobytes()
-
-
 @pytest.mark.parametrize("turns", [1, 2, 3])
 def test_directions_turn_with_the_grid(turns: int) -> None:
     """Assert that rotating inputs is what turning the gel would give: dots change places, displacements direction."""
@@ -146,17 +138,6 @@ def test_directions_turn_with_the_grid(turns: int) -> None:
         turned[..., 2:] = np.stack([turned[..., 3], -turned[..., 2]], axis=-1)
     grid = features.rotate(turned.reshape(100, 7, 8, 4), turns).reshape(100, 56, 4)
     np.testing.assert_allclose(result, inputs.at(row, grid, np.array([99])), atol=1e-6)
-
-
-def test_right_turns_up() -> None:
-    """Assert that after a quarter turn counter-clockwise, what pointed right points up (-y), and up points left."""
-    row = DotArchitecture("", (ChannelView("x", 1), ChannelView("y", 1)), 1, 1)
-    still = np.zeros((1, 56, 2), np.float32)
-    still[0, 27] = (1, 0)  # row 3, column 3: left of the middle of the square, which is columns 1 to 7
-    still[0, 28] = (0, -1)  # the middle itself
-    grid = quarter_turned(row, still, 1).reshape(7, 8, 2)
-    assert grid[3, 4].tolist() == [-1, 0]
-    assert grid[4, 4].tolist() == [0, -1]
 
 
 @pytest.mark.parametrize("name", ["hist10", "disp-xy", "hist10-img-6x6"])

@@ -58,16 +58,6 @@ def test_busy_means_more_than_25_events_outside_the_window() -> None:
     assert 20 not in samples.quiet
 
 
-def test_unexamined_slices_are_no_samples() -> None:
-    """Assert that a label of -1 is in no pool."""
-    one = trajectory(60, 40, np.arange(60) % 2 == 0)
-    one.label[20:45] = -1
-    samples = sampling.gather([one], HIST10)
-    drawn = np.concatenate([samples.slip, samples.busy, samples.quiet])
-    assert not set(drawn) & set(range(20, 45))
-    assert len(drawn) == 11 + 10
-
-
 def test_share_of_slip_as_far_ahead_as_the_labels() -> None:
     """Assert that a sample has the share of 10 ms later, 1 from the onset on, and NaN where it is not known."""
     share = np.linspace(0, 1, 100, dtype=np.float32)
@@ -76,15 +66,6 @@ def test_share_of_slip_as_far_ahead_as_the_labels() -> None:
     np.testing.assert_array_equal(samples.slip_share[:20], share[10:30])
     assert (samples.slip_share[20:45] == 1).all()
     assert np.isnan(samples.slip_share[45:]).all()
-
-
-def test_samples_keep_to_their_trajectory() -> None:
-    """Assert that no window reaches over the border to the trajectory before it."""
-    samples = sampling.gather([trajectory(50, 30, mark=index) for index in range(4)], HIST10)
-    ends = np.concatenate([samples.slip, samples.busy])
-    displacement = samples.inputs(ends)[..., :10]
-    assert np.ptp(displacement, axis=(1, 2)).max() == 0
-    assert Counter(displacement[:, 0, 0].tolist()) == {index: 15 + 21 for index in range(4)}
 
 
 def test_inputs_are_those_of_the_trajectory() -> None:

@@ -76,18 +76,6 @@ def test_same_seed_same_network(problem: SlipSamples, preset: training.Preset) -
     assert not same(first, other)
 
 
-@pytest.mark.parametrize(("preset", "factor"), [(PAPER, 1.5), (ADAM, 100)], ids=["paper", "adam"])
-def test_separable_problem_is_learned(problem: SlipSamples, preset: training.Preset, factor: float) -> None:
-    """Assert that 500 steps bring the loss down by a factor of 1.5 with the paper's preset, of 100 with Adam."""
-    result = training.train(problem, preset, np.random.default_rng(6), max_steps=500)
-    assert loss_falls(result) > factor
-    network = from_weights(HIST10, result.checkpoints[-1].weights)
-    with torch.no_grad():
-        slipping = network(torch.from_numpy(problem.inputs(problem.slip)))
-        holding = network(torch.from_numpy(problem.inputs(problem.busy)))
-    assert slipping.min() > holding.max()
-
-
 def test_checkpoints_follow_the_epochs(problem: SlipSamples) -> None:
     """Assert that a whole run keeps a checkpoint every so many epochs and at its end, and is not called cut."""
     every_two = replace(ADAM, checkpoint_every=2)
@@ -106,17 +94,6 @@ def test_cut_run_spreads_its_checkpoints_and_says_so(problem: SlipSamples) -> No
     assert result.cut
     short = training.train(problem, PAPER, np.random.default_rng(8), max_steps=3)
     assert [checkpoint.step for checkpoint in short.checkpoints] == [1, 2, 3]
-
-
-def test_checkpoints_are_stages_of_one_run(problem: SlipSamples) -> None:
-    """Assert that a checkpoint holds the weights of its step, not of the end."""
-    long = training.train(problem, ADAM, np.random.default_rng(10), max_steps=14)
-    short = training.train(problem, ADAM, np.random.default_rng(10), max_steps=4)
-    middle = next(checkpoint for checkpoint in long.checkpoints if checkpoint.step == 4)
-    last = short.checkpoints[-1]
-    assert last.step == 4
-    assert all(np.array_equal(middle.weights[name], last.weights[name]) for name in last.weights)
-    assert not np.array_equal(middle.weights["fc5.weight"], long.checkpoints[-1].weights["fc5.weight"])
 
 
 def test_loss_curve_covers_the_run(problem: SlipSamples) -> None:
@@ -182,15 +159,6 @@ def test_diverging_training_stops(problem: SlipSamples) -> None:
     wild = replace(PAPER, name="wild", learning_rate=1e30)
     with pytest.raises(ValueError, match="preset wild: expected a finite loss"):
         training.train(problem, wild, np.random.default_rng(16), max_steps=50)
-
-
-def test_training_without_quiet_slices(problem: SlipSamples) -> None:
-    """Assert that both recipes train where the quiet pool is empty."""
-    assert len(problem.quiet) > 0
-    noisy = replace(problem, quiet=np.empty(0, np.int64))
-    for preset in ALL:
-        result = training.train(noisy, preset, np.random.default_rng(17), max_steps=5)
-        assert np.all(np.isfinite(result.curve_loss))
 
 
 class Interruption(Exception):
@@ -383,3 +351,11 @@ def test_a_run_with_stillness_and_extras_goes_on_to_the_same() -> None:
     second = training.train(samples, ADAMW, np.random.default_rng(0), max_steps=7, resume_from=saved[0])
     assert same(first, second)
     assert int(saved[0]["step"]) == 3
+
+
+def test_paper_leaves_the_inputs_alone(problem: SlipSamples) -> None:
+    """Assert that the paper's preset is plain SGD at 0.001 for 70 epochs on inputs as they are."""
+    assert (PAPER.optimiser, PAPER.learning_rate, PAPER.epochs, PAPER.checkpoint_every) == ("sgd", 0.001, 70, 10)
+    arrays = training.train(problem, PAPER, np.random.default_rng(12), max_steps=1).checkpoints[0].weights
+    assert np.all(arrays["input_scale"] == 1)
+    assert np.all(arrays["input_offset"] == 0)

@@ -176,16 +176,6 @@ def test_the_same_dots_make_the_same_readings(ball: KnownContact) -> None:
         assert copied is None or same(told, touch_map.step(copied, dots))
 
 
-def test_readings_do_not_change_later(ball: KnownContact) -> None:
-    """Assert that a reading keeps its numbers when the next slices come."""
-    state = touch_map.start(DOTS)
-    told = touch_map.step(state, places(ball))
-    kept = copy.deepcopy(told)
-    for dots in (places(ball, 0.3), DOTS, places(ball)):
-        touch_map.step(state, dots)
-    assert same(told, kept)
-
-
 def test_stiffness_scales_forces_alone(ball: KnownContact) -> None:
     """Assert that twice the stiffness is twice the force in the same place, and that not knowing it adds its share."""
     soft = touch_map.step(touch_map.start(DOTS), places(ball))

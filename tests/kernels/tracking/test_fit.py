@@ -110,19 +110,6 @@ def test_agrees_with_plain_reference(changes: dict[str, float]) -> None:
         assert np.abs(state.dot_xy_px - expected).max() < 1e-6
 
 
-def test_agrees_with_plain_reference_in_a_crowd() -> None:
-    """Assert the same for small dots that stand so close that nearly every event is near several of them."""
-    rng = np.random.default_rng(7)
-    dense = 50.0 + (grid() - 50.0) / 2.5
-    state = tracker.start(dense, STABLE.for_dots(8.0))
-    for _ in range(3):
-        slice_ = contact_edges(rng, state.dot_xy_px + rng.uniform(-1, 1, (30, 2)), np.array([0.03, -0.02]), 400.0, 8.0)
-        assert len(slice_[0]) > 300
-        expected = reference(state, slice_)
-        tracker.step(state, *slice_)
-        assert np.abs(state.dot_xy_px - expected).max() < 1e-6
-
-
 def test_events_of_hot_pixels_are_left_out() -> None:
     """Assert that events of hot pixels anywhere among the others, and some outside the frame, change no bit."""
     rng = np.random.default_rng(8)
@@ -213,13 +200,6 @@ def test_the_constants_for_a_radius() -> None:
     for wrong in (3.9, 124.1, np.nan, -1.0):
         with pytest.raises(ValueError, match="dot_radius_px: expected 4 to 124, found"):
             STABLE.for_dots(wrong)
-
-
-@pytest.mark.parametrize("changes", [{"event_px": 0.0}, {"rim_lag_px": 0.0}])
-def test_polarity_helps(changes: dict[str, float]) -> None:
-    """Assert that without the motion seen, or without the lag of rims known by side, errors are larger."""
-    motion_px = shaken(1.0, 100.0, 200)
-    assert rms(follow(replace(STABLE, **changes), motion_px)[0]) > 1.2 * rms(follow(STABLE, motion_px)[0])  # type: ignore[arg-type]
 
 
 def test_a_still_dot_among_moving_ones_stays() -> None:

@@ -5,13 +5,11 @@ What only the preset `stable` does is in test_fit.py.
 
 import copy
 import itertools
-import json
 import math
 import mmap
 import pickle
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -166,16 +164,6 @@ class Reference:
         return events
 
 
-def test_one_dot_closed_form() -> None:
-    """Assert that a dot 0.4 px beside the centre of its edge moves by the sum of pulls worked out by hand."""
-    state = single(offset_px=(0.4, 0.0))
-    step(state, *on_edge(np.array([[300.0, 200.0]])))
-    # Right and left pull by -0.4 each, above and below by -0.4 (1 - 15 / sqrt(15^2 + 0.4^2)); three times.
-    pulls = 3 * (-0.4 - 0.4 - 0.8 * (1 - 15 / np.hypot(15, 0.4)))
-    assert state.dot_xy_px[0] == pytest.approx([300.4 + 2 * 0.003 * pulls, 200.0], abs=1e-11)
-    assert state.events_per_dot.tolist() == [12]
-
-
 @pytest.mark.parametrize(("offset_px", "slope"), [((1.0, 0.0), 4 / 3), ((0.0, 1.0), 2 / 3)])
 def test_one_step_corrects_an_offset_by_the_theoretical_slope(offset_px: tuple[float, float], slope: float) -> None:
     """Assert that N edge events of a dot moving along x take back step_size * slope * N of an offset."""
@@ -250,22 +238,6 @@ def test_regulariser_is_the_gradient_of_its_energy() -> None:
         assert state.dot_xy_px[i] == pytest.approx(expected, abs=1e-9)
 
 
-def test_translation_changes_nothing_but_the_place() -> None:
-    """Assert that dots and events moved by whole pixels give the same motion at the new place."""
-    rng = np.random.default_rng(4)
-    offset_px = np.array([23, 11])
-    state, moved_state = tracker.start(grid(4, 5), PAPER), tracker.start(grid(4, 5) + offset_px, PAPER)
-    for _ in range(20):
-        x, y = random_events(rng, grid(4, 5), 800)
-        near = (x < 400) & (y < 400)  # so that none enters or leaves the frame
-        x, y = x[near], y[near]
-        step(state, x, y)
-        step(moved_state, x + np.uint16(offset_px[0]), y + np.uint16(offset_px[1]))
-    assert np.abs(moved_state.dot_xy_px - offset_px - state.dot_xy_px).max() < 1e-9
-    assert (moved_state.events_per_dot == state.events_per_dot).all()
-    assert np.abs(state.dot_xy_px - grid(4, 5)).max() > 0.05
-
-
 @pytest.mark.parametrize("preset", list(PRESETS))
 def test_order_of_events_does_not_matter(preset: str) -> None:
     """Assert that the order of a slice's events changes no bit of the positions."""
@@ -301,28 +273,6 @@ def test_gate_opens_at_eleven_ring_events(ring: int, inside: int, moves: bool) -
     assert state.dot_xy_px[0] == pytest.approx([expected_x, 200], abs=1e-10)
 
 
-def test_ring_bounds_are_exclusive() -> None:
-    """Assert that events exactly 10 or 20 px away do not pull, and that one exactly 20 px away is not the dot's."""
-    state = single()
-    step(state, *columns([(310, 200)] * 12 + [(320, 200)] * 12))
-    assert state.events_per_dot.tolist() == [12]
-    assert state.dot_xy_px.tolist() == [[300, 200]]
-
-
-def test_gradient_clip_bounds_the_speed() -> None:
-    """Assert that 10,000 events on one side of a dot move it by 1.2 px and not further."""
-    state = single(constants=replace(PAPER, hot_pixel_events=0))
-    step(state, *columns([(318, 200)] * 10_000))
-    assert state.dot_xy_px[0] == pytest.approx([301.2, 200], abs=1e-12)
-
-
-def test_a_dot_moves_at_most_its_radius() -> None:
-    """Assert that the largest step size that is taken moves a dot by its radius per axis and not further."""
-    state = single(constants=replace(PAPER, step_size=0.13, hot_pixel_events=0))
-    step(state, *columns([(312, 213)] * 100))
-    assert state.dot_xy_px.tolist() == [[315, 215]]
-
-
 def test_dots_stay_in_the_frame() -> None:
     """Assert that a dot pushed out of the frame at any of its four corners stops at the last pixel."""
     corners = np.array([[0, 0], [639, 0], [0, 479], [639, 479]])
@@ -354,30 +304,6 @@ def test_missing_dot_takes_no_part() -> None:
     assert (np.delete(state.events_per_dot, missing) > 0).all()
 
 
-def test_the_real_grid_is_taken(outside_file: Callable[[str], Path]) -> None:
-    """Assert that the tracker starts on the real 9 x 7 grid, with the neighbours of its dots."""
-    state = tracker.start(
-        np.array(json.loads(outside_file("evetac_base_calibration.json").read_text())["dot_xy_px"]), PAPER
-    )
-    assert np.bincount((state.neighbours >= 0).sum(axis=1)).tolist() == [0, 0, 0, 4, 0, 24, 0, 0, 35]
-
-
-def test_event_between_two_dots_is_both_dots() -> None:
-    """Assert that an event within the counting radius of two dots that came close counts for both."""
-    state = tracker.start(np.array([[300.0, 200.0], [330.0, 200.0]]), PAPER)
-    step(state, *columns([(315, 200)]))
-    assert state.events_per_dot.tolist() == [1, 1]
-
-
-def test_dots_in_one_heap_are_all_served() -> None:
-    """Assert that any number of dots may come to lie in the same bucket without losing events."""
-    rng = np.random.default_rng(10)
-    heap = 300 + rng.random((70, 2))
-    state = tracker.start(heap, PRESETS["unregularised"])
-    step(state, *columns([(315, 300)] * 5))
-    assert (state.events_per_dot == 5).all()
-
-
 @pytest.mark.parametrize("preset", ["paper", "unregularised"])
 def test_follows_moving_dots(preset: str) -> None:
     """Assert that dots on a circle of 3.2 px are followed with less than a quarter of the error of standing still."""
@@ -397,17 +323,6 @@ def test_follows_moving_dots(preset: str) -> None:
         standing.append(grid() - place)
     assert np.sqrt(np.mean(np.square(errors))) < 0.25 * np.sqrt(np.mean(np.square(standing)))
     assert not state.lost.any()
-
-
-def test_nothing_moves_without_events() -> None:
-    """Assert that stretched neighbours alone do not move a dot, however many slices pass."""
-    state = tracker.start(grid(), PRESETS["stable"])
-    state.dot_xy_px[:] += np.random.default_rng(12).uniform(-10, 10, (ROWS * COLUMNS, 2))
-    before = state.dot_xy_px.copy()
-    for _ in range(5):
-        step(state, *columns([]))
-    assert (state.dot_xy_px == before).all()
-    assert (state.events_per_dot == 0).all()
 
 
 @pytest.mark.parametrize("preset", list(PRESETS))
@@ -471,16 +386,6 @@ def test_fold_is_step_after_step(preset: str) -> None:
         np.testing.assert_array_equal(tracks.events_per_dot[k], other.events_per_dot)
         np.testing.assert_array_equal(tracks.lost[k], other.lost)
     assert one.record.tobytes() == other.record.tobytes()
-
-
-def test_events_outside_the_frame_are_ignored() -> None:
-    """Assert that coordinates beyond the frame move nothing and count nowhere, next to a dot at its very edge."""
-    state = tracker.start(np.array([[635.0, 475.0]]), PAPER)
-    x = np.array([640, 645, 65535, 630, 635] * 20, np.uint16)
-    y = np.array([470, 475, 65535, 480, 490] * 20, np.uint16)
-    step(state, x, y)
-    assert state.dot_xy_px.tolist() == [[635, 475]]
-    assert state.events_per_dot.tolist() == [0]
 
 
 def test_lost_dots_are_flagged() -> None:
@@ -656,19 +561,6 @@ def test_a_vibrating_edge_is_no_hot_pixel() -> None:
     assert with_filter.dot_xy_px.tolist() == without.dot_xy_px.tolist()
 
 
-def test_hot_pixels_do_not_depend_on_order() -> None:
-    """Assert that noise with hot pixels gives the same bits whatever the order of events within a slice."""
-    rng = np.random.default_rng(3)
-    one, other = (single(constants=replace(PAPER, min_events=0)) for _ in range(2))
-    for _ in range(400):
-        x = np.concatenate([rng.integers(280, 321, 3), [312, 312, 290]]).astype(np.uint16)
-        y = np.concatenate([rng.integers(180, 221, 3), [211, 211, 190]]).astype(np.uint16)
-        order = rng.permutation(len(x))
-        step(one, x, y)
-        step(other, x[order], y[order])
-    assert one.dot_xy_px.tolist() == other.dot_xy_px.tolist()
-
-
 def test_the_step_limit_is_where_steps_begin_to_grow() -> None:
     """Assert that dots pushed off their grid come back with nine tenths of the limit, and with a tenth more do not."""
     grows = {}
@@ -686,9 +578,26 @@ def test_the_step_limit_is_where_steps_begin_to_grow() -> None:
     assert grows[0.9] < 1.0 < grows[1.1]
 
 
-def test_dots_far_apart_and_alone_have_limits_of_their_own() -> None:
-    """Assert that the limit follows the pitch of the dots, and that a dot without neighbours has no regulariser's."""
-    far = np.stack(np.meshgrid(np.arange(2), np.arange(2)), axis=-1).reshape(-1, 2) * 400.0 + 30.0
-    with pytest.raises(ValueError, match=r"dots 400\.0 px apart\), found 7\.5e-05"):
-        tracker.start(far, PAPER)
-    assert single(constants=replace(PAPER, regulariser_weight=1e300)).dot_xy_px.tolist() == [[300.0, 200.0]]
+def test_one_dot_closed_form() -> None:
+    """Assert that a dot 0.4 px beside the centre of its edge moves by the sum of pulls worked out by hand."""
+    state = single(offset_px=(0.4, 0.0))
+    step(state, *on_edge(np.array([[300.0, 200.0]])))
+    # Right and left pull by -0.4 each, above and below by -0.4 (1 - 15 / sqrt(15^2 + 0.4^2)); three times.
+    pulls = 3 * (-0.4 - 0.4 - 0.8 * (1 - 15 / np.hypot(15, 0.4)))
+    assert state.dot_xy_px[0] == pytest.approx([300.4 + 2 * 0.003 * pulls, 200.0], abs=1e-11)
+    assert state.events_per_dot.tolist() == [12]
+
+
+def test_ring_bounds_are_exclusive() -> None:
+    """Assert that events exactly 10 or 20 px away do not pull, and that one exactly 20 px away is not the dot's."""
+    state = single()
+    step(state, *columns([(310, 200)] * 12 + [(320, 200)] * 12))
+    assert state.events_per_dot.tolist() == [12]
+    assert state.dot_xy_px.tolist() == [[300, 200]]
+
+
+def test_gradient_clip_bounds_the_speed() -> None:
+    """Assert that 10,000 events on one side of a dot move it by 1.2 px and not further."""
+    state = single(constants=replace(PAPER, hot_pixel_events=0))
+    step(state, *columns([(318, 200)] * 10_000))
+    assert state.dot_xy_px[0] == pytest.approx([301.2, 200], abs=1e-12)

@@ -88,13 +88,6 @@ def test_a_recording_is_shown_with_its_label(reviewed: Reviewed) -> None:
     assert [row["output"] for row in reviewed.server.rows] == [str(reviewed.labels[1])]
 
 
-def test_refusals_are_told_to_the_page(reviewed: Reviewed) -> None:
-    """Assert that an impossible onset, and a recording that is damaged, are answered in words."""
-    assert "no such onset" in reviewed.ask("keep", {"n": 0, "onset": 10**6})[1]["error"]
-    reviewed.recordings[0].write_bytes(b"nothing")
-    assert "a.recording.h5" in reviewed.ask("trial?n=0")[1]["error"]
-
-
 @pytest.mark.parametrize(
     ("path", "sent", "headers", "status"),
     [

@@ -17,7 +17,6 @@ from evetac_cli.jobs import Job
 from evetac_cli.kernels.slip import onnx_graphs
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES, DotArchitecture, parted, with_scaled_logit
 from evetac_cli.kernels.slip.detector import Detector
-from evetac_cli.resources import MODEL
 from evetac_cli.stages import model_files, related_files, slip_detectors, train
 from evetac_cli.stages.train import networks, plan
 from evetac_cli.store.files import StageFile, header_of, write_stage
@@ -138,17 +137,6 @@ def interrupted(job: Job, params: Train, monkeypatch: pytest.MonkeyPatch, at: in
         train.run(job, params, progress=stop)
 
 
-def test_what_it_does_is_said_from_the_start(trials: list[Path], tmp_path: Path) -> None:
-    """Assert that progress begins with the files, and then counts steps up to the last."""
-    reports: list[tuple[float, float, str]] = []
-    run_stage(
-        train, trials, small(), tmp_path, progress=lambda done, total, doing="": reports.append((done, total, doing))
-    )
-    phases = list(dict.fromkeys(doing for _, _, doing in reports))
-    assert phases == ["files inspected", "loading torch", "files read", "", "files evaluated"]
-    assert [done for done, _, doing in reports if not doing] == list(range(10, 121, 10))
-
-
 @pytest.mark.parametrize("held_bytes", [plan.HELD_BYTES, 80_000])
 def test_no_temporary_file_is_made(
     trials: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, held_bytes: int
@@ -210,15 +198,6 @@ def test_few_trajectories_to_choose_a_threshold_on_are_said(trials: list[Path], 
     assert train.for_people([{"validated_on": 4}], small())[1] == []
     assert train.cautions([replace(job, learned=0)], small()) == []
     assert train.cautions([job], small(folds=2)) == []
-
-
-def test_what_is_no_features_file_is_said(tmp_path: Path) -> None:
-    """Assert that a missing file and one of another kind are named, not that all files validate."""
-    missing = tmp_path / "a.features.h5"
-    with pytest.raises(InputError, match="no such file"):
-        train.jobs([missing], small(), tmp_path)
-    with pytest.raises(InputError, match="wrong kind of file"):
-        train.jobs([MODEL], small(), tmp_path)
 
 
 @pytest.mark.parametrize("preset", ["paper", "adamw"])
@@ -374,14 +353,6 @@ def test_labels_of_a_person_go_with_those_they_correct(trials: list[Path], tmp_p
         train.run(job, params)
 
 
-def test_objects_are_chosen(trials: list[Path], tmp_path: Path) -> None:
-    """Assert that --object keeps the files of these objects alone, and that none of them is an error."""
-    (job,) = train.jobs(trials, Train(objects="2"), tmp_path)
-    assert set(job.inputs) == set(trials[2:])
-    with pytest.raises(InputError, match="no features of these objects"):
-        train.jobs(trials, Train(objects="3-9"), tmp_path)
-
-
 def test_folds_leave_objects_out(tmp_path: Path) -> None:
     """Assert that every fold learns from some objects and judges the others, and the last network learns from all."""
     files = [features_file(tmp_path, number, object_=(9, 10, 11, 9, 10)[number]) for number in range(5)]
@@ -486,15 +457,6 @@ def test_several_networks_decide_by_the_mean_of_their_logits(
     assert sorted(path.name for path in again.output.parent.iterdir()) == ["hist10.model.csv", "hist10.model.h5"]
 
 
-def test_a_recording_on_both_sides_is_named(trials: list[Path], tmp_path: Path) -> None:
-    """Assert that validating on a recording that is trained on is refused, with the file's name."""
-    again = features_file(tmp_path, 1, method="truth")
-    (job,) = train.jobs(trials, small(validate=str(again)), tmp_path)
-    with pytest.raises(InputError, match="both trained on and validated on") as refused:
-        train.run(job, small())
-    assert str(again) in str(refused.value)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("model", ["hist10-img-6x6", "disp-xy"])
 def test_other_features_are_trained_on(trials: list[Path], tmp_path: Path, model: str) -> None:
@@ -532,15 +494,6 @@ def test_a_gpu_that_is_not_there_is_refused(
     (job,) = train.jobs(trials, small(device="cuda"), tmp_path)
     with pytest.raises(InputError, match="torch finds no GPU"):
         train.run(job, small(device="cuda"))
-
-
-def test_flags_name_every_model_and_recipe() -> None:
-    """Assert that what the flags offer is what there is."""
-    from evetac_cli.kernels.slip.training import PRESETS
-
-    choices = {name: item.metadata["choices"] for name, item in Train.__dataclass_fields__.items()}
-    assert set(choices["model"]) == set(ARCHITECTURES)
-    assert set(choices["preset"]) == set(PRESETS)
 
 
 def test_a_trained_model_is_adapted(trials: list[Path], tmp_path: Path) -> None:

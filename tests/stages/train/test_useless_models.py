@@ -14,7 +14,6 @@ import evetac_cli as evetac
 from evetac_cli import resources
 from evetac_cli.cli.main import app
 from evetac_cli.commands.grasp import Grasp
-from evetac_cli.commands.train import Train
 from evetac_cli.errors import InputError
 from evetac_cli.stages import train
 from evetac_cli.stages.model_files import why_useless
@@ -113,11 +112,3 @@ def test_what_is_useless(tmp_path: Path, changed: dict[str, float], why: str) ->
     with StageFile(rewritten(resources.MODEL, tmp_path / "a.model.h5", **arrays), "model") as file:
         said = why_useless(file)
     assert (why in said) and bool(why) == bool(said)
-
-
-def test_a_model_that_tells_slip_is_not_warned_of(made: Made) -> None:
-    """Assert that the fixture's model, and the package's, are fit for a grasp, and that train says nothing of them."""
-    for path in (made.model, resources.MODEL):
-        with StageFile(path, "model") as file:
-            assert why_useless(file) == ""
-    assert train.for_people([{"output": "a", "warning": None, "validated_on": 4}], Train())[1] == []
