@@ -35,7 +35,7 @@ from evetac_cli.kernels.slip.architectures import (
 from evetac_cli.kernels.slip.detector import Detector
 
 
-class Network(nn.Module):
+class SlipNetwork(nn.Module):
     """A slip detector: `last_hidden` and `outputs`, its last layer.
 
     Inputs are first normalised as (input - input_offset) * input_scale, fixed, one value per channel. By default this
@@ -76,7 +76,7 @@ class Network(nn.Module):
         return (features - self.input_offset.view(self._shape)) * self.input_scale.view(self._shape)
 
 
-class SlipNet(Network):
+class SlipNet(SlipNetwork):
     """Slip detector for a grid of dots."""
 
     architecture: DotArchitecture
@@ -113,7 +113,7 @@ class SlipNet(Network):
         return torch.relu(self.fc4(flat))
 
 
-class ImageNet(Network):
+class ImageNet(SlipNetwork):
     """Slip detector for event images, the paper's baseline."""
 
     architecture: ImageArchitecture
@@ -142,7 +142,7 @@ class ImageNet(Network):
         return torch.relu(self.fc1(images.flatten(1)))
 
 
-class OtherNet(Network):
+class OtherNet(SlipNetwork):
     """A network of another package, over dots or images."""
 
     architecture: PluginArchitecture | PluginImageArchitecture
@@ -171,7 +171,7 @@ def build(
     columns: int = 8,
     input_scale: ArrayLike | None = None,
     input_offset: ArrayLike | None = None,
-) -> Network:
+) -> SlipNetwork:
     """Return a network with initial weights from torch's generator; an `ImageNet` ignores the grid of dots."""
     if isinstance(architecture, ImageArchitecture):
         return ImageNet(architecture, input_scale, input_offset)
@@ -180,26 +180,26 @@ def build(
     return SlipNet(architecture, rows, columns, input_scale, input_offset)
 
 
-def parameters(network: Network) -> int:
+def parameters(network: SlipNetwork) -> int:
     """Return the number of trained weights and biases."""
     return sum(parameter.numel() for parameter in network.parameters())
 
 
-def weights(network: Network) -> dict[str, NDArray[np.float32]]:
+def weights(network: SlipNetwork) -> dict[str, NDArray[np.float32]]:
     """Return copies of all weights and of the input normalisation, by their names in the network."""
     return {name: tensor.detach().cpu().numpy().copy() for name, tensor in network.state_dict().items()}
 
 
 def from_weights(
     architecture: Architecture, arrays: Mapping[str, NDArray[np.float32]], rows: int = 7, columns: int = 8
-) -> Network:
+) -> SlipNetwork:
     """Build the network from the arrays that `weights` returned; RuntimeError if names or shapes do not fit."""
     network = build(architecture, rows, columns)
     network.load_state_dict({name: torch.from_numpy(np.array(array, np.float32)) for name, array in arrays.items()})
     return network
 
 
-def onnx_graph(network: Network) -> bytes:
+def onnx_graph(network: SlipNetwork) -> bytes:
     """Return the ONNX file of the network: features (batch, ...) float32, as `inputs.at`, -> probability (batch,)."""
     return onnx_graphs.build(network.architecture, weights(network), network.rows, network.columns)
 

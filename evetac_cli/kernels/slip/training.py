@@ -16,7 +16,7 @@ from evetac_cli.checks import check_range
 from evetac_cli.kernels.slip import inputs
 from evetac_cli.kernels.slip.architectures import DotArchitecture
 from evetac_cli.kernels.slip.inputs import DotsAndExtras
-from evetac_cli.kernels.slip.networks import Network, build, from_weights, weights
+from evetac_cli.kernels.slip.networks import SlipNetwork, build, from_weights, weights
 from evetac_cli.kernels.slip.sampling import (
     STILL_DRAWN,
     STILL_SHARE,
@@ -219,7 +219,7 @@ class _TrainingRun:
 
     def __init__(
         self,
-        network: Network,
+        network: SlipNetwork,
         share_output: nn.Linear | None,
         preset: Preset,
         device: str,
@@ -373,7 +373,7 @@ def _checkpoints(saved: TrainingState) -> list[Checkpoint]:
 
 def _network(
     samples: SlipSamples, preset: Preset, seed: int, start: Mapping[str, NDArray[np.float32]] | None
-) -> tuple[Network, nn.Linear | None]:
+) -> tuple[SlipNetwork, nn.Linear | None]:
     """Return the network to train, and its second output if the preset and the samples have one."""
     shape = samples.rows, samples.columns
     scale = offset = None

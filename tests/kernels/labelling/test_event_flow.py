@@ -194,7 +194,7 @@ def test_an_object_without_texture_is_refused() -> None:
 
 def test_a_frame_in_which_dots_cannot_be_followed_is_refused() -> None:
     """Assert that a frame larger than the tracker's is an error that says so."""
-    with pytest.raises(ValueError, match="from 1 to 2048 px, found 2049 x 720"):
+    with pytest.raises(ValueError, match="at most 2048 px, found 2049 x 720"):
         event_flow.label(lambda a, b: empty(), 5, WINDOW, (2049, 720), DOTS, RADIUS_PX, CONSTANTS)
 
 

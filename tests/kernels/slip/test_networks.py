@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.kernels.slip import networks
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES, Architecture, DotArchitecture, ImageArchitecture
-from evetac_cli.kernels.slip.networks import ImageNet, Network, SlipNet
+from evetac_cli.kernels.slip.networks import ImageNet, SlipNet, SlipNetwork
 
 HIST10 = ARCHITECTURES["hist10"]
 assert isinstance(HIST10, DotArchitecture)
@@ -27,7 +27,7 @@ def features(batch: int, seed: int = 0) -> NDArray[np.float32]:
     return np.random.default_rng(seed).normal(2, 5, (batch, 56, 20)).astype(np.float32)
 
 
-def probability(network: Network, inputs: NDArray[np.float32]) -> NDArray[np.float32]:
+def probability(network: SlipNetwork, inputs: NDArray[np.float32]) -> NDArray[np.float32]:
     """Run the network in torch."""
     with torch.no_grad():
         return torch.sigmoid(network(torch.from_numpy(inputs))).numpy()
@@ -142,7 +142,7 @@ def test_weights_come_back(normalised: bool) -> None:
     np.testing.assert_array_equal(probability(again, features(3)), probability(network, features(3)))
 
 
-def spread(network: Network, inputs: NDArray[np.float32]) -> None:
+def spread(network: SlipNetwork, inputs: NDArray[np.float32]) -> None:
     """Scale and shift the last layer so that the probabilities of some inputs lie on both sides of 0.5."""
     last = network.fc5 if isinstance(network, SlipNet) else network.fc2
     with torch.no_grad():

@@ -143,7 +143,7 @@ def test_what_a_model_of_the_paper_is_for(fits: Path, tmp_path: Path) -> None:
     model = fits / "events.force-model.h5"
     assert info.run([model]).rows[0]["sensor"] == "events"
     tracks = [fits / "trial3.tracks.h5"]
-    refused(predict_touch, tracks, PredictTouch(model=model), "only `evetac evaluate force`", tmp_path)
+    refused(predict_touch, tracks, PredictTouch(model=model), "of the paper's method", tmp_path)
     for flags in ({"adapt_on": str(fits / "trial1.tracks.h5")}, {"identified": str(fits)}):
         refused(evaluate_force, tracks, EvaluateForce(model=str(model), **flags), "works only for the sensor", tmp_path)
 

@@ -471,7 +471,6 @@ def test_other_features_are_trained_on(trials: list[Path], tmp_path: Path, model
     ("model", "leave", "hint"),
     [
         ("hist10-img", ("image",), "featurize --images"),
-        ("disp-xy", ("displacement_xy_px",), "featurize --force"),
         ("hist10", ("label", "onset"), "evetac label"),
     ],
 )
