@@ -19,10 +19,10 @@ def why_useless(model: StageFile) -> str:
     """Return the reason why a model detects nothing: at its threshold all slices are slip, or none is; "" otherwise.
     A threshold of 0 is useless anyway.
     """
-    share = float(model.read("validation/detected_share"))
+    share = float(model.read("validation/detected_share")) if model.has("validation/detected_share") else None
     if share not in (0.0, 1.0) and float(model.read("threshold")) > 0.0:
         return ""
-    if float(model.read("validation/slip_share")) == 1.0:
+    if model.has("validation/slip_share") and float(model.read("validation/slip_share")) == 1.0:
         return "its validation trajectories have no slice without slip, so that no threshold could be chosen"
     which = "no slice" if share == 0.0 else "every slice"
     return f"at its threshold, {float(model.read('threshold')):g}, it calls {which} of its validation trajectories slip"
@@ -37,7 +37,7 @@ def require_useful(model: StageFile) -> None:
 
 def read_horizon_ms(model: StageFile) -> int:
     """Return how far ahead a model predicts slip, in ms; 0 for detection."""
-    return int(model.read("horizon_ms"))
+    return int(model.read("horizon_ms")) if model.has("horizon_ms") else 0
 
 
 def read_calibration(model: StageFile) -> OddsScale | None:
@@ -47,8 +47,10 @@ def read_calibration(model: StageFile) -> OddsScale | None:
     return OddsScale(float(model.read("calibration/scale")), float(model.read("calibration/offset")))
 
 
-def read_curve(model: StageFile) -> WarningCurve:
-    """Return a model's rates of false alarms and warnings by threshold."""
+def read_curve(model: StageFile) -> WarningCurve | None:
+    """Return a model's rates of false alarms and warnings by threshold; None if the model does not store them."""
+    if not model.has("warnings"):
+        return None
     return WarningCurve(
         model.read("warnings/threshold"),
         model.read("warnings/false_alarms_per_min"),
@@ -70,7 +72,7 @@ def chosen_threshold(
     if false_alarms_per_min is None:
         return float(model.read("threshold")) if threshold is None else threshold
     curve = read_curve(model)
-    if not curve.minutes:
+    if curve is None or not curve.minutes:
         hint = "set a threshold instead, or train the model again, with trials without slip in --validate"
         raise InputError("the model has no rate of false alarms", where=str(model.path), hint=hint)
     rate_threshold = curve.threshold_for(false_alarms_per_min)

@@ -93,7 +93,7 @@ GRASP: list[tuple[dict[str, Any], dict[str, Any], str]] = [
     (SIM, {"model": Path("nope.h5")}, "nope.h5"),
     (SIM, {"controller": "load-proportional", "gain": 2.0}, "--gain"),
     (SIM, {"control_hz": 300.0}, "--control-hz"),
-    (SIM, {"slip_threshold": 0.25, "false_alarms_per_min": 1.0}, "only one of the two"),
+    (SIM, {"slip_threshold": 0.25, "false_alarms_per_min": 1.0}, "cannot be combined"),
     (SIM, {"controller": "none", "model": Path("slip.model.h5")}, "--model"),
     (SIM, {"controller": "fixed:6", "slip_threshold": 0.5}, "--slip-threshold"),
     (SIM, {"controller": "none", "false_alarms_per_min": 1.0}, "--false-alarms-per-min"),

@@ -27,6 +27,7 @@ patch lasts.
 The constants come from a study of simulated contacts (seeds 58000-58105); other lengths gave the same fields.
 """
 
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -154,8 +155,9 @@ def posterior(
     """
     cells = np.nonzero(patch)[0]
     kinds, count = sums.shape[1], len(cells)
-    away = cell_mm[cells, None] - cell_mm[cells]
-    varies = np.exp(-np.hypot(away[..., 0], away[..., 1]) / LENGTH_MM) + COMMON**2
+    place = np.round((cell_mm[cells] - cell_mm[0]) / CELL_MM).astype(np.intp)
+    x, y = np.abs(place[:, None] - place).transpose(2, 0, 1)
+    varies = _variation(int(place.max()) + 1)[y, x]
     weight = np.where(np.arange(kinds) == PRESSURE, PRESSURE_RATIO**2, 1.0)
     whiten = 1 / np.sqrt(variance_mm2)
     white = modes.motion[:, :kinds, cells] * whiten[:, None, None]
@@ -203,6 +205,14 @@ TRACTION_FACTORS = np.array([0.82, 0.82, 1.62])
 AREA_FACTOR = 1.86  # on the patches' sd of the area; truth: cells above 5 % of the largest pressure
 SINCE_FACTOR = 1.06  # further factor on the deviations of forces for fits without pressure
 N_PER_PA = CELL_MM**2 * 1e-6  # force on a cell per traction
+
+
+@cache
+def _variation(cells: int) -> Floats:
+    """Return the prior covariance of tractions that are this many rows and columns apart, (cells, cells)."""
+    away_mm = np.arange(cells) * CELL_MM
+    variation: Floats = np.exp(-np.hypot(away_mm[:, None], away_mm) / LENGTH_MM) + COMMON**2
+    return variation
 
 
 class PatchFit(NamedTuple):
