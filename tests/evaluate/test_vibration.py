@@ -174,6 +174,15 @@ def test_short_windows_are_judged_by_what_they_resolve(tmp_path: Path) -> None:
     assert [row["share"] for row in wider] == [1.0, 1.0]
 
 
+def test_the_picture_shows_each_tone_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that of many recordings of a tone the first alone is drawn, and each whose tone is not known."""
+    drawn: list[str] = []
+    monkeypatch.setattr(vibration, "_draw", lambda figure, spectra, *rest, **more: drawn.extend(n for n, _ in spectra))
+    paths = [swing(tmp_path, hz, truth=True, name=name) for name, hz in (("a", 90.0), ("b", 90.0), ("c", 120.0))]
+    evaluated([*paths, swing(tmp_path, 90.0, name="d")], windows="1")
+    assert drawn == [f"{name}.recording.h5" for name in "acd"]
+
+
 def test_a_picture_beside_the_report(tmp_path: Path) -> None:
     """Assert that a picture is drawn beside the report, and is not drawn again for a report that is up to date."""
     pytest.importorskip("matplotlib")
