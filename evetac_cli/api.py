@@ -485,12 +485,8 @@ def _known_dots(gel: _HasGel, preset: str) -> tuple[NDArray[np.float64], presets
         raise InputError("unknown preset of the tracker", expected=", ".join(presets.PRESETS), found=preset)
     where = str(getattr(gel, "path", "gel"))
     if gel.dot_xy_px is None or gel.dot_radius_px is None:
-        raise InputError(
-            "the positions of this gel's dots are unknown",
-            where=where,
-            expected="dot_xy_px and dot_radius_px",
-            hint="evetac calibrate finds them; evetac record --calibration stores them with a recording",
-        )
+        hint = "evetac calibrate finds them; evetac record --calibration stores them with a recording"
+        raise InputError("the positions of this gel's dots are unknown", where=where, hint=hint)
     try:
         dots = np.asarray(gel.dot_xy_px, np.float64)
     except (TypeError, ValueError):

@@ -57,7 +57,7 @@ def wait_for_enter(text: str) -> None:
 
 @contextmanager
 def progress_bar(what: str, unit: str, *, quiet: bool) -> Iterator[Progress]:
-    """Show a progress bar with rate and remaining time, if stderr is a terminal; otherwise show nothing."""
+    """Show a progress bar with the remaining time, if stderr is a terminal; otherwise show nothing."""
     if quiet or not sys.stderr.isatty():
         yield silent
         return
@@ -75,18 +75,11 @@ def progress_bar(what: str, unit: str, *, quiet: bool) -> Iterator[Progress]:
             count = f"{math.floor(task.completed):,}{of_all} " if task.completed or of_all else ""
             return Text(f"{count}{task.fields['doing']}")
 
-    class Rate(ProgressColumn):
-        """Units per second, if at least one."""
-
-        def render(self, task: Any) -> Text:
-            return Text(f"{task.speed:,.0f}/s" if task.speed and task.speed >= 1 else "")
-
     one_line: dict[str, Any] = {"no_wrap": True, "overflow": "ellipsis"}
     columns = (
         TextColumn("{task.description}", markup=False, table_column=Column(ratio=1, **one_line)),
         BarColumn(BAR_WIDTH, table_column=Column(width=BAR_WIDTH)),
         Count(Column(**one_line)),
-        Rate(Column(**one_line)),
         TimeRemainingColumn(table_column=Column(**one_line)),
     )
     with Bar(*columns, console=Console(stderr=True), transient=True, expand=True) as bar:

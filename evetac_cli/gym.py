@@ -121,9 +121,7 @@ class LiftEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             raise InputError("too short", where="balance_s", expected="0 s or more", found=f"{balance_s} s")
         self._model = resources.model_file(model, flag="model")
         if render_mode not in (None, *self.metadata["render_modes"]):
-            raise InputError(
-                "unknown value", where="render_mode", expected="rgb_array, or None", found=f"{render_mode}"
-            )
+            raise InputError("unknown value", where="render_mode", expected="rgb_array or None", found=str(render_mode))
         self.render_mode = render_mode
         dots = dot_grid(plan.sensor, plan.scene.gel.cut).reshape(-1, 2).shape[0]
         self.action_space = spaces.Box(0.0, 1.0, (1,), np.float32)

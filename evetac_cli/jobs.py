@@ -56,26 +56,6 @@ Row = dict[str, Any]
 Rows = list[Row]
 
 
-def no_cautions(jobs: Sequence[Any], params: Any) -> list[str]:
-    """Return no cautions."""
-    return []
-
-
-def no_parts(job: Any, params: Any) -> Sequence[Job]:
-    """Return no parts: the job is made in one piece."""
-    return ()
-
-
-def no_warnings(rows: Rows) -> list[str]:
-    """Return no warnings."""
-    return []
-
-
-def all_rows(rows: Rows, params: Any) -> tuple[Rows, list[str]]:
-    """Return all rows for a terminal, and no verdict."""
-    return rows, []
-
-
 @dataclass(frozen=True)
 class Stage(Generic[P]):
     """The functions that a command which writes files needs from its stage; the stage defines them as STAGE.
@@ -90,21 +70,18 @@ class Stage(Generic[P]):
     - warnings: return warnings on all rows together, which are printed once on stderr.
     - dry_run: return what would be made and its cost, (jobs, params, *, force, progress) -> Outcome.
     - dry_run_for_people: return the part of this that fits a screen.
-    - recipe: return the recipe of a job's output, as far as the indexes contain its inputs, (job, params,
-      store.index.Known) -> Recipe or None.
     """
 
     jobs: Callable[[list[Path], P, Path | None], Sequence[Job]]
     run: Callable[..., Outcome]
-    cautions: Callable[[Sequence[Any], P], list[str]] = no_cautions
-    parts: Callable[[Any, P], Sequence[Job]] = no_parts
-    for_people: Callable[[Rows, P], tuple[Rows, list[str]]] = all_rows
+    cautions: Callable[[Sequence[Any], P], list[str]] = lambda jobs, params: []
+    parts: Callable[[Any, P], Sequence[Job]] = lambda job, params: ()
+    for_people: Callable[[Rows, P], tuple[Rows, list[str]]] = lambda rows, params: (rows, [])
     details: frozenset[str] = frozenset()
     details_of_many: frozenset[str] = frozenset()
-    warnings: Callable[[Rows], list[str]] = no_warnings
+    warnings: Callable[[Rows], list[str]] = lambda rows: []
     dry_run: Callable[..., Outcome] | None = None
     dry_run_for_people: Callable[[Outcome], tuple[Rows, list[str]]] = lambda shown: (shown.rows, [])
-    recipe: Callable[[Any, P, Any], Any] | None = None
 
 
 def require_possible_name(output: Path) -> None:

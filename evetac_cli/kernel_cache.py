@@ -93,11 +93,8 @@ def refuse_settings_in_the_working_folder() -> None:
     They are not part of the command and may come with somebody else's data; they change numbers and load code.
     """
     if os.path.lexists(SETTINGS):
-        raise InputError(
-            "this file in the working folder would change how numba compiles, so evetac does not start here",
-            where=os.path.abspath(SETTINGS),
-            hint="move the file or start evetac in another folder; use NUMBA_... variables for your own settings",
-        )
+        message = "this file would change how numba compiles: move it, or start evetac in another folder"
+        raise InputError(message, where=os.path.abspath(SETTINGS))
 
 
 _waiting: list[Callable[[], None]] = []  # functions to call before the first kernel

@@ -7,6 +7,7 @@ plug-in that does not load is refused when it is requested, and affects nothing 
 
 import re
 import sys
+import traceback
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, redirect_stdout
 from functools import cache
@@ -56,7 +57,7 @@ class Part(NamedTuple):
     @property
     def what(self) -> str:
         """`camera toy`, for a sentence."""
-        return _what(self.group, self.name)
+        return f"{self.group.removeprefix('evetac.').removesuffix('s')} {self.name}"
 
 
 class Plugin(NamedTuple):
@@ -71,7 +72,7 @@ class Plugin(NamedTuple):
     @property
     def what(self) -> str:
         """`camera toy`, for a sentence."""
-        return _what(self.group, self.name)
+        return self.part.what
 
     @property
     def part(self) -> Part:
@@ -125,10 +126,6 @@ class Plugin(NamedTuple):
         """Return the error that this plug-in cannot be used, with the reason."""
         hint = f"evetac doctor lists all plug-ins; its package is {self.package}"
         return InputError(f"the plug-in {self.what} cannot be used", where=self.package, found=why, hint=hint)
-
-
-def _what(group: str, name: str) -> str:
-    return f"{group.removeprefix('evetac.').removesuffix('s')} {name}"
 
 
 @cache
@@ -235,13 +232,9 @@ def culprits(error: BaseException) -> tuple[Part, ...]:
     noted: tuple[Part, ...] = getattr(error, "evetac_plugins", ())
     if noted:
         return noted
-    modules: list[str] = []  # the innermost first
-    at = error.__traceback__
-    while at is not None:
-        modules.insert(0, str(at.tb_frame.f_globals.get("__name__", "")))
-        at = at.tb_next
+    modules = [str(frame.f_globals.get("__name__", "")) for frame, _ in traceback.walk_tb(error.__traceback__)]
     for depth in (None, 1):  # the module itself, then its whole package
-        for module in modules:
+        for module in reversed(modules):
             found = tuple(part for part in parts() if part.module.split(".")[:depth] == module.split(".")[:depth])
             if found and not module.startswith("evetac_cli."):
                 return found

@@ -23,8 +23,8 @@ import numpy as np
 
 from evetac_cli import plugins
 from evetac_cli.devices import EventCamera, Gripper, cameras, grippers
-from evetac_cli.devices.cameras import CameraSettings
-from evetac_cli.devices.grippers import Mode
+from evetac_cli.devices.cameras import CameraSettings, NamedCamera
+from evetac_cli.devices.grippers import Mode, NamedGripper
 from evetac_cli.devices.opening import require_arm
 from evetac_cli.devices.plugin_devices import (
     clock_fault,
@@ -57,20 +57,9 @@ from evetac_cli.store.layout.provenance import Recipe
 def check_camera(text: str) -> None:
     """Check a camera, given by name as for `--camera`; it is opened four times and read for half a second."""
     named_camera = cameras.parse(text)
-    assert text.partition(":")[0] == named_camera.name, (
-        f"its name is {named_camera.name}, but it was requested as {text}"
-    )
-    assert cameras.parse(str(named_camera)) == named_camera, (
-        f"{named_camera}, its text in error messages, does not select it"
-    )
-    assert pickle.loads(pickle.dumps(named_camera)) == named_camera, "it is not equal to its copy in another process"
-    assert named_camera.capabilities <= set(Capability), (
-        f"not all of {named_camera.capabilities} are members of Capability"
-    )
+    _check_named(text, named_camera, cameras.parse(str(named_camera)))
     assert named_camera.has(Capability.DEVICE), "a plug-in camera is a device and must have Capability.DEVICE"
-    assert named_camera.file_stem and "/" not in named_camera.file_stem, (
-        "file_stem must be usable as the start of file names"
-    )
+    assert named_camera.file_stem and "/" not in named_camera.file_stem, "file_stem must begin file names"
     checks: tuple[Callable[[EventCamera], None], ...] = (check_slices, check_losses, check_clock, check_end)
     for check in checks:
         camera, setup, _ = named_camera.open(CameraSettings(), None, np.random.SeedSequence(0))
@@ -78,6 +67,14 @@ def check_camera(text: str) -> None:
             _require_none(setup_fault(setup))
             _require_none(sensor_fault(camera, named_camera.frame_px()))
             check(camera)
+
+
+def _check_named(text: str, named: NamedCamera | NamedGripper, again: object) -> None:
+    """Check a named device; again: what its own text selects."""
+    assert text.partition(":")[0] == named.name, f"its name is {named.name}, but it was requested as {text}"
+    assert again == named, f"{named}, its text in error messages, does not select it"
+    assert pickle.loads(pickle.dumps(named)) == named, "it is not equal to its copy in another process"
+    assert named.capabilities <= set(Capability), f"not all of {named.capabilities} are members of Capability"
 
 
 def check_slices(camera: EventCamera, slices: int = 200) -> None:
@@ -136,17 +133,10 @@ def check_gripper(text: str, *, armed: bool = False) -> None:
     """
     named_gripper = grippers.parse(text)
     require_arm(named_gripper, armed=armed, plan="is closed with 10 mA for five commands", hint="armed=True")
-    assert text.partition(":")[0] == named_gripper.name, (
-        f"its name is {named_gripper.name}, but it was requested as {text}"
-    )
-    assert grippers.parse(str(named_gripper)) == named_gripper, (
-        f"{named_gripper}, its text in error messages, does not select it"
-    )
-    assert pickle.loads(pickle.dumps(named_gripper)) == named_gripper, "it is not equal to its copy in another process"
-    assert named_gripper.capabilities <= set(Capability)
+    _check_named(text, named_gripper, grippers.parse(str(named_gripper)))
     assert named_gripper.has(Capability.MOVED), "a gripper must have Capability.MOVED"
     if named_gripper.has(Capability.HARDWARE):
-        own = type(named_gripper).release is not grippers.NamedGripper.release
+        own = type(named_gripper).release is not NamedGripper.release
         assert own, "a real gripper needs `release`, to switch torque off if the process that commanded it died"
     ways: tuple[tuple[Mode, RhP12RnSettings | None], ...] = (
         ("current", None),

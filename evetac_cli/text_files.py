@@ -99,9 +99,6 @@ def read_toml(path: Path, refusal: type[InputError] = InputError) -> dict[str, A
     try:
         text = read_text(path, MOST_TOML_BYTES)
         table = tomllib.loads(text, parse_float=lambda number: plain_number(float(number)))
-        for place, value in _values(table):
-            if type(value) is int and value.bit_length() >= WHOLE_BITS:
-                raise ValueError(f"{place}: a whole number of more than {WHOLE_BITS} bits")
     except RecursionError:
         raise refusal("nested too deeply", where=str(path)) from None
     except ValueError as error:
@@ -113,10 +110,12 @@ def read_toml(path: Path, refusal: type[InputError] = InputError) -> dict[str, A
 
 
 def require_finite(table: Mapping[str, Any], where: str, refusal: type[InputError] = InputError) -> None:
-    """Refuse nan and inf, which TOML allows and JSON Schema does not detect."""
+    """Refuse nan and inf, which TOML allows and JSON Schema does not detect, and whole numbers beyond 64 bits."""
     for place, value in _values(table):
         if isinstance(value, float) and not math.isfinite(value):
             raise refusal(f"{place}: not a finite number", where=where, found=str(value))
+        if isinstance(value, int) and value.bit_length() >= WHOLE_BITS:
+            raise refusal(f"{place}: a whole number of more than {WHOLE_BITS} bits", where=where)
 
 
 def plain_number(value: float) -> float:

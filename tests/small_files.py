@@ -15,9 +15,9 @@ import pytest
 from evetac_cli import resources
 from evetac_cli.events import SLICE_US, Events, slice_starts
 from evetac_cli.store.files import write_stage
-from evetac_cli.store.layout.new_contents import NewContents
+from evetac_cli.store.layout.contents import NewContents
 from evetac_cli.store.layout.provenance import Header, Recipe
-from evetac_cli.store.recordings.marks import mark_row
+from evetac_cli.store.recordings.streams import mark_row
 from tests.make import event_arrays, truth_arrays, write_recording
 
 SLICES = 24

@@ -188,30 +188,13 @@ def write_grid(files: Path) -> Path:
     return files / "gel.json"
 
 
-def test_the_history_of_the_packages_detector_is_as_the_docs_say(files: Path) -> None:
-    """Assert that its first number comes in the slice that docs/python.md names, and that NaN is no slip."""
-    text = " ".join((PACKAGE.parent / "docs" / "python.md").read_text().split())
-    with evetac.open_recording(files / "a.recording.h5") as recording:
-        detector = evetac.SlipDetector(recording)
-        unknown = 0
-        for events in recording:
-            if not np.isnan(detector.step(events)):
-                break
-            assert not detector.slip
-            unknown += 1
-    named = re.findall(r"NaN\b[^.]{0,60}?\b(\d+) slices", text)
-    assert named and {int(number) for number in named} == {unknown}
-
-
-@pytest.mark.parametrize("order", ["sorted", "shuffled", "nested lists", "tilted"])
+@pytest.mark.parametrize("order", ["shuffled", "tilted"])
 def test_a_list_of_points_is_put_into_rows(order: str, files: Path) -> None:
     """Assert that a detector answers alike for dots in rows and for the same dots as a list, in whatever order."""
     with evetac.open_recording(files / "a.recording.h5") as recording:
         assert recording.dot_xy_px is not None
         dots = recording.dot_xy_px.reshape(-1, 2)
         points: Any = np.random.default_rng(0).permutation(dots) if order == "shuffled" else dots
-        if order == "nested lists":
-            points = dots.tolist()
         rows: Any = recording.dot_xy_px
         if order == "tilted":
             turn = np.array([[np.cos(0.02), -np.sin(0.02)], [np.sin(0.02), np.cos(0.02)]])
@@ -244,13 +227,9 @@ def test_all_63_dots_of_a_closed_gel_are_a_list_too() -> None:
             "62 dots in no grid(.|\n)*as \\(rows, columns, 2\\)(.|\n)*rows of equal length",
         ),
         (NINE_BY_SEVEN[:, :7].reshape(-1, 2), "7 rows x 8 columns of dots.*found 7 rows x 7 columns"),
-        (NINE_BY_SEVEN.transpose(1, 0, 2), "found 9 rows x 7 columns"),
-        (np.random.default_rng(0).uniform(50, 400, (56, 2)), "56 dots in no grid"),
         (NINE_BY_SEVEN.reshape(-1, 2).T, "not dot positions(.|\n)*found:    shape \\(2, 63\\)"),
         (NINE_BY_SEVEN.reshape(-1), "found:    shape \\(126,\\)"),
-        (np.zeros((0, 2)), "not dot positions"),
         ([[1.0, 2.0], [3.0]], "not an array of numbers"),
-        ([["a", "b"]], "not an array of numbers"),
     ],
 )
 def test_dots_that_a_detector_cannot_take_are_refused_in_true_words(dots: Any, said: str) -> None:
@@ -258,9 +237,3 @@ def test_dots_that_a_detector_cannot_take_are_refused_in_true_words(dots: Any, s
     with pytest.raises(evetac.InputError, match=said) as refused:
         evetac.SlipDetector(evetac.Gel(dots, 15.0))
     assert "63 x 2" not in str(refused.value)
-
-
-def test_a_report_is_json(files: Path) -> None:
-    """Assert that a report's texts are what `--json` prints."""
-    with evetac.open_report(files / "a.report.h5") as report:
-        assert json.loads(report.read("rows"))[0]

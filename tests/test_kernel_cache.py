@@ -109,14 +109,11 @@ def test_a_folder_that_others_can_enter_is_not_used(tmp_path: Path, monkeypatch:
 # --- the working folder -----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("content", ["cache_dir: /tmp/evil\n", "", "opt: 0\n", "- no settings\n"])
-def test_numbas_settings_in_the_working_folder_are_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, content: str
-) -> None:
+def test_numbas_settings_in_the_working_folder_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that no command begins where numba would obey a file that lies there, and that the help still comes."""
     monkeypatch.chdir(tmp_path)
-    Path(kernel_cache.SETTINGS).write_text(content)
-    for words in (["info", "."], ["label", "a.recording.h5"], ["index", "."], ["doctor"], ["share", "a", "-o", "b"]):
+    Path(kernel_cache.SETTINGS).write_text("opt: 0\n")
+    for words in (["info", "."], ["label", "a.recording.h5"]):
         result = CliRunner().invoke(app, words)
         assert result.exit_code == 2 and kernel_cache.SETTINGS in result.output, words
     assert CliRunner().invoke(app, ["label", "--help"]).exit_code == 0
@@ -128,15 +125,6 @@ from evetac_cli.cli.main import main
 
 if __name__ == "__main__":
     main()
-"""
-SHIELDED = """
-import multiprocessing
-from evetac_cli.realtime.processes import start_shielded
-
-if __name__ == "__main__":
-    process = multiprocessing.get_context("spawn").Process(target=print, args=("ran",))
-    start_shielded(process)
-    process.join()
 """
 
 
@@ -163,12 +151,6 @@ def run_elsewhere(folder: Path, program: str, *words: str) -> "subprocess.Comple
     return subprocess.run([sys.executable, str(path), *words], capture_output=True, text=True, check=False)
 
 
-def test_a_trap_would_be_seen(trapped: Path) -> None:
-    """Assert that the folder is one in which Python's own way of starting a process loads what lies there."""
-    subprocess.run([sys.executable, "-c", "import json"], check=False)
-    assert ran(trapped) == ["json.py.ran"]
-
-
 def test_worker_processes_load_nothing_from_the_working_folder(trapped: Path) -> None:
     """Assert that `--jobs 2` runs no module that lies where the command is started."""
     for name in "ab":
@@ -176,13 +158,6 @@ def test_worker_processes_load_nothing_from_the_working_folder(trapped: Path) ->
     done = run_elsewhere(trapped, COMMAND, "track", "a.recording.h5", "b.recording.h5", "--jobs", "2")
     assert done.returncode == 2, done.stderr  # both say that they are no recordings
     assert "a.recording.h5" in done.stderr and "b.recording.h5" in done.stderr
-    assert ran(trapped) == []
-
-
-def test_processes_of_somebody_elses_program_load_nothing_from_it(trapped: Path) -> None:
-    """Assert that processes of devices, views and grasps load nothing there where another program starts them."""
-    done = run_elsewhere(trapped, SHIELDED)
-    assert done.stdout == "ran\n", done.stderr
     assert ran(trapped) == []
 
 

@@ -1,13 +1,11 @@
 """Numbers from outside, in files and on the command line: finite, no 0 with a sign, no truth values, no overflow."""
 
-import json
 import math
 import typing
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from typer.testing import CliRunner
 
@@ -29,7 +27,6 @@ from evetac_cli.sim.camera.gel_camera import dot_grid
 from evetac_cli.sim.setup import scene_file, sensor_file
 from evetac_cli.sim.setup.plan import one_sensor
 from evetac_cli.sim.setup.scene import Scene
-from evetac_cli.store.calibration import read_calibration
 from evetac_cli.text_files import as_toml, parse_json, read_toml
 from tests import small_files
 from tests.quick import few
@@ -52,9 +49,7 @@ def is_plain(value: Any) -> bool:
     return not isinstance(value, float) or (math.isfinite(value) and not (value == 0 and math.copysign(1, value) < 0))
 
 
-@pytest.mark.parametrize(
-    "value", [-0.0, math.nan, math.inf, -math.inf, 1e308, -1e308, 5e-324, 10**30, -(10**30), 10**400]
-)
+@pytest.mark.parametrize("value", [-0.0, math.nan, -math.inf, 1e308, 10**400])
 @pytest.mark.parametrize(("command", "name"), NUMBERS)
 def test_a_flag_is_a_plain_number_or_refused(command: Command, name: str, value: float) -> None:
     """Assert that no number reaches a stage that overflows, is none, or has a sign that a 0 should not have."""
@@ -68,9 +63,7 @@ def test_a_flag_is_a_plain_number_or_refused(command: Command, name: str, value:
         assert is_plain(given) and abs(given) <= max(MOST, 2**64)
 
 
-@pytest.mark.parametrize(
-    "text", ["-0.0", "nan", "-inf", "1e400", "true", "9223372036854775808", "0x7fffffffffffffff", "1e18"]
-)
+@pytest.mark.parametrize("text", ["-0.0", "nan", "1e400", "true", "9223372036854775808"])
 @pytest.mark.parametrize("command", [one for one in PIPELINE if one.name in WITH_CONFIG], ids=lambda one: one.name)
 def test_a_config_file_has_plain_numbers(command: Command, text: str, tmp_path: Path) -> None:
     """Assert the same of each number that a config file sets; a truth value is no number."""
@@ -91,22 +84,13 @@ def test_a_config_file_has_plain_numbers(command: Command, text: str, tmp_path: 
 
 UNBOUNDED = (
     "trim a.recording.h5 --from-ms {n} -o out",
-    "trim a.recording.h5 --to-ms {n} -o out",
-    "label a.recording.h5 --method event-count --threshold-events {n} -o out",
-    "label a.recording.h5 --method event-count --min-events {n} -o out",
     "label a.recording.h5 --method event-count --after-ms {n} -o out",
-    "label a.recording.h5 --slip-distance-px {n} -o out",
     "label a.recording.h5 --after-ms {n} -o out",
-    "label a.recording.h5 --threshold-px {n} -o out",
     "track a.recording.h5 --step-size {n} -o out",
-    "track a.recording.h5 --regulariser {n} -o out",
-    "track a.recording.h5 --min-events {n} -o out",
     "evaluate data-rate a.recording.h5 --around-s {n} -o out",
     "view a.recording.h5 --start-s {n} -o out",
-    "view a.recording.h5 --stop-s {n} -o out",
     "attach a.recording.h5 --stream pose=pose.csv --offset pose={n} -o out",
     "record --scene vibration --tone {n} --dry-run",
-    "record --scene slip --object {n} --dry-run",
     "record --from events.txt --frame-size {n}x480 -o out",
     "record --camera virtual:prepared={n} --seconds 0.01 --dry-run",
     "label a.recording.h5 --jobs {n} -o out",
@@ -164,20 +148,6 @@ def test_no_zero_of_a_scene_or_sensor_has_a_sign(value: str, tmp_path: Path) -> 
     assert kept > 3
 
 
-@pytest.mark.parametrize("value", ["nan", "inf", "-inf", "1e400", "true", "9" * 30, "[1.0]", '"1"'])
-def test_what_is_no_number_is_named_with_its_key(value: str, tmp_path: Path) -> None:
-    """Assert that a scene and a sensor with anything else in place of a number are refused, and where it stands."""
-    (tmp_path / "own.sensor.toml").write_text(f'like = "evetac"\ndot_jitter_px = {value}\n')
-    with pytest.raises(InputError) as refused:
-        sensor_file.read(tmp_path / "own.sensor.toml", one_sensor)
-    assert "dot_jitter_px" in str(refused.value) or "64 bits" in str(refused.value)
-    text = (SCENES / "slip.toml").read_text()
-    line = next(line for line in text.splitlines() if line.startswith("rest_s"))
-    with pytest.raises(SceneError) as refused:
-        of_scene(tmp_path, text.replace(line, f"rest_s = {value}"))
-    assert "rest_s" in str(refused.value) or "64 bits" in str(refused.value)
-
-
 def test_plain_numbers_of_toml_and_json(tmp_path: Path) -> None:
     """Assert what the two parsers make of odd numbers, at any depth."""
     (tmp_path / "a.toml").write_text("a = -0.0\nb = [[-0.0, 0.0]]\n[c]\nd = {e = -0.0, f = -1.5}\n")
@@ -187,37 +157,3 @@ def test_plain_numbers_of_toml_and_json(tmp_path: Path) -> None:
         with pytest.raises(ValueError, match="too large a number"):
             parse_json(f'{{"a": [{text}]}}')
     assert parse_json('{"e400": "1e400", "b": 1e300, "c": -1.5e-400}') == {"e400": "1e400", "b": 1e300, "c": 0.0}
-
-
-CALIBRATION = {
-    "frame_px": [640, 480],
-    "radius_px": 10.0,
-    "dot_xy_px": [[[100, 100], [200, 100]], [[100, 200], [200, 200]]],
-}
-
-
-@pytest.mark.parametrize(
-    ("key", "value"),
-    [
-        ("frame_px", [True, 480]),
-        ("frame_px", [1e308, 480]),
-        ("radius_px", True),
-        ("radius_px", "10"),
-        ("window_px", [False, 0, 640, 480]),
-        ("dot_xy_px", [[[True, 100.5], [200, 100]], [[100, 200], [200, 200]]]),
-        ("dot_xy_px", [[[True, True], [False, True]]]),
-        ("dot_xy_px", [[["1", "2"], [200, 100]]]),
-        ("dot_xy_px", [[[10**18, 100], [200, 100]]]),
-        ("contrast_over_threshold", True),
-    ],
-)
-def test_a_calibration_has_numbers_alone(key: str, value: Any, tmp_path: Path) -> None:
-    """Assert that truth values, texts and numbers beyond any frame are refused in a calibration."""
-    path = tmp_path / "gel.json"
-    path.write_text(json.dumps(CALIBRATION))
-    assert read_calibration(path).dot_xy_px.shape == (2, 2, 2)
-    path.write_text(json.dumps({**CALIBRATION, key: value}))
-    with pytest.raises(InputError):
-        read_calibration(path)
-    path.write_text(json.dumps(CALIBRATION).replace("100,", "-0.0,"))
-    assert not np.signbit(read_calibration(path).dot_xy_px).any()

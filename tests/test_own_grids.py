@@ -1,6 +1,5 @@
 """Gels of one's own: grids of other sizes and dots in no grid, from a sensor's file to features, models and forces."""
 
-import json
 import tomllib
 from pathlib import Path
 
@@ -129,15 +128,6 @@ def test_slip_detectors(name: str, short_scene: Path, tmp_path: Path) -> None:
     output_of(grasp, Grasp(sensor=sensor(tmp_path, name), model=model, lift_s=1.0, balance_s=0.2), out=grasped)
     with StageFile(grasped, "recording") as grip:
         assert np.isfinite(grip.read("control/probability")).any()
-
-
-def test_two_dots_at_one_place(short_scene: Path, tmp_path: Path) -> None:
-    """Assert that a calibration with a dot twice, in no grid, is refused by track with its reason."""
-    recording = slipped("3 x 4", short_scene, tmp_path).with_name("0.recording.h5")
-    twice = {"frame_px": [640, 480], "radius_px": 15.0, "dot_xy_px": [[[50, 50], [90, 200], [300, 70], [50, 50]]]}
-    (tmp_path / "twice.json").write_text(json.dumps(twice))
-    with pytest.raises(InputError, match=r"these dots are impossible(.|\n)*two at \(50, 50\)"):
-        output_of(track, Track(calibration=tmp_path / "twice.json"), recording, out=tmp_path / "twice.tracks.h5")
 
 
 @pytest.mark.slow

@@ -30,7 +30,6 @@ from evetac_cli.devices.rh_p12_rn.driver import RhP12RnSettings
 from evetac_cli.formats.read.column_times import UNITS, ColumnTimes
 from evetac_cli.formats.write.lerobot import event_stacks, write_lerobot
 from evetac_cli.kernels.event_representation import Representation
-from evetac_cli.sim.gel import gel
 from evetac_cli.sim.setup.plan import HIGHEST_TONE_HZ
 from evetac_cli.sim.setup.solver import LIFT_PITCH_MM, Solver
 from evetac_cli.stages import train, trim
@@ -156,30 +155,6 @@ def test_flags_of_running_say_no_number() -> None:
         for _, default, _, help_ in table.values():
             assert not re.search(r"\d", said_default(help_)), help_
             assert default is None or not said_default(help_), help_
-
-
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("Ends here; default: 0.55.", "0.55"),
-        ("Which; default: hist10, or that of --adapt.", "hist10, or that of --adapt"),
-        ("Stop early. Default: take all steps.", "take all steps"),
-        (
-            "Known within; default: that of --like, taken as known within 12 %.",
-            "that of --like, taken as known within 12%",
-        ),
-        ("The mean (the default), the last, or all.", "mean (the default)"),
-        ("Nothing is said.", ""),
-    ],
-)
-def test_what_is_read_from_a_help_text(text: str, said: str) -> None:
-    """Assert that the check reads a default to the end of its sentence, decimals included."""
-    assert said_default(text) == said
-
-
-def test_theta_is_one_number() -> None:
-    """Assert that the kernel's own default is that of the settings."""
-    assert inspect.signature(gel.step).parameters["theta"].default == Solver.theta
 
 
 def test_the_table_of_settings_in_the_docs() -> None:

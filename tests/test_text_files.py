@@ -1,14 +1,11 @@
 """Text files from elsewhere, at each place that reads one: refused in words, at once, whatever they are."""
 
-import ast
 import json
 import math
 import os
 import pickle
-import re
 import resource
 import signal
-import socket
 import tomllib
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -22,12 +19,9 @@ from evetac_cli import text_files
 from evetac_cli.cli import config
 from evetac_cli.commands.calibrate import Calibrate
 from evetac_cli.commands.label import Label
-from evetac_cli.commands.record import Record
-from evetac_cli.commands.track import Track
 from evetac_cli.errors import InputError
 from evetac_cli.formats.imports import read_events
 from evetac_cli.formats.read.calibration_pickle import read_pickle
-from evetac_cli.resources import PACKAGE
 from evetac_cli.sim.setup import scene_file
 from evetac_cli.stages import calibrate
 from evetac_cli.store.calibration import read_calibration
@@ -77,28 +71,11 @@ def pipe(path: Path) -> None:
     os.mkfifo(path)
 
 
-def listening(path: Path) -> None:
-    with socket.socket(socket.AF_UNIX) as end:
-        end.bind(os.path.relpath(path))
-
-
-def endless(path: Path) -> None:
-    path.symlink_to("/dev/zero")
-
-
-def terminal(path: Path) -> None:
-    path.symlink_to("/dev/tty")
-
-
-def loop(path: Path) -> None:
-    path.symlink_to(path.name)
-
-
 def missing(path: Path) -> None:
     path.symlink_to("nowhere")
 
 
-@pytest.mark.parametrize("make", [pipe, listening, endless, terminal, Path.mkdir, loop, missing])
+@pytest.mark.parametrize("make", [pipe, Path.mkdir, missing])
 @pytest.mark.parametrize("reader", READERS)
 def test_only_regular_files_are_read(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, reader: str, make: Callable[[Path], None]
@@ -124,17 +101,10 @@ LONG_NUMBER = "9" * 100_000
 TOML = {
     "dots": "label." + "a." * 100_000 + "a = 1",
     "nested lists": "label = " + "[" * 100_000,
-    "nested tables": "label = " + "{a = " * 300 + "1" + "}" * 300,
-    "an unknown key of 100,000 letters": "a" * 100_000 + " = 1",
-    "a text of 100,000 letters": "label = '" + "a" * 100_000 + "'",
-    "a wrong value of 100,000 letters": "[label]\nconfirm_ms = '" + "a" * 100_000 + "'",
     "100,000 keys": "".join(f"k{number} = 1\n" for number in range(100_000)),
     "a whole number of 100,000 digits": f"label = {LONG_NUMBER}",
-    "a whole number of 5,000 hexadecimal digits": "label = 0x" + "f" * 5_000,
     "a whole number of 65 bits": "[label]\nconfirm_ms = " + str(1 << 64),
-    "a number of 100,000 digits": f"label = {LONG_NUMBER}.5",
     "no text": "\xff".encode("latin1"),
-    "a quote that does not end": 'label = """' + '\\"' * 50_000,
 }
 
 
@@ -147,38 +117,11 @@ def test_hostile_toml(tmp_path: Path, reader: str, text: str | bytes) -> None:
     refused(READERS[reader][1], path)
 
 
-def test_text_in_toml_may_hold_dots_and_brackets(tmp_path: Path) -> None:
-    """Assert that texts and comments may hold what elsewhere is structure."""
-    path = tmp_path / "a.toml"
-    many = "a." * 100 + "[" * 100
-    path.write_text(
-        f"# {many}\n[record]\nscene = '{many}' # {many}\nobject = \"{many}\\\"{many}\"\nstream = '''\n{many}\n'''\n"
-    )
-    chosen = config.resolve(Record, "record", {}, path)
-    assert (chosen.scene, chosen.objects, chosen.stream) == (many, f'{many}"{many}', f"{many}\n")
-
-
-def test_a_path_in_toml_holds_no_zero_byte(tmp_path: Path) -> None:
-    """Assert that a name that no system call takes is refused where it is read."""
-    path = tmp_path / "a.toml"
-    path.write_text('[track]\ncalibration = "a\\u0000b"\n')
-    with pytest.raises(InputError, match="calibration"):
-        config.resolve(Track, "track", {}, path)
-
-
 JSON = {
     "nested lists": "[" * 100_000,
-    "nested objects": '{"a":' * 100_000,
     "a whole number of 100,000 digits": json.dumps({"frame_px": [640, 480], "radius_px": 0}).replace("0}", LONG_NUMBER),
     "a frame of 100,000 digits": f'{{"frame_px": [{LONG_NUMBER}, 480]}}',
-    "a frame of 4,000 digits": f'{{"frame_px": [{LONG_NUMBER[:4000]}, 480], "radius_px": 1, "dot_xy_px": [[1, 1]]}}',
-    "a text of 100,000 letters for a number": json.dumps(
-        {"frame_px": [640, 480], "radius_px": "a" * 100_000, "dot_xy_px": [[1, 1], [9, 1]]}
-    ),
-    "a frame that is a long text": json.dumps({"frame_px": "a" * 100_000}),
-    "2 million numbers": json.dumps({"frame_px": [640, 480], "radius_px": 1, "dot_xy_px": [[1, 1]] * 1_000_000}),
     "no text": "\xff".encode("latin1"),
-    "a quote that does not end": '{"' + '\\"' * 50_000,
 }
 
 
@@ -193,7 +136,7 @@ def test_hostile_json(tmp_path: Path, text: str | bytes) -> None:
 GRID = np.stack(np.meshgrid(50.0 + 60 * np.arange(8), 40.0 + 60 * np.arange(7)), axis=2).reshape(-1, 2)
 
 
-@pytest.mark.parametrize("radius_px", [3e76, 641.0, 1e-300, 1e-9])
+@pytest.mark.parametrize("radius_px", [641.0, 1e-300])
 def test_a_flipped_pickle_writes_no_calibration(tmp_path: Path, radius_px: float) -> None:
     """Assert that what is written can be read again: a radius that no dot has is refused, and nothing is written."""
     source, out = tmp_path / "grid.pkl", tmp_path / "o.json"
@@ -207,12 +150,11 @@ def test_a_flipped_pickle_writes_no_calibration(tmp_path: Path, radius_px: float
     assert calibrate.run(job, chosen).made
 
 
-@pytest.mark.parametrize("gel", [None, "closed", "cut"])
-@pytest.mark.parametrize("flags", [{}, {"irregular": True}, {"rows": 7, "columns": 9}], ids=["", "no grid", "size"])
-def test_a_flipped_centre_writes_no_calibration(tmp_path: Path, gel: str | None, flags: dict[str, Any]) -> None:
+@pytest.mark.parametrize("flags", [{}, {"irregular": True}], ids=["", "no grid"])
+def test_a_flipped_centre_writes_no_calibration(tmp_path: Path, flags: dict[str, Any]) -> None:
     """Assert that no bit of a centre makes a calibration that cannot be read: each is refused, or read back."""
     source, out = tmp_path / "grid.pkl", tmp_path / "o.json"
-    chosen = Calibrate(source=source, gel=gel, **flags)
+    chosen = Calibrate(source=source, gel=None, **flags)
     (job,) = calibrate.jobs([], chosen, out)
     for bit in range(64):
         flipped = GRID.copy()
@@ -252,16 +194,3 @@ def test_toml_that_is_written_is_read() -> None:
     assert tomllib.loads(text_files.as_toml(table)) == table
     assert math.isnan(tomllib.loads(text_files.as_toml({"x": math.nan}))["x"])
     assert text_files.as_toml({}) == ""
-
-
-def test_no_expression_repeats_possessively() -> None:
-    """Assert that no regular expression of the package has what Python 3.11.2, that of Debian 12, matches wrongly."""
-    possessive = []
-    for path in [*PACKAGE.rglob("*.py"), *(PACKAGE.parent / "scripts").rglob("*.py")]:
-        for node in ast.walk(ast.parse(path.read_text())):
-            if isinstance(node, ast.Call) and ast.unparse(node.func).startswith("re."):
-                texts = [each.value for one in node.args for each in ast.walk(one) if isinstance(each, ast.Constant)]
-                possessive += [
-                    f"{path.name}:{node.lineno}" for text in texts if re.search(r"[*+?}]\+|\(\?>", str(text))
-                ]
-    assert possessive == []

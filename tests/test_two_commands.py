@@ -106,29 +106,3 @@ def test_docs_say_what_setup_installs() -> None:
     shown = said.split("'")[1].replace("nothing-here", ".venv")
     assert shown in (ROOT / "docs" / "first-hour.md").read_text().splitlines()
     assert "make setup-all" in (ROOT / "docs" / "troubleshooting.md").read_text()
-
-
-PIP = """Looking in indexes: https://pypi.org/simple
-Obtaining file:///home/me/evetac
-  Installing build dependencies: started
-Collecting numpy>=2.0
-  Downloading numpy-2.4.1-cp311-cp311-manylinux_2_28_x86_64.whl (16.9 MB)
-  Downloading packaging-26.0-py3-none-any.whl (74 kB)
-  Using cached torch-2.13.0-cp311-cp311-manylinux_2_28_x86_64.whl (888.1 MB)
-Installing collected packages: numpy, packaging, torch
-Successfully installed numpy-2.4.1
-"""
-
-
-def test_larger_packages_are_announced(tmp_path: Path) -> None:
-    """Assert that of what pip prints, packages of megabytes and the number of all are shown, and that failures fail."""
-    (tmp_path / "pip.txt").write_text(PIP)
-    rule = f"say: ; @cat {tmp_path}/pip.txt | $(SAYING)"
-    done = subprocess.run(["make", "--eval", rule, "say"], cwd=ROOT, capture_output=True, text=True, check=True)
-    assert done.stderr.splitlines() == [
-        "  Downloading numpy-2.4.1-cp311-cp311-manylinux_2_28_x86_64.whl (16.9 MB)",
-        "  Using cached torch-2.13.0-cp311-cp311-manylinux_2_28_x86_64.whl (888.1 MB)",
-        "  unpacking 3 packages",
-    ]
-    failing = ["make", "--eval", "say: ; @false | $(SAYING)", "say"]
-    assert subprocess.run(failing, cwd=ROOT, capture_output=True, check=False).returncode != 0

@@ -13,9 +13,7 @@ import pytest
 from evetac_cli.commands import EVALUATE, PIPELINE
 from evetac_cli.commands.calibrate import Calibrate
 from evetac_cli.devices import cameras
-from evetac_cli.events import FRAME_PX
 from evetac_cli.formats import imports
-from evetac_cli.kernels.calibration import dot_search, gel_layout, grid
 from evetac_cli.kernels.slip.architectures import (
     ARCHITECTURES,
     GEL_PX,
@@ -24,10 +22,8 @@ from evetac_cli.kernels.slip.architectures import (
     DotArchitecture,
     ImageArchitecture,
 )
-from evetac_cli.resources import MODEL
-from evetac_cli.stages import calibrate, calibrated_gel
+from evetac_cli.stages import calibrate
 from evetac_cli.store.calibration import read_calibration
-from evetac_cli.store.files import StageFile
 from tests.make import run_stage
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
@@ -73,19 +69,6 @@ def test_the_networks_of_each_kind() -> None:
     said = row("train", "networks of dots")[1][2]
     assert re.findall(r"(\d+) (?:rows|columns)", said) == [str(LEAST_ROWS), str(LEAST_COLUMNS)]
     assert "{} x {} px".format(*GEL_PX) in PAGE
-
-
-def test_numbers_of_the_page() -> None:
-    """Assert that sizes and bounds are those of the code."""
-    head = GELS[0]
-    assert f"{gel_layout.ROWS} x {gel_layout.CUT_COLUMNS}" in head
-    assert f"{gel_layout.ROWS} x {gel_layout.CLOSED_COLUMNS}" in head
-    assert f"{calibrate.LEAST_DOTS} to {grid.MOST_DOTS} dots" in PAGE
-    assert f"{dot_search.SMALLEST_RADIUS_PX} px" in PAGE
-    assert "{} x {}".format(*FRAME_PX) in PAGE
-    assert calibrated_gel.MOST_MISSING == 0.25 and "quarter" in PAGE
-    with StageFile(MODEL, "model") as model:
-        assert model.read("dot_shape").tolist() == [gel_layout.ROWS, gel_layout.CUT_COLUMNS]
 
 
 def test_commands_and_flags_of_the_table() -> None:

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from evetac_cli import console
-from evetac_cli.cli import compiling, config, flags, indexing, workers
+from evetac_cli.cli import compiling, config, flags, workers
 from evetac_cli.cli.exit_codes import CommandExit
 from evetac_cli.cli.flags import Running
 from evetac_cli.commands.parameter import Command
@@ -198,8 +198,6 @@ def run_jobs(
     if engine.address and running.number_of_jobs > 1:
         hint = "leave out --jobs: the number of workers is that of the running cluster"
         raise InputError("has no effect", where="--jobs", found=f"--engine {running.engine}", hint=hint)
-    by_index = indexing.up_to_date(stage, jobs, params)
-    results |= by_index
     # An existing output is either up to date or refused. This is quick and needs no worker process.
     waiting = [job for job in jobs if force or not job.output.exists()]
 
@@ -234,8 +232,6 @@ def run_jobs(
                 compiling.announced(quiet=quiet, interrupted=interrupt_came),
             ):
                 results[job.output] = workers.run_one(command.module, job, params, force, progress)
-    opened = [job for job in jobs if job.output not in by_index and isinstance(results[job.output], Outcome)]
-    indexing.learn(opened, quiet)
 
 
 def largest_first(jobs: list[Job]) -> list[Job]:

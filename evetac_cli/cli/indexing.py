@@ -1,19 +1,17 @@
-"""How commands use the indexes of data sets: to find outputs that are up to date, and to add new files after a run."""
+"""Reading the files of a data set for its index, in several processes."""
 
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from evetac_cli import console
 from evetac_cli.cli import workers
 from evetac_cli.errors import EvetacError
 from evetac_cli.interrupts import ignore_interrupts
-from evetac_cli.jobs import Job, Outcome, Stage, outcome
 
 if TYPE_CHECKING:  # `evetac --help` loads none of it
     from evetac_cli.store.index import Describe, IndexRow, Seen
@@ -55,31 +53,3 @@ def _begin() -> None:
     """Leave Ctrl-C to the parent process, and end with it."""
     ignore_interrupts()
     threading.Thread(target=workers.end_with_parent, daemon=True).start()
-
-
-def up_to_date(stage: Stage[Any], jobs: Sequence[Job], params: Any) -> dict[Path, Outcome]:
-    """Return the outcomes of jobs whose outputs are up to date by the indexes next to them; no output is opened."""
-    from evetac_cli.store.index import Known
-
-    known_outcomes: dict[Path, Outcome] = {}
-    if stage.recipe is None:
-        return known_outcomes
-    indexes = Known()
-    for job in jobs:
-        if indexes.place(job.output.parent) is None:
-            continue
-        try:
-            recipe = stage.recipe(job, params, indexes)
-        except EvetacError:  # the job will report it
-            continue
-        if recipe is not None and indexes.is_up_to_date(job.output, recipe):
-            known_outcomes[job.output] = outcome(job, made=False, simulated=recipe.simulated)
-    return known_outcomes
-
-
-def learn(jobs: Sequence[Job], quiet: bool) -> None:
-    """Update existing indexes with the files that jobs read and wrote; no index is created."""
-    from evetac_cli.store.index import Known
-
-    with console.progress_bar("index", "files", quiet=quiet) as progress:
-        Known().learn((path for job in jobs for path in (*job.inputs, *job.outputs)), progress)

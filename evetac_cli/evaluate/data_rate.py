@@ -37,9 +37,9 @@ from evetac_cli.store.files import StageFile, output_path
 from evetac_cli.store.layout.ancestry import scene_words
 from evetac_cli.store.layout.provenance import Header
 from evetac_cli.store.recordings import slip_grid
-from evetac_cli.store.recordings.gel_columns import gel_counts
 from evetac_cli.store.recordings.onset import LabelledOnset, in_short, labelled_onset
 from evetac_cli.store.recordings.read import Recording, open_recording, true_onset
+from evetac_cli.store.recordings.slip_covariates import gel_counts
 
 OUTPUT = "report"
 METHOD = 4

@@ -13,7 +13,7 @@ from evetac_cli.jobs import Outcome, Progress, silent
 from evetac_cli.store.index import Describe, Index, IndexRow, one_by_one, read_index
 from evetac_cli.text_files import as_utf8
 
-HIDDEN = ("changed_ns", "inode", "dot_radius_px", "grid")  # used to check whether a row, or an output, is up to date
+HIDDEN = ("changed_ns", "inode")  # used to check whether a row is up to date
 NAMES = tuple(name for name in IndexRow._fields if name not in HIDDEN)  # columns for --where, shown in rows
 SHOWN = ("path", "object", "sensor", "seed", "trial", "outcome")
 COUNTED = ("object", "sensor", "scene", "outcome")  # a table of counts for each

@@ -18,7 +18,7 @@ from evetac_cli.kernels.calibration.grid import in_words
 from evetac_cli.pages.shared import KNOWN, inner, stiffness
 from evetac_cli.stages.model_files import TRUE_SLIP_SHARE, labelled_by, learned_true_slip_share, read_curve
 from evetac_cli.store.files import StageFile
-from evetac_cli.store.recordings import marks, slip_grid, streams
+from evetac_cli.store.recordings import slip_grid, streams
 from evetac_cli.store.recordings.onset import abstains, labelled_onset
 from evetac_cli.store.recordings.read import Recording
 from evetac_cli.text_files import parse_json
@@ -144,7 +144,7 @@ def _recording(file: StageFile) -> dict[str, Any]:
             "groups": " ".join(filter(recording.has, OPTIONAL_GROUPS)) or "none",
             **info_slip.figures(recording),
             **_slip_grid(recording),
-            **({"marks": marks.in_words(recording.marks)} if recording.has("marks") else {}),
+            **({"marks": streams.marks_in_words(recording.marks)} if recording.has("marks") else {}),
             **_streams(recording),
             **(_capture(file) if recording.has("capture") else {}),
             **_import(file.header["parameters"]),

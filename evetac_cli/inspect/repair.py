@@ -12,7 +12,6 @@ from evetac_cli.inspect import validate
 from evetac_cli.jobs import Outcome, Progress, silent
 from evetac_cli.store.hdf5.checked_hdf5 import DAMAGE
 from evetac_cli.store.hdf5.disk import remove_unfinished
-from evetac_cli.store.recordings import part_folder
 from evetac_cli.store.recordings.recovery import (
     SUFFIX,
     Leftover,
@@ -22,7 +21,7 @@ from evetac_cli.store.recordings.recovery import (
     recording_path,
     was_joined,
 )
-from evetac_cli.store.recordings.segments import join
+from evetac_cli.store.recordings.segments import join, remove_parts
 
 ENDED = "broke off, and was repaired"
 
@@ -70,7 +69,7 @@ def _repair(folder: Path) -> tuple[dict[str, Any], bool]:
     with lock_folder(folder):
         if was_joined(folder):
             _check(output)
-            return _row(folder, "was complete", strange=part_folder.remove(folder)), False
+            return _row(folder, "was complete", strange=remove_parts(folder)), False
         left = read_leftover(folder)
         if not left.parts:
             raise InputError(
@@ -94,7 +93,7 @@ def _repair(folder: Path) -> tuple[dict[str, Any], bool]:
             output.unlink()
             raise
         remove_unfinished(output)  # left by a recorder that was killed while it joined segments
-        strange = part_folder.remove(folder)
+        strange = remove_parts(folder)
     return _row(folder, "repaired", left, strange=strange), left.recipe.simulated
 
 

@@ -26,7 +26,6 @@ from evetac_cli.stages import one_file, row_blocks
 from evetac_cli.stages.model_files import TRUE_SLIP_SHARE
 from evetac_cli.stages.related_files import check_made_from, no_truth
 from evetac_cli.store.files import StageFile, output_path, up_to_date, write_stage
-from evetac_cli.store.index import Known
 from evetac_cli.store.layout.provenance import Header, Recipe
 from evetac_cli.store.recordings.onset import ABSTAINED, abstains
 from evetac_cli.store.recordings.read import Recording, open_recording
@@ -58,18 +57,6 @@ def _recipe(params: Featurize, parents: Sequence[Header], frame_px: Sequence[int
     if params.sticking_share and tuple(frame_px) != FRAME_PX:
         options["frame_px"] = list(frame_px)
     return Recipe(OUTPUT, METHOD, recipe_of(params) | options, parents=tuple(parents))
-
-
-def known_recipe(job: Job, params: Featurize, indexes: Known) -> Recipe | None:
-    """Return the recipe of the features if an index has all of their inputs; None otherwise.
-
-    None also if the sticking share depends on an unknown frame: evetac's simulations, which have a seed, have one.
-    """
-    kinds = ("recording", "tracks", "labels")
-    parents = [indexes.header(path, kind) for path, kind in zip(job.inputs, kinds, strict=False)]
-    every = [parent for parent in parents if parent is not None]
-    known = len(every) == len(parents) and (not params.sticking_share or every[0]["seed"] is not None)
-    return _recipe(params, every, FRAME_PX) if known else None
 
 
 def run(job: Job, params: Featurize, *, force: bool = False, progress: Progress = silent) -> Outcome:
@@ -220,4 +207,4 @@ def _input_path(recording: Path, kind: str, path: Path | None) -> Path:
     return path if path is not None and not path.is_dir() else output_path(recording, kind, path)
 
 
-STAGE = Stage(jobs, run, recipe=known_recipe)
+STAGE = Stage(jobs, run)

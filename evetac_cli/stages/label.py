@@ -28,7 +28,6 @@ from evetac_cli.stages import per_file
 from evetac_cli.stages.related_files import no_truth
 from evetac_cli.store.calibration import MAKE_GRID
 from evetac_cli.store.files import up_to_date, write_stage
-from evetac_cli.store.index import Known
 from evetac_cli.store.layout.provenance import Header, Recipe
 from evetac_cli.store.recordings.read import Recording, open_recording, ramp_start
 
@@ -65,17 +64,6 @@ def _recipe(params: Label, recording: Header, frame_px: tuple[int, int]) -> Reci
     """Return the recipe; only `event-flow`, which tracks the dots, depends on the frame, and only on another one."""
     other = {"frame_px": list(frame_px)} if params.method == "event-flow" and frame_px != FRAME_PX else {}
     return Recipe(OUTPUT, METHOD, recipe_of(params) | other, parents=(recording,))
-
-
-def known_recipe(job: Job, params: Label, indexes: Known) -> Recipe | None:
-    """Return the recipe of the labels if an index has the recording, with a seed: evetac's simulations have one frame.
-
-    None for manual labels, which are always made.
-    """
-    if params.review:
-        return None
-    recording = indexes.header(job.inputs[0], "recording")
-    return None if recording is None or recording["seed"] is None else _recipe(params, recording, FRAME_PX)
 
 
 def run(job: Job, params: Label, *, force: bool = False, progress: Progress = silent) -> Outcome:
@@ -214,4 +202,4 @@ def from_truth(recording: Recording, after_ms: int, *, from_start: bool = False)
     return flow.Labels(labels, no_flow, onset, confidence, 0, onset, onset)
 
 
-STAGE = Stage(jobs, run, recipe=known_recipe, warnings=warnings)
+STAGE = Stage(jobs, run, warnings=warnings)

@@ -15,7 +15,6 @@ from evetac_cli.kernels.tracking import presets
 from evetac_cli.stages import per_file, row_blocks
 from evetac_cli.store.calibration import MAKE_GRID, Calibration, read_calibration, stored_calibration
 from evetac_cli.store.files import up_to_date, write_stage
-from evetac_cli.store.index import Known
 from evetac_cli.store.layout.provenance import Header, Recipe
 from evetac_cli.store.recordings.read import Recording, open_recording
 
@@ -64,15 +63,6 @@ def _recipe(
         "grid": grid,
     }
     return Recipe(OUTPUT, METHOD, parameters, parents=(recording,))
-
-
-def known_recipe(job: Job, params: Track, indexes: Known) -> Recipe | None:
-    """Return the recipe of the tracks if an index has the recording and the grid is the recording's; None otherwise."""
-    row = indexes.row(job.inputs[0], "recording")
-    recording = indexes.header(job.inputs[0], "recording")
-    if params.calibration is not None or row is None or row.dot_radius_px is None or not row.grid or recording is None:
-        return None
-    return _recipe(*_constants(params), row.dot_radius_px, row.grid, recording)
 
 
 def run(job: Job, params: Track, *, force: bool = False, progress: Progress = silent) -> Outcome:
@@ -147,4 +137,4 @@ def _calibration(recording: Recording, path: Path | None) -> Calibration:
     return stored_calibration(recording)
 
 
-STAGE = Stage(jobs, run, recipe=known_recipe)
+STAGE = Stage(jobs, run)

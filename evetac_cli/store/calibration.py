@@ -11,9 +11,11 @@ import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
+import msgspec
 import numpy as np
+from msgspec import Meta
 from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
@@ -28,10 +30,8 @@ if TYPE_CHECKING:
     from evetac_cli.store.files import StageFile
 
 MAKE_GRID = "evetac calibrate makes one from a press recording or a file; pass it with --calibration GRID.json"
-MOST_PX = 65536  # events count columns and rows in uint16
-# Limits as in stage files; contrast over threshold is about 10, and gels of 10 kPa to 1 MPa are usual.
-LEAST, MOST = Sensitivity(0.001, 1.0), Sensitivity(1e3, 1e9)
 LEAST_RADIUS_PX = 0.01  # files are written to 0.001 px
+Side = Annotated[int, Meta(ge=1, le=grid.MOST_FRAME_PX)]  # limit of the tracker
 
 
 @dataclass(frozen=True)
@@ -64,12 +64,8 @@ class Calibration:
         """Raise InputError unless it is for this frame (width, height), which is that of `where`, a camera or file."""
         width, height = map(int, frame_px)
         if (width, height) != self.frame_px:
-            raise InputError(
-                "the calibration is for another frame",
-                where=where,
-                expected=f"{width} x {height} px",
-                found=f"{self.frame_px[0]} x {self.frame_px[1]} px",
-            )
+            expected, found = f"{width} x {height} px", "{} x {} px".format(*self.frame_px)
+            raise InputError("the calibration is for another frame", where=where, expected=expected, found=found)
 
     def digest(self) -> str:
         """Return the hash that represents this calibration in a recipe."""
@@ -102,92 +98,67 @@ def read_calibrations(path: Path | None, frames_px: Sequence[tuple[int, int]]) -
         return ()
     paths = [path] if len(frames_px) == 1 or path.exists() else [Path(each) for each in str(path).split(",")]
     if len(paths) not in (1, len(frames_px)):
-        expected = f"one file for all cameras, or {len(frames_px)} with commas between them, one per camera"
-        raise InputError(
-            "the number of calibrations differs from the number of cameras",
-            where="--calibration",
-            expected=expected,
-            found=str(path),
-        )
+        message = "the number of calibrations differs from the number of cameras"
+        raise InputError(message, where="--calibration", expected=f"1 or {len(frames_px)}", found=str(path))
     if len(paths) == 1:
         paths *= len(frames_px)
     return tuple(read_calibration(each, frame_px) for each, frame_px in zip(paths, frames_px, strict=True))
 
 
+class _StoredGrid(msgspec.Struct):
+    """The keys that are read; limits of the sensitivity as in stage files."""
+
+    frame_px: tuple[Side, Side]
+    radius_px: Annotated[float, Meta(ge=LEAST_RADIUS_PX)]
+    dot_xy_px: list[Any]
+    window_px: tuple[int, int, int, int] | None = None
+    mask: list[list[bool]] | None = None
+    hot_pixels: list[tuple[int, int]] = []
+    rows: int | None = None
+    columns: int | None = None
+    contrast_over_threshold: Annotated[float, Meta(ge=0.001, le=1e3)] | None = None
+    shear_modulus_pa: Annotated[float, Meta(ge=1.0, le=1e9)] | None = None
+
+
 def _parsed(text: str, where: str, frame_px: tuple[int, int] | None = None) -> Calibration:
     """Parse a calibration; `where` is its source, for error messages."""
     try:
-        table = parse_json(text)
-        width, height = _whole(table, "frame_px", 2)
-        dots = _dots(table["dot_xy_px"])
-        radius = table["radius_px"]
-        window = None if table.get("window_px") is None else _whole(table, "window_px", 4)
-        mask = table.get("mask")
-        hot = _pixels(table.get("hot_pixels", []), width, height)
-        shape = [table[key] for key in ("rows", "columns") if key in table]
-        sensor = Sensitivity(**{name: table.get(name) for name in Sensitivity._fields})
-    except KeyError as error:
-        raise InputError(
-            f"the key {error} is missing", where=where, expected="frame_px, radius_px, dot_xy_px"
-        ) from None
-    except (ValueError, TypeError, OverflowError) as error:
-        raise InputError(
-            f"not a calibration: {error}", where=where, expected="JSON with frame_px, radius_px, dot_xy_px"
-        ) from None
-    x0, y0, x1, y1 = window or (0, 0, width, height)
-    for key, holds, expected in (
-        (
-            "frame_px",
-            min(width, height) > 0 and max(width, height) <= grid.MOST_FRAME_PX,
-            f"width and height from 1 to {grid.MOST_FRAME_PX}, the limit of the tracker",
-        ),
-        (
-            "radius_px",
-            _is_number(radius) and LEAST_RADIUS_PX <= radius <= max(width, height),
-            "a number above 0, in px",
-        ),
-        *(
-            (name, _is_number(value) and least <= value <= most, f"a number from {least:g} to {most:g}")
-            for (name, value), least, most in zip(sensor._asdict().items(), LEAST, MOST, strict=True)
-            if value is not None
-        ),
-        ("window_px", 0 <= x0 < x1 <= width and 0 <= y0 < y1 <= height, "x0, y0, x1, y1 inside the frame"),
-    ):
-        if not holds:
-            raise InputError(f"{key} is not valid", where=where, expected=expected, found=str(table[key]))
-    try:
-        arranged = _masked(grid.arrange(dots), mask)
-    except ValueError as error:
-        hint = "write dots without a grid as one row: [[[x, y], [x, y], ...]]"
-        raise InputError(f"the dots do not form a grid: {error}", where=where, hint=hint) from None
-    if shape and shape != list(arranged.shape[:2]):
-        raise InputError(
-            "rows and columns do not fit the dots",
-            where=where,
-            expected=f"rows {arranged.shape[0]}, columns {arranged.shape[1]}, or neither",
-            found=str(shape)[:60],
-        )
-    if (arranged < 0).any() or (arranged >= (width, height)).any():
-        raise InputError(
-            "a dot is outside the frame",
-            where=where,
-            expected=f"dot_xy_px as (x, y) within {width} x {height} px",
-            found=f"x up to {np.nanmax(arranged[..., 0]):.4g}, y up to {np.nanmax(arranged[..., 1]):.4g}",
-        )
-    fault = grid.impossible(arranged, float(radius))
-    if fault:
-        raise InputError("these dots are impossible", where=where, expected=fault[0], found=fault[1])
-    calibration = Calibration(
-        (width, height),
-        arranged,
-        float(radius),
-        (x0, y0, x1, y1) if window else None,
-        Sensitivity(**{name: float(value) for name, value in sensor.known().items()}),
-        hot,
-    )
+        calibration = _checked(
+            msgspec.convert(parse_json(text), _StoredGrid, strict=False)
+        )  # 640.0 is a whole number too
+    except (ValueError, TypeError) as error:
+        expected = "JSON with frame_px, radius_px, dot_xy_px; dots without a grid are one row, [[[x, y], [x, y], ...]]"
+        raise InputError(f"not a calibration: {error}", where=where, expected=expected) from None
     if frame_px is not None:
         calibration.require_frame(frame_px, where)
     return calibration
+
+
+def _checked(table: _StoredGrid) -> Calibration:
+    """Return the calibration of a table; ValueError if its values do not belong together."""
+    width, height = table.frame_px
+    x0, y0, x1, y1 = table.window_px or (0, 0, width, height)
+    if not (0 <= x0 < x1 <= width and 0 <= y0 < y1 <= height):
+        raise ValueError(f"window_px: expected x0, y0, x1, y1 inside the frame, found {table.window_px}")
+    if table.radius_px > max(width, height):
+        raise ValueError(f"radius_px: expected no more than the frame, found {table.radius_px}")
+    hot = table.hot_pixels
+    if len(set(hot)) < len(hot) or not all(0 <= x < width and 0 <= y < height for x, y in hot):
+        raise ValueError(f"hot_pixels: expected different pixels [x, y] within {width} x {height} px")
+    dots = np.asarray(table.dot_xy_px, np.float64) + 0.0  # a 0 without a sign
+    if dots.size > 2 * grid.MOST_DOTS:
+        raise ValueError(f"{dots.size // 2} dots, more than {grid.MOST_DOTS}, the limit of the tracker")
+    dots = _masked(grid.arrange(dots), table.mask)
+    rows, columns = dots.shape[:2]
+    if (table.rows or rows, table.columns or columns) != (rows, columns):
+        raise ValueError(f"expected rows {rows} and columns {columns}, found {table.rows} and {table.columns}")
+    if (dots < 0).any() or (dots >= (width, height)).any():
+        raise ValueError(f"a dot is outside the frame of {width} x {height} px")
+    if fault := grid.impossible(dots, table.radius_px):
+        raise ValueError(f"these dots are impossible: expected {fault[0]}, found {fault[1]}")
+    sensitivity = Sensitivity(table.contrast_over_threshold, table.shear_modulus_pa)
+    hot_xy_px = np.array(hot, np.uint16).reshape(-1, 2)
+    return Calibration((width, height), dots, table.radius_px, table.window_px, sensitivity, hot_xy_px)
 
 
 def up_to_date(path: Path, recipe: Recipe, *, force: bool = False) -> bool:
@@ -252,7 +223,7 @@ def read_quality(path: Path) -> dict[str, Any]:
     """Return the figures on the detection of the dots from a calibration written by `write_calibration`."""
     table = parse_json(read_text(path, MOST_JSON_BYTES))  # already read as a calibration
     quality = table.get("quality")
-    if not isinstance(quality, dict) or not all(_is_number(value) for value in quality.values()):
+    if not isinstance(quality, dict):
         raise InputError("quality is not valid", where=str(path), expected="numbers with their names")
     return quality
 
@@ -269,63 +240,15 @@ def _in_lines(value: Any) -> str:
     return json.dumps(value)
 
 
-def _masked(dots: NDArray[np.float64], mask: Any) -> NDArray[np.float64]:
+def _masked(dots: NDArray[np.float64], mask: list[list[bool]] | None) -> NDArray[np.float64]:
     """Return the grid with NaN where the mask is false; ValueError if the mask does not fit or all dots are missing."""
     masked = dots.copy()
     masked[np.isnan(dots).any(axis=2)] = np.nan
     if mask is not None:
         rows, columns = dots.shape[:2]
-        fits = isinstance(mask, list) and len(mask) == rows
-        fits = fits and all(isinstance(row, list) and len(row) == columns for row in mask)
-        if not fits or not all(isinstance(value, bool) for row in mask for value in row):
+        if [len(row) for row in mask] != [columns] * rows:
             raise ValueError(f"expected a mask of {rows} rows with {columns} values, true or false, found another")
         masked[~np.array(mask)] = np.nan
     if np.isnan(masked).all():
         raise ValueError("expected at least one dot, found all missing")
     return masked
-
-
-def _are_numbers(values: Any) -> bool:
-    """Whether nested lists contain only numbers and null."""
-    return all(map(_are_numbers, values)) if isinstance(values, list) else values is None or _is_number(values)
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool)
-
-
-def _whole(table: Any, key: str, count: int) -> tuple[int, ...]:
-    """Return `count` whole numbers of a key; int() would also accept the digits of a string, or truncate 640.7."""
-    values = table[key]
-    if not isinstance(values, list) or len(values) != count or not all(_is_number(v) and v == int(v) for v in values):
-        raise ValueError(f"{key} is {values}, not {count} whole numbers")
-    return tuple(int(value) for value in values)
-
-
-def _pixels(values: Any, width: int, height: int) -> NDArray[np.uint16]:
-    """Return pixels (n, 2) of a frame as whole numbers x, y, without duplicates."""
-    pixels = [_whole({"hot_pixels": pixel}, "hot_pixels", 2) for pixel in values] if isinstance(values, list) else None
-    if (
-        pixels is None
-        or len(set(pixels)) < len(pixels)
-        or not all(x < width and y < height and min(x, y) >= 0 for x, y in pixels)
-    ):
-        raise ValueError(f"hot_pixels: expected different pixels [x, y] within {width} x {height} px")
-    return np.array(pixels, np.uint16).reshape(-1, 2)
-
-
-def _dots(values: Any) -> NDArray[np.float64]:
-    """Return centres as numbers, null for a missing dot; text and booleans are refused, although numpy accepts them."""
-    if not _are_numbers(values):
-        raise ValueError("dot_xy_px contains something other than numbers")
-    try:
-        dots = np.asarray(values, dtype=np.float64) + 0.0  # a 0 without a sign
-    except ValueError:
-        raise ValueError(
-            "the rows of dot_xy_px differ in length, or a dot is not [x, y]; a missing dot is [null, null]"
-        ) from None
-    if dots.size > 2 * grid.MOST_DOTS:
-        raise ValueError(f"{dots.size // 2} dots, more than {grid.MOST_DOTS}, the limit of the tracker")
-    if (np.isfinite(dots) & (np.abs(dots) > MOST_PX)).any():
-        raise ValueError(f"a dot is outside the frame, more than {MOST_PX} px away")
-    return dots

@@ -10,7 +10,6 @@ run has put a file there in the meantime, this ends as it would have, had that f
 """
 
 import json
-import math
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -23,18 +22,20 @@ import h5py
 from evetac_cli.errors import EvetacError, InputError, SchemaError
 from evetac_cli.interrupts import leave_if_interrupted
 from evetac_cli.kernels.slip.architectures import SENSITIVITY_DATASETS, Sensitivity, sensitivity_of
-from evetac_cli.store.hdf5.checked_hdf5 import MOST_READ_BYTES, CheckedHdf5, damage_in_words
+from evetac_cli.store.hdf5.checked_hdf5 import CheckedHdf5, damage_in_words
 from evetac_cli.store.hdf5.chunks import RowReader, RowWriter, put
 from evetac_cli.store.hdf5.disk import Recheck, existing_folder, new_file, taking_the_place_of
 from evetac_cli.store.layout import ancestry, contents, netcdf, schema
-from evetac_cli.store.layout.header import FOREIGN, check_kind, read_header
-from evetac_cli.store.layout.new_contents import NewContents
+from evetac_cli.store.layout.contents import NewContents
 from evetac_cli.store.layout.provenance import (
+    FOREIGN,
     Header,
     Recipe,
+    check_kind,
     first_difference,
     folded,
     other_recipe,
+    read_header,
     recompute_id,
 )
 from evetac_cli.store.layout.rules import Rule, Shapes
@@ -62,8 +63,6 @@ class StageFile:
                     name: (schema.describe_stored(one), one.shape or ()) for name, one in self._found.items()
                 }
                 lines = schema.problems(schema.load(self.kind), self._shapes)
-                strays = [path for path in self._file.dimensions if not netcdf.is_place(self.kind, path)]
-                lines += [f"{path} is not in the schema" for path in strays]
             self._refuse_if(lines)
             contents.check_shapes(self.kind, self.path, self._shapes)
             with damage_in_words(self.path, "its history"):
@@ -106,11 +105,8 @@ class StageFile:
         """Check every dataset as before reading it; InputError if one is damaged or invalid.
 
         Only the values of small datasets, and of those that have to fit others, are read; `evetac validate` reads all.
-        The dimensions, for other programs, must be as long as the datasets.
         """
         self._refuse_if([f"{path} is not in the schema" for path in self._file.survey() if path not in self._shapes])
-        lines = netcdf.dimension_problems(self.kind, self._shapes, self._file.dimensions)
-        schema.refuse(self.kind, lines, str(self.path))
         for path in self._shapes:
             self._look_at(path)
 
@@ -155,15 +151,6 @@ class StageFile:
                 return self._file.text(path, found)
             return h5py.Dataset(found)[()]
         start, stop, _ = slice(start, stop).indices(found.shape[0])
-        size = max(0, stop - start) * math.prod(found.shape[1:]) * found.dtype.itemsize
-        if size > MOST_READ_BYTES:
-            raise InputError(
-                f"{path} is too large to be read at once",
-                where=str(self.path),
-                expected=f"at most {MOST_READ_BYTES / 1e9:.1f} GB",
-                found=f"{size / 1e9:.1f} GB",
-                hint="cut the recording with `evetac trim`",
-            )
         if path not in self._readers:
             self._readers[path] = RowReader(found, found.dtype)
         array = self._readers[path].read(start, stop)
@@ -214,22 +201,16 @@ def up_to_date(path: Path, recipe: Recipe, *, force: bool = False) -> bool:
     except InputError as error:
         if force:
             return False
-        raise InputError(
-            "the output exists and is not a valid evetac file",
-            where=str(path),
-            found=str(error).splitlines()[0].removeprefix(f"{path}: "),
-            hint="--force replaces it",
-        ) from None
+        message, hint = "the output exists and is not a valid evetac file", "--force replaces it"
+        raise InputError(message, where=str(path), found=error.message, hint=hint) from None
     if header["id"] == recipe.id:
         return True
     if force:
         return False
     if of_devices:
-        raise InputError(
-            "the output exists: it is a recording of devices, which cannot be made again",
-            where=str(path),
-            hint="-o NAME writes to another file; --force replaces the recording, which is then lost",
-        )
+        message = "the output exists: it is a recording of devices, which cannot be made again"
+        hint = "-o NAME writes to another file; --force replaces the recording, which is then lost"
+        raise InputError(message, where=str(path), hint=hint)
     raise other_recipe(str(path), first_difference(recipe, header))
 
 
@@ -277,22 +258,11 @@ def write_stage(
     blocks: the next rows of further datasets, for results that do not fit in memory. Each of these datasets must be in
     at least one block, possibly with no rows. lengths: number of rows of each; a dataset without one grows.
     """
-    if lengths is not None:
-        with writing(path, recipe.kind, arrays, lengths, force=force) as growing:
-            for block in blocks:
-                growing.append(block)
-            header = growing.finish(recipe)
-        return header if growing.made else None
-    header = recipe.header()
-    arrays = {**arrays, **ancestry.stored_tables(header)}
-    schema.check(recipe.kind, arrays)
-    NewContents(path, recipe.kind, arrays).check_rest()
-    recheck = Recheck(partial(up_to_date, path, recipe, force=force))
-    with replacing(path, recheck) as h5:
-        for name, value in arrays.items():
-            put(h5, name, value)
-        put_header(h5, header)
-    return header if recheck.made else None
+    with writing(path, recipe.kind, arrays, lengths or {}, force=force) as growing:
+        for block in blocks:
+            growing.append(block)
+        header = growing.finish(recipe)
+    return header if growing.made else None
 
 
 @contextmanager
@@ -325,8 +295,8 @@ class StageWriter:
         self.recipe: Recipe | None = None
         self.made = False
         self._h5, self._kind, self._lengths = h5, kind, lengths
-        self._arrays = dict(arrays)
-        self._new = NewContents(path, kind, self._arrays)
+        self._arrays = arrays
+        self._new = NewContents(path, kind, arrays)
         self._rows: dict[str, RowWriter] = {}
 
     def append(self, block: Mapping[str, Any]) -> None:
@@ -347,16 +317,16 @@ class StageWriter:
         ]
         if short:
             raise ValueError(f"blocks: expected all rows of {', '.join(short)}, found others")
-        self._new.add(arrays or {})
-        self._arrays |= arrays or {}
-        for name, value in self._arrays.items():
-            put(self._h5, name, value)
+        header = recipe.header()
+        more = {**(arrays or {}), **ancestry.stored_tables(header)}
+        self._new.add(more)
         self._new.shapes |= {
             name: (schema.describe_stored(self._h5[name]), self._h5[name].shape) for name in self._rows
         }
         schema.refuse(self._kind, schema.problems(schema.load(self._kind), self._new.shapes))
         self._new.check_rest(self._h5)
-        header = recipe.header()
+        for name, value in {**self._arrays, **more}.items():
+            put(self._h5, name, value)
         put_header(self._h5, header)
         self.recipe = recipe
         return header

@@ -27,6 +27,7 @@ from tests.make import event_arrays, write_recording
 
 GRID = np.stack(np.meshgrid(50.0 + 60 * np.arange(4), 40.0 + 60 * np.arange(3)), axis=-1)
 GOOD: dict[str, Any] = {"frame_px": [640, 480], "radius_px": 20.5, "dot_xy_px": GRID.reshape(-1, 2).tolist()}
+FLAT = GOOD["dot_xy_px"]
 
 
 def read(folder: Path, table: Any) -> Calibration:
@@ -95,16 +96,10 @@ def test_dots_in_no_grid(tmp_path: Path) -> None:
     np.testing.assert_array_equal(
         read(tmp_path, {**GOOD, "radius_px": 0.5, "dot_xy_px": [places.tolist()]}).dot_xy_px, places[None]
     )
-    with pytest.raises(InputError, match="more than 256, the limit"):
+    with pytest.raises(InputError, match="more than 256"):
         read(tmp_path, {**GOOD, "radius_px": 0.5, "dot_xy_px": [[*places.tolist(), [1.0, 1.0]]]})
-    with pytest.raises(InputError, match="dots without a grid as one row"):
+    with pytest.raises(InputError, match="dots without a grid are one row"):
         read(tmp_path, {**GOOD, "radius_px": 0.5, "dot_xy_px": places.tolist()})
-
-
-def test_ragged_rows(tmp_path: Path) -> None:
-    """Assert that rows of different lengths are refused in words."""
-    with pytest.raises(InputError, match="rows of dot_xy_px differ in length"):
-        read(tmp_path, {**GOOD, "dot_xy_px": [FLAT[:4], FLAT[4:7]]})
 
 
 def test_mask(tmp_path: Path) -> None:
@@ -188,112 +183,47 @@ def test_up_to_date(tmp_path: Path) -> None:
         up_to_date(tmp_path, recipe, force=True)
 
 
-FLAT = GOOD["dot_xy_px"]
-FAULTS: dict[str, tuple[Any, str]] = {
-    "empty file": ("", "not a calibration"),
-    "no JSON": ("frame_px: [640, 480]", "not a calibration"),
-    "cut off": (json.dumps(GOOD)[:-1], "not a calibration"),
-    "endless nesting": ("[" * 100_000, "not a calibration"),
-    "list": ([GOOD], "not a calibration"),
-    "number": (3, "not a calibration"),
-    "null": ("null", "not a calibration"),
-    "text": ('"frame_px"', "not a calibration"),
-    "empty object": ({}, "the key 'frame_px' is missing"),
-    **{f"no {key}": ({**GOOD, key: ...}, f"the key '{key}' is missing") for key in GOOD},
-    "frame of three": ({**GOOD, "frame_px": [640, 480, 3]}, "frame_px"),
-    "frame of one": ({**GOOD, "frame_px": 640}, "frame_px"),
-    "frame as text": ({**GOOD, "frame_px": "64"}, "frame_px"),
-    "frame of texts": ({**GOOD, "frame_px": ["640", "480"]}, "frame_px"),
-    "frame null": ({**GOOD, "frame_px": None}, "frame_px"),
-    "frame of truth": ({**GOOD, "frame_px": [True, True]}, "frame_px"),
-    "frame with a fraction": ({**GOOD, "frame_px": [640.7, 480]}, "frame_px"),
-    "frame of zero": ({**GOOD, "frame_px": [0, 480]}, "frame_px is not valid"),
-    "frame negative": ({**GOOD, "frame_px": [-640, 480]}, "frame_px is not valid"),
-    "frame beyond uint16": ({**GOOD, "frame_px": [65537, 480]}, "frame_px is not valid"),
-    "frame infinite": ('{"frame_px": [1e999, 480]}', "not a calibration"),
-    "frame NaN": ('{"frame_px": [NaN, 480]}', "not a calibration"),
-    "radius as text": ({**GOOD, "radius_px": "20"}, "radius_px is not valid"),
-    "radius of truth": ({**GOOD, "radius_px": True}, "radius_px is not valid"),
-    "radius null": ({**GOOD, "radius_px": None}, "radius_px is not valid"),
-    "radius list": ({**GOOD, "radius_px": [20.5]}, "radius_px is not valid"),
-    "radius zero": ({**GOOD, "radius_px": 0}, "radius_px is not valid"),
-    "radius negative": ({**GOOD, "radius_px": -1.5}, "radius_px is not valid"),
-    "radius NaN": ({**GOOD, "radius_px": float("nan")}, "NaN is not allowed in JSON"),
-    "radius infinite": ({**GOOD, "radius_px": float("inf")}, "Infinity is not allowed in JSON"),
-    "radius beyond float": ({**GOOD, "radius_px": 10**400}, "more than 64 bits"),
-    "window of three": ({**GOOD, "window_px": [540, 0, 640]}, "window_px"),
-    "window as text": ({**GOOD, "window_px": "1234"}, "window_px"),
-    "window with a fraction": ({**GOOD, "window_px": [540, 0, 640, 479.5]}, "window_px"),
-    "window false": ({**GOOD, "window_px": False}, "window_px"),
-    "window empty": ({**GOOD, "window_px": []}, "window_px"),
-    "window backwards": ({**GOOD, "window_px": [640, 0, 540, 480]}, "window_px is not valid"),
-    "window of no width": ({**GOOD, "window_px": [540, 0, 540, 480]}, "window_px is not valid"),
-    "window outside": ({**GOOD, "window_px": [540, 0, 641, 480]}, "window_px is not valid"),
-    "window negative": ({**GOOD, "window_px": [-1, 0, 640, 480]}, "window_px is not valid"),
-    "window beyond int32": ({**GOOD, "window_px": [0, 0, 640, 2**40]}, "window_px is not valid"),
-    "ratio as text": ({**GOOD, "contrast_over_threshold": "8"}, "contrast_over_threshold is not valid"),
-    "ratio zero": ({**GOOD, "contrast_over_threshold": 0}, "contrast_over_threshold is not valid"),
-    "ratio that makes events infinite": ({**GOOD, "contrast_over_threshold": 1e-300}, "from 0.001 to 1000"),
-    "ratio too large": ({**GOOD, "contrast_over_threshold": 1e9}, "contrast_over_threshold is not valid"),
-    "ratio of truth": ({**GOOD, "contrast_over_threshold": True}, "contrast_over_threshold is not valid"),
-    "modulus too small": ({**GOOD, "shear_modulus_pa": -1.0}, "shear_modulus_pa is not valid"),
-    "rows of others": ({**GOOD, "rows": 4, "columns": 3}, "rows and columns do not fit"),
-    "rows alone": ({**GOOD, "rows": 3}, "rows and columns do not fit"),
-    "hot pixels of one": ({**GOOD, "hot_pixels": [3, 4]}, "hot_pixels"),
-    "hot pixels outside": ({**GOOD, "hot_pixels": [[640, 0]]}, "within 640 x 480 px"),
-    "hot pixels below 0": ({**GOOD, "hot_pixels": [[0, -1]]}, "within 640 x 480 px"),
-    "hot pixels twice": ({**GOOD, "hot_pixels": [[1, 2], [1, 2]]}, "different pixels"),
-    "hot pixels in parts": ({**GOOD, "hot_pixels": [[1.5, 2]]}, "whole numbers"),
-    "hot pixels no list": ({**GOOD, "hot_pixels": {"x": 1}}, "different pixels"),
-    "mask of one": ({**GOOD, "mask": True}, "expected a mask of 3 rows"),
-    "mask of dots": ({**GOOD, "mask": [True] * 12}, "expected a mask of 3 rows"),
-    "mask too short": ({**GOOD, "mask": [[True] * 4] * 2}, "expected a mask of 3 rows"),
-    "mask of numbers": ({**GOOD, "mask": [[1] * 4] * 3}, "expected a mask of 3 rows"),
-    "mask of none": ({**GOOD, "mask": [[False] * 4] * 3}, "all missing"),
-    "all dots null": ({**GOOD, "dot_xy_px": [[[None, None]] * 2] * 2}, "all missing"),
-    "no dots": ({**GOOD, "dot_xy_px": []}, "do not form a grid"),
-    "no rows": ({**GOOD, "dot_xy_px": [[]]}, "do not form a grid"),
-    "dots null": ({**GOOD, "dot_xy_px": None}, "do not form a grid"),
-    "dots a number": ({**GOOD, "dot_xy_px": 3}, "do not form a grid"),
-    "dots an object": ({**GOOD, "dot_xy_px": {"a": 1}}, "not a calibration"),
-    "dots of three": ({**GOOD, "dot_xy_px": [[1, 2, 3], [4, 5, 6]]}, "do not form a grid"),
-    "dots ragged": ({**GOOD, "dot_xy_px": [[1, 2], [3]]}, "not a calibration"),
-    "dots as text": ({**GOOD, "dot_xy_px": [["50", "40"], ["110", "40"]]}, "not a calibration"),
-    "dots of truth": ({**GOOD, "dot_xy_px": [[True, False]]}, "not a calibration"),
-    "dots beyond float": ({**GOOD, "dot_xy_px": [[10**400, 1], *FLAT]}, "not a calibration"),
-    "dot infinite": ({**GOOD, "dot_xy_px": [[float("inf"), 40], *FLAT[1:]]}, "is not allowed in JSON"),
-    "dot NaN": ({**GOOD, "dot_xy_px": [[float("nan"), 40], *FLAT[1:]]}, "is not allowed in JSON"),
-    "nested infinite": ({**GOOD, "dot_xy_px": [[[50, 40], [float("inf"), 40]]]}, "is not allowed in JSON"),
-    "nested by columns": ({**GOOD, "dot_xy_px": GRID.transpose(1, 0, 2).tolist()}, "do not form a grid"),
-    "nested from below": ({**GOOD, "dot_xy_px": GRID[::-1].tolist()}, "do not form a grid"),
-    "a dot less": ({**GOOD, "dot_xy_px": FLAT[1:]}, "do not form a grid"),
-    "a dot twice": ({**GOOD, "dot_xy_px": [FLAT[0], *FLAT]}, "do not form a grid"),
-    "a dot less in every row": ({**GOOD, "dot_xy_px": [*FLAT[1:5], *FLAT[6:10], *FLAT[11:]]}, "do not form a grid"),
-    "x and y exchanged": ({**GOOD, "frame_px": [640, 200], "dot_xy_px": GRID[..., ::-1].tolist()}, ""),
-    "outside to the right": ({**GOOD, "frame_px": [230, 480]}, "a dot is outside the frame"),
-    "outside to the left": ({**GOOD, "dot_xy_px": (GRID - 51).reshape(-1, 2).tolist()}, "a dot is outside the frame"),
-}  # fmt: skip
+FAULTS: dict[str, dict[str, Any]] = {
+    "frame_px": {"frame_px": [640, 480, 3]},
+    "frame_px, with a fraction": {"frame_px": [640.7, 480]},
+    "frame_px, of zero": {"frame_px": [0, 480]},
+    "radius_px": {"radius_px": True},
+    "radius_px, of zero": {"radius_px": 0},
+    "radius_px, beyond the frame": {"radius_px": 700},
+    "radius_px, left out": {"radius_px": ...},
+    "NaN": {"radius_px": float("nan")},
+    "window_px": {"window_px": [540, 0, 641, 480]},
+    "window_px, of no width": {"window_px": [540, 0, 540, 480]},
+    "contrast_over_threshold": {"contrast_over_threshold": 1e-300},
+    "shear_modulus_pa": {"shear_modulus_pa": -1.0},
+    "rows": {"rows": 4, "columns": 3},
+    "hot_pixels": {"hot_pixels": [[640, 0]]},
+    "hot_pixels, twice": {"hot_pixels": [[1, 2], [1, 2]]},
+    "mask": {"mask": [[True] * 4] * 2},
+    "missing": {"mask": [[False] * 4] * 3},
+    "not a calibration: expected (dots, 2)": {"dot_xy_px": []},
+    "not a calibration": {"dot_xy_px": [[1, 2], [3]]},
+    "rows from top to bottom": {"dot_xy_px": GRID[::-1].tolist()},
+    "unequal": {"dot_xy_px": FLAT[1:]},
+    "a dot is outside": {"dot_xy_px": (GRID - 51).reshape(-1, 2).tolist()},
+}
 
 
-@pytest.mark.parametrize(("table", "words"), FAULTS.values(), ids=FAULTS)
-def test_faults_are_named(tmp_path: Path, table: Any, words: str) -> None:
-    """Assert that a faulty calibration is refused with its file and what is wrong with it."""
+@pytest.mark.parametrize("name", FAULTS)
+def test_faults_are_named(tmp_path: Path, name: str) -> None:
+    """Assert that a faulty calibration is refused with its file and the key that is wrong."""
     with pytest.raises(InputError) as refused:
-        read(tmp_path, table)
+        read(tmp_path, {**GOOD, **FAULTS[name]})
     message = str(refused.value)
     assert message.startswith(f"{tmp_path / 'grid.json'}: ")
-    assert words in message
+    assert name.partition(",")[0] in message
 
 
-def test_file_that_cannot_be_read(tmp_path: Path) -> None:
-    """Assert that a missing file, a folder and bytes that are no text are errors in words."""
-    with pytest.raises(InputError, match="No such file"):
-        read_calibration(tmp_path / "none.json")
-    with pytest.raises(InputError, match="Is a directory"):
-        read_calibration(tmp_path)
-    (tmp_path / "grid.json").write_bytes(b"\x80\x04\x95pickle")
-    with pytest.raises(InputError, match="not text in UTF-8"):
-        read_calibration(tmp_path / "grid.json")
+@pytest.mark.parametrize("text", ["", json.dumps(GOOD)[:-1], "[" * 100_000, "3", "null"])
+def test_text_that_is_no_calibration(tmp_path: Path, text: str) -> None:
+    """Assert that it is refused."""
+    with pytest.raises(InputError, match="not a calibration"):
+        read(tmp_path, text)
 
 
 def test_digest_is_of_the_grid(tmp_path: Path) -> None:

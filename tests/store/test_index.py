@@ -1,21 +1,22 @@
 """The index of a data set is right whatever becomes of its files, and opens none of them to see that."""
 
+import json
 import os
 import shutil
-import subprocess
-import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from evetac_cli.errors import InputError
-from evetac_cli.resources import PACKAGE
 from evetac_cli.store import index
-from evetac_cli.store.files import StageFile
+from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.hdf5 import disk
-from evetac_cli.store.index import rows
-from evetac_cli.store.layout.ancestry import recording_of
+from evetac_cli.store.layout.provenance import Recipe
+from evetac_cli.store.made_folders import new_folder, require_replaceable
+from tests import small_files
 from tests.conftest import Made
 
 
@@ -69,34 +70,6 @@ def test_a_grasp_has_an_outcome(made: Made, tmp_path: Path) -> None:
     with StageFile(made.grasp) as file:
         own = file.header["parameters"]
     assert (row.object, row.scene) == (own["object"], own["scene"]["name"])
-
-
-def test_whose_object_a_file_has() -> None:
-    """Assert that it is that of the one recording behind a file, by whatever ways, and nobody's where there are two."""
-
-    def header(kind: str, id_: str, *parents: str) -> dict[str, Any]:
-        return {"kind": kind, "id": id_, "parents": list(parents)}
-
-    history = {
-        one["id"]: one
-        for one in (
-            header("recording", "a"),
-            header("recording", "b"),
-            header("recording", "c"),
-            header("tracks", "tracks of a", "a"),
-            header("report", "of a and b", "a", "b"),
-            header("features", "of c", "c"),
-            header("model", "trained on b", "b"),
-        )
-    }
-
-    def behind(*parents: str) -> str | None:
-        recording = recording_of(header("features", "new", *parents), history)
-        return None if recording is None else recording["id"]
-
-    assert recording_of(history["a"], history) is history["a"]
-    assert behind("a", "tracks of a") == behind("tracks of a", "a") == behind("a", "trained on b") == "a"
-    assert behind("of a and b", "of c") is behind("of c", "of a and b") is behind("a", "b") is behind() is None
 
 
 def test_it_follows_the_files(folder: Path) -> None:
@@ -188,44 +161,101 @@ def test_an_interrupt_keeps_what_was_read(folder: Path, monkeypatch: pytest.Monk
     assert len(table(folder)) == 9
 
 
-def test_several_at_once(folder: Path) -> None:
-    """Assert that commands that index the same folder at the same time all answer rightly, and leave it right."""
-    program = (
-        "import sys; from pathlib import Path; from evetac_cli.store import index\n"
-        "rows = index.read_index(Path(sys.argv[1])).rows\n"
-        "print(len(rows), sum(row.error is not None for row in rows))"
-    )
-    (folder / "broken.h5").write_text("no")
-    environment = {**os.environ, "PYTHONPATH": str(PACKAGE.parent)}
-    run = [sys.executable, "-c", program, str(folder)]
-    started = [subprocess.Popen(run, env=environment, stdout=subprocess.PIPE, text=True) for _ in range(3)]
-    assert [one.communicate()[0].strip() for one in started] == ["10 1"] * 3
-    assert read(folder) == (1, 0)
-    assert [path.name for path in folder.iterdir() if path.name.startswith(".evetac")] == [index.NAME]
+# An index that somebody sends along with a folder: only rows that evetac can have written are used.
 
 
-def test_names_and_links_that_lead_nowhere(tmp_path: Path) -> None:
-    """Assert that a name that is no text, a link to nothing and a folder with the name of a file do no harm."""
-    (tmp_path / "link.h5").symlink_to(tmp_path / "nothing.h5")
-    (tmp_path / "round").symlink_to(tmp_path)
-    (tmp_path / "folder.h5").mkdir()
-    with open(os.fsencode(tmp_path) + b"/\xff.h5", "wb") as file:
-        file.write(b"no")
-    rows = table(tmp_path)
-    assert set(rows) == {"link.h5", "\udcff.h5"}
-    assert all(row.error for row in rows.values())
-    assert read(tmp_path) == (2, 0)
-    assert table(tmp_path) == rows
+@pytest.fixture
+def two(tmp_path: Path) -> Path:
+    """Two recordings and their index."""
+    for name in "ab":
+        small_files.recording(tmp_path / f"{name}.recording.h5")
+    index.read_index(tmp_path)
+    return tmp_path
 
 
-def test_a_file_is_no_data_set(made: Made) -> None:
-    """Assert that only a folder has an index."""
-    with pytest.raises(InputError, match="no such folder"):
-        index.read_index(made.recordings[0])
+def changed(**values: Any) -> Callable[[Path], None]:
+    """A sound index with other values in its first row."""
+
+    def change(path: Path) -> None:
+        content = json.loads(path.read_text())
+        row = index.IndexRow(*content["rows"][0])._replace(**values)
+        path.write_text(json.dumps({**content, "rows": [row, *content["rows"][1:]]}))
+
+    return change
 
 
-def test_seeds_that_tables_cannot_hold() -> None:
-    """Assert that a whole number of more than 64 bits is kept as text."""
-    assert rows._plain(2**63) == str(2**63)
-    kept = [rows._plain(value) for value in (2**63 - 1, -5, "a", True, 1.5, [1], None)]
-    assert kept == [2**63 - 1, -5, "a", *[None] * 4]
+def written(text: str) -> Callable[[Path], None]:
+    return lambda path: path.write_text(text) and None
+
+
+def pipe(path: Path) -> None:
+    path.unlink()
+    os.mkfifo(path)
+
+
+def a_folder(path: Path) -> None:
+    path.unlink()
+    path.mkdir()
+
+
+DAMAGE: dict[str, Callable[[Path], None]] = {
+    "a number for a text": changed(scene=7),
+    "a table for a text": changed(sensor={"a": 1}),
+    "text": written("my notes"),
+    "another format": written('{"format": 5, "rows": []}'),
+    "too few columns": written(f'{{"format": {index.FORMAT}, "rows": [["a.recording.h5"]]}}'),
+    "deep lists": written("[" * 100_000),
+    "too large": lambda path: os.truncate(path, index.MOST_BYTES + 1),
+    "a pipe": pipe,
+    "a folder": a_folder,
+}
+
+
+@pytest.mark.parametrize("name", DAMAGE)
+def test_a_damaged_index_is_not_used(name: str, two: Path) -> None:
+    """Assert that the files are read instead, and that it is replaced if it is a file."""
+    right = index.read_index(two).rows
+    path = two / index.NAME
+    DAMAGE[name](path)
+    is_replaced = path.is_file() or path.is_symlink()
+    now = index.read_index(two)
+    assert (now.rows, now.read, now.stored) == (right, 2, is_replaced)
+    now = index.read_index(two)
+    assert (now.rows, now.read) == (right, 0 if is_replaced else 2)
+
+
+def test_any_damage_to_an_index(two: Path) -> None:
+    """Assert that whatever bytes are changed, each file has its row."""
+    right = index.read_index(two).rows
+    path = two / index.NAME
+    whole = path.read_bytes()
+    rng = np.random.default_rng(3)
+    for _ in range(60):
+        damaged = bytearray(whole)
+        for at in rng.integers(0, len(damaged), 1 + rng.integers(8)):
+            damaged[at] = rng.integers(256)
+        path.write_bytes(damaged)
+        assert [row[:4] for row in index.read_index(two).rows] == [row[:4] for row in right]
+
+
+def test_what_a_header_says_is_text_that_can_be_kept(tmp_path: Path) -> None:
+    """Assert that names of sensors and scenes that are no UTF-8, or are long, have a row, as text."""
+    parameters = {"sensor": "\udcff", "scene": {"name": "s" * 10_000}, "object": "\ud800", "trial": "three"}
+    small_files.recording(tmp_path / "b.recording.h5")
+    with StageFile(tmp_path / "b.recording.h5") as file:
+        arrays = {name: file.read(name) for name in file.contents()}
+    write_stage(tmp_path / "a.recording.h5", Recipe("recording", 1, parameters, seed=2**70), arrays)
+    first, _ = index.read_index(tmp_path).rows
+    assert (first.sensor, first.object, first.seed, first.trial) == ("\\udcff", "\\ud800", str(2**70), None)
+    assert first.scene is not None and 100 < len(first.scene) < 1000
+    assert index.read_index(tmp_path).read == 0
+
+
+def test_an_index_in_a_folder_that_evetac_made_is_no_strangers_file(tmp_path: Path) -> None:
+    """Assert that a folder is still replaced with --force after `info` looked at it."""
+    hub = tmp_path / "hub"
+    with new_folder(hub, force=False) as unfinished:
+        small_files.recording(unfinished / "a.recording.h5")
+    index.read_index(hub)
+    assert (hub / index.NAME).exists()
+    require_replaceable(hub, force=True)

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.events import SLICE_US
 from evetac_cli.store.files import StageFile, stem
-from evetac_cli.store.index.rows import NOT_THERE, describe
+from evetac_cli.store.index import NOT_THERE, describe
 from evetac_cli.store.layout import schema
 from evetac_cli.store.layout.schema import Dataset
 from evetac_cli.store.recordings import streams

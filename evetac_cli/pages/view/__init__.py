@@ -25,8 +25,8 @@ from evetac_cli.pages.view.view_data import ViewData
 from evetac_cli.resources import with_shipped
 from evetac_cli.store.files import stem
 from evetac_cli.store.hdf5.disk import check_free, taking_the_place_of
-from evetac_cli.store.recordings import marks
 from evetac_cli.store.recordings.onset import PERSON, labelled_onset
+from evetac_cli.store.recordings.streams import marks_in_words
 
 
 def run(
@@ -119,7 +119,7 @@ def _label_notes(trial: OpenTrial) -> list[str]:
 
 def _mark_notes(trial: OpenTrial) -> list[str]:
     """Return a note on the marks that a robot's program set during recording."""
-    marked = "" if trial.recording is None else marks.in_words(trial.recording.marks)
+    marked = "" if trial.recording is None else marks_in_words(trial.recording.marks)
     return [f"Marked by the robot's program: {marked}."] if marked else []
 
 

@@ -1,8 +1,7 @@
 """Atomic writing of new files, including HDF5 files, even if the disk is full or the process is killed.
 
-A file is written next to its target, under a name with this machine and process, and renamed when it is complete.
-Leftovers of a killed process are removed by the next process that writes the same file. A part of the name is random:
-in a folder that others can write to, a predictable name could be a link to any of the user's files.
+A file is written next to its target, under a name with this machine, this process and random digits, and renamed when
+it is complete. Leftovers of a killed process are removed by the next process that writes the same file.
 
 Two runs may write the same target at once. So whether the target may be replaced is checked before the work, and again
 just before the file is renamed, under a lock that is held only for this. The lock file `.NAME.lock` is next to the
@@ -13,20 +12,18 @@ file object that never fails: it keeps the first error, which is raised once HDF
 reason Ctrl-C is delayed until then; it would otherwise be raised inside that object.
 """
 
-import errno
 import hashlib
 import io
 import os
 import platform
 import secrets
 import shutil
-import stat
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from glob import escape
 from pathlib import Path
-from typing import IO, Any, BinaryIO
+from typing import IO, Any
 
 import h5py
 import numpy as np
@@ -39,7 +36,6 @@ from evetac_cli.text_files import as_utf8
 # HDF5 1.14 and newer open this; `latest` would need HDF5 2.0, which h5py bundles but other programs do not have.
 LIBVER = ("earliest", "v114")
 LOCK_WAIT_S = 120  # a lock is held while an existing file is checked, which takes seconds for the largest
-NO_LOCKS = (errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOLCK)  # some network file systems
 
 
 class _Disk(io.FileIO):
@@ -89,13 +85,8 @@ def require_room(path: Path, needed_bytes: float, hint: str) -> None:
     folder = existing_folder(path)
     free_bytes = shutil.disk_usage(folder).free
     if free_bytes < needed_bytes:
-        raise InputError(
-            "not enough space on this disk",
-            where=str(folder),
-            expected=f"{needed_bytes / 1e6:,.0f} MB",
-            found=f"{free_bytes / 1e6:,.0f} MB free",
-            hint=hint,
-        )
+        expected, found = f"{needed_bytes / 1e6:,.0f} MB", f"{free_bytes / 1e6:,.0f} MB free"
+        raise InputError("not enough space on this disk", where=str(folder), expected=expected, found=found, hint=hint)
 
 
 def check_free(path: Path, *, force: bool) -> None:
@@ -103,9 +94,8 @@ def check_free(path: Path, *, force: bool) -> None:
     if os.path.isdir(path):
         raise InputError("the output is a folder", where=str(path))
     if os.path.lexists(path) and not force:
-        raise InputError(
-            "the output exists", where=str(path), hint="--force replaces it, -o NAME writes to another file"
-        )
+        hint = "--force replaces it, -o NAME writes to another file"
+        raise InputError("the output exists", where=str(path), hint=hint)
 
 
 @contextmanager
@@ -114,27 +104,18 @@ def locked(path: Path) -> Iterator[None]:
     import filelock  # here, as most commands that load this module write nothing
 
     place = path.with_name(f".{path.name}.lock")
-    lock: filelock.BaseFileLock = filelock.FileLock(place, LOCK_WAIT_S, 0o666, fallback_to_soft=False)
+    lock = filelock.FileLock(place, LOCK_WAIT_S, 0o666)
     try:
-        try:
-            lock.acquire()
-        except OSError as error:
-            if error.errno not in NO_LOCKS:
-                raise
-            place.unlink(missing_ok=True)  # no process can have locked it
-            place = place.with_suffix(".exclusive-lock")
-            lock = filelock.SoftFileLock(place, LOCK_WAIT_S)
-            lock.acquire()
+        lock.acquire()
     except filelock.Timeout:
         hint = "wait for it or end it; if there is none, remove this file"
         raise InputError("another run is writing this output", where=str(place), hint=hint) from None
     try:
         yield
     finally:
-        if isinstance(lock, filelock.FileLock):
-            # Before it is unlocked: a process waiting for the removed file sees that it is gone, and locks a new one.
-            with suppress(OSError):
-                place.unlink()
+        # Before it is unlocked: a process waiting for the removed file sees that it is gone, and locks a new one.
+        with suppress(OSError):
+            place.unlink()
         lock.release()
 
 
@@ -161,11 +142,8 @@ def taking_the_place_of(path: Path, ending: str = "", check: Callable[[], bool |
     InputError if writing fails, or if `path` is a device, a pipe or a folder. A link at `path` is replaced and not
     followed.
     """
-    with suppress(OSError):
-        kind = os.lstat(path).st_mode
-        if not stat.S_ISREG(kind) and not stat.S_ISLNK(kind):
-            what = "a folder" if stat.S_ISDIR(kind) else "a device, a pipe or a socket"
-            raise InputError(f"cannot be written: it is {what}, which is not replaced", where=str(path))
+    if os.path.exists(path) and not os.path.isfile(path) and not os.path.islink(path):
+        raise InputError("cannot be written: it is a folder, a pipe or a device", where=str(path))
     temporary = temporary_name(path, ending)
     new_folders = missing_folders(path.parent)
     try:
@@ -201,8 +179,7 @@ def remove_with_contents(path: Path) -> None:
 def temporary_name(path: Path, ending: str = "") -> Path:
     """Return the name next to `path` under which this process writes; leftovers of dead processes are removed."""
     remove_unfinished(path, ending)
-    process = os.getpid()
-    return path.with_name(f"{_start(path)}{process}-{_started(process)}.{secrets.token_hex(8)}.tmp{ending}")
+    return path.with_name(f"{_start(path)}{os.getpid()}.{secrets.token_hex(8)}.tmp{ending}")
 
 
 def remove_unfinished(path: Path, ending: str = "") -> None:
@@ -237,20 +214,8 @@ def utf8_path(path: Path) -> Iterator[Path]:
         os.close(descriptor)
 
 
-def _started(process: int | str) -> str:
-    """Return the start time of a process, as Linux reports it, because numbers are reused; empty if it is unknown."""
-    try:
-        state, *more = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
-    except OSError:
-        return ""
-    return "dead" if state in "ZX" else more[18]  # a zombie process still has its number
-
-
-def _lives(name: str) -> bool:
-    """Whether the process of a temporary file, given by its number and start time, still runs."""
-    process, _, started = name.partition("-")
-    if (now := _started(process)) and (now == "dead" or started not in ("", now)):
-        return False
+def _lives(process: str) -> bool:
+    """Whether the process of a temporary file, given by its number, still runs."""
     try:
         os.kill(int(process), 0)
     except ProcessLookupError:
@@ -291,38 +256,6 @@ def _mapped(file: IO[bytes], like: NDArray[Any]) -> NDArray[Any]:
     if not shape[0]:
         return np.empty(shape, like.dtype)
     return np.asarray(np.memmap(file, like.dtype, "r", shape=shape))
-
-
-def make_own_folder(folder: Path) -> None:
-    """Create a folder to write to; an existing one is accepted if no other user can replace its contents.
-
-    InputError for a folder made by another user except root, for a link, which could lead to any of the user's folders,
-    and for a file.
-    """
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    try:
-        folder.mkdir()
-    except FileExistsError:
-        status = folder.lstat()
-        if not stat.S_ISDIR(status.st_mode):
-            what = "a link" if stat.S_ISLNK(status.st_mode) else "a file"
-            raise InputError(f"the output folder is {what}", where=str(folder)) from None
-        if status.st_uid not in (0, os.geteuid()):
-            raise InputError(
-                "this folder was made by another user", where=str(folder), hint="-o NAME writes to another folder"
-            ) from None
-
-
-def open_lock(path: Path) -> BinaryIO:
-    """Open the lock file of a folder, creating it if needed; OSError if it is not a regular file.
-
-    A link could lead to any of the user's files, and opening a pipe waits for its other end.
-    """
-    file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, 0o666)
-    if not stat.S_ISREG(os.fstat(file).st_mode):
-        os.close(file)
-        raise OSError(errno.EINVAL, "its lock is not a regular file")
-    return os.fdopen(file, "wb")
 
 
 @contextmanager

@@ -13,7 +13,6 @@ length, because h5py returns texts of fixed length as bytes.
 
 import functools
 import re
-from collections.abc import Iterator, Mapping
 from typing import Any
 
 import h5py
@@ -25,7 +24,6 @@ from evetac_cli.text_files import parse_json
 
 NO_VARIABLE = "This is a netCDF dimension but not a netCDF variable."  # netCDF's text for a scale without values
 LARGEST_INT = 2**63 - 1  # largest number of an attribute
-MOST_ANCESTORS = 20  # lines of `history`; a report may have hundreds of parents
 # Names of dimensions that a schema gives as a number: by the dataset, or else by the number.
 FIXED = {
     "frame_px": ("width_height",),
@@ -77,40 +75,17 @@ def _describe_column(h5: h5py.File, column: Any, group: str, described_in: str) 
 
 
 @functools.lru_cache(maxsize=1000)
-def is_place(kind: str, path: str) -> bool:
-    """Whether a file of this kind may have a dimension at a path."""
-    places = dimension_paths(kind).values()
-    patterns = [re.escape(place).replace(r"\*", "[^/]+") for place in places if "*" in place]
-    return path in places or any(re.fullmatch(pattern, path) for pattern in patterns) or _of_open_shape(kind, path)
-
-
-@functools.lru_cache(maxsize=1000)
 def is_dimension(kind: str, path: str) -> bool:
     """Whether an object at a path can only be a dimension of a file of this kind, and not a dataset."""
-    return is_place(kind, path) and schema.load(kind).find(path) is None
+    places = dimension_paths(kind).values()
+    patterns = [re.escape(place).replace(r"\*", "[^/]+") for place in places if "*" in place]
+    is_place = path in places or any(re.fullmatch(pattern, path) for pattern in patterns) or _of_open_shape(kind, path)
+    return is_place and schema.load(kind).find(path) is None
 
 
 def _of_open_shape(kind: str, path: str) -> bool:
     group, _, name = path.rpartition("/")
     return group in _open_groups(kind) and ANY_SHAPE.fullmatch(name) is not None
-
-
-def dimension_problems(
-    kind: str, stored: Mapping[str, tuple[str, tuple[int, ...]]], lengths: Mapping[str, int]
-) -> list[str]:
-    """Return a line for each dimension whose length differs from that of a dataset with this dimension.
-
-    stored: path -> (dtype, shape) of the datasets, which were checked by schema.problems. lengths: path -> length of
-    the dimensions. Files without dimensions are valid.
-    """
-    lines: dict[str, str] = {}
-    for path, (_, shape) in stored.items():
-        row = schema.load(kind).find(path)
-        for dimension, size in zip(_dimensions(kind, row, path, shape) if row else (), shape, strict=False):
-            length = lengths.get(dimension, size)
-            if length != size:
-                lines.setdefault(dimension, f"{dimension}: expected length {size} (as in {path}), found {length}")
-    return list(lines.values())
 
 
 @functools.cache
@@ -130,7 +105,7 @@ def dimension_paths(kind: str) -> dict[str, str]:
 
 
 def header_in_words(header: Header) -> dict[str, str | int]:
-    """Return the header as attributes of the root: plain values, and title, source and history as in CF."""
+    """Return the header as attributes of the root: plain values, and title and source as in CF."""
     table = schema.load(header["kind"])
     seed = header["seed"]
     words: dict[str, str | int] = {
@@ -141,27 +116,10 @@ def header_in_words(header: Header) -> dict[str, str | int]:
         "recipe_id": header["id"],
         "simulated": "yes" if header["simulated"] else "no",
         "source": "simulated data" if header["simulated"] else "data from devices or other programs",
-        "history": "\n".join(_history(header)),
     }
     if seed is not None:
         words["seed"] = seed if abs(seed) <= LARGEST_INT else str(seed)
     return words
-
-
-def _history(header: Header) -> Iterator[str]:
-    """Yield a line for every ancestor, the oldest first, and one for the file itself."""
-    ancestors = list(header["history"].items())
-    if len(ancestors) > MOST_ANCESTORS:
-        yield f"{len(ancestors) - MOST_ANCESTORS} more files, listed in the attribute header"
-    for id_, ancestor in ancestors[-MOST_ANCESTORS:]:
-        yield f"{ancestor['kind']} {id_[:12]}, method {ancestor['method']}"
-    if "trajectories" in header:
-        yield f"{len(header['trajectories'])} trajectories, listed in training/trajectories"
-    origin = header.get("made", {})
-    yield (
-        f"{origin.get('at', '')} evetac {origin.get('evetac', '')}: "
-        f"{header['kind']} {header['id'][:12]}, method {header['method']}"
-    )
 
 
 def _names(row: Dataset) -> list[str]:

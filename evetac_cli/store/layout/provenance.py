@@ -10,19 +10,24 @@ stored but are not part of the id.
 import hashlib
 import json
 import platform
+import re
 import time
 from collections import Counter
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache
+from pathlib import Path
+from types import NoneType
 from typing import Any
 
 import numpy as np
 
 from evetac_cli import __version__, plugins
-from evetac_cli.errors import InputError
+from evetac_cli.errors import ForeignFile, InputError, SchemaError, made_by
+from evetac_cli.store.hdf5.checked_hdf5 import MOST_TEXT_BYTES, CheckedHdf5
 from evetac_cli.store.layout import ancestry, schema
+from evetac_cli.text_files import SEED_BITS, parse_json
 
 Header = ancestry.Header
 LEAST_SHARED = 64  # characters; a reference to the list takes some 20
@@ -132,21 +137,16 @@ def folded(header: Header) -> Header:
 
 
 def unfolded(header: Header, most_characters: int) -> Header:
-    """Return the whole header from one as stored in a file; ValueError if `shared` is invalid or expands to too much.
+    """Return the whole header from one as stored in a file; an error if `shared` is invalid or expands to too much.
 
     Ancestors refer to the same shared parameters, not to copies.
     """
     values = header.pop("shared", [])
-    if not isinstance(values, list):
-        raise ValueError("`shared` is not a list")
     sizes = [len(canonical(value)) for value in values]
-    history = header.get("history")
-    for ancestor in history.values() if isinstance(history, dict) else ():
-        shared = ancestor.pop("shared", {}) if isinstance(ancestor, dict) else {}
-        if isinstance(ancestor, dict) and "trajectories" in ancestor:
-            ancestor["trajectories"] = ancestry.checked_rows(dict(enumerate(values))[ancestor["trajectories"]])
-        if not isinstance(shared, dict) or not all(type(at) is int and 0 <= at < len(sizes) for at in shared.values()):
-            raise ValueError("an ancestor refers to a missing entry of `shared`")
+    for ancestor in header.get("history", {}).values():
+        shared = ancestor.pop("shared", {})
+        if "trajectories" in ancestor:
+            ancestor["trajectories"] = ancestry.checked_rows(values[ancestor["trajectories"]])
         most_characters -= sum(sizes[at] for at in shared.values())
         if most_characters < 0:
             raise ValueError("too long")
@@ -205,13 +205,9 @@ def _libraries() -> dict[str, str]:
 
 def first_difference(wanted: Recipe, existing: Header) -> str:
     """Return a description of the first difference between an existing recipe and the wanted one."""
-    for key in ("kind", "method", "seed", "content"):
-        ours = wanted.identity[key]
-        if ours != existing[key]:
-            return f"{key} is {_short(existing[key])} in the file, {_short(ours)} requested"
-    difference = _difference(wanted.parameters, existing["parameters"], "parameters")
-    if difference:
-        return difference
+    for key in ("kind", "method", "seed", "content", "parameters"):
+        if difference := _difference(wanted.identity[key], existing[key], key):
+            return difference
     if len(existing["parents"]) != len(wanted.parents):
         return f"it was made from {len(existing['parents'])} files, now from {len(wanted.parents)}"
     for parent, theirs in zip(wanted.parents, existing["parents"], strict=True):
@@ -237,15 +233,11 @@ def _difference(ours: Any, theirs: Any, where: str) -> str:
             if key not in theirs or key not in ours:
                 side = "requested, but not in the file" if key in ours else "in the file, but not requested"
                 return f"{where}.{key} is {side}"
-            inner = _difference(ours[key], theirs[key], f"{where}.{key}")
-            if inner:
+            if inner := _difference(ours[key], theirs[key], f"{where}.{key}"):
                 return inner
         return ""
-    return (
-        ""
-        if canonical(ours) == canonical(theirs)
-        else f"{where} is {_short(theirs)} in the file, {_short(ours)} requested"
-    )
+    same = canonical(ours) == canonical(theirs)
+    return "" if same else f"{where} is {_short(theirs)} in the file, {_short(ours)} requested"
 
 
 def _short(value: Any) -> str:
@@ -288,3 +280,61 @@ def content_digest(arrays: Mapping[str, Any]) -> str:
     digest = ContentDigest()
     digest.update_all(arrays)
     return digest.hexdigest()
+
+
+FOREIGN = "event files of other programs are read with `evetac record --from FILE`"
+
+# The keys of every header, except `history`, and their types.
+HEADER: dict[str, tuple[type, ...]] = {
+    "kind": (str,),
+    "version": (str,),
+    "method": (int,),
+    "parameters": (dict,),
+    "seed": (int, NoneType),
+    "parents": (list,),
+    "content": (str, NoneType),
+    "id": (str,),
+    "simulated": (bool,),
+}
+
+
+def read_header(file: CheckedHdf5) -> Header:
+    """Return the header of an open file; ForeignFile if there is none, InputError for another version."""
+    path, text = file.path, file.text_attribute("header")
+    if text is None:
+        raise ForeignFile("this HDF5 file was not made by evetac: it has no header", where=str(path), hint=FOREIGN)
+    try:
+        header = unfolded(dict(parse_json(text, whole_bits=SEED_BITS)), MOST_TEXT_BYTES)
+    except (AttributeError, LookupError, ValueError, TypeError, RecursionError):
+        raise SchemaError("its header is not valid", where=str(path), expected="schemas/header.v1.json") from None
+    version = re.fullmatch("([0-9]{1,9})[.]([0-9]{1,9})", str(header.get("version")))
+    number = (int(version[1]), int(version[2])) if version else None
+    if number and number < (schema.MAJOR, schema.OLDEST_MINOR):
+        message, hint = "written by an earlier version of evetac and cannot be read", "make it again from its recipe"
+        raise InputError(message, where=str(path), found=f"version {header['version']}", hint=hint)
+    if number and number[0] > schema.MAJOR:  # checked first: such a header may have another form
+        raise InputError("made by a newer evetac", where=str(path), found=f"version {header['version']}")
+    wrong = _wrong(header) + ([] if number else ["version"])
+    if not isinstance(header.get("history"), dict) or any(
+        not isinstance(ancestor, dict) or _wrong(ancestor) for ancestor in header["history"].values()
+    ):
+        wrong.append("history")
+    if wrong:
+        message = f"its header is not valid: {', '.join(dict.fromkeys(wrong))}"
+        raise SchemaError(message, where=str(path), expected="schemas/header.v1.json")
+    return header
+
+
+def _wrong(header: Header) -> list[str]:
+    """Return the keys of a header, or of an ancestor's, which has no history, whose values are missing or not valid."""
+    wrong = [key for key, types in HEADER.items() if not isinstance(header.get(key, ...), types)]
+    return wrong or ([] if all(isinstance(parent, str) for parent in header["parents"]) else ["parents"])
+
+
+def check_kind(path: Path, header: Header, wanted: tuple[str, ...] | None) -> None:
+    """Raise InputError if a header is not of the expected kind, or of an unknown kind."""
+    if wanted and header["kind"] not in wanted:
+        expected, hint = " or ".join(wanted), "; ".join(map(made_by, wanted))
+        raise InputError("wrong kind of file", where=str(path), expected=expected, found=header["kind"], hint=hint)
+    if header["kind"] not in schema.KINDS:
+        raise SchemaError("unknown kind", where=str(path), expected=", ".join(schema.KINDS), found=str(header["kind"]))

@@ -213,11 +213,6 @@ def describe(value: Any) -> tuple[str, tuple[int, ...]]:
     return array.dtype.name, array.shape
 
 
-def check(kind: str, arrays: Mapping[str, Any]) -> None:
-    """Raise SchemaError if arrays violate the schema of this kind."""
-    refuse(kind, problems(load(kind), {path: describe(value) for path, value in arrays.items()}))
-
-
 def typed_rows(kind: str, rows: Mapping[str, Sequence[Any]]) -> dict[str, NDArray[Any]]:
     """Return rows that were collected one by one as arrays with the schema's dtypes; KeyError for an unknown path."""
     table = load(kind)
@@ -233,9 +228,8 @@ def typed_rows(kind: str, rows: Mapping[str, Sequence[Any]]) -> dict[str, NDArra
 def refuse(kind: str, lines: list[str], where: str = "") -> None:
     """Raise SchemaError with the first `lines` of `problems`, if there are any."""
     if lines:
-        raise SchemaError(
-            f"not a valid {kind}", where=where, expected=f"schemas/{kind}.v{MAJOR}.json", found="; ".join(lines[:8])
-        )
+        expected, found = f"schemas/{kind}.v{MAJOR}.json", "; ".join(lines[:8])
+        raise SchemaError(f"not a valid {kind}", where=where, expected=expected, found=found)
 
 
 def describe_stored(dataset: Any) -> str:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from evetac_cli.errors import InputError, SchemaError
 from evetac_cli.events import SLICE_US, Events, SliceBlock, empty
 from evetac_cli.store.files import StageFile
-from evetac_cli.store.recordings.marks import Mark, marks_of
+from evetac_cli.store.recordings.streams import Mark, marks_of
 
 if TYPE_CHECKING:
     from evetac_cli.kernels.event_drawing import ImageBlock
@@ -227,12 +227,8 @@ class Recording(StageFile):
 
     def _check_range(self, start: int, stop: int) -> None:
         if not 0 <= start <= stop <= len(self):
-            raise InputError(
-                "slices out of range",
-                where=str(self.path),
-                expected=f"0 <= start <= stop <= {len(self)}",
-                found=f"{start}, {stop}",
-            )
+            expected = f"0 <= start <= stop <= {len(self)}"
+            raise InputError("slices out of range", where=str(self.path), expected=expected, found=f"{start}, {stop}")
 
     def events(self, first: int, last: int) -> Events:
         """Return the events [first, last), by their index in the recording; SchemaError if one is in a wrong slice."""
@@ -250,14 +246,8 @@ class Recording(StageFile):
         earliest, latest = t[edges[:-1][has_events]], t[edges[1:][has_events] - 1]
         wrong = (earliest < slices[has_events] * SLICE_US) | (latest >= (slices[has_events] + 1) * SLICE_US)
         if wrong.any():
-            index = int(np.argmax(wrong))
-            slice_ = int(slices[has_events][index])
-            raise SchemaError(
-                "ms_to_idx does not fit events/t",
-                where=str(self.path),
-                expected=f"times from {slice_ * SLICE_US} to {(slice_ + 1) * SLICE_US - 1} us in slice {slice_}",
-                found=f"{earliest[index]} to {latest[index]}",
-            )
+            slice_ = slices[has_events][np.argmax(wrong)]
+            raise SchemaError(f"ms_to_idx does not fit events/t in slice {slice_}", where=str(self.path))
 
     def __getitem__(self, index: int) -> Events:
         if not -len(self) <= index < len(self):

@@ -30,12 +30,10 @@ from evetac_cli.events import Events
 from evetac_cli.store.files import put_header, replacing
 from evetac_cli.store.hdf5.checked_hdf5 import CheckedHdf5, row_blocks
 from evetac_cli.store.hdf5.chunks import RowWriter, put
-from evetac_cli.store.hdf5.disk import check_free, make_own_folder, missing_folders, new_file, open_lock, remove_empty
+from evetac_cli.store.hdf5.disk import check_free, missing_folders, new_file, remove_empty
 from evetac_cli.store.layout import schema
 from evetac_cli.store.layout.netcdf import describe_dataset
 from evetac_cli.store.layout.provenance import ContentDigest, Header, Recipe
-from evetac_cli.store.recordings import part_folder
-from evetac_cli.store.recordings.part_folder import JOINED, LATE, LOCK, SEGMENT, STATIC
 from evetac_cli.store.recordings.trial_writer import TrialBuffer
 
 SEGMENT_S = 0.25  # at most one segment in this time, in wall time
@@ -47,6 +45,12 @@ WRITE_HINTS = {
     **dict.fromkeys((errno.ENOSPC, errno.EDQUOT, errno.EFBIG), "free some space on this disk"),
     errno.ENOENT: "the folder was moved or removed during the recording; if moved, evetac repair recovers what it has",
 }
+STATIC = "static.h5"
+LATE = "late.h5"  # datasets known only at the end, of a recording that is to be joined later
+LOCK = "lock"
+JOINED = "joined"  # marks a folder whose recording is complete but which was not removed
+SEGMENT = "([0-9]{6,})[.](h5|tmp)"  # name of a segment; .tmp: possibly closed, but not yet renamed
+OWN = re.compile(rf"{LOCK}|{JOINED}|(static|late)[.](h5|tmp)|{SEGMENT}")
 # Attributes of a segment, of its datasets, and of STATIC.
 FIRST_SLICE = "first_slice"
 CRC = "crc32"
@@ -69,11 +73,7 @@ class RecordingWriter:
         self._replaces = os.path.lexists(path)  # an existing file was allowed to be replaced
         self._made = missing_folders(path.parent)
         self._lock: BinaryIO | None = None
-        try:
-            self._claim()
-        except KeyboardInterrupt:
-            self._remove_if_only_begun()
-            raise
+        self._claim()
         try:
             about = {} if recipe is None else {RECIPE: json.dumps(vars(recipe.carried()), allow_nan=False)}
             self._write(self.folder / STATIC, static, about)
@@ -90,29 +90,19 @@ class RecordingWriter:
     def _claim(self) -> None:
         """Create and lock the folder; the lock distinguishes a recording in progress from an interrupted one."""
         try:
-            make_own_folder(self.folder)
-            self._lock = lock = open_lock(self.folder / LOCK)  # held until finish() or discard()
+            self.folder.mkdir(parents=True, exist_ok=True)
+            _refuse_strange(self.folder)
+            self._lock = locked_part(self.folder)  # held until finish() or discard()
         except (FileExistsError, NotADirectoryError):
             raise InputError("the output folder is a file", where=str(self.folder)) from None
         except OSError as error:
             raise InputError(f"cannot be created: {error.strerror}", where=str(self.folder)) from None
         try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            self._unlock()
-            raise _in_use(self.folder) from None
-        try:
-            part_folder.refuse_strange(self.folder)
-        except InputError:
-            (self.folder / LOCK).unlink()
-            self._unlock()
-            raise
-        try:
             _refuse_segments(self.folder)
         except InputError:
             self._unlock()
             raise
-        part_folder.remove(self.folder, keep=LOCK)
+        remove_parts(self.folder, keep=LOCK)
 
     def append(self, events: Events, rows: Mapping[str, Any] | None = None) -> None:
         """Add one slice (its events may be none) and one row to each of the named datasets; arrays are not copied."""
@@ -172,22 +162,9 @@ class RecordingWriter:
 
     def discard(self) -> None:
         """Remove the folder, of a recording that was joined or is not wanted."""
-        part_folder.remove(self.folder)  # before unlocking: another process may be waiting for the lock
+        remove_parts(self.folder)  # before unlocking: another process may be waiting for the lock
         remove_empty(self._made)
         self._unlock()
-
-    def _remove_if_only_begun(self) -> None:
-        """Remove the folder if it has nothing but the lock file, locked by this process."""
-        with suppress(OSError):
-            if self._lock is None:
-                self.folder.rmdir()
-            else:
-                fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                if [file.name for file in self.folder.iterdir()] == [LOCK]:
-                    (self.folder / LOCK).unlink()
-                    self.folder.rmdir()
-        self._unlock()
-        remove_empty(self._made)
 
     def _unlock(self) -> None:
         if self._lock is not None:
@@ -210,11 +187,9 @@ class RecordingWriter:
         except OSError as error:
             with suppress(OSError):
                 temporary.unlink()
-            raise InputError(
-                f"a segment cannot be written: {error.strerror or error}",
-                where=str(path.parent),
-                hint=WRITE_HINTS.get(error.errno or 0, ""),
-            ) from error
+            message = f"a segment cannot be written: {error.strerror or error}"
+            hint = WRITE_HINTS.get(error.errno or 0, "")
+            raise InputError(message, where=str(path.parent), hint=hint) from error
 
 
 def refuse_leftover(path: Path) -> None:
@@ -223,33 +198,29 @@ def refuse_leftover(path: Path) -> None:
     if not folder.is_dir():
         return
     if (folder / LOCK).is_file():
-        try:
-            with open_lock(folder / LOCK) as lock:
-                fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise _in_use(folder) from None
-        except OSError:  # not a lock of a recorder: refused when the folder is claimed
-            pass
+        locked_part(folder).close()
     _refuse_segments(folder)
 
 
-def _in_use(folder: Path) -> InputError:
-    return InputError(
-        "another process is recording here",
-        where=str(folder),
-        hint="wait until it ends, or use another name with -o",
-    )
+def locked_part(folder: Path) -> BinaryIO:
+    """Open and lock the lock file of a folder NAME.part/; InputError if another process records there."""
+    lock = open(folder / LOCK, "ab")  # noqa: SIM115
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        lock.close()
+        hint = "wait until it ends, or use another name with -o"
+        raise InputError("another process is recording here", where=str(folder), hint=hint) from None
+    return lock
 
 
 def _refuse_segments(folder: Path) -> None:
     if (folder / JOINED).exists():
         return
     if any(re.fullmatch(SEGMENT, file.name) for file in folder.iterdir()):
-        raise InputError(
-            "an interrupted recording is here, which cannot be made again",
-            where=str(folder),
-            hint=f"evetac repair {folder}, or use another name with -o",
-        )
+        message = "an interrupted recording is here, which cannot be made again"
+        hint = f"evetac repair {folder}, or use another name with -o"
+        raise InputError(message, where=str(folder), hint=hint)
 
 
 def _part_folder(path: Path) -> Path:
@@ -280,7 +251,8 @@ def join(
     per_slice = _float_of_every_slice(parts)
     digest = ContentDigest()
     events = 0
-    whole = {**_static(folder), **late}
+    with CheckedHdf5(folder / STATIC) as static:
+        whole = {**whole_datasets(static), **late}
     shapes = {name: schema.describe(value) for name, value in whole.items()}
     with replacing(path, partial(check_free, path, force=replaces)) as h5:
         for name, value in whole.items():
@@ -329,13 +301,12 @@ def join(
     return header
 
 
-def _static(folder: Path) -> dict[str, Any]:
-    """Return the datasets that were known at the start of a recording."""
-    with CheckedHdf5(folder / STATIC) as static:
-        return {
-            name: static.text(name, dataset.id) if schema.describe_stored(dataset) == "utf8" else dataset[()]
-            for name, dataset in static.datasets().items()
-        }
+def whole_datasets(file: CheckedHdf5) -> dict[str, Any]:
+    """Return the datasets of a file that were known at the start of a recording, or only at its end."""
+    return {
+        name: file.text(name, dataset.id) if schema.describe_stored(dataset) == "utf8" else dataset[()]
+        for name, dataset in file.datasets().items()
+    }
 
 
 def _in_blocks(count: int) -> Iterator[int]:
@@ -358,3 +329,36 @@ def _float_of_every_slice(parts: Sequence[Path | int]) -> dict[str, tuple[Any, t
         for name, row in described.items()
         if row is not None and row.dims and row.dims[0] == "slices" and row.dtype.startswith("float")
     }
+
+
+def strange_entries(folder: Path) -> list[str]:
+    """Return the names of entries that were not written by a recorder."""
+    return sorted(path.name for path in folder.iterdir() if not OWN.fullmatch(path.name) or not _is_file(path))
+
+
+def _refuse_strange(folder: Path) -> None:
+    """Raise InputError if a folder has anything that was not written by a recorder."""
+    if names := strange_entries(folder):
+        hint = "move it away, or use another name with -o"
+        raise InputError("this folder is not from a recording", where=str(folder), found=", ".join(names), hint=hint)
+
+
+def remove_parts(folder: Path, *, keep: str = "") -> list[str]:
+    """Remove a recorder's files, and the folder if it is then empty; return the names of remaining entries.
+
+    keep: a file that stays, and with it the folder.
+    """
+    with suppress(OSError):  # an unreadable folder stays
+        for path in folder.iterdir():
+            if path.name != keep and OWN.fullmatch(path.name) and _is_file(path):
+                with suppress(OSError):
+                    path.unlink()
+        left = [name for name in strange_entries(folder) if name != keep]
+        if not keep:
+            folder.rmdir()
+        return left
+    return strange_entries(folder) if folder.is_dir() else []
+
+
+def _is_file(path: Path) -> bool:
+    return path.is_file() and not path.is_symlink()

@@ -71,9 +71,8 @@ class SlipWindows:
     def _windows_of(self, number: int, file: StageFile) -> NDArray[np.int32]:
         """Return the rows of the index for a file, and store its span."""
         if not file.has("label"):
-            raise InputError(
-                "the features have no labels", where=str(file.path), hint="run evetac label, then evetac featurize"
-            )
+            message = "the features have no labels: run evetac label, then evetac featurize"
+            raise InputError(message, where=str(file.path))
         label, onset = file.read("label"), int(file.read("onset_slice"))
         stop = len(label) if onset < 0 else min(len(label), onset + self.after_onset)
         usable = np.flatnonzero(label[:stop] >= 0)

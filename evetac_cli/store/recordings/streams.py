@@ -1,15 +1,19 @@
-"""Other streams of a trial: measurements in addition to the events, such as an arm's pose or a camera's images.
+"""Other streams of a trial: measurements in addition to the events, such as an arm's pose, a camera's images, or marks.
 
 A stream is the group `streams/NAME` of a recording. Its times are in the recording's clock, so they can be compared
 directly with events, gripper or truth.
+
+Marks are texts that a robot's program sent during the recording, with their times (group `marks`). They are stored as
+rows of bytes: rows of plain numbers can be appended to segments one by one, and all checks of files support them, so a
+mark survives a kill of the recorder like events do.
 """
 
 import json
 import math
 import re
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -98,3 +102,47 @@ def free_name(wanted: str, taken: Collection[str]) -> str:
     name = name if NAME.match(name) else f"_{name}"
     numbered = [name, *(f"{name}_{number}" for number in range(2, len(taken) + len(TAKEN) + 3))]
     return next(name for name in numbered if name not in taken and name not in TAKEN)
+
+
+MARK_TIME, MARK_TEXT = "marks/t_us", "marks/text"
+SHOWN_MARKS = 20  # marks in a description
+MOST_MARK_BYTES = 120  # of a text, in UTF-8
+
+
+class Mark(NamedTuple):
+    """One mark: its slice, its time in us in the clock of the recording, and its text."""
+
+    slice: int
+    t_us: int
+    text: str
+
+
+class _Datasets(Protocol):
+    def has(self, path: str) -> bool:
+        """Whether there is such a dataset."""
+
+    def read(self, path: str) -> Any:
+        """Return a dataset."""
+
+
+def mark_row(t_us: int, text: str) -> Mapping[str, Any]:
+    """Return the row of a mark in datasets `marks/...`; ValueError for a text of more than MOST_MARK_BYTES in UTF-8."""
+    content = text.encode()
+    if len(content) > MOST_MARK_BYTES:
+        raise ValueError(f"the text has {len(content)} bytes, more than {MOST_MARK_BYTES}")
+    return {MARK_TIME: t_us, MARK_TEXT: np.frombuffer(content.ljust(MOST_MARK_BYTES, b"\0"), np.uint8)}
+
+
+def marks_in_words(marks: Sequence[Mark]) -> str:
+    """Return a description of the first SHOWN_MARKS marks with their times; empty without marks."""
+    texts = [f"{mark.text} at {mark.t_us * 1e-6:.3f} s" for mark in marks[:SHOWN_MARKS]]
+    return "; ".join([*texts, *([f"{len(marks) - SHOWN_MARKS} more"] if len(marks) > SHOWN_MARKS else [])])
+
+
+def marks_of(recording: _Datasets) -> list[Mark]:
+    """Return the marks of a recording in order of time; none if it has no such group."""
+    if not recording.has(MARK_TIME):
+        return []
+    texts = (bytes(row).rstrip(b"\0").decode(errors="replace") for row in recording.read(MARK_TEXT))
+    times = recording.read(MARK_TIME).tolist()
+    return [Mark(t_us // SLICE_US, t_us, text) for t_us, text in zip(times, texts, strict=True)]

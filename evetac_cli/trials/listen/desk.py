@@ -14,7 +14,7 @@ from enum import StrEnum
 from typing import Any
 
 from evetac_cli.events import SLICE_US, SLICES_PER_S
-from evetac_cli.store.recordings import marks
+from evetac_cli.store.recordings import streams
 from evetac_cli.trials.session import ABORTED, STOPPED
 
 NAME = re.compile("[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
@@ -102,8 +102,8 @@ class Desk:
 
     def _mark(self, request: Mapping[str, Any], came_s: float, answered: "Future[Answer]") -> None:
         text, at_s = request.get("text"), request.get("at_s", came_s)
-        if not isinstance(text, str) or not text.isprintable() or not 0 < len(text.encode()) <= marks.MOST_BYTES:
-            raise Refusal(f"not a mark: expected a text of 1 to {marks.MOST_BYTES} bytes without line ends")
+        if not isinstance(text, str) or not text.isprintable() or not 0 < len(text.encode()) <= streams.MOST_MARK_BYTES:
+            raise Refusal(f"not a mark: expected a text of 1 to {streams.MOST_MARK_BYTES} bytes without line ends")
         if isinstance(at_s, bool) or not isinstance(at_s, int | float):
             raise Refusal("not a time: expected at_s in s, by the monotonic clock of this computer")
         if self._state is not State.RECORDING or self._why:
@@ -211,7 +211,7 @@ class Desk:
             if last:
                 self._state = State.SAVING
             taken, self._marks = self._marks, []
-        return [marks.mark_row(t_us, text) for t_us, text in taken]
+        return [streams.mark_row(t_us, text) for t_us, text in taken]
 
     def ended(self, file: str | None, ended: str, slices: int = 0, error: str = "") -> None:
         """Record the outcome of the trial, and answer the requests that wait for it.

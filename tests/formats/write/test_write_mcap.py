@@ -27,9 +27,8 @@ from evetac_cli.formats.read.time_order import OrderOptions
 from evetac_cli.formats.write import write_mcap
 from evetac_cli.inspect.export import run as run_export
 from evetac_cli.store.files import StageFile
-from evetac_cli.store.recordings.marks import mark_row
 from evetac_cli.store.recordings.read import open_recording
-from evetac_cli.store.recordings.streams import Stream
+from evetac_cli.store.recordings.streams import Stream, mark_row
 from tests import small_files
 from tests.formats.test_exports import drawn, refusal, write
 from tests.importing import same

@@ -15,25 +15,6 @@ from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.hdf5.checked_hdf5 import CheckedHdf5
 from evetac_cli.store.layout.provenance import Recipe
 from tests.patience import PATIENCE_S
-from tests.store.test_files import RECIPE, labels
-
-
-@pytest.mark.parametrize("rows", [2**28, 2**33])
-@pytest.mark.parametrize("chunks", [None, (65536,)])
-def test_m6_announced_rows_are_refused_when_a_file_is_opened(
-    tmp_path: Path, rows: int, chunks: tuple[int, ...] | None
-) -> None:
-    """Assert that rows that a file of some kB announces, and never wrote, are refused before anything reads them."""
-    path = tmp_path / "a.labels.h5"
-    write_stage(path, RECIPE, labels())
-    with h5py.File(path, "r+") as h5:
-        for name, dtype in (("label", np.int8), ("relative_flow_px", np.float32)):
-            del h5[name]
-            h5.create_dataset(name, (rows,), dtype, chunks=chunks)
-    assert path.stat().st_size < 100_000
-    with pytest.raises(InputError, match=r"never written"):
-        StageFile(path)
-
 
 TEXT = """
 import sys

@@ -1,12 +1,10 @@
 """Arrays that lie on disk while they are used: the same as in memory, gone with them, errors in words."""
 
-import errno
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 
-import filelock
 import numpy as np
 import pytest
 
@@ -35,17 +33,8 @@ def test_a_disk_that_does_not_take_them(tmp_path: Path) -> None:
         disk.joined_on_disk(tmp_path / "none", [(np.zeros(3),)])
 
 
-@pytest.mark.parametrize("has_locks", [True, False])
-def test_of_runs_at_once_one_puts_its_file_there(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, has_locks: bool
-) -> None:
-    """Assert that the others are refused, also on a file system without locks, and that no lock file is left."""
-    if not has_locks:
-
-        def without(lock: filelock.FileLock) -> None:
-            raise OSError(errno.ENOLCK, "No locks available")
-
-        monkeypatch.setattr(filelock.FileLock, "_acquire", without)
+def test_of_runs_at_once_one_puts_its_file_there(tmp_path: Path) -> None:
+    """Assert that the others are refused, and that no lock file is left."""
     for number in range(10):
         path, together = tmp_path / f"{number}.txt", threading.Barrier(3)
 

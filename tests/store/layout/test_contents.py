@@ -35,7 +35,7 @@ def set_value(path: Path, dataset: str, index: int, value: int) -> None:
         h5[dataset][index] = value
 
 
-@pytest.mark.parametrize("values", [1, 2, 3, 5, 7, 1000])
+@pytest.mark.parametrize("values", [1, 7, 1000])
 def test_a_fault_is_found_wherever_the_blocks_are_cut(
     values: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -51,7 +51,7 @@ def test_a_fault_is_found_wherever_the_blocks_are_cut(
     assert "never decreasing" in row["faults"]
 
 
-@pytest.mark.parametrize("index", [0, 3, 4999, 5000, 9999])
+@pytest.mark.parametrize("index", [0, 5000, 9999])
 @pytest.mark.parametrize(("dataset", "value"), [("events/x", 640), ("events/p", 2), ("events/t", -1)])
 def test_large_datasets_are_checked_where_they_are_read(dataset: str, value: int, index: int, tmp_path: Path) -> None:
     """Assert that a recording with one bad event opens, and that reading it is refused where that event lies."""
@@ -115,7 +115,7 @@ def test_an_index_into_a_dataset_that_is_missing_is_refused(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("name", ARCHITECTURES)
-@pytest.mark.parametrize("grid", [(7, 8), (2, 4), (5, 9)])
+@pytest.mark.parametrize("grid", [(7, 8), (2, 4)])
 def test_shapes_of_weights_are_those_of_the_networks(name: str, grid: tuple[int, int]) -> None:
     """Assert that the shapes that model files are held to are those of the networks that are trained."""
     network = networks.build(ARCHITECTURES[name], *grid)

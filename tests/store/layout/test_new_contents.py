@@ -7,14 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from evetac_cli.commands.track import Track
 from evetac_cli.errors import SchemaError
 from evetac_cli.inspect import validate
-from evetac_cli.kernels.tracking import tracker
-from evetac_cli.stages import track
 from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.layout import contents, rules
-from evetac_cli.store.layout.new_contents import HINT
+from evetac_cli.store.layout.contents import HINT
 from evetac_cli.store.layout.provenance import Recipe
 from tests import small_files
 
@@ -44,35 +41,21 @@ def everything(folder: Path) -> list[str]:
     [
         ({"label": np.where(np.arange(100) < 70, 0, 2).astype(np.int8)}, "label is impossible"),
         ({"relative_flow_px": np.full(100, np.inf, np.float32)}, "relative_flow_px is impossible"),
-        ({"onset_slice": np.int64(100)}, "onset_slice is impossible"),
         ({"onset_slice": np.int64(71)}, "70, the first slice of slip"),
         ({"abstained": np.uint8(1), "onset_slice": np.int64(69)}, "a slice before all slip with label -1"),
-        ({"abstained": np.uint8(1)}, "a slice before all slip with label -1"),
-        ({"latest_slice": np.int64(100)}, "latest_slice is impossible"),
         ({"confidence": np.float64(1.5)}, "confidence is impossible"),
         ({"flow_pairs_computed": np.int64(-1)}, "flow_pairs_computed is impossible"),
     ],
 )
 def test_arrays_without_sense_leave_nothing(tmp_path: Path, changes: dict[str, Any], words: str) -> None:
-    """Assert that each limit and rule of the schema is held before anything is written, a folder included."""
-    path = tmp_path / "new" / "a.labels.h5"
+    """Assert that each limit and rule of the schema is held before anything is written."""
+    path = tmp_path / "a.labels.h5"
     with pytest.raises(SchemaError, match=words) as refused:
         write_stage(path, LABELS, labels(**changes))
     assert str(refused.value).startswith(f"{path}: ")
     assert refused.value.hint == HINT
     assert everything(tmp_path) == []
     write_stage(path, LABELS, labels())
-
-
-def text_without_sense(rows: str) -> dict[str, Any]:
-    return {"command": "evaluate slip", "rows": rows, "summary": "{}"}
-
-
-def test_texts_are_held_to_their_limits(tmp_path: Path) -> None:
-    """Assert that a text that has to be JSON is refused where it is none."""
-    with pytest.raises(SchemaError, match="rows is impossible"):
-        write_stage(tmp_path / "a.report.h5", Recipe("report", 1, {}), text_without_sense("[1]"))
-    assert everything(tmp_path) == []
 
 
 def columns() -> dict[str, Any]:
@@ -104,8 +87,8 @@ def write_events(path: Path, size: int, starts: Any = None, **changes: tuple[int
     write_stage(path, RECORDING, whole, blocks(arrays, size), dict.fromkeys(arrays, EVENTS))
 
 
-@pytest.mark.parametrize("size", [1, 7, 10, 30, EVENTS])
-@pytest.mark.parametrize("place", [0, 9, 10, 29, 30, EVENTS - 1])
+@pytest.mark.parametrize("size", [7, EVENTS])
+@pytest.mark.parametrize("place", [0, 30, EVENTS - 1])
 @pytest.mark.parametrize(("name", "value"), [("x", 640), ("y", 480), ("p", 2), ("t", -1)])
 def test_a_block_without_sense_leaves_the_old_file(
     tmp_path: Path, name: str, value: int, place: int, size: int
@@ -122,7 +105,7 @@ def test_a_block_without_sense_leaves_the_old_file(
     assert everything(tmp_path) == [path.name]
 
 
-@pytest.mark.parametrize("size", [1, 10, 15, EVENTS])
+@pytest.mark.parametrize("size", [1, 15])
 def test_order_is_held_from_one_block_to_the_next(tmp_path: Path, size: int) -> None:
     """Assert that a time before the last one of the block before is refused."""
     with pytest.raises(SchemaError, match=r"events/t is impossible(.|\n)*never decreasing"):
@@ -162,23 +145,6 @@ def test_a_dataset_that_the_limits_need_is_missing(tmp_path: Path) -> None:
     with pytest.raises(SchemaError, match=r"sensor/frame_px is missing"):
         write_stage(tmp_path / "a.recording.h5", RECORDING, whole, blocks(columns(), EVENTS), {})
     assert everything(tmp_path) == []
-
-
-def test_a_stage_that_computes_nonsense_writes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that a tracker that goes wrong ends in words that name the tracks, and leaves no file of them."""
-    recording = tmp_path / "a.recording.h5"
-    small_files.recording(recording)
-
-    def lose(state: Any, *events: Any) -> None:
-        state.dot_xy_px[...] = np.nan
-
-    monkeypatch.setattr(tracker, "step", lose)
-    (job,) = track.jobs([recording], Track(), None)
-    with pytest.raises(SchemaError, match="dot_xy_px is impossible") as refused:
-        track.run(job, Track())
-    assert refused.value.where == str(job.output)
-    assert "evetac validate" in str(refused.value)
-    assert everything(tmp_path) == [recording.name]
 
 
 def test_labels_may_abstain(tmp_path: Path) -> None:

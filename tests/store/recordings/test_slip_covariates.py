@@ -8,9 +8,8 @@ import pytest
 from evetac_cli.events import Events
 from evetac_cli.kernels.slip.covariates import SlipCovariates
 from evetac_cli.store.files import StageFile
-from evetac_cli.store.recordings.gel_columns import gel_counts
 from evetac_cli.store.recordings.read import Recording, open_recording, ramp_start, true_onset
-from evetac_cli.store.recordings.slip_covariates import covariates_of_labels, covariates_of_truth
+from evetac_cli.store.recordings.slip_covariates import covariates_of_labels, covariates_of_truth, gel_counts
 from tests.conftest import Made
 from tests.make import event_arrays, write_recording
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from evetac_cli.store.recordings import marks
+from evetac_cli.store.recordings import streams
 from evetac_cli.trials.listen.desk import Desk
 from evetac_cli.trials.session import ABORTED, STOPPED
 from tests.patience import PATIENCE_S
@@ -170,7 +170,7 @@ def test_a_trial_that_nobody_stops_ends() -> None:
 
 def test_rows_hold_texts_as_they_are() -> None:
     """Assert that a text comes back from its bytes, and that a longer one is refused and not cut."""
-    row = marks.mark_row(1500, "gehoben: 2 µm")
+    row = streams.mark_row(1500, "gehoben: 2 µm")
 
     class File:
         def has(self, path: str) -> bool:
@@ -179,9 +179,9 @@ def test_rows_hold_texts_as_they_are() -> None:
         def read(self, path: str) -> Any:
             return np.array([row[path]])
 
-    assert marks.marks_of(File()) == [marks.Mark(1, 1500, "gehoben: 2 µm")]
+    assert streams.marks_of(File()) == [streams.Mark(1, 1500, "gehoben: 2 µm")]
     with pytest.raises(ValueError, match="more than 120"):
-        marks.mark_row(0, "x" * 121)
+        streams.mark_row(0, "x" * 121)
 
 
 def test_a_wait_ends_with_a_start() -> None:

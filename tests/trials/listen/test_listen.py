@@ -24,9 +24,9 @@ from evetac_cli.events import SLICE_US, Events
 from evetac_cli.inspect import info, repair, validate
 from evetac_cli.names import Capability
 from evetac_cli.store.layout.provenance import Recipe
-from evetac_cli.store.recordings.marks import Mark, mark_row
 from evetac_cli.store.recordings.read import open_recording
 from evetac_cli.store.recordings.segments import RecordingWriter
+from evetac_cli.store.recordings.streams import Mark, mark_row
 from evetac_cli.trials import grasp, record
 from evetac_cli.trials.listen import Listening
 from evetac_cli.trials.record import capture
