@@ -1,5 +1,4 @@
 # An image with evetac, for users without a Python of their own; docs/install.md explains how to use it.
-# `scripts/try_dockerfile.py` tests these lines on machines without Docker.
 FROM python:3.11-slim
 
 # torch has its own layer, first, because it is the largest and changes least. The CPU build saves gigabytes over CUDA.

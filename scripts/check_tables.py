@@ -21,7 +21,6 @@ from typing import Any
 
 import compare_tables
 import frozen
-import plan
 import reproduce
 from experiment_steps import Command, Sizes
 from experiment_tables import Evaluation, Table
@@ -108,25 +107,14 @@ def planned(name: str) -> Plan:
     readers = [*evaluations.values(), *([again] if again else [])]
     steps = [*needed(kept, readers), *([again] if again else [])] if not experiment.measure else kept
     reduced = replace(of_table, steps=lambda _: iter(steps), evaluations=lambda _: evaluations)
-    estimated = _estimated(experiment, steps, [*evaluations.values()], frozen_trainings, sizes)
-    return Plan(table, reduced, sizes, check, archives, again, estimated)
+    return Plan(table, reduced, sizes, check, archives, again, _estimated(experiment, steps, sizes))
 
 
-def _estimated(
-    experiment: Experiment, steps: list[Command], evaluations: list[Command], placed: list[Command], sizes: Sizes
-) -> float:
-    """Return the hours on two cores from the costs of plan.py; for a measurement a share of the experiment's hours."""
-    if experiment.measure or any(words[0] == "python" for words in steps):
-        shares = [sizes[name] / full for name, full in experiment.full.items() if sizes[name] != full]
-        return experiment.hours * min(shares, default=1.0)
-    costs: plan.Costs = json.loads(plan.COSTS.read_text())
-    made: list[plan.Files] = []
-    for words in placed:
-        out, seeds = plan.option(words, "--out"), int(plan.option(words, "--seeds", "1"))
-        made.append(plan.Files(out if out.endswith(".h5") else f"{out}/{words[2]}.model.h5", seeds, 0.0))
-    commands = [words[1:] for words in (*steps, *evaluations) if words[1:3] != ["evaluate", "cost"]]
-    every = [step for words in commands for step in plan.of_command(experiment.name, words, made, costs)]
-    return sum(step.took_s(CORES) for step in every) / 3600
+def _estimated(experiment: Experiment, steps: list[Command], sizes: Sizes) -> float:
+    """Return the experiment's hours by the share of its commands and of its size that are repeated."""
+    shares = [sizes[name] / full for name, full in experiment.full.items() if sizes[name] != full]
+    every = len(list(experiment.steps(experiment.full)))
+    return experiment.hours * min(shares, default=1.0) * (len(steps) / every if every else 1.0)
 
 
 def made_by_hand() -> dict[str, str]:

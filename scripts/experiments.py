@@ -27,7 +27,6 @@ class Experiment:
     tables: tuple[Table, ...] = ()
     after: tuple[str, ...] = ()  # experiments that must run first
     published: bool = True  # whether its tables go to docs/results/; otherwise they stay in its folder
-    in_plan: bool = True  # whether plan.py counts its commands
 
 
 EXPERIMENTS: tuple[Experiment, ...] = (
@@ -53,7 +52,7 @@ EXPERIMENTS: tuple[Experiment, ...] = (
         evaluations=lambda sizes: {
             "true-slip-share": evetac("evaluate", "slip", "unseen/*.features.h5", "--model", "models/*/*.model.h5"),
         },
-        tables=(tables.TRUE_SLIP_SHARE,), in_plan=False,
+        tables=(tables.TRUE_SLIP_SHARE,),
     ),
     Experiment(
         "paper-recipe", "slip detection by the paper's recipe at full size, and with one change at a time",
@@ -65,7 +64,7 @@ EXPERIMENTS: tuple[Experiment, ...] = (
         "ship", "the pretrained slip detector, trained on many motions, sensors and objects", "data/ship", 1.0,
         full={"motions": (), "per_object": 40, "steps": 10_000},  # no motions given: all; 40: the most available
         small={"motions": ("slip", "pushes"), "per_object": 1, "steps": 200},
-        steps=steps.ship_steps, in_plan=False,
+        steps=steps.ship_steps,
     ),
     Experiment(
         "tracking", "tracker presets compared on edges, slip and shear", "data/tracking", 2.0,
@@ -109,47 +108,47 @@ EXPERIMENTS: tuple[Experiment, ...] = (
     ),
     Experiment(
         "strips", "a picture of every scene: events, forces and slip", "strips", 0.2,
-        full={"seed": 0}, small={}, steps=steps.strip_steps, after=("demo",), in_plan=False,
+        full={"seed": 0}, small={}, steps=steps.strip_steps, after=("demo",),
     ),
     Experiment(
-        "film", "a short film of a catch", "film", 0.1, full={}, small={}, steps=steps.film_steps, in_plan=False,
+        "film", "a short film of a catch", "film", 0.1, full={}, small={}, steps=steps.film_steps,
     ),
     Experiment(
         "part-effects", "effect of each part of a sensor or a scene on each stage", "data/part-effects", 1.0,
         full={"seed": 20_000, "slips": 15, "grasps": 9, "parts": ()},
         small={"slips": 3, "grasps": 0, "parts": ("leak",)},
-        measure="part_effects.measure", in_plan=False,
+        measure="part_effects.measure",
         tables=(studies.PART_EFFECTS,),
     ),
     Experiment(
         "blind-identification", "does identify recover unseen sensors", "data/blind-identification",
         0.8, full={"first": 20_020, "sensors": 20, "grips": 3}, small={"sensors": 1},
-        measure="blind_identification.measure", in_plan=False,
+        measure="blind_identification.measure",
         tables=(studies.BLIND_IDENTIFICATION,),
     ),
     Experiment(
         "force-sensors", "shear and normal force from touch maps of different sensors", "data/force-sensors", 3.0,
         full={"first": 20_020, "sensors": 20, "adapt": 12}, small={"sensors": 1, "adapt": 1},
-        steps=studies.force_sensor_steps, evaluations=studies.force_sensor_evaluations, in_plan=False,
+        steps=studies.force_sensor_steps, evaluations=studies.force_sensor_evaluations,
         tables=(studies.FORCE_SENSORS, studies.FORCE_OBJECTS), after=("blind-identification",),
     ),
     Experiment(
         "touch-cost", "cost of a step of the touch sensor", "data/touch-cost", 0.1,
         full={"rounds": 4, "ms": 500}, small={"rounds": 2, "ms": 50},
-        measure="robot_tables.touch_cost", in_plan=False,
+        measure="robot_tables.touch_cost",
         tables=(studies.TOUCH_COST,),
     ),
     Experiment(
         "mujoco-grasps", "grasps in MuJoCo with evetac's touch sensor, detector and laws", "data/mujoco-grasps", 0.1,
         full={"trials": 20, "seed": 22_000}, small={"trials": 1},
-        steps=studies.mujoco_steps, measure="robot_tables.mujoco_grasps", in_plan=False,
+        steps=studies.mujoco_steps, measure="robot_tables.mujoco_grasps",
         tables=(studies.MUJOCO_GRASPS,),
     ),
     Experiment(
         "lift-baseline", "a grip law found by CMA-ES compared with fixed grips", "data/lift-baseline", 0.5,
         full={"runs": 5, "generations": 4, "candidates": 6, "episodes": 2, "judged": 20, "judged_from": 22_000},
         small={"runs": 1, "generations": 1, "candidates": 4, "episodes": 1, "judged": 1},
-        steps=studies.lift_steps, measure="robot_tables.lift_baseline", in_plan=False,
+        steps=studies.lift_steps, measure="robot_tables.lift_baseline",
         tables=(studies.LIFT_BASELINE,),
     ),
 )  # fmt: skip

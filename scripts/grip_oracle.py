@@ -19,7 +19,6 @@ NAME = "oracle"
 MARGIN = 1.3
 LIGHT_N = 0.1  # at light contact
 SHORT, LONG = 0.98, 1.04  # tolerance around the target force: the oracle closes below it, and opens above it
-OPENS_TICKS = 0.5  # push beyond the force that holds the finger: the oracle opens by pulses
 PAUSE_STEPS = 4  # after an opening pulse, so that the finger rests and late commands have arrived
 SLIDES = 0.9  # slipping share of the contact above which the object slides
 SETTLED_STEPS = 50

@@ -1,10 +1,9 @@
-"""Make the tables and the picture of the grasps run by grip_trials.py and grip_real_time.py.
+"""Make the tables and the picture of the grasps run by grip_trials.py.
 
-    python scripts/grip_tables.py --rows rows/grip --seeds 50000-50999 --shared 200 --real-time rows/real-time.jsonl
+    python scripts/grip_tables.py --rows rows/grip --seeds 50000-50999 --shared 200
 
 - `grip-laws`: each grip law, over the first --shared seeds, which all laws have, and over all of its seeds
 - `grip-by-mass`: grip force relative to the smallest force that holds the object, by class of mass
-- `grip-real-time`: grasps on virtual devices in real time, compared with the same grasps simulated
 - docs/grip-force.png: grip force against weight
 
 All results are simulated.
@@ -13,7 +12,6 @@ All results are simulated.
 import argparse
 from pathlib import Path
 
-import numpy as np
 from script_rows import rows_in, seeds_of
 from script_tables import RESULTS, table_of, write
 
@@ -87,52 +85,6 @@ def mass_table(laws: dict[str, Rows], command: str, sizes: Row) -> Row:
     return table_of("grip-by-mass", "Grasps of randomised objects by mass", columns, shown, command, sizes)
 
 
-def real_time_table(rows: Rows) -> Row:
-    """Return the table `grip-real-time`: results of grasps in real time and of the same grasps simulated."""
-    made = [row for row in rows if not any("failed" in row[how] for how in ("real_time", "simulated"))]
-
-    def median(how: str, name: str) -> float | None:
-        values = [row[how][name] for row in made if row[how][name] is not None]
-        return float(np.median(values)) if values else None
-
-    shown = []
-    for how, words in (("real_time", "virtual devices, in real time"), ("simulated", "simulated")):
-        late = [row[how]["slice_late_us"] for row in made if "slice_late_us" in row[how]]
-        shown.append(
-            {
-                "how": words,
-                "grasps": len(made),
-                "failed": len(rows) - len(made),
-                "kept": sum(row[how]["balanced"] for row in made),
-                "alike": sum(row["real_time"]["balanced"] == row["simulated"]["balanced"] for row in made),
-                "over": median(how, "over_holding_end"),
-                "moved": median(how, "moved_mm"),
-                "reactions": float(np.mean([row[how]["slip_events"] for row in made])),
-                "late_p50_ms": float(np.median([each[0] for each in late])) / 1e3 if late else None,
-                "late_p99_ms": float(np.median([each[1] for each in late])) / 1e3 if late else None,
-                "late_most_ms": max(each[2] for each in late) / 1e3 if late else None,
-            }
-        )
-    columns = {
-        "grasps": "{how}",
-        "made": "{grasps}",
-        "failed": "{failed}",
-        "kept": "{kept}",
-        "ended as the other": "{alike}",
-        "force at the end over what just holds, median": "{over:.2f}",
-        "moved, median [mm]": "{moved:.2f}",
-        "reactions per grasp": "{reactions:.1f}",
-        "slices late, median [ms]": "{late_p50_ms:.2f}",
-        "99th percentile": "{late_p99_ms:.2f}",
-        "most": "{late_most_ms:.1f}",
-    }
-    seeds = f"{min(row['seed'] for row in rows)}-{max(row['seed'] for row in rows)}"
-    command, sizes = f"python scripts/grip_real_time.py --seeds {seeds} -o FILE", {"seeds": seeds}
-    title = "The same law, detector and threshold in real time and simulated"
-    note = "Noise of camera and gripper differ between the two, as between two seeds. Lateness: medians over grasps."
-    return table_of("grip-real-time", title, columns, shown, command, sizes, notes=(note,))
-
-
 def draw(laws: dict[str, Rows], path: Path) -> None:
     """Draw grip force against weight for the first SHOWN grasps of each law."""
     held = [[row for row in rows[:SHOWN] if row["over_holding_end"] is not None] for rows in laws.values()]
@@ -148,20 +100,14 @@ def main() -> None:
     )
     parser.add_argument("--seeds", type=seeds_of, required=True, help="seeds of the grasps to show, as FIRST-LAST")
     parser.add_argument("--shared", type=int, default=200, help="number of first seeds for which every law has a grasp")
-    parser.add_argument("--real-time", type=Path, help="file with the rows of grip_real_time.py")
     chosen = parser.parse_args()
     rows = [row for path in sorted(chosen.rows.glob("*.jsonl")) for row in rows_in(path) if row["seed"] in chosen.seeds]
     laws = by_law(rows)
     words = ["python scripts/grip_tables.py --rows FOLDER", f"--seeds {chosen.seeds[0]}-{chosen.seeds[-1]}"]
     command = " ".join([*words, f"--shared {chosen.shared}"])
     sizes = {"seeds": f"{chosen.seeds[0]}-{chosen.seeds[-1]}", "grasps": {law: len(of) for law, of in laws.items()}}
-    tables = [
-        laws_table(laws, chosen.seeds[: chosen.shared], command, sizes),
-        mass_table(laws, command, sizes),
-    ]
-    if chosen.real_time:
-        tables.append(real_time_table(rows_in(chosen.real_time)))
-    write(RESULTS, *tables)
+    shared = chosen.seeds[: chosen.shared]
+    write(RESULTS, laws_table(laws, shared, command, sizes), mass_table(laws, command, sizes))
     draw(laws, PICTURE)
 
 

@@ -137,6 +137,9 @@ def ranges(values: Iterable[int]) -> str:
 def how_made(result: Result) -> str:
     """Return a sentence with the commands, seeds, core hours and computer behind a result."""
     words = "Made by " + ", ".join(f"`{command}`" for command in result["commands"])
+    scripts = [ROOT / word for command in result["commands"] for word in command.split() if word.startswith("scripts/")]
+    if not all(script.exists() for script in scripts):
+        words = "Made by a script that was removed after that commit"
     sizes = result.get("sizes") or {}
     for what, name in (("recordings", "recording_seeds"), ("trainings", "training_seeds")):
         if seeds := sizes.get(name):
@@ -189,12 +192,10 @@ def summary(results: Path) -> str:
     return "\n" + as_table(["what", "simulated", "n", "paper", "compared"], rows) + "\n"
 
 
-def fill_page(page: str, results: Path, only: str = "") -> str:
-    """Return the page with every table in it, or only the one of that name, made anew from its file in `results`."""
+def fill_page(page: str, results: Path) -> str:
+    """Return the page with every table in it made anew from its file in `results`."""
 
     def replace(match: re.Match[str]) -> str:
-        if only not in ("", match["name"]):
-            return match[0]
         if match["kind"] == MEASURED:
             stored = json.loads((results / MEASURED / f"{match['name']}.json").read_text())
             return f"{match['begin']}\n{measured_text(stored)}\n{match['end']}"
@@ -228,21 +229,6 @@ def measured_text(stored: Row) -> str:
     heads = list(dict.fromkeys(key for row in stored["rows"] for key in row))
     rows = ([as_figure(row.get(key)).replace("_", " ") for key in heads] for row in stored["rows"])
     return f"{stored['said']}:\n\n{as_table([head.replace('_', ' ') for head in heads], rows)}\n"
-
-
-def put_measured(page: Path, name: str, rows: list[Row], said: str, results: Path = ROOT / "docs" / "results") -> None:
-    """Store a table of run times as measured/NAME.json, and write it into a page between its two marks.
-
-    These are `<!-- measured NAME -->` and `<!-- end of NAME -->`. said: the sentence above the table. If the page lacks
-    a mark, SystemExit is raised before anything is written.
-    """
-    begin, end = f"<!-- measured {name} -->\n", f"<!-- end of {name} -->"
-    if not re.search(f"{re.escape(begin)}.*{re.escape(end)}", page.read_text(), re.DOTALL):
-        raise SystemExit(f"{page}: expected {begin.strip()} and {end}")
-    path = results / MEASURED / f"{name}.json"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps({"name": name, "said": said, "rows": rows}, indent=1) + "\n")
-    page.write_text(fill_page(page.read_text(), results, only=name))
 
 
 def main() -> None:

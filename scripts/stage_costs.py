@@ -26,7 +26,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from growth import cpu_of
 from made_tables import commit
 
 from evetac_cli.console import print_table, say
@@ -48,6 +47,17 @@ class Step:
     reads: str = ""  # kind of the input files; empty: it makes a given number of trials
     writes: str = ""  # file name suffix of its outputs; empty: none
     after: tuple[str, ...] = ("record",)  # steps whose files it needs
+
+
+def cpu_of(*words: str, cwd: Path) -> tuple[float, float]:
+    """Return a command's processor time in s and its largest resident set in MB; SystemExit if it fails."""
+    command = [sys.executable, "-P", "-m", "evetac_cli", *words]
+    process = subprocess.Popen(command, cwd=cwd, stdout=subprocess.DEVNULL)
+    _, status, used = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    if process.returncode:
+        raise SystemExit(f"{' '.join(words)} ended with {process.returncode}")
+    return used.ru_utime + used.ru_stime, used.ru_maxrss / 1e3
 
 
 def steps(scene: str, grasp_s: float) -> dict[str, Step]:

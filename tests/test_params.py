@@ -152,19 +152,19 @@ def test_wrong_types(tmp_path: Path, key: str, value: str, expected: str) -> Non
     assert f"expected: {expected}" in message
 
 
-@pytest.mark.parametrize(("command", "item", "end"), RANGED, ids=lambda value: getattr(value, "name", value))
-def test_both_ends_of_every_range(command: str, item: "dataclasses.Field[Any]", end: str) -> None:
+def test_both_ends_of_every_range() -> None:
     """Assert that the ends belong to the range and the next value does not; flag, end and unit are said."""
-    cls, edge = EVERY[command], item.metadata[end]
-    wanted = (get_args(get_type_hints(cls)[item.name]) or (get_type_hints(cls)[item.name],))[0]
-    away = math.inf if end == "high" else -math.inf
-    assert getattr(resolve(cls, command, {item.name: wanted(edge)}, None), item.name) == edge
-    outside = math.nextafter(edge, away) if wanted is float else edge + int(math.copysign(1, away))
-    message = refusal(cls, command, {item.name: outside})
-    assert message.startswith(f"{flag_of(item)}: out of range")
-    assert str(edge) in message
-    assert item.metadata["unit"] in message
-    assert f"found:    {outside}" in message
+    for command, item, end in RANGED:
+        cls, edge = EVERY[command], item.metadata[end]
+        wanted = (get_args(get_type_hints(cls)[item.name]) or (get_type_hints(cls)[item.name],))[0]
+        away = math.inf if end == "high" else -math.inf
+        assert getattr(resolve(cls, command, {item.name: wanted(edge)}, None), item.name) == edge
+        outside = math.nextafter(edge, away) if wanted is float else edge + int(math.copysign(1, away))
+        message = refusal(cls, command, {item.name: outside})
+        assert message.startswith(f"{flag_of(item)}: out of range")
+        assert str(edge) in message
+        assert item.metadata["unit"] in message
+        assert f"found:    {outside}" in message
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
@@ -175,18 +175,18 @@ def test_numbers_that_are_none(tmp_path: Path, value: float) -> None:
     assert "not a finite number" in refusal(Label, "label", {}, config(tmp_path, text))
 
 
-@pytest.mark.parametrize(("command", "item"), ALL_FIELDS, ids=lambda value: getattr(value, "name", value))
-def test_fields_are_described(command: str, item: "dataclasses.Field[Any]") -> None:
+def test_fields_are_described() -> None:
     """Assert that every parameter has a sentence of help, a unit if its name ends in one, and a default it allows."""
-    about = item.metadata
-    assert about["help"][0].isupper() or about["help"].split(":")[0] in about["choices"]
-    assert about["help"].endswith(".")
-    ending = item.name.rsplit("_", 1)[-1]
-    if ending in ("px", "ms", "s", "ma"):
-        rate = "1/" if item.name.endswith(f"_per_{ending}") else ""
-        assert about["unit"] == rate + {"ma": "mA"}.get(ending, ending)
-    if about["choices"] and item.default is not None:
-        assert item.default in about["choices"]
+    for _, item in ALL_FIELDS:
+        about = item.metadata
+        assert about["help"][0].isupper() or about["help"].split(":")[0] in about["choices"]
+        assert about["help"].endswith(".")
+        ending = item.name.rsplit("_", 1)[-1]
+        if ending in ("px", "ms", "s", "ma"):
+            rate = "1/" if item.name.endswith(f"_per_{ending}") else ""
+            assert about["unit"] == rate + {"ma": "mA"}.get(ending, ending)
+        if about["choices"] and item.default is not None:
+            assert item.default in about["choices"]
 
 
 @pytest.mark.parametrize("command", EVERY)

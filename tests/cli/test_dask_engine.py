@@ -28,9 +28,6 @@ from tests.cli.test_jobs import lives
 from tests.conftest import Made
 from tests.patience import PATIENCE_S, until
 
-sys.path.insert(0, str(PACKAGE.parent / "scripts"))
-import compare_engines
-
 SILENCE_S = 5.0  # after which whoever asks without credentials gets no answer any more
 MADE = Outcome([{"output": "a"}], True)
 # A stage whose jobs do what their names say; the program below loads it, and so does every worker.
@@ -395,6 +392,31 @@ def test_a_cluster_that_runs_already(tmp_path: Path, started: list[subprocess.Po
     assert left(work) == []
 
 
+def with_certificates(folder: Path) -> None:
+    """Make all Dask processes started from here use one certificate, as docs/cluster.md does by hand.
+
+    Without a certificate, any user who can reach the scheduler, also on this computer, can run programs as its owner.
+    """
+    import dask
+    from distributed import Security
+
+    made = Security.temporary()
+    files = {"cert": made.tls_client_cert, "key": made.tls_client_key}
+    for name, text in files.items():
+        path = folder / f"cluster-{name}.pem"
+        path.unlink(missing_ok=True)
+        with open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as file:
+            file.write(text)
+    tls = "DASK_DISTRIBUTED__COMM__TLS__"
+    os.environ[f"{tls}CA_FILE"] = str(folder / "cluster-cert.pem")
+    for role in ("SCHEDULER", "WORKER", "CLIENT"):
+        os.environ |= {f"{tls}{role}__{name.upper()}": str(folder / f"cluster-{name}.pem") for name in files}
+    os.environ["DASK_DISTRIBUTED__COMM__REQUIRE_ENCRYPTION"] = "True"
+    for role in ("SCHEDULER", "WORKER"):
+        os.environ[f"DASK_DISTRIBUTED__{role}__HTTP__ROUTES"] = "[]"
+    dask.config.refresh()
+
+
 @pytest.mark.slow
 def test_a_cluster_with_certificates(
     tmp_path: Path, started: list[subprocess.Popen[Any]], monkeypatch: pytest.MonkeyPatch
@@ -405,7 +427,7 @@ def test_a_cluster_with_certificates(
     (tmp_path / "standing_stage.py").write_text(STAGE)
     with monkeypatch.context() as made:
         made.setattr(os, "environ", dict(os.environ))
-        compare_engines.with_certificates(tmp_path)
+        with_certificates(tmp_path)
         tls = {name: value for name, value in os.environ.items() if name.startswith("DASK_")}
     dask.config.refresh()
     assert ((tmp_path / "cluster-key.pem").stat().st_mode & 0o777) == 0o600

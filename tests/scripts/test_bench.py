@@ -1,6 +1,5 @@
 """scripts/bench.py: what it compares with does the same, and a comparison has the rows that both sides have."""
 
-import subprocess
 import sys
 from pathlib import Path
 
@@ -63,15 +62,6 @@ def test_rows_of_both_checkouts(monkeypatch: pytest.MonkeyPatch, tmp_path: Path)
     assert row == {"what": "step", "time_us": 4.0, "time_us_base": 8.0, "ratio": 0.5}
 
 
-def test_a_checkout_without_a_group_is_named(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    """Assert that a group which fails with another package is left out, and the reason printed."""
-    package = tmp_path / "evetac_cli"
-    package.mkdir()
-    (package / "__init__.py").write_text("raise ImportError('an older package')")
-    assert bench.times_us(tmp_path, "network") == {}
-    assert "an older package" in capsys.readouterr().err
-
-
 def test_commands_of_two_checkouts_take_turns(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Assert that each makes its trial first, that no first run counts, and that the cheapest of the others does."""
     ran: list[tuple[str, str]] = []
@@ -86,12 +76,3 @@ def test_commands_of_two_checkouts_take_turns(monkeypatch: pytest.MonkeyPatch, t
     assert ran[:12] == [(code.name, words) for code in (bench.ROOT, tmp_path) for words in made]
     assert ran[12:] == [(code.name, "info") for _ in range(3) for code in (bench.ROOT, tmp_path)]
     assert found == {"info": [2.0, 1.0]}
-
-
-def test_a_command_is_measured_in_its_folder(tmp_path: Path) -> None:
-    """Assert that a command takes CPU time, that files of an earlier round are removed, and that one fails aloud."""
-    (tmp_path / "new.tracks.h5").touch()
-    assert bench_commands.cpu_s(bench.ROOT, "--version", tmp_path) > 0.0
-    assert list(tmp_path.iterdir()) == []
-    with pytest.raises(subprocess.CalledProcessError):
-        bench_commands.cpu_s(bench.ROOT, "info a.recording.h5", tmp_path)

@@ -58,14 +58,6 @@ def test_known_objects_were_trained_on() -> None:
         assert name.startswith("paper-") == (slot.split == "known-object")
 
 
-def test_sensor_names_say_nothing() -> None:
-    """Assert that the names of random sensors are another's, in no order, and that evetac keeps its name."""
-    names = [benchmark_files.sensor_name(SAID, f"randomized:{number}") for number in range(95_000, 95_900)]
-    assert len(set(names)) == 900
-    assert names != sorted(names)
-    assert benchmark_files.sensor_name(SAID, "evetac") == "evetac"
-
-
 @pytest.mark.parametrize("size", SIZES)
 def test_digests_are_those_of_the_recipe(size: str) -> None:
     """Assert that the digests in the repository are of this recipe, and of all its recordings."""
@@ -89,15 +81,3 @@ def test_finished_recordings_are_kept_for_the_same_recipe_only(tmp_path: Path, m
     monkeypatch.setattr(benchmark_files, "RECIPE", other)
     benchmark_files._prepare_parts(parts)
     assert list((parts / "rows").iterdir()) == []
-
-
-def test_other_contents_are_found(tmp_path: Path) -> None:
-    """Assert that a recording with another digest is named."""
-    about = json.loads(benchmark.digests_path("small").read_text())
-    name = next(iter(about["recordings"]))
-    (tmp_path / "benchmark.json").write_text(json.dumps(about))
-    benchmark.compare(tmp_path, write=False)
-    about["recordings"][name] = "0" * 64
-    (tmp_path / "benchmark.json").write_text(json.dumps(about))
-    with pytest.raises(SystemExit, match=name):
-        benchmark.compare(tmp_path, write=False)

@@ -1,6 +1,5 @@
 """What compare_steps makes of trials whose onsets and outcomes are known, and which trials it still has to run."""
 
-import argparse
 import json
 from pathlib import Path
 from typing import Any
@@ -50,27 +49,6 @@ def test_onsets_that_differ() -> None:
     of_object = table(SLIPS, "object")
     assert len(compare_steps.tables(SLIPS)) == 4 + 5 + 3
     assert of_object[1]["t_s_later_ms"] == -2.0
-
-
-def test_what_is_right_against_its_own_truth() -> None:
-    """Assert that labels and detections are held against the truth of their own simulation."""
-    what = table([*SLIPS, grasp(0, True, True), grasp(1, False, True)], "what")
-    shares = {name: (row["trials"], row["default"], row["fine"], row["more_by_default"]) for name, row in what.items()}
-    third = pytest.approx(1 / 3)
-    assert shares["labels -4 to 3 ms off"] == (3, pytest.approx(2 / 3), pytest.approx(2 / 3), 0.0)
-    assert shares["detection early"] == (3, third, 0.0, third)
-    assert shares["detection correct"] == (3, pytest.approx(2 / 3), pytest.approx(2 / 3), 0.0)
-    assert shares["detection late"] == (3, 0.0, third, pytest.approx(-1 / 3))
-    assert shares["grasp held"] == (2, 0.5, 1.0, -0.5)
-
-
-def test_trials_that_are_there_are_not_run_again() -> None:
-    """Assert the order of trials, object after object, and that those in the file are left out."""
-    chosen = argparse.Namespace(kind=["slip"], first=18, count=4, seed=0, step_ms=0.1)
-    planned = list(compare_steps.missing(chosen, []))
-    assert [(row["object"], row["number"]) for row in planned] == [(19, 0), (20, 0), (1, 1), (2, 1)]
-    assert list(compare_steps.missing(chosen, planned[:3])) == planned[3:]
-    assert list(compare_steps.missing(argparse.Namespace(**{**vars(chosen), "seed": 1}), planned)) != []
 
 
 def test_a_line_that_was_cut_off_is_measured_again(tmp_path: Path) -> None:

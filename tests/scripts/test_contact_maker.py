@@ -14,16 +14,12 @@ import contact_maker
 import touch_layer
 from contact_maker import (
     CELL_MM2,
-    COUNT,
-    FIRST_MM,
     N_PER_PA,
     SHAPES,
     ContactMaker,
     frictional_shear,
-    on_coarse_cells,
-    pressure_profile,
 )
-from touch_layer import CELL_MM, ElasticLayer, SurfaceAnswer, depth_answer
+from touch_layer import CELL_MM, ElasticLayer, depth_answer
 
 DOTS = np.stack(np.meshgrid(np.linspace(-8, 8, 5), np.linspace(-6, 6, 4)), -1).reshape(-1, 2)
 THICK = ElasticLayer(height_mm=40.0, poisson=0.49)
@@ -61,14 +57,6 @@ def test_finer_elements_converge(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(touch_layer, "ELEMENTS", elements)
         errors.append(abs(depth_answer(ElasticLayer(), waves).along[0] / exact - 1))
     assert errors[0] > 8 * errors[1] > 64 * errors[2]
-
-
-def test_an_even_load_thins_and_shears_the_layer() -> None:
-    """Assert the answer to a wave without end: H/G, and for pressure H over the modulus of a confined layer."""
-    found = depth_answer(ElasticLayer(poisson=0.4), np.zeros(1))
-    assert (found.across[0], found.along[0]) == pytest.approx((4 / 145e3, 4 / 145e3), rel=1e-9)
-    assert found.aside[0] == pytest.approx(0.0, abs=1e-12)
-    assert found.down[0] == pytest.approx(4 * (1 - 0.8) / (2 * 145e3 * 0.6), rel=1e-9)
 
 
 def test_a_square_under_even_pressure_sinks_in_as_loves_does(thick: ContactMaker) -> None:
@@ -116,16 +104,6 @@ def test_the_answer_of_cells_is_reciprocal_and_costs_work(maker: ContactMaker) -
     assert np.linalg.eigvalsh(whole).min() > 0
 
 
-def test_dots_see_what_cells_do() -> None:
-    """Assert that points on cells' middles move as the cells do, by two ways through the transform."""
-    answer = SurfaceAnswer(ElasticLayer())
-    between = answer.between_cells(COUNT)
-    point = np.array([[FIRST_MM + 20 * CELL_MM, FIRST_MM + 30 * CELL_MM]])
-    seen = answer.at(point, FIRST_MM, COUNT)[0]
-    rows, columns = 30 - np.arange(COUNT) + COUNT - 1, 20 - np.arange(COUNT) + COUNT - 1
-    assert seen == pytest.approx(between[:, :, rows[:, None], columns], abs=1e-9 * np.abs(between).max())
-
-
 def test_friction_slips_from_the_rim_as_mindlin_found(thick: ContactMaker) -> None:
     """Assert that Hertz's contact under a tangential load Q sticks within a (1 - Q / mu P)^(1/3) (Cattaneo, Mindlin).
 
@@ -150,24 +128,6 @@ def test_friction_slips_from_the_rim_as_mindlin_found(thick: ContactMaker) -> No
         assert sticks[r[chosen] < expected - CELL_MM].all() and not sticks[r[chosen] > expected + CELL_MM].any()
 
 
-def test_all_that_sticks_moves_with_the_object(maker: ContactMaker) -> None:
-    """Assert that without slip every cell is where the object is, that all slip ends at friction times the load."""
-    chosen = np.hypot(*maker.cell_mm.T) < 3
-    count = int(chosen.sum())
-    between = maker.cell_answer(chosen)
-    answer = np.block([[between[0, 0], between[0, 1]], [between[1, 0], between[1, 1]]])
-    answer = (answer + answer.T) / 2
-    along, pressure = np.repeat([0.6, 0.8], count), np.full(count, 1e4)
-    (sticks,), _ = frictional_shear(answer, np.zeros(2 * count), pressure, 1e3, [0.01 * along])
-    assert answer @ sticks == pytest.approx(0.01 * along, abs=1e-4)
-    (first, slides), converged = frictional_shear(answer, np.zeros(2 * count), pressure, 0.5, [2 * along, 4 * along])
-    assert converged
-    for slid in (first, slides):
-        assert np.hypot(*slid.reshape(2, count)) == pytest.approx(0.5 * pressure, rel=1e-6)
-    net = slides.reshape(2, count).sum(axis=1)
-    assert net / np.hypot(*net) == pytest.approx([0.6, 0.8], abs=1e-3)
-
-
 @pytest.mark.parametrize("shape", SHAPES)
 def test_contacts_obey_friction_and_what_was_drawn(shape: str, maker: ContactMaker) -> None:
     """Assert net force, friction's cone, slip opposed by shear at its limit, and that a seed makes the same contact."""
@@ -185,40 +145,3 @@ def test_contacts_obey_friction_and_what_was_drawn(shape: str, maker: ContactMak
         again.dot_motion_mm, contact.dot_motion_mm
     )
     assert not np.array_equal(maker.make(shape, 6002).dot_motion_mm, contact.dot_motion_mm)
-
-
-def test_a_twist_is_a_torque(maker: ContactMaker) -> None:
-    """Assert that torque about two points differs by the net force times the way, and that a twist has much of it."""
-    contact = maker.make("twisted", 6003)
-    fx, fy = contact.net_shear_n
-    moved = contact.torsion_n_mm(contact.centre_mm + [2.0, -1.0]) - contact.torsion_n_mm(contact.centre_mm)
-    assert moved == pytest.approx(-(2.0 * fy + 1.0 * fx))
-    assert abs(contact.torsion_n_mm(contact.centre_mm)) > 0.2 * contact.normal_n
-
-
-@pytest.mark.parametrize("shape", SHAPES)
-def test_shapes_lie_on_the_lattice(shape: str) -> None:
-    """Assert that pressure is nowhere negative and, but for the one off centre, 0 at the lattice's border."""
-    line = FIRST_MM + CELL_MM * np.arange(COUNT)
-    cells = np.stack(np.meshgrid(line, line), -1).reshape(-1, 2)
-    for seed in range(5):
-        profile = pressure_profile(shape, cells, np.random.default_rng(seed))
-        assert (profile >= 0).all() and profile.max() > 0.5
-        assert not profile[np.abs(cells).max(axis=1) > -FIRST_MM - 0.1].any()
-
-
-def test_coarse_cells_keep_the_forces(maker: ContactMaker) -> None:
-    """Assert that cells of 1 mm have the contact's forces, and that what lies beyond them is left out."""
-    contact = maker.make("ball", 6004)
-    line = np.arange(-14.0, 15.0)
-    coarse = on_coarse_cells(contact, line, line)
-    assert coarse[:2].sum(axis=(1, 2)) * 1e-6 == pytest.approx(contact.net_shear_n)
-    assert coarse[2].sum() * 1e-6 == pytest.approx(contact.normal_n)
-    assert on_coarse_cells(contact, line + 100, line).any() == np.False_
-
-
-def test_friction_that_does_not_converge_is_said(maker: ContactMaker, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that a contact that was not solved for is refused."""
-    monkeypatch.setattr(contact_maker, "MOST_ITERATIONS", 2)
-    with pytest.raises(RuntimeError, match="flat, seed 6000"):
-        maker.make("flat", 6000)

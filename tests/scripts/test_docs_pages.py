@@ -180,31 +180,6 @@ def test_a_folder_of_other_things_is_not_written_over(name: str, written: Path, 
     assert (tmp_path / name).read_text() == "mine" and sorted(path.name for path in tmp_path.rglob("*")) == before
 
 
-def test_prose_stays_what_it_says() -> None:
-    """Assert that flags become code and that Markdown's own signs are shown as they are."""
-    assert page_text.prose("with --gripper PORT@BAUD or `a_b`, a_b <c>") == (
-        "with `--gripper` PORT@BAUD or `a_b`, a\\_b \\<c\\>"
-    )
-    assert page_text.prose("--arm/--no-arm, steady-state") == "`--arm/--no-arm`, steady-state"
-
-
-def test_links_of_the_repository_lead_to_the_site() -> None:
-    """Assert that links to docs/ stay links, that other files are named, and that addresses are left alone."""
-    text = "[a](docs/cost.md#b) [code](evetac_cli/x.py) [`x.py`](x.py) [c](https://example.org) [d](#here)"
-    assert pages.for_the_site(text) == (
-        "[a](../cost.md#b) code (`evetac_cli/x.py`) `x.py` [c](https://example.org) [d](#here)"
-    )
-
-
-def test_examples_of_docstrings_become_blocks() -> None:
-    """Assert that an example and what it prints are one block, and that text around it stays."""
-    pytest.importorskip("griffe")
-    from doctests import with_blocks
-
-    text = "Open a file.\n\n>>> x = 1\n>>> x\n1\n\nMore text."
-    assert with_blocks(text) == "Open a file.\n\n```pycon\n>>> x = 1\n>>> x\n1\n```\n\nMore text."
-
-
 WHOLE = '<h1 id="top">A</h1><p>text</p><a href="b.html#there">b</a><a href="https://example.org">out</a>'
 OTHER = '<h2 id="there">B</h2><img src="a.png">'
 
@@ -234,13 +209,3 @@ def test_what_is_wrong_with_a_site_is_noticed(tmp_path: Path, page: str, said: l
     (tmp_path / "b.html").write_text(OTHER)
     (tmp_path / "a.png").write_bytes(b"")
     assert check_site.problems(tmp_path) == [f"a.html: {line}" for line in said]
-
-
-def test_styles_and_empty_sites_are_looked_at(tmp_path: Path) -> None:
-    """Assert that a style sheet that loads from elsewhere is named, and that no page at all is a problem."""
-    assert check_site.problems(tmp_path) == [f"{tmp_path}: no page"]
-    (tmp_path / "a.html").write_text("<p>text</p>")
-    (tmp_path / "a.css").write_text(
-        "@font-face { src: url('https://example.org/f.woff'); } a { background: url(b.png) }"
-    )
-    assert check_site.problems(tmp_path) == ["a.css: loads https://example.org/f.woff"]

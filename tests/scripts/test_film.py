@@ -5,11 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image, ImageColor, ImageSequence
+from PIL import Image, ImageSequence
 
 from evetac_cli import events
-from evetac_cli.errors import InputError
-from evetac_cli.events import Events
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts" / "pictures"))
 import film
@@ -47,13 +45,6 @@ def story() -> film_story.Story:
     )
 
 
-def near(image: Image.Image, place: tuple[float, float], colour: str) -> bool:
-    """Whether a pixel has a colour but for rounding."""
-    pixel = image.getpixel((round(place[0]), round(place[1])))
-    assert isinstance(pixel, tuple)
-    return all(abs(a - b) <= 2 for a, b in zip(pixel, ImageColor.getrgb(colour), strict=True))
-
-
 def test_the_farthest_slide_that_was_kept_is_the_catch() -> None:
     """Assert that a slide on the table, a shorter one and one that ends in a fall are passed over."""
     slip, down, height = np.zeros(5000, np.uint8), np.zeros(5000), np.full(5000, 50.0)
@@ -65,50 +56,6 @@ def test_the_farthest_slide_that_was_kept_is_the_catch() -> None:
     assert film_story.farthest_catch(slip, down, height) == Catch(2000, 2050, 3.0)
     assert film_story.farthest_catch(np.zeros(5000, np.uint8), down, height) is None
     assert film_story.farthest_catch(slip[:2100], down[:2100], height[:2100]) == Catch(1000, 1050, 1.0)
-
-
-def test_acts_follow_each_other_and_the_catch_is_shown_slice_by_slice() -> None:
-    """Assert that no time is skipped or shown twice, and that there is a picture of each millisecond of the catch."""
-    plan = film_story.acts(Catch(ONSET, STUCK, 1.0), 200, SLICES)
-    assert [act.stop_ms for act in plan[:-1]] == [act.start_ms for act in plan[1:]]
-    shown = film_story.frame_times(plan)
-    assert (np.diff(shown) > 0).all()
-    assert set(range(ONSET - 20, STUCK + 40)) <= {int(at) for at in shown}
-    assert shown[0] >= 0 and shown[-1] < SLICES
-
-
-def test_a_slide_right_after_the_lift_is_refused() -> None:
-    """Assert that there must be time to show what came before the slide, and after."""
-    with pytest.raises(InputError, match="too little time"):
-        film_story.acts(Catch(380, 420, 1.0), 200, SLICES)
-    with pytest.raises(InputError, match="too little time"):
-        film_story.acts(Catch(2900, 2980, 1.0), 200, SLICES)
-
-
-def test_events_and_dots_lie_where_the_camera_saw_them(story: film_story.Story) -> None:
-    """Assert that a picture shows events and dots turned by a quarter to the right: down is +x of the camera."""
-    seen = Events(
-        np.array([1, 2], np.int64), np.array([600, 601], np.uint16), np.array([100, 300], np.uint16),
-        np.array([1, 0], np.uint8),
-    )  # fmt: skip
-    moved = story.rest_xy_px.copy()
-    moved[0, 0] += 10.0
-    picture = film_picture.Picture(story)
-    drawn = picture.draw(ONSET, 5, seen, moved)
-    still = picture.draw(ONSET, 5, events.empty(), story.rest_xy_px)
-
-    def place(x_px: float, y_px: float) -> tuple[float, float]:
-        scale = film_picture.VIEW
-        return film_picture.CAMERA_LEFT + (479 - y_px) * scale, film_picture.TOP + x_px * scale
-
-    for x, y, colour in ((600, 100, film_picture.ON), (600, 300, film_picture.OFF)):
-        left, top = (int(value) for value in place(x, y))
-        assert near(drawn, (left, top), colour)
-        assert not near(still, (left, top), colour)
-    x, y = story.rest_xy_px[0]
-    tip = place(x + film_picture.ARROWS * 10.0 - 6.0, y)
-    assert near(drawn, tip, film_picture.TEXT)
-    assert not near(still, tip, film_picture.TEXT)
 
 
 def test_the_film_is_the_same_every_time(story: film_story.Story, tmp_path: Path) -> None:
@@ -135,10 +82,3 @@ def test_the_film_is_the_same_every_time(story: film_story.Story, tmp_path: Path
         assert np.array_equal(frame, np.asarray(in_palette))
         flat = np.abs(frame - np.asarray(drawn, np.int16)).max(axis=2) == 0
         assert flat.mean() > 0.9, "all but the edges of letters and curves should be in the palette"
-
-
-def test_the_palette_keeps_a_colour_to_see_through() -> None:
-    """Assert that no colour of a picture can be taken for the one that means `as before`."""
-    colours = np.array(film_picture.palette().getpalette()).reshape(-1, 3)
-    assert len(colours) == 128
-    assert (colours[: film.SEE_THROUGH] == colours[film.SEE_THROUGH]).all(axis=1).any()

@@ -46,20 +46,3 @@ def test_laws_are_compared_on_the_same_grasps(tables: Any) -> None:
     of_mass = {(row["law"], row["mass"]): row for row in tables.mass_table(laws, "command", {})["rows"]}
     assert of_mass["load-proportional", "250 to 600 g"]["lost"] == "1 fell in balance"
     assert of_mass["load-proportional", "30 to 100 g"]["kept"] == 1.0
-
-
-def test_real_time_is_beside_simulated(tables: Any) -> None:
-    """Assert that grasps that failed to run are counted apart, and lateness is told in ms."""
-    ended = {"balanced": True, "over_holding_end": 1.5, "moved_mm": 1.0, "slip_events": 2}
-    late = {"slice_late_us": [500, 2000, 9000]}
-    rows = [
-        {"seed": 1, "real_time": {**ended, **late}, "simulated": ended},
-        {"seed": 2, "real_time": {**ended, **late, "balanced": False}, "simulated": ended},
-        {"seed": 3, "real_time": {"failed": "no memory"}, "simulated": ended},
-    ]
-    table = tables.real_time_table(rows)
-    assert "--seeds 1-3" in table["commands"][0]
-    first, second = table["rows"]
-    assert (first["grasps"], first["failed"], first["kept"], first["alike"]) == (2, 1, 1, 1)
-    assert (second["kept"], second["late_p50_ms"]) == (2, None)
-    assert (first["late_p50_ms"], first["late_p99_ms"], first["late_most_ms"]) == (0.5, 2.0, 9.0)

@@ -2,7 +2,6 @@
 
 import importlib
 import itertools
-import json
 from pathlib import Path
 from typing import Any
 
@@ -38,22 +37,6 @@ def test_a_seed_is_a_grasp(trials: Any) -> None:
     assert trials.drawn(0) != trials.drawn(3)
 
 
-def test_rows_are_not_made_twice(trials: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that a grasp whose row is there is not played, and that the row of another is added."""
-    asked = []
-
-    def play(law: str, seed: int, what: Any) -> tuple[dict, dict]:
-        asked.append(seed)
-        return {}, {"law": law, "seed": seed, **what.row(), "failure": ""}
-
-    monkeypatch.setattr(trials, "play", play)
-    (tmp_path / "fixed-9.jsonl").write_text(json.dumps({"law": "fixed:9", "seed": 1}) + "\n")
-    rows = trials.played("fixed:9", range(3), tmp_path, 1)
-    assert asked == [0, 2]
-    assert sorted(row["seed"] for row in rows) == [0, 1, 2]
-    assert len((tmp_path / "fixed-9.jsonl").read_text().splitlines()) == 3
-
-
 def test_the_oracle_holds_by_its_margin(trials: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that a light object is kept with little more than 1.5 times what just holds it; margins are refused."""
     monkeypatch.setattr(trials, "LIFT_S", 4.0)
@@ -64,17 +47,6 @@ def test_the_oracle_holds_by_its_margin(trials: Any, monkeypatch: pytest.MonkeyP
     assert row["force_end_n"] == pytest.approx(1.5 * row["holding_end_n"], rel=0.1)
     with pytest.raises(ValueError, match="margin"):
         trials.grip_oracle.of_name("oracle:0.5", None)
-
-
-def test_rows_say_what_was_asked(trials: Any) -> None:
-    """Assert that margin, model and threshold are flags of `grasp`, in the name of the file and in each row."""
-    asked = trials.Asked(1.6, Path("a") / "b.model.h5", false_alarms_per_min=4.0)
-    assert asked.flags() == {"grip_margin": 1.6, "model": Path("a") / "b.model.h5", "false_alarms_per_min": 4.0}
-    assert asked.file_name("fixed:9") == "fixed-9-margin-1.6-model-b.model.h5-false-alarms-per-min-4.jsonl"
-    assert trials.Asked(margin=1.6).file_name("load-proportional") == "load-proportional-margin-1.6.jsonl"
-    assert trials.Asked().file_name("paper") == "paper.jsonl"
-    rows = [{"law": "paper", **trials.Asked().row()}, {"law": "paper", **asked.row()}]
-    assert rows[1]["model"] == "b.model.h5"
 
 
 @pytest.mark.slow

@@ -1,6 +1,5 @@
 """The judge of labels: which slips it plays, what it keeps, and what its table shows."""
 
-import json
 import sys
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,6 @@ from evetac_cli.trials.record import simulated
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
 import judge_labels as judge
 import label_trials
-import results
 
 
 def row(slip: judge.Slip, method: str, error_px: float, abstained: bool = False) -> dict[str, Any]:
@@ -25,18 +23,6 @@ def row(slip: judge.Slip, method: str, error_px: float, abstained: bool = False)
     interval = {"interval_covers": True, "interval_width_px": 0.8, "interval_width_ms": 4}
     more = {"onset_before_gross_slip_ms": -3, "abstained": abstained, "cpu_s": 0.1}
     return {**slip._asdict(), "method": method, **told, **interval, **more}
-
-
-def test_slips_are_of_all_objects_and_sensors() -> None:
-    """Assert that objects come in turn for each seed, that each randomised sensor is another, and too few is said."""
-    slips = list(judge.slips("randomized", range(7, 9), 22))
-    assert [slip.object for slip in slips[18:]] == [19, 20, 1, 2]
-    assert [slip.seed for slip in slips[18:]] == [7, 7, 8, 8]
-    assert [slip.sensor for slip in slips[:2]] == ["randomized:7", "randomized:8"]
-    assert len({(slip.object, slip.seed) for slip in slips}) == len({slip.sensor for slip in slips}) == 22
-    assert {slip.sensor for slip in judge.slips("evetac", range(2), 3)} == {"evetac"}
-    with pytest.raises(SystemExit, match="too few for 21 trials"):
-        list(judge.slips("evetac", range(1), 21))
 
 
 def test_what_is_kept_is_not_played_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -53,34 +39,6 @@ def test_what_is_kept_is_not_played_again(tmp_path: Path, monkeypatch: pytest.Mo
     assert [slip.object for slip in played] == [1, 2, 3, 4, 5]
     assert second[:6] == first
     assert len((tmp_path / "evetac.jsonl").read_text().splitlines()) == 10
-
-
-def test_the_table_shows_both_methods(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert the shares of a small table, and that every cell can be filled."""
-
-    def rows_of(slip: judge.Slip) -> list[dict[str, Any]]:
-        ours = row(slip, "event-flow", 0.9 if slip.object == 2 else 0.1, abstained=slip.object == 3)
-        return [ours, row(slip, "farneback", 0.7)]
-
-    monkeypatch.setattr(judge, "rows_of", rows_of)
-    words = ["judge", "--seeds", "40-41", "--trials", "4,0,2", "--rows", str(tmp_path / "rows"), "--out", str(tmp_path)]
-    monkeypatch.setattr(sys, "argv", words)
-    judge.main()
-    table = json.loads((tmp_path / "labels.json").read_text())
-    ours, farneback = table["rows"][:2]
-    assert (ours["sensors"], ours["method"], ours["slips"], ours["abstained"]) == ("evetac", "event-flow", 4, 1)
-    assert ours["rest_within_half_px"] == pytest.approx(2 / 3)
-    assert farneback["rest_within_half_px"] == 0.0
-    assert [one["sensors"] for one in table["rows"]] == ["evetac", "evetac", "realistic", "realistic"]
-    assert all(results.fill(column["cell"], one) for column in table["columns"] for one in table["rows"])
-    assert table["sizes"]["recording_seeds"] == [40, 41]
-    assert set(table["methods"]) == {"label"}
-
-
-def test_intervals_are_of_whole_objects() -> None:
-    """Assert that trials of one object count together: of two objects, one all right, the interval is 0 to 1."""
-    assert judge.interval([(1, True)] * 10 + [(2, False)] * 10) == (0.5, 0.0, 1.0)
-    assert judge.interval([(1, True)]) is None
 
 
 def test_a_slip_in_memory_is_the_one_that_record_writes(

@@ -1,6 +1,5 @@
 """What slips are warned of, at which price: alarms, oracles, and the tables made of judged trials."""
 
-import json
 import sys
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,6 @@ from motions import MOTIONS, Trial
 from evetac_cli.errors import SceneError
 from evetac_cli.evaluate import slip_warnings
 from evetac_cli.evaluate.slip_warnings import RULES
-from evetac_cli.resources import MODEL
 
 MS = 3000
 ONSET = 2000
@@ -59,28 +57,6 @@ def with_model(row: dict[str, Any]) -> dict[str, Any]:
     return {**row, "scores": {**row["scores"], "ours/1": {**ahead, "leads_ms": late}}}
 
 
-def test_calibration_counts_what_was_said_and_what_happened() -> None:
-    """Assert that a score that says 0.7 of slices of which a half slips is 0.2 off; later ones do not count."""
-    told = trial()
-    said = np.full(MS, 0.05, np.float32)
-    said[ONSET - 20 : ONSET + 40] = 0.7
-    row = slip_trials.judged("slip", told, {"a": (said, 0)})
-    assert slip_tables.calibration_error({"slip": [row]}, "a") == pytest.approx(0.2, abs=1e-3)
-
-
-def test_an_alarm_that_ends_before_slip_warns_of_nothing() -> None:
-    """Assert that slip is warned of by no alarm that went off before it, nor by one that began falsely or late."""
-    share, slips = np.zeros(MS, np.float32), flags((ONSET, MS))
-    share[ONSET - 300 :] = 0.5
-    gone = slip_warnings.judge(flags((ONSET - 200, ONSET - 100)), share, slips)
-    assert gone.leads_ms["partial"] == [None] and gone.false["partial"] == 0
-    late = slip_warnings.judge(flags((ONSET + 100, ONSET + 200)), share, slips)
-    assert late.leads_ms["partial"] == [None]
-    assert late.false == {"partial": 0, "gross": 0}  # it slides, and nobody was warned
-    on = slip_warnings.judge(flags((100, MS)), share, slips)
-    assert on.leads_ms == {rule: [None] for rule in RULES} and on.false["partial"] > 5
-
-
 def test_oracles_know_when_it_slips() -> None:
     """Assert that each oracle's score rises towards slip, and that nothing of later slices is known."""
     whole = trial()
@@ -91,15 +67,6 @@ def test_oracles_know_when_it_slips() -> None:
             assert score.shape == (MS,) and score.min() >= 0 and score.max() <= 1
             assert score[ONSET] > 0.9 > 0.2 > score[1000]
             assert np.array_equal(score[:ONSET], slip_oracles.score(cut, oracle, horizon_ms))
-
-
-def test_oracles_are_fitted_to_what_they_are_asked() -> None:
-    """Assert that a fit on a trial tells slip from no slip there."""
-    weights = slip_oracles.fit([trial()], "ahead", 10)
-    logit = slip_oracles.columns(trial(), "ahead") @ weights
-    assert logit[ONSET - 5] > 0 > logit[ONSET - 200]
-    fitted = json.loads(slip_oracles.FILE.read_text())["fitted_to"]
-    assert max(fitted["seeds"]) < 10_000
 
 
 def test_rows_are_kept_and_tables_made_of_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -152,27 +119,6 @@ def test_rows_are_kept_and_tables_made_of_them(tmp_path: Path, monkeypatch: pyte
     for table in (timing, *warnings, motions, paired, ideas):
         shown = [[results.fill(column["cell"], row) for column in table["columns"]] for row in table["rows"]]
         assert all(cells[0] for cells in shown)
-
-
-def test_thresholds_of_a_model_are_those_of_its_file() -> None:
-    """Assert that timing is judged at the threshold of the paper's rule, alarms at that of `grasp`."""
-    chosen = slip_tables.thresholds_of(MODEL)
-    assert set(chosen) == {"timing", "grasp", *RULES} and set(chosen.values()) <= set(slip_trials.THRESHOLDS)
-    assert chosen["grasp"] < chosen["partial"]  # four false alarms per minute, and one
-    assert slip_tables.nearest(0.0) == slip_trials.THRESHOLDS[0] and slip_tables.nearest(0.94) == 0.95
-
-
-def test_of_thresholds_with_as_few_false_alarms_the_lowest_counts(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that between thresholds the lowest without false alarms is taken, not the highest, which warns least."""
-    monkeypatch.setattr(slip_tables, "THRESHOLDS", (0.1, 0.5, 0.9))
-
-    def row(leads_ms: list[int]) -> dict[str, Any]:
-        score = {"false": {"partial": [2, 0, 0]}, "leads_ms": {"partial": [[ms] for ms in leads_ms]}}
-        return {"minutes": 1.0, "unloading_n_s": 1.0, "scores": {"a": score}}
-
-    rows = {"slip": [row([20, 20, 0]), row([20, 0, 0])]}
-    assert slip_tables.warned_at(rows, "a", "partial", 0.0, 10) == 0.5
-    assert slip_tables.warned_at(rows, "a", "partial", 1.0, 10) == 0.75
 
 
 def test_motions_for_training_leave_some_for_the_judge() -> None:

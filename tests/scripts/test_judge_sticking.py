@@ -1,15 +1,13 @@
 """Trials for the sticking share, its training and its judge: what is simulated, counted and kept apart."""
 
 import json
-import math
 import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
-from evetac_cli.kernels.touch.sticking import FIELDS, INPUTS, LATTICE_MM, PATIENCE, StickingNetwork, slip_estimate
+from evetac_cli.kernels.touch.sticking import INPUTS, StickingNetwork, slip_estimate
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
 import judge_sticking as judge
@@ -67,45 +65,6 @@ def test_errors_slips_and_alarms_are_counted() -> None:
     assert judge.judged(trial(share, slips), looks(400, 0.4, late))["network_in_time"] == 0
 
 
-def test_alarms_of_shares_have_the_same_patience() -> None:
-    """Assert that PATIENCE looks in a row raise an alarm, and fewer do not."""
-    share = np.zeros(20, np.float32)
-    share[3 : 3 + PATIENCE] = share[12 : 12 + PATIENCE - 1] = 0.9
-    assert np.flatnonzero(judge.alarms_of(share)).tolist() == [2 + PATIENCE]
-
-
-def test_a_trial_without_camera_is_that_with_one() -> None:
-    """Assert that dots and truth are the same numbers whether or not a camera looks, and that it saw something."""
-    short = motions.planned("slip", 8, 9000)
-    seen = 0
-
-    class Enough(Exception):
-        pass
-
-    def rows(see: Any) -> list[dict[str, Any]]:
-        timer = motions.untimed if see else motions.without_camera
-        devices, slices = motions.slices_of(short, 0, 9000, timer)
-        kept = [row for (_, row), _ in zip(slices, range(320), strict=False)]
-        devices.close()
-        return kept
-
-    for with_camera, without in zip(rows(True), rows(False), strict=True):
-        for name in ("truth/dot_xy_px", "truth/visible_slip_share", "truth/normal_force_n"):
-            assert np.array_equal(with_camera[name], without[name])
-        seen += 1
-    assert seen == 320
-
-
-@pytest.mark.parametrize("motion", motions.MOTIONS)
-def test_a_motion_is_always_the_same(motion: str) -> None:
-    """Assert that a seed plans the same trial again, and another seed another one where anything is drawn."""
-    one, again, other = (motions.planned(motion, 7, seed) for seed in (5, 5, 6))
-    assert one == again
-    assert (one != other) == (motion in motions.CHANGES or motion == "opening")
-    reshaped = motions.planned(motion, 7, 5, reshaped=True)
-    assert reshaped.plan.touched != one.plan.touched
-
-
 def test_what_is_judged_is_not_trained_on() -> None:
     """Assert that objects, motions and seeds of training, choosing and judging are apart, and all objects are used."""
     objects = (motions.TRAINED, motions.CHOSEN_BY, motions.JUDGED)
@@ -114,30 +73,6 @@ def test_what_is_judged_is_not_trained_on() -> None:
     assert not set(motions.JERKS_MM_S) & set(motions.FAST_JERKS_MM_S)
     seeds = (training.FIRST_SEED, training.RESHAPED_SEED, training.CHOOSING_SEED)
     assert max(seeds) + 100 < 10_000
-
-
-def test_the_error_of_a_tracker_is_as_told() -> None:
-    """Assert the deviation that all dots share and that of each, within what 60 s of drift tell, from rest on."""
-    still = trial(np.zeros(60_000), np.zeros(60_000, np.bool_))
-    error = trials.tracked_px(still, np.random.default_rng(1)) - still.dot_px
-    common = error.mean(axis=1)
-    assert np.abs(error[0]).max() < 5 * trials.SLICE_PX
-    assert common[3000:].std() == pytest.approx(trials.COMMON_PX, rel=0.3)
-    own = (error - common[:, None])[3000:].std()
-    assert own == pytest.approx(math.hypot(trials.OWN_PX, trials.SLICE_PX), rel=0.1)
-    step = np.abs(np.diff(common, axis=0)).max()
-    assert step < 0.05  # it drifts
-
-
-def test_mirrored_inputs_are_those_of_the_mirrored_field() -> None:
-    """Assert by a field whose value is its own place that mirroring moves places and turns one component."""
-    fields = np.repeat(LATTICE_MM[:, None], FIELDS, axis=1).reshape(1, -1)
-    inputs = np.concatenate([fields, [[0.7]]], axis=1).astype(np.float32)
-    for axis in range(2):
-        assert training.mirrored(inputs, axis) == pytest.approx(inputs, abs=1e-6)
-    once = np.random.default_rng(0).normal(size=(3, INPUTS)).astype(np.float32)
-    assert not np.array_equal(training.mirrored(once, 0), once)
-    assert np.array_equal(training.mirrored(training.mirrored(once, 0), 0), once)
 
 
 def test_a_training_learns_and_is_the_same_again(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -154,28 +89,6 @@ def test_a_training_learns_and_is_the_same_again(monkeypatch: pytest.MonkeyPatch
     assert all(map(np.array_equal, weights, training.trained(learnt, 3)))
     network = StickingNetwork(*weights, np.ones(11, np.float32))
     assert slip_estimate(network, inputs[0]) == pytest.approx(said[0], abs=1e-4)
-
-
-def test_networks_as_one_tell_the_mean_of_their_odds() -> None:
-    """Assert that the joint network's log odds are the mean of those of two random ones."""
-    rng = np.random.default_rng(4)
-    shapes = [array.shape for array in training.blank()[:-1]]
-    networks = [tuple(0.1 * rng.normal(size=shape).astype(np.float32) for shape in shapes) for _ in range(2)]
-    inputs = rng.normal(size=(5, INPUTS)).astype(np.float32)
-
-    def odds(weights: tuple[np.ndarray, ...]) -> np.ndarray:
-        share = training.told(weights, inputs)
-        return np.log(share / (1 - share))
-
-    mean = (odds(networks[0]) + odds(networks[1])) / 2
-    assert odds(training.as_one(networks)) == pytest.approx(mean, abs=1e-3)
-
-
-def test_deviations_are_rms_errors_about_an_estimate() -> None:
-    """Assert the rms error where all estimates are alike, and 0.05 where there are none."""
-    said = np.full(5000, 0.3, np.float32)
-    sd = training.deviations(said, said + np.float32(0.2))
-    assert sd[7] == pytest.approx(0.2, abs=0.01) and sd[0] == pytest.approx(0.05)
 
 
 def test_rows_are_kept_and_not_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
-import likeness
 import likeness_tables
 from results import as_table
 
@@ -45,38 +44,3 @@ def test_every_fact_has_a_row(tmp_path: Path) -> None:
         (line,) = (line for line in lines if f"`{fact.name}`: " in line)
         assert fact.source in line and fact.kind in line and fact.command.partition(" (")[0] in line
         assert line.count(" | ") == 4, fact.name
-
-
-def test_figures_from_tables_are_taken_anew(tmp_path: Path) -> None:
-    """Assert that figures of recordings stay, that those of tables are today's with their commit, and later tables."""
-    tones = {"method": "paper", "window_s": 1.0, "windows": 100}
-    rows = [
-        {**tones, "expected_hz": 200.0, "correct": 70},
-        {**tones, "expected_hz": None, "correct": 90, "among_three_share": 0.97},
-    ]
-    (tmp_path / "vibration.json").write_text(
-        json.dumps({"rows": rows, "made": "commit abc", "sizes": {"recordings": 5}})
-    )
-    older = {"n": 1, "from": "docs/results/vibration.json, commit old", "not_told": None}
-    stored = [
-        {"name": "one-slice", "values": [0.35], "n": 3, "from": likeness.HERE, "not_told": None},
-        {"name": "vibration-200", "values": [0.5], **older},
-        {"name": "tone-among-three", "values": [], "n": None, "from": "", "not_told": "no command measures it"},
-        {"name": "grasps-kept", "values": [0.9], **older},
-    ]
-    now = likeness.from_tables({"rows": stored}, tmp_path)["rows"]
-    assert now[0] == stored[0]
-    assert (now[1]["values"], now[1]["from"]) == ([0.7], "docs/results/vibration.json, commit abc")
-    assert (now[2]["values"], now[2]["n"], now[2]["not_told"]) == ([0.97], 5, None)
-    assert (now[3]["values"], now[3]["not_told"]) == ([], "docs/results has no table grasps")
-
-
-def test_the_answer_counts_facts(tmp_path: Path) -> None:
-    """Assert the sentence above the table, and the list of facts by topic with how each compares."""
-    measured(tmp_path, "before", one_slice=[0.35], data_rate_whole=[0.017], vibration_200=[0.69])
-    assert likeness_tables.answer(tmp_path) == (
-        "Simulated: 1 of these 19 facts are within the published spread, 0 more between half and twice the public"
-        " figure, and 1 are off. The other 17 have no figure on the current simulator."
-    )
-    lines = likeness_tables.topics(tmp_path).splitlines()
-    assert lines[2].startswith("- Vibration: `vibration-200` within") and "`grasps-kept` no figure" in lines[1]

@@ -163,26 +163,6 @@ def test_the_direction_of_comparisons(claim: dict[str, Any], expected: str, tabl
     assert verdict(entry("good", direction=[claim]), tables, entry("near"), entry("bad")) == expected
 
 
-def test_every_comparison_has_to_hold(tables: Path) -> None:
-    """Assert that one comparison that fails is enough, and that without intervals the sign decides."""
-    bad, near = entry("bad"), entry("near")
-    both = [{"is": "above", "row": "bad"}, {"is": "above", "row": "near"}]
-    assert verdict(entry("good", direction=both), tables, near, bad) == paper_rows.MISSED
-    plain = entry("good", direction=both, interval=None)
-    assert verdict(plain, tables, near, bad) == paper_rows.DIRECTION
-
-
-def test_derived_figures_and_shares(tables: Path) -> None:
-    """Assert ratio and reduction of two figures, Wilson's and Student's intervals."""
-    rows = paper_rows.by_number([entry("good"), entry("bad")])
-    assert paper_rows.ours({"derived": {"ratio": ["bad", "good"]}}, rows, tables).value == pytest.approx(0.5 / 0.9)
-    assert paper_rows.ours({"derived": {"less": ["bad", "good"]}}, rows, tables).value == pytest.approx(1 - 0.5 / 0.9)
-    share = paper_rows.ours(entry("bad", interval={"share_of": "trials"}), rows, tables)
-    assert share[1:3] == pytest.approx((0.404, 0.596), abs=1e-3)
-    mean = paper_rows.ours(entry("bad", interval={"sd": "share", "n": "trials"}), rows, tables)
-    assert mean[1:3] == pytest.approx((0.5 - 0.0992, 0.5 + 0.0992), abs=1e-4)
-
-
 def test_what_is_missing_is_awaited(tables: Path) -> None:
     """Assert that a missing table, row, field or interval is named, and that several rows are an error."""
     missing = [
@@ -196,13 +176,6 @@ def test_what_is_missing_is_awaited(tables: Path) -> None:
     assert [paper_rows.computed(one, {}, tables)["verdict"] for one in missing[:3]] == [paper_rows.NOT_YET] * 3
     with pytest.raises(ValueError, match="2 rows"):
         paper_rows.row_of(tables, "a", {"still": 0.5})
-
-
-def test_fields_that_rows_need_are_stored() -> None:
-    """Assert that a table keeps the selectors, fields and intervals of its rows, and what decides their marks."""
-    fields = paper_rows.needed("paper-recipe")
-    assert {"objects_words", "model", "horizon_ms", "slip_correct", "slip_correct_low", "f1_high", "seeds"} <= fields
-    assert paper_rows.needed("demo") == set()
 
 
 # What methods name ---------------------------------------------------------------------------------------------------

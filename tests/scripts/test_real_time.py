@@ -14,7 +14,6 @@ import pytest
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
 import real_time
 import real_time_conditions
-from real_time_conditions import HalfSpeed
 
 CHOSEN = {"condition": ["quiet", "half"], "events_per_s": [100, 300], "runs": 2, "seconds": 9.0, "slip_threshold": 0.2}
 
@@ -31,15 +30,6 @@ def test_what_is_run() -> None:
     assert [plan["what"] for plan in plans[:3]] == ["doctor", "doctor", "grasp"]
     assert [plan["checkout"] for plan in plans] == ["ours", "theirs"] * 10
     assert all(plan["what"] == "grasp" for plan in planned(no_doctor=True))
-
-
-def test_what_is_there_is_not_run_again() -> None:
-    """Assert that a row stands for its own plan alone."""
-    plans = planned()
-    for plan in plans:
-        known = [{**other, "lasted": True} for other in plans if other is not plan]
-        assert real_time.known_row(plan, known) is None
-        assert real_time.known_row(plan, [*known, {**plan, "lasted": False}]) == {**plan, "lasted": False}
 
 
 def test_the_table_is_of_medians_and_says_what_lasted() -> None:
@@ -99,36 +89,3 @@ def test_processes_are_told_by_what_they_are(tmp_path: Path) -> None:
     assert state is not None
     assert state.cpu_s >= 0.0
     assert real_time_conditions.state_of(run.pid) is None
-
-
-@pytest.mark.parametrize("is_v1", [True, False])
-def test_a_group_holds_half_a_core_and_is_as_nice_as_its_process(
-    is_v1: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Assert quota, real-time share where there is one, and weight, each written once, in a folder of plain files."""
-    monkeypatch.setattr(real_time_conditions, "_cpu_controller", lambda: (is_v1, tmp_path))
-    half = HalfSpeed()
-    for niceness in (0, -10, -10):
-        half.hold("detector", 123, niceness)
-    assert sum(real_time_conditions.REALTIME_US.values()) <= 0.95 * real_time_conditions.PERIOD_US
-    (group,) = tmp_path.glob("*detector*")
-    written = {file.name: file.read_text() for file in group.iterdir()}
-    if is_v1:
-        assert written == {
-            "cpu.cfs_period_us": "2000",
-            "cpu.cfs_quota_us": "1000",
-            "cgroup.procs": "123",
-            "cpu.shares": "9537",
-        }
-        realtime = {file.parent.name.split("-")[-1]: file.read_text() for file in tmp_path.glob("*/cpu.rt_runtime_us")}
-        assert realtime == {what: str(us) for what, us in real_time_conditions.REALTIME_US.items()}
-    else:
-        assert written == {"cpu.max": "1000 2000", "cgroup.procs": "123", "cpu.weight.nice": "-10"}
-
-
-def test_half_speed_is_refused_where_no_group_can_be_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that it says where, and does not measure another condition instead."""
-    monkeypatch.setattr(real_time_conditions, "_cpu_controller", lambda: (True, tmp_path / "nowhere"))
-    monkeypatch.setattr(real_time_conditions, "PATIENCE_S", 0.0)
-    with pytest.raises(SystemExit, match="--condition half: no group can be made below .*nowhere"):
-        HalfSpeed()

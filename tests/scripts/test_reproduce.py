@@ -17,20 +17,13 @@ import pytest
 import typer
 
 from evetac_cli.cli.main import app
-from evetac_cli.commands.evaluate import EvaluateGrasp, EvaluateLabels, EvaluateSlip, EvaluateTracking
-from evetac_cli.evaluate import grasp, labels, slip, tracking
 from evetac_cli.jobs import Row
-from tests.conftest import Made
-from tests.make import run_stage
 from tests.patience import PATIENCE_S
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
-import experiment_tables
-import made_tables
 import report_facts
 import reproduce
 import results
-import run_command
 from experiment_steps import evetac
 from experiment_tables import Column, Evaluation, Table, summaries
 from experiments import EXPERIMENTS, Experiment
@@ -145,16 +138,6 @@ def test_a_smaller_run_replaces_nothing(tmp_path: Path, capsys: pytest.CaptureFi
     assert json.loads(path.read_text())["sizes"]["recordings"] == 2
 
 
-def test_other_tables_stay(tmp_path: Path) -> None:
-    """Assert that a run touches no table but its own."""
-    other = tmp_path / "results" / "grasps.json"
-    other.parent.mkdir()
-    other.write_text("{}")
-    run_labels(tmp_path, [1, 2])
-    assert other.read_text() == "{}"
-    assert {path.name for path in other.parent.iterdir()} == {"grasps.json", "labels.json"}
-
-
 def test_a_command_that_fails_ends_the_run(tmp_path: Path) -> None:
     """Assert that the refusal names the command and its exit code, and that no table is written."""
     experiment = EXAMPLE
@@ -209,21 +192,6 @@ def test_dry_run_prints_and_runs_nothing(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_covariates_say_whose_slips_they_are_of() -> None:
-    """Assert that those of one evaluation are as they are, those of several named, and the same slips told once."""
-
-    def of(median: float) -> Evaluation:
-        return evaluation({"covariate": "creep [ms]", "median": median}, {"setting": "a"})
-
-    assert made_tables.covariates({"x": of(1.0)}) == {"covariates": [{"covariate": "creep [ms]", "median": 1.0}]}
-    assert made_tables.covariates({"x": of(1.0), "y": evaluation({"setting": "a"})}) == {}
-    several = {"recipe-size-known": of(1.0), "recipe-size-unseen": of(2.0), "recipe-labels-known": of(1.0)}
-    assert made_tables.covariates(several)["covariates"] == [
-        {"covariate": "known: creep [ms]", "median": 1.0},
-        {"covariate": "unseen: creep [ms]", "median": 2.0},
-    ]
-
-
 def test_the_recipe_is_changed_in_one_thing_at_a_time() -> None:
     """Assert what each training of the paper's recipe learns from: all but one thing is the paper's."""
     sizes = reproduce.sizes_for(BY_NAME["paper-recipe"], small=False, given={})
@@ -247,21 +215,6 @@ def test_the_recipe_is_changed_in_one_thing_at_a_time() -> None:
         "nothing/learn/*-01[0-2].features.h5",
     ]
     assert {value(words, "--preset") for words in every} == {"paper"}
-
-
-def test_every_network_of_the_recipe_is_trained_with_every_seed() -> None:
-    """Assert that first two seeds, then the others, train each network for each time that the paper has."""
-    sizes = reproduce.sizes_for(BY_NAME["paper-recipe"], small=False, given={})
-    trained: dict[tuple[str, str], list[int]] = {}
-    for words in BY_NAME["paper-recipe"].steps(sizes):
-        if words[1] == "train" and words[words.index("--out") + 1] == "models/nothing":
-            given = dict(zip(words, words[1:], strict=False))
-            first = int(given["--seed"])
-            key = given["--model"], given.get("--horizon-ms", "0")
-            trained.setdefault(key, []).extend(range(first, first + int(given["--seeds"])))
-    ahead = [(model, ms) for model in ("fast-slow", "hist20") for ms in ("10", "20")]
-    assert sorted(trained) == sorted([*((model, "0") for model in sizes["models"]), *ahead])
-    assert {tuple(seeds) for seeds in trained.values()} == {tuple(range(9_000, 9_005))}
 
 
 @pytest.mark.parametrize("words", [["--only", "nothing"], ["--only", "tracking", "--size", "steps=7"],
@@ -309,45 +262,6 @@ def test_experiments_fit_together(name: str) -> None:
     assert {name for table in experiment.tables for name in table.evaluations} <= evaluations
 
 
-def test_what_is_measured_is_kept_like_a_report(tmp_path: Path) -> None:
-    """Assert that figures that are there are not made again, and that the table has rows, sizes and command."""
-    experiment = BY_NAME["mujoco-grasps"]
-    trial = {"controller": "paper", "lifted": True, "grip_n": 2.0, "steps_per_cpu_s": 1000.0}
-    folder = tmp_path / experiment.folder
-    folder.mkdir(parents=True)
-    (folder / "3-22000.json").write_text(json.dumps([trial] * 3))
-
-    def run(words: list[str], folder: Path) -> tuple[int, str]:
-        raise AssertionError(words)
-
-    sizes = {**experiment.full, "trials": 3}
-    reproduce.perform(experiment, sizes, tmp_path, tmp_path / "results", jobs=1, replace=False, run=run)
-    table = json.loads((tmp_path / "results" / "mujoco-grasps.json").read_text())
-    assert (table["sizes"]["trials"], table["recipe_ids"], table["simulated"]) == (3, [], True)
-    assert table["commands"] == ["python scripts/reproduce.py --only mujoco-grasps --size=trials=3"]
-    assert "| paper | 3 | 3 | 2.00 | 1,000 |" in results.text(table)
-    (folder / "2-22000.json").write_text(json.dumps([trial] * 2))
-    with pytest.raises(Refusal, match=r"trials 2 \(there 3\)"):
-        reproduce.perform(experiment, {**sizes, "trials": 2}, tmp_path, tmp_path / "results", jobs=1, replace=False)
-
-
-def test_rows_are_spread_and_marked() -> None:
-    """Assert that figures lie under their headings, the paper's in brackets with their mark."""
-    across = {"heading": "{gel}", "cell": "{error:.1f}, {worst:.0f}", "paper": "{paper_dots_lost_mean:.1f}"}
-    rows = [
-        {"preset": "paper", "gel": "cut", "error": 1.04, "worst": 3.0, "trajectories": 9, "paper_dots_lost_mean": 1.5},
-        {"preset": "paper", "gel": "closed", "error": 2.0, "worst": None, "paper_dots_lost_mean": None},
-        {"preset": "b", "gel": "closed", "error": 0.5, "worst": 1.0, "paper_dots_lost_mean": None},
-    ]
-    made = {"columns": [{"heading": "preset", "cell": "{preset}"}], "across": across, "rows": rows}
-    made["source"] = {"simulated": True, "scenes": ["edge"]}
-    assert results.lines(made) == [
-        ["preset", "cut", "closed"],
-        ["paper", "1.0, 3 (1.5, other size)", "2.0"],
-        ["b", "", "0.5, 1"],
-    ]
-
-
 def test_a_table_names_the_methods_that_changed(tmp_path: Path) -> None:
     """Assert that a table made by an older method than today's says by which, and one made by today's says nothing."""
     run_labels(tmp_path, [1])
@@ -357,20 +271,6 @@ def test_a_table_names_the_methods_that_changed(tmp_path: Path) -> None:
     assert f"label {today - 1} (now {today})" in results.text(table)
     table["methods"] = {"record": results.method("record")}
     assert "older" not in results.text(table)
-
-
-def test_the_methods_of_a_table_are_the_oldest_of_its_reports() -> None:
-    """Assert that each command behind a report is named once, frames and grasps by their own commands."""
-    tracks = {"kind": "tracks", "method": 4, "seed": None, "parameters": {}}
-    nodes = [
-        tracks,
-        {**tracks, "method": 3},
-        {**tracks, "method": 1, "seed": 7},
-        {"kind": "recording", "method": 5, "seed": 1, "parameters": {"controller": "paper"}},
-    ]
-    report = {"kind": "report", "method": 2, "seed": None, "parameters": {"command": "evaluate tracking"}}
-    header = {**report, "history": {str(number): node for number, node in enumerate(nodes)}}
-    assert report_facts.methods([header]) == {"track": 3, "track-rgb": 1, "grasp": 5, "evaluate tracking": 2}
 
 
 def test_a_page_is_filled_between_its_marks(tmp_path: Path) -> None:
@@ -386,113 +286,9 @@ def test_a_page_is_filled_between_its_marks(tmp_path: Path) -> None:
         results.fill_page(page.replace("labels", "lost"), tmp_path / "results")
 
 
-@pytest.mark.slow
-def test_the_demo_says_what_its_reports_say(made: Made, tmp_path: Path) -> None:
-    """Assert figures and facts of the demo's table, from real reports on one trial and one grasp."""
-    trial = made.folder / "apart.recording.h5"  # no model is trained on it
-    stages: list[tuple[str, Any, Any, Path]] = [
-        ("labels", labels, EvaluateLabels(), made.beside(trial, "labels")),
-        ("tracking", tracking, EvaluateTracking(), made.beside(trial, "tracks")),
-        ("slip", slip, EvaluateSlip(model=made.model), made.beside(trial, "features")),
-        ("grasp", grasp, EvaluateGrasp(), made.grasp),
-    ]
-    evaluations = {}
-    for name, stage, chosen, file in stages:
-        output, outcome = run_stage(stage, [file], chosen, tmp_path / f"{name}.report.h5")
-        header = reproduce.report_header(output)
-        evaluations[name] = Evaluation(outcome.rows, outcome.summary, outcome.simulated, header)
-    table = reproduce.result(experiment_tables.DEMO, evaluations, ["evetac evaluate labels"])
-    figures = {row["what"]: row["figure"] for row in table["rows"]}
-    (grasped,) = (row for row in evaluations["grasp"].rows if "file" in row)
-    assert figures["... onsets that have a label"].endswith("of 1")
-    timing = evaluations["slip"].summary["slip_correct"]
-    assert figures["slip timing correct, unseen trajectories"] == f"{timing:.3g}"
-    lifted = next(figure for what, figure in figures.items() if what.endswith("with the detector"))
-    assert lifted.startswith("lifted" if grasped["lifted"] else "not lifted")
-    assert table["simulated"]
-    assert (table["sizes"]["recordings"], table["sizes"]["models"]) == (2, 1)  # the trial and the grasp; their model
-    assert table["sizes"]["training_recordings"] == len(made.recordings)
-    assert table["sizes"]["training_steps"] == 120
-
-
 def evaluation(*rows: Row) -> Evaluation:
     """An evaluation that printed these rows."""
     return Evaluation(list(rows), {}, True, header([1]))
-
-
-def test_windows_and_forces_are_put_together() -> None:
-    """Assert that windows are summed over recordings, and errors of force averaged over trajectories."""
-    found = ((200.0, "paper", 6), (200.0, "paper", 9), (200.0, "own", 10), (100.0, "paper", 10))
-    rows = [
-        {"method": method, "correct": right, "expected_hz": tone_hz, "window_s": 1.0, "windows": 10,
-         "among_three": 10 if method == "paper" else None, "windows_at_half_tone": 1}
-        for tone_hz, method, right in found
-    ]  # fmt: skip
-    paper, own, _, every, _ = experiment_tables.window_rows({"vibration": evaluation(*rows)})
-    assert (paper["tone"], paper["correct"], paper["windows"], paper["paper_share"]) == ("200", 15, 20, 0.69)
-    assert (own["correct"], own["windows"], own["paper_share"]) == (10, 10, None)
-    assert "among_three" not in own and paper["among_three_share"] == 1.0
-    assert (every["tone"], every["expected_hz"], every["share"], every["paper_share"]) == ("all", None, 25 / 30, 0.924)
-    assert (every["half_tone_share"], every["paper_among_three_share"]) == (0.1, 1.0)
-
-    error = {
-        "sensor": "events",
-        "model": "network",
-        "sensor_name": "evetac",
-        "paper_mae_n_x": 0.33,
-        "paper_mae_n_y": 0.22,
-    }
-    trials = [{**error, "mae_n_x": value, "mae_n_y": 2 * value} for value in (0.1, 0.3)]
-    (mean,) = experiment_tables.force_rows({"force-stable": evaluation(*trials)})
-    assert (mean["tracker"], mean["mae_n_x"], mean["mae_n_y"]) == ("stable", pytest.approx(0.2), pytest.approx(0.4))
-    made = reproduce.result(experiment_tables.FORCE, {"force-stable": evaluation(*trials)}, ["evetac evaluate force"])
-    assert results.lines(made)[1] == ["Evetac", "stable", "network", "0.20, 0.40 (0.33, 0.22, other method)"]
-
-
-def test_rows_are_marked_by_their_own_evaluation() -> None:
-    """Assert that of two trackers in one table, only the paper's has its figure marked with the same method."""
-    error = {"sensor": "events", "model": "network", "sensor_name": "evetac", "mae_n_x": 0.3, "mae_n_y": 0.2,
-             "paper_mae_n_x": 0.33, "paper_mae_n_y": 0.22}  # fmt: skip
-    evaluations = {}
-    for preset in ("paper", "stable"):
-        tracks = {"kind": "tracks", "method": 1, "seed": None, "parents": [], "parameters": {"preset": preset}}
-        head = {**header([]), "history": {"tracks": tracks}}
-        evaluations[f"force-{preset}"] = Evaluation([error], {}, simulated=True, header=head)
-    made = reproduce.result(experiment_tables.FORCE, evaluations, ["evetac evaluate force"])
-    assert [line[-1].rpartition(", ")[2] for line in results.lines(made)[1:]] == ["other scene)", "other method)"]
-
-
-def test_trackers_stand_side_by_side() -> None:
-    """Assert a line for each scene and gel, a column for each preset, and the events a dot of the default tracker."""
-
-    def preset(name: str, error_px: float) -> Row:
-        return {"preset": name, "trajectories": 5, "error_px_rms": error_px, "error_px_worst": 9.0,
-                "still_px_rms": 0.7, "events_per_dot": error_px + 1}  # fmt: skip
-
-    rows = [preset("paper", 6.0), preset("stable", 0.3), {**preset("stable", 0.3), "file": "a.tracks.h5"}]
-    evaluations = {f"tracking-{name}": evaluation(*rows) for name in ("edge-cut", "slip-closed")}
-    made = reproduce.result(experiment_tables.TRACKING_DISTANCE, evaluations, ["evetac evaluate tracking"])
-    assert results.lines(made) == [
-        ["scene, gel", "trajectories", "without tracking", "events per dot and slice", "paper", "stable"],
-        ["edge, cut", "5", "0.70", "1.3", "6.00, 9.0", "0.30, 9.0"],
-        ["slip, closed", "5", "0.70", "1.3", "6.00, 9.0", "0.30, 9.0"],
-    ]
-
-
-@pytest.mark.parametrize(
-    ("engine", "more"),
-    [
-        ("local", "--jobs 3"),
-        ("dask", "--jobs 3 --engine dask"),
-        ("dask:tcp://a:1", "--engine dask:tcp://a:1"),  # has as many workers as it has
-    ],
-)
-def test_commands_are_told_the_engine(engine: str, more: str) -> None:
-    """Assert that commands that work on files get engine and jobs, and others stay as they are."""
-    for words in (["evetac", "track", "a.recording.h5"], ["evetac", "evaluate", "slip", "a.features.h5"]):
-        assert reproduce.with_engine(words, 3, engine) == [*words, *more.split()]
-    for other in (["evetac", "evaluate", "labels"], ["python", "scripts/film.py"]):
-        assert reproduce.with_engine(other, 3, engine) == other
 
 
 def interrupt_when(
@@ -520,46 +316,11 @@ def left(folder: Path) -> list[str]:
     return [str(path) for pattern in ("*.part*", "*.tmp*") for path in folder.rglob(pattern)]
 
 
-UNFINISHED = {
-    "while it records": lambda folder: any(folder.rglob("*.recording.h5")),
-    "as it begins": lambda folder: any(folder.iterdir()),
-}
-
-
-@pytest.mark.parametrize("moment", UNFINISHED)
-def test_ctrl_c_leaves_nothing_unfinished(moment: str, tmp_path: Path) -> None:
+def test_ctrl_c_leaves_nothing_unfinished(tmp_path: Path) -> None:
     """Assert exit code 130, one sentence and no traceback, and that the command at work takes its files away."""
     words = ["--only", "demo", "--jobs", "2"]
-    code, said = interrupt_when(UNFINISHED[moment], tmp_path, words)
+    code, said = interrupt_when(lambda folder: any(folder.rglob("*.recording.h5")), tmp_path, words)
     assert code == 130, said
     assert "Traceback" not in said
     assert said.splitlines()[-1].startswith("interrupted: complete files are kept")
     assert left(tmp_path) == []
-
-
-class Deaf:
-    """A command that Ctrl-C reaches, and that does not end before it is killed."""
-
-    def __init__(self, interrupts: int) -> None:
-        self.interrupts, self.killed = interrupts, False
-
-    def communicate(self) -> tuple[str, None]:
-        if self.killed or not self.interrupts:
-            return "{}", None
-        self.interrupts -= 1
-        raise KeyboardInterrupt
-
-    def kill(self) -> None:
-        self.killed = True
-
-
-@pytest.mark.parametrize(("interrupts", "killed"), [(0, False), (1, False), (2, False), (3, True), (9, True)])
-def test_a_command_is_waited_for(interrupts: int, killed: bool) -> None:
-    """Assert that Ctrl-C is passed on when the command has ended, and that the third one kills a command."""
-    process: Any = Deaf(interrupts)
-    if interrupts:
-        with pytest.raises(KeyboardInterrupt):
-            run_command.wait_for(process)
-    else:
-        assert run_command.wait_for(process) == "{}"
-    assert process.killed == killed

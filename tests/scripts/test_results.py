@@ -1,4 +1,4 @@
-"""scripts/results.py: tables say how they were made, the summary takes their cells, run times find their place."""
+"""scripts/results.py: tables say how they were made, and the summary takes their cells."""
 
 import json
 import sys
@@ -30,24 +30,6 @@ def test_a_training_that_learns_truth_says_so() -> None:
             if row.get("preset") == "adamw" and result["methods"].get("train", 0) in LEARNED_TRUTH_METHODS:
                 assert f", {TRUE_SLIP_SHARE}," in row["setting"]
                 assert any(f"`{TRUE_SLIP_SHARE}`" in note and "truth" in note for note in result["notes"]), path.name
-
-
-def test_rows_are_put_into_a_page(tmp_path: Path) -> None:
-    """Assert that a table takes the place of the one before, in its own place only, and a place has to be there."""
-    page = tmp_path / "page.md"
-    page.write_text("before\n<!-- measured a -->\nold\n<!-- end of a -->\n<!-- measured b -->\n<!-- end of b -->\n")
-    for took_s in (1.23456, 12_345.6):
-        results.put_measured(
-            page, "a", [{"files": 10_000, "took_s": took_s}, {"files": 1, "what": "x"}], "Said", tmp_path
-        )
-    assert page.read_text() == (
-        "before\n<!-- measured a -->\n\nSaid:\n\n| files | took s | what |\n| --- | --- | --- |\n"
-        "| 10,000 | 12,346 |  |\n| 1 |  | x |\n\n<!-- end of a -->\n<!-- measured b -->\n<!-- end of b -->\n"
-    )
-    with pytest.raises(SystemExit, match="measured c"):
-        results.put_measured(page, "c", [], "Said", tmp_path)
-    assert [path.stem for path in (tmp_path / results.MEASURED).iterdir()] == ["a"]
-    assert results.fill_page(page.read_text(), tmp_path, only="a") == page.read_text()
 
 
 RESULT = {

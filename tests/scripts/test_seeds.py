@@ -18,7 +18,7 @@ from evetac_cli.resources import PACKAGE
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
 import frozen
 import seen_seeds
-from seen_seeds import concerns, faults, fit_faults, seeds_of, seen_by
+from seen_seeds import faults, fit_faults, seen_by
 
 ROOT = Path(__file__).resolve().parents[2]
 SEEN = seen_seeds.known()
@@ -111,16 +111,6 @@ def test_seeds_of_trainings_on_motions_are_in_the_file() -> None:
     for role, first in made.FIRST_SEEDS.items():
         trials = max(made.COUNTS[role].values()) * len(made.OBJECTS[role])
         assert set(range(first, first + trials)) <= seen
-
-
-def test_an_overlap_is_found() -> None:
-    """Assert that a table of seeds that its labels saw is one that the rule finds, and one of other labels is not."""
-    (labels,) = (group for group in SEEN["groups"] if group["name"] == "labels")
-    table: dict[str, Any] = {"methods": {"label": 6}, "commands": ["judge_labels.py --seeds 4095-4100"]}
-    assert concerns(labels, "labels", table)
-    assert seeds_of(table) & seen_by(labels) == {4100}
-    assert not concerns(labels, "labels", {**table, "methods": {"label": 5}})
-    assert not concerns(labels, "vibration", table)
 
 
 def test_the_freeze_lists_what_has_changed(tmp_path: Path) -> None:

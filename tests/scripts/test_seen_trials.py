@@ -48,21 +48,6 @@ def test_probabilities_are_those_of_the_commands(tmp_path: Path) -> None:
     assert np.isfinite(said[100:]).all()
 
 
-def test_variants_are_trained_on_what_they_say(tmp_path: Path) -> None:
-    """Assert which folders each variant learns from: slips alone, other speeds, motion without slip."""
-    every = ("slip", "slip-varied", "slip-speeds", "pushes", "opening", *(train_detectors.FROM_EVENTS, "sticking"))
-    for name in every:
-        (tmp_path / name).mkdir()
-    folders = {name: train_detectors.folders_of(one, tmp_path) for name, one in train_detectors.VARIANTS.items()}
-    names = {name: {folder.name for folder in of} for name, of in folders.items()}
-    assert names["slips"] == {"slip", "slip-varied"} and names["speeds"] == names["slips"] | {"slip-speeds"}
-    assert names["negatives"] == names["grip"] == names["speeds"] | {"pushes", "opening"}
-    assert {folder.parent.name for folder in folders["slips-events"]} == {train_detectors.FROM_EVENTS}
-    for name in ("sticking", "shipped", "shipped-0ms", "shipped-20ms"):
-        assert {folder.parent.name for folder in folders[name]} == {train_detectors.STICKING}
-    assert names["paper-0ms"] == names["paper-20ms"] == names["paper"]
-
-
 @pytest.mark.parametrize("small", [False, True])
 def test_ship_makes_what_it_says(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, small: bool) -> None:
     """Assert that its scripts take its words, that all trials are made unless few are asked, and what is trained."""

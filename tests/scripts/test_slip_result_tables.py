@@ -63,26 +63,3 @@ def test_the_table_of_first_detections() -> None:
     assert heads[:2] == ["object", "slips"] and heads[5] == "-10 to 0 ms (paper)"
     assert every[5] == "1.00; 1.00 (0.57, other method)" and one[5] == "1.00; 1.00"
     assert {"share_low", "bin", "seeds", "preset"} <= made["rows"][0].keys()
-
-
-def test_timing_by_object_and_predictions_over_time() -> None:
-    """Assert the rows of objects in order, and those of the paper's object by networks that do not predict ahead."""
-    objects = [
-        {"setting": "fast-slow", "object": name, "trajectories": 2, "slip_correct": 0.5, "slip_correct_sd_seeds": 0.1}
-        for name in ("17", "9")
-    ]
-    steps = [
-        {
-            "setting": setting["setting"],
-            "object": name,
-            "after_onset_ms": 5,
-            "probability_mean": 0.7,
-            "detected_share": 1,
-        }
-        for setting in SETTINGS
-        for name in ("3", "4")
-    ]
-    report = evaluations(slip_result_tables.KNOWN, *objects, *steps)
-    assert [row["object"] for row in slip_result_tables.slip_object_rows(report)] == ["9", "17"]
-    (row,) = slip_result_tables.over_time_rows(report)
-    assert (row["model"], row["object"], row["after_onset_ms"], row["seeds"]) == ("fast-slow", "3", 5, 2)

@@ -7,8 +7,6 @@ from typing import Any
 import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
-import reproduce
-import results
 import studies
 from experiment_tables import Evaluation
 
@@ -60,13 +58,3 @@ def test_rows_of_the_table() -> None:
     assert rows[1]["mae_n"] == 1.125
     assert rows[3]["mae_n"] == pytest.approx(2.5)
     assert rows[3]["worst_sensor_mae_n"] == pytest.approx(3.5)
-
-
-def test_a_table_is_kept_with_its_methods() -> None:
-    """Assert that a table says by which method touch maps were adapted, and shows what it knows alone."""
-    evaluations = {"stable": of_states("unknown"), "evetac-paper": of_paper(1.0)}
-    made = reproduce.result(studies.FORCE_SENSORS, evaluations, ["evetac evaluate force"])
-    assert made["methods"] == {"train-force --method touch": 7, "evaluate force": 2}
-    lines = results.text(made).splitlines()
-    assert lines[4].startswith("| nothing | stable | 3 | 0.12 | 0.12 | 0.1 (12.5%)")
-    assert lines[5].endswith("| paper | 1 | 1.50 | 1.50 |  |  |")

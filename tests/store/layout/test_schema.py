@@ -50,9 +50,6 @@ def named(path: str, star: str = STARS[0]) -> str:
     return path[:-1] + star if path.endswith("*") else path
 
 
-EVERY_DATASET = [(kind, row.path) for kind in KINDS for row in schema.load(kind).datasets]
-
-
 def with_shape(stored: Stored, path: str, shape: tuple[int, ...]) -> Stored:
     """The same layout, but for one shape."""
     return {**stored, path: (stored[path][0], shape)}
@@ -66,54 +63,62 @@ def test_valid_layouts_have_no_problems(kind: str, required_only: bool) -> None:
     assert schema.problems(table, layout(table, required_only=required_only)) == []
 
 
-@pytest.mark.parametrize(("kind", "path"), EVERY_DATASET)
-def test_every_missing_dataset_is_named(kind: str, path: str) -> None:
+def paths(kind: str) -> list[str]:
+    """The datasets of a kind."""
+    return [row.path for row in schema.load(kind).datasets]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_missing_dataset_is_named(kind: str) -> None:
     """Assert that leaving out a dataset is a problem that names it and says what it is, unless it is optional."""
     table = schema.load(kind)
-    row = table.find(named(path))
-    assert row is not None
-    left = {name: about for name, about in layout(table).items() if table.find(name) is not row}
-    lines = schema.problems(table, left)
-    if row.optional:
-        assert lines == []
-    else:
-        assert lines == [f"{path.replace('/*/', '/arm/')} is missing: {row.meaning}"]
-
-
-@pytest.mark.parametrize(("kind", "path"), EVERY_DATASET)
-def test_wrong_dtype_is_named(kind: str, path: str) -> None:
-    """Assert that a dtype that differs only in width or sign is a problem that says both."""
-    table, path = schema.load(kind), named(path)
-    stored = layout(table)
-    dtype, shape = stored[path]
-    other = {"int64": "int32", "uint8": "int8", "float64": "float32", "utf8": "uint8"}.get(dtype, "float64")
-    assert schema.problems(table, {**stored, path: (other, shape)}) == [
-        f"{path}: expected dtype {dtype}, found {other}"
-    ]
-
-
-@pytest.mark.parametrize(("kind", "path"), [(kind, path) for kind, path in EVERY_DATASET if not path.endswith("*")])
-def test_every_axis_is_checked(kind: str, path: str) -> None:
-    """Assert that a longer axis is a problem where its size is fixed or shared, and none where it stands alone."""
-    table, path = schema.load(kind), named(path)
-    stored = layout(table)
-    row = table.find(path)
-    assert row is not None
-    assert row.dims is not None
-    shape = stored[path][1]
-    for axis, dim in enumerate(row.dims):
-        longer = tuple(size + (place == axis) for place, size in enumerate(shape))
-        lines = schema.problems(table, with_shape(stored, path, longer))
-        name = str(dim).partition("+")[0]
-        dims = [(other, d) for other in stored for d in getattr(table.find(other), "dims", None) or ()]
-        uses = [other for other, d in dims if str(d).partition("+")[0] == name]
-        if isinstance(dim, int):
-            assert lines == [f"{path}: expected size {dim}, found {dim + 1}"]
-        elif len(uses) > 1:
-            assert lines
-            assert all(line.split(":")[0] in uses for line in lines)
-        else:
+    for path in paths(kind):
+        row = table.find(named(path))
+        assert row is not None
+        left = {name: about for name, about in layout(table).items() if table.find(name) is not row}
+        lines = schema.problems(table, left)
+        if row.optional:
             assert lines == []
+        else:
+            assert lines == [f"{path.replace('/*/', '/arm/')} is missing: {row.meaning}"]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_wrong_dtype_is_named(kind: str) -> None:
+    """Assert that a dtype that differs only in width or sign is a problem that says both."""
+    table = schema.load(kind)
+    stored = layout(table)
+    for path in map(named, paths(kind)):
+        dtype, shape = stored[path]
+        other = {"int64": "int32", "uint8": "int8", "float64": "float32", "utf8": "uint8"}.get(dtype, "float64")
+        assert schema.problems(table, {**stored, path: (other, shape)}) == [
+            f"{path}: expected dtype {dtype}, found {other}"
+        ]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_axis_is_checked(kind: str) -> None:
+    """Assert that a longer axis is a problem where its size is fixed or shared, and none where it stands alone."""
+    table = schema.load(kind)
+    stored = layout(table)
+    for path in (named(path) for path in paths(kind) if not path.endswith("*")):
+        row = table.find(path)
+        assert row is not None
+        assert row.dims is not None
+        shape = stored[path][1]
+        for axis, dim in enumerate(row.dims):
+            longer = tuple(size + (place == axis) for place, size in enumerate(shape))
+            lines = schema.problems(table, with_shape(stored, path, longer))
+            name = str(dim).partition("+")[0]
+            dims = [(other, d) for other in stored for d in getattr(table.find(other), "dims", None) or ()]
+            uses = [other for other, d in dims if str(d).partition("+")[0] == name]
+            if isinstance(dim, int):
+                assert lines == [f"{path}: expected size {dim}, found {dim + 1}"]
+            elif len(uses) > 1:
+                assert lines
+                assert all(line.split(":")[0] in uses for line in lines)
+            else:
+                assert lines == []
 
 
 @pytest.mark.parametrize("shape", [(), (5, 1), (1, 5)])
@@ -238,23 +243,24 @@ def test_tables_are_sound(kind: str) -> None:
         assert set(row) <= {"dtype", "dims", "unit", "meaning", "optional", "described_in"} | limits, path
 
 
-@pytest.mark.parametrize(("kind", "path"), EVERY_DATASET)
-def test_limits_are_sound(kind: str, path: str) -> None:
+@pytest.mark.parametrize("kind", KINDS)
+def test_limits_are_sound(kind: str) -> None:
     """Assert that limits name datasets that exist, fit the dtype, and that every float says whether it is finite."""
     table = schema.load(kind)
-    row = table.find(named(path))
-    assert row is not None
-    limits = row.limits
-    assert limits.finite in ((True, "or NaN") if row.dtype.startswith("float") else ("",))
-    assert limits.increasing in ("", "strictly", "never decreasing")
-    assert limits.inside_frame in ("", "x", "y", "xy")
-    assert limits.json in ("", "object", "list of flat objects")
-    for other in (limits.index_of, limits.nan_where):
-        assert not other or table.find(other) is not None
-    assert not limits.inside_frame or table.find("sensor/frame_px") is not None
-    assert limits.minimum is None or limits.maximum is None or limits.minimum < limits.maximum
-    if limits.inside_frame == "xy":
-        assert row.dims is not None
-        assert row.dims[-1] == 2
-    for value in limits.one_of:
-        assert isinstance(value, str) == (row.dtype == "utf8")
+    for path in paths(kind):
+        row = table.find(named(path))
+        assert row is not None
+        limits = row.limits
+        assert limits.finite in ((True, "or NaN") if row.dtype.startswith("float") else ("",))
+        assert limits.increasing in ("", "strictly", "never decreasing")
+        assert limits.inside_frame in ("", "x", "y", "xy")
+        assert limits.json in ("", "object", "list of flat objects")
+        for other in (limits.index_of, limits.nan_where):
+            assert not other or table.find(other) is not None
+        assert not limits.inside_frame or table.find("sensor/frame_px") is not None
+        assert limits.minimum is None or limits.maximum is None or limits.minimum < limits.maximum
+        if limits.inside_frame == "xy":
+            assert row.dims is not None
+            assert row.dims[-1] == 2
+        for value in limits.one_of:
+            assert isinstance(value, str) == (row.dtype == "utf8")
