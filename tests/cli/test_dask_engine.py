@@ -5,12 +5,14 @@ import json
 import os
 import shutil
 import signal
+import socket
 import socketserver
 import subprocess
 import sys
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +20,8 @@ import h5py
 import numpy as np
 import pytest
 
-from evetac_cli.cli import dask_engine, workers
-from evetac_cli.cli.dask_engine import WorkerRefused
+from evetac_cli.cli import dask_engine, dask_worker, workers
+from evetac_cli.cli.dask_worker import WorkerRefused
 from evetac_cli.cli.flags import Engine
 from evetac_cli.errors import EvetacError, InputError
 from evetac_cli.jobs import Job, Outcome
@@ -128,11 +130,11 @@ def test_a_cluster_with_certificates_is_not_asked_without(monkeypatch: pytest.Mo
 
 
 @pytest.fixture
-def command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dask_engine.ClusterCommand:
+def command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dask_worker.ClusterCommand:
     """A command that was started in a folder of its own and runs."""
     (tmp_path / "sign").touch()
-    monkeypatch.setattr(dask_engine, "LOOK_S", 0.0)
-    return dask_engine.ClusterCommand("standing", None, False, dask_engine.__version__, tmp_path, tmp_path / "sign")
+    monkeypatch.setattr(dask_worker, "LOOK_S", 0.0)
+    return dask_worker.ClusterCommand("standing", None, False, dask_worker.__version__, tmp_path, tmp_path / "sign")
 
 
 def stage_is(monkeypatch: pytest.MonkeyPatch, run: Any) -> None:
@@ -141,56 +143,63 @@ def stage_is(monkeypatch: pytest.MonkeyPatch, run: Any) -> None:
 
 
 def test_a_worker_goes_to_the_folder_of_the_command(
-    command: dask_engine.ClusterCommand, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    command: dask_worker.ClusterCommand, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """Assert that paths mean in the worker what they mean in the command, and that it goes back."""
     before = Path.cwd()
     where = []
     stage_is(monkeypatch, lambda *_: where.append(Path.cwd()) or MADE)
-    assert dask_engine.run_task(command, Job((), Path("a.h5")), ()) == MADE
-    assert where == [tmp_path]
+    assert dask_worker.run_task(command, [Job((), Path("a.h5")), Job((), Path("b.h5"))], [(), ()]) == [MADE, MADE]
+    assert where == [tmp_path, tmp_path]
     assert Path.cwd() == before
 
 
 def test_a_worker_that_does_not_fit_refuses(
-    command: dask_engine.ClusterCommand, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    command: dask_worker.ClusterCommand, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """Assert that another version and storage that is not shared are said in words, and nothing is begun."""
     stage_is(monkeypatch, lambda *_: pytest.fail("begun"))
     job = Job((), Path("a.h5"))
-    monkeypatch.setattr(dask_engine, "__version__", "0.0.0")
-    refused = dask_engine.run_task(command, job, ())
+    monkeypatch.setattr(dask_worker, "__version__", "0.0.0")
+    refused = dask_worker.run_task(command, [job], [()])
     assert isinstance(refused, WorkerRefused)
     assert "0.0.0" in refused.reason and command.version in refused.reason
-    monkeypatch.setattr(dask_engine, "__version__", command.version)
+    monkeypatch.setattr(dask_worker, "__version__", command.version)
     (tmp_path / "sign").unlink()
-    refused = dask_engine.run_task(command, job, ())
+    refused = dask_worker.run_task(command, [job], [()])
     assert isinstance(refused, WorkerRefused) and "no shared storage" in refused.reason
-    elsewhere = dask_engine.ClusterCommand("standing", None, False, command.version, tmp_path / "none", command.sign)
-    assert str(tmp_path / "none") in dask_engine.check_worker(elsewhere)
+    elsewhere = dask_worker.ClusterCommand("standing", None, False, command.version, tmp_path / "none", command.sign)
+    assert str(tmp_path / "none") in dask_worker.check_worker(elsewhere)
 
 
 def test_an_input_that_a_worker_does_not_see(
-    command: dask_engine.ClusterCommand, monkeypatch: pytest.MonkeyPatch
+    command: dask_worker.ClusterCommand, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Assert that an input that only the command sees is an error that names it."""
     stage_is(monkeypatch, lambda *_: pytest.fail("begun"))
-    result = dask_engine.run_task(command, Job((), Path("a.h5")), (Path("b.recording.h5"),))
-    assert isinstance(result, EvetacError)
+    results = dask_worker.run_task(command, [Job((), Path("a.h5"))], [(Path("b.recording.h5"),)])
+    assert isinstance(results, list) and isinstance(results[0], EvetacError)
+    result = results[0]
     assert "b.recording.h5" in str(result) and "no shared storage" in str(result)
 
 
-def test_a_job_ends_with_its_command(command: dask_engine.ClusterCommand, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that a job that has begun is broken off when it next tells its progress, once the command is gone."""
+def test_a_job_ends_with_its_command(command: dask_worker.ClusterCommand, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that a job that has begun is broken off when it next tells its progress, once the command is gone.
+
+    What the task had finished before is told.
+    """
 
     def run(module: str, job: Job, chosen: Any, force: bool, progress: Any) -> Outcome:
+        if job.output.stem == "first":
+            return MADE
         progress(1, 3)
         command.sign.unlink()
         progress(2, 3)
         pytest.fail("went on")
 
     stage_is(monkeypatch, run)
-    assert dask_engine.run_task(command, Job((), Path("a.h5")), ()) is None
+    jobs = [Job((), Path(f"{name}.h5")) for name in ("first", "second", "third")]
+    assert dask_worker.run_task(command, jobs, [(), (), ()]) == [MADE]
 
 
 # --- who may give work ------------------------------------------------------------------------------------------------
@@ -234,6 +243,45 @@ def test_no_stranger_gives_work_to_the_own_cluster(own_cluster: Any, credentials
     for address in addresses(own_cluster):
         with pytest.raises((OSError, TypeError, TimeoutError)):  # TypeError: tls:// without any certificate
             asyncio.run(call(address))
+
+
+def test_the_own_cluster_serves_nothing_by_http(own_cluster: Any) -> None:
+    """Assert that the ports of scheduler and worker at which Dask has its pages are closed, and others answer none."""
+
+    def of_scheduler(dask_scheduler: Any) -> list[int]:
+        return [service.port for service in dask_scheduler.services.values()]
+
+    def of_worker(dask_worker: Any) -> list[int]:
+        return [service.port for service in dask_worker.services.values()]
+
+    closed = own_cluster.run_on_scheduler(of_scheduler) + next(iter(own_cluster.run(of_worker).values()))
+    assert len(closed) == 2 and 8787 not in closed
+    for port in closed:
+        with pytest.raises(ConnectionRefusedError), socket.create_connection(("127.0.0.1", port), 5):
+            pass
+    for address in addresses(own_cluster):
+        with socket.create_connection(("127.0.0.1", int(address.rpartition(":")[2])), 5) as connection:
+            connection.sendall(b"GET /json/identity.json HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
+            connection.settimeout(5)
+            with suppress(ConnectionResetError):
+                assert b"HTTP" not in connection.recv(4096)
+
+
+def test_folders_of_the_own_cluster_are_this_users(own_cluster: Any) -> None:
+    """Assert that those of scheduler and worker lie in one of mode 0700 whose name nobody can guess."""
+
+    def of_scheduler(dask_scheduler: Any) -> str:
+        return str(dask_scheduler.local_directory)
+
+    def of_worker(dask_worker: Any) -> str:
+        return str(dask_worker.local_directory)
+
+    folders = [own_cluster.run_on_scheduler(of_scheduler), *own_cluster.run(of_worker).values()]
+    assert len(set(folders)) == 2
+    for folder in folders:
+        above = [path for path in Path(folder).parents if path.name.startswith("evetac-dask-")]
+        assert len(above) == 1
+        assert (above[0].stat().st_mode & 0o777, above[0].stat().st_uid) == (0o700, os.geteuid())
 
 
 def test_no_cluster_is_started_without_credentials(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -310,14 +358,23 @@ def left(folder: Path) -> list[str]:
 @pytest.mark.skipif(sys.platform != "linux", reason="looks at /proc")
 @pytest.mark.slow
 def test_a_job_whose_worker_dies_runs_again(tmp_path: Path, started: list[subprocess.Popen[Any]]) -> None:
-    """Assert that one death costs nothing, that the third at the same job is an error that names it, others go on."""
-    others = ["quick-1", "once-1", "quick-2", "quick-3"]
-    reported = run(started, tmp_path, "dask", *others[:2], "killed-1", *others[2:]).ended()
+    """Assert that one death costs nothing, that the third at the same job is an error that names it, others go on.
+
+    Also where short jobs were handed out together.
+    """
+    others = ["quick-1", "once-1", *(f"quick-{number}" for number in range(2, 20))]
+    reported = run(started, tmp_path, "dask", *others[:15], "killed-1", *others[15:]).ended()
     assert reported["ended"] == ""
     assert {name for name, result in reported["jobs"].items() if result == "made"} == set(others)
     assert "killed-1.h5" in reported["jobs"]["killed-1"] and "3 workers died" in reported["jobs"]["killed-1"]
     assert len((tmp_path / "once-1.pids").read_text().split()) >= 2
     assert [name for name in left(tmp_path) if "killed" in name or "runs" in name] == []
+
+
+@pytest.mark.slow
+def test_an_error_of_the_system_stays_what_it_is(tmp_path: Path, started: list[subprocess.Popen[Any]]) -> None:
+    """Assert that what a job raises is not taken for a broken connection."""
+    assert "No space left on device" in run(started, tmp_path, "dask", "full-1").ended()["ended"]
 
 
 @pytest.mark.slow
@@ -357,7 +414,7 @@ def test_a_cluster_that_runs_already(tmp_path: Path, started: list[subprocess.Po
     for folder in (work, other):
         folder.mkdir()
         (folder / "standing_stage.py").write_text(STAGE)
-    (other / "of_another_version.py").write_text("import evetac_cli.cli.dask_engine as e; e.__version__ = '0.0.0'")
+    (other / "of_another_version.py").write_text("import evetac_cli.cli.dask_worker as e; e.__version__ = '0.0.0'")
 
     def start(what: str, *words: str) -> subprocess.Popen[Any]:
         one = [sys.executable, "-m", f"distributed.cli.dask_{what}", "--scheduler-file", str(scheduler), *words]
