@@ -43,8 +43,7 @@ from evetac_cli.errors import EvetacError, InputError
 from evetac_cli.evaluate import realism
 from evetac_cli.jobs import Row
 from evetac_cli.sim import gripper
-from evetac_cli.sim.camera.gel_camera import dot_grid
-from evetac_cli.sim.camera.lens import Lens
+from evetac_cli.sim.camera.gel_camera import Lens, dot_grid
 from evetac_cli.sim.gripper import Drive
 from evetac_cli.sim.setup import sensor_file
 from evetac_cli.sim.setup.plan import one_sensor, sensor_ranges

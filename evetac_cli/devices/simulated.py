@@ -14,7 +14,7 @@ from evetac_cli.sim.camera.gel_camera import GelCamera
 from evetac_cli.sim.parts import Timer, untimed
 from evetac_cli.sim.scenes.building import Simulation, scene_in_words, simulation_of
 from evetac_cli.sim.scenes.gripped import GraspSimulation
-from evetac_cli.sim.scenes.second_view import SecondView
+from evetac_cli.sim.scenes.second_finger import SecondView
 from evetac_cli.sim.setup.plan import Plan
 from evetac_cli.sim.setup.sensor import Sensor
 

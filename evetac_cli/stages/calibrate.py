@@ -140,8 +140,7 @@ def _left_out(places: Grid, dots: Grid) -> dict[str, int]:
 
 def _of_sensor(source: Path, params: Calibrate) -> Calibration:
     """Return the dots of a sensor's file as seen by its camera, and its sensitivity to contact."""
-    from evetac_cli.sim.camera.gel_camera import dot_grid
-    from evetac_cli.sim.camera.lens import Lens
+    from evetac_cli.sim.camera.gel_camera import Lens, dot_grid
 
     _, sensor = sensor_file.read(source, one_sensor)
     cut = params.gel != "closed"

@@ -10,8 +10,8 @@ from evetac_cli.errors import SceneError
 from evetac_cli.resources import SCENES
 from evetac_cli.sim.parts import rows_of, switched
 from evetac_cli.sim.setup.plan import Plan, first_plan
-from evetac_cli.sim.setup.scene import Flicker, LightSettings, VanishingDots
-from evetac_cli.sim.setup.sensor import GelCreep, GelFriction, NoiseFilterSettings, ReadoutLimit
+from evetac_cli.sim.setup.scene import VanishingDots
+from evetac_cli.sim.setup.sensor import NoiseFilterSettings, ReadoutLimit
 from tests.quick import few
 
 PRESSURE = "friction over pressure"
@@ -72,43 +72,6 @@ def test_grasps_leave_the_window_out(name: str) -> None:
     assert "window" not in left_out(first_plan(name, texture="on"))
 
 
-def test_parts_of_a_sensor() -> None:
-    """Assert that what a sensor's row names is a row, and can be left out without what is named beside it."""
-    uneven = with_sensor(first_plan("slip"), friction=GelFriction(kinetic_share=0.8, patch_spread=0.1, patch_mm=3.0))
-    assert built(uneven)["friction that varies over the gel"] == "by 10% over 3 mm"
-    creeping = with_sensor(uneven, creep=GelCreep(share=(0.05, 0.02), time_s=(0.3, 5.0)))
-    assert built(creeping)["slow creep"] == "5% in 0.3 s, 2% in 5 s"
-    assert "slow creep" in left_out(switched(creeping)["slow creep"])
-    other = switched(creeping)["friction that varies over the gel"]
-    assert other.sensor.friction == GelFriction(kinetic_share=0.8)
-    assert "friction that varies over the gel" in left_out(first_plan("slip"))
-    tone = replace(first_plan("vibration"), sensor=creeping.sensor)
-    assert "friction that varies over the gel" in left_out(tone)
-
-
-def test_parts_that_only_some_scenes_name() -> None:
-    """Assert that what few scenes have is a row where it is named, and can be left out there."""
-    slip = first_plan("slip")
-    light = LightSettings(flicker=Flicker(frequency_hz=100.0, depth=0.1))
-    flickering = replace(slip, scene=replace(slip.scene, light=light))
-    assert built(flickering)["changing light"] == "flickers by 10% at 100 Hz"
-    assert switched(flickering)["changing light"].scene.light is None
-    (row,) = [row for row in rows_of(slip) if row["part"] == "changing light"]
-    assert (row["built"], row["left_out"]) == (None, "the light is steady")
-    assert "changing light" not in switched(slip)
-
-
-def test_a_gear_that_breaks_loose() -> None:
-    """Assert that a gear is said to break loose where its sensor names a kinetic share below 1, and only then."""
-    slip = first_plan("slip")
-    assert "gear that breaks loose" in left_out(slip)
-    loose, firm = (
-        with_sensor(slip, gripper=replace(slip.sensor.gripper, kinetic_share=share)) for share in (0.75, 1.0)
-    )
-    assert built(loose)["gear that breaks loose"] == "in motion 75% of the friction at rest"
-    assert "gear that breaks loose" in left_out(firm)
-
-
 def test_how_the_gripper_is_commanded() -> None:
     """Assert that a gripper that follows a current from the start is not said to be in position mode."""
     assert built(first_plan("grip-steps"))["gripper"] == "current mode, current from the scene"
@@ -162,13 +125,3 @@ def test_a_scene_that_cannot_be_built_has_no_parts() -> None:
     vanishing = VanishingDots(dots=((50, 50),), at_s=1.0)
     with pytest.raises(SceneError, match="slip: cannot be simulated.*vanishing_dots"):
         rows_of(replace(planned, scene=replace(planned.scene, vanishing_dots=vanishing)))
-
-
-def test_hot_pixels_and_noise_apart() -> None:
-    """Assert that noise and hot pixels are parts of their own, of which a sensor that names none has none."""
-    slip = first_plan("slip")
-    assert built(slip)["hot pixels"] == "6"
-    quiet = with_sensor(slip, noise_hz=0.0)
-    assert "noise" in left_out(quiet) and "hot pixels" not in left_out(quiet)
-    bare = with_sensor(quiet, hot_pixels=0, hot_pixel_hz=())
-    assert {"noise", "hot pixels", "noise filter"} <= left_out(bare)

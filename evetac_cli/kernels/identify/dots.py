@@ -14,7 +14,7 @@ Reasons:
   plateau.
 - Dots are fitted one by one, because the mean rim of unequal dots would be more blurred than each of them.
 
-A lens bends the straight rows of dots. Its model is that of the simulated camera (sim/camera/lens.py) without its
+A lens bends the straight rows of dots. Its model is that of the simulated camera (sim/camera/gel_camera.py) without its
 second term. A point at distance r from the middle of the frame is seen at r (1 + k1 r^2), with r = 1 at the corners.
 Print and picture may be shifted, rotated and scaled against each other.
 """

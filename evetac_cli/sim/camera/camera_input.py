@@ -1,4 +1,4 @@
-"""Checks of the inputs of both cameras: positions and paths in px, window, texture, lines.
+"""Checks of the inputs of the camera: positions and paths in px, window, texture, lines.
 
 Invalid input raises a ValueError with expected and found, before a camera changes.
 """
@@ -13,7 +13,6 @@ from evetac_cli.checks import check_range
 from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.camera.contact_edges import ContactEdges, EdgePlace, LineMotion, check_place
 
-DOUBLE = np.dtype(np.float64)
 FARTHEST_PX = 1e6
 MOST_PIECES = 1000  # most pieces of a curved path in a slice
 
@@ -50,33 +49,15 @@ class SliceMotion(NamedTuple):
 
 def motions(dots: int, motion: SliceMotion) -> tuple[Floats, ObjectMotion]:
     """Return the paths of dots, (dots, k + 1, 2), and the motion of the object."""
-    dot_xy_px_start, dot_xy_px_end, object_xy_px_start, object_xy_px_end, texture_contrast, dot_path_px = motion[:6]
-    check_range("texture_contrast", texture_contrast, 0.0, 1e3)
-    if dot_path_px is None:
-        path, ends = np.empty((dots, 2, 2)), np.empty((2, 2))
-        endpoints_px = (dot_xy_px_start, dot_xy_px_end, object_xy_px_start, object_xy_px_end)
-        of_dots = _is_plain(endpoints_px[0], (dots, 2)) and _is_plain(endpoints_px[1], (dots, 2))
-        if (
-            of_dots
-            and _is_plain(endpoints_px[2], (2,))
-            and _is_plain(endpoints_px[3], (2,))
-            and _fill_ends(*endpoints_px, path, ends)
-        ):
-            return path, ObjectMotion(ends[0], ends[1], float(texture_contrast))
-    # other types, and invalid values, are checked one by one
-    dots_start = positions("dot_xy_px_start", dot_xy_px_start, dots)
-    dots_end = positions("dot_xy_px_end", dot_xy_px_end, dots)
-    paths = dot_paths(dot_path_px, dots_start, dots_end)
-    object_start = positions("object_xy_px_start", np.array(object_xy_px_start, ndmin=2), 1)[0]
-    object_end = positions("object_xy_px_end", np.array(object_xy_px_end, ndmin=2), 1)[0]
-    return paths, ObjectMotion(object_start, object_end, float(texture_contrast))
-
-
-def _is_plain(values: ArrayLike, shape: tuple[int, ...]) -> bool:
-    """Return whether this is a contiguous float64 array of this shape."""
-    if not isinstance(values, np.ndarray):
-        return False
-    return values.shape == shape and values.dtype is DOUBLE and values.flags.c_contiguous
+    check_range("texture_contrast", motion.texture_contrast, 0.0, 1e3)
+    start, end, begin, stop = (np.ascontiguousarray(ends, np.float64).reshape(-1, 2) for ends in motion[:4])
+    assert len(start) == len(end) == dots
+    path, ends = np.empty((dots, 2, 2)), np.empty((2, 2))
+    if not _fill_ends(start, end, begin[0], stop[0], path, ends):
+        raise ValueError(f"a slice's motion: expected finite positions within {FARTHEST_PX:g} px")
+    if motion.dot_path_px is not None:
+        path = _curved(motion.dot_path_px, start, end)
+    return path, ObjectMotion(ends[0], ends[1], float(motion.texture_contrast))
 
 
 @njit(cache=True, _nrt=False)
@@ -112,16 +93,10 @@ def _all_within(xy: Floats, limit: float) -> bool:
     return bool(np.all(np.abs(xy) <= limit))  # false for NaN
 
 
-def dot_paths(dot_path_px: ArrayLike | None, dots_start: Floats, dots_end: Floats) -> Floats:
-    """Return the vertices of every dot's path, (dots, k + 1, 2), from (k + 1, dots, 2); straight if None is given."""
-    if dot_path_px is None:
-        ends = np.empty((len(dots_start), 2, 2))
-        ends[:, 0] = dots_start
-        ends[:, 1] = dots_end
-        return ends
-    dots = len(dots_start)
+def _curved(dot_path_px: ArrayLike, dots_start: Floats, dots_end: Floats) -> Floats:
+    """Return the vertices of every dot's path, (dots, k + 1, 2), from (k + 1, dots, 2)."""
     path = np.asarray(dot_path_px, np.float64)
-    assert path.ndim == 3 and path.shape[1:] == (dots, 2) and 2 <= len(path) <= MOST_PIECES + 1
+    assert path.ndim == 3 and path.shape[1:] == dots_start.shape and 2 <= len(path) <= MOST_PIECES + 1
     positions("dot_path_px", path.reshape(-1, 2))
     assert np.array_equal(path[0], dots_start) and np.array_equal(path[-1], dots_end)
     return np.ascontiguousarray(path.transpose(1, 0, 2))

@@ -6,7 +6,7 @@ sinks. `hold`: the gripper starts open and closes on an object, which is then re
 
 One of two mirrored pads is simulated, or both if they differ or both have a camera. Gripper, hand and table move in
 steps of 1 ms, gel and object in as many steps as they need (gel.adaptive). The camera sees the first pad at the end of
-the slice. If the plan has a camera on the second finger, it sees the second pad (second_view.py).
+the slice. If the plan has a camera on the second finger, it sees the second pad (second_finger.py).
 
 Gravity is along +x of the image in a grasp from the top and +y in a grasp from the side. The shape of an upright object
 is rotated accordingly.
@@ -27,12 +27,11 @@ from evetac_cli.sim.camera.gel_camera import GelCamera
 from evetac_cli.sim.gel import contact, dots, gel
 from evetac_cli.sim.gel.adaptive import Slice, Stepper
 from evetac_cli.sim.parts import Timer, untimed
-from evetac_cli.sim.scenes.disturbances import ChangingFriction
 from evetac_cli.sim.scenes.hand import Hand
-from evetac_cli.sim.scenes.second_finger import SecondFinger
-from evetac_cli.sim.scenes.second_view import FACING, PART, SecondView
+from evetac_cli.sim.scenes.second_finger import FACING, PART, SecondFinger, SecondView
 from evetac_cli.sim.scenes.shared import (
     STEP_S,
+    ChangingFriction,
     DotPath,
     GelSlices,
     SolverTruth,

@@ -19,9 +19,9 @@ from evetac_cli.sim.camera.gel_camera import GelCamera
 from evetac_cli.sim.gel import dots, gel
 from evetac_cli.sim.parts import Timer, untimed
 from evetac_cli.sim.scenes.covered import covered
-from evetac_cli.sim.scenes.disturbances import ChangingFriction
 from evetac_cli.sim.scenes.shared import (
     STEP_S,
+    ChangingFriction,
     DotPath,
     GelSlices,
     SolverTruth,

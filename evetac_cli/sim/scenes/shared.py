@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.arrays import Floats
+from evetac_cli.events import SLICES_PER_S
 from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.gel import contact, dots, gel
 from evetac_cli.sim.gel.adaptive import Slice, Stepper
@@ -17,7 +18,7 @@ from evetac_cli.sim.gel.friction import varied
 from evetac_cli.sim.gel.pressure_law import PressureLaw
 from evetac_cli.sim.parts import Timer, untimed
 from evetac_cli.sim.setup.sampling import SampledTrial
-from evetac_cli.sim.setup.scene import Scene
+from evetac_cli.sim.setup.scene import FrictionChange, Scene
 from evetac_cli.sim.setup.sensor import PAD_M, Sensor
 from evetac_cli.sim.setup.solver import Solver
 
@@ -76,6 +77,26 @@ def friction_of(sampled: SampledTrial) -> gel.Friction:
     return gel.Friction(
         sampled.static_friction, sampled.kinetic_friction, sampled.stribeck_m_s, sampled.friction_memory_m
     )
+
+
+class ChangingFriction:
+    """The friction of a trial over time: static and kinetic friction change by a factor at a given time, if at all.
+
+    The whole contact changes at once, as if it reached a wet patch.
+    """
+
+    def __init__(self, change: FrictionChange | None, friction: gel.Friction) -> None:
+        """Start with the trial's friction; without a change, it stays constant."""
+        self._before = self._after = friction
+        self._changes_at = math.inf
+        if change is not None:
+            factor = change.factor
+            self._changes_at = round(change.at_s * SLICES_PER_S)
+            self._after = replace(friction, static=friction.static * factor, kinetic=friction.kinetic * factor)
+
+    def at(self, slice_number: int) -> gel.Friction:
+        """Return the friction in a slice."""
+        return self._before if slice_number < self._changes_at else self._after
 
 
 def friction_factor(sensor: Sensor, node_xy_m: Floats, finger: int = 0) -> Floats | None:

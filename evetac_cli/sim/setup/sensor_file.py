@@ -150,8 +150,10 @@ def _rows_of_dots(dot_xy_px: Any) -> Any:
 
 def _check_dots(sensor: Sensor, where: str) -> None:
     """Raise InputError unless the dots can be tracked: neither too few nor too many, in the frame, not overlapping."""
-    from evetac_cli.sim.camera.gel_camera import dot_grid  # imports numba
-    from evetac_cli.sim.camera.lens import Lens
+    from evetac_cli.sim.camera.gel_camera import (
+        Lens,
+        dot_grid,  # imports numba
+    )
 
     lens = Lens.of_sensor(sensor)
     dots = dot_grid(sensor, cut=False).reshape(-1, 2)

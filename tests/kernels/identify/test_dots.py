@@ -7,7 +7,7 @@ from evetac_cli.kernels.calibration.rest_image import RestImage
 from evetac_cli.kernels.identify import dots
 from evetac_cli.kernels.identify.dots import DotOptics
 from evetac_cli.sim.camera import optics
-from evetac_cli.sim.camera.lens import Lens
+from evetac_cli.sim.camera.gel_camera import Lens
 
 CENTRES = np.array([[40.0 + 60 * column + 0.3 * row, 40.0 + 60 * row] for row in range(3) for column in range(4)])
 LOG_CONTRAST = 1.61

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from evetac_cli.sim.camera.lens import Lens
+from evetac_cli.sim.camera.gel_camera import Lens
 from evetac_cli.sim.setup.plan import one_sensor
 from tests.sim.camera.gel_cameras import gel_camera
 

@@ -41,14 +41,6 @@ def test_noise() -> None:
     assert abs(off.mean()) < 0.05
 
 
-def test_generator_decides() -> None:
-    """Assert that the same generator gives the same frame and goes on to another."""
-    rng, again = np.random.default_rng(4), np.random.default_rng(4)
-    first = frame(RgbCamera(), [[9, 9]], RADIUS_PX, rng)
-    assert np.array_equal(first, frame(RgbCamera(), [[9, 9]], RADIUS_PX, again))
-    assert not np.array_equal(first, frame(RgbCamera(), [[9, 9]], RADIUS_PX, rng))
-
-
 def test_nonsense_is_refused() -> None:
     """Assert that a radius of nothing and a camera without time or light are refused."""
     rng = np.random.default_rng(0)
@@ -74,14 +66,6 @@ def test_dots_are_followed() -> None:
         track(state, drawn(moved))
         assert np.abs(state.dot_xy_px - moved).max() < 0.2
         assert not state.lost.any()
-
-
-def test_rest_is_rest() -> None:
-    """Assert that dots of frames that do not change stay exactly where they are."""
-    state = start_tracker(drawn(REST), REST)
-    for _ in range(20):
-        track(state, drawn(REST))
-    assert np.array_equal(state.dot_xy_px, REST.astype(np.float32))
 
 
 def test_a_lost_dot_stays() -> None:

@@ -14,7 +14,7 @@ from evetac_cli.cli.main import app
 from evetac_cli.commands.grasp import Grasp
 from evetac_cli.commands.record import Record
 from evetac_cli.errors import InputError
-from evetac_cli.resources import PACKAGE, schemas, table
+from evetac_cli.resources import PACKAGE, schemas
 from evetac_cli.sim import gripper
 from evetac_cli.sim.setup import object_file
 from evetac_cli.sim.setup.plan import named_objects
@@ -47,27 +47,6 @@ def test_a_row_is_like_one_of_the_table(tmp_path: Path) -> None:
     assert as_table(can) == {**CAN, "material": "tin", "tilt_deg": [2.0, 2.0], "lever_mm": -3.0}
     assert all(isinstance(value, float) for value in (can.mass_g, can.width_mm, can.height_mm))
     assert object_file.read(written(tmp_path))[0] == "own-object"
-
-
-@pytest.mark.parametrize("number", table("objects"))
-def test_objects_of_the_table_may_be_files(number: str, tmp_path: Path) -> None:
-    """Assert that every object of the paper's table, written to a file, is accepted and is the same row again."""
-    row = table("objects")[number]
-    (tmp_path / "same.toml").write_text(as_toml(row))
-    _, again = object_file.read(tmp_path / "same.toml")
-    assert again == object_file.of_number(int(number))
-    assert as_table(again) == row
-
-
-@pytest.mark.parametrize("content", [b"shape = ", b"\xff\xfe", b"[" * 9000, b"", b"a.b.c = 1\n"])
-def test_no_object_at_all(content: bytes, tmp_path: Path) -> None:
-    """Assert that a file that is no TOML, or nothing of an object, is refused in words by record, with exit code 2."""
-    path = tmp_path / "can.toml"
-    path.write_bytes(content)
-    run = CliRunner().invoke(app, ["record", "--object", str(path), "-o", str(tmp_path / "out")])
-    assert run.exit_code == 2
-    assert run.stderr.startswith(f"error: {path}")
-    assert not (tmp_path / "out").exists()
 
 
 def test_objects_are_listed_together(tmp_path: Path) -> None:
@@ -114,21 +93,6 @@ def test_numbers_are_what_they_were(short_scene: Path) -> None:
     """Assert that the table's objects keep their seeds: a number stands for itself."""
     assert [object_file.seed_of(called) for called in (8, 20, None)] == [8, 20, 0]
     assert object_file.seed_of("own-object") == object_file.seed_of("own-object") != object_file.seed_of("tin")
-
-
-def test_an_object_of_the_table_as_a_file_slips_alike(tmp_path: Path, short_scene: Path) -> None:
-    """Assert that, its own noise aside, a file of object 8's row is grasped as object 8: same start, same limit."""
-    row = table("objects")["8"]
-    (tmp_path / "eight.toml").write_text(as_toml(row))
-    ends = []
-    for objects in ("8", str(tmp_path / "eight.toml")):
-        trial = evetac.simulate(str(short_scene), objects, seed=1)
-        for slices, _ in enumerate(trial):
-            if slices == 300:
-                break
-        ends.append(float(trial.truth["truth/normal_force_n"]))
-    assert ends[0] == pytest.approx(ends[1], rel=0.5)
-    assert ends[0] > 0.1
 
 
 def test_kinetic_share_of_the_object_holds(tmp_path: Path, short_scene: Path) -> None:

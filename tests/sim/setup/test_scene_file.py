@@ -28,12 +28,6 @@ def written(folder: Path, table: dict[str, Any]) -> str:
     return str(path)
 
 
-@pytest.mark.parametrize("path", sorted(SCENES.glob("*.toml")), ids=lambda path: path.stem)
-def test_shipped_scenes_are_valid(path: Path) -> None:
-    """Assert that every scene of the package passes its schema and is named as its file."""
-    assert scene_file.load(path.stem).name == path.stem
-
-
 OPTIONAL_PARTS: list[tuple[str, str, dict[str, Any]]] = [
     ("slip", "light", {"flicker": {"frequency_hz": 120.0, "depth": 0.1}, "step": {"at_s": 2.0, "factor": 0.5}}),
     ("slip", "calibration", {"offset_px": [2.0, 0.0], "turned_deg": 1.0}),

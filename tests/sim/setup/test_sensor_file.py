@@ -5,36 +5,20 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 
 from evetac_cli.commands.record import Record
-from evetac_cli.errors import InputError
 from evetac_cli.sim.camera.gel_camera import dot_grid
-from evetac_cli.sim.setup import sensor_file
 from evetac_cli.sim.setup.plan import named_sensor, one_sensor
-from evetac_cli.sim.setup.sensor_rows import FOR_EACH_TRIAL, GRID, rows
 from evetac_cli.sim.setup.tables import as_table
 from evetac_cli.text_files import as_toml
 from evetac_cli.trials import record
 from evetac_cli.trials.record import simulated
-
-FEW = [[100.0, 100.0], [200.0, 100.0], [100.0, 200.0], [230.0, 230.0]]
 
 
 def written(folder: Path, stem: str = "mine", /, **keys: Any) -> str:
     path = folder / f"{stem}.sensor.toml"
     path.write_text(as_toml({"like": "evetac", **keys}))
     return str(path)
-
-
-@pytest.mark.parametrize("name", [*(name for name in rows() if name not in FOR_EACH_TRIAL), "randomized:3"])
-def test_sensors_of_the_package_pass_the_schema(name: str, tmp_path: Path) -> None:
-    """Assert that every named sensor is a whole row, and that the same row comes back from a file that holds it."""
-    sensor = one_sensor(name)
-    assert sensor_file.of_row(as_table(sensor), name) == sensor
-    path = tmp_path / "same.toml"
-    path.write_text(as_toml(as_table(sensor)))
-    assert named_sensor(str(path)) == ("own-sensor", sensor)
 
 
 def test_what_a_file_leaves_out_is_as_in_the_sensor_it_is_like(tmp_path: Path) -> None:
@@ -66,15 +50,6 @@ def test_dots_in_a_list_without_rows(tmp_path: Path) -> None:
     beside = dot_grid(sensor, cut=True)
     assert beside.shape == (1, 56 - (shuffled[0, 0] < 525), 2)
     assert beside[..., 0].max() + sensor.dot_radius_px < sensor.window_px[0]
-
-
-def test_columns_and_rows_instead_of_the_places_of_another_sensor(tmp_path: Path) -> None:
-    """Assert that a whole row with places and one with columns and rows both pass, and one with neither does not."""
-    sensor = one_sensor("evetac")
-    places = {key: value for key, value in as_table(sensor).items() if key not in GRID}
-    with pytest.raises(InputError, match="the positions of the dots are missing"):
-        sensor_file.of_row(places, "here")
-    sensor_file.of_row({**places, "dot_xy_px": dot_grid(sensor, cut=False).tolist()}, "here")
 
 
 def test_the_recipe_hangs_on_the_content(tmp_path: Path) -> None:

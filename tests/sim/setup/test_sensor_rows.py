@@ -12,8 +12,7 @@ import pytest
 
 from evetac_cli.kernels.calibration import grid
 from evetac_cli.resources import table
-from evetac_cli.sim.camera.gel_camera import dot_grid
-from evetac_cli.sim.camera.lens import Lens
+from evetac_cli.sim.camera.gel_camera import Lens, dot_grid
 from evetac_cli.sim.setup.plan import one_sensor
 from evetac_cli.sim.setup.sampling import sample_sensor
 from evetac_cli.sim.setup.sensor_rows import FOR_EACH_TRIAL, over, rows, whole

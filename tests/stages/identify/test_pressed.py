@@ -7,7 +7,7 @@ import pytest
 
 from evetac_cli.kernels.estimates import Estimate
 from evetac_cli.kernels.identify.dots import Optics, RimProfile
-from evetac_cli.sim.camera.lens import Lens
+from evetac_cli.sim.camera.gel_camera import Lens
 from evetac_cli.sim.setup.plan import one_sensor
 from evetac_cli.stages.identify import pressed
 
