@@ -23,7 +23,6 @@ GRIPPERS = {
 }
 IMPORTS = {
     "aedat4": "AEDAT4",
-    "aedat3": "AEDAT 3.1",
     "aedat2": "AEDAT 2",
     "hdf5": "HDF5 (DSEC, MVSEC, v2e, rpg, Prophesee)",
     "numpy": "npz or npy",
@@ -41,7 +40,6 @@ EXPORTS = {
     "mcap": "ROS 2 messages of events, dots, touch, labels, gripper, control and other streams",
     "calibration": "dot grid as JSON, or with -o NAME.pkl as the official software's pickle",
     "parquet": "one table per recording, or with -o FOLDER one data set of all",
-    "touch-map": "Parquet table of the touch maps, one row per cell",
     "csv": "the tables of parquet as text",
     "frames": "event-count images for networks, as npz, or with -o NAME.parquet or NAME.zarr.zip in these formats",
     "histogram": "like frames, with counts for each time bin",

@@ -9,7 +9,7 @@ import h5py
 import numpy as np
 import pytest
 
-from evetac_cli.formats.write import write_dsec
+from evetac_cli.formats.write.event_files import write_dsec
 from evetac_cli.jobs import silent
 from evetac_cli.store.recordings.read import open_recording
 from tests import small_files
@@ -19,7 +19,7 @@ from tests.quick import few
 
 def dsec(path: Path) -> None:
     with open_recording(path.parent / "a.recording.h5") as recording:
-        write_dsec.write(recording, path, silent)
+        write_dsec(recording, path, silent)
 
 
 def arrays(path: Path) -> None:

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from evetac_cli import errors
 from evetac_cli.cli.main import app
 from evetac_cli.errors import EXTRAS, install_hint
-from evetac_cli.formats.write import write_aedat4
+from evetac_cli.formats.write.event_files import write_aedat4
 from evetac_cli.jobs import silent
 from evetac_cli.store.recordings.read import Recording
 from tests import small_files
@@ -45,7 +45,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("files")
     small_files.recording(folder / "a.recording.h5")
     with Recording(folder / "a.recording.h5") as recording:
-        write_aedat4.write(recording, folder / "events.aedat4", silent)
+        write_aedat4(recording, folder / "events.aedat4", silent)
     (folder / "events.bag").write_bytes(b"#ROSBAG V2.0\n" + bytes(100))
     (folder / "events.mcap").write_bytes(b"\x89MCAP0\r\n" + bytes(100))
     (folder / "pose.csv").write_text("t_ms,x\n1,2\n3,4\n")

@@ -100,7 +100,6 @@ SAID: dict[tuple[str, str], Callable[[], str]] = {
     ("export", "decay_ms"): lambda: f"{Representation.decay_ms:g}",
     ("export", "per_frame"): lambda: f"{_of_lerobot('per_frame')} (the default)",
     ("export", "tactile_key"): lambda: str(_of_lerobot("tactile_key")),
-    ("export", "tactile_layout"): lambda: f"{_of_lerobot('tactile_layout')} (the default)",
     ("export", "size"): lambda: "the sensor's, for LeRobot's event frames {}x{}".format(*event_stacks.SIZE_PX),
 }
 EVERY = {(name, item.name): item for name, command in COMMANDS.items() for item in dataclasses.fields(command.params)}

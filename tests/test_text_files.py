@@ -20,8 +20,8 @@ from evetac_cli.cli import config
 from evetac_cli.commands.calibrate import Calibrate
 from evetac_cli.commands.label import Label
 from evetac_cli.errors import InputError
+from evetac_cli.formats.calibration_files import read_pickle
 from evetac_cli.formats.imports import read_events
-from evetac_cli.formats.read.calibration_pickle import read_pickle
 from evetac_cli.sim.setup import scene_file
 from evetac_cli.stages import calibrate
 from evetac_cli.store.calibration import read_calibration

@@ -101,14 +101,6 @@ class Export:
         recipe=False,
         panel=LEROBOT,
     )
-    tactile_layout: str | None = parameter(
-        None,
-        "Form of the touch data: one vector (the default), or points, which are the displacement of each dot and, with"
-        " touch maps, its force, together with the total wrench.",
-        choices=("vector", "points"),
-        recipe=False,
-        panel=LEROBOT,
-    )
     event_frames: str | None = parameter(
         None,
         "Add to each frame the last event frames (ON minus OFF) before its end, e.g. 16@200 for 16 of them at 200 Hz;"

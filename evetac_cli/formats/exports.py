@@ -16,16 +16,13 @@ from typing import Any, NamedTuple
 
 from evetac_cli import plugins
 from evetac_cli.errors import InputError
+from evetac_cli.formats import calibration_files
 from evetac_cli.formats.write import (
-    touch_map_table,
-    write_aedat4,
-    write_calibration,
-    write_dsec,
+    event_files,
     write_event_images,
     write_mcap,
     write_prophesee,
     write_table,
-    write_text,
 )
 from evetac_cli.formats.write.lerobot import write_lerobot
 from evetac_cli.formats.write.slice_columns import Opener, WrittenFolder, recording_alone
@@ -63,7 +60,7 @@ TABLE: dict[str, Any] = {"events": False, "of_trial": True, "takes": ("model",)}
 OF_IMAGES = ("fps", "size")  # parameters of every event image format
 
 OF_LEROBOT = (
-    *("fps", "per_frame", "test_objects", "task", "tactile_key", "tactile_layout"),
+    *("fps", "per_frame", "test_objects", "task", "tactile_key"),
     *("event_frames", "size", "truth"),
 )
 
@@ -74,16 +71,15 @@ def _images(kind: Kind, *takes: str) -> ExportFormat:
 
 
 FORMATS = {
-    "aedat4": ExportFormat((".aedat4",), write_aedat4.write),
-    "dsec": ExportFormat((".dsec.h5", ".h5", ".hdf5"), write_dsec.write),
-    "text": ExportFormat((".txt",), write_text.write),
+    "aedat4": ExportFormat((".aedat4",), event_files.write_aedat4),
+    "dsec": ExportFormat((".dsec.h5", ".h5", ".hdf5"), event_files.write_dsec),
+    "text": ExportFormat((".txt",), event_files.write_text),
     "raw": ExportFormat((".raw",), write_prophesee.write_evt3),
     "raw-evt2": ExportFormat((".raw",), write_prophesee.write_evt2),
     "dat": ExportFormat((".dat",), write_prophesee.write_dat),
     "mcap": ExportFormat((".mcap",), write_mcap.write, of_trial=True, holds=write_mcap.HOLDS),
-    "calibration": ExportFormat((".calibration.json", ".json", ".pkl"), write_calibration.write, events=False),
+    "calibration": ExportFormat((".calibration.json", ".json", ".pkl"), calibration_files.write, events=False),
     "parquet": ExportFormat((".parquet",), write_table.write_parquet, **TABLE, write_folder=write_table.write_data_set),
-    "touch-map": ExportFormat((".touch-map.parquet", ".parquet"), touch_map_table.write, **TABLE),
     "csv": ExportFormat((".csv",), write_table.write_csv, **TABLE),
     "frames": _images("frames", "window_ms", "polarity"),
     "histogram": _images("histogram", "window_ms", "bins", "polarity"),
@@ -150,12 +146,8 @@ def target_path(source: Path, format_: str, out: Path | None) -> Path:
     if out.is_dir() or not out.suffix:
         return out / (stem(source) + suffixes[0])
     if out.suffix.lower() not in {Path("x" + suffix).suffix for suffix in suffixes}:
-        raise InputError(
-            "the output's name does not fit the format",
-            where=str(out),
-            expected=f"a name that ends in {' or '.join(suffixes)}, or a folder",
-            found=out.suffix,
-        )
+        expected = f"a name that ends in {' or '.join(suffixes)}, or a folder"
+        raise InputError("the output's name does not fit the format", where=str(out), expected=expected)
     return out
 
 

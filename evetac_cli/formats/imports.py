@@ -17,17 +17,16 @@ import numpy as np
 from evetac_cli import names, plugins
 from evetac_cli.errors import InputError, cannot_read
 from evetac_cli.events import SLICE_US, Events, concatenate, empty
-from evetac_cli.formats.read import read_numpy
-from evetac_cli.formats.read.aedat import read_aedat2, read_aedat3
-from evetac_cli.formats.read.aedat.read_aedat4 import open_aedat4
+from evetac_cli.formats.read import read_aedat2, read_numpy
 from evetac_cli.formats.read.bags import read_rosbag
 from evetac_cli.formats.read.bags.bag_files import is_bag_folder
 from evetac_cli.formats.read.bags.read_rosbag import open_rosbag
 from evetac_cli.formats.read.column_order import assumption
 from evetac_cli.formats.read.prophesee import read_prophesee
 from evetac_cli.formats.read.prophesee.read_prophesee import open_prophesee
+from evetac_cli.formats.read.read_aedat4 import open_aedat4
 from evetac_cli.formats.read.read_hdf5 import open_hdf5
-from evetac_cli.formats.read.read_other_streams import Other, aedat3_streams, aedat4_streams, bag_streams
+from evetac_cli.formats.read.read_other_streams import Other, aedat4_streams, bag_streams
 from evetac_cli.formats.read.read_text import is_text_of_events, open_text
 from evetac_cli.formats.read.source import EventColumns, EventSource, FrameUnknown, checked_frame, clean
 from evetac_cli.formats.read.time_order import IN_ORDER, OrderOptions
@@ -74,7 +73,6 @@ BAG = ImportFormat(read_rosbag.SIGNS, open_rosbag, ("stream",))
 TEXT = ImportFormat((), open_text, ("columns", "time_unit"))  # may begin with anything, so it is tried last
 FORMATS = {
     "aedat4": ImportFormat((b"#!AER-DAT4",), open_aedat4, ("stream",)),
-    "aedat3": ImportFormat((read_aedat3.SIGN,), read_aedat3.open_aedat3),
     "aedat2": ImportFormat((read_aedat2.SIGN,), read_aedat2.open_aedat2),
     "hdf5": ImportFormat((HDF5_SIGNATURE,), open_hdf5, ("stream", "columns", "time_unit"), at=HDF5_SIGNATURE_AT),
     "numpy": ImportFormat((read_numpy.NPY, read_numpy.ZIP), read_numpy.open_numpy, ("stream", "columns", "time_unit")),
@@ -84,41 +82,18 @@ FORMATS = {
 }
 
 # The readers of data other than events that is kept.
-OTHER_STREAMS = {"aedat3": aedat3_streams, "aedat4": aedat4_streams, "rosbag": bag_streams}
-SAVED = "then save it with numpy.savez('A.npz', t_us=t, x=x, y=y, p=p): x and y from 0, p 1 for ON (brighter)"
-# The five bytes of an event of N-MNIST and N-Caltech101, whose files have no mark at their beginning.
-FIVE_BYTES = (
-    "for N-MNIST or N-Caltech101: b = numpy.fromfile('A.bin', 'u1').astype(int).reshape(-1, 5); numpy.savez("
-    "'A.npz', t_us=(b[:, 2] & 127) << 16 | b[:, 3] << 8 | b[:, 4], x=b[:, 0], y=b[:, 1], p=b[:, 2] >> 7)"
-)
-# Files that are often confused with event files: how they begin, what they are, and how to convert them.
+OTHER_STREAMS = {"aedat4": aedat4_streams, "rosbag": bag_streams}
+# Files that are often confused with event files: how they begin, what they are, and what to do.
+CONVERT = "docs/recordings.md says how to convert it"
 OTHER_FILES: tuple[tuple[tuple[bytes, ...], str, str], ...] = (
     ((b"#!AER-DAT",), "AEDAT of another version", "convert it to AEDAT4 with iniVation's DV, or to text"),
     ((b"#ROSBAG",), "a ROS bag older than 2.0", "convert it with `rosbag migrate`"),
     ((b"PK\x05\x06",), "an empty zip archive", "create the archive again"),
     ((b"\x1f\x8b",), "a gzip file", "unpack it with gunzip"),
-    (
-        (b"\x28\xb5\x2f\xfd",),
-        "a Zstandard file",
-        "unpack it with zstd -d; if it is part of a bag, give the bag's folder instead",
-    ),
-    (
-        (b"Event Stream",),
-        "Event Stream (.es)",
-        "faery converts it, if it was recorded with a DVS or ATIS: python -c"
-        " \"import faery; faery.events_stream_from_file('A.es').to_file('A.aedat4')\"",
-    ),
-    ((b"MATLAB 5.0 MAT-file",), "a MATLAB file", f"read it with scipy.io.loadmat('A.mat'), {SAVED}"),
-    (
-        (b"MATLAB 7.3 MAT-file",),
-        "a MATLAB file",
-        f"read each column, for example h5py.File('A.mat')['TD/ts'][()].ravel(), {SAVED}",
-    ),
-    (
-        (b"\x80\x02", b"\x80\x03", b"\x80\x04", b"\x80\x05"),
-        "a Python pickle",
-        "evetac never loads pickles, because they can run code: save the events as text or HDF5",
-    ),
+    ((b"\x28\xb5\x2f\xfd",), "a Zstandard file", "unpack it with zstd -d, or give the bag's folder"),
+    ((b"Event Stream",), "Event Stream (.es)", CONVERT),
+    ((b"MATLAB 5.0 MAT-file", b"MATLAB 7.3 MAT-file"), "a MATLAB file", CONVERT),
+    ((b"\x80\x02", b"\x80\x03", b"\x80\x04", b"\x80\x05"), "a Python pickle", "evetac never loads pickles: save text or npz"),
 )
 
 
@@ -130,7 +105,7 @@ class Imported:
     frame_px: tuple[int, int]  # width, height
     t_offset_us: int  # t = 0 on the file's own clock
     slices: int  # up to the slice of the last event; 0 without events; more if an evetac export had more
-    format: str  # aedat2, aedat3, aedat4, hdf5, numpy, prophesee, rosbag or text
+    format: str  # aedat2, aedat4, hdf5, numpy, prophesee, rosbag or text
     counts: dict[str, int]  # events dropped, by reason: not_a_number, out_of_frame
     sorted: int  # events that were out of order and were sorted
     notes: list[str]  # for the user: other streams, losses, assumptions and data that was left out
@@ -261,11 +236,7 @@ def _reading(path: Path, before: Steady) -> Iterator[None]:
     except OSError as error:
         raise cannot_read(error, path) from error
     except MemoryError as error:
-        raise InputError(
-            "the file does not fit in memory",
-            where=str(path),
-            hint="split it with the program that wrote it",
-        ) from error
+        raise InputError("the file does not fit in memory", where=str(path), hint="split it") from error
 
 
 def _kept(
@@ -381,34 +352,23 @@ def _open_with_guessed_frame(path: Path, options: Mapping[str, str], unknown: Fr
         f"the file does not state its frame size: assumed {frame}, the smallest known sensor that fits all events"
         f" ({width}x{height}); --frame-size sets another"
     )
-    if swapped := _swapped(width, height, fitting[0]):
-        source.notes.append(swapped)
+    exchanged = next((px for px in FRAMES_PX if px[0] >= height and px[1] >= width), ANY_FRAME_PX)
+    if width < height and math.prod(exchanged) < math.prod(fitting[0]):
+        sensor = "{}x{}".format(*exchanged)
+        source.notes.append(f"are x and y exchanged? Exchanged, they would fit {sensor}")
     return source
-
-
-def _swapped(width: int, height: int, frame_px: tuple[int, int]) -> str:
-    """Return a note if the events would fit a smaller sensor with x and y exchanged; empty otherwise."""
-    exchanged = next(((w, h) for w, h in FRAMES_PX if w >= height and h >= width), None)
-    if width >= height or exchanged is None or math.prod(exchanged) >= math.prod(frame_px):
-        return ""
-    sensor = "{}x{}".format(*exchanged)
-    return (
-        f"x reaches {width - 1} and y reaches {height - 1}: are x and y exchanged? Exchanged, they would fit {sensor}"
-    )
 
 
 def _format(path: Path) -> ImportFormat:
     """Return the row of the format that a file has; text if its first line looks like text."""
-    where = str(path)
+    where, message = str(path), "not an event file that evetac can read"
     head = _head(path)
     for format_ in FORMATS.values():
         if head.startswith(format_.begins):
             return format_
     for starts, name, hint in OTHER_FILES:
         if head.startswith(starts):
-            raise InputError(
-                "not an event file that evetac can read", where=where, expected=EXPECTED, found=name, hint=hint
-            )
+            raise InputError(message, where=where, expected=EXPECTED, found=name, hint=hint)
     for format_ in FORMATS.values():  # after a user block, which HDF5 allows
         if any(head.startswith(format_.begins, at) for at in format_.at):
             return format_
@@ -420,17 +380,8 @@ def _format(path: Path) -> ImportFormat:
         if of_plugin is not None:
             return of_plugin
     if binary or path.suffix.lower() in BINARY_SUFFIXES:
-        raise InputError(
-            "not an event file that evetac can read",
-            where=where,
-            expected=EXPECTED,
-            found=f"a file that begins with {head[:16]!r}",
-            hint=FIVE_BYTES
-            if path.suffix.lower() == ".bin" and not path.stat().st_size % 5
-            else f"evetac doctor lists all plug-ins; not usable: {'; '.join(unusable)}"
-            if unusable
-            else "",
-        )
+        hint = f"plug-ins that cannot be used: {'; '.join(unusable)}" if unusable else CONVERT
+        raise InputError(message, where=where, expected=EXPECTED, found=f"it begins with {head[:16]!r}", hint=hint)
     return TEXT
 
 
@@ -445,7 +396,7 @@ def _format_of_plugin(head: bytes, unusable: list[str]) -> ImportFormat | None:
         except InputError as error:
             unusable.append(f"{plugin.what}: {error.found}")
             continue
-        if head.startswith(tuple(mark for mark in format_.begins if len(mark) >= LEAST_MARK)):
+        if head.startswith(format_.begins):
             plugin.use()
             return format_
     return None
@@ -455,10 +406,8 @@ def format_of_plugin(plugin: plugins.Plugin) -> ImportFormat:
     """Return the row of a plug-in; raise InputError if it cannot be used."""
     format_ = plugin.load(ImportFormat)
     begins, options = format_.begins, format_.said
-    if not isinstance(begins, tuple) or not all(isinstance(mark, bytes) for mark in begins):
-        raise plugin.error(f"its `begins` must be a tuple of bytes, but is {begins!r}")
-    if not any(len(mark) >= LEAST_MARK for mark in begins):
-        raise plugin.error(f"its `begins` must have a mark of at least {LEAST_MARK} bytes, but is {begins!r}")
+    if not isinstance(begins, tuple) or not all(isinstance(mark, bytes) and len(mark) >= LEAST_MARK for mark in begins):
+        raise plugin.error(f"its `begins` must be a tuple of {LEAST_MARK} bytes or more each, but is {begins!r}")
     if not callable(format_.read):
         raise plugin.error(f"its `read` must be a function, but is {format_.read!r}")
     if not isinstance(options, tuple) or not all(name in SAID for name in options):
@@ -468,11 +417,8 @@ def format_of_plugin(plugin: plugins.Plugin) -> ImportFormat:
 
 def _head(path: Path) -> bytes:
     """Return the first bytes of a regular file; raise InputError if it is empty or not a regular file."""
-    if path.is_dir():
-        hint = "give a file in it; for a ROS 2 bag, give the folder with its .db3 or .mcap files"
-        raise InputError("this is a folder", where=str(path), expected=EXPECTED, hint=hint)
     if not path.is_file():
-        what = "a device or pipe" if path.exists() else "no such file"
+        what = "a folder" if path.is_dir() else "a device or pipe" if path.exists() else "no such file"
         raise InputError("the file cannot be read", where=str(path), expected=EXPECTED, found=what)
     with path.open("rb") as handle:
         head = handle.read(HEAD_BYTES)

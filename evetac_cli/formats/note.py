@@ -51,10 +51,6 @@ def read_note(text: str, where: str) -> Note:
         if abs(start_us) > CLOCK_LIMIT_US or (events is not None and not 0 <= events <= CLOCK_LIMIT_US):
             raise ValueError(f"impossible start or number of events: {start_us} us, {events} events")
     except (ValueError, KeyError, TypeError) as error:
-        raise InputError(
-            f"the note that evetac wrote into this file is damaged: {str(error)[:80]}",
-            where=where,
-            expected=f"JSON with {', '.join(Note.__dataclass_fields__)}",
-            found=text[:80],
-        ) from None
+        message = f"the note that evetac wrote into this file is damaged: {str(error)[:80]}"
+        raise InputError(message, where=where, found=text[:80]) from None
     return Note(start_us, slices, (width, height), fields["simulated"], events)

@@ -44,13 +44,9 @@ def read_stream(
     back = np.flatnonzero(stream.t_us[1:] < stream.t_us[:-1])
     if len(back):
         at = int(back[0])
-        raise InputError(
-            "the times of the stream go backwards",
-            where=f"{source}: sample {at + 2}",
-            expected=f"at least {stream.t_us[at] / 1e6:.6f} s",
-            found=f"{stream.t_us[at + 1] / 1e6:.6f} s",
-            hint="sort the rows by time, if all of them are on the same clock",
-        )
+        before, after = (f"{stream.t_us[row] / 1e6:.6f} s" for row in (at, at + 1))
+        message, where = "the times of the stream go backwards", f"{source}: sample {at + 2}"
+        raise InputError(message, where=where, expected=f"at least {before}", found=after, hint="sort the rows by time")
     return replace(stream, name=name), notes
 
 
@@ -79,14 +75,11 @@ def aligned(stream: Stream, offset_s: float, t_offset_us: int, slices: int, sour
         return within
     first_s, last_s = (int(stream.t_us[at]) / 1e6 + offset_s for at in (0, -1))
     start_s = t_offset_us / 1e6
-    begins_s = start_s - int(stream.t_us[0]) / 1e6
-    raise InputError(
-        f"no sample of {stream.name} is within the recording",
-        where=source,
-        expected=f"times from {start_s:.6f} to {start_s + slices * SLICE_US / 1e6:.6f} s, on the clock of the events",
-        found=f"{first_s:.6f} to {last_s:.6f} s ({stream.clock})",
-        hint=f"--offset {stream.name}={begins_s:.6f} if stream and events began at the same time",
-    )
+    message, found = f"no sample of {stream.name} is within the recording", f"{first_s:.6f} to {last_s:.6f} s"
+    expected = f"times from {start_s:.6f} to {start_s + slices * SLICE_US / 1e6:.6f} s, on the clock of the events"
+    begins = f"{stream.name}={start_s - int(stream.t_us[0]) / 1e6:.6f}"
+    hint = f"--offset {begins} if stream and events began at the same time"
+    raise InputError(message, where=source, expected=expected, found=f"{found} ({stream.clock})", hint=hint)
 
 
 def _parted(source: str) -> tuple[Path, str]:

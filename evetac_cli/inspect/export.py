@@ -114,9 +114,8 @@ def trial_files(path: Path, model: Path | None = None) -> Iterator[TrialFiles]:
             made_from = {kind: file.header["parents"] for kind, file in by_kind.items() if kind in OF_TRACKS}
             others = [kind for kind, parents in made_from.items() if trial.tracks.header["id"] not in parents]
             notes += [f"Left out: {by_kind.pop(kind).path.name} was made from other tracks." for kind in others]
-        scale = partial(_mm_per_px, by_kind["touch"]) if "touch" in by_kind else None
         if model is None:
-            yield TrialFiles(by_kind, notes, mm_per_px=scale)
+            yield TrialFiles(by_kind, notes)
             return
         if trial.model_input is None or (trial.features is not None and "features" not in by_kind):
             expected = "features next to the recording, made from the tracks there, or none"
@@ -124,11 +123,4 @@ def trial_files(path: Path, model: Path | None = None) -> Iterator[TrialFiles]:
                 "the model needs features of this recording", where=str(path), expected=expected, found=" ".join(notes)
             )
         probability = model_output(trial, (0, trial.slices))
-        yield TrialFiles(by_kind, notes, probability, scale)
-
-
-def _mm_per_px(touch: StageFile) -> float:
-    """Return the scale of a touch file's maps; the import is delayed because it loads compiled code."""
-    from evetac_cli.stages.touch.known_gel import mm_per_px_of
-
-    return mm_per_px_of(touch.header)
+        yield TrialFiles(by_kind, notes, probability)

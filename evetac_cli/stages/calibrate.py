@@ -16,7 +16,7 @@ from evetac_cli.commands.calibrate import Calibrate
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.errors import InputError
 from evetac_cli.events import FRAME_PX
-from evetac_cli.formats.read.calibration_pickle import read_pickle
+from evetac_cli.formats.calibration_files import read_pickle
 from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
 from evetac_cli.kernels.calibration import gel_layout, grid
 from evetac_cli.kernels.calibration.gel_layout import Grid

@@ -16,7 +16,7 @@ import pytest
 
 from evetac_cli.formats.imports import read_events
 from evetac_cli.formats.read.time_order import OrderOptions
-from evetac_cli.formats.write.write_aedat4 import EVENT, description
+from evetac_cli.formats.write.event_files import AEDAT4_EVENT, aedat4_description
 from tests.formats.read.bags.bag_writing import BAGS, START_S, Types, write_bag
 from tests.importing import FRAME, refusal
 
@@ -79,22 +79,12 @@ def aedat2(path: Path, t: Ticks) -> Path:
     return path
 
 
-def aedat3(path: Path, t: Ticks) -> Path:
-    """A packet an event, the 31 bits of its clock in the event and its overflows in the head of the packet."""
-    parts = [b"#!AER-DAT3.1\r\n#Format: RAW\r\n#Source 1: DAVIS640\r\n#!END-HEADER\r\n"]
-    for us, x, y, p in rows(t):
-        parts.append(struct.pack("<hhiiiiii", 1, 1, 8, 4, us >> 31, 1, 1, 1))
-        parts.append(struct.pack("<Ii", x << 17 | y << 2 | p << 1 | 1, us & 0x7FFFFFFF))
-    path.write_bytes(b"".join(parts))
-    return path
-
-
 def aedat4(path: Path, t: Ticks) -> Path:
     """Faery writes times in order only: these are written first, and then overwritten."""
     aedat = pytest.importorskip("faery").extension.aedat
-    events = np.empty(len(t), EVENT)
+    events = np.empty(len(t), AEDAT4_EVENT)
     events["t"], events["x"], events["y"], events["on"] = MARKS[: len(t)], X[: len(t)], Y[: len(t)], P[: len(t)]
-    with aedat.Encoder(path, description(aedat, FRAME), None) as encoder:
+    with aedat.Encoder(path, aedat4_description(aedat, FRAME), None) as encoder:
         for first in range(0, len(events), 50):
             encoder.write(0, events[first : first + 50])
     content = path.read_bytes()
@@ -178,7 +168,6 @@ KINDS = {
     "v2e uint32": Kind(partial(hdf5_table, name="events", order="txyp", dtype="<u4"), 2**32),
     "Prophesee HDF5": Kind(hdf5_compound),
     "AEDAT 2": Kind(aedat2, 2**32),
-    "AEDAT 3.1": Kind(aedat3),
     "AEDAT4": Kind(aedat4),
     "EVT2": Kind(evt2, 2**34),
     "EVT2.1": Kind(partial(evt2, wide=True), 2**34),

@@ -1,7 +1,6 @@
 """Exports: what other programs read of them, and that a recording comes back from them as it was."""
 
 import json
-import os
 import pickle
 import resource
 import signal
@@ -22,15 +21,14 @@ from typer.testing import CliRunner
 from evetac_cli.cli.main import app
 from evetac_cli.errors import InputError
 from evetac_cli.events import Events
+from evetac_cli.formats.calibration_files import read_pickle
 from evetac_cli.formats.exports import FORMATS, export, target_path
 from evetac_cli.formats.imports import read_events
 from evetac_cli.formats.note import Note, read_note
-from evetac_cli.formats.read.calibration_pickle import read_pickle
-from evetac_cli.formats.write import pieces, write_dsec, write_event_images, write_text
+from evetac_cli.formats.write import event_files, write_event_images
 from evetac_cli.kernels import event_drawing
 from evetac_cli.store.calibration import read_calibration
 from evetac_cli.store.files import StageFile
-from evetac_cli.store.hdf5 import disk
 from evetac_cli.store.recordings.read import Recording
 from tests.importing import FRAME, same
 from tests.make import event_arrays, write_recording
@@ -122,8 +120,8 @@ def test_any_cut_into_pieces_gives_the_same_file(
     source = write(folder / "a.recording.h5", events, slices)
     target = target_path(source, format_, folder / "out")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(pieces, "PIECE_EVENTS", piece)
-        patch.setattr(write_text, "LINES", 7)
+        patch.setattr(event_files, "PIECE_EVENTS", piece)
+        patch.setattr(event_files, "LINES", 7)
         export(source, format_, target)
     imported = read_events(target)
     assert same(imported.events, events) and imported.slices == slices
@@ -183,7 +181,7 @@ def test_dsec_is_as_in_the_data_set(source: Path, monkeypatch: pytest.MonkeyPatc
     assert np.array_equal(t, drawn(5000).t)
     for ms in range(len(index)):
         assert (t[index[ms] :] >= 1000 * ms).all() and (t[: index[ms]] < 1000 * ms).all()
-    monkeypatch.setattr(write_dsec, "SHORT_MS", 1000)
+    monkeypatch.setattr(event_files, "SHORT_MS", 1000)
     export(source, "dsec", target, force=True)
     with h5py.File(target) as file:
         assert file["events/t"].dtype == np.int64
@@ -237,7 +235,7 @@ def test_a_recording_without_dots_has_no_grid(tmp_path: Path) -> None:
 
 
 # Of those that write single trials; the writer of frames is that of the other images, too.
-ONE_BY_ONE = set(FORMATS) - {"touch-map", "lerobot", "histogram", "voxels", "surface"}
+ONE_BY_ONE = set(FORMATS) - {"lerobot", "histogram", "voxels", "surface"}
 
 
 @pytest.mark.parametrize("format_", sorted(ONE_BY_ONE))
@@ -264,21 +262,17 @@ OF_IMAGES: dict[str, dict[str, Any]] = {
 
 
 def read_images(path: Path) -> tuple[Any, Any, dict[str, Any]]:
-    """Images, their ends and what is said of them, by numpy, pyarrow or zarr alone."""
+    """Images, their ends and what is said of them, by numpy or zarr alone."""
     if path.suffix == ".npz":
         with np.load(path) as arrays:
             return arrays["images"], arrays["end_us"], json.loads(str(arrays["evetac"]))
-    if path.suffix == ".parquet":
-        table = pytest.importorskip("pyarrow.parquet").read_table(path)
-        images = table["images"].combine_chunks().to_numpy_ndarray()
-        return images, table["end_us"].to_numpy(), json.loads(table.schema.metadata[b"evetac"])
     zarr = pytest.importorskip("zarr")
     with zarr.storage.ZipStore(path, mode="r") as store:
         group = zarr.open_group(store, mode="r")
         return group["images"][:], group["end_us"][:], group.attrs["evetac"]
 
 
-@pytest.mark.parametrize("suffix", [".npz", ".parquet", ".zarr.zip"])
+@pytest.mark.parametrize("suffix", [".npz", ".zarr.zip"])
 @pytest.mark.parametrize("kind", OF_IMAGES)
 def test_images_are_those_of_python(tmp_path: Path, kind: str, suffix: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that a file of images holds what `Recording.frames` and the like give, and what they show."""
@@ -305,7 +299,7 @@ def test_images_are_those_of_python(tmp_path: Path, kind: str, suffix: str, monk
 def test_images_of_nothing(tmp_path: Path) -> None:
     """Assert that a recording shorter than an image gives a file of none."""
     source = write(tmp_path / "a.recording.h5", drawn(0), 3)
-    for suffix in (".npz", ".parquet", ".zarr.zip"):
+    for suffix in (".npz", ".zarr.zip"):
         row = export(source, "frames", tmp_path / f"a{suffix}")
         assert "ends before the first image would, at 5 ms" in row["left_out"]
         images, end_us, _ = read_images(tmp_path / f"a{suffix}")
@@ -392,14 +386,11 @@ def test_aedat4_has_no_times_before_0(tmp_path: Path) -> None:
     "text",
     [
         "nonsense",
-        "[]",
         "{}",
-        Note(0, 5, FRAME, simulated=False).text().replace("5", "-1"),
-        Note(0, 5, FRAME, simulated=False).text().replace("5", "5.5"),
-        Note(0, 5, FRAME, simulated=False).text().replace("5", str(10**12)),
+        Note(0, 5, FRAME, simulated=False).text().replace("5", str(10**300)),
         Note(0, 5, FRAME, simulated=False).text().replace("false", "1"),
         Note(0, 5, FRAME, simulated=False).text().replace("[640, 480]", "640"),
-        Note(0, 5, FRAME, simulated=False).text().replace("start_us", "begin_us"),
+        Note(0, 5, FRAME, simulated=False, events=1 << 62).text(),
     ],
 )
 def test_edited_notes_are_refused(tmp_path: Path, text: str) -> None:
@@ -419,19 +410,6 @@ def test_notes_that_do_not_fit_the_events_are_refused(tmp_path: Path) -> None:
     path.write_text(f"# evetac {Note(1000, 2, FRAME, simulated=False).text()}\n9000 1 2 1\n")
     imported = read_events(path)
     assert (imported.slices, imported.events.t.tolist(), imported.t_offset_us) == (9, [8000], 1000)
-
-
-def test_what_a_killed_export_left_goes_with_the_next(source: Path, tmp_path: Path) -> None:
-    """Assert that an unfinished file, whose name ends as its format wants, does not stay for ever."""
-    for format_, name in (("text", "b.txt"), ("dsec", "b.dsec.h5")):
-        target = tmp_path / name
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(os, "getpid", lambda: 4_194_305)  # one more than Linux gives
-            unfinished = disk.temporary_name(target, target.suffix)
-        assert unfinished.suffix == target.suffix
-        unfinished.write_bytes(b"half")
-        export(source, format_, target)
-        assert target.exists() and not unfinished.exists()
 
 
 @pytest.mark.parametrize("format_", ["aedat4", "text"])
@@ -456,13 +434,6 @@ def test_an_export_that_was_cut_ends_with_its_last_event(
     target.write_bytes(b"".join(whole.splitlines(True)[:2]) if format_ == "text" else whole[: len(whole) // 50])
     words = {"text": "has no events", "aedat4": "the file is damaged"}[format_]
     assert words in refusal(lambda: read_events(target))
-
-
-def test_exports_whose_note_does_not_count_events_are_read(tmp_path: Path) -> None:
-    """Assert that the slices of such a note are believed."""
-    path = tmp_path / "a.txt"
-    path.write_text(f"# evetac {Note(0, 5, FRAME, simulated=False).text()}\n100 1 2 1\n")
-    assert read_events(path).slices == 5
 
 
 def test_from_the_command_line(source: Path, tmp_path: Path) -> None:

@@ -5,10 +5,6 @@ What lerobot itself makes of them: test_lerobot_library.py.
 
 import io
 import json
-import resource
-import signal
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +17,7 @@ from typer.testing import CliRunner
 from evetac_cli.cli.main import app
 from evetac_cli.errors import InputError
 from evetac_cli.formats.exports import export_folder
-from evetac_cli.formats.write.lerobot import episodes, statistics, write_lerobot
+from evetac_cli.formats.write.lerobot import episodes, meta_files, write_lerobot
 from evetac_cli.inspect.export import trial_files
 from evetac_cli.kernels.event_representation import event_image
 from evetac_cli.store.recordings.read import Recording
@@ -211,7 +207,7 @@ def test_statistics_of_the_training_episodes_are_numpys(
     The values are read in parts that cut columns and files.
     """
     monkeypatch.setattr(write_lerobot, "DATA_MB", 0)
-    monkeypatch.setattr(statistics, "AT_ONCE_BYTES", 50_000)
+    monkeypatch.setattr(meta_files, "AT_ONCE_BYTES", 50_000)
     rng = np.random.default_rng(count)
     lengths, whole = iter(4 + rng.permutation(20)[:count]), episodes.frame_edges
     monkeypatch.setattr(episodes, "frame_edges", lambda *of: whole(*of)[: next(lengths) + 1])
@@ -226,7 +222,7 @@ def test_statistics_of_the_training_episodes_are_numpys(
         )
         for number in range(count)
     ]
-    written(tmp_path / "out", sources, fps=1000, test_objects=[3], tactile_layout="points", event_frames="2@500")
+    written(tmp_path / "out", sources, fps=1000, test_objects=[3], event_frames="2@500")
     frames = pd.concat(map(pd.read_parquet, sorted((tmp_path / "out" / "data").rglob("*.parquet"))))
     assert len(set(frames.groupby("episode_index").size())) == count
     frames = frames[frames["episode_index"] < count - 1]
@@ -244,7 +240,7 @@ def test_statistics_of_the_training_episodes_are_numpys(
 def assert_figures(stated: dict[str, Any], values: np.ndarray, count: int) -> None:
     """Assert that the figures of columns are numpy's."""
     expected = {"min": values.min(0), "max": values.max(0), "mean": values.mean(0), "std": values.std(0)}
-    expected |= {key: np.quantile(values, part, axis=0) for key, part in statistics.QUANTILES.items()}
+    expected |= {key: np.quantile(values, part, axis=0) for key, part in meta_files.QUANTILES.items()}
     assert set(stated) == {*expected, "count"} and stated["count"] == [count]
     for figure, value in expected.items():
         np.testing.assert_allclose(np.ravel(stated[figure]), value, rtol=1e-6, atol=1e-6, err_msg=figure)
@@ -254,8 +250,8 @@ def test_quantiles_of_pictures_are_numpys() -> None:
     """Assert quantiles that are a level and that lie between two, of few and of many pixels."""
     rng = np.random.default_rng(0)
     for pixels in (np.array([7]), np.array([0, 255]), rng.integers(0, 256, 11), rng.integers(100, 104, 5000)):
-        stated = statistics.of_pictures(np.bincount(pixels, minlength=256), 1)
-        assert_figures(statistics.as_lists({"x": stated})["x"], np.repeat(pixels[:, None], 3, axis=1) / 255, 1)
+        stated = meta_files.of_pictures(np.bincount(pixels, minlength=256), 1)
+        assert_figures(meta_files.as_lists({"x": stated})["x"], np.repeat(pixels[:, None], 3, axis=1) / 255, 1)
 
 
 @pytest.mark.slow
@@ -330,16 +326,6 @@ def test_without_a_controller_the_action_is_the_current(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_figures_that_some_trials_lack_are_named(tmp_path: Path) -> None:
-    """Assert that touch of one trial alone is left out of all, and that is said."""
-    sources = [write_grasp(tmp_path / "in", "a"), write_grasp(tmp_path / "in", "b", kinds="tracks labels features")]
-    row = written(tmp_path / "out", sources)
-    assert "not in all trials: touch_area_mm2" in row["left_out"]
-    info, _, _ = read(tmp_path / "out")
-    assert not [name for name in info["features"]["observation.tactile"]["names"] if name.startswith("touch")]
-
-
-@pytest.mark.slow
 def test_lerobot_from_the_command_line(sources: list[Path], tmp_path: Path) -> None:
     """Assert that options reach the data set, and that a folder has to be named."""
     arguments = ["export", *map(str, sources), "--format", "lerobot", "--fps", "250", "--test-objects", "1-3", "--json"]
@@ -349,37 +335,3 @@ def test_lerobot_from_the_command_line(sources: list[Path], tmp_path: Path) -> N
     assert (result["simulated"], result["rows"][0]["episodes"], result["rows"][0]["test"]) == (True, 3, "2:3")
     run = CliRunner().invoke(app, arguments)
     assert run.exit_code == 2 and json.loads(run.stdout)["error"]["where"] == "--out"
-
-
-FULL = """
-import json, sys
-from pathlib import Path
-from evetac_cli.errors import InputError
-from evetac_cli.formats.exports import export_folder
-from evetac_cli.inspect.export import trial_files
-source, format_, out, options = sys.argv[1:]
-try:
-    export_folder([Path(source)], format_, Path(out), json.loads(options), opened=trial_files)
-except InputError as error:
-    print(error)
-"""
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("format_", "options", "most_bytes"),
-    [("lerobot", {"fps": FPS}, 1000), ("lerobot", {"fps": FPS}, 6000), ("parquet", {}, 6000)],
-)
-def test_a_full_disk_is_said_and_leaves_no_folder(
-    sources: list[Path], tmp_path: Path, format_: str, options: dict[str, int], most_bytes: int
-) -> None:
-    """Assert that a disk without room for video or tables gives words, and no part of a data set."""
-    call = [sys.executable, "-c", FULL, str(sources[0]), format_, str(tmp_path / "new" / "out"), json.dumps(options)]
-
-    def little_room() -> None:
-        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-        resource.setrlimit(resource.RLIMIT_FSIZE, (most_bytes, most_bytes))
-
-    done = subprocess.run(call, capture_output=True, text=True, preexec_fn=little_room, check=False)
-    assert "File too large" in done.stdout, done.stderr
-    assert list(tmp_path.iterdir()) == []

@@ -57,7 +57,6 @@ print(json.dumps({
     "seen_by_policies": {name: feature.type.name for name, feature in seen_by_policies.items()},
     "stack": [[float(row[key].sum()) for key in stack] for row in rows],
     "shape": [list(rows[0][key].shape) for key in stack],
-    "points": [row["observation.tactile.points"].tolist() for row in rows],
     "others": [float(row["observation.streams.arm"].reshape(-1)[0]) for row in rows],
     "episodes": data.num_episodes,
     "part": [int(row["index"]) for row in (part[0], part[len(part) - 1])],
@@ -127,7 +126,7 @@ def settings(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
 def test_lerobot_reads_what_we_wrote(tmp_path: Path, lerobot: Path, settings: dict[str, str]) -> None:
     """Assert that its class gives every frame with the values, times, pictures and tasks of ours, and parts of it."""
     grasps = [write_grasp(tmp_path / "in", name, number, seed) for name, number, seed in (("a", 8, 1), ("b", 3, 2))]
-    options = {"fps": 250, "test_objects": [3], "tactile_layout": "points", "event_frames": "16@200", "truth": True}
+    options = {"fps": 250, "test_objects": [3], "event_frames": "16@200", "truth": True}
     export_folder(grasps, "lerobot", tmp_path / "out", options, opened=trial_files)
     call = [str(lerobot / "bin" / "python"), "-c", READ, str(tmp_path / "out")]
     done = subprocess.run(call, capture_output=True, text=True, env=settings, check=False)
@@ -138,8 +137,6 @@ def test_lerobot_reads_what_we_wrote(tmp_path: Path, lerobot: Path, settings: di
     assert (seen["episodes"], len(seen["state"]), seen["task"]) == (2, len(ours), ["an object is lifted"])
     for name, column in (("state", "observation.state"), ("action", "action")):
         np.testing.assert_array_equal(np.array(seen[name], np.float32), np.stack(ours[column]))
-    points = np.stack([np.stack(cell) for cell in ours["observation.tactile.points"]])
-    np.testing.assert_array_equal(np.array(seen["points"], np.float32), points)
     np.testing.assert_allclose(seen["others"], ours["observation.streams.arm"], rtol=1e-6)
     assert all(seen["seen_by_policies"][f"observation.images.tactile_{place:02d}"] == "VISUAL" for place in range(16))
     assert "simulated_truth" not in seen["seen_by_policies"]

@@ -15,12 +15,12 @@ import pytest
 
 from evetac_cli.errors import InputError
 from evetac_cli.formats.exports import export_folder
-from evetac_cli.formats.write.lerobot import event_stacks, point_sets
+from evetac_cli.formats.write.lerobot import event_stacks
 from evetac_cli.formats.write.lerobot.event_stacks import EventStacks
 from evetac_cli.inspect.export import trial_files
 from evetac_cli.store.recordings.read import Recording
 from tests.formats.trials import write_grasp
-from tests.small_files import DOTS, SLICES
+from tests.small_files import SLICES
 
 av = pytest.importorskip("av")
 pytest.importorskip("pyarrow")
@@ -57,7 +57,7 @@ def sources(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 def whole(sources: list[Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """They as one data set, with all that there is."""
     folder = tmp_path_factory.mktemp("whole") / "out"
-    options = {"event_frames": f"{DEPTH}@500", "tactile_layout": "points", "per_frame": "last", "truth": True}
+    options = {"event_frames": f"{DEPTH}@500", "per_frame": "last", "truth": True}
     info, _ = export(folder, sources, **options)
     assert info["row"]["left_out"] is None
     return folder
@@ -114,52 +114,6 @@ def test_levels_are_exact_up_to_the_full_scale() -> None:
     assert (scaled.min(), scaled.max(), scaled[20]) == (-0.5, 0.5, 0.0)
 
 
-def test_points_are_displacements_and_shares_of_the_touch_map(whole: Path, sources: list[Path]) -> None:
-    """Assert dx, dy as tracked, dz 0 and named so, forces of the last map that add up to it, and the wrench."""
-    info, frames = read(whole)
-    points = info["features"]["observation.tactile.points"]
-    assert (points["shape"], points["info"]["tactile.layout"]) == ([DOTS, 6], "full")
-    assert points["names"] == ["dx_px", "dy_px", "dz_unknown", "fx_n", "fy_n", "fz_n"]
-    assert "observation.tactile" not in info["features"]
-    seen = np.stack([np.stack(cell) for cell in frames["observation.tactile.points"]])[:FRAMES]
-    with h5py.File(sources[0].with_name("a.features.h5")) as h5:
-        np.testing.assert_array_equal(seen[:, :, :2], h5["displacement_xy_px"][()][ENDS_MS - 1])
-    assert (seen[:, :, 2] == 0).all()
-    with h5py.File(sources[0].with_name("a.touch.h5")) as h5:
-        of = np.searchsorted(h5["map/slice"][()], ENDS_MS - 1, side="right") - 1
-        traction = np.concatenate([h5["map/shear_pa"][()], h5["map/pressure_pa"][()][:, None]], axis=1)
-        shear, normal, torsion = (h5[name][()][ENDS_MS - 1] for name in ("shear_n", "normal_n", "torsion_n_mm"))
-    np.testing.assert_allclose(seen[:, :, 3:].sum(axis=1), traction.sum(axis=(2, 3))[of] * 1e-6, rtol=1e-5)
-    assert len(np.unique(seen[0, :, 5])) > 1
-    wrench = np.stack(frames["observation.tactile.wrench"])[:FRAMES]
-    expected = np.column_stack([shear, np.nan_to_num(normal), np.zeros((FRAMES, 2)), torsion])
-    np.testing.assert_allclose(wrench, expected, rtol=1e-6)
-    stats = json.loads((whole / "meta/stats.json").read_text())["observation.tactile.points"]
-    assert len(stats["mean"]) == 6  # as lerobot has it: of each number over all dots
-
-
-def test_forces_go_to_the_nearest_dot() -> None:
-    """Assert the share of each cell, beside a dot whose place is not known."""
-    rest_mm = np.array([[0.0, 0.0], [np.nan, np.nan], [4.0, 0.0]])
-    shares = point_sets._nearest(rest_mm, np.array([0.0, 1.0, 3.0]), np.array([0.0, 1.0]))
-    assert shares.argmax(axis=1).tolist() == [0, 0, 2, 0, 0, 2] and (shares.sum(axis=1) == 1).all()
-
-
-def test_without_touch_maps_points_are_displacements(tmp_path: Path) -> None:
-    """Assert three numbers a dot, no wrench, and words that say why, where nothing estimated a force."""
-    bare = write_grasp(tmp_path, "c", kinds="tracks features")
-    info, frames = export(tmp_path / "out", [bare], tactile_layout="points")
-    points = info["features"]["observation.tactile.points"]
-    assert (points["shape"], points["info"]["tactile.layout"]) == ([DOTS, 3], "displacement")
-    assert "observation.tactile.wrench" not in info["features"]
-    assert np.stack([np.stack(cell) for cell in frames["observation.tactile.points"]]).shape == (FRAMES, DOTS, 3)
-    card = (tmp_path / "out" / "README.md").read_text()
-    assert "the force of a dot is unknown" in card and "dz is not measured" in card
-    some = [bare, write_grasp(tmp_path, "d")]
-    info, _ = export(tmp_path / "some", some, tactile_layout="points")
-    assert "forces of dots: not all trials have touch maps" in info["row"]["left_out"]
-
-
 def test_streams_are_what_was_known_by_then(whole: Path) -> None:
     """Assert for each frame the last sample before its end, of numbers and of images."""
     info, frames = read(whole)
@@ -209,9 +163,6 @@ def test_what_cannot_be_chosen_is_refused(sources: list[Path], tmp_path: Path) -
         assert "16@200" in refusal(out, sources, event_frames=text)
     assert "640 x 480" in refusal(out, sources, event_frames="16@200", size=(1280, 720))
     assert "without --event-frames" in refusal(out, sources, size=(160, 120))
-    assert "mean or last" in refusal(out, sources, tactile_layout="points", per_frame="stacked")
-    key = "observation.environment_state"
-    assert "--tactile-key" in refusal(out, sources, tactile_layout="points", tactile_key=key)
 
 
 def test_event_frames_that_memory_does_not_hold_are_refused(

@@ -2,8 +2,6 @@
 
 import csv
 import json
-import re
-from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -19,19 +17,15 @@ from evetac_cli.errors import InputError
 from evetac_cli.formats.exports import export, export_folder, target_path
 from evetac_cli.formats.write import slice_columns, write_table
 from evetac_cli.inspect.export import trial_files
-from evetac_cli.resources import PACKAGE
 from evetac_cli.stages.slip_detectors import load_detector, read_series
 from evetac_cli.store.files import StageFile, write_stage
-from evetac_cli.store.hdf5 import disk
 from evetac_cli.store.layout.provenance import Recipe
 from evetac_cli.store.layout.schema import load
-from evetac_cli.store.recordings.read import open_recording
-from evetac_cli.text_files import csv_text
 from tests import small_files
 from tests.conftest import Made
 from tests.formats.trials import write_grasp
 from tests.quick import few
-from tests.small_files import DOTS, EVENTS_A_SLICE, SLICES
+from tests.small_files import EVENTS_A_SLICE, SLICES
 
 pytest.importorskip("pyarrow")
 duckdb = pytest.importorskip("duckdb")
@@ -141,29 +135,6 @@ def test_rows_of_a_clock_stand_until_the_next(tmp_path: Path) -> None:
     assert every["control_goal_ticks"].tolist() == stored(path, "recording", "control/goal_ticks", ()).tolist()
 
 
-AFTER = "{} after the end of the last slice"
-LATER = "{} because a later row of the same slice is shown"
-
-
-@pytest.mark.parametrize(
-    ("t_us", "said"),
-    [
-        ([*range(0, 11_000, 1000), SLICES * 1000], AFTER.format(1)),
-        (range(12), LATER.format(11)),
-        (range(0, 12_000, 1000), ""),
-        (range(SLICES * 1000, SLICES * 1000 + 12), AFTER.format(12)),
-        ([0, *range(100, 10_100, 1000), SLICES * 1000 + 5], f"{LATER.format(1)}, {AFTER.format(1)}"),
-    ],
-)
-def test_rows_that_are_left_out_say_why(tmp_path: Path, t_us: Sequence[int], said: str) -> None:
-    """Assert that each row of a clock which no slice shows is said with the reason, a row at the very end too."""
-    path = write_grasp(tmp_path, "a", gripper__t_us=np.array(t_us, np.int64))
-    with open_recording(path) as recording:
-        missing_rows = [each for each in slice_columns.not_in_tables(recording) if "gripper" in each]
-    missing = sum(int(number) for number in re.findall(r"(\d+) (?:after|because)", said))
-    assert missing_rows == ([f"{missing} of 12 rows of gripper: {said}"] if said else [])
-
-
 def test_columns_say_their_unit_and_where_they_come_from(source: Path, table: Path) -> None:
     """Assert units and long names of the schema in the columns, and the headers and the word simulated in the file."""
     schema = pq.read_schema(table)
@@ -218,7 +189,6 @@ def test_csv_has_the_same_numbers(source: Path, table: Path) -> None:
 
 
 FORMULAS = ("=cmd|' 'C'!A0", "=1+1", "+SUM(A1)", "-2+3", "@x", "\t=1", "\r=1", " =1", "\uff1d1", "-inf", "+", "=")
-NO_FORMULAS = ("a=1", "-5", "+1.5e-3", "-.5", "12", "a-b", "'=1", "", "e5", "(=1)")
 
 
 @pytest.mark.parametrize("text", few(FORMULAS, "=1+1", "@x", "\t=1", "\uff1d1"))
@@ -240,33 +210,6 @@ def test_no_text_of_a_csv_is_a_formula(text: str, tmp_path: Path) -> None:
     }
     export(path, "parquet", tmp_path / "out.parquet")  # which no spreadsheet runs
     assert set(pq.read_table(tmp_path / "out.parquet")["sensor"].to_pylist()) == {text}
-
-
-@pytest.mark.parametrize("text", NO_FORMULAS)
-def test_a_number_with_a_sign_is_no_formula(text: str) -> None:
-    """Assert that numbers and all other texts are as they are."""
-    assert csv_text(text) == text
-
-
-def test_numbers_of_a_csv_keep_their_sign(tmp_path: Path) -> None:
-    """Assert that a negative number in a column of numbers is a number in the file."""
-    small_files.recording(tmp_path / "a.recording.h5")
-    with h5py.File(tmp_path / "a.recording.h5", "r+") as file:
-        file["truth/shear_force_n"][...] = -1.5
-    export(tmp_path / "a.recording.h5", "csv", tmp_path / "a.csv")
-    table = pd.read_csv(tmp_path / "a.csv")
-    assert (table["truth_shear_force_x_n"] == -1.5).all()
-    assert "'" not in (tmp_path / "a.csv").read_text()
-
-
-def test_every_writer_of_csv_is_known() -> None:
-    """Assert that texts go through one rule wherever CSV is written, except numbers, names of files, yes and no."""
-    writes = re.compile(r"csv\.writer|DictWriter|CSVWriter|write_csv\(|to_csv")
-    texts = {str(path.relative_to(PACKAGE)): path.read_text() for path in PACKAGE.rglob("*.py")}
-    writers = {name for name, text in texts.items() if writes.search(text)}
-    plain = {"stages/train/plan.py", "evaluate/benchmark/predictions.py"}  # the course of a training; predictions
-    assert writers == {"formats/write/write_table.py", *plain}
-    assert "csv_text" in texts["formats/write/write_table.py"]
 
 
 @pytest.mark.slow
@@ -325,35 +268,6 @@ def test_unknown_objects_and_odd_names_are_read(tmp_path: Path) -> None:
     frame = frame.drop_duplicates().sort_values("trial")
     assert frame["sensor"].tolist() == ["evetac", odd]
     assert frame["object"].isna().tolist() == [False, True] and frame["object"].iloc[0] == 8
-
-
-@pytest.mark.slow
-def test_a_folder_of_others_is_not_replaced(source: Path, tmp_path: Path) -> None:
-    """Assert that a data set is replaced on demand alone, and a folder with other files never."""
-    out = tmp_path / "out"
-    out.mkdir()
-    export_folder([source], "parquet", out, {}, opened=trial_files)
-    before = (out / "object=8" / "sensor=evetac" / "a.parquet").stat().st_mtime_ns
-    assert "--force replaces it" in refusal([source], "parquet", out, {}, opened=trial_files)
-    export_folder([source], "parquet", out, {}, opened=trial_files, force=True)
-    assert (out / "object=8" / "sensor=evetac" / "a.parquet").stat().st_mtime_ns > before
-    (out / "mine.txt").write_text("mine")
-    assert "mine.txt" in refusal([source], "parquet", out, {}, opened=trial_files, force=True)
-    twice = refusal([source, source], "parquet", tmp_path / "new", {}, opened=trial_files)
-    assert "same file" in twice
-    assert "not a folder" in refusal([source], "parquet", out / "mine.txt", {}, opened=trial_files, force=True)
-    assert sorted(path.name for path in tmp_path.iterdir()) == [".out.evetac-files.json", "out"]
-
-
-@pytest.mark.slow
-def test_what_a_killed_data_set_left_goes_with_the_next(source: Path, tmp_path: Path) -> None:
-    """Assert that an unfinished folder does not stay for ever."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(disk.os, "getpid", lambda: 4_194_305)  # one more than Linux gives
-        unfinished = disk.temporary_name(tmp_path / "out")
-    (unfinished / "object=8").mkdir(parents=True)
-    export_folder([source], "parquet", tmp_path / "out", {}, opened=trial_files)
-    assert sorted(path.name for path in tmp_path.iterdir()) == [".out.evetac-files.json", "out"]
 
 
 @pytest.mark.slow
@@ -424,65 +338,3 @@ def test_a_model_has_to_fit(source: Path, tmp_path: Path) -> None:
     run = CliRunner().invoke(app, ["export", str(bare), "--model", "shipped", "--format", "csv"])
     assert run.exit_code == 2 and "evetac featurize" in run.stderr
     assert not (tmp_path / "out").exists()
-
-
-def test_dots_have_numbers_of_one_width() -> None:
-    """Assert that columns of 8 x 7 and of 130 dots sort by their numbers."""
-    row = load("tracks").find("dot_xy_px")
-    assert row is not None
-    for dots, first in ((DOTS, "dot_00_x_px"), (130, "dot_000_x_px")):
-        names = [name for name, _ in slice_columns._names_and_meanings(row, (9, dots, 2), "", str)]
-        assert names[0] == first and names == sorted(names)
-
-
-@pytest.mark.slow
-def test_progress_counts_slices(source: Path, tmp_path: Path) -> None:
-    """Assert that whoever listens hears how many slices of all are done."""
-    heard: list[tuple[float, float, str]] = []
-
-    def listen(done: float, total: float, doing: str = "") -> None:
-        heard.append((done, total, doing))
-
-    export_folder([source], "parquet", tmp_path / "out", {}, opened=trial_files, progress=listen)
-    assert heard[0] == (0, SLICES, "slices") and heard[-1] == (SLICES, SLICES, "slices")
-
-
-def test_touch_maps_are_a_table_of_cells(source: Path, tmp_path: Path) -> None:
-    """Assert that pandas makes the stored pictures of the maps again, and duckdb finds the same; with their units."""
-    target = tmp_path / "a.touch-map.parquet"
-    row = export(source, "touch-map", target, opened=trial_files)
-    assert row["simulated"] and row["left_out"] is None
-    frame = pd.read_parquet(target)
-    with h5py.File(source.with_name("a.touch.h5")) as h5:
-        stored_maps = {name: h5[f"map/{name}"][()] for name in h5["map"] if name.endswith("_pa") or name == "patch"}
-        slices, x_mm, y_mm = (h5[f"map/{name}"][()] for name in ("slice", "x_mm", "y_mm"))
-    assert len(frame) == len(slices) * len(x_mm) * len(y_mm)
-    assert (frame["trial"] == "a").all() and (frame["object"] == 8).all() and frame["simulated"].all()
-    for number, at in enumerate(slices):
-        one = frame[frame["t_ms"] == at]
-        for name, direction in (("pressure_pa", None), ("pressure_sd_pa", None), ("patch", None), ("shear_pa", 1)):
-            column = name if direction is None else name.replace("_pa", "_y_pa")
-            picture = one.pivot(index="y_mm", columns="x_mm", values=column)
-            expected = stored_maps[name][number] if direction is None else stored_maps[name][number, direction]
-            np.testing.assert_array_equal(picture.to_numpy(), expected)
-            assert (picture.index == y_mm).all() and (picture.columns == x_mm).all()
-    (most,) = duckdb.sql(f"SELECT max(pressure_pa) FROM '{target}' WHERE patch = 1").fetchall()
-    assert most[0] == stored_maps["pressure_pa"].max()
-    written_schema = pq.read_schema(target)
-    units = {"t_ms": "ms", "x_mm": "mm", "shear_sd_x_pa": "Pa", "patch": "1"}
-    assert {name: written_schema.field(name).metadata[b"units"].decode() for name in units} == units
-    assert write_table.is_simulated(target)
-
-
-def test_touch_maps_need_a_touch_file(tmp_path: Path) -> None:
-    """Assert that without a touch file, or without maps in it, words say so and what to do, and nothing is left."""
-    for kinds in ("tracks", "tracks touch"):
-        path = write_grasp(tmp_path / kinds, "a", kinds=kinds)
-        if "touch" in kinds:
-            with h5py.File(path.with_name("a.touch.h5"), "r+") as h5:
-                small_files.remove_dimensions(h5)
-                del h5["map"]
-        before = sorted(path.parent.iterdir())
-        with pytest.raises(InputError, match="no touch maps") as caught:
-            export(path, "touch-map", path.with_name("a.touch-map.parquet"), opened=trial_files)
-        assert "predict-touch" in str(caught.value) and sorted(path.parent.iterdir()) == before

@@ -19,8 +19,8 @@ from evetac_cli.commands.trim import Trim
 from evetac_cli.devices import replay
 from evetac_cli.evaluate import tracking
 from evetac_cli.formats.exports import export
-from evetac_cli.formats.read import events_on_disk, read_hdf5
-from evetac_cli.formats.write import pieces, write_table
+from evetac_cli.formats.read import read_hdf5, source
+from evetac_cli.formats.write import event_files, write_table
 from evetac_cli.inspect import validate
 from evetac_cli.kernels.labelling import event_flow
 from evetac_cli.stages import featurize, label, track, track_rgb, trim
@@ -76,9 +76,9 @@ BLOCKS = (
     (track_rgb, "FRAMES", 2),
     (read, "BLOCK_SLICES", 100),
     (event_flow, "BLOCK_SLICES", 100),
-    (pieces, "PIECE_EVENTS", 1 << 13),
+    (event_files, "PIECE_EVENTS", 1 << 13),
     (trim, "PIECE_ROWS", 1 << 13),
-    (events_on_disk, "BLOCK_EVENTS", 1 << 13),
+    (source, "BLOCK_EVENTS", 1 << 13),
     (read_hdf5, "BATCH_ROWS", 1 << 13),
     (rules, "BLOCK_VALUES", 1 << 13),
     (validate, "EVENTS", 1 << 13),

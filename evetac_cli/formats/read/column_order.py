@@ -51,9 +51,8 @@ def by_name(names: Sequence[str]) -> Order | None:
 
 def _column(column_name: str) -> tuple[str | None, float | None]:
     """Return which of t, x, y, p a name means, and the unit of time at its end, in us; each None if absent."""
-    name = (
-        column_name.strip().strip("\"'").lower().partition("@")[0]
-    )  # faery writes x@640: the frame width after the name
+    # faery writes x@640: the frame width after the name
+    name = column_name.strip().strip("\"'").lower().partition("@")[0]
     base, _, unit = name.rpartition("_")
     if base in NAMES["t"] and unit in UNITS:
         return "t", UNITS[unit]
@@ -70,24 +69,16 @@ def said_order(text: str, where: str) -> str:
     """Parse the user's order, for example "t y x p"; raise InputError unless it has each of t, x, y, p once."""
     names = text.replace(",", " ").split()
     if sorted(names) != sorted(NAMES):
-        raise InputError(
-            "--columns must name t, x, y and p once each",
-            where=where,
-            expected='for example "x y t p"',
-            found=text[:80],
-        )
+        message, expected = "--columns must name t, x, y and p once each", 'for example "x y t p"'
+        raise InputError(message, where=where, expected=expected, found=text[:80])
     return " ".join(names)
 
 
 def refuse_columns(columns: str | None, where: str) -> None:
     """Raise InputError if a user names columns that already have names."""
     if columns is not None:
-        raise InputError(
-            "--columns is only for files whose columns have no names",
-            where=where,
-            found=columns[:80],
-            hint="leave out --columns",
-        )
+        message = "--columns is only for files whose columns have no names"
+        raise InputError(message, where=where, found=columns[:80], hint="leave out --columns")
 
 
 def unit_said(time_unit: str | None, own: float | None, where: str) -> float | None:
@@ -100,13 +91,8 @@ def unit_said(time_unit: str | None, own: float | None, where: str) -> float | N
     if time_unit not in UNITS:
         raise InputError(f"{FLAG}: unknown unit", where=where, expected=" or ".join(UNITS), found=time_unit[:20])
     if own is not None and own != UNITS[time_unit]:
-        raise InputError(
-            f"the file's unit of time differs from {FLAG}",
-            where=where,
-            expected=SPOKEN[own],
-            found=f"{FLAG} {time_unit}",
-            hint=f"leave out {FLAG}",
-        )
+        message = f"the file's unit of time differs from {FLAG}"
+        raise InputError(message, where=where, expected=SPOKEN[own], found=time_unit, hint=f"leave out {FLAG}")
     return UNITS[time_unit]
 
 

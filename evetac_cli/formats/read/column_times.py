@@ -83,13 +83,8 @@ class ColumnTimes:
         sound &= np.abs(us, where=sound, out=np.zeros(len(us))) < CLOCK_LIMIT_US
         if self._unit == 1 and self.assumed and (odd := us[sound] != np.rint(us[sound])).any():
             row = int(np.flatnonzero(sound)[np.argmax(odd)])
-            raise InputError(
-                "the unit of time changes within the file",
-                where=self._where,
-                expected="whole microseconds, like the first rows",
-                found=f"{values[row]:.9g} {place(row)}",
-                hint=f"give the unit with {FLAG}",
-            )
+            found, hint = f"{values[row]:.9g} {place(row)}", f"give the unit with {FLAG}"
+            raise InputError("the unit of time changes within the file", where=self._where, found=found, hint=hint)
         rows = np.flatnonzero(sound)
         if self._clock is None:
             self._clock = _clock(t.dtype, 1.0)
@@ -107,12 +102,9 @@ class ColumnTimes:
             return 1e6
         step = float(np.spacing(np.abs(finite).max())) if len(finite) else 0.0
         if step >= 1:
-            raise InputError(
-                "the unit of time is unclear",
-                where=self._where,
-                found=f"{t.dtype} times near {float(np.abs(finite).max()):.9g}, in steps of {step:.6g}",
-                hint=f"save the times as float64 or as integers, or give the unit with {FLAG}",
-            )
+            found = f"{t.dtype} times near {float(np.abs(finite).max()):.9g}, in steps of {step:.6g}"
+            hint = f"save the times as float64 or as integers, or give the unit with {FLAG}"
+            raise InputError("the unit of time is unclear", where=self._where, found=found, hint=hint)
         return 1.0
 
     def _check_steps(self, t: NDArray[Any], sound: NDArray[np.bool_]) -> None:
@@ -124,10 +116,7 @@ class ColumnTimes:
         step_us = float(np.spacing(most)) * self._unit
         note = f"{t.dtype} times near {float(most) * self._unit / 1e6:.9g} s have steps of {_in_us(step_us)}"
         if step_us > SLICE_US:
-            hint = "save the times as float64 or as integers"
-            raise InputError(
-                "the times are too coarse", where=self._where, expected="1 ms or finer", found=note, hint=hint
-            )
+            raise InputError("the times are too coarse", where=self._where, expected="1 ms or finer", found=note)
         if step_us > max(1.0, self._step_us):
             self._step_us, self._step_said = step_us, note
 
@@ -151,11 +140,10 @@ class ColumnTimes:
         others = [unit for unit, one in readings.items() if unit != own and (one.typical if sound else one.plausible)]
         if not others and (sound or not self._guessed):
             return
+        message = f"the unit of time {'is not certain' if sound else 'is implausible'}"
+        found = "; ".join(f"in {SPOKEN[UNITS[unit]]}: {readings[unit]}" for unit in (own, *others))
         raise InputError(
-            f"the unit of time {'is not certain' if sound else 'is implausible'}",
-            where=self._where,
-            found="; ".join(f"in {SPOKEN[UNITS[unit]]}: {readings[unit]}" for unit in (own, *others)),
-            hint=f"give the unit with {FLAG} {' or '.join(UNITS)}",
+            message, where=self._where, found=found, hint=f"give the unit with {FLAG} {' or '.join(UNITS)}"
         )
 
     @property

@@ -16,7 +16,7 @@ from evetac_cli.formats.note import CLOCK_LIMIT_US, NAME, Note, read_note
 from evetac_cli.formats.read.column_order import by_name, places_of, refuse_columns, said_order, unit_said
 from evetac_cli.formats.read.column_times import ColumnTimes
 from evetac_cli.formats.read.source import EventColumns, EventSource, at_index, check_lengths, choose_frame
-from evetac_cli.store.hdf5.checked_hdf5 import DAMAGE, CheckedHdf5, damage_in_words
+from evetac_cli.store.hdf5.checked_hdf5 import CheckedHdf5, damage_in_words
 
 BATCH_ROWS = 1 << 20
 OFFSETS = ("t_offset", "events/t_offset")
@@ -85,9 +85,8 @@ def open_hdf5(
         refuse_columns(columns, where)
     source.batches = _batches(path, layout, places, rows[0], source.times)
     if others:
-        source.notes.append(
-            f"read the camera {layout.stream}; the file also has: {', '.join(others)} (choose with --stream)"
-        )
+        also = ", ".join(others)
+        source.notes.append(f"read the camera {layout.stream}; the file also has: {also} (choose with --stream)")
     if note is None:
         source.assumed = f"the layout of {layout.name}"
         source.guessed_order = "" if columns else layout.order
@@ -128,13 +127,11 @@ def _batches(
     with CheckedHdf5(path) as file:
         datasets = file.datasets(layout.paths)
         parts = [datasets[name] for name in layout.paths]
-        try:
-            for start in range(0, rows, BATCH_ROWS):
+        for start in range(0, rows, BATCH_ROWS):
+            with damage_in_words(path, "its events"):
                 t, x, y, p = _columns([part[start : start + BATCH_ROWS] for part in parts], order)
-                place = partial(at_index, start)
-                yield EventColumns(times.us(t, place), x, y, p, place)
-        except DAMAGE as error:
-            raise _unreadable(str(path), error) from error
+            place = partial(at_index, start)
+            yield EventColumns(times.us(t, place), x, y, p, place)
 
 
 def _columns(blocks: list[Any], order: tuple[int, int, int, int] | None) -> Any:
@@ -154,25 +151,11 @@ def _fields(dtype: Any) -> tuple[int, ...]:
     return order.places if order is not None and plain else ()
 
 
-def _unreadable(where: str, error: Exception) -> InputError:
-    reason = (str(error).strip("'\"").splitlines() or [type(error).__name__])[0][:200]
-    return InputError(
-        "the file cannot be read as HDF5",
-        where=where,
-        found=reason,
-        hint="is the file complete? compare its size with that of the original",
-    )
-
-
 def _refuse_own(file: CheckedHdf5) -> None:
     """Raise InputError for evetac's own files, which have a header: recordings need no import."""
-    header = file.text_attribute("header")
-    if header is not None and '"kind"' in header:
-        raise InputError(
-            "this is already a file of evetac",
-            where=file.where,
-            hint="a recording needs no import: use it directly, for example with label or track",
-        )
+    if '"kind"' in (file.text_attribute("header") or ""):
+        hint = "a recording needs no import: use it directly, for example with label or track"
+        raise InputError("this is already a file of evetac", where=file.where, hint=hint)
 
 
 def _check_kind(file: CheckedHdf5, dataset: Any, layout: Hdf5Layout, name: str) -> None:

@@ -2,7 +2,7 @@
 
     structured    fields t, x, y, p by the names in column_order; written by tonic, expelliarmus and faery
     (N, 4)        four columns, in the user's order or the first that fits (column_order)
-    columns       arrays t, x, y, p of one length in an npz; in EVIMO, x and y are one array (N, 2)
+    columns       arrays t, x, y, p of one length in an npz
 
 numpy.load reads them, a `.npy` as far as it is needed. Objects, which would require loading a pickle, are refused. From
 an archive, no more is unpacked than a recording of its size can contain.
@@ -12,9 +12,10 @@ import math
 import warnings
 import zipfile
 from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import IO, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.lib import format as npy
@@ -34,11 +35,11 @@ from evetac_cli.formats.read.column_times import ColumnTimes
 from evetac_cli.formats.read.damage import read_in_words, refuse_too_much
 from evetac_cli.formats.read.source import EventColumns, EventSource, at_index, check_lengths, choose_frame
 
-EVIMO = ("events_t", "events_xy", "events_p")
 NPY, ZIP = b"\x93NUMPY", b"PK\x03\x04"
 BATCH_ROWS = 1 << 18
 EXPECTED = "t, x, y, p: as arrays of an npz, as fields of a structured array, or as the columns of an array (N, 4)"
 COMPARE = "is the file complete? compare its size with that of the original"
+OBJECTS = "save the Python objects as numbers: evetac never loads objects, because they can run code"
 
 
 class Array(NamedTuple):
@@ -76,7 +77,13 @@ def open_numpy(
     where = str(path)
     source = EventSource("numpy", (1, 1), (), may_be_empty=True)
     with read_in_words(where, "the file cannot be read as npy or npz", COMPARE):
-        arrays = _headers(path, source, where)
+        with path.open("rb") as file:
+            packed = file.read(len(ZIP)) == ZIP
+        if packed:
+            arrays = _headers(path, where)
+        else:
+            (table,) = _loaded(path, [])
+            arrays = {"": Array(table.dtype, table.shape)}
         used, order = _choose(arrays, stream, source, where)
         source.frame_px = choose_frame(None, frame_px, where)
         parts = _columns(_loaded(path, used))
@@ -93,41 +100,22 @@ def open_numpy(
     return source
 
 
-def _headers(path: Path, source: EventSource, where: str) -> dict[str, Array]:
-    """Return the arrays of a file by name, the one of an npy without a name."""
-    with path.open("rb") as file:
-        if file.read(len(ZIP)) != ZIP:
-            file.seek(0)
-            array = _header(file)
-            end = file.tell() + math.prod(array.shape) * array.dtype.itemsize
-            after = path.stat().st_size - end
-            if after < 0 and not array.dtype.hasobject:
-                found = f"{-after} bytes are missing"
-                raise InputError("the array is cut short", where=where, found=found, hint=COMPARE)
-            source.left_out |= {"bytes after the array": after} if after > 0 else {}
-            return {"": array}
-        arrays: dict[str, Array] = {}
-        with zipfile.ZipFile(file) as archive:
-            refuse_too_much(sum(member.file_size for member in archive.infolist()), path.stat().st_size, where)
-            for member in archive.infolist():
-                if not member.filename.endswith(".npy"):
-                    raise InputError(
-                        "the archive contains files that are not numpy arrays",
-                        where=where,
-                        found=member.filename[:80],
-                        hint="unpack it and import the event file in it",
-                    )
-                with archive.open(member) as content:
-                    arrays[member.filename.removesuffix(".npy")] = _header(content)
+def _headers(path: Path, where: str) -> dict[str, Array]:
+    """Return the arrays of an npz by name."""
+    arrays: dict[str, Array] = {}
+    with zipfile.ZipFile(path) as archive:
+        refuse_too_much(sum(member.file_size for member in archive.infolist()), path.stat().st_size, where)
+        for member in archive.infolist():
+            if not member.filename.endswith(".npy"):
+                message, hint = "the archive has files that are not numpy arrays", "unpack it and import the event file"
+                raise InputError(message, where=where, found=member.filename[:80], hint=hint)
+            with archive.open(member) as content:
+                version = npy.read_magic(content)
+                with _no_warnings():
+                    read = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
+                    shape, _, dtype = read(content)
+            arrays[member.filename.removesuffix(".npy")] = Array(dtype, shape)
     return arrays
-
-
-def _header(file: IO[bytes]) -> Array:
-    version = npy.read_magic(file)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # numpy warns about headers that Python 2 wrote
-        shape, _, dtype = (npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0)(file)
-    return Array(dtype, shape)
 
 
 def _choose(
@@ -141,17 +129,11 @@ def _choose(
         used = [columns[place] for place in order.places]
         check_lengths([math.prod(arrays[name].shape) for name in used], where)
         order = Order((0, 1, 2, 3), order.us_per_unit)
-    elif stream is None and _is_evimo(arrays):
-        used = list(EVIMO)
-        check_lengths([arrays[used[at]].shape[0] for at in (0, 1, 1, 2)], where)
-        order = Order((0, 1, 2, 3), None)
     elif tables and (stream is None or stream in tables):
         used = [tables[0] if stream is None else stream]
-        others = [name for name in tables if name not in used]
+        others = ", ".join(name for name in tables if name not in used)
         if others and stream is None:
-            source.notes.append(
-                f"read the array {used[0]}; the file also has: {', '.join(others)} (choose with --stream)"
-            )
+            source.notes.append(f"read the array {used[0]}; the file also has: {others} (choose with --stream)")
         rows, fields = arrays[used[0]].shape[0], arrays[used[0]].dtype.names
         order = by_name(fields) if fields else None
         source.left_out |= {
@@ -162,26 +144,22 @@ def _choose(
         raise InputError("the file has no such array of events", where=where, expected=expected, found=stream[:80])
     else:
         found = ", ".join(f"{name} {array}".strip() for name, array in list(arrays.items())[:8]) or "nothing"
-        objects = any(array.dtype.hasobject for array in arrays.values())
-        hint = "save the Python objects as numbers: evetac never loads objects, because they can run code"
-        raise InputError(
-            "the file has no event columns", where=where, expected=EXPECTED, found=found, hint=hint if objects else ""
-        )
+        hint = OBJECTS if any(array.dtype.hasobject for array in arrays.values()) else ""
+        raise InputError("the file has no event columns", where=where, expected=EXPECTED, found=found, hint=hint)
     source.left_out |= {f"values of {name}": math.prod(arrays[name].shape) for name in arrays if name not in used}
     return used, order
 
 
-def _is_evimo(arrays: dict[str, Array]) -> bool:
-    """Whether the file has the three arrays of EVIMO."""
-    if not all(name in arrays for name in EVIMO):
-        return False
-    t, xy, p = (arrays[name] for name in EVIMO)
-    return t.is_column and xy.dtype.kind in "iuf" and len(xy.shape) == 2 and xy.shape[1] == 2 and p.is_column
+@contextmanager
+def _no_warnings() -> Iterator[None]:
+    """Ignore numpy's warnings about headers that Python 2 wrote."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        yield
 
 
 def _loaded(path: Path, used: list[str]) -> list[NDArray[Any]]:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    with _no_warnings():
         file = np.load(path, mmap_mode="r")
         if isinstance(file, np.ndarray):
             return [file]
@@ -191,9 +169,6 @@ def _loaded(path: Path, used: list[str]) -> list[NDArray[Any]]:
 
 def _columns(arrays: list[NDArray[Any]]) -> list[NDArray[Any]]:
     """Return the columns of events in the order of the file."""
-    if len(arrays) == len(EVIMO):
-        t, xy, p = arrays
-        return [t.reshape(-1), xy[:, 0], xy[:, 1], p.reshape(-1)]
     if len(arrays) == 4:
         return [one.reshape(-1) for one in arrays]
     (table,) = arrays

@@ -4,20 +4,26 @@ pyarrow reads both, batch by batch. The rows are stored on disk temporarily, so 
 than a short one. The column of times is found by its name; its unit by the name, the type, or the size of its numbers.
 `clock` states which, and a note names other columns of times. A column of lists, such as LeRobot's `observation.state`,
 becomes a column per element. Columns that are not numbers are left out, and a note names them.
+
+Text of CSV is UTF-8, UTF-16 with its mark, or else Latin-1. The separator is the one by which the first rows have as
+many cells as the line of names. A separator at the end of each line adds a column without a name; it may be missing in
+the line of names. The decimal sign is a comma if the first part of the file has numbers with commas and none with
+points.
 """
 
+import codecs
+import csv
 import math
+import re
 from collections.abc import Callable, Iterator, Sequence
 from itertools import accumulate
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError, missing_extra
-from evetac_cli.formats.arrow_columns import is_known, to_arrow, to_numpy
-from evetac_cli.formats.read.csv_dialect import find_dialect
 from evetac_cli.formats.read.damage import read_in_words, refuse_too_much
 from evetac_cli.formats.read.table_names import TICKS_S, Times, find_times, has_unit, is_time, name_and_unit
 from evetac_cli.store.hdf5.disk import joined_on_disk, utf8_path
@@ -36,8 +42,11 @@ YEARS_S = (946_684_800, 4_102_444_800)  # the years 2000 to 2100 in Unix time
 # Sense of times with fractions whose unit is not stated. In seconds: shorter steps are a rate that a device has.
 SHORT_STEP, LONG_STEP = 0.05, 1.0
 MOST_LENGTHS = 30  # a table is at most this many times as long as the recording
-DURATION = r"^\s*(?:(?P<d>-?\d{1,6}) days?)? ?\+?(?P<h>\d{1,6}):(?P<m>\d\d):(?P<s>\d\d(?:\.\d+)?)\s*$"
 EPISODES = "episode_index"  # of LeRobot
+MOST_HEAD_BYTES = 1 << 16  # of the line of names
+SAMPLE_BYTES = 1 << 18  # of CSV, read to find how it is written
+SEPARATORS = ";\t, "  # in this order: names and decimal numbers have commas and blanks, hardly ever semicolons
+NUMBER = re.compile(r"\s*[-+]?[.\d][\d.eE+-]*\s*")
 
 Batches = Callable[[Sequence[int], str], Iterator[Any]]  # arguments: indices of the columns, in order; the file's path
 
@@ -116,9 +125,19 @@ def _never_set(batches: Iterator[Any]) -> bool:
         rows += batch.num_rows
         for column in batch.columns:
             ticks = column.view(f"int{column.type.bit_width}") if has_unit(column.type) else column
-            if np.nan_to_num(to_numpy(ticks)).any():
+            if np.nan_to_num(_floats(ticks)).any():
                 return False
     return rows > 1
+
+
+def _floats(column: Any) -> NDArray[np.float64]:
+    """Return an Arrow array of numbers or booleans as floats, NaN where it has nulls."""
+    return np.asarray(column.cast("float64", safe=False).to_numpy(zero_copy_only=False))
+
+
+def _is_known(column: Any) -> NDArray[np.bool_]:
+    """Return a mask (rows,) of the rows of an Arrow array that are not null."""
+    return np.asarray(column.is_valid().to_numpy(zero_copy_only=False))
 
 
 def _is_number(kind: Any) -> bool:
@@ -182,7 +201,7 @@ class _Rows:
             if _is_list(column.type):
                 columns.extend(self._elements(column, at))
             else:
-                columns.append(to_numpy(column.cast("float64", safe=False)))
+                columns.append(_floats(column))
             if len(columns) > MOST_COLUMNS:
                 raise _too_wide(len(columns), self._where)
         for name, values in zip(self.columns, columns, strict=True):
@@ -195,33 +214,33 @@ class _Rows:
         """Return the numbers of a column of lists, shape (elements, rows); NaN where there is no list."""
         from pyarrow import compute
 
-        known = is_known(column)
-        lengths = to_numpy(compute.list_value_length(column))
+        known = _is_known(column)
+        lengths = _floats(compute.list_value_length(column))
         width = self._widths.setdefault(at, int(lengths[known][0]) if known.any() else 0)
         message = f"lists of different lengths in the column {self._names[at]}: the first has {width} numbers"
         self._refuse(message, known & (lengths != width), lengths)
         if width > MOST_COLUMNS:
             raise _too_wide(width, self._where)
         rows = np.full((len(column), width), np.nan)
-        rows[known] = to_numpy(column.flatten().cast("float64", safe=False)).reshape(-1, width) if width else 0
+        rows[known] = _floats(column.flatten()).reshape(-1, width) if width else 0
         return rows.T
 
     def _t_us(self, columns: list[Any]) -> NDArray[np.int64]:
         for column in columns:
             if column.null_count:
-                self._refuse("the row has no time", ~is_known(column), np.full(len(column), "nothing"))
+                self._refuse("the row has no time", ~_is_known(column), np.full(len(column), "nothing"))
         kind = columns[0].type
         if has_unit(kind):
             self._unit, self.clock = kind.unit, f"{self._times.clock}, whose type states its unit"
             columns = [columns[0].view(f"int{kind.bit_width}")]
         if len(columns) > 1:
-            seconds, nanoseconds = (to_numpy(column.cast("int64")) for column in columns)
+            seconds, nanoseconds = (column.cast("int64").to_numpy(zero_copy_only=False) for column in columns)
             self._refuse("impossible time", (seconds < -MOST_S) | (seconds > MOST_S), seconds)
             self._refuse(
                 "nanoseconds outside 0 to 999,999,999", (nanoseconds < 0) | (nanoseconds >= 10**9), nanoseconds
             )
             return np.asarray(seconds * 10**6 + nanoseconds // 1000)
-        values = to_numpy(columns[0])
+        values = columns[0].to_numpy(zero_copy_only=False)
         if values.dtype.kind == "f":
             self._refuse("the time is not a number", ~np.isfinite(values), values)
         if not self._unit and len(values):
@@ -263,27 +282,27 @@ def _guess(values: NDArray[Any], length_s: float, where: str, clock: str) -> str
     raise InputError("the unit of time is unclear", where=where, found=f"{clock}: {values[0]}", hint=hint)
 
 
+class Dialect(NamedTuple):
+    """How a CSV file is written; names: one per column, in order."""
+
+    encoding: str
+    separator: str
+    decimal_sign: str
+    names: list[str]
+
+
 def _csv(path: Path, where: str) -> tuple[list[str], list[Any], Batches, list[str]]:
     """Return names and types of the columns, a function that reads some of them in batches, and notes."""
     import pyarrow
     from pyarrow import csv
 
     # Columns are read by their place as text: two may have the same name.
-    encoding, separator, decimal_sign, names, head_lines = find_dialect(path, where)
-    options = csv.ReadOptions(
-        use_threads=False,
-        block_size=BLOCK_BYTES,
-        skip_rows=head_lines,
-        column_names=list(map(str, range(len(names)))),
-        encoding=encoding,
-    )
+    encoding, separator, decimal_sign, names = _dialect(path, where)
+    places = list(map(str, range(len(names))))
+    options = csv.ReadOptions(False, BLOCK_BYTES, skip_rows=1, column_names=places, encoding=encoding)
     how = options, csv.ParseOptions(delimiter=separator)
     with csv.open_csv(path, *how, csv.ConvertOptions(decimal_point=decimal_sign)) as first:
         types = list(first.schema.types)
-        row = next((batch.slice(0, 1) for batch in first), None)
-    texts = [at for at, kind in enumerate(types) if kind == pyarrow.string()]
-    spans = {at for at in texts if row is not None and not _durations(row.column(at)).null_count}
-    types = [pyarrow.duration("us") if at in spans else kind for at, kind in enumerate(types)]
     times = find_times(names, types, where).columns
     # A column may begin with whole numbers and continue with fractions, so all except the times are read as floats.
     types = [
@@ -298,29 +317,71 @@ def _csv(path: Path, where: str) -> tuple[list[str], list[Any], Batches, list[st
         included = [str(at) for at in wanted]
         convert = csv.ConvertOptions(column_types=floats, include_columns=included, decimal_point=decimal_sign)
         with csv.open_csv(path, *how, convert) as reader:
-            for batch in reader:
-                columns = zip(wanted, batch.columns, strict=True)
-                yield pyarrow.record_batch(
-                    [_durations(column) if at in spans else column for at, column in columns], included
-                )
+            yield from reader
 
     notes = ["the text is not UTF-8; assumed to be Latin-1"] if encoding == "latin-1" else []
     return names, types, batches, notes
 
 
-def _durations(texts: Any) -> Any:
-    """Return durations in us that are written as pandas does, `1 days 00:00:01.5`, days optional; null for others."""
-    import pyarrow
-    from pyarrow import compute
+def _dialect(path: Path, where: str) -> Dialect:
+    """Return how the file is written; raise InputError if it is no table, or its first line does not name columns."""
+    with open_regular(path) as file:
+        sample = file.read(SAMPLE_BYTES)
+    encoding = _encoding(sample)
+    text = codecs.getincrementaldecoder(encoding)("replace").decode(sample)
+    head, *lines = re.split(r"\r\n?|\n", text.removeprefix("\ufeff"))
+    if len(sample) == SAMPLE_BYTES:  # the last line may be cut
+        lines = lines[:-1]
+    head = head.strip("\r\n ")
+    if not head or len(head) >= MOST_HEAD_BYTES or not head.replace("\t", "").isprintable():
+        expected = "CSV, Parquet, or a bag of ROS 1 or ROS 2"
+        raise InputError("the file is neither a table nor a bag", where=where, expected=expected)
+    lines = [line for line in lines if line.strip()]
+    separator = next((sign for sign in SEPARATORS if _fits(head, lines[:20], sign)), None)
+    separator = separator or max(",;\t", key=head.count)
+    separator = separator if separator in head else " "
+    names = _cells(head, separator)
+    if any(NUMBER.fullmatch(name) for name in names):
+        raise InputError("the first line does not name the columns", where=where, found=head[:80])
+    if lines:
+        more = len(_cells(lines[0], separator)) - len(names)
+        names = [*names, ""] if more == 1 and lines[0].endswith(separator) else names
+        names = names[:-1] if more == -1 and not names[-1].strip() else names
+    return Dialect(encoding, separator, _decimal_sign("\n".join(["", *lines, ""]), separator), names)
 
-    parts = compute.extract_regex(compute.replace_substring(texts, ",", "."), DURATION)
-    days, hours, minutes, seconds = (
-        to_numpy(compute.if_else(compute.equal(part, ""), "0", part).cast("float64"))
-        for part in (parts.field(at) for at in range(4))
-    )
-    known = is_known(parts)
-    us = np.rint(np.where(known, ((days * 24 + hours) * 60 + minutes) * 60 + seconds, 0) * 1e6).astype(np.int64)
-    return to_arrow(pyarrow, us, ~known).view(pyarrow.duration("us"))
+
+def _decimal_sign(rows: str, separator: str) -> str:
+    """Return the decimal sign of numbers in rows; a point if both or none occur."""
+    edges = {sign: f'["\n{re.escape(separator)}]' if sign != separator else '"' for sign in ".,"}
+    is_found = {
+        sign: re.search(rf"{edge}\s*[-+]?\d*\{sign}\d+(?:[eE][-+]?\d+)?\s*{edge}", rows) for sign, edge in edges.items()
+    }
+    return "," if is_found[","] and not is_found["."] else "."
+
+
+def _encoding(sample: bytes) -> str:
+    if sample.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return "utf-16"
+    try:
+        codecs.getincrementaldecoder("utf-8")().decode(sample)
+    except UnicodeDecodeError:
+        return "latin-1"
+    return "utf8"
+
+
+def _cells(line: str, separator: str) -> list[str]:
+    try:
+        return next(csv.reader([line], delimiter=separator), [])
+    except csv.Error:  # a field of more than 131,072 characters
+        return [line]
+
+
+def _fits(head: str, lines: list[str], separator: str) -> bool:
+    """Whether rows have as many cells as the line of names, and more than one; one more or less if it is empty."""
+    names = _cells(head, separator)
+    rows = [_cells(line, separator) for line in lines]
+    same = (abs(len(row) - len(names)) < 1 + (not max(row, names, key=len)[-1].strip()) for row in rows)
+    return len(names) > 1 and all(same)
 
 
 def _parquet(path: Path) -> tuple[list[str], list[Any], Batches, list[str]]:

@@ -67,9 +67,8 @@ def open_text(
     note, own_px = _note_and_frame(path)
     source = EventSource("text", (1, 1), (), note=note)
     if note is None and own_px is None and frame_px is None:
-        with closing(
-            _batches(path, source, columns, time_unit)
-        ) as batches:  # first report a file that is not a text of events; the frame matters only for one that is
+        # First report a file that is not a text of events; the frame matters only for one that is.
+        with closing(_batches(path, source, columns, time_unit)) as batches:
             if next(batches, None) is None:
                 raise no_events(where)
     hint = "give it with --frame-size WIDTHxHEIGHT, for example 640x480"
@@ -147,10 +146,8 @@ def _blocks(path: Path) -> Iterator[tuple[int, list[str]]]:
         while block := handle.read(BLOCK_CHARS):
             *lines, rest = (rest + block).split("\n")
             if len(rest) > LINE_LIMIT_CHARS:
-                odd_line = f"line {number + len(lines)} has more than {LINE_LIMIT_CHARS} characters"
-                raise InputError(
-                    "not a text file of events", where=str(path), expected="one event per line", found=odd_line
-                )
+                found = f"line {number + len(lines)} has more than {LINE_LIMIT_CHARS} characters"
+                raise InputError("not a text file of events", where=str(path), found=found)
             yield number, lines
             number += len(lines)
     if rest:
@@ -198,15 +195,10 @@ def _are_names(line: str, number: int, path: str) -> bool:
         return True
     if len(words) < 4 or any(NUMBER.fullmatch(word.strip()) or TRUTH.fullmatch(word.strip()) for word in words):
         return False
-    lacking = lacking_columns(words)
-    what = f"no column has a name for {' or '.join(lacking)}" if lacking else "two columns have the same meaning"
-    raise InputError(
-        f"the names of the columns are unclear: {what}",
-        where=path,
-        expected="t, x, y and p once each, with names such as t_us, timestamp or polarity",
-        found=f"line {number}: {_clip(line)}",
-        hint="rename the columns in this line",
-    )
+    lacking = " or ".join(lacking_columns(words))
+    what = f"no column has a name for {lacking}" if lacking else "two columns have the same meaning"
+    message, expected = f"the names of the columns are unclear: {what}", "t, x, y and p once each"
+    raise InputError(message, where=path, expected=expected, found=f"line {number}: {_clip(line)}")
 
 
 def _layout(path: Path, number: int, lines: list[str], first: str, names: list[str], columns: str | None) -> TextLayout:

@@ -18,8 +18,8 @@ from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US, Events
 from evetac_cli.formats.note import CLOCK_LIMIT_US, LONGEST_SLICES, Note
 from evetac_cli.formats.read.column_times import FLAG, ColumnTimes
-from evetac_cli.formats.read.events_on_disk import EventsOnDisk
 from evetac_cli.formats.read.time_order import IN_ORDER, OrderOptions, Placed, TimeOrder
+from evetac_cli.store.hdf5.disk import joined_on_disk
 from evetac_cli.store.recordings.streams import Stream
 
 # Every millisecond takes a row of the slice index, so one wrong time stamp must not cause billions of empty slices.
@@ -28,6 +28,7 @@ SPAN_LIMIT_US = (LONGEST_SLICES - 1) * SLICE_US
 FRAME_LIMIT_PX = 2**16
 MINUS_ONES = (2**8 - 1, 2**16 - 1, 2**32 - 1, 2**64 - 1)  # a polarity of -1 that was stored as an unsigned number
 SMALL_BATCH = 1 << 16  # events; smaller batches are joined
+BLOCK_EVENTS = 1 << 18  # sorted events that are returned at once
 LIT_EVENTS = 1 << 18  # the pixels of the first events are remembered, up to this number
 LIT_PIXELS = 1 << 24  # in larger frames, several pixels are counted as one
 
@@ -91,12 +92,8 @@ def checked_frame(frame_px: tuple[int, int] | None, where: str, hint: str) -> tu
         raise FrameUnknown("the file does not state its frame size", where=where, hint=hint)
     width, height = frame_px
     if not (1 <= width <= FRAME_LIMIT_PX and 1 <= height <= FRAME_LIMIT_PX):
-        raise InputError(
-            "impossible frame size",
-            where=where,
-            expected=f"width and height from 1 to {FRAME_LIMIT_PX} px",
-            found=f"{width}x{height}",
-        )
+        expected = f"width and height from 1 to {FRAME_LIMIT_PX} px"
+        raise InputError("impossible frame size", where=where, expected=expected, found=f"{width}x{height}")
     return int(width), int(height)
 
 
@@ -110,13 +107,8 @@ def choose_frame(
     """
     wanted = None if requested is None else checked_frame(requested, where, "")
     if wanted and own and wanted != tuple(own):
-        raise InputError(
-            "the file's frame size differs from --frame-size",
-            where=where,
-            expected="{}x{}".format(*own),
-            found="{}x{}".format(*wanted),
-            hint="leave out --frame-size",
-        )
+        message, (expected, found) = "the file states another frame size", ("{}x{}".format(*px) for px in (own, wanted))
+        raise InputError(message, where=where, expected=expected, found=found, hint="leave out --frame-size")
     return checked_frame(own or wanted, where, hint or "give it with --frame-size WIDTHxHEIGHT")
 
 
@@ -139,16 +131,18 @@ def clean(
     """
     in_order, polarities, lit = TimeOrder(order), set[int](), _LitPixels(source.frame_px)
     start_us = source.note.start_us if source.note and not order.from_restart else None
-    waiting = EventsOnDisk(folder) if order.sort else None
-    for part in in_order.ordered(_usable(source, polarities, where)):
-        source.first_us = source.first_us if source.size else int(part.t[0])
-        source.last_us = max(source.last_us, int(part.t[-1])) if source.size else int(part.t[-1])
-        source.size += part.size
-        if source.times is not None:
-            lit.add(part)
-        if waiting is not None:
-            waiting.append(part)
-            continue
+
+    def ordered() -> Iterator[Events]:
+        for part in in_order.ordered(_usable(source, polarities, where)):
+            source.first_us = min(source.first_us, int(part.t.min())) if source.size else int(part.t.min())
+            source.last_us = max(source.last_us, int(part.t.max())) if source.size else int(part.t.max())
+            source.size += part.size
+            if source.times is not None:
+                lit.add(part)
+            yield part
+
+    stored = joined_on_disk(folder, ordered()) if order.sort else ()
+    for part in () if order.sort else ordered():
         zero_us = source.first_us if start_us is None else start_us
         if not in_order.refused and zero_us <= source.first_us and source.last_us - zero_us <= SPAN_LIMIT_US:
             yield part._replace(t=part.t - zero_us)
@@ -162,13 +156,13 @@ def clean(
     if not source.size:
         source.first_us = source.last_us = start_us or 0
         return
-    if waiting is not None:
-        source.first_us, source.last_us = waiting.first_us, waiting.last_us
     if source.times is not None:
         source.times.check(source.size, source.last_us - source.first_us, source.frame_px, lit.hz_us)
     source.first_us = _start(source, start_us, where)
-    if waiting is not None:
-        for part in waiting.blocks():
+    if stored:
+        by_time = np.argsort(stored[0], kind="stable")
+        for first in range(0, source.size, BLOCK_EVENTS):
+            part = Events(*(column[by_time[first : first + BLOCK_EVENTS]] for column in stored))
             yield part._replace(t=part.t - source.first_us)
 
 
@@ -203,13 +197,8 @@ def _check_polarities(polarities: set[int], where: str) -> None:
     codes = sorted(polarities)
     unsigned = [value for value in codes if value in MINUS_ONES]
     if (-1 in codes and 0 in codes) or (unsigned and codes != [1, unsigned[0]]):
-        raise InputError(
-            "the polarities mix two conventions" if len(codes) > 1 else "unknown polarity",
-            where=where,
-            expected="0 and 1, or -1 and 1",
-            found=" and ".join(map(str, codes)),
-            hint="save 1 for ON (brighter) and 0 for OFF (darker)" if unsigned else "",
-        )
+        message, found = "the polarities mix two conventions", " and ".join(map(str, codes))
+        raise InputError(message, where=where, expected="0 and 1, or -1 and 1", found=found)
 
 
 def _check_use(source: EventSource, usable: int, where: str) -> None:
@@ -219,14 +208,10 @@ def _check_use(source: EventSource, usable: int, where: str) -> None:
     if not usable and not lost and not (source.may_be_empty or (note is not None and not note.events)):
         raise no_events(where)
     if lost and not usable:
-        frame = "{}x{}".format(*source.frame_px)
-        raise InputError(
-            "none of the events can be used",
-            where=where,
-            expected=f"events inside the frame of {frame} px",
-            found=f"{dropped['out_of_frame']} events outside, {dropped['not_a_number']} that are not numbers",
-            hint="check the frame size and the order of the columns" if dropped["out_of_frame"] else "",
-        )
+        expected = "events inside the frame of {}x{} px".format(*source.frame_px)
+        found = f"{dropped['out_of_frame']} events outside, {dropped['not_a_number']} that are not numbers"
+        hint = "check the frame size and the order of the columns" if dropped["out_of_frame"] else ""
+        raise InputError("none of the events can be used", where=where, expected=expected, found=found, hint=hint)
 
 
 def _gathered(batches: Iterable[EventColumns], where: str) -> Iterator[EventColumns]:
@@ -358,9 +343,8 @@ def _check_values(batch: EventColumns, where: str, source: EventSource) -> None:
     def refuse(bad: NDArray[np.bool_], column: NDArray[Any], message: str, expected: str, hint: str = "") -> None:
         if bad.any():
             row = int(np.argmax(bad))
-            raise InputError(
-                message, where=where, expected=expected, found=f"{column[row]} {batch.place(row)}", hint=hint
-            )
+            found = f"{column[row]} {batch.place(row)}"
+            raise InputError(message, where=where, expected=expected, found=found, hint=hint)
 
     t, x, y, p, _ = batch
     is_polarity = np.ones(len(p), bool) if p.dtype.kind == "b" else (p == 0) | (p == 1) | (p == -1)
@@ -372,9 +356,7 @@ def _check_values(batch: EventColumns, where: str, source: EventSource) -> None:
         refuse(~is_polarity, p, "unknown polarity", "0 and 1, or -1 and 1", hint if source.guessed_order else "")
     for name, column in (("x", x), ("y", y)):
         if column.dtype.kind == "f":
-            refuse(
-                column != np.rint(column), column, f"{name} is not a whole pixel", "whole pixels, before undistortion"
-            )
+            refuse(column != np.rint(column), column, f"{name} is not a whole pixel", "whole pixels")
     far = (t >= CLOCK_LIMIT_US) | (t <= -CLOCK_LIMIT_US)
     refuse(far, t, "time out of range", "at most 285 years before or after 0", _unit_hint(source))
 
@@ -388,19 +370,11 @@ def _start(source: EventSource, start_us: int | None, where: str) -> int:
     """Return the time that becomes 0: the start of the recording, or the first event if no start is stated."""
     first_us = source.first_us if start_us is None else start_us
     if source.first_us < first_us:
-        raise InputError(
-            "an event is before the start of the recording that evetac's note in the file states",
-            where=where,
-            expected=f"times from {first_us} us",
-            found=f"{source.first_us} us",
-        )
+        message = "an event is before the start that evetac's note in the file states"
+        raise InputError(message, where=where, expected=f"from {first_us} us", found=f"{source.first_us} us")
     span_us = source.last_us - first_us
     if span_us > SPAN_LIMIT_US:
-        raise InputError(
-            "the events span too much time",
-            where=where,
-            expected=f"at most {SPAN_LIMIT_US // 3_600_000_000} h from first to last",
-            found=f"{span_us / 3.6e9:.1f} h",
-            hint=_unit_hint(source) or "is a time stamp wrong?",
-        )
+        expected, found = f"at most {SPAN_LIMIT_US // 3_600_000_000} h", f"{span_us / 3.6e9:.1f} h"
+        hint = _unit_hint(source) or "is a time stamp wrong?"
+        raise InputError("the events span too much time", where=where, expected=expected, found=found, hint=hint)
     return first_us

@@ -77,12 +77,8 @@ def find_times(names: Sequence[str], types: Sequence[Any], where: str, unset: Co
         _Candidate(False, False, False, True, (at,), "") for at, kind in enumerate(types) if has_unit(kind)
     ]
     if not candidates:
-        raise InputError(
-            "the table has no column of times",
-            where=where,
-            expected=f"a column named {NAMES}",
-            found=", ".join(names)[:200],
-        )
+        expected, found = f"a column named {NAMES}", ", ".join(names)[:200]
+        raise InputError("the table has no column of times", where=where, expected=expected, found=found)
     best = min(one._replace(is_unusable=one.is_unusable or one.columns[0] in unset) for one in candidates)
     clock = " and ".join(plain[at][0] for at in best.columns) or "without a name"
     stated = f", in {best.unit}" if best.unit and len(best.columns) == 1 else ""

@@ -165,39 +165,21 @@ class TimeOrder:
         """Raise InputError if the events cannot be used with these options."""
         wanted = self._options.from_restart
         if self._crowded:
-            raise InputError(
-                "more events within 1 ms than any camera sends",
-                where=where,
-                expected=f"at most {MOST_WAITING:,}",
-                found=f"more than that near {(self._top_us or 0) / 1e6:.6f} s",
-                hint="are these times right? --sort imports them as they are",
-            )
+            found = f"more near {(self._top_us or 0) / 1e6:.6f} s"
+            hint = "are these times right? --sort imports them as they are"
+            message, expected = "more events within 1 ms than any camera sends", f"at most {MOST_WAITING:,}"
+            raise InputError(message, where=where, expected=expected, found=found, hint=hint)
         if self.refused:
-            raise InputError(
-                "time goes backwards",
-                where=where,
-                expected="events in order of time, at most 1 ms late",
-                found=self._steps(),
-                hint=self._hint(),
-            )
-        if wanted is not None and not self._restarts:
-            raise InputError(
-                "--from-restart has no effect: time never goes back by 1 ms or more",
-                where=where,
-                found=str(wanted),
-                hint="leave out --from-restart",
-            )
-        if wanted is not None and wanted >= len(self._sizes):
-            raise InputError(
-                "--from-restart: there is no such part", where=where, expected=self._parts(), found=str(wanted)
-            )
+            message, expected = "time goes backwards", "events in order of time, at most 1 ms late"
+            raise InputError(message, where=where, expected=expected, found=self._steps(), hint=self._hint())
+        if wanted is not None and (not self._restarts or wanted >= len(self._sizes)):
+            message = "--from-restart: there is no such part"
+            raise InputError(message, where=where, expected=self._parts(), found=str(wanted))
 
     def _steps(self) -> str:
         """Return a text on the steps back."""
-        shown = [
-            f"{one.place} from {one.before_us / 1e6:.6f} s to {one.after_us / 1e6:.6f} s"
-            for one in self._restarts[:MOST_SHOWN]
-        ]
+        first = self._restarts[:MOST_SHOWN]
+        shown = [f"{one.place} from {one.before_us / 1e6:.6f} s to {one.after_us / 1e6:.6f} s" for one in first]
         count = len(self._restarts)
         if count <= MOST_SHOWN:
             return ", ".join(shown)
@@ -219,10 +201,8 @@ class TimeOrder:
 
     def _parts(self) -> str:
         """Return the parts between restarts with their sizes, for example `part 0: 3 events, part 1: 1 event`."""
-        shown = [
-            f"part {number}: {size:,} event{'s' * (size != 1)}"
-            for number, size in enumerate(self._sizes[: MOST_SHOWN + 1])
-        ]
+        first = enumerate(self._sizes[: MOST_SHOWN + 1])
+        shown = [f"part {number}: {size:,} event{'s' * (size != 1)}" for number, size in first]
         more = len(self._sizes) - len(shown)
         return ", ".join([*shown, f"{more} more"] if more > 0 else shown)
 

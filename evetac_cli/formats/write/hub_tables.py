@@ -20,9 +20,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from evetac_cli.formats.arrow_columns import repeated, to_arrow
 from evetac_cli.formats.write.slice_columns import Opener, SliceColumns, TrialFiles, columns_of, not_in_tables
-from evetac_cli.formats.write.write_table import COMPRESSION, field_of, load_pyarrow, table_schema, typed, write_rows
+from evetac_cli.formats.write.write_table import (
+    COMPRESSION,
+    field_of,
+    load_pyarrow,
+    repeated,
+    table_schema,
+    typed,
+    write_rows,
+)
 from evetac_cli.jobs import Progress, silent
 from evetac_cli.store.recordings.read import Recording
 
@@ -180,7 +187,7 @@ class HubTables:
             for first, stop in _blocks(recording.event_count):
                 columns = [repeated(arrow, name, arrow.string(), stop - first)]
                 columns += [
-                    to_arrow(arrow, recording.read(f"events/{stored}", first, stop)) for stored, *_ in OF_EVENT.values()
+                    arrow.array(recording.read(f"events/{stored}", first, stop)) for stored, *_ in OF_EVENT.values()
                 ]
                 writer.write_batch(arrow.record_batch(columns, schema=schema))
 

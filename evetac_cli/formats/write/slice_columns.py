@@ -2,7 +2,7 @@
 
 Each dataset with one row per slice is read as columns of plain numbers, one per dot and per coordinate x and y. A
 column's name consists of the dataset's path, the dot, x or y, and the unit: `displacement_17_x_px`. Columns of touch
-begin with `touch_`. Touch maps, which exist for fewer times than slices, are a separate table (touch_map_table.py).
+begin with `touch_`. Touch maps, which exist for fewer times than slices, are left out: xarray opens the touch file.
 Data with its own clock (gripper, control, other streams of the trial) appears in each slice as the last row before the
 slice ends, together with the time of that row. Images of a stream are left out.
 
@@ -39,13 +39,11 @@ class TrialFiles(NamedTuple):
     """The open files of one trial by kind, including its recording, and notes on what was left out.
 
     slip_probability: a detector's output per slice, NaN before its first; None if no detector was requested.
-    mm_per_px: a function that returns the scale of the touch file's maps.
     """
 
     by_kind: Mapping[str, StageFile]
     notes: Sequence[str] = ()
     slip_probability: NDArray[np.float32] | None = None
-    mm_per_px: Callable[[], float] | None = None
 
     @property
     def recording(self) -> Recording:
@@ -150,9 +148,8 @@ def not_in_tables(recording: Recording) -> list[str]:
         t_us = recording.read(f"{group}/t_us")
         shown = np.unique(_rows_at(t_us, 0, len(recording)))
         missing = len(t_us) - int((shown >= 0).sum())
-        within = int((t_us < len(recording) * SLICE_US).sum())  # later rows are not in any slice
-        after, several = len(t_us) - within, missing - (len(t_us) - within)
-        why = [f"{several} because a later row of the same slice is shown"] if several else []
+        after = int((t_us >= len(recording) * SLICE_US).sum())
+        why = [f"{missing - after} because a later row of the same slice is shown"] if missing > after else []
         why += [f"{after} after the end of the last slice"] if after else []
         texts += [f"{missing} of {len(t_us)} rows of {group}: {', '.join(why)}"] if missing else []
         texts += [f"images of {group}"] if recording.has(f"{group}/frames") else []

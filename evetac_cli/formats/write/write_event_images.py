@@ -1,4 +1,4 @@
-"""Write the events of a recording as images for networks: npz, Parquet or a zarr store in one zip file.
+"""Write the events of a recording as images for networks: npz or a zarr store in one zip file.
 
 Every file has `images` (n, ...) and `end_us` (n,), and under `evetac`, as JSON, the parameters of the images and the
 recording's header. The images are bit for bit those of `Recording.frames` and the similar methods.
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError, missing_extra
 from evetac_cli.formats.write.slice_columns import TrialFiles
-from evetac_cli.formats.write.write_table import COMPRESSION, load_pyarrow, provenance
+from evetac_cli.formats.write.write_table import provenance
 from evetac_cli.jobs import Progress
 from evetac_cli.kernels.event_representation import Kind, Representation
 from evetac_cli.store.recordings.read import RATE_HZ, Recording
@@ -23,7 +23,7 @@ from evetac_cli.store.recordings.read import RATE_HZ, Recording
 if TYPE_CHECKING:  # compiled code, which other exports do not need
     from evetac_cli.kernels.event_drawing import ImageBlock
 
-SUFFIXES = (".npz", ".parquet", ".zarr.zip", ".zip")
+SUFFIXES = (".npz", ".zarr.zip", ".zip")
 CHUNK_BYTES = 1 << 20  # of a zarr store
 NPZ_LEVEL = 1  # images are mostly zeros: higher levels gain little and take several times as long
 
@@ -42,18 +42,15 @@ def writer(kind: Kind) -> Callable[..., list[str]]:
         **more: Any,
     ) -> list[str]:
         if size is not None and any(side > most for side, most in zip(size, recording.frame_px, strict=True)):
-            most = "at most the sensor's {} x {} px".format(*recording.frame_px)
-            hint = "images can be smaller than the sensor's frame, not larger"
-            found = "{} x {} for {}".format(*size, recording.path.name)
-            raise InputError(
-                "images would be larger than the sensor's frame", where="--size", expected=most, found=found, hint=hint
-            )
+            expected, found = ("{} x {} px".format(*px) for px in (recording.frame_px, size))
+            message = f"images would be larger than the sensor's frame in {recording.path.name}"
+            raise InputError(message, where="--size", expected=f"at most {expected}", found=found)
         of = recording.representation(kind, fps, size, window_ms, **more)
         files = TrialFiles({"recording": recording})
         shows = {name: getattr(of, name) for name in of.used}
         description = json.dumps({"representation": shows, **provenance(files, files.facts())})
         count = of.images(len(recording))
-        by_suffix = {".npz": _npz, ".parquet": _parquet, ".zip": _zarr}
+        by_suffix = {".npz": _npz, ".zip": _zarr}
         by_suffix[path.suffix.lower()](path, of, count, description, _shown(recording.images(of), count, progress))
         return [] if count else [f"all events: the recording ends before the first image would, at {of.end(0)} ms"]
 
@@ -85,18 +82,6 @@ def _npz(path: Path, of: Representation, count: int, description: str, blocks: I
         ):
             with archive.open(f"{name}.npy", "w") as member:
                 np.lib.format.write_array(cast(BinaryIO, member), array, allow_pickle=False)
-
-
-def _parquet(path: Path, of: Representation, count: int, description: str, blocks: Iterator["ImageBlock"]) -> None:
-    """Write one row per image: pyarrow reads it as a tensor, other programs as a flat list."""
-    arrow = load_pyarrow(str(path.parent))
-    tensor = arrow.fixed_shape_tensor(arrow.from_numpy_dtype(of.dtype), of.shape)
-    fields = arrow.field("end_us", arrow.int64(), metadata={"units": "us"}), arrow.field("images", tensor)
-    schema = arrow.schema(fields, metadata={"evetac": description})
-    with arrow.parquet.ParquetWriter(path, schema, compression=COMPRESSION) as writer:
-        for block in blocks:
-            images = arrow.FixedShapeTensorArray.from_numpy_ndarray(block.images)
-            writer.write_batch(arrow.record_batch([arrow.array(block.end_us), images], schema=schema))
 
 
 def _zarr(path: Path, of: Representation, count: int, description: str, blocks: Iterator["ImageBlock"]) -> None:

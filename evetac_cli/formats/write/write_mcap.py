@@ -39,8 +39,8 @@ from typing import Any
 from evetac_cli.errors import InputError, missing_extra
 from evetac_cli.events import SLICE_US
 from evetac_cli.formats.read.bags.read_rosbag import EVENTS_TOPIC, NOTE_TOPIC
+from evetac_cli.formats.write.event_files import note_for, t_offset_us
 from evetac_cli.formats.write.mcap_messages import NUMBERS, PACKET, US_NS, Messages, TopicMessages
-from evetac_cli.formats.write.pieces import note_for, t_offset_us
 from evetac_cli.formats.write.slice_columns import TrialFiles
 from evetac_cli.jobs import Progress
 from evetac_cli.store.recordings.read import Recording
@@ -130,20 +130,11 @@ def _libraries(where: str) -> tuple[Any, Any, Callable[[str], str], Callable[[An
 
 def _check(recording: Recording, offset_us: int) -> None:
     """Raise InputError if a time or a row cannot be represented in the messages."""
-    last_s = (offset_us + len(recording) * SLICE_US) / 1e6
-    if offset_us < 0 or last_s >= MOST_S:
-        raise InputError(
-            "the recording's times do not fit into ROS messages",
-            where=str(recording.path),
-            expected=f"0 to {MOST_S - 1} s on the source's clock",
-            found=f"{offset_us / 1e6:.6f} to {last_s:.6f} s",
-            hint="export the recording as text or dsec",
-        )
+    first_s, last_s = offset_us / 1e6, (offset_us + len(recording) * SLICE_US) / 1e6
+    where, hint = str(recording.path), "export the recording as text or dsec"
+    if first_s < 0 or last_s >= MOST_S:
+        message, expected = "the recording's times do not fit into ROS messages", f"0 to {MOST_S - 1} s"
+        raise InputError(message, where=where, expected=expected, found=f"{first_s:.6f} to {last_s:.6f} s", hint=hint)
     if recording.frame_px[1] > MOST_ROWS_PX:
-        raise InputError(
-            "the frame has too many rows for an EventPacket",
-            where=str(recording.path),
-            expected=f"at most {MOST_ROWS_PX} rows",
-            found=str(recording.frame_px[1]),
-            hint="export the recording as text or dsec",
-        )
+        message, found = "the frame has too many rows for an EventPacket", str(recording.frame_px[1])
+        raise InputError(message, where=where, expected=f"at most {MOST_ROWS_PX}", found=found, hint=hint)

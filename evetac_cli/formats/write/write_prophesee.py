@@ -22,7 +22,7 @@ from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US, Events
 from evetac_cli.formats.note import NAME
 from evetac_cli.formats.read.prophesee.read_prophesee import OFFSET
-from evetac_cli.formats.write.pieces import note_for, pieces, t_offset_us
+from evetac_cli.formats.write.event_files import note_for, pieces, t_offset_us
 from evetac_cli.jobs import Progress
 from evetac_cli.store.recordings.read import Recording
 
@@ -98,13 +98,9 @@ def _write(layout: PropheseeLayout, recording: Recording, path: Path, progress: 
         (length_us <= layout.most_us, f"at most {layout.most_us / 6e7:.0f} min", f"{length_us / 6e7:.1f} min"),
     ):
         if not fits:
-            raise InputError(
-                f"the recording does not fit into {layout.name}",
-                where=str(recording.path),
-                expected=expected,
-                found=there_is,
-                hint="export the recording as dsec or text, or cut out a part with `evetac trim`",
-            )
+            message, where = f"the recording does not fit into {layout.name}", str(recording.path)
+            hint = "export the recording as dsec or text, or cut out a part with `evetac trim`"
+            raise InputError(message, where=where, expected=expected, found=there_is, hint=hint)
     lines = f"% {NAME} {note_for(recording, 0).text()}\n% {OFFSET} {t_offset_us(recording)}\n"
     with path.open("wb") as file:
         file.write((layout.head.format(width=width, height=height) + lines).encode() + layout.after)

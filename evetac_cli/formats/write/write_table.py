@@ -23,7 +23,6 @@ from urllib.parse import quote
 import numpy as np
 
 from evetac_cli.errors import InputError, missing_extra
-from evetac_cli.formats.arrow_columns import repeated, to_arrow
 from evetac_cli.formats.write.slice_columns import (
     Opener,
     SliceColumns,
@@ -176,6 +175,12 @@ def field_of(arrow: Any, name: str, type_: Any, unit: str, meaning: str) -> Any:
     return arrow.field(name, type_, metadata={"units": unit or "1", "long_name": meaning})
 
 
+def repeated(arrow: Any, value: str | int | bool | None, type_: Any, rows: int) -> Any:
+    """Return a column with the same value in every row; type_: Arrow's string, int64 or bool."""
+    text = str(value) if type_ == arrow.string() and value is not None else value
+    return arrow.repeat(arrow.scalar(text, type_), rows)
+
+
 def write_rows(
     arrow: Any,
     table: Any,
@@ -206,12 +211,12 @@ def _batches(
     for first in range(0, slices, at_once):
         stop = min(first + at_once, slices)
         progress(first, slices, "slices")
-        arrays = {"t_ms": to_arrow(arrow, np.arange(first, stop))}
+        arrays = {"t_ms": arrow.array(np.arange(first, stop))}
         for group in columns:
             values = group.read(first, stop)
             mask = np.ma.getmaskarray(values)
             for at, name in enumerate(group.names):
-                arrays[name] = to_arrow(arrow, values.data[:, at], mask[:, at])
+                arrays[name] = arrow.array(values.data[:, at], mask=mask[:, at])
         for name in facts:
             if name in table.names:
                 type_ = table.field(name).type

@@ -1,6 +1,5 @@
 """Write small event files in other programs' formats, to be damaged; dv-processing writes the one with IMU samples."""
 
-import struct
 from pathlib import Path
 
 import h5py
@@ -21,7 +20,6 @@ FILES = {
     "rpg": ("rpg.h5", "hdf5"),
     "Prophesee HDF5": ("prophesee.h5", "hdf5"),
     "AEDAT 2": ("jaer.aedat", "bytes"),
-    "AEDAT 3": ("caer.aedat", "bytes"),
     "EVT2.1": ("evt21.raw", "bytes"),
     "AEDAT4 with IMU": ("imu.aedat4", "bytes"),
 }
@@ -64,20 +62,12 @@ def _hdf5(folder: Path, table: np.ndarray, rows: np.ndarray) -> None:
 
 
 def _aedat(folder: Path, table: np.ndarray) -> None:
-    """Write AEDAT 2 of a DAVIS640, and AEDAT 3.1 of the same events in packets of 1,000."""
+    """Write AEDAT 2 of a DAVIS640."""
     words = np.zeros((len(table), 2), ">u4")
     words[:, 0] = (639 - table[:, 1]) << 12 | (479 - table[:, 2]) << 22 | table[:, 3] << 11
     words[:, 1] = table[:, 0]
     head = b"#!AER-DAT2.0\r\n# AEChip: eu.seebetter.ini.chips.davis.DAVIS640\r\n#End Of ASCII Header\r\n"
     (folder / "jaer.aedat").write_bytes(head + words.tobytes())
-    content = b"#!AER-DAT3.1\r\n#Format: RAW\r\n#Source 1: DAVIS640\r\n#!END-HEADER\r\n"
-    for first in range(0, len(table), 1000):
-        part = table[first : first + 1000]
-        events = np.zeros((len(part), 2), "<u4")
-        events[:, 0] = part[:, 1] << 17 | part[:, 2] << 2 | part[:, 3] << 1 | 1
-        events[:, 1] = part[:, 0]
-        content += struct.pack("<hhiiiiii", 1, 1, 8, 4, 0, len(part), len(part), len(part)) + events.tobytes()
-    (folder / "caer.aedat").write_bytes(content)
 
 
 def _evt21(path: Path, table: np.ndarray) -> None:

@@ -1,6 +1,5 @@
 """Files of numpy: however events are stored in them they read the same; nothing is run, nothing unpacked whole."""
 
-import io
 import struct
 import tracemalloc
 import zipfile
@@ -121,30 +120,6 @@ def test_blocks_join(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert "at index 50 from" in refusal(tmp_path / "late.npz", frame_px=FRAME)
 
 
-@pytest.mark.parametrize("save", [np.savez, np.savez_compressed])
-@pytest.mark.parametrize("kind", [np.uint16, np.int32, np.float32])
-def test_the_arrays_of_evimo(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, save: Any, kind: Any) -> None:
-    """Assert that pairs of column and row in one array, beside times in seconds and polarities, are events."""
-    monkeypatch.setattr(read_numpy, "BATCH_ROWS", 700)
-    xy = np.stack([EVENTS.x, EVENTS.y], axis=1).astype(kind)
-    arrays = {"events_t": EVENTS.t / 1e6, "events_xy": xy, "events_p": EVENTS.p, "meta": np.zeros(3)}
-    save(tmp_path / "a.npz", **arrays)
-    imported = read_events(tmp_path / "a.npz", frame_px=FRAME)
-    assert_equal(imported, EVENTS)
-    assert imported.left_out == {"values of meta": 3}
-    save(tmp_path / "b.npz", **arrays | {"events_xy": xy[:-1]})
-    assert "columns differ in length" in refusal(tmp_path / "b.npz", frame_px=FRAME)
-
-
-def test_a_unit_that_changes_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that fractions after whole times are not rounded away."""
-    monkeypatch.setattr(read_numpy, "BATCH_ROWS", 5)
-    t = np.arange(10.0)
-    t[8] += 0.5
-    np.savez(tmp_path / "a.npz", t=t, x=np.ones(10), y=np.ones(10), p=np.ones(10))
-    assert "the unit of time changes" in refusal(tmp_path / "a.npz", frame_px=FRAME)
-
-
 def test_several_tables_are_streams(tmp_path: Path) -> None:
     """Assert that of several tables one is taken and the others are named, and --stream chooses."""
     table = np.stack([column.astype(np.int64) for column in EVENTS], axis=1)
@@ -167,19 +142,14 @@ def test_no_events_are_a_recording_without_any(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arrays", "words"),
     [
-        ({"a": np.zeros((4, 3))}, "no event columns"),
         ({"a": np.zeros((3, 5))}, "found:    a float64 of shape (3, 5)"),
-        ({"a": np.zeros((3, 4), complex)}, "no event columns"),
-        ({"t": np.zeros(3), "x": np.zeros(3), "y": np.zeros(3)}, "no event columns"),
         (
             {"t": np.zeros(3), "ts": np.zeros(3), "x": np.zeros(3), "y": np.zeros(3), "p": np.zeros(3)},
             "no event columns",
         ),
         ({"t": np.zeros(3), "x": np.zeros(2), "y": np.zeros(3), "p": np.zeros(3)}, "columns differ in length"),
-        ({"t": np.array(["a", "b", "c"]), "x": np.zeros(3), "y": np.zeros(3), "p": np.zeros(3)}, "no event columns"),
         ({"a": np.zeros(3, [("t", "i8"), ("x", "i2"), ("y", "i2"), ("q", "i1")])}, "fields t, x, y, q"),
         ({"a": np.zeros(3, [("t", "i8", (2,)), ("x", "i2"), ("y", "i2"), ("p", "i1")])}, "no event columns"),
-        ({"t": np.zeros(3), "x": np.zeros(3) + 0.5, "y": np.zeros(3), "p": np.zeros(3)}, "x is not a whole pixel"),
     ],
 )
 def test_other_arrays_are_refused(tmp_path: Path, arrays: dict[str, Any], words: str) -> None:
@@ -262,14 +232,6 @@ def test_broken_archives_are_refused(tmp_path: Path) -> None:
     for at in range(200, len(whole) - 400, len(whole) // 20):
         path.write_bytes(whole[:at] + bytes([whole[at] ^ 0x55]) + whole[at + 1 :])
         refusal(path, frame_px=FRAME)
-
-
-def test_bytes_after_an_array_are_counted(tmp_path: Path) -> None:
-    """Assert that a second array in one file is not passed over in silence."""
-    buffer = io.BytesIO()
-    np.save(buffer, structured(EVENTS, EXPELLIARMUS))
-    (tmp_path / "a.npy").write_bytes(buffer.getvalue() + b"more")
-    assert read_events(tmp_path / "a.npy", frame_px=FRAME).left_out == {"bytes after the array": 4}
 
 
 def test_the_words_of_a_camera(outside_file: Callable[[str], Path]) -> None:

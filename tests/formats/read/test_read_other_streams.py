@@ -11,11 +11,11 @@ import pytest
 
 from evetac_cli.commands.record import Record
 from evetac_cli.formats.imports import Imported, read_events
-from evetac_cli.formats.read.aedat.aedat4_packets import read_header, walk
+from evetac_cli.formats.read.aedat4_packets import read_header, walk
 from evetac_cli.inspect import info
 from evetac_cli.store.recordings.read import open_recording
 from evetac_cli.trials import record
-from tests.formats.read.aedat.test_read_aedat4 import store
+from tests.formats.read.test_read_aedat4 import store
 from tests.make import run_stage
 
 START_US = 1_600_000_000_000_000

@@ -1,7 +1,6 @@
 """MCAP as we write it: every topic as the libraries of MCAP and of bags read it, and the way back."""
 
 import re
-import shlex
 import sys
 import types
 from array import array
@@ -13,17 +12,13 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from evetac_cli.cli.main import app
 from evetac_cli.commands.export import Export
-from evetac_cli.errors import InputError
 from evetac_cli.events import Events
 from evetac_cli.formats.exports import export
 from evetac_cli.formats.imports import read_events
 from evetac_cli.formats.read.bags import read_rosbag
 from evetac_cli.formats.read.bags.ros_messages import Packet, mono
-from evetac_cli.formats.read.time_order import OrderOptions
 from evetac_cli.formats.write import write_mcap
 from evetac_cli.inspect.export import run as run_export
 from evetac_cli.store.files import StageFile
@@ -33,7 +28,6 @@ from tests import small_files
 from tests.formats.test_exports import drawn, refusal, write
 from tests.importing import same
 from tests.pages.view.trials import REST, SLICES, moving, write_labels, write_recording, write_tracks
-from tests.test_readme import PAGES, shown_commands
 
 pytest.importorskip("mcap")
 pytest.importorskip("rosbags")
@@ -262,20 +256,6 @@ def test_other_streams_of_the_trial(tmp_path: Path) -> None:
     assert '"what": "an arm"' in topics["/evetac/streams/arm_left/about"][0][1].data
 
 
-def test_files_of_another_recording_are_left_out(tmp_path: Path) -> None:
-    """Assert that tracks and touch beside it that were made from another recording are not taken for its own."""
-    path = tmp_path / "a.recording.h5"
-    write_recording(path)
-    other = write_recording(tmp_path / "b.recording.h5", seed=2)
-    tracks = write_tracks(tmp_path / "a.tracks.h5", other, moving())
-    small_files.touch(tmp_path / "a.touch.h5", tracks)
-    left_out = exported(path)["left_out"]
-    for name in ("a.tracks.h5", "a.touch.h5"):
-        assert f"Left out: {name} was made from another recording." in left_out
-    content = path.with_name("a.mcap").read_bytes()
-    assert b"/evetac/truth/dots" in content and b"/evetac/dots" not in content and b"/evetac/force" not in content
-
-
 def test_what_ros_has_no_room_for_is_refused(tmp_path: Path) -> None:
     """Assert that times before 1970 or after 2038, and frames of too many rows, are refused in words."""
     target = tmp_path / "x.mcap"
@@ -284,19 +264,6 @@ def test_what_ros_has_no_room_for_is_refused(tmp_path: Path) -> None:
         words = refusal(lambda source=source: export(source, "mcap", target))  # type: ignore[misc]
         assert ("ROS messages" if offset else "too many rows") in words
         assert not target.exists()
-
-
-def test_lost_and_damaged_notes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that a file without note is a bag like others, and that one with another note is refused."""
-    source = write(tmp_path / "a.recording.h5", drawn(50, first_us=3000), 60, 10**6)
-    monkeypatch.setattr(write_mcap, "NOTE_TOPIC", "/other")
-    export(source, "mcap", tmp_path / "a.mcap")
-    imported = read_events(tmp_path / "a.mcap")
-    assert imported.slices < 60 and imported.t_offset_us == 10**6 + int(drawn(50, first_us=3000).t[0])
-    monkeypatch.undo()
-    monkeypatch.setattr(write_mcap, "note_for", lambda *_: SimpleNamespace(text=lambda: "{}"))
-    export(source, "mcap", tmp_path / "a.mcap", force=True)
-    assert "note that evetac wrote" in refusal(lambda: read_events(tmp_path / "a.mcap"))
 
 
 def test_the_node_of_the_docs_publishes_what_we_read(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -346,42 +313,3 @@ def test_the_node_of_the_docs_publishes_what_we_read(monkeypatch: pytest.MonkeyP
         np.testing.assert_array_equal(part.t.astype(np.int64) - 5_000_000, one.t)
         for theirs, ours in zip(part[1:], one[1:], strict=True):
             np.testing.assert_array_equal(theirs, ours)
-
-
-def test_the_commands_of_the_docs_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that the page on ROS 2 exports a recording and gets it back."""
-    monkeypatch.chdir(tmp_path)
-    write_recording(tmp_path / "touch.recording.h5")
-    commands = shown_commands(PAGES["docs/ros2.md"])
-    assert len(commands) == 2
-    for command in commands:
-        run = CliRunner().invoke(app, shlex.split(command)[1:])
-        assert run.exit_code == 0, run.output
-    with open_recording("touch.recording.h5") as one, open_recording("back.recording.h5") as other:
-        assert same(one.between(0, SLICES), other.between(0, SLICES)) and other.header["simulated"] is True
-
-
-@pytest.mark.slow
-def test_damaged_files_are_refused_or_read(tmp_path: Path) -> None:
-    """Assert that a file that is cut or damaged anywhere gives events or words, and never anything else."""
-    source = write(tmp_path / "a.recording.h5", drawn(3000), 700, 5_000_000)
-    export(source, "mcap", tmp_path / "a.mcap")
-    whole = (tmp_path / "a.mcap").read_bytes()
-    rng = np.random.default_rng(3)
-    broken = tmp_path / "b.mcap"
-    refused = 0
-    for trial in range(400):
-        data = bytearray(whole)
-        begin = (0, 0, 0, len(data) - 2500)[trial % 4]  # anywhere, at the head, at the index at the end
-        end = (len(data), len(data), 600, len(data))[trial % 4]
-        if trial % 4:
-            for at in rng.integers(begin, end, 6):
-                data[at] = rng.integers(256)
-        else:
-            del data[rng.integers(1, len(data)) :]
-        broken.write_bytes(data)
-        try:
-            assert read_events(broken, order=OrderOptions(sort=True)).events.size <= 3000
-        except InputError:
-            refused += 1
-    assert 200 < refused < 400

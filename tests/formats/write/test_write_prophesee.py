@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from evetac_cli.events import Events
 from evetac_cli.formats.exports import export, target_path
 from evetac_cli.formats.imports import read_events
-from evetac_cli.formats.write import pieces, write_prophesee
+from evetac_cli.formats.write import event_files, write_prophesee
 from evetac_cli.jobs import silent
 from evetac_cli.store.recordings.read import open_recording
 from tests.formats.test_exports import drawn, refusal, write
@@ -67,7 +67,7 @@ def test_silence_of_any_length_is_kept(
     x, y, p = (np.array([places.randrange(most) for _ in gaps_us]) for most in (3, 3, 2))
     events = Events(t, x.astype(np.uint16), y.astype(np.uint16), p.astype(np.uint8))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(pieces, "PIECE_EVENTS", piece)
+        patch.setattr(event_files, "PIECE_EVENTS", piece)
         path = exported(tmp_path_factory.mktemp("silence"), events, int(t[-1]) // 1000 + 1, format_)
     assert same(read_events(path).events, events)
 

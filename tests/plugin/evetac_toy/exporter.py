@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from evetac_cli.formats.exports import ExportFormat
-from evetac_cli.formats.write.pieces import pieces
+from evetac_cli.formats.write.event_files import pieces
 from evetac_cli.jobs import Progress
 from evetac_cli.store.recordings.read import Recording
 

@@ -10,18 +10,18 @@ import sqlite3
 from collections import Counter
 from collections.abc import Collection, Iterator
 from contextlib import closing
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import quote
 
 from evetac_cli.errors import EvetacError, InputError
-from evetac_cli.formats.read.bags.message_definitions import full_name
 from evetac_cli.formats.read.damage import read_in_words, refuse_too_much, unpacked
 
 MOST_RECORD_BYTES = 1 << 30  # of a record of MCAP, or a value of SQLite
-DEFINED_AS = ("ros1msg", "ros2msg")  # encodings of definitions that message_definitions reads
+DEFINED_AS = ("ros1msg", "ros2msg")  # encodings of definitions that `checksum` reads
+MOST_DEFINITION_BYTES = 1 << 16  # those of ROS have a few thousand
+OF_ROS1 = ("std_msgs/msg/Header", "builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
 SQLITE_HEAD_BYTES, PAGE_BYTES_AT, PAGES_AT = 100, 16, 28  # size of the file's head, and offsets in it
 REINDEX = "`rosbag reindex FILE` restores its index; it is part of ROS 1"
 
@@ -51,37 +51,50 @@ class Connection(NamedTuple):
         return self.encoding == "cdr"
 
 
-class BagFile:
-    """A file of a bag: its connections and messages, notes on missing data, and whether data is known to be missing.
+def checksum(kind: str, text: str) -> str:
+    """Return the checksum of a message type; empty if the text is not a definition or lacks an inner message.
 
-    disordered: connections whose messages were received in another order. spans_ns: their first and last reception.
+    The checksum identifies a layout independently of its package's name. ROS 1 writes it into its bags; here rosbags
+    computes it from a definition, also of ROS 2, in which times and headers, which ROS 2 writes differently, count as
+    in ROS 1. A text is only parsed: nothing is registered, which would turn it into code.
     """
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    if not text.strip() or len(text) > MOST_DEFINITION_BYTES:
+        return ""
+    name, store, ros1 = full_name(kind), get_typestore(Stores.EMPTY), get_typestore(Stores.ROS1_NOETIC)
+    try:
+        store.fielddefs.update(get_types_from_msg(text.replace("\r", ""), name))
+        store.fielddefs.update({of_ros1: ros1.fielddefs[of_ros1] for of_ros1 in OF_ROS1})
+        return store.generate_msgdef(name)[1]
+    except Exception:  # rosbags raises all kinds for texts that are no definitions
+        return ""
+
+
+def full_name(kind: str) -> str:
+    """Return a type as `package/msg/Name`; ROS 1 leaves out `msg`."""
+    package, _, name = kind.partition("/")
+    return f"{package}/msg/{name}" if name and "/" not in name else kind
+
+
+class BagFile:
+    """A file of a bag: its connections and messages, notes on missing data, and whether data is known to be missing."""
 
     def __init__(self, path: Path, where: str) -> None:
         """Read the list of messages; raise InputError if none can be read. where: the file's name in messages."""
         self.path, self.where = path, where
         self.notes: list[str] = []
         self.cut_short = False
-        self.disordered: set[int] = set()
-        self.spans_ns: dict[int, tuple[int, int]] = {}
         self._counts: Counter[int] = Counter()
-        connections = self._read()
-        self.connections = [one._replace(msgcount=self._counts[one.number]) for one in connections]
+        self.connections = [one._replace(msgcount=self._counts[one.number]) for one in self._read()]
 
     def messages(self, numbers: Collection[int]) -> Iterator[Record]:
         """Yield all messages of some connections in the order of the file."""
         raise NotImplementedError
 
     def _read(self) -> list[Connection]:
-        """Return the connections, having passed each message to `_take`."""
+        """Return the connections, having counted the messages of each."""
         raise NotImplementedError
-
-    def _take(self, number: int, time_ns: int) -> None:
-        self._counts[number] += 1
-        first_ns, latest_ns = self.spans_ns.get(number, (time_ns, time_ns))
-        if time_ns < latest_ns:
-            self.disordered.add(number)
-        self.spans_ns[number] = first_ns, time_ns
 
 
 class Rosbag1File(BagFile):
@@ -110,9 +123,7 @@ class Rosbag1File(BagFile):
         from rosbags.rosbag1 import Reader
 
         with read_in_words(self.where, "the bag is cut short or damaged", REINDEX), Reader(self.path) as reader:
-            for number, index in reader.indexes.items():
-                for row in sorted(index, key=lambda row: (row.chunk_pos, row.offset)):
-                    self._take(number, row.time)
+            self._counts.update({number: len(index) for number, index in reader.indexes.items()})
             return [
                 Connection(one.id, one.topic, one.msgtype, "ros1", one.msgdef.data, one.digest)
                 for one in reader.connections
@@ -126,42 +137,34 @@ class McapFile(BagFile):
         """Yield all messages of some connections in the order of the file."""
         from mcap.records import Message
 
-        for record in self._records(_Losses(Counter())):
+        for record in self._records():
             if isinstance(record, Message) and record.channel_id in numbers:
                 yield record.channel_id, record.log_time, record.data
 
     def _read(self) -> list[Connection]:
-        from mcap.records import Channel, Message, Schema, Statistics
+        from mcap.records import Channel, Message, Schema
 
         schemas: dict[int, Schema] = {}
         channels: dict[int, Channel] = {}
-        stated = None
-        losses = _Losses(Counter())
-        for record in self._records(losses):
+        for record in self._records():
             if isinstance(record, Message):
-                self._take(record.channel_id, record.log_time)
+                self._counts[record.channel_id] += 1
             elif isinstance(record, Schema):
                 schemas.setdefault(record.id, record)
             elif isinstance(record, Channel):
                 channels.setdefault(record.id, record)
-            elif isinstance(record, Statistics):
-                stated = record.message_count
-        count, broken, lost_bytes = self._counts.total(), losses.broken, losses.end_bytes
-        if not count and (losses.cut_short or broken):
-            found = next(iter(broken), f"{lost_bytes:,} bytes that are not a complete chunk")
+        count, kept = self._counts.total(), f"kept {self._counts.total():,} messages"
+        if not count and self.cut_short:
+            found = next(iter(self._broken), f"{self._lost_bytes:,} bytes that are not a complete chunk")
             message = "no message can be read: the bag is cut short or damaged"
             raise InputError(message, where=self.where, found=found)
-        kept = f"kept {count:,} messages"
-        if broken:
-            self.notes.append(f"left out {broken.total():,} damaged chunks ({next(iter(broken))})")
-        if lost_bytes:
-            of_chunks = f"{kept} of complete chunks; the last {lost_bytes:,} bytes are lost"
-            self.notes.append(f"cut short or damaged: {of_chunks}")
-        elif losses.cut_short:
+        if self._broken:
+            self.notes.append(f"left out {self._broken.total():,} damaged chunks ({next(iter(self._broken))})")
+        if self._lost_bytes:
+            lost = f"the last {self._lost_bytes:,} bytes are lost"
+            self.notes.append(f"cut short or damaged: {kept} of complete chunks; {lost}")
+        elif self.cut_short and not self._broken:
             self.notes.append(f"the bag was not closed, probably because its recorder was killed: {kept}")
-        elif stated not in (None, count) and not broken:
-            self.notes.append(f"the file states {stated:,} messages but has {count:,}")
-        self.cut_short = losses.cut_short or bool(broken)
         connections = []
         for channel in channels.values():
             schema = schemas.get(channel.schema_id)
@@ -170,12 +173,13 @@ class McapFile(BagFile):
             connections.append(Connection(channel.id, channel.topic, name, channel.message_encoding, text))
         return connections
 
-    def _records(self, losses: "_Losses") -> Iterator[Any]:
-        """Yield all records up to the end or the first damage; at the end `losses` is filled."""
+    def _records(self) -> Iterator[Any]:
+        """Yield all records up to the end or the first damage, and note the losses."""
         import zstandard
         from mcap.records import Chunk
         from mcap.stream_reader import StreamReader, breakup_chunk
 
+        self._broken, self._lost_bytes = Counter[str](), 0  # damaged chunks by reason; bytes after the last record
         with self.path.open("rb", buffering=0) as raw, _ExactReader(raw) as file:
             end = 0
             try:
@@ -191,13 +195,14 @@ class McapFile(BagFile):
                     except (EvetacError, MemoryError):
                         raise
                     except Exception as error:  # of mcap and the libraries that unpack
-                        losses.broken[str(error) or type(error).__name__] += 1
+                        self._broken[str(error) or type(error).__name__] += 1
+                        self.cut_short = True
                         continue
                     yield from records
             except (EvetacError, MemoryError, OSError):
                 raise
             except Exception:  # mcap raises all kinds where a file is cut or damaged
-                losses.cut_short, losses.end_bytes = True, file.seek(0, 2) - end
+                self.cut_short, self._lost_bytes = True, file.seek(0, 2) - end
 
 
 class _ExactReader(io.BufferedReader):
@@ -208,15 +213,6 @@ class _ExactReader(io.BufferedReader):
         if size is not None and len(content) < size:
             raise EOFError
         return content
-
-
-@dataclass
-class _Losses:
-    """Damaged chunks by reason, whether the file ends early, and the bytes after its last complete record."""
-
-    broken: Counter[str]
-    cut_short: bool = False
-    end_bytes: int = 0
 
 
 class Db3File(BagFile):
@@ -239,7 +235,7 @@ class Db3File(BagFile):
                 for number, time_ns in database.execute("SELECT topic_id, timestamp FROM messages ORDER BY rowid"):
                     if type(number) is not int or type(time_ns) is not int:
                         raise InputError("topic or time of a message is no number", where=self.where)
-                    self._take(number, time_ns)
+                    self._counts[number] += 1
                 rows = database.execute("SELECT id, name, type, serialization_format FROM topics").fetchall()
         except sqlite3.DatabaseError as error:
             missing = _missing_bytes(self.path)

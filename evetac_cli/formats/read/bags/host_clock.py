@@ -19,18 +19,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
+from evetac_cli.formats.read.bags.bag_files import open_bag
 from evetac_cli.formats.read.bags.bag_readers import Connection
-from evetac_cli.formats.read.bags.open_bag import open_bag
-from evetac_cli.formats.read.bags.read_rosbag import IMAGE, LAYOUTS, layout, topics_of_events
+from evetac_cli.formats.read.bags.read_rosbag import IMAGE, LAYOUTS, PROPHESEE, layout, topics_of_events
 from evetac_cli.formats.read.bags.ros_messages import Fields, Packet, decoder
-from evetac_cli.formats.read.prophesee.prophesee_words import ENCODINGS, TIME_HIGH
+from evetac_cli.formats.read.prophesee.prophesee_words import PropheseeDecoder
 from evetac_cli.store.recordings.streams import Stream
 
 SAME_CLOCK_US = 1_000_000  # largest difference of a header and its events if both are on one clock
 ALIKE_US = 10_000  # largest difference of the clocks of two synchronized cameras
 MOST_PACKETS = 2000  # packets whose times are compared
 PIECE_US, PIECE_PACKETS = 10_000_000, 20  # minimum size of a piece of the recording
-LOW_TYPES = {"evt2": (0x0, 0x1), "evt3": (0x6,)}  # types of words with the low bits of time
 
 
 class Pair(NamedTuple):
@@ -162,35 +161,22 @@ def _pairs(path: Path, topic: str) -> Iterator[Pair]:
 
 def _pair(connection: Connection, received_ns: int, message: bytes) -> tuple[Pair, int] | None:
     """Return the times of a packet and the range of the sensor's clock (0: no wrap); None if it cannot be read."""
+    turn_us = 0
     try:
         stamp_us = Fields(message, ros2=connection.ros2).header() or received_ns // 1000
         content = LAYOUTS[layout(connection)](Fields(message, ros2=connection.ros2))
         if not isinstance(content, Packet):
             times = content[1].t
-        elif content.encoding in LOW_TYPES:
-            t_us, encoding = _first_time_us(content), ENCODINGS[content.encoding]
-            return None if t_us is None else (Pair(stamp_us, t_us), encoding.tick_us << encoding.high_bits)
+        elif content.encoding in PROPHESEE:
+            words = PropheseeDecoder(content.encoding)
+            size = np.dtype(words.encoding.dtype).itemsize
+            whole = content.content[: len(content.content) // size * size]
+            times = words.part(np.frombuffer(whole, words.encoding.dtype), str).t
+            turn_us = words.encoding.tick_us << words.encoding.high_bits
         else:
             decode = decoder(content.encoding)
             times = decode(content).t if decode is not None else np.empty(0, np.int64)
     except ValueError:
         return None
     times = times[times != 0]  # 0: never set
-    return (Pair(stamp_us, int(times[0])), 0) if len(times) else None
-
-
-def _first_time_us(packet: Packet) -> int | None:
-    """Return the first time that words of EVT2 or EVT3 contain completely; None if there is none."""
-    dtype = np.dtype(ENCODINGS[packet.encoding].dtype)
-    whole = len(packet.content) // dtype.itemsize * dtype.itemsize
-    words = np.frombuffer(packet.content[:whole], dtype).astype(np.int64)
-    kinds = words >> 8 * dtype.itemsize - 4
-    highs = np.flatnonzero(kinds == TIME_HIGH)
-    lows = np.flatnonzero(np.isin(kinds, LOW_TYPES[packet.encoding]))
-    lows = lows[lows > highs[0]] if len(highs) else lows[:0]
-    if not len(lows):
-        return None
-    upper, lower = int(words[highs[highs < lows[0]][-1]]), int(words[lows[0]])
-    if packet.encoding == "evt2":
-        return (upper & 0xFFFFFFF) << 6 | lower >> 22 & 0x3F
-    return (upper & 0xFFF) << 12 | lower & 0xFFF
+    return (Pair(stamp_us, int(times[0])), turn_us) if len(times) else None

@@ -8,12 +8,8 @@ Samples are sorted by their own stamps, because neither the order of a file nor 
 stamp of 0 among others was never set. Images and numbers are stored on disk temporarily, so a bag of hours takes no
 more memory than a short one.
 
-External triggers that bags store separately from the events are streams too; ROS does not define their types:
-
-    event_camera_msgs/EventPacket, encoding `trigger`   8 bytes each: 32 bits ns after time_base, 15 bits id, edge
-    dv_ros_msgs/Trigger (dv_ros2_msgs/Trigger)          int8 type, numbered as in AEDAT4, and time
-
-Triggers among the words of evt2 and evt3 are read with the events.
+External triggers of iniVation's driver, dv_ros_msgs/Trigger, are streams too, although ROS does not define their type:
+int8 source, numbered as in AEDAT4, and time. Triggers among the words of evt2 and evt3 are read with the events.
 """
 
 import io
@@ -27,18 +23,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError, missing_extra
-from evetac_cli.formats.read.bags.bag_readers import Connection
-from evetac_cli.formats.read.bags.message_definitions import checksum
-from evetac_cli.formats.read.bags.open_bag import Bag, open_bag
-from evetac_cli.formats.read.bags.read_rosbag import (
-    PACKET,
-    RECEPTION,
-    SIMULATED_START_US,
-    TRIGGER,
-    is_of_triggers,
-    layout,
-)
-from evetac_cli.formats.read.bags.ros_messages import NS, Fields, event_packet
+from evetac_cli.formats.read.bags.bag_files import Bag, open_bag
+from evetac_cli.formats.read.bags.bag_readers import Connection, checksum
+from evetac_cli.formats.read.bags.read_rosbag import RECEPTION, SIMULATED_START_US, layout
+from evetac_cli.formats.read.bags.ros_messages import NS, Fields
 from evetac_cli.formats.read.damage import read_in_words
 from evetac_cli.store.hdf5.disk import joined_on_disk
 from evetac_cli.store.recordings.streams import BLOCK_VALUES, LARGEST_FRAME_PX, Stream, free_name
@@ -73,7 +61,6 @@ UNITS = {
     "sensor_msgs/msg/Imu": {"angular_velocity": "rad/s", "linear_acceleration": "m/s2"},
 }
 TRIGGERS_OF_DV = ("dv_ros_msgs/msg/Trigger", "dv_ros2_msgs/msg/Trigger")
-TRIGGER_BYTES = 8
 READ = "images, and messages that ROS itself defines, such as geometry_msgs/PoseStamped or geometry_msgs/WrenchStamped"
 
 
@@ -109,18 +96,13 @@ def stream_of_topic(bag: Bag, topic: str, folder: Path | None) -> tuple[Stream, 
     if len(rows) == len(stored[0]) and (rows[1:] > rows[:-1]).all():
         t_us, *values = times.t_us, *stored[2:]
     else:
-        moved = (tuple(np.asarray(one[some]) for one in (times.t_us, *stored[2:])) for some in _parted(rows, stored))
+        at_once = max(1, BLOCK_VALUES // math.prod(stored[2].shape[1:]))
+        some = (rows[first : first + at_once] for first in range(0, len(rows), at_once))
+        moved = (tuple(np.asarray(one[part]) for one in (times.t_us, *stored[2:])) for part in some)
         t_us, *values = joined_on_disk(folder, moved)
     source, what = f"{bag.path.name}: {topic}", kind.replace("/msg/", "/")
     stream = Stream("", t_us, what=what, source=source, clock=times.clock, left_out=len(stored[0]) - len(rows))
     return reader_of.filled(stream, values), [*times.notes, *reader_of.notes()]
-
-
-def _parted(rows: NDArray[np.int64], stored: tuple[NDArray[Any], ...]) -> Iterator[NDArray[np.int64]]:
-    """Yield rows in parts that fit in memory."""
-    at_once = max(1, BLOCK_VALUES // math.prod(stored[2].shape[1:]))
-    for first in range(0, len(rows), at_once):
-        yield rows[first : first + at_once]
 
 
 class _Times:
@@ -133,26 +115,23 @@ class _Times:
         self.notes: list[str] = []
         known = stamp_us != 0
         if known.any():
-            self.t_us, self.clock, what = stamp_us, "header.stamp", "came late"
+            self.t_us, self.clock = stamp_us, "header.stamp"
             # the clock of a simulation starts at 0
             known[0] |= len(known) > 1 and 0 < stamp_us[1] <= SIMULATED_START_US
             if not known.all():
                 self.notes.append(f"left out {_samples(np.count_nonzero(~known))} whose stamp is 0, so never set")
         else:
-            self.t_us, self.clock, what = received_us, RECEPTION, "came after the recorder's clock went back"
+            self.t_us, self.clock = received_us, RECEPTION
             known[:] = True
         rows = np.flatnonzero(known)
         times = self.t_us[rows]
-        late = times < np.maximum.accumulate(times)
-        early = times > np.minimum.accumulate(times[::-1])[::-1]  # fewer if a single stamp is ahead
-        if late.any():
-            most_s = int((np.maximum.accumulate(times) - times).max()) / 1e6
-            count = min(np.count_nonzero(late), np.count_nonzero(early))
-            self.notes.append(f"{_samples(count)} {what}, by up to {most_s:.6g} s: sorted by time")
-            rows = rows[np.argsort(times, kind="stable")]
-        elif (received_us[1:] < received_us[:-1]).any():
-            self.notes.append("the recorder's clock goes back: the samples' own stamps are used")
-        self.rows = rows
+        late_us = np.maximum.accumulate(times) - times
+        if late_us.any():
+            most_s = int(late_us.max()) / 1e6
+            self.notes.append(
+                f"{_samples(np.count_nonzero(late_us))} came late, by up to {most_s:.6g} s: sorted by time"
+            )
+        self.rows = rows[np.argsort(times, kind="stable")]
 
 
 def _samples(count: Any) -> str:
@@ -169,22 +148,13 @@ def _of_topic(connections: list[Connection], topic: str, where: str) -> list[Con
     topic_name = topic or (others[0] if len(others) == 1 else "")
     of_topic = [one for one in connections if one.topic == topic_name]
     if not of_topic:
-        topics = ", ".join(others[:MOST_NAMED]) + (" ..." if len(others) > MOST_NAMED else "")
-        message = "the bag has no such topic"
-        if not topic:
-            several = "the bag has several topics, and none was chosen"
-            message = several if others else "the bag has no topic other than events"
+        message = "the bag has no such topic" if topic else "the bag has no topic other than events, or several"
         hint = f"give it after the file, for example FILE:{others[0]}" if others else ""
-        raise InputError(message, where=where, expected=topics or "a topic", found=topic, hint=hint)
-    if len({one.msgtype for one in of_topic}) > 1:
-        raise InputError(
-            "the topic has messages of several types", where=where, found=", ".join(one.msgtype for one in of_topic)
-        )
-    if len({one.encoding for one in of_topic}) > 1 or of_topic[0].encoding not in ("cdr", "ros1"):
-        encodings = ", ".join(sorted({one.encoding for one in of_topic}))[:80]
-        raise InputError(
-            "the encoding of these messages is not supported", where=where, expected="cdr or ros1", found=encodings
-        )
+        raise InputError(message, where=where, expected=", ".join(others)[:300] or "a topic", found=topic, hint=hint)
+    kinds = sorted({(one.msgtype, one.encoding) for one in of_topic})
+    if len(kinds) > 1 or kinds[0][1] not in ("cdr", "ros1"):
+        expected, found = "one type of messages, in cdr or ros1", ", ".join(map(" in ".join, kinds))[:200]
+        raise InputError("the messages of the topic cannot be read", where=where, expected=expected, found=found)
     return of_topic
 
 
@@ -201,10 +171,8 @@ def _decoder(kind: str, connections: list[Connection], where: str) -> Callable[[
     ours = store.generate_msgdef(kind)[1]
     digests = {one.digest or checksum(one.msgtype, one.definition) for one in connections}
     if digests - {ours, "*"}:
-        theirs = ", ".join(sorted(digests))[:120]
-        raise InputError(
-            f"the definition of {kind} is not that of ROS 1", where=where, expected=f"checksum {ours}", found=theirs
-        )
+        expected, found = f"checksum {ours}", ", ".join(sorted(digests))[:120]
+        raise InputError(f"the definition of {kind} is not that of ROS 1", where=where, expected=expected, found=found)
     return lambda message: store.deserialize_ros1(message, kind)
 
 
@@ -369,9 +337,7 @@ class _Images(_MessageReader):
             image = self._plain(message) if hasattr(message, "step") else self._unpacked(message)
             shape = shape or image.shape
             if image.shape != shape:
-                self.refuse(
-                    "the size of the images changes", "{1} x {0}, {2} channels".format(*shape), str(image.shape)
-                )
+                self.refuse("the size of the images changes", str(shape), str(image.shape))
             yield np.array([stamp_us], np.int64), np.array([received_us], np.int64), image[None]
 
     def filled(self, stream: Stream, values: list[NDArray[Any]]) -> Stream:
@@ -380,9 +346,8 @@ class _Images(_MessageReader):
 
     def _check_size(self, width: int, height: int) -> None:
         if not (0 < width <= LARGEST_FRAME_PX and 0 < height <= LARGEST_FRAME_PX):
-            self.refuse(
-                "an image has an impossible size", f"1 to {LARGEST_FRAME_PX} px per side", f"{width} x {height}"
-            )
+            expected = f"1 to {LARGEST_FRAME_PX} px per side"
+            self.refuse("an image has an impossible size", expected, f"{width} x {height}")
 
     def _plain(self, message: Any) -> NDArray[np.uint8]:
         if message.encoding not in ENCODINGS:
@@ -391,11 +356,8 @@ class _Images(_MessageReader):
         width, height, step = int(message.width), int(message.height), int(message.step)
         self._check_size(width, height)
         if step < width * stored or len(message.data) != step * height:
-            self.refuse(
-                "an image does not have the size that it states",
-                f"{height} rows of {step} bytes",
-                str(len(message.data)),
-            )
+            expected = f"{height} rows of {step} bytes"
+            self.refuse("an image does not have the size that it states", expected, str(len(message.data)))
         rows = np.asarray(message.data, np.uint8).reshape(height, step)[:, : width * stored]
         return np.ascontiguousarray(rows.reshape(height, width, stored)[:, :, list(shown)])
 
@@ -415,36 +377,17 @@ class _Images(_MessageReader):
         return pixels.reshape(*pixels.shape[:2], -1)
 
 
-def trigger_topics(bag: Bag) -> dict[str, str]:
-    """Return the topics of a bag that have triggers, with the type of their messages."""
-    topics = {one.topic: one.msgtype for one in bag.connections if one.msgtype in TRIGGERS_OF_DV and one.msgcount}
-    packets = {one.topic: one.msgtype for one in bag.connections if layout(one) == PACKET and one.msgcount}
-    return topics | {topic: kind for topic, kind in packets.items() if is_of_triggers(bag, topic)}
-
-
-def read_triggers(path: Path, topic: str, folder: Path | None) -> Stream:
+def read_triggers(bag: Bag, topic: str, folder: Path | None) -> Stream:
     """Return the triggers of a topic on the bag's clock; raise InputError if messages are damaged."""
-    t_us, *values = joined_on_disk(folder, _trigger_parts(path, topic)) or (np.empty(0, np.int64),)
-    names = ("source",) if len(values) == 1 else ("id", "edge")
-    columns = dict(zip(names, values, strict=False))
-    return Stream("", t_us, columns, source=f"{path.name}: {topic}", clock="the camera's, same as the events")
-
-
-def _trigger_parts(path: Path, topic: str) -> Iterator[tuple[NDArray[Any], ...]]:
-    bag = open_bag(path)
     connections = [one for one in bag.connections if one.topic == topic]
-    for number, (connection, _, message) in enumerate(bag.messages(connections)):
-        with read_in_words(f"{path}: message {number} on {topic}", "a trigger cannot be read"):
-            fields = Fields(message, ros2=connection.ros2)
-            if connection.msgtype in TRIGGERS_OF_DV:
-                source, (seconds, nanoseconds) = fields.number("b"), (fields.number("I"), fields.number("I"))
-                yield np.array([seconds * 10**6 + nanoseconds // NS], np.int64), np.array([float(source)])
-                continue
-            packet = event_packet(fields)
-            if packet.encoding != TRIGGER or len(packet.content) % TRIGGER_BYTES:
-                raise ValueError(f"{len(packet.content)} bytes of {packet.encoding[:20]!r}")
-            words = np.frombuffer(packet.content, "<u8")
-            t_us = (packet.time_base_ns + (words & np.uint64(0xFFFFFFFF)).astype(np.int64)) // NS
-            number_of = (words >> np.uint64(48) & np.uint64(0x7FFF)).astype(np.float64)
-            if len(words):
-                yield t_us, number_of, (words >> np.uint64(63)).astype(np.float64)
+
+    def parts() -> Iterator[tuple[NDArray[Any], ...]]:
+        for number, (connection, _, message) in enumerate(bag.messages(connections)):
+            with read_in_words(f"{bag.path}: message {number} on {topic}", "a trigger cannot be read"):
+                fields = Fields(message, ros2=connection.ros2)
+                source, seconds, nanoseconds = (fields.number(code) for code in "bII")
+            yield np.array([seconds * 10**6 + nanoseconds // NS], np.int64), np.array([float(source)])
+
+    t_us, source = joined_on_disk(folder, parts())
+    clock = "the camera's, same as the events"
+    return Stream("", t_us, {"source": source}, source=f"{bag.path.name}: {topic}", clock=clock)

@@ -1,6 +1,6 @@
 """Read events from bags of ROS 1 (`.bag`) and ROS 2 (a folder, `.db3`, `.mcap`), the extra `convert`.
 
-open_bag finds the messages; ros_messages decodes them from their bytes. So a bag needs no definitions of its messages,
+bag_files finds the messages; ros_messages decodes them from their bytes. So a bag needs no definitions of its messages,
 and the definitions of other topics do not matter. A layout is identified by the checksum of its definition, also in ROS
 2 bags that have the definition, independently of the package's name: several makers publish the same layout under their
 own names. Without a definition, the name of the type decides. A known name with another layout is refused. An export of
@@ -8,8 +8,8 @@ evetac has its note on a topic.
 """
 
 from collections import Counter
-from collections.abc import Callable, Generator, Iterator
-from contextlib import closing, contextmanager, suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
@@ -19,10 +19,8 @@ from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
 from evetac_cli.formats.note import Note, read_note
-from evetac_cli.formats.read.bags.bag_files import BAGS
-from evetac_cli.formats.read.bags.bag_readers import Connection
-from evetac_cli.formats.read.bags.message_definitions import checksum
-from evetac_cli.formats.read.bags.open_bag import Bag, Message, open_bag
+from evetac_cli.formats.read.bags.bag_files import BAGS, Bag, Message, open_bag
+from evetac_cli.formats.read.bags.bag_readers import Connection, checksum
 from evetac_cli.formats.read.bags.ros_messages import (
     NS,
     Fields,
@@ -44,8 +42,8 @@ SIMULATED_START_US = 1_000_000  # a first time of 0 is one if the next is at mos
 RECEPTION = "the time at which the recorder received the message"
 UNSET = "events whose time is 0, so never set"
 PROPHESEE = ("evt2", "evt3")
+Content = tuple[str, Any]  # a text on where a message is, and its events or packet
 KNOWN_ENCODINGS = ("mono", "libcaer", "libcaer_cmp", *PROPHESEE)
-TRIGGER = "trigger"  # the encoding of packets without events
 
 ARRAY = "5e8beee5a6c107e504c2e78903c224b8"
 PACKET = "8a6101b351a64529ac77bd8b71074e52"
@@ -91,79 +89,49 @@ def open_rosbag(path: Path, frame_px: tuple[int, int] | None, stream: str | None
         source.note = _note(bag, where)
     source.left_out |= _left_out(bag.connections, topic)
     first = next(_messages(bag, topic), None)
-    if first is None and source.note is not None and not source.note.slices:
+    if first is None:
+        if source.note is None or source.note.slices:
+            raise InputError(f"the topic {topic} has no messages", where=where, hint="was the camera running?")
         source.frame_px = choose_frame(source.note.frame_px, frame_px, where)
         return source
-    if first is None:
-        raise InputError(
-            f"the topic {topic} has no messages", where=where, hint="was the camera running during the recording?"
-        )
     frame, content = _read(first[0], first[2], f"{where}: message 0")
     encoding = content.encoding if isinstance(content, Packet) else ""
     source.frame_px = choose_frame(frame, frame_px, where)
+    contents = _contents(bag, topic, kind, source, encoding)
     if encoding in PROPHESEE:
-        source.batches = _prophesee(path, topic, kind, source, encoding)
+        source.batches = decoded(encoding, _blocks(contents, source, encoding), source, f"{path}: {topic}")
     elif not isinstance(content, Packet) or decoder(encoding) is not None:
-        source.batches = _batches(path, topic, kind, source, encoding)
+        source.batches = _batches(contents, kind, source, encoding)
     else:
-        raise InputError(
-            f"the encoding of the messages on {topic} is not supported",
-            where=where,
-            expected=", ".join(KNOWN_ENCODINGS),
-            found=encoding[:40] or "none",
-        )
+        message, expected = f"the encoding of the messages on {topic} is not supported", ", ".join(KNOWN_ENCODINGS)
+        raise InputError(message, where=where, expected=expected, found=encoding[:40] or "none")
     return source
 
 
 def topics_of_events(bag: Bag, where: str) -> dict[str, str]:
-    """Return the layout of each topic that has events, the default topic first.
-
-    A topic whose packets contain triggers is left out if there are others. Raises InputError if the layout of a known
-    type has changed.
-    """
+    """Return the layout of each topic with events, the default first; raise InputError for a changed known type."""
     topics: dict[str, str] = {}
     for connection in bag.connections:
         if digest := layout(connection):
             topics[connection.topic] = digest
         elif connection.msgtype in TYPES:
-            raise InputError(
-                f"this definition of {connection.msgtype} is not supported",
-                where=f"{where}: {connection.topic}",
-                expected=f"checksum {TYPES[connection.msgtype]}",
-                found=(connection.digest or checksum(connection.msgtype, connection.definition))[:40],
-            )
+            found = connection.digest or checksum(connection.msgtype, connection.definition)
+            message, expected = f"unknown definition of {connection.msgtype}", f"checksum {TYPES[connection.msgtype]}"
+            raise InputError(message, where=f"{where}: {connection.topic}", expected=expected, found=found[:40])
     by_name = sorted(topics, key=lambda topic: (topics[topic] == IMAGE, topic))  # prefer events to images
-    if len(topics) > 1:
-        by_name = [topic for topic in by_name if not is_of_triggers(bag, topic)] or by_name
     return {topic: topics[topic] for topic in by_name}
-
-
-def is_of_triggers(bag: Bag, topic: str) -> bool:
-    """Whether a topic has packets of triggers, judging by its first message."""
-    packets = [one for one in bag.connections if one.topic == topic and layout(one) == PACKET]
-    for connection, _, message in bag.messages(packets):
-        with suppress(ValueError):
-            return event_packet(Fields(message, ros2=connection.ros2)).encoding == TRIGGER
-        break
-    return False
 
 
 def _choose(topics: dict[str, str], bag: Bag, wanted: str | None, where: str) -> str:
     """Return the topic to read: the requested one, or the first."""
     if not topics:
-        kinds = sorted({connection.msgtype for connection in bag.connections})
-        raise InputError(
-            "the bag has no events",
-            where=where,
-            expected=f"{', '.join(TYPES)}, or a type of the same layout",
-            found=", ".join(kinds)[:300] or "nothing",
-            hint=NOT_RECORDED if kinds else "",
-        )
+        kinds = ", ".join(sorted({connection.msgtype for connection in bag.connections}))[:300]
+        expected, hint = f"{', '.join(TYPES)}, or a type of the same layout", NOT_RECORDED if kinds else ""
+        raise InputError("the bag has no events", where=where, expected=expected, found=kinds or "nothing", hint=hint)
     topic = next(iter(topics)) if wanted is None else wanted
     if topic not in topics:
-        raise InputError(
-            "this topic does not exist or has no events", where=where, expected=" or ".join(sorted(topics)), found=topic
-        )
+        expected = " or ".join(sorted(topics))
+        raise InputError("this topic does not exist or has no events", where=where, expected=expected, found=topic)
     return topic
 
 
@@ -186,21 +154,18 @@ def _left_out(connections: list[Connection], topic: str) -> dict[str, int]:
     return dict(counts)
 
 
-def _batches(path: Path, topic: str, kind: str, source: EventSource, encoding: str) -> Iterator[EventColumns]:
-    """Yield the events of each message of a topic as one batch; at the end add notes on losses to `source`."""
+def _batches(contents: Iterator[Content], kind: str, source: EventSource, encoding: str) -> Iterator[EventColumns]:
+    """Yield the events of each message of a topic as one batch; at the end add a note on images to `source`."""
     decode = decoder(encoding)
     stamps = []
-    with closing(_contents(path, topic, kind, source, encoding)) as contents:
-        for number, (where, content) in enumerate(contents):
-            if isinstance(content, Packet):
-                assert decode is not None
-                with _layout_in_words(where):
-                    part: MessageEvents = decode(content)
-            else:
-                part = content
-            if kind == IMAGE and len(part.t):
-                stamps.append(int(part.t[0]))
-            yield EventColumns(*part, partial(_place, number))
+    for number, (where, content) in enumerate(contents):
+        part: MessageEvents = content
+        if decode is not None:
+            with _layout_in_words(where):
+                part = decode(content)
+        if kind == IMAGE and len(part.t):
+            stamps.append(int(part.t[0]))
+        yield EventColumns(*part, partial("in message {}, event {}".format, number))
     if kind == IMAGE:
         apart = f"every {(stamps[-1] - stamps[0]) / (len(stamps) - 1) / 1000:.3g} ms" if len(stamps) > 1 else "once"
         source.notes.append(
@@ -209,60 +174,38 @@ def _batches(path: Path, topic: str, kind: str, source: EventSource, encoding: s
         )
 
 
-def _place(number: int, row: int) -> str:
-    return f"in message {number}, event {row}"
-
-
-def _prophesee(path: Path, topic: str, kind: str, source: EventSource, encoding: str) -> Iterator[EventColumns]:
-    """Yield events from the words of all messages, decoded as one RAW file."""
-    yield from decoded(encoding, _blocks(path, topic, kind, source, encoding), source, f"{path}: {topic}")
-
-
 def _blocks(
-    path: Path, topic: str, kind: str, source: EventSource, encoding: str
+    contents: Iterator[Content], source: EventSource, encoding: str
 ) -> Iterator[tuple[NDArray[Any], Callable[[int], str]]]:
     """Yield the words of each message; a word split over two messages belongs to the second."""
     dtype = np.dtype(ENCODINGS[encoding].dtype)
     rest = b""
-    with closing(_contents(path, topic, kind, source, encoding)) as packets:
-        for number, (_, packet) in enumerate(packets):
-            content = rest + bytes(packet.content)
-            whole = len(content) // dtype.itemsize * dtype.itemsize
-            rest = content[whole:]
-            yield np.frombuffer(content[:whole], dtype), partial(_word_place, number)
+    for number, (_, packet) in enumerate(contents):
+        content = rest + bytes(packet.content)
+        whole = len(content) // dtype.itemsize * dtype.itemsize
+        rest = content[whole:]
+        yield np.frombuffer(content[:whole], dtype), partial("in message {}, word {}".format, number)
     if rest:
         source.notes.append(f"cut short: the last {len(rest)} bytes are an incomplete word")
 
 
-def _word_place(number: int, word: int) -> str:
-    return f"in message {number}, word {word}"
-
-
-def _contents(
-    path: Path, topic: str, kind: str, source: EventSource, encoding: str
-) -> Generator[tuple[str, Any], None, None]:
+def _contents(bag: Bag, topic: str, kind: str, source: EventSource, encoding: str) -> Iterator[Content]:
     """Yield the content of each message of a topic; add a note on lost messages to `source`.
 
     Raises InputError if layout, frame size or encoding change.
     """
     lost, unset, expected = 0, 0, None
-    bag = open_bag(path)
     times = None if kind == PACKET else _EventTimes(_messages(bag, topic))
-    by_reception, order_note = _order(bag, topic, times)
-    source.notes += [note for note in (times.note if times else "", order_note) if note]
-    for number, found in enumerate(_messages(bag, topic, by_reception=by_reception)):
+    source.notes += [times.note] if times is not None and times.note else []
+    for number, found in enumerate(_messages(bag, topic)):
         connection, _, message = found
-        where = f"{path}: message {number} on {topic}"
+        where = f"{bag.path}: message {number} on {topic}"
         if layout(connection) != kind:
             raise InputError("the layout of the messages changes", where=where, found=connection.msgtype)
         frame, content = _read(connection, message, where)
         if frame != source.frame_px:
-            raise InputError(
-                "the frame size changes",
-                where=where,
-                expected="{}x{}".format(*source.frame_px),
-                found="{}x{}".format(*frame),
-            )
+            sizes = ("{}x{}".format(*size) for size in (source.frame_px, frame))
+            raise InputError("the frame size changes", where=where, expected=next(sizes), found=next(sizes))
         if isinstance(content, Packet):
             if content.encoding != encoding:
                 raise InputError("the encoding changes", where=where, expected=encoding, found=content.encoding[:40])
@@ -294,11 +237,10 @@ def _layout_in_words(where: str) -> Iterator[None]:
         raise InputError("a message is damaged", where=where, found=str(error)) from None
 
 
-def _messages(bag: Bag, topic: str, *, of_type: str = "", by_reception: bool = False) -> Iterator[Message]:
+def _messages(bag: Bag, topic: str, *, of_type: str = "") -> Iterator[Message]:
     """Yield the messages of a topic that have events, or a given type."""
     of_topic = (one for one in bag.connections if one.topic == topic)
-    connections = [one for one in of_topic if (one.msgtype == of_type if of_type else layout(one))]
-    return bag.messages(connections, by_reception=by_reception)
+    return bag.messages([one for one in of_topic if (one.msgtype == of_type if of_type else layout(one))])
 
 
 class _EventTimes:
@@ -315,76 +257,27 @@ class _EventTimes:
         for connection, _, message in messages:
             with suppress(ValueError):  # refused when it is read
                 first_stamp_us = first_stamp_us or _stamp_us(connection, message)
-                content = LAYOUTS[layout(connection)](Fields(message, ros2=connection.ros2))
-                if not isinstance(content, Packet) and content[1].t.any():
-                    first_us = int(content[1].t[content[1].t != 0][0])
+                _, events = LAYOUTS[layout(connection)](Fields(message, ros2=connection.ros2))
+                if events.t.any():
+                    first_us = int(events.t[events.t != 0][0])
                     break
-        self.by_header = not first_us and first_stamp_us != 0
-        self.by_reception = not first_us and not first_stamp_us
-        self._begun = not 0 < (first_us or first_stamp_us) <= SIMULATED_START_US
-        source = "header.stamp of its message" if self.by_header else RECEPTION
+        self._by_message = not first_us
+        self._by_reception = not first_us and not first_stamp_us
+        self._from_0 = 0 < (first_us or first_stamp_us) <= SIMULATED_START_US
+        source = RECEPTION if self._by_reception else "header.stamp of its message"
         self.note = "" if first_us else f"no event has a time of its own: used {source}"
 
     def completed(self, events: MessageEvents, message: Message) -> MessageEvents:
         """Return the events of the next message that have a time."""
-        if self.by_header or self.by_reception:
+        if self._by_message:
             connection, received_ns, content = message
-            t_us = received_ns // NS if self.by_reception else _stamp_us(connection, content)
+            t_us = received_ns // NS if self._by_reception else _stamp_us(connection, content)
             events = events._replace(t=np.full(len(events.t), t_us))
         known = events.t != 0
-        if not self._begun:
-            self._begun = bool(known.any())
-            known[: np.argmax(known) if self._begun else None] = True
-        return events if known.all() else MessageEvents(*(column[known] for column in events))
+        if self._from_0 or known.all():
+            return events
+        return MessageEvents(*(column[known] for column in events))
 
 
 def _stamp_us(connection: Connection, message: bytes) -> int:
     return Fields(message, ros2=connection.ros2).header()
-
-
-def _order(bag: Bag, topic: str, times: _EventTimes | None) -> tuple[bool, str]:
-    """Return whether messages of events are read in order of reception instead of the file's, and a note.
-
-    The two differ if the recorder's clock was set back, or if the file was written in another order. The events' own
-    times decide: the order in which they go back more rarely is right, the file's if there is no difference.
-    """
-    connections = [one for one in bag.connections if one.topic == topic and layout(one)]
-    if not bag.disordered(connections):
-        return False, ""
-    steps = []
-    for by_reception in (False, True):
-        back, latest, received = 0, (0, 0), [0, 0]  # count, and largest step back of the time of reception
-        latest_ns = 0
-        for connection, time_ns, message in bag.messages(connections, by_reception=by_reception):
-            if time_ns < latest_ns:
-                received = [received[0] + 1, max(received[1], latest_ns - time_ns)]
-            latest_ns = time_ns
-            own = _own_place(connection, message, times)
-            if own is not None:
-                back, latest = back + (own < latest), own
-        steps.append((back, *received))
-    (of_file, count, most_ns), (of_reception, *_) = steps
-    often = "once" if count == 1 else f"{count:,} times"
-    said = f"the recorder's clock goes back {often}, by up to {most_ns / 1e9:.6g} s: "
-    if times is not None and times.by_reception:
-        return True, said + "the messages are read in the order of its times" if count else ""
-    if of_reception < of_file:
-        return (
-            True,
-            "the messages are stored in another order than that of their events: read as they were received",
-        )
-    return False, said + "the events' own times are used" if count else ""
-
-
-def _own_place(connection: Connection, message: bytes, times: _EventTimes | None) -> tuple[int, int] | None:
-    """Return what orders messages of one publisher: the number of a packet and its time, or the time of an event."""
-    try:
-        content = LAYOUTS[layout(connection)](Fields(message, ros2=connection.ros2))
-    except ValueError:  # refused when it is read
-        return None
-    if isinstance(content, Packet):
-        return content.sequence, 0 if content.encoding in PROPHESEE else content.time_base_ns
-    if times is not None and times.by_header:
-        return (_stamp_us(connection, message), 0)
-    known = content[1].t[content[1].t != 0]
-    return (int(known[0]), 0) if len(known) else None

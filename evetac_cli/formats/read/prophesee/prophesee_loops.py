@@ -29,40 +29,10 @@ def count_types(words: NDArray[Any], shift: int) -> NDArray[np.int64]:
 
 
 @njit(cache=True)
-def evt2(
-    words: NDArray[np.uint32], highs: NDArray[np.int64], state: Any, columns: EventColumns, edges: TriggerColumns
-) -> int:
-    """Decode words of EVT2."""
-    t, x, y, p = columns
-    trigger_t, trigger_id, trigger_edge = edges
-    events = triggers = times = 0
-    base = state[0].high << 6
-    for each in words:
-        word = np.int64(each)
-        kind = word >> 28
-        if kind <= 1:
-            t[events] = base + (word >> 22 & 0x3F)
-            x[events] = word >> 11 & 0x7FF
-            y[events] = word & 0x7FF
-            p[events] = kind
-            events += 1
-        elif kind == TIME_HIGH:
-            base = highs[times] << 6
-            times += 1
-        elif kind == TRIGGER:
-            trigger_t[triggers] = base + (word >> 22 & 0x3F)
-            trigger_id[triggers] = word >> 8 & 0x1F
-            trigger_edge[triggers] = word & 1
-            triggers += 1
-    state[0].high = base >> 6
-    return events
-
-
-@njit(cache=True)
 def evt21(
     words: NDArray[np.uint64], highs: NDArray[np.int64], state: Any, columns: EventColumns, edges: TriggerColumns
 ) -> int:
-    """Decode words of EVT2.1: an event for each set bit of the lower half."""
+    """Decode words of EVT2.1: an event for each set bit of the lower half. An event of EVT2 has one, the lowest."""
     t, x, y, p = columns
     trigger_t, trigger_id, trigger_edge = edges
     events = triggers = times = 0

@@ -33,10 +33,9 @@ OFFSET = "t_offset_us"  # the key of a line that evetac writes
 OFFSETS = (OFFSET, "t0")
 HEAD_LIMIT_BYTES = BLOCK_BYTES = 1 << 20
 KINDS = {"2.0": "evt2", "evt2": "evt2", "2.1": "evt2.1", "evt21": "evt2.1", "3.0": "evt3", "evt3": "evt3"}
-MOST_TRIGGERS = 1 << 22  # of a file, because they are kept in memory
 # Shift and mask of column, row and polarity, by the version of DAT.
 DAT_FIELDS = {"dat1": ((0, 0x1FF), (9, 0xFF), (17, 1)), "dat2": ((0, 0x3FFF), (14, 0x3FFF), (28, 1))}
-DAT_EVENTS, DAT_TRIGGERS, DAT_BYTES = (0x00, 0x0C), 0x0E, 8
+DAT_EVENTS, DAT_BYTES = (0x00, 0x0C), 8
 TRIGGERS = "external triggers; id: the input; edge: 1 rises, 0 falls"
 
 
@@ -75,11 +74,7 @@ def read_head(path: Path) -> Head:
     while content.startswith(b"% ", size) and "end" not in fields:
         end = content.find(b"\n", size)
         if end < 0:
-            raise InputError(
-                "the file ends inside its header",
-                where=where,
-                hint="is the file complete? compare its size with that of the original",
-            )
+            raise InputError("the file ends inside its header", where=where, hint="copy it again from the original")
         key, _, value = content[size + 2 : end].decode(errors="replace").strip().partition(" ")
         fields[key.lower()] = value.strip()
         size = end + 1
@@ -100,20 +95,10 @@ def read_head(path: Path) -> Head:
 
 def _check_dat(type_and_size: bytes, where: str) -> None:
     """Raise InputError unless the two bytes after the head of DAT announce events of a supported type and size."""
-    if len(type_and_size) < 2:
-        raise InputError("the file has no events", where=where, found="nothing after the header")
-    kind, size = type_and_size
-    if kind == DAT_TRIGGERS:
-        raise InputError(
-            "the file has external triggers but no events", where=where, found=f"DAT of event type {kind:#x}"
-        )
+    kind, size = type_and_size if len(type_and_size) == 2 else (-1, 0)
     if kind not in DAT_EVENTS or size != DAT_BYTES:
-        raise InputError(
-            "this event type of DAT is not supported",
-            where=where,
-            expected=f"event type 0x0 or 0xc, of {DAT_BYTES} bytes",
-            found=f"type {kind:#x}, of {size} bytes",
-        )
+        expected, found = f"events of type 0x0 or 0xc, of {DAT_BYTES} bytes", f"type {kind:#x}, of {size} bytes"
+        raise InputError("the file has no events that can be read", where=where, expected=expected, found=found)
 
 
 def _clock_us(fields: dict[str, str], where: str) -> int:
@@ -135,13 +120,8 @@ def _kind(fields: dict[str, str], where: str) -> str:
     name = fields.get("evt") or fields.get("format", "").split(";")[0].lower()
     if name in KINDS:
         return KINDS[name]
-    raise InputError(
-        "this encoding of RAW is not supported",
-        where=where,
-        expected="EVT2, EVT2.1 or EVT3",
-        found=name[:20] or "no name",
-        hint="convert the file to HDF5 or text with Prophesee's tools",
-    )
+    message, hint = "this encoding of RAW is not supported", "convert the file to HDF5 or text with Prophesee's tools"
+    raise InputError(message, where=where, expected="EVT2, EVT2.1 or EVT3", found=name[:20], hint=hint)
 
 
 def _frame(fields: dict[str, str]) -> tuple[int, int] | None:
@@ -177,35 +157,26 @@ def decoded(
     """Yield the events of blocks of RAW words; at the end add triggers and left-out data to `source`."""
     decoder = PropheseeDecoder(kind)
     triggers: list[tuple[NDArray[Any], ...]] = []
-    kept = done = 0
+    done = 0
     for words, place in blocks:
         part = decoder.part(words, place)
-        if count := len(part.trigger_t):
-            if kept + count <= MOST_TRIGGERS:
-                triggers.append(part[4:])
-                kept += count
-            else:
-                beyond = f"triggers beyond the first {MOST_TRIGGERS:,}"
-                source.left_out[beyond] = source.left_out.get(beyond, 0) + count
+        if len(part.trigger_t):
+            triggers.append(part[4:])
         if len(part.t):
             yield EventColumns(*part[:4], partial(at_index, done))
         done += len(part.t)
     undefined = decoder.undefined.total()
     if undefined > MOST_UNDEFINED * decoder.words:  # of all words, because a block may have only a few
-        raise InputError(
-            f"the content is not {decoder.encoding.name}, which the header states",
-            where=where,
-            expected=f"words of {decoder.encoding.name}",
-            found=f"{undefined:,} of {decoder.words:,} words are of undefined types, {decoder.first_undefined}",
-            hint="is the file damaged, or does it have the header of another file?",
-        )
+        message = f"the content is not {decoder.encoding.name}, which the header states"
+        found = f"{undefined:,} of {decoder.words:,} words are of undefined types, {decoder.first_undefined}"
+        raise InputError(message, where=where, found=found)
     if decoder.untimed:
         size = np.dtype(decoder.encoding.dtype).itemsize
         source.notes.append(f"left out {decoder.untimed * size} bytes before the first time stamp")
     if undefined:
         source.left_out["words of undefined types"] = undefined
     source.notes += decoder.clock.notes
-    if kept:
+    if triggers:
         t_us, number, edge = (np.concatenate(column) for column in zip(*triggers, strict=True))
         rows = np.argsort(t_us, kind="stable")
         t_us, columns = t_us[rows], {"id": number[rows].astype(np.float64), "edge": edge[rows].astype(np.float64)}

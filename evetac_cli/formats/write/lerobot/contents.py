@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.errors import InputError
 from evetac_cli.events import SLICES_PER_S
 from evetac_cli.formats.write.lerobot import event_stacks, other_streams
 from evetac_cli.formats.write.lerobot.episodes import (
@@ -16,15 +15,13 @@ from evetac_cli.formats.write.lerobot.episodes import (
     Episode,
     EpisodeOutline,
     Vectors,
-    choose_points,
     choose_vectors,
     names_of,
     require_alike,
 )
 from evetac_cli.formats.write.lerobot.event_stacks import EventStacks
-from evetac_cli.formats.write.lerobot.features import ACTION, STATE, VIDEO, Feature, indices, vector, video
+from evetac_cli.formats.write.lerobot.meta_files import ACTION, STATE, VIDEO, Feature, indices, vector, video
 from evetac_cli.formats.write.lerobot.other_streams import NUMBERS, StreamShapes
-from evetac_cli.formats.write.lerobot.point_sets import PointSet
 
 RULES = {
     "mean": "the mean of the frame's slices",
@@ -40,7 +37,6 @@ class Choices:
     fps: int
     per_frame: str
     tactile_key: str
-    tactile_layout: str
     event_frames: str | None
     size: tuple[int, int] | None
     truth: bool
@@ -52,14 +48,13 @@ class Choices:
 
 
 class FrameContents(NamedTuple):
-    """The features, and their sources: columns, points, event frames and images of streams.
+    """The features, and their sources: columns, event frames and images of streams.
 
     stream_videos: name of the feature -> name of the stream.
     """
 
     features: Mapping[str, Feature]
     vectors: Vectors
-    points: PointSet | None
     stacks: EventStacks | None
     stream_videos: Mapping[str, str]
     choices: Choices
@@ -68,13 +63,9 @@ class FrameContents(NamedTuple):
         """Return the columns of an episode: arrays (frames, ...), and numbers (frames,)."""
         frames = len(episode.state)
         at = np.arange(frames, dtype=np.int64)
-        if self.points is None:
-            tactile = {self.choices.tactile_key: episode.tactile}
-        else:
-            tactile = self.points.rows(self.vectors.tactile, episode.tactile, episode.dot_forces)
         return {
             STATE: episode.state,
-            **tactile,
+            self.choices.tactile_key: episode.tactile,
             **episode.others,
             ACTION: episode.action,
             "timestamp": (at / self.choices.fps).astype(np.float32),
@@ -91,34 +82,18 @@ def choose(outlines: Sequence[EpisodeOutline], choices: Choices) -> tuple[FrameC
     Raises InputError if the trials or options do not fit together.
     """
     require_alike(outlines)
-    as_points = choices.tactile_layout == "points"
-    if as_points and choices.per_frame == "stacked":
-        raise InputError(
-            "points cannot be stacked",
-            where="--per-frame",
-            expected="mean or last, or --tactile-layout vector",
-            found="stacked",
-        )
-    if as_points and choices.tactile_key == "observation.environment_state":
-        expected = "--tactile-layout vector"
-        raise InputError("has no effect on points", where="--tactile-key", expected=expected, found="points")
     frame_px = outlines[0].frame_px
     stacks = event_stacks.parse(choices.event_frames, choices.size, frame_px)
-    vectors, left_out = choose_vectors(outlines, as_points=as_points, truth=choices.truth)
+    vectors, left_out = choose_vectors(outlines, truth=choices.truth)
     streams, more = other_streams.shared([one.streams for one in outlines], LARGEST_PX)
     left_out += more
-    points = None
-    if as_points:
-        points, more = choose_points(outlines, vectors.tactile)
-        left_out += more
     videos = {other_streams.image_key(name): name for name in streams.images}
-    features = _features(vectors, points, stacks, videos, streams, frame_px, choices)
-    return FrameContents(features, vectors, points, stacks, videos, choices), left_out
+    features = _features(vectors, stacks, videos, streams, frame_px, choices)
+    return FrameContents(features, vectors, stacks, videos, choices), left_out
 
 
 def _features(
     vectors: Vectors,
-    points: PointSet | None,
     stacks: EventStacks | None,
     stream_names: Mapping[str, str],
     streams: StreamShapes,
@@ -128,11 +103,8 @@ def _features(
     width, height = (side + side % 2 for side in frame_px)
     words = "all events of the frame: white is brighter (ON), black is darker (OFF), grey is no event"
     features = {STATE: vector(vectors.state, f"{', '.join(vectors.state)}: the last measured values")}
-    if points is None:
-        names = names_of(vectors.tactile, choices.per_frame, SLICES_PER_S // choices.fps)
-        features[choices.tactile_key] = vector(names, f"{len(vectors.tactile)} tactile values, {choices.rule}")
-    else:
-        features |= points.features(choices.rule)
+    names = names_of(vectors.tactile, choices.per_frame, SLICES_PER_S // choices.fps)
+    features[choices.tactile_key] = vector(names, f"{len(vectors.tactile)} tactile values, {choices.rule}")
     features[VIDEO] = video(height, width, choices.fps, words)
     features |= {} if stacks is None else stacks.features()
     for key, name in stream_names.items():

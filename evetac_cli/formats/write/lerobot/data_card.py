@@ -12,7 +12,7 @@ from evetac_cli.events import SLICES_PER_S
 from evetac_cli.formats.write.hub_card import NO_LICENSE, card_fields, card_text, inline, table
 from evetac_cli.formats.write.lerobot.contents import FrameContents
 from evetac_cli.formats.write.lerobot.episodes import TRUTH, EpisodeOutline
-from evetac_cli.formats.write.lerobot.features import Feature
+from evetac_cli.formats.write.lerobot.meta_files import Feature
 from evetac_cli.store.layout.provenance import time_host_versions
 
 LONGEST_CELL = 80  # characters of a text that comes from a file
@@ -74,10 +74,7 @@ def _limitations(contents: FrameContents, simulated: bool) -> list[str]:
     lines.append(
         "Splits are only labels: lerobot trains on all episodes unless `--dataset.episodes` selects some of them."
     )
-    if contents.points is not None:
-        lines.append("dz of the points is not measured: it is 0. Forces and the wrench are estimated from dot motion.")
-    else:
-        lines.append("Contact forces are estimated from dot motion, not measured.")
+    lines.append("Contact forces are estimated from dot motion, not measured.")
     if contents.stacks is not None:
         lines.append(
             f"More than {contents.stacks.full_scale} events of one sign per pixel and frame are clipped to this number."

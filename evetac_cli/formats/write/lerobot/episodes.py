@@ -20,9 +20,8 @@ from numpy.typing import NDArray
 from evetac_cli.arrays import Singles
 from evetac_cli.errors import InputError
 from evetac_cli.events import SLICES_PER_S
-from evetac_cli.formats.write.lerobot import other_streams, point_sets
+from evetac_cli.formats.write.lerobot import other_streams
 from evetac_cli.formats.write.lerobot.other_streams import NUMBERS, StreamShapes
-from evetac_cli.formats.write.lerobot.point_sets import OF_WRENCH, PointSet
 from evetac_cli.formats.write.slice_columns import Masked, TrialFiles, columns_of, read_columns
 from evetac_cli.kernels.event_representation import event_image
 from evetac_cli.store.layout.ancestry import scene_words
@@ -40,7 +39,6 @@ TACTILE = re.compile(
     "|touch_(area_mm2|sticking_share)|(control|model)_probability"
 )
 TRUTH = "simulated_truth"  # not `observation...`: lerobot's policies use every feature whose name begins so as input
-OF_POINTS = re.compile("|".join((DISPLACEMENT.pattern, *OF_WRENCH)))
 MOST_BYTES = 2_000_000_000  # memory for a trial's slices
 MOST_EVENTS = 4_000_000  # drawn in one picture: the last events of the frame
 LARGEST_PX = 4096  # side of a picture that every H.264 codec supports
@@ -58,7 +56,6 @@ class EpisodeOutline(NamedTuple):
     slices: int
     frame_px: tuple[int, int]
     streams: StreamShapes
-    has_dot_forces: bool
 
     def truth(self) -> list[str]:
         """Return the columns of ground truth, which only simulated trials have."""
@@ -66,7 +63,7 @@ class EpisodeOutline(NamedTuple):
 
 
 class Vectors(NamedTuple):
-    """The columns that all trials have: of the state, the tactile vector or points, the action, and other features."""
+    """The columns that all trials have: of the state, the tactile vector, the action, and other features."""
 
     state: tuple[str, ...]
     tactile: tuple[str, ...]
@@ -93,58 +90,41 @@ def outline(files: TrialFiles, task: str | None) -> EpisodeOutline:
         len(recording),
         recording.frame_px,
         other_streams.shapes(recording, names),
-        point_sets.tells_forces(files),
     )
 
 
 def require_alike(outlines: Sequence[EpisodeOutline]) -> None:
     """Raise InputError if a trial has no gripper or no displacements, or if the trials' frame sizes differ."""
+    size = "{} x {}".format
     for one in outlines:
+        where = str(one.path)
         if not set(one.names).issuperset((*STATE, *OF_GRIPPER)):
-            raise InputError("the recording has no gripper, so an episode would have no action", where=str(one.path))
+            raise InputError("the recording has no gripper, so an episode would have no action", where=where)
         if not any(map(DISPLACEMENT.fullmatch, one.names)):
-            raise InputError(
-                "the trial has no features; an episode needs the displacements of the dots",
-                where=str(one.path),
-                expected="features next to the recording",
-                hint="run evetac track, then evetac featurize",
-            )
+            hint = "run evetac track, then evetac featurize"
+            raise InputError("an episode needs the features of the trial", where=where, hint=hint)
         if one.frame_px != outlines[0].frame_px:
-            raise InputError(
-                "the trials have different frame sizes; all episodes of a data set need the same",
-                where=str(one.path),
-                expected=_size(outlines[0]),
-                found=_size(one),
-            )
+            expected, found = size(*outlines[0].frame_px), size(*one.frame_px)
+            raise InputError("the trials have different frame sizes", where=where, expected=expected, found=found)
         if max(one.frame_px) > LARGEST_PX:
-            raise InputError(
-                "the frame is too large for a video",
-                where=str(one.path),
-                expected=f"at most {LARGEST_PX} px per side",
-                found=_size(one),
-            )
+            expected, found = f"at most {LARGEST_PX} px per side", size(*one.frame_px)
+            raise InputError("the frame is too large for a video", where=where, expected=expected, found=found)
 
 
-def choose_vectors(outlines: Sequence[EpisodeOutline], *, as_points: bool, truth: bool) -> tuple[Vectors, list[str]]:
+def choose_vectors(outlines: Sequence[EpisodeOutline], *, truth: bool) -> tuple[Vectors, list[str]]:
     """Return the columns that all trials have, and a text on those that only some have, which are left out.
 
-    as_points: use the columns of a point set instead of the tactile vector. Raises InputError if the trials have
-    different dots or actions, or if truth is requested but the trials have none.
+    Raises InputError if the trials have different dots or actions, or if truth is requested but the trials have none.
     """
     common = set.intersection(*(set(one.names) for one in outlines))
-    wanted = OF_POINTS if as_points else TACTILE
-    tactile_of = [[name for name in one.names if wanted.fullmatch(name)] for one in outlines]
+    tactile_of = [[name for name in one.names if TACTILE.fullmatch(name)] for one in outlines]
     some = set().union(*tactile_of) - common
     actions = {OF_GRASP if set(one.names).issuperset(OF_GRASP) else OF_GRIPPER for one in outlines}
     odd = next((name for name in sorted(some) if DISPLACEMENT.fullmatch(name)), None)
     if len(actions) > 1 or odd is not None:
-        raise InputError(
-            "these trials have different dots or different actions",
-            where=str(outlines[0].path.parent),
-            expected="trials of one gel, all grasps or none",
-            found=f"{odd or OF_GRASP[0]} in some of them",
-            hint="export them to separate folders",
-        )
+        message, where = "these trials have different dots or different actions", str(outlines[0].path.parent)
+        expected, found = "trials of one gel, all grasps or none", f"{odd or OF_GRASP[0]} in some of them"
+        raise InputError(message, where=where, expected=expected, found=found, hint="export them separately")
     tactile = tuple(name for name in tactile_of[0] if name in common)
     columns = other_streams.shared([one.streams for one in outlines], LARGEST_PX)[0].columns
     others = {NUMBERS.format(name): of for name, of in columns.items()}
@@ -161,18 +141,6 @@ def choose_vectors(outlines: Sequence[EpisodeOutline], *, as_points: bool, truth
     return Vectors(STATE, tactile, actions.pop(), others), left_out
 
 
-def choose_points(outlines: Sequence[EpisodeOutline], tactile: Sequence[str]) -> tuple[PointSet, list[str]]:
-    """Return the point set of these tactile columns, and texts on what is left out of it."""
-    with_forces = [one.has_dot_forces for one in outlines]
-    dots = sum(bool(DISPLACEMENT.fullmatch(name)) for name in tactile) // 2
-    left_out = ["forces of dots: not all trials have touch maps"] if any(with_forces) and not all(with_forces) else []
-    return PointSet(dots, all(with_forces), set(tactile).issuperset(OF_WRENCH)), left_out
-
-
-def _size(one: EpisodeOutline) -> str:
-    return f"{one.frame_px[0]} x {one.frame_px[1]}"
-
-
 def frame_edges(slices: int, fps: int) -> NDArray[np.int64]:
     """Return the edges of frames: frame i has the slices [edges[i], edges[i + 1])."""
     return np.arange(slices * fps // SLICES_PER_S + 1, dtype=np.int64) * SLICES_PER_S // fps
@@ -185,45 +153,33 @@ class Episode(NamedTuple):
     tactile: Singles
     action: Singles
     others: Mapping[str, Singles]
-    dot_forces: Singles | None  # (frames, 3 * dots)
     edges: NDArray[np.int64]  # (frames + 1,)
 
 
-def episode(files: TrialFiles, vectors: Vectors, points: PointSet | None, fps: int, per_frame: str) -> Episode:
+def episode(files: TrialFiles, vectors: Vectors, fps: int, per_frame: str) -> Episode:
     """Return the frames of a trial; raise InputError if it has fewer than two or does not fit in memory."""
     recording = files.recording
     slices = len(recording)
     edges = frame_edges(slices, fps)
+    where = str(recording.path)
     if len(edges) < 3:
-        raise InputError(
-            "the recording is too short for an episode",
-            where=str(recording.path),
-            expected=f"at least two frames of {SLICES_PER_S / fps:g} ms",
-            found=f"{slices} ms",
-        )
-    has_forces = points is not None and points.has_forces
-    width = vectors.width + (3 * points.dots if points is not None and has_forces else 0)
-    if 16 * width * slices > MOST_BYTES:
-        raise InputError(
-            "the recording is too long for an episode",
-            where=str(recording.path),
-            expected=f"at most {MOST_BYTES // (16 * width) // SLICES_PER_S} s",
-            found=f"{slices / SLICES_PER_S:.0f} s",
-            hint="cut it with `evetac trim`",
-        )
+        message, expected = "the recording is too short for an episode", f"two frames of {SLICES_PER_S / fps:g} ms"
+        raise InputError(message, where=where, expected=expected, found=f"{slices} ms")
+    if 16 * vectors.width * slices > MOST_BYTES:
+        expected = f"at most {MOST_BYTES // (16 * vectors.width) // SLICES_PER_S} s"
+        hint = "cut it with `evetac trim`"
+        raise InputError("the recording is too long for an episode", where=where, expected=expected, hint=hint)
     columns = columns_of(files)
 
     def of(names: Sequence[str]) -> Singles:
         return last_known(read_columns(columns, names, slices))
 
     stacked, ends = SLICES_PER_S // fps, edges[1:] - 1
-    forces = last_known(point_sets.dot_forces(files, slices)) if has_forces else None
     return Episode(
         of(vectors.state)[ends[:-1]],
         frames_of(of(vectors.tactile), edges[:-1], per_frame, stacked),
         of(vectors.action)[ends[1:]],
         {name: of(names)[ends[:-1]] for name, names in vectors.others.items()},
-        None if forces is None else frames_of(forces, edges[:-1], per_frame, stacked),
         edges[:-1],
     )
 

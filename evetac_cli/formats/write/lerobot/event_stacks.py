@@ -23,7 +23,7 @@ from evetac_cli.arrays import Ints
 from evetac_cli.errors import InputError, missing_extra
 from evetac_cli.events import SLICE_US, SLICES_PER_S
 from evetac_cli.formats.write.lerobot.episodes import MOST_BYTES
-from evetac_cli.formats.write.lerobot.features import Feature
+from evetac_cli.formats.write.lerobot.meta_files import Feature
 from evetac_cli.store.recordings.read import Recording
 
 WRITTEN = re.compile(r"(\d{1,3})@(\d{1,4}(?:\.\d{1,3})?)")
@@ -93,14 +93,10 @@ class EventStacks(NamedTuple):
             pixels += [np.bincount(grey.ravel(), minlength=256) for grey in greys]
             ends += block.end_us.tolist()
             if copies * sum(map(len, pictures)) > MOST_BYTES:
-                at_s = block.end_us[-1] / SLICE_US / SLICES_PER_S
-                raise InputError(
-                    "the recording is too long for event frames",
-                    where=str(recording.path),
-                    expected=f"at most {at_s:.0f} s, or a smaller --event-frames or --size",
-                    found=f"{slices / SLICES_PER_S:.0f} s",
-                    hint="cut it with `evetac trim`",
-                )
+                most_s = block.end_us[-1] / SLICE_US / SLICES_PER_S
+                message, where = "the recording is too long for event frames", str(recording.path)
+                expected = f"at most {most_s:.0f} s, or a smaller --event-frames or --size"
+                raise InputError(message, where=where, expected=expected, hint="cut it with `evetac trim`")
         last = np.searchsorted(ends, edges[1:] * SLICE_US, side="right") - 1
         places = np.maximum(last[:, None] - np.arange(self.depth - 1, -1, -1), 0)
         return Stills(pictures, places, np.array(pixels))
@@ -110,9 +106,7 @@ def parse(text: str | None, size_px: tuple[int, int] | None, frame_px: tuple[int
     """Parse `--event-frames` for recordings of this frame size; None without it; raise InputError if it is invalid."""
     if text is None:
         if size_px is not None:
-            raise InputError(
-                "has no effect without --event-frames", where="--size", expected="--event-frames too", found="none"
-            )
+            raise InputError("has no effect without --event-frames", where="--size")
         return None
     read = WRITTEN.fullmatch(text.strip())
     depth, rate_hz = (int(read[1]), float(read[2])) if read else (0, 0.0)
@@ -121,10 +115,8 @@ def parse(text: str | None, size_px: tuple[int, int] | None, frame_px: tuple[int
         raise InputError("not a valid stack of event frames", where="--event-frames", expected=expected, found=text)
     width, height = size_px = SIZE_PX if size_px is None else size_px
     if not (1 <= width <= frame_px[0] and 1 <= height <= frame_px[1]):
-        expected = f"at most the sensor's {frame_px[0]} x {frame_px[1]} px"
-        raise InputError(
-            "not a valid size of event frames", where="--size", expected=expected, found=f"{width} x {height}"
-        )
+        expected, found = f"at most the sensor's {frame_px[0]} x {frame_px[1]} px", f"{width} x {height}"
+        raise InputError("not a valid size of event frames", where="--size", expected=expected, found=found)
     return EventStacks(depth, rate_hz, size_px, full_scale(frame_px, size_px))
 
 

@@ -26,9 +26,18 @@ from evetac_cli.formats.write.lerobot.contents import Choices, FrameContents, ch
 from evetac_cli.formats.write.lerobot.data_card import data_card
 from evetac_cli.formats.write.lerobot.episode_files import EpisodePlace, Numbered, Tables, Videos
 from evetac_cli.formats.write.lerobot.episodes import episode, outline, pictures
-from evetac_cli.formats.write.lerobot.features import VIDEO, Feature
-from evetac_cli.formats.write.lerobot.meta_files import episode_table, place_columns, write_json, write_tasks
-from evetac_cli.formats.write.lerobot.statistics import as_lists, as_table, of_columns, of_many, of_pictures
+from evetac_cli.formats.write.lerobot.meta_files import (
+    VIDEO,
+    Feature,
+    as_lists,
+    episode_table,
+    of_columns,
+    of_many,
+    of_pictures,
+    place_columns,
+    write_json,
+    write_tasks,
+)
 from evetac_cli.formats.write.slice_columns import Opener, TrialFiles, WrittenFolder
 from evetac_cli.formats.write.write_table import load_pyarrow, provenance, typed
 from evetac_cli.jobs import Progress
@@ -52,7 +61,6 @@ def write(
     test_objects: Sequence[int] = (),
     task: str | None = None,
     tactile_key: str = "observation.tactile",
-    tactile_layout: str = "vector",
     event_frames: str | None = None,
     size: tuple[int, int] | None = None,
     truth: bool = False,
@@ -66,7 +74,7 @@ def write(
     for source in sources:
         with opened(source) as files:
             outlines.append(outline(files, task))
-    contents, notes = choose(outlines, Choices(fps, per_frame, tactile_key, tactile_layout, event_frames, size, truth))
+    contents, notes = choose(outlines, Choices(fps, per_frame, tactile_key, event_frames, size, truth))
     outlines.sort(key=lambda one: one.facts["object"] in test_objects)  # a stable sort; test episodes come last
     train = sum(one.facts["object"] not in test_objects for one in outlines)
     if test_objects and train == len(outlines):
@@ -89,7 +97,7 @@ def write(
         for number, one in enumerate(outlines):
             progress(done, slices, "slices")
             with opened(one.path) as files:
-                episode_frames = episode(files, contents.vectors, contents.points, fps, per_frame)
+                episode_frames = episode(files, contents.vectors, fps, per_frame)
                 headers[str(number)] = provenance(files, one.facts)
                 places = {key: each.begin() for key, each in videos.items()}
                 pixels = {key: _film(files, contents, key, episode_frames.edges, each) for key, each in videos.items()}
@@ -124,9 +132,8 @@ def write(
             done += one.slices
     total = {key: of_pictures(counts, train_frames) for key, counts in levels.items()}
     for name, each in rows.items():
-        per_frame_rows, width = as_table(each[:1]).shape
-        parts = partial(_parts, arrow, folder, name, width, train_frames)
-        total[name] = of_many(parts, train_frames * per_frame_rows, width, train_frames)
+        width = each[:1].size
+        total[name] = of_many(partial(_parts, arrow, folder, name, width, train_frames), width, train_frames)
     write_tasks(arrow, folder / "meta" / "tasks.parquet", tasks)
     splits = {"train": f"0:{train}", "test": f"{train}:{len(outlines)}"}
     splits = {name: part for name, part in splits.items() if part.split(":")[0] != part.split(":")[1]}
@@ -206,16 +213,6 @@ def _parts(arrow: Any, folder: Path, name: str, columns: int, frames: int) -> It
 
 
 def _column(arrow: Any, values: NDArray[Any]) -> Any:
-    """Return an Arrow column of numbers (frames,), vectors (frames, n) or arrays (frames, rows, n), as lerobot does.
-
-    lerobot stores a vector with one element as a number.
-    """
+    """Return an Arrow column of numbers (frames,) or vectors (frames, n); lerobot has a vector of one as a number."""
     flat = arrow.array(values.ravel())
-    if values.ndim == 1 or values.shape[1:] == (1,):
-        return flat
-    lists = arrow.FixedSizeListArray.from_arrays(flat, values.shape[-1])
-    if values.ndim == 2:
-        return lists
-    variable = lists.cast(arrow.list_(flat.type))
-    starts = np.arange(len(values) + 1, dtype=np.int32) * values.shape[1]
-    return arrow.ListArray.from_arrays(arrow.array(starts), variable)
+    return flat if values[:1].size == 1 else arrow.FixedSizeListArray.from_arrays(flat, values.shape[1])

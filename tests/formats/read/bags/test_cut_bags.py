@@ -11,8 +11,6 @@ import numpy as np
 import pytest
 
 from evetac_cli.formats.imports import read_events
-from evetac_cli.formats.read.bags import open_bag as bags
-from evetac_cli.formats.read.bags.open_bag import open_bag
 from evetac_cli.formats.read.bags.read_rosbag import open_rosbag
 from evetac_cli.formats.read.time_order import OrderOptions
 from evetac_cli.formats.streams import read_stream
@@ -170,44 +168,6 @@ def test_no_index_is_needed(what: str, compression: CompressionType, tmp_path: P
     kept = others + imported.size // SIZE
     said = f"the bag was not closed, probably because its recorder was killed: kept {kept} messages"
     assert [note for note in imported.notes if "left out" not in note] == ([] if complete else [said])
-
-
-def test_messages_come_in_the_order_of_their_reception(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that messages that lie in a file in another order come in that of their times, also across chunks."""
-    types = Types("mcap")
-    made = packets(types)
-    order = np.arange(len(made)) // 20 * 20 + np.random.default_rng(3).permuted(
-        np.arange(len(made)).reshape(-1, 20) % 20, axis=1
-    ).reshape(-1)
-    for options in ({}, {"use_chunking": False}, {"index_types": IndexType.NONE}):
-        path = write_mcap(
-            tmp_path / "a.mcap",
-            types,
-            {"/e": [made[at] for at in order]},
-            times=[1_700_000_000 + int(at) for at in order],
-            chunk_size=8000,
-            **options,
-        )
-        assert event_rows(read_events(path)) == ROWS
-
-
-def test_chunks_of_one_time_do_not_all_wait(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that messages are given out where too many of chunks that claim one time would have to wait."""
-    types = Types("mcap")
-    path = write_mcap(tmp_path / "a.mcap", types, {"/e": packets(types)}, times=[7] * 200, chunk_size=8000)
-    monkeypatch.setattr(bags, "MOST_HELD_BYTES", 20_000)
-    held = []
-    push = bags.heapq.heappush
-
-    def pushed(heap: list[Any], item: Any) -> None:
-        push(heap, item)
-        held.append(sum(len(one[2][2]) for one in heap))
-
-    monkeypatch.setattr(bags.heapq, "heappush", pushed)
-    bag = open_bag(path)
-    messages = [message for _, _, message in bag.messages(bag.connections, by_reception=True)]
-    assert messages == [types.raw(one) for one in packets(types)]
-    assert max(held) < 20_000 + 2 * 8000
 
 
 @pytest.mark.parametrize("packing", ["ZSTD", "NONE"])

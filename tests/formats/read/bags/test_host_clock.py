@@ -10,7 +10,7 @@ from evetac_cli.commands.attach import Attach
 from evetac_cli.commands.record import Record
 from evetac_cli.events import Events
 from evetac_cli.formats.imports import Imported, read_events
-from evetac_cli.formats.read.bags.host_clock import SAME_CLOCK_US, host_clock
+from evetac_cli.formats.read.bags.host_clock import SAME_CLOCK_US
 from evetac_cli.stages import attach
 from evetac_cli.store.recordings.read import open_recording
 from evetac_cli.trials import record
@@ -128,16 +128,6 @@ def test_one_clock_is_left_alone(write: Write) -> None:
     assert SAME_CLOCK_US > 400_000
 
 
-def test_a_stream_on_the_sensors_clock_is_left_alone(write: Write) -> None:
-    """Assert that samples that already are on the sensor's clock stay where they are."""
-    types = Types("db3")
-    wanted = np.arange(BEGIN_US + 100_000, BEGIN_US + 900_000, 10_000)
-    topics = {"/e": packets(types, events_of(1)), "/imu": imu(types, wanted)}
-    imported = read_events(write("db3", types, topics))
-    assert (errors_us(imported, wanted) == 0).all()
-    assert imported.notes == ["kept: 80 samples of imu"]
-
-
 def test_what_cannot_be_told_is_said(write: Write) -> None:
     """Assert that a stream that fits on both clocks is left as it is, with a note."""
     types = Types("db3")
@@ -146,33 +136,6 @@ def test_what_cannot_be_told_is_said(write: Write) -> None:
     imported = read_events(write("db3", types, topics))
     assert (errors_us(imported, wanted) == 0).all()
     assert "imu uses: left unchanged" in imported.notes[0]
-
-
-def test_samples_without_a_stamp_go_by_their_reception(write: Write) -> None:
-    """Assert that streams whose headers are empty have the host's time of reception, brought to the sensor's clock."""
-    types = Types("db3")
-    events = events_of(3, BEGIN_US)
-    topics = {
-        "/e": packets(types, events, host_us=START_S * 10**6 - BEGIN_US, late=False),
-        "/imu": imu(types, np.zeros(3)),
-    }
-    imported = read_events(write("db3", types, topics))
-    (stream,) = imported.streams  # received at full seconds from START_S on; the first event came after that
-    assert np.allclose(stream.t_us + imported.t_offset_us - BEGIN_US, [10**6, 2 * 10**6], atol=3)
-
-
-def test_clocks_are_told_from_some_packets(write: Write, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that a bag of many packets is judged by evenly drawn ones."""
-    from evetac_cli.formats.read.bags import host_clock as module
-
-    types = Types("db3")
-    path = write("db3", types, {"/e": packets(types, events_of(2))})
-    whole = host_clock(path, "/e")
-    monkeypatch.setattr(module, "MOST_PACKETS", 20)
-    some = host_clock(path, "/e")
-    assert whole is not None and some is not None
-    assert 20 <= some.packets <= 25 and whole.packets > 190
-    assert abs(some.ahead_s - whole.ahead_s) < 0.001
 
 
 @pytest.fixture
@@ -237,29 +200,3 @@ def test_another_recording_does_not_count(trial: tuple[Path, Path], write: Write
     t_us, row = attached(out, f"{path}:/pose")
     assert (t_us + zero_us == HOST_US + BEGIN_US + 50_000 * np.arange(20) + 10_000).all()
     assert "sensor's clock" not in row["notes"]
-
-
-def test_two_cameras_whose_clocks_differ_cannot_be_told(write: Write, tmp_path: Path, trial: tuple[Path, Path]) -> None:
-    """Assert that a pose beside two cameras with clocks of their own is left where it is, and refused as outside."""
-    types = Types("mcap")
-    number = types.make("std_msgs/msg/Header", types.time(HOST_US + BEGIN_US + 500_000), "arm")
-    point = types.make("geometry_msgs/msg/PointStamped", number, types.make("geometry_msgs/msg/Point", 1.0, 2.0, 3.0))
-    cameras = {
-        name: packets(types, events_of(1), host_us=host) for name, host in (("/a", HOST_US), ("/b", HOST_US + 70_000))
-    }
-    path = write("mcap", types, {**cameras, "/point": [point]}, "stereo")
-    _, recording = trial
-    from evetac_cli.errors import InputError
-
-    with pytest.raises(InputError, match="no sample of arm"):
-        attached(recording, f"{path}:/point")
-
-
-def test_headers_that_are_damaged_are_passed_over(write: Write) -> None:
-    """Assert that packets that cannot be decoded do not count for the clock."""
-    types = Types("db3")
-    good = packets(types, events_of(1))
-    odd = [types.packet(bytes(7), "mono", 999, 0, stamp_us=5), types.packet(b"", "mono", 999, 0, stamp_us=5)]
-    clock = host_clock(write("db3", types, {"/e": [*good[:50], *odd, *good[50:]]}), "/e")
-    assert clock is not None and clock.packets == len(good)
-    assert clock.ahead_s == pytest.approx(HOST_US / 1e6, abs=0.005)

@@ -7,7 +7,7 @@ import pytest
 
 from evetac_cli.formats.imports import read_events
 from evetac_cli.formats.read.bags import read_rosbag
-from evetac_cli.formats.read.bags.message_definitions import checksum
+from evetac_cli.formats.read.bags.bag_readers import checksum
 from tests.formats.read.bags.bag_writing import (
     BAGS,
     DEFINITIONS,

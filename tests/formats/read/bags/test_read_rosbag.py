@@ -1,7 +1,5 @@
 """ROS bags: every layout of messages with events, in bags of ROS 1 and ROS 2, whole, odd and damaged."""
 
-import os
-import struct
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +7,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from evetac_cli.errors import InputError
 from evetac_cli.events import Events
 from evetac_cli.formats.imports import read_events
 from evetac_cli.formats.read.bags.bag_files import zstd_module
@@ -24,7 +21,6 @@ from tests.formats.read.bags.bag_writing import (
     Types,
     Write,
     drawn,
-    libcaer,
     listed,
     mono,
     shifted,
@@ -135,15 +131,6 @@ def test_lost_packets_are_noted(write: Write) -> None:
     ]
 
 
-def test_the_clock_of_libcaer_may_wrap(write: Write) -> None:
-    """Assert that 31 bits of microseconds wrap within a packet."""
-    types = Types("db3")
-    events = drawn(20)
-    base_ns = 1000 * (int(events.t[10]) - 2**31)  # the eleventh event is at 2^31 us
-    imported = read_events(write("db3", types, {"/e": [types.packet(libcaer(events, base_ns), "libcaer", 0, base_ns)]}))
-    assert event_rows(imported) == shifted(events)
-
-
 def test_several_eights_share_a_base() -> None:
     """Assert that masks that follow each other climb by eight rows, also from one packet to the next."""
     decode = LibcaerCompressed()
@@ -248,44 +235,6 @@ def test_time_that_goes_backwards_is_placed(write: Write) -> None:
     assert [row[0] for row in event_rows(read_events(path, order=OrderOptions(sort=True)))] == [0, 4000, 5000]
     assert [row[0] for row in event_rows(read_events(path, order=OrderOptions(drop_late=True)))] == [0, 5000]
     assert [row[0] for row in event_rows(read_events(path, order=OrderOptions(from_restart=1)))] == [0]
-
-
-def test_files_of_a_folder_are_bags_too(write: Write) -> None:
-    """Assert that the file in a ROS 2 bag is read without its metadata, whatever it is called."""
-    types = Types("db3")
-    events = drawn(50)
-    for bag in ("db3", "mcap"):
-        folder = write(bag, types, {"/e": [types.array(listed(events))]}, bag)
-        (file,) = folder.glob("*." + bag)
-        assert event_rows(read_events(file)) == shifted(events)
-        assert event_rows(read_events(file.rename(folder / "renamed"))) == shifted(events)
-    folder = write("db3", types, {"/e": [types.array(listed(events))]}, "compressed", compress=True)
-    assert event_rows(read_events(next(folder.glob("*.db3")))) == shifted(events)
-
-
-def test_short_messages_are_refused() -> None:
-    """Assert that a message cut at any byte is refused."""
-    for ros2, types in TYPES.items():
-        raw = types.raw(types.array([(10**6, 1, 2, 1), (2 * 10**6, 3, 4, 0)]))
-        for length in range(len(raw) - (4 if ros2 else 0)):
-            with pytest.raises((ValueError, struct.error)):
-                event_array(Fields(raw[:length], ros2=ros2))
-
-
-def test_a_bag_folder_with_a_pipe_is_refused(tmp_path: Path) -> None:
-    """Assert that a pipe in place of a bag's file is refused, and not waited for."""
-    (tmp_path / "metadata.yaml").write_text("rosbag2_bagfile_information: {}\n")
-    os.mkfifo(tmp_path / "a.db3")
-    with pytest.raises(InputError, match="a pipe"):
-        read_events(tmp_path)
-
-
-def test_large_metadata_are_refused(tmp_path: Path) -> None:
-    """Assert that metadata.yaml is not parsed at any size: YAML takes its time."""
-    with (tmp_path / "metadata.yaml").open("wb") as file:
-        file.truncate(1 << 24)
-    with pytest.raises(InputError, match="too large"):
-        read_events(tmp_path)
 
 
 PACKED = [("ros1", "MESSAGE"), ("db3", "MESSAGE"), ("db3", "FILE"), ("mcap", "MESSAGE"), ("mcap", "STORAGE")]

@@ -1,9 +1,6 @@
 """Prophesee's RAW and DAT files: as faery writes them, as cameras write them, and damaged."""
 
 import struct
-import sys
-import tracemalloc
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +11,6 @@ from evetac_cli.errors import InputError
 from evetac_cli.events import Events
 from evetac_cli.formats.imports import read_events
 from evetac_cli.formats.read.prophesee import read_prophesee
-from evetac_cli.formats.read.source import EventSource
 from evetac_cli.formats.read.time_order import OrderOptions
 from tests.importing import FRAME, assert_equal, drawn, event_rows, refusal
 
@@ -195,30 +191,6 @@ def test_words_before_the_first_time_are_left_out(tmp_path: Path) -> None:
     assert imported.notes == [f"left out {2 * (begins - 2)} bytes before the first time stamp"]
 
 
-def test_words_without_time_of_the_older_encoding(tmp_path: Path) -> None:
-    """Assert the same of EVT2: without its first time stamp, a file begins with the second."""
-    events = drawn(400)
-    whole = write(tmp_path / "a.raw", events, "evt2").read_bytes()
-    begins = whole.index(b"% geometry 640x480\n") + 19
-    words = np.frombuffer(whole[begins:], "<u4")
-    high = np.flatnonzero(words >> 28 == 8)
-    assert high[0] == 0
-    path = tmp_path / "b.raw"
-    path.write_bytes(whole[:begins] + words[1:].tobytes())
-    left = events.t[events.t >= (int(words[high[1]]) & 0xFFFFFFF) << 6]
-    imported = read_events(path)
-    assert imported.notes == [f"left out {4 * (high[1] - 1)} bytes before the first time stamp"]
-    assert np.array_equal(imported.events.t + imported.t_offset_us, left)
-
-
-def test_words_that_look_like_a_header(tmp_path: Path) -> None:
-    """Assert that the header ends at its end, though the words go on with `% `."""
-    words = [int.from_bytes(b"% ", "little"), 0x0A, *evt3([0, 7])]
-    imported = read_events(raw(tmp_path / "a.raw", words))
-    assert imported.events.size == 2
-    assert imported.notes == ["left out 4 bytes before the first time stamp"]
-
-
 @pytest.mark.parametrize("block_bytes", [4, 10, 1 << 20])
 def test_a_damaged_word_near_the_start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, block_bytes: int) -> None:
     """Assert that words of undefined types are judged by the whole file, in blocks of any size."""
@@ -228,32 +200,6 @@ def test_a_damaged_word_near_the_start(tmp_path: Path, monkeypatch: pytest.Monke
     assert (imported.events.size, imported.left_out) == (100, {"words of undefined types": 1})
     words = [words[0], *[9 << 12] * 40, *words[1:]]
     assert "40 of 341 words are of undefined types" in refusal(raw(tmp_path / "b.raw", words))
-
-
-def test_triggers_that_are_too_many_are_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that triggers beyond those that are kept are named as left out, beside those that are kept."""
-    monkeypatch.setattr(read_prophesee, "MOST_TRIGGERS", 5)
-    monkeypatch.setattr(read_prophesee, "BLOCK_BYTES", 20)
-    words = evt3([5000])
-    for number in range(9):
-        words += [0xA << 12 | number & 1, 6 << 12 | 1000 + number, 2 << 12 | 7]
-    imported = read_events(raw(tmp_path / "a.raw", words))
-    (stream,) = imported.streams
-    assert len(stream.t_us) + sum(imported.left_out.values()) == 9
-    assert list(imported.left_out) == ["triggers beyond the first 5"]
-
-
-def test_blocks_without_triggers_leave_nothing() -> None:
-    """Assert that memory does not grow with the blocks, of which bags have one a message, where no trigger comes."""
-    low = np.full(4, 6 << 12, "<u2")
-    blocks = ((low, str) for _ in range(20_000))
-    source = EventSource("", FRAME, ())
-    first = [(np.array([8 << 12], "<u2"), str)]
-    assert not list(read_prophesee.decoded("evt3", first, source, ""))  # compiles
-    tracemalloc.start()
-    assert not list(read_prophesee.decoded("evt3", chain(first, blocks), source, ""))
-    assert tracemalloc.get_traced_memory()[1] < 1 << 20
-    tracemalloc.stop()
 
 
 def test_vectors_are_read(tmp_path: Path) -> None:
@@ -339,9 +285,3 @@ def test_damaged_files_are_refused_or_read(tmp_path: Path, kind: str, suffix: st
         except InputError:
             plain += 1
     assert plain > 15
-
-
-def test_prophesee_needs_no_library(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that RAW and DAT are read without any extra."""
-    monkeypatch.setitem(sys.modules, "faery", None)
-    assert read_events(raw(tmp_path / "a.raw", evt3([0, 7]))).events.t.tolist() == [0, 7]

@@ -8,7 +8,7 @@ import pytest
 
 from evetac_cli.events import Events
 from evetac_cli.formats.imports import read_events
-from evetac_cli.formats.read.aedat import read_aedat2
+from evetac_cli.formats.read import read_aedat2
 from tests.importing import assert_equal, drawn, event_rows, refusal, tonic_io
 
 CHIPS = {

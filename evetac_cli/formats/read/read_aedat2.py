@@ -118,13 +118,8 @@ def _guess_chip(path: Path, start: int, frame_px: tuple[int, int] | None, where:
         return DAVIS, checked_frame(frame_px, where, "")
     fitting = [frame for frame in GUESSED_PX if width <= frame[0] and height <= frame[1]]
     if not fitting:
-        raise InputError(
-            "the addresses do not fit any supported chip",
-            where=where,
-            expected="a DVS128, or a DAVIS of up to 640x480",
-            found=f"columns up to {width - 1}, rows up to {height - 1}",
-            hint="if it is another DAVIS, give its frame with --frame-size",
-        )
+        found, hint = f"columns up to {width - 1}, rows up to {height - 1}", "give the frame with --frame-size"
+        raise InputError("the addresses do not fit a DVS128 or DAVIS", where=where, found=found, hint=hint)
     return DAVIS, fitting[0]
 
 

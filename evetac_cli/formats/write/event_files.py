@@ -1,0 +1,137 @@
+"""Write the events of a recording as text, as HDF5 of the DSEC data set, and as AEDAT4.
+
+text     one line `t x y p` per event, t in us on the source's clock, as numpy.loadtxt reads it
+DSEC     events/{x,y,t,p}; t_offset, from which t counts in us; ms_to_idx[k] is the first event at k ms or later.
+         Compressed with gzip, which every HDF5 tool reads; DSEC's Blosc needs a plugin. t has 32 bits as in DSEC,
+         enough for 71 minutes, otherwise 64. Dimension scales, which evetac's own files have, are left out: they
+         would be datasets that DSEC does not have.
+AEDAT4   one stream, compressed with LZ4, which dv-processing reads. faery, of the extra `convert`, writes it; its
+         encoder reports no error when the disk is full, so the file is checked after writing.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+from xml.sax.saxutils import escape
+
+import numpy as np
+
+from evetac_cli.errors import InputError, missing_extra
+from evetac_cli.events import Events
+from evetac_cli.formats.note import NAME, Note
+from evetac_cli.formats.read.aedat4_packets import read_header, walk
+from evetac_cli.jobs import Progress
+from evetac_cli.store.hdf5.chunks import RowWriter, put
+from evetac_cli.store.hdf5.disk import new_file
+from evetac_cli.store.layout import schema
+from evetac_cli.store.layout.netcdf import describe_dataset
+from evetac_cli.store.recordings.read import Recording
+
+PIECE_EVENTS = 1 << 18  # some 3 MB: memory use does not depend on the length of the recording
+LINES = 1 << 14  # events whose text is built in memory at once
+DSEC_TYPES = {"x": np.uint16, "y": np.uint16, "p": np.uint8}
+SHORT_MS = 2**32 // 1000
+PACKET_EVENTS = 8192  # some 10 ms of a busy sensor, the packet length that recorders of AEDAT4 use
+AEDAT4_EVENT = np.dtype([("t", "<u8"), ("x", "<u2"), ("y", "<u2"), ("on", "?")])  # the type that faery accepts
+LZ4 = ("lz4", 1)
+
+
+def pieces(recording: Recording, progress: Progress) -> Iterator[Events]:
+    """Yield all events of a recording in order, PIECE_EVENTS at a time, and report progress."""
+    total = recording.event_count
+    progress(0, total)
+    for first in range(0, total, PIECE_EVENTS):
+        last = min(first + PIECE_EVENTS, total)
+        yield recording.events(first, last)
+        progress(last, total)
+
+
+def t_offset_us(recording: Recording) -> int:
+    """Return the time on the source's own clock that corresponds to t = 0."""
+    return int(recording.read("t_offset"))
+
+
+def note_for(recording: Recording, start_us: int) -> Note:
+    """Return the note on a recording; start_us is the written time that corresponds to t = 0."""
+    simulated = bool(recording.header["simulated"])
+    return Note(start_us, len(recording), recording.frame_px, simulated, recording.event_count)
+
+
+def write_text(recording: Recording, path: Path, progress: Progress) -> None:
+    """Write two comment lines, the first of which is the note, then one line per event."""
+    offset_us = t_offset_us(recording)
+    with path.open("w", encoding="ascii") as file:
+        file.write(f"# {NAME} {note_for(recording, offset_us).text()}\n# t_us x y p\n")
+        for events in pieces(recording, progress):
+            for first in range(0, events.size, LINES):
+                t, x, y, p = events.part(first, first + LINES)
+                rows = np.stack([t + offset_us, x, y, p], axis=1).ravel().tolist()
+                file.write("%d %d %d %d\n" * len(t) % tuple(rows))
+
+
+def write_dsec(recording: Recording, path: Path, progress: Progress) -> None:
+    """Write all columns in pieces, each with its unit and long name; the note is an attribute of the root."""
+    types = {"t": np.uint32 if len(recording) <= SHORT_MS else np.int64, **DSEC_TYPES}
+    with new_file(path) as h5:
+        h5.attrs[NAME] = note_for(recording, 0).text()
+        count = recording.event_count
+        columns = {name: RowWriter(h5, f"events/{name}", type_, (), count) for name, type_ in types.items()}
+        for events in pieces(recording, progress):
+            for name, column in columns.items():
+                column.append(getattr(events, name))
+        for column in columns.values():
+            column.close()
+        put(h5, "ms_to_idx", recording.starts.astype(np.uint64))
+        put(h5, "t_offset", np.int64(t_offset_us(recording)))
+        table = schema.load("recording")  # a recording stores its events in DSEC's layout
+        for name in (*columns, "ms_to_idx", "t_offset"):
+            dataset = f"events/{name}" if name in columns else name
+            describe_dataset(h5[dataset], table.find(dataset))
+
+
+def write_aedat4(recording: Recording, path: Path, progress: Progress) -> None:
+    """Write one stream of events, t on the source's clock; raise InputError with faery's message if writing fails."""
+    where = str(path.parent)
+    try:
+        import faery
+    except ImportError as error:
+        raise missing_extra("AEDAT4 needs faery", "convert", where=where, error=error) from None
+    offset_us = t_offset_us(recording)
+    if recording.event_count and int(recording.events(0, 1).t[0]) + offset_us < 0:
+        found, hint = f"an offset of {offset_us} us", "export the recording as text or dsec"
+        raise InputError("AEDAT4 cannot store times before 0", where=str(recording.path), found=found, hint=hint)
+    aedat = faery.extension.aedat
+    header = aedat4_description(aedat, recording.frame_px, note_for(recording, offset_us).text())
+    try:
+        with aedat.Encoder(path, header, LZ4) as encoder:
+            for events in pieces(recording, progress):
+                rows = np.empty(events.size, AEDAT4_EVENT)
+                rows["t"] = events.t + offset_us
+                rows["x"], rows["y"], rows["on"] = events.x, events.y, events.p
+                for first in range(0, len(rows), PACKET_EVENTS):
+                    encoder.write(0, rows[first : first + PACKET_EVENTS])
+        with path.open("rb") as file:
+            written = read_header(file, where)
+            trouble = "" if written.table >= 0 and walk(file, written, 0).whole else "the file is incomplete"
+    except (RuntimeError, OSError) as error:  # faery raises RuntimeError for every error of the disk
+        trouble = str(error)
+    if trouble:
+        raise InputError("the AEDAT4 file could not be written", where=where, found=trouble, hint="is the disk full?")
+
+
+def aedat4_description(aedat: Any, frame_px: tuple[int, int], note: str = "") -> list[Any]:
+    """Return the header of a file with one event stream, in faery's types, with texts escaped (faery does not)."""
+
+    def node(path: str, attributes: dict[str, int | str], *nodes: Any) -> Any:
+        types = {int: "int", str: "string"}
+        values = {
+            key: aedat.DescriptionAttribute(types[type(value)], escape(value) if isinstance(value, str) else value)
+            for key, value in attributes.items()
+        }
+        return aedat.DescriptionNode(path.rstrip("/").rpartition("/")[2], path, values, list(nodes))
+
+    top = "/mainloop/Recorder/outInfo/"
+    info: dict[str, int | str] = {"sizeX": frame_px[0], "sizeY": frame_px[1], "source": "evetac"}
+    stream: dict[str, int | str] = {"originalOutputName": "events", "typeIdentifier": "EVTS"}
+    noted = info | ({NAME: note} if note else {})
+    return [node(top, {}, node(f"{top}0/", stream, node(f"{top}0/info/", noted)))]
