@@ -5,8 +5,8 @@ radii, but they are those of OpenCV's blob detector (cv::KeyPoint): diameters. W
 tracker would search for the rims of dots outside of them, and would not move.
 
 A pickle is a small program, and loading one means running it. Here only the opcodes that numpy's pickles have are
-known, and every name is looked up in one table of substitutes defined in this module: nothing of numpy, builtins or any
-other module can be called. Without dictionaries, a pickle cannot change the substitutes either. Python's own unpickler
+known. Every name is looked up in one table of substitutes of this module, so that no other function can be called.
+Without dictionaries, a pickle cannot change the substitutes either. Python's own unpickler
 is used because the compiled one allocates memory for any number that a pickle states.
 """
 

@@ -93,7 +93,7 @@ OTHER_FILES: tuple[tuple[tuple[bytes, ...], str, str], ...] = (
     ((b"\x28\xb5\x2f\xfd",), "a Zstandard file", "unpack it with zstd -d, or give the bag's folder"),
     ((b"Event Stream",), "Event Stream (.es)", CONVERT),
     ((b"MATLAB 5.0 MAT-file", b"MATLAB 7.3 MAT-file"), "a MATLAB file", CONVERT),
-    ((b"\x80\x02", b"\x80\x03", b"\x80\x04", b"\x80\x05"), "a Python pickle", "evetac never loads pickles: save text or npz"),
+    ((b"\x80\x02", b"\x80\x03", b"\x80\x04", b"\x80\x05"), "a Python pickle", "evetac never loads pickles"),
 )
 
 

@@ -19,7 +19,7 @@ from evetac_cli.commands.trim import Trim
 from evetac_cli.devices import replay
 from evetac_cli.evaluate import tracking
 from evetac_cli.formats.exports import export
-from evetac_cli.formats.read import read_hdf5, source
+from evetac_cli.formats.read import read_hdf5
 from evetac_cli.formats.write import event_files, write_table
 from evetac_cli.inspect import validate
 from evetac_cli.kernels.labelling import event_flow
@@ -78,7 +78,6 @@ BLOCKS = (
     (event_flow, "BLOCK_SLICES", 100),
     (event_files, "PIECE_EVENTS", 1 << 13),
     (trim, "PIECE_ROWS", 1 << 13),
-    (source, "BLOCK_EVENTS", 1 << 13),
     (read_hdf5, "BATCH_ROWS", 1 << 13),
     (rules, "BLOCK_VALUES", 1 << 13),
     (validate, "EVENTS", 1 << 13),
@@ -97,7 +96,6 @@ COMMANDS: dict[str, Callable[[Path, Path], None]] = {
     "grasp again": _replay,
     "evaluate tracking": lambda folder, out: _evaluate(folder / "a.tracks.h5", out),
     "import": _import("a.dsec.h5"),
-    "import --sort": _import("a.dsec.h5", sort=True),
     "validate": lambda folder, out: _validate(folder / "imported.recording.h5", folder / "a.tracks.h5"),
     "export dsec": lambda folder, out: _export(folder, "dsec", out),
     "export aedat4": lambda folder, out: _export(folder, "aedat4", out),
@@ -110,7 +108,6 @@ SLOW = (
     "label by flow",
     "trim",
     "track-rgb",
-    "import --sort",
     "export dsec",
     "export parquet",
 )  # commands that take seconds

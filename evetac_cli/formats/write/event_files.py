@@ -1,12 +1,11 @@
 """Write the events of a recording as text, as HDF5 of the DSEC data set, and as AEDAT4.
 
-text     one line `t x y p` per event, t in us on the source's clock, as numpy.loadtxt reads it
-DSEC     events/{x,y,t,p}; t_offset, from which t counts in us; ms_to_idx[k] is the first event at k ms or later.
-         Compressed with gzip, which every HDF5 tool reads; DSEC's Blosc needs a plugin. t has 32 bits as in DSEC,
-         enough for 71 minutes, otherwise 64. Dimension scales, which evetac's own files have, are left out: they
-         would be datasets that DSEC does not have.
-AEDAT4   one stream, compressed with LZ4, which dv-processing reads. faery, of the extra `convert`, writes it; its
-         encoder reports no error when the disk is full, so the file is checked after writing.
+In text, one line per event is `t x y p`, t in us on the source's clock; numpy.loadtxt reads it. In HDF5, the columns
+are events/{x,y,t,p}; t counts in us from t_offset, and ms_to_idx[k] is the first event at k ms or later. They are
+compressed with gzip, which every HDF5 tool reads; DSEC's Blosc needs a plugin. t has 32 bits as in DSEC, enough for 71
+minutes, otherwise 64. Dimension scales, which evetac's own files have, would be datasets that DSEC does not have.
+AEDAT4 is one stream, compressed with LZ4, which dv-processing reads. faery, of the extra `convert`, writes it; its
+encoder reports no error when the disk is full, so the file is checked after writing.
 """
 
 from collections.abc import Iterator
