@@ -296,16 +296,6 @@ def test_images_are_those_of_python(tmp_path: Path, kind: str, suffix: str, monk
     assert row["left_out"] is None
 
 
-def test_images_of_nothing(tmp_path: Path) -> None:
-    """Assert that a recording shorter than an image gives a file of none."""
-    source = write(tmp_path / "a.recording.h5", drawn(0), 3)
-    for suffix in (".npz", ".zarr.zip"):
-        row = export(source, "frames", tmp_path / f"a{suffix}")
-        assert "ends before the first image would, at 5 ms" in row["left_out"]
-        images, end_us, _ = read_images(tmp_path / f"a{suffix}")
-        assert (images.shape, end_us.shape) == ((0, 2, 480, 640), (0,))
-
-
 @pytest.mark.parametrize(
     ("flags", "said"),
     [

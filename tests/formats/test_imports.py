@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from evetac_cli.commands.record import Record
-from evetac_cli.errors import InputError, MissingLibrary
+from evetac_cli.errors import InputError
 from evetac_cli.events import Events, concatenate, slice_starts
 from evetac_cli.formats.imports import read_events
 from evetac_cli.formats.read import read_text, source, time_order
@@ -627,28 +627,6 @@ def test_rows_that_were_never_written_are_refused(dsec: Callable[..., Path]) -> 
 
     assert "rows that were never written" in refusal(dsec(sparse), frame_px=FRAME)
     assert "events/p is incomplete" in refusal(dsec(contiguous, p=None), frame_px=FRAME)
-
-
-@pytest.mark.parametrize(("number", "words"), [(32001, "[convert]'"), (0x8ECF, "Prophesee"), (511, "HDF5 filter 511")])
-def test_a_missing_filter_is_named(
-    dsec: Callable[..., Path], monkeypatch: pytest.MonkeyPatch, number: int, words: str
-) -> None:
-    """Assert that a compressed file says which plugin it needs (511 and ECF: filters that no plugin here has)."""
-    if h5py.h5z.filter_avail(number):
-        pytest.skip("the filter is installed here")
-
-    def compressed(file: h5py.File) -> None:
-        recipe = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
-        recipe.set_chunk((3,))
-        recipe.set_filter(number, h5py.h5z.FLAG_OPTIONAL)
-        h5py.h5d.create(file["events"].id, b"p", h5py.h5t.NATIVE_UINT8, h5py.h5s.create_simple((3,)), dcpl=recipe)
-        file["events/p"].id.write_direct_chunk((0,), b"squeezed", 0)
-
-    path = dsec(compressed, p=None)
-    monkeypatch.setitem(sys.modules, "hdf5plugin", None)
-    with pytest.raises((InputError, MissingLibrary)) as refused:
-        read_events(path, frame_px=FRAME)
-    assert words in str(refused.value)
 
 
 def test_compressed_with_a_plugin(tmp_path: Path) -> None:

@@ -299,7 +299,8 @@ def _csv(path: Path, where: str) -> tuple[list[str], list[Any], Batches, list[st
     # Columns are read by their place as text: two may have the same name.
     encoding, separator, decimal_sign, names = _dialect(path, where)
     places = list(map(str, range(len(names))))
-    options = csv.ReadOptions(False, BLOCK_BYTES, skip_rows=1, column_names=places, encoding=encoding)
+    lines = {"skip_rows": 1, "column_names": places, "encoding": encoding}
+    options = csv.ReadOptions(use_threads=False, block_size=BLOCK_BYTES, **lines)
     how = options, csv.ParseOptions(delimiter=separator)
     with csv.open_csv(path, *how, csv.ConvertOptions(decimal_point=decimal_sign)) as first:
         types = list(first.schema.types)

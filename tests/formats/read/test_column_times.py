@@ -171,11 +171,3 @@ def test_exchanged_axes_are_noticed(tmp_path: Path, size: tuple[int, int], senso
     assert mended.events.x.tolist() == y.tolist()
     assert not any("exchanged" in note for note in mended.notes)
     assert "once each" in refusal(tmp_path / "a.npy", columns="t y x")
-
-
-def test_columns_are_for_files_without_names(tmp_path: Path) -> None:
-    """Assert that naming columns that have names, or of a format that needs none, is refused."""
-    assert "columns have no names" in refusal(npz(tmp_path, T_US), columns="t x y p")
-    (tmp_path / "a.raw").write_bytes(b"% evt 3.0\n% geometry 640x480\n% end\n")
-    assert "--columns is for files of four unnamed columns" in refusal(tmp_path / "a.raw", columns="t x y p")
-    assert "--time-unit is for files that do not state" in refusal(tmp_path / "a.raw", time_unit="us")

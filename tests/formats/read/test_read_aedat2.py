@@ -111,7 +111,7 @@ def test_the_head_ends_where_jaer_says(tmp_path: Path) -> None:
     [
         (HEAD, "has no events"),
         (HEAD + b"# AEChip: ch.unizh.ini.jaer.chip.cochlea.CochleaAMS1c\r\n" + bytes(8), "unsupported chip"),
-        (HEAD + struct.pack(">II", 511 << 22 | 1023 << 12, 0), "do not fit any supported chip"),
+        (HEAD + struct.pack(">II", 511 << 22 | 1023 << 12, 0), "do not fit a DVS128 or DAVIS"),
         (HEAD + (b"#" + b"x" * 65000 + b"\r\n") * 300, "the header of the file does not end"),
         (b"#!AER-DAT1.0\r\n" + bytes(12), "AEDAT of another version"),
     ],

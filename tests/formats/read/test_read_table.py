@@ -180,19 +180,6 @@ def test_a_list_is_a_column_per_element(tmp_path: Path, type_: Any) -> None:
     assert stream.columns["action_1"].tolist() == list(range(10))
 
 
-def test_lists_that_are_no_columns_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that a row with another number of elements is named, and elements count as columns."""
-    states = [[1.0, 2.0]] * 6 + [[1.0]] + [[1.0, 2.0]] * 3
-    times = [row / 50 for row in range(10)]
-    path = lerobot(tmp_path / "a.parquet", pa.list_(pa.float32()), states, [0] * 10, times)
-    with pytest.raises(InputError, match=r"row 7: lists of different lengths in the column observation.state"):
-        read(path)
-    path = lerobot(tmp_path / "b.parquet", pa.list_(pa.float32()), [[1.0] * 5] * 10, [0] * 10, times)
-    monkeypatch.setattr(read_table, "MOST_COLUMNS", 6)
-    with pytest.raises(InputError, match="too many columns"):
-        read(path)
-
-
 def test_several_episodes_are_refused(tmp_path: Path) -> None:
     """Assert that times that begin again in another episode are refused as that, also after an episode of one row."""
     for ends in (5, 1):

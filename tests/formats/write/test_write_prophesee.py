@@ -88,16 +88,6 @@ def test_frames_that_fit_are_written_and_larger_ones_refused(tmp_path: Path, for
     assert list(path.parent.iterdir()) == []
 
 
-@pytest.mark.parametrize(("layout", "most_us"), [("EVT2", 2**34), ("DAT", 2**32)])
-def test_the_last_time_that_fits(layout: str, most_us: int) -> None:
-    """Assert that the bits of the last microsecond are those of the layout, and that it claims no more of them."""
-    chosen = getattr(write_prophesee, layout)
-    assert chosen.most_us == most_us
-    last = drawn(1)._replace(t=np.array([most_us - 1]), x=np.zeros(1, np.uint16), y=np.zeros(1, np.uint16))
-    (words,) = chosen.words(iter([last._replace(p=np.zeros(1, np.uint8))]))
-    assert words.ravel().tolist() == ([0x8FFFFFFF, 0x3F << 22] if layout == "EVT2" else [2**32 - 1, 0])
-
-
 def test_too_long_a_recording_is_refused(tmp_path: Path) -> None:
     """Assert that a recording of more time than the words can tell is refused before anything is written."""
     short = write_prophesee.DAT._replace(most_us=60e6)

@@ -29,20 +29,20 @@ def count_types(words: NDArray[Any], shift: int) -> NDArray[np.int64]:
 
 
 @njit(cache=True)
-def evt21(
-    words: NDArray[np.uint64], highs: NDArray[np.int64], state: Any, columns: EventColumns, edges: TriggerColumns
+def evt2(
+    words: NDArray[Any], highs: NDArray[np.int64], state: Any, columns: EventColumns, edges: TriggerColumns
 ) -> int:
-    """Decode words of EVT2.1: an event for each set bit of the lower half. An event of EVT2 has one, the lowest."""
+    """Decode words of EVT2 (uint32), or of EVT2.1 (uint64): an event for each set bit of the lower half."""
     t, x, y, p = columns
     trigger_t, trigger_id, trigger_edge = edges
     events = triggers = times = 0
     base = state[0].high << 6
     for each in words:
-        word = np.int64(each >> np.uint64(32))
+        word = np.int64(each >> np.uint64(32)) if words.itemsize == 8 else np.int64(each)
         kind = word >> 28
         if kind <= 1:
             at, column, row = base + (word >> 22 & 0x3F), word >> 11 & 0x7FF, word & 0x7FF
-            bits = np.int64(each & np.uint64(0xFFFFFFFF))
+            bits = np.int64(each & np.uint64(0xFFFFFFFF)) if words.itemsize == 8 else 1
             while bits:
                 if bits & 1:
                     t[events] = at

@@ -76,7 +76,7 @@ class PropheseeDecoder:
         from evetac_cli.formats.read.prophesee import prophesee_loops  # brings numba, which only these files need
 
         self._count = prophesee_loops.count_types
-        self._loop = prophesee_loops.evt3 if kind == "evt3" else prophesee_loops.evt21
+        self._loop = prophesee_loops.evt3 if kind == "evt3" else prophesee_loops.evt2
         self.encoding = ENCODINGS[kind]
         self.clock = Clock((1 << self.encoding.high_bits,), tick_us=self.encoding.tick_us)
         self.untimed = 0  # words before the first with high bits of time
@@ -111,7 +111,5 @@ class PropheseeDecoder:
         triggers = int(counts[TRIGGER])
         columns: list[Any] = [np.empty(most, kind) for kind in (np.int64, np.uint16, np.uint16, np.uint8)]
         edges: list[Any] = [np.empty(triggers, kind) for kind in (np.int64, np.uint8, np.uint8)]
-        if words.dtype == np.uint32:  # of EVT2: the upper half of a word of EVT2.1
-            words = words.astype(np.uint64) << np.uint64(32) | np.uint64(1)
         events = self._loop(words, highs, self._state, tuple(columns), tuple(edges))
         return EventBlock(*(column[:events] for column in columns), *edges)

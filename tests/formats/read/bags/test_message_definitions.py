@@ -82,7 +82,7 @@ def test_another_layout_is_no_event_array(write: Write, bag: str, fields: str) -
             f"{package}/msg/EventArray", types.header(7), 480, 640, [event(*(values[name] for name in order))]
         )
         words = refusal(write(bag, types, {"/e": [message]}, package))
-        expected = "this definition of " if package == "dvs_msgs" else "the bag has no events"
+        expected = "unknown definition of " if package == "dvs_msgs" else "the bag has no events"
         assert expected in words
 
 

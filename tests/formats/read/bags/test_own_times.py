@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from evetac_cli.errors import InputError
 from evetac_cli.formats.imports import read_events
 from evetac_cli.formats.read.time_order import OrderOptions
 from evetac_cli.formats.streams import read_stream
@@ -214,16 +213,6 @@ def test_transforms_have_their_own_times(write: Write, stamped: bool) -> None:
         assert notes[0].startswith("2 of 3 samples lack a part of transforms.hand.")
     else:
         assert len(hand) == 2 and "the recorder received" in stream.clock and notes == []
-
-
-def test_lists_without_names_must_keep_their_length(write: Write) -> None:
-    """Assert that numbers that are told by their place alone do not become columns if their count changes."""
-    types = Types("db3")
-    layout = types.make("std_msgs/msg/MultiArrayLayout", [], 0)
-    made = [types.make("std_msgs/msg/Float64MultiArray", layout, np.zeros(count)) for count in (3, 2)]
-    path = write("db3", types, {"/topic": made})
-    with pytest.raises(InputError, match="do not fit into columns"):
-        stream_of(path)
 
 
 @pytest.mark.parametrize("bag", BAGS)
