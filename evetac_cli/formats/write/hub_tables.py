@@ -27,6 +27,7 @@ from evetac_cli.formats.write.write_table import (
     load_pyarrow,
     repeated,
     table_schema,
+    to_arrow,
     typed,
     write_rows,
 )
@@ -187,7 +188,7 @@ class HubTables:
             for first, stop in _blocks(recording.event_count):
                 columns = [repeated(arrow, name, arrow.string(), stop - first)]
                 columns += [
-                    arrow.array(recording.read(f"events/{stored}", first, stop)) for stored, *_ in OF_EVENT.values()
+                    to_arrow(arrow, recording.read(f"events/{stored}", first, stop)) for stored, *_ in OF_EVENT.values()
                 ]
                 writer.write_batch(arrow.record_batch(columns, schema=schema))
 

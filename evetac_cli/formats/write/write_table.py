@@ -21,6 +21,7 @@ from typing import Any
 from urllib.parse import quote
 
 import numpy as np
+from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError, missing_extra
 from evetac_cli.formats.write.slice_columns import (
@@ -175,10 +176,31 @@ def field_of(arrow: Any, name: str, type_: Any, unit: str, meaning: str) -> Any:
     return arrow.field(name, type_, metadata={"units": unit or "1", "long_name": meaning})
 
 
+def to_arrow(arrow: Any, values: NDArray[Any], missing: NDArray[np.bool_] | None = None) -> Any:
+    """Return a column of numbers or booleans (rows,) as an Arrow array, null where `missing` is set; NaN stays NaN.
+
+    By its buffers, because pyarrow imports pandas when it converts Python or numpy values, which takes longer than
+    writing a trial.
+    """
+    column = np.ascontiguousarray(values)
+    data = np.packbits(column, bitorder="little") if column.dtype == np.bool_ else column
+    valid = None
+    if missing is not None and missing.any():
+        valid = arrow.py_buffer(np.packbits(~missing, bitorder="little"))
+    return arrow.Array.from_buffers(arrow.from_numpy_dtype(column.dtype), len(column), [valid, arrow.py_buffer(data)])
+
+
 def repeated(arrow: Any, value: str | int | bool | None, type_: Any, rows: int) -> Any:
     """Return a column with the same value in every row; type_: Arrow's string, int64 or bool."""
-    text = str(value) if type_ == arrow.string() and value is not None else value
-    return arrow.repeat(arrow.scalar(text, type_), rows)
+    if value is None:
+        return arrow.nulls(rows, type_)
+    if type_ == arrow.string():
+        text = str(value).encode()
+        ends = np.array([0, len(text)], np.int32)
+        one = arrow.Array.from_buffers(type_, 1, [None, arrow.py_buffer(ends), arrow.py_buffer(text)])
+    else:
+        one = to_arrow(arrow, np.array([value], np.bool_ if type_ == arrow.bool_() else np.int64))
+    return arrow.repeat(one[0], rows)
 
 
 def write_rows(
@@ -211,12 +233,12 @@ def _batches(
     for first in range(0, slices, at_once):
         stop = min(first + at_once, slices)
         progress(first, slices, "slices")
-        arrays = {"t_ms": arrow.array(np.arange(first, stop))}
+        arrays = {"t_ms": to_arrow(arrow, np.arange(first, stop))}
         for group in columns:
             values = group.read(first, stop)
             mask = np.ma.getmaskarray(values)
             for at, name in enumerate(group.names):
-                arrays[name] = arrow.array(values.data[:, at], mask=mask[:, at])
+                arrays[name] = to_arrow(arrow, values.data[:, at], mask[:, at])
         for name in facts:
             if name in table.names:
                 type_ = table.field(name).type
