@@ -302,11 +302,8 @@ def test_images_are_those_of_python(tmp_path: Path, kind: str, suffix: str, monk
         (("surface", "--bins", "3"), "--format histogram, voxels"),
         (("text", "--fps", "50"), "--format frames, histogram, voxels, surface, lerobot"),
         (("frames", "--size", "160"), "160x120"),
-        (("frames", "--size", "0x120"), "at least 1 px"),
-        (
-            ("frames", "--size", "900x480"),
-            "error: --size: images would be larger than the sensor's frame expected: at most the sensor's 640 x 480 px",
-        ),
+        (("frames", "--size", "0x120"), "--size"),
+        (("frames", "--size", "900x480"), "640 x 480 px"),
         (("surface", "--polarity", "signed"), "split or sum"),
     ],
 )
