@@ -17,7 +17,7 @@ from evetac_cli.commands.record import Record
 from evetac_cli.jobs import Row
 from evetac_cli.store.recordings.slip_grid import is_unresolved, resolving_mm
 from evetac_cli.trials import record
-from evetac_cli.trials.part_costs import nodes_of_slip
+from evetac_cli.trials.gel_grid import nodes_of_slip
 from evetac_cli.trials.record import simulated
 from evetac_cli.trials.trial import SimulatedTrial
 
@@ -34,8 +34,9 @@ def measured() -> list[Row]:
         planned = record.jobs([], Record(scene=SLIP, objects=OBJECTS, seed=seed, texture="off"), Path())
         trials = [trial for trial in planned if isinstance(trial, SimulatedTrial)]
         pitch_mm = trials[0].plan.scene.solver.node_pitch_mm
-        for called, nodes in nodes_of_slip(trials).items():
-            row = {"object": called, "seed": seed, "nodes": nodes if math.isfinite(nodes) else None}
+        for trial in trials:
+            nodes = nodes_of_slip(trial)
+            row = {"object": trial.plan.called, "seed": seed, "nodes": nodes if math.isfinite(nodes) else None}
             rows.append({**row, "pitch_mm": pitch_mm, "record_method": simulated.METHOD, "commit": made})
     return rows
 

@@ -36,7 +36,7 @@ def processes_of(recorder: int) -> dict[str, int]:
         for task in Path(f"/proc/{recorder}/task").iterdir():
             for pid in (task / "children").read_text().split():
                 line = Path(f"/proc/{pid}/cmdline").read_text()
-                if "servo_process" in line:
+                if "devices.virtual.gripper" in line:
                     found["servo"] = int(pid)
                 elif "multiprocessing-fork" in line:
                     spawned.append((int(_fields(Path(f"/proc/{pid}"))[_STARTED]), int(pid)))

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from dynamixel_sdk import INST_REBOOT
 from hypothesis import HealthCheck, settings
 
 from evetac_cli import plugins
@@ -201,10 +202,14 @@ def gripper() -> Iterator[VirtualGripper]:
 @pytest.fixture
 def fresh(gripper: VirtualGripper) -> VirtualGripper:
     """Return the module's gripper in the state after a power cycle."""
+    reboot(gripper)
+    return gripper
+
+
+def reboot(gripper: VirtualGripper) -> None:
     with Bus(gripper.port, 2_000_000, answer_ms=SLOW.answer_ms) as bus:
         bus.tolerant = True
-        bus.reboot()
-    return gripper
+        bus._transact(INST_REBOOT, b"", 0, "reboot")
 
 
 def is_off(gripper: VirtualGripper) -> bool:

@@ -13,7 +13,7 @@ NAMES = {
 # Which module makes which. Before a row is added: who can reach it, and does docs/safety.md say so?
 DOORS = {
     "cli/dask_engine.py": {"LocalCluster"},
-    "devices/virtual/servo_process.py": {"openpty"},
+    "devices/virtual/gripper.py": {"openpty"},
     "formats/read/bags/bag_files.py": {"gettempdir"},
     "kernel_cache.py": {"gettempdir"},
     "local_server.py": {"ThreadingTCPServer"},

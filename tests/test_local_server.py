@@ -16,7 +16,7 @@ import pytest
 from evetac_cli import local_server
 from evetac_cli.local_server import MOST_BYTES, MOST_CONNECTIONS, PageServer, announce
 from evetac_cli.stages.label_review import server as review
-from evetac_cli.trials.live_view import server as live_view
+from evetac_cli.trials.live_view import process as live_view
 from tests.patience import PATIENCE_S, until
 
 

@@ -12,9 +12,8 @@ import numpy as np
 
 from evetac_cli import names, plugins
 from evetac_cli.devices import EventCamera
-from evetac_cli.devices.naming import EVENTS_S, FIRMWARES, no_such_device, options, parse_number
+from evetac_cli.devices.naming import EVENTS_S, FIRMWARES, camera_fault, no_such_device, options, parse_number
 from evetac_cli.devices.replay import ReplayCamera
-from evetac_cli.devices.virtual.faults import camera_fault
 from evetac_cli.errors import InputError
 from evetac_cli.events import FRAME_PX
 from evetac_cli.names import Capability

@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 
 from evetac_cli import names, plugins
 from evetac_cli.devices import Gripper
-from evetac_cli.devices.naming import no_such_device, number, options, parse_number
+from evetac_cli.devices.naming import gripper_fault, no_such_device, number, options, parse_number
 from evetac_cli.devices.rh_p12_rn.control_table import LAST_ID, SDK_RATES
-from evetac_cli.devices.virtual.faults import gripper_fault
 from evetac_cli.errors import InputError
 from evetac_cli.names import Capability
 

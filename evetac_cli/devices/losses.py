@@ -58,34 +58,33 @@ class LossNews:
 
     def __init__(self) -> None:
         self._silent: dict[str, int] = {}  # name -> ms of silence before the present silence
-        self._ms: dict[str, int] = {}  # name -> ms of silence at the last call
+        self._before: Mapping[str, int] = {}
         self._reported_s: dict[str, float] = {}
         self._lost: int | str = 0
 
     def of(self, counts: Mapping[str, int], now_s: float) -> list[str]:
         """Return sentences for the user, given the counts of all devices at this time."""
         news = []
-        for name, words in ((name, SILENCES[_reason(name)]) for name in counts if _reason(name) in SILENCES):
-            ms, before_ms = counts[name], self._ms.get(name, 0)
-            self._ms[name] = ms
-            device = name.rpartition(".")[0]
+        silences = {name: ms for name, ms in counts.items() if _reason(name) in SILENCES}
+        for name, ms in silences.items():
+            device, _, reason = name.rpartition(".")
+            before_ms = self._before.get(name, 0)
             if ms > before_ms:
-                began_ms = self._silent.setdefault(name, before_ms)
+                silent_s = (ms - self._silent.setdefault(name, before_ms)) * 1e-3
                 if self._is_due(name, now_s):
-                    news.append(f"{device} {words}, for {(ms - began_ms) * 1e-3:.1f} s now: is it plugged in firmly?")
+                    news.append(f"{device} {SILENCES[reason]}, for {silent_s:.1f} s now: is it plugged in firmly?")
             elif name in self._silent:
                 silent_s = (ms - self._silent.pop(name)) * 1e-3
                 self._reported_s.pop(name, None)
                 news.append(f"{device} sends again, after {silent_s:.1f} s; its events of that time are lost")
-        others = {name: count for name, count in counts.items() if _reason(name) not in SILENCES}
+        self._before = silences
+        others = {name: count for name, count in counts.items() if _reason(name) in COUNTS_EVENTS | NUMBER_UNKNOWN}
+        others = {name: count for name, count in others.items() if name not in silences}
         lost = events_lost(others)
         if lost != self._lost and self._is_due("events", now_s):
             self._lost = lost
-            why = {name: count for name, count in others.items() if _reason(name) in COUNTS_EVENTS | NUMBER_UNKNOWN}
-            damaged = "the stream is damaged, " if isinstance(lost, str) else ""
-            news.append(
-                f"{damaged}events lost so far: {lost if isinstance(lost, str) else f'{lost:,}'} ({reasons(why)})"
-            )
+            damaged = f"the stream is damaged, events lost so far: {lost}" if isinstance(lost, str) else ""
+            news.append(f"{damaged or f'events lost so far: {lost:,}'} ({reasons(others)})")
         return news
 
     def _is_due(self, what: str, now_s: float) -> bool:

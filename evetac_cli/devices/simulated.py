@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
 
@@ -67,36 +68,20 @@ def _described(name: str, sensor: Sensor, camera: GelCamera) -> dict[str, Any]:
     return described
 
 
-class SecondSimulatedCamera:
+class SecondSimulatedCamera(SimulatedCamera):
     """The camera of the second finger: its events of the slice that was last read from the first finger's camera."""
 
-    counted: Mapping[str, int] = MappingProxyType({})
-    notes: tuple[str, ...] = ()
-    time: TimeSource = HOST_TIME
-
     def __init__(self, simulation: GraspSimulation, name: str, sensor: Sensor) -> None:
+        super().__init__(simulation, "", name, sensor)
         assert simulation.second_view is not None
-        self._view: SecondView | None = simulation.second_view
-        self._now_us = 0
-        self.sensor: Mapping[str, Any] = _described(name, sensor, simulation.second_view.camera)
+        self._view: SecondView = simulation.second_view
+        self.sensor = _described(name, sensor, self._view.camera)
 
     def read(self) -> Events | None:
         """Return the camera's events of the slice that the scene has made; None before the first and after the last."""
-        events = None if self._view is None else self._view.events
+        events = None if self._simulation is None else self._view.events
         self._now_us += SLICE_US * (events is not None)
         return events
-
-    def now_us(self) -> int:
-        """Return the end of the slice that was read last."""
-        return self._now_us
-
-    def host_us(self, device_us: float) -> float:
-        """Return NaN: a scene's time passes as its slices are read."""
-        return math.nan
-
-    def close(self) -> None:
-        """End the simulation."""
-        self._view = None
 
 
 class SimulatedGripper:
@@ -141,17 +126,20 @@ def rig(plan: Plan, seeds: np.random.SeedSequence, timer: Timer = untimed, /, **
     second = None
     if plan.second is not None and isinstance(simulation, GraspSimulation):
         second = SecondCamera(SecondSimulatedCamera(simulation, *plan.second), simulation.second_truth)
-    slices, sampled = simulation.slices_in_all, simulation.sampled.as_json()
-    if not isinstance(simulation, GraspSimulation):
-        return Rig(camera, None, simulation.truth, slices=slices, sampled=sampled)
-    return Rig(
+    devices = Rig(
         camera,
-        SimulatedGripper(simulation),
+        None,
         simulation.truth,
-        simulation.holding_ma(),
-        slices,
-        simulation.slips_at_ma(),
-        sampled,
-        simulation.sampled.fall_factor,
+        slices=simulation.slices_in_all,
+        sampled=simulation.sampled.as_json(),
         second=second,
+    )
+    if not isinstance(simulation, GraspSimulation):
+        return devices
+    return replace(
+        devices,
+        gripper=SimulatedGripper(simulation),
+        holding_ma=simulation.holding_ma(),
+        slips_at_ma=simulation.slips_at_ma(),
+        fall_factor=simulation.sampled.fall_factor,
     )

@@ -18,7 +18,7 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
@@ -88,6 +88,12 @@ def wait_while_computing(pipe: Connection, process: BaseProcess, failure: str) -
             raise DeviceError(
                 failure, expected="a process that computes", found=f"no computation for {STANDSTILL_S:g} s"
             )
+
+
+def raise_if_ended(process: str, signals: Sequence[int]) -> None:
+    """Raise DeviceError if a signal to end this process was received; process: its name."""
+    if signals:
+        raise DeviceError(f"{process} was ended by {signal.Signals(signals[0]).name}")
 
 
 def set_realtime_priority(rank: int, process: int = 0) -> str:

@@ -6,7 +6,7 @@ controller to recognize a dead detector or a silent camera, and the age of the s
 If each of two fingers has a camera, two detectors write, each its own status. The controller reads both, and a signal
 combined from both (kernels/grip/control.py).
 
-A new slice with slip rings a bell, for a controller that sleeps until its next step (early_answer.py).
+A new slice with slip rings a bell, for a controller that sleeps until its next step (trials/grasp/pace.py).
 
 In the other direction, the controller publishes the gripper's position and its goal, for a detector that uses them.
 

@@ -10,14 +10,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from evetac_cli.errors import SceneError
-from evetac_cli.sim.setup.sensor import PAD_M
-from evetac_cli.sim.setup.solver import Solver
 from evetac_cli.store.recordings.slip_grid import FEWEST_NODES, resolving_mm
 from evetac_cli.trials.trial import SimulatedTrial
 
 GRIP = 2.5  # margin: normal force over the slip limit at which slip is resolved; objects also slip in too tight a grip
 FINEST_MM = 0.5  # finest pitch that is chosen
-NODES_OF_REST = 1000  # the rest of a simulated slice takes the time of this many nodes
 
 
 def nodes_of_slip(trial: SimulatedTrial, grip: float = 1.0) -> float:
@@ -54,7 +51,7 @@ def chosen(trial: SimulatedTrial) -> SimulatedTrial:
 
 
 def notes(trials: Sequence[SimulatedTrial]) -> list[str]:
-    """Return a sentence on the grids that were chosen and what they cost; none if all trials have their scene's."""
+    """Return a sentence on the grids that were chosen; none if all trials have their scene's."""
     finer = [trial for trial in trials if trial.usual_pitch_mm is not None]
     if not finer:
         return []
@@ -63,19 +60,6 @@ def notes(trials: Sequence[SimulatedTrial]) -> list[str]:
     objects = list(dict.fromkeys(str(trial.plan.called) for trial in finer))
     which = f"object{'s' if len(objects) > 1 else ''} {', '.join(objects)}"
     which += f", {len(finer)} of {len(trials)} trials" if len(trials) > 1 else ""
-    times = sum(map(_times, finer)) / len(finer)
     usual = f"default {finer[0].usual_pitch_mm:g}"
     resolved = "slip resolved" + ", unless the grip is tight" * (pitches_mm[0] <= FINEST_MM)
-    return [f"gel grid {span} mm for {which} ({usual}): {resolved}, about {times:.1f} times the time"]
-
-
-def _times(trial: SimulatedTrial) -> float:
-    """Return the simulation time of a trial relative to that on its scene's grid."""
-    assert trial.usual_pitch_mm is not None
-    solver = trial.plan.scene.solver
-    finer, usual = (_nodes(one) for one in (solver, replace(solver, node_pitch_mm=trial.usual_pitch_mm)))
-    return (NODES_OF_REST + finer) / (NODES_OF_REST + usual)
-
-
-def _nodes(solver: Solver) -> int:
-    return math.prod(solver.nodes(PAD_M))
+    return [f"gel grid {span} mm for {which} ({usual}): {resolved}"]

@@ -21,7 +21,6 @@ from evetac_cli.events import SLICES_PER_S, Events
 from evetac_cli.jobs import Outcome, Progress, silent
 from evetac_cli.sim.parts import Call, Timer, rows_of, switched
 from evetac_cli.sim.setup.scene import Scene
-from evetac_cli.store.recordings.slip_grid import FEWEST_NODES
 from evetac_cli.trials import gel_grid
 from evetac_cli.trials.trial import SimulatedTrial
 
@@ -118,15 +117,9 @@ BESIDE_SCENE = {
 def dry_run(trials: Sequence[SomeTrial], play: Play[SomeTrial], progress: Progress = silent) -> Outcome:
     """Return what the first trial builds and leaves out, and the cost of each part on this machine."""
     costs = measure(trials[0], play, REPEATS, moving_s=DRY_MOVING_S, budget_s=BUDGET_S, progress=progress)
-    coarse = {called: nodes for called, nodes in nodes_of_slip(trials).items() if nodes < FEWEST_NODES}
     files: dict[str, Any] = {"files": sum(len(trial.outputs) for trial in trials), "first_file": str(trials[0].output)}
     if notes := gel_grid.notes(trials):
         files["gel_grid"] = notes[0]
-    if coarse:
-        first = _first_of_objects(trials)
-        pitches_mm = [first[called].plan.scene.solver.node_pitch_mm * coarse[called] for called in coarse]
-        files["nodes_of_slip"] = {f"{called}": nodes for called, nodes in coarse.items()}
-        files["resolving_pitch_mm"] = min(pitches_mm) / FEWEST_NODES
     if not costs.slices:  # the trial ended before anything could be measured
         return Outcome(rows_of(trials[0].plan), True, files, made=False)
     rows, total_us = costs.rows(), float(costs.whole.mean())
@@ -138,23 +131,6 @@ def dry_run(trials: Sequence[SomeTrial], play: Play[SomeTrial], progress: Progre
         "left_out_saves_us": sum(row["saves_us"] or 0.0 for row in rows),
     }
     return Outcome(rows, True, summary, made=False)
-
-
-def nodes_of_slip(trials: Sequence[SimulatedTrial]) -> dict[int | str, float]:
-    """Return half the wavelength of unstable slip in grid nodes, for a trial of each gripped object.
-
-    Below FEWEST_NODES the onset of slip depends on the grid.
-    """
-    return {called: gel_grid.nodes_of_slip(trial) for called, trial in _first_of_objects(trials).items()}
-
-
-def _first_of_objects(trials: Sequence[SimulatedTrial]) -> dict[int | str, SimulatedTrial]:
-    """Return the first trial of each gripped object."""
-    first: dict[int | str, SimulatedTrial] = {}
-    for trial in trials:
-        if trial.plan.called is not None:
-            first.setdefault(trial.plan.called, trial)
-    return first
 
 
 def for_people(shown: Outcome) -> tuple[list[dict[str, Any]], list[str]]:
@@ -186,12 +162,6 @@ def for_people(shown: Outcome) -> tuple[list[dict[str, Any]], list[str]]:
         ]
     if "gel_grid" in summary:
         sentences += [f"{summary['gel_grid'].capitalize()}."]
-    if "nodes_of_slip" in summary:
-        objects = ", ".join(f"{called} ({nodes:.1f})" for called, nodes in summary["nodes_of_slip"].items())
-        sentences += [
-            f"The grid is too coarse for the slip of object {objects}: at the slip limit it spans this many nodes,"
-            f" but needs {FEWEST_NODES}. --node-pitch-mm {summary['resolving_pitch_mm']:.2f} resolves it."
-        ]
     of_several = "" if summary["files"] == 1 else f"{summary['files']:,} files, the first "
     sentences += [f"Nothing was written. A run would make {of_several}{summary['first_file']}."]
     return built, sentences

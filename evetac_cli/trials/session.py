@@ -49,6 +49,7 @@ LATE_US = 5000.0
 TOLERATED = 1e-3  # share of slices or commands that may be late before the computer is reported as too slow
 BEHIND_S = 0.5  # how far a recorder may lag behind: a segment on a busy disk takes that long now and then
 QUEUE_LOST = "capture/lost/camera.events_in_full_queue"
+MEDIAN, P99 = 0, 1  # places in a `spread`
 MOST_TIMES = 1 << 20  # number of times kept, 8 MB; of longer recordings every second, every fourth, ... is kept
 
 
@@ -128,6 +129,12 @@ def spread(values: "array[float]") -> Any:
     return np.percentile(np.frombuffer(values), [50, 99, 100])
 
 
+def figure(datasets: Mapping[str, Any], name: str, which: int | None = None) -> float | None:
+    """Return a figure of the datasets capture/..., or one of a `spread`, MEDIAN or P99; None if it is not there."""
+    found = datasets.get(f"capture/{name}")
+    return None if found is None else float(found if which is None else found[which])
+
+
 class TimeSample:
     """A sample of times (us) of a recording of any length: a bounded number, evenly spread, and the longest time."""
 
@@ -181,32 +188,23 @@ def too_slow(
     late_slices: LateSlices,
     commands: int,
     behind_s: float | None = None,
-    used: str = "",
 ) -> str | None:
     """Return one line on what this computer was too slow for, and the effect on the recording; None if nothing.
 
-    datasets: capture/...; commands: number of commands sent; used: a sentence on the use of the cores.
-
-    behind_s: the longest lag of a grasp's recorder; None if no slice decides on a command, so that a late slice costs
-    nothing.
+    datasets: capture/...; commands: number of commands sent. behind_s: the longest lag of a grasp's recorder; None if
+    no slice decides on a command, so that a late slice costs nothing.
     """
-    missed, lost = int(datasets.get("capture/command_misses", 0)), int(datasets.get(QUEUE_LOST, 0))
-    late = f"{late_slices.count:,} of {slices:,} slices arrived more than {late_slices.most_us * 1e-3:g} ms late"
-    parts = {
-        f"{missed:,} of {commands + missed:,} commands were missed (the gripper kept the one before)": missed
-        > TOLERATED * (commands + missed),
-        f"{late} ({'all are in the file' if behind_s is None else 'slip was answered late'})": late_slices.count
-        > TOLERATED * slices,
-        f"{lost:,} events were lost in the queue (they are missing from the file)": lost > 0,
-        f"the recorder lagged {behind_s or 0.0:.1f} s behind (nothing is missing from the file)": (behind_s or 0.0)
-        > BEHIND_S,
-    }
-    problems = [words for words, applies in parts.items() if applies]
-    return (
-        f"this computer was too slow: {'; '.join([*problems, *([used] if used else [])])}. {SPEED}"
-        if problems
-        else None
-    )
+    problems = []
+    if (missed := int(datasets.get("capture/command_misses", 0))) > TOLERATED * (commands + missed):
+        problems.append(f"{missed:,} of {commands + missed:,} commands were missed (the gripper kept the one before)")
+    if late_slices.count > TOLERATED * slices:
+        late = f"{late_slices.count:,} of {slices:,} slices arrived more than {late_slices.most_us * 1e-3:g} ms late"
+        problems.append(f"{late} ({'all are in the file' if behind_s is None else 'slip was answered late'})")
+    if lost := int(datasets.get(QUEUE_LOST, 0)):
+        problems.append(f"{lost:,} events were lost in the queue (they are missing from the file)")
+    if behind_s is not None and behind_s > BEHIND_S:
+        problems.append(f"the recorder lagged {behind_s:.1f} s behind (nothing is missing from the file)")
+    return f"this computer was too slow: {'; '.join(problems)}. {SPEED}" if problems else None
 
 
 def lost_datasets(counts: Mapping[str, int]) -> dict[str, Any]:

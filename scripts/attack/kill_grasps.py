@@ -57,7 +57,7 @@ BUSY = "while True: pass"
 def be_servo(log: Path) -> None:
     """Run the servo until stdin ends; log a line for every change."""
     from evetac_cli.devices.rh_p12_rn.control_table import REGISTERS, baud_code
-    from evetac_cli.devices.virtual import servo_process
+    from evetac_cli.devices.virtual import gripper as virtual_gripper
     from evetac_cli.devices.virtual.dynamixel_frames import DynamixelFrame, Instruction
     from evetac_cli.devices.virtual.servo import Answer, VirtualServo
     from evetac_cli.devices.virtual.servo_plant import Goals, Obstacle, OwnDynamics, ServoMotion
@@ -94,8 +94,8 @@ def be_servo(log: Path) -> None:
     file = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
     plant = LoggedPlant(Obstacle())
     servo = LoggedServo(plant, {"Baud Rate": baud_code(2_000_000)}, time.monotonic())
-    servo_process.IDLE_S = TICK_S
-    line = servo_process.ServoLine(servo, servo_process.Faults([], np.random.default_rng(0)), HOST_TIME)
+    virtual_gripper.IDLE_S = TICK_S
+    line = virtual_gripper.ServoLine(servo, virtual_gripper.Faults([], np.random.default_rng(0)), HOST_TIME)
     print(line.port, flush=True)
     set_realtime_priority(SERVO_PRIORITY)
     while not line.wait(sys.stdin.fileno()):

@@ -1,7 +1,7 @@
 """Attacks on the stream of a virtual camera, and their effect on a recording.
 
 The driver's loss report is compared with the camera's own count of events. `ATTACKS` are faults of a virtual camera
-(devices/virtual/faults.py) that a driver must survive. It must end in time, make no more slices than the host's time
+(devices/naming.py) that a driver must survive. It must end in time, make no more slices than the host's time
 allows, and report the number of lost events, or a lower bound.
 """
 

@@ -11,9 +11,8 @@ from hypothesis import strategies as st
 
 from evetac_cli.devices import cameras, grippers
 from evetac_cli.devices.cameras import CameraSettings
-from evetac_cli.devices.naming import EVENTS_S, FIRMWARES
-from evetac_cli.devices.virtual.faults import CAMERA_FAULTS, GRIPPER_FAULTS
-from evetac_cli.devices.virtual.servo_process import Faults
+from evetac_cli.devices.naming import CAMERA_FAULTS, EVENTS_S, GRIPPER_FAULTS
+from evetac_cli.devices.virtual.gripper import Faults
 from evetac_cli.devices.virtual.word_sources import random_event_words
 from evetac_cli.errors import DeviceError, InputError
 
@@ -95,21 +94,6 @@ def test_the_ends_of_the_rate_open(rate: float) -> None:
         assert camera == cameras.Virtual(("unplug@1e+2",), rate)
 
 
-def test_no_lower_rate_can_be_made() -> None:
-    """Assert that the least rate is the least that the words themselves can have."""
-    with pytest.raises(ValueError, match="5000"):
-        random_event_words(0.999 * EVENTS_S[0], 1.0, np.random.default_rng(0))
-
-
-@pytest.mark.parametrize("firmware", [*FIRMWARES, 8, 9, 10, 11])
-def test_every_firmware_that_is_named_opens(firmware: int) -> None:
-    """Assert that the ends of the range and the generations between them open, as the firmware that was named."""
-    camera = cameras.parse(f"virtual:prepared=1e4+firmware={firmware}")
-    running, setup, _ = camera.open(CameraSettings(), None, np.random.SeedSequence(0))
-    running.close()
-    assert setup["firmware"] == firmware
-
-
 REFUSED = [
     *(
         f"prepared={number}"
@@ -146,7 +130,7 @@ def fault_texts() -> st.SearchStrategy[str]:
 @settings(max_examples=300, deadline=None)
 def test_what_a_virtual_gripper_is_named_runs_or_is_refused(text: str) -> None:
     """Assert that a text with any numbers is an InputError, or faults that come and go on the servo's clock."""
-    from evetac_cli.devices.virtual.faults import gripper_fault
+    from evetac_cli.devices.naming import gripper_fault
     from evetac_cli.devices.virtual.servo import Answer
 
     try:

@@ -40,18 +40,6 @@ def test_cameras(text: str) -> None:
     assert pickle.loads(pickle.dumps(CAMERAS[text])) == CAMERAS[text]
 
 
-def test_every_kind_is_named() -> None:
-    """Assert that the table above has every kind of camera, by the name with which it begins."""
-    assert {(type(camera), camera.name) for camera in CAMERAS.values()} == {
-        (cameras.Simulated, "sim"),
-        (cameras.Virtual, "virtual"),
-        (cameras.Dvxplorer, "dvxplorer"),
-        (cameras.Dv, "dv"),
-        (cameras.Replay, "replay"),
-    }
-    assert all(text.startswith(camera.name) for text, camera in CAMERAS.items())
-
-
 @pytest.mark.parametrize(
     ("text", "named"),
     [
@@ -65,11 +53,6 @@ def test_every_kind_is_named() -> None:
 def test_several_cameras(text: str, named: list[str]) -> None:
     """Assert that a comma is part of a file's name unless a whole kind of camera stands behind it."""
     assert cameras.parse_several(text) == tuple(map(cameras.parse, named))
-
-
-def test_the_same_camera_twice() -> None:
-    """Assert that no repetition but that of a serial number is refused."""
-    assert len(cameras.parse_several("dvxplorer:A,dvxplorer:B,virtual,virtual,dvxplorer,dvxplorer")) == 6
 
 
 def test_what_kinds_say_of_themselves() -> None:
@@ -168,12 +151,6 @@ def test_gripper_follows_the_camera() -> None:
     assert own["dvxplorer"] == own["replay:some/a:b.recording.h5"] == grippers.NoGripper()
 
 
-def test_settings_left_open_are_the_drivers() -> None:
-    """Assert that only what is set is passed on."""
-    assert CameraSettings().explicit_values() == {}
-    assert CameraSettings(threshold_off=3).explicit_values() == {"threshold_off": 3}
-
-
 @pytest.mark.parametrize(
     ("camera", "gripper"),
     [
@@ -195,20 +172,6 @@ def test_failed_opening_leaves_nothing_open(
     with pytest.raises(EvetacError):
         open_rig(replace(camera, prepared_events_s=1e4), gripper, CameraSettings(), None, np.random.SeedSequence(0))
     assert len(closed) == (gripper == grippers.Virtual())
-
-
-def test_prepared_words_hold_the_rate() -> None:
-    """Assert that prepared words are as many events a second as asked for, second after second."""
-    from evetac_cli.devices.dvxplorer import event_words
-
-    source = cameras.prepared_words(20_000, np.random.SeedSequence(3))
-    data = source._between(0, 4 * source.left)
-    decoder = event_words.start()
-    events = event_words.step(decoder, data)
-    more = event_words.flush(decoder)
-    t = np.concatenate([events.t, more.t]) - 1000
-    assert np.bincount(t // 1_000_000).tolist() == [20_000] * cameras.PREPARED_S
-    assert not any(decoder.counted.values())
 
 
 def test_a_gripper_is_a_real_one_unless_it_says_otherwise() -> None:

@@ -187,7 +187,7 @@ def record(path: Path, camera: str, capsys: pytest.CaptureFixture[str], *flags: 
     return ended.value.code, capsys.readouterr().err
 
 
-@pytest.mark.parametrize("fault", SLICES)
+@pytest.mark.parametrize("fault", ["order", "float", "raises"])
 def test_record_names_the_camera(bad: None, tmp_path: Path, capsys: pytest.CaptureFixture[str], fault: str) -> None:
     """Assert that an invalid slice ends a recording, which keeps the valid slices before it."""
     path = tmp_path / "a.recording.h5"

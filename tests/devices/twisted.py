@@ -8,9 +8,9 @@ from contextlib import contextmanager
 import numpy as np
 
 from evetac_cli.devices.rh_p12_rn.control_table import baud_code
+from evetac_cli.devices.virtual.gripper import Faults, ServoLine
 from evetac_cli.devices.virtual.servo import VirtualServo
 from evetac_cli.devices.virtual.servo_plant import Obstacle, OwnDynamics
-from evetac_cli.devices.virtual.servo_process import Faults, ServoLine
 from evetac_cli.realtime.shared_time import HOST_TIME
 from tests.devices.stepped import StepClock
 

@@ -6,10 +6,15 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import nullcontext
 from multiprocessing.connection import Connection
 from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
 
 from evetac_cli import interrupts
+from evetac_cli.errors import DeviceError
 from evetac_cli.realtime import processes
 
 PATIENCE_S = 60.0
@@ -67,3 +72,20 @@ def test_a_process_that_was_stopped_stands_still() -> None:
                 time.sleep(0.001)
             assert processes.stands_still(waiting.pid) == stands
     assert processes.stands_still(waiting.pid)  # nobody of this number any more
+
+
+@pytest.mark.parametrize(("share", "starts"), [(0.02, True), (0.0, False)])
+def test_a_process_that_computes_is_waited_for(share: float, starts: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that a process with a share of every second is waited for, here half an hour, and one without is not."""
+    now_s = 0.0
+
+    def poll(timeout_s: float) -> bool:
+        nonlocal now_s
+        now_s += timeout_s
+        return share * now_s >= 40.0
+
+    monkeypatch.setattr(processes, "cpu_time_s", lambda pid: round(share * now_s, 2))
+    monkeypatch.setattr(processes, "time", SimpleNamespace(monotonic=lambda: now_s))
+    pipe, process = SimpleNamespace(poll=poll), SimpleNamespace(pid=1)
+    with nullcontext() if starts else pytest.raises(DeviceError, match="did not start"):
+        processes.wait_while_computing(pipe, process, "it did not start")  # type: ignore[arg-type]

@@ -57,7 +57,7 @@ def test_processes_are_told_by_what_they_are(tmp_path: Path) -> None:
         "sleep = 'import sys; print(flush=True); sys.stdin.read()'\n"
         "pipes = {'stdin': subprocess.PIPE, 'stdout': subprocess.PIPE}\n"
         "started = [subprocess.Popen([sys.executable, '-c', sleep, name], **pipes)"
-        " for name in ('resource_tracker', 'servo_process', '--multiprocessing-fork', '--multiprocessing-fork')]\n"
+        " for name in ('resource_tracker', 'devices.virtual.gripper', *['--multiprocessing-fork'] * 2)]\n"
         "[each.stdout.readline() for each in started]\n"
         "print(*(each.pid for each in started), flush=True)\n"
         "sys.stdin.read()\n"

@@ -81,8 +81,7 @@ BLOCKS = (
     (read_hdf5, "BATCH_ROWS", 1 << 13),
     (rules, "BLOCK_VALUES", 1 << 13),
     (validate, "EVENTS", 1 << 13),
-    (replay, "BLOCK_SLICES", 100),
-    (replay, "PACKET_EVENTS", 1 << 10),
+    (replay, "BLOCK_SLICES", 10),
     (write_table, "BATCH_BYTES", 1 << 18),
     *CHUNKS,
 )

@@ -97,17 +97,6 @@ def test_a_budget_is_kept(budget_s: float, machine: SlowedClock) -> None:
     assert machine.now_s < RUNS * 2 * block_s + 2 * (share_s + block_s) + max(budget_s, RUNS * block_s)
 
 
-def test_what_fails_in_a_trial_is_raised(machine: SlowedClock) -> None:
-    """Assert that a measurement ends with what a trial raises."""
-    (trial,) = record.jobs([], Record(), None)
-
-    def fails(trial: SimulatedTrial, append: Append, timer: Timer) -> None:
-        machine.play(trial, append if machine.runs < RUNS else lambda events, rows: 1 / 0, timer)  # type: ignore[arg-type, return-value]
-
-    with pytest.raises(ZeroDivisionError):
-        measure(trial, fails, 2)
-
-
 @pytest.mark.parametrize("scene", ["slip", "edge", "vibration"])
 def test_a_timer_changes_nothing(scene: str) -> None:
     """Assert that a trial makes the same events and rows with a timer and without, which leaves calls as they are."""
@@ -174,17 +163,6 @@ SUMMARY = {"files": 3, "first_file": "a.recording.h5", "slices_measured": 1400, 
 SUMMARY["times_real_time"] = 5.0
 
 
-@pytest.mark.parametrize(
-    ("figure", "noise", "words"),
-    [(52.93, None, "52.9"), (-5.732, 5.732, "< 5.7"), (1.8, 2.04, "< 2"), (2.1, 2.0, "2.1"), (None, None, None)],
-)
-def test_how_a_time_is_said(figure: float | None, noise: float | None, words: str | None) -> None:
-    """Assert that no time of a part is negative, and that one within the noise is said by its limit."""
-    row = {"part": "dots", "built": "56", "left_out": None, "time_us": figure, "saves_us": None, "noise_us": noise}
-    (shown,), _ = for_people(Outcome([row], True, SUMMARY))
-    assert shown == {"part": "dots", "built": "56", "time_us": words}
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "words", [["--scene", "slip"], ["--scene", "edge"], ["--scene", "vibration"], ["--count", "9"]]
@@ -209,20 +187,6 @@ def test_a_dry_run_of_many_trials_with_devices_names_the_first(tmp_path: Path) -
     """Assert that of a series of 40 trials the first five files are named, and all with -v."""
     words = ["record", "--camera", "virtual", "--gripper", "virtual", "--count", "40", "--dry-run", "-o", str(tmp_path)]
     short, whole = (CliRunner().invoke(app, [*words, *more]).stdout for more in ([], ["-v"]))
-    assert short.count("│ file ") == 5
+    assert "trial 4" in short and "trial 5" not in short
     assert "40 in all" in short
-    assert whole.count("│ file ") == 40
-
-
-def test_objects_whose_slip_the_grid_does_not_resolve(machine: SlowedClock, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that a dry run names the objects that press so hard, and that its pitch resolves them all."""
-    monkeypatch.setattr(simulated, "play_through", machine.play)
-    params = Record(objects="2,12,18", node_pitch_mm=1.6)
-    summary = record.dry_run(record.jobs([], params, None), params).summary
-    assert list(summary["nodes_of_slip"]) == ["2", "18"]
-    assert max(summary["nodes_of_slip"].values()) < 4
-    pitch_mm = summary["resolving_pitch_mm"]
-    assert pitch_mm == pytest.approx(1.6 * min(summary["nodes_of_slip"].values()) / 4)
-    finer = Record(objects="2,18", node_pitch_mm=0.95 * pitch_mm)
-    nodes = part_costs.nodes_of_slip(record.jobs([], finer, None))
-    assert min(nodes.values()) >= 4
+    assert "trial 39" in whole

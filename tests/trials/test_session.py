@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-from array import array
 from pathlib import Path
 from typing import Any
 
@@ -44,12 +43,6 @@ def test_losses_are_datasets_and_words() -> None:
     why = "camera.late_events 3"
     assert session.lost_columns({**datasets, "capture/ended": "the end"}) == {"lost": 3, "lost_why": why}
     assert session.lost_columns({}) == {"lost": 0, "lost_why": None}
-
-
-def test_spread() -> None:
-    """Assert that median, 99th percentile and most are those of numpy."""
-    values = array("d", range(1001))
-    np.testing.assert_allclose(session.spread(values), [500.0, 990.0, 1000.0])
 
 
 def test_times_of_a_long_recording_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -148,10 +141,3 @@ def test_what_the_computer_was_too_slow_for(
         assert said.startswith("this computer was too slow: ")
         assert words in said
         assert said.endswith("`evetac doctor --speed` reports what is too slow")
-
-
-def test_all_that_was_too_slow_is_said_in_one_line() -> None:
-    said = slow({"capture/command_misses": 9}, late=9, behind_s=2.0)
-    assert said is not None
-    assert said.count("; ") == 2
-    assert "\n" not in said

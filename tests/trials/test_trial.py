@@ -2,9 +2,7 @@
 
 import pickle
 import shutil
-from collections import Counter
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,12 +11,9 @@ from evetac_cli.commands.grasp import Grasp
 from evetac_cli.commands.record import Record
 from evetac_cli.devices import cameras, grippers
 from evetac_cli.errors import InputError
-from evetac_cli.kernels.grip import control as grip_control
-from evetac_cli.sim.setup import scene_file
 from evetac_cli.sim.setup import solver as scene_solver
 from evetac_cli.trials import grasp, record
 from evetac_cli.trials import trial as trials
-from evetac_cli.trials.grasp import settings
 from evetac_cli.trials.grasp.settings import DeviceGrasp, ReplayGrasp, SimulatedGrasp
 from evetac_cli.trials.record.capture_plan import DeviceRecording
 from evetac_cli.trials.record.imported import ImportJob
@@ -85,35 +80,6 @@ def test_one_file_holds_one_trial() -> None:
     for params in (Record(camera="dvxplorer", count=2), Record(camera="dvxplorer:A,dvxplorer:B")):
         with pytest.raises(InputError, match="one output file cannot hold several"):
             record.jobs([], params, Path("a.recording.h5"))
-
-
-@pytest.mark.parametrize("objects", ["11", "11-12"])
-def test_a_series_of_grasps_is_resolved_once(
-    objects: str, tmp_path: Path, made: Made, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Assert that law, scene and model are resolved once in a series, when its jobs are made, not when they run."""
-    calls: Counter[str] = Counter()
-
-    def counted(owner: Any, name: str) -> None:
-        call = getattr(owner, name)
-
-        def count(*arguments: Any, **named: Any) -> Any:
-            calls[name] += 1
-            return call(*arguments, **named)
-
-        monkeypatch.setattr(owner, name, count)
-
-    counted(grip_control, "make_law")
-    counted(settings, "check_graph")
-    counted(trials, "plans")
-    counted(scene_file, "of_table")
-    params = Grasp(objects=objects, model=made.model, lift_s=1.0, balance_s=0.0)
-    once = {"make_law": 1, "check_graph": 1, "plans": 1, "of_table": 1}
-    jobs = grasp.jobs([], params, tmp_path)
-    assert calls == once
-    for job in jobs:
-        assert grasp.run(job, params).made
-    assert calls == once
 
 
 @pytest.mark.parametrize(("nodes", "warned"), [(6.0, False), (2.5, True)])

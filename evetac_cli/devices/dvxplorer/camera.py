@@ -19,18 +19,12 @@ import usb.util
 from evetac_cli.devices.device_slices import FAR_US, DeviceSlices
 from evetac_cli.devices.dvxplorer import event_words, protocol
 from evetac_cli.devices.dvxplorer.protocol import DvxplorerSettings, Generation
-from evetac_cli.devices.dvxplorer.usb_errors import (
-    device_error,
-    no_libusb,
-    not_found,
-    not_ready,
-    other_sensor,
-    wrong_model,
-)
-from evetac_cli.devices.dvxplorer.usb_reader import QUEUE_BYTES, READ_BYTES, READ_TIMEOUT_MS, UsbReader
+from evetac_cli.devices.dvxplorer.usb_reader import QUEUE_BYTES, READ_BYTES, READ_TIMEOUT_MS, UsbReader, device_error
+from evetac_cli.errors import DeviceError, install_hint
 from evetac_cli.events import FRAME_PX, SLICE_US, Events
 from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
 
+WHERE = "--camera dvxplorer"
 CONTROL_TIMEOUT_MS = 1000
 STOP_TIMEOUT_MS = 250  # for a request to a camera that is being released: it may hang, and Ctrl-C waits for it
 DRAIN_READS = 50
@@ -54,7 +48,7 @@ def find_cameras(backend: Any = None) -> list[FoundCamera]:
     """Return all DVXplorer cameras on the bus; DeviceError if libusb is missing."""
     backend = backend or libusb_package.get_libusb1_backend()
     if backend is None:
-        raise no_libusb()
+        raise DeviceError("libusb, of the package libusb-package, was not found", where=WHERE, hint=install_hint())
     cameras = []
     for device in usb.core.find(find_all=True, idVendor=protocol.VENDOR, idProduct=protocol.PRODUCT, backend=backend):
         serial = _serial(device)
@@ -83,8 +77,22 @@ def _choose(serial: str | None, backend: Any) -> FoundCamera:
     if len(matching) == 1:
         return matching[0]
     if not minis and fitting:
-        raise wrong_model(fitting[0].where, fitting[0].board)
-    raise not_found(serial, [camera.serial or f"one without read permission, {camera.where}" for camera in cameras])
+        raise DeviceError(
+            "is not a DVXplorer Mini",
+            where=fitting[0].where,
+            expected="board 4 (bcdDevice 0x04..), the Mini or Micro",
+            found=f"board {fitting[0].board}",
+            hint="its events come in another format; record with DV and import: evetac record --from FILE.aedat4",
+        )
+    several = serial is None and len(cameras) > 1
+    raise DeviceError(
+        "there are several cameras" if several else "there is no such camera",
+        where=WHERE,
+        expected=f"one DVXplorer Mini (USB 152a:8419){f' with serial number {serial}' if serial else ''}",
+        found=", ".join(each.serial or f"one without read permission, {each.where}" for each in cameras)
+        or "none on the bus",
+        hint=f"name one: {WHERE}:SERIAL" if several else "plug it in, or run `evetac doctor` to find the fault",
+    )
 
 
 class WordSlices(DeviceSlices):
@@ -291,7 +299,8 @@ class DvxplorerCamera:
         usb.util.claim_interface(self._device, 0)
         self._claimed = True
         if usb.util.find_descriptor(configuration[(0, 0)], bEndpointAddress=protocol.DATA_ENDPOINT) is None:
-            raise not_ready(self.where)
+            hint = "wait two seconds after plugging it in; if that does not help, flash its firmware again"
+            raise DeviceError("is not ready", where=self.where, expected="a bulk endpoint 0x82", hint=hint)
 
     def _set_up(self) -> None:
         """Configure the camera up to the start of the stream, in the order measured from the maker's drivers."""
@@ -305,7 +314,7 @@ class DvxplorerCamera:
         except usb.core.USBTimeoutError:
             size = FRAME_PX  # these reads hang on some hosts
         if size != FRAME_PX:
-            raise other_sensor(self.where, size)
+            raise DeviceError("has a different sensor", where=self.where, expected="640 x 480", found=str(size))
         self._send(protocol.configure(self._generation, self.settings))
         if self._generation is Generation.REGISTERS:
             self._device.clear_halt(protocol.DATA_ENDPOINT)

@@ -170,15 +170,12 @@ def encode(events: Events, first_ms: int = 1, frame_us: int = 1) -> NDArray[np.u
     (The maker's parser, unlike evetac's, fails if the very first frame of a stream has the time of its TIMESTAMP.)
     """
     check_range("frame_us", frame_us, 1, SLICE_US)
-    check_range("first_ms", first_ms)
-    if len({len(column) for column in events}) != 1:
-        raise ValueError(f"expected columns of equal length, found {[len(column) for column in events]}")
     if events.size == 0:
         return np.empty(0, np.uint32)
     if events.t.min() < 0 or events.t.max() >= loops.LONGEST_MS * SLICE_US:
         raise ValueError(f"t: expected 0..{loops.LONGEST_MS} ms, found {events.t.min()}..{events.t.max()} us")
-    if events.x.max() >= FRAME_PX[0] or events.y.max() >= FRAME_PX[1] or events.p.max() > 1:
-        largest = [int(column.max()) for column in events[1:]]
+    largest = [int(column.max()) for column in events[1:]]
+    if any(found >= most for found, most in zip(largest, (*FRAME_PX, 2), strict=True)):
         raise ValueError(f"x, y, p: expected below {FRAME_PX[0]}, {FRAME_PX[1]} and 2, found up to {largest}")
     keys = loops.keys_by_group(*events, frame_us)
     keys.sort()

@@ -23,8 +23,7 @@ import usb.core
 
 from evetac_cli.devices.dvxplorer import protocol
 from evetac_cli.devices.dvxplorer.event_word_loops import plausible_events
-from evetac_cli.devices.dvxplorer.usb_errors import device_error, gone
-from evetac_cli.errors import DeviceError
+from evetac_cli.errors import DeviceError, DeviceTimeout
 from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
 
 READ_TIMEOUT_MS = 2  # how long a read waits for a silent camera, and so how much later its slices are closed
@@ -35,6 +34,21 @@ BREATH_S = 5e-4  # pause between transfers while the consumer is behind; a camer
 ERRORS_IN_A_ROW = 5
 LOG_EVERY_S = 0.5
 TIMESTAMP_CODE = 2  # bits 26 and up of a word
+_GONE = (errno.ENODEV, errno.ENOENT, errno.ESHUTDOWN)
+_BY_ERRNO: dict[int | None, tuple[str, str]] = {  # what happened, and what to do
+    **dict.fromkeys(_GONE, ("is no longer on the bus", "plug it in again, in a USB 3 port and with a firm cable")),
+    errno.EACCES: ("you have no permission to open it", "`evetac doctor --print-udev` prints the udev rule to install"),
+    errno.EBUSY: ("is used by another program", "close DV, the ROS node or the other evetac that has it open"),
+    errno.ETIMEDOUT: ("did not answer in time", "unplug the camera and plug it in again"),
+}
+_OTHER = "refused the request, or the USB connection is bad", "plug it in again, without a hub"
+
+
+def device_error(error: OSError, where: str, doing: str) -> DeviceError:
+    """Return the DeviceError for an error of libusb; `doing` names the action, for example `reading events`."""
+    what, hint = _BY_ERRNO.get(error.errno, _OTHER)
+    kind = DeviceTimeout if error.errno == errno.ETIMEDOUT else DeviceError
+    return kind(what, where=where, found=f"{error.strerror or error} (errno {error.errno}) while {doing}", hint=hint)
 
 
 class Block(NamedTuple):
@@ -177,7 +191,7 @@ class UsbReader(Thread):
 
         Give up after too many errors in a row, or if the device has gone.
         """
-        recovered = not gone(error) and failures <= ERRORS_IN_A_ROW
+        recovered = error.errno not in _GONE and failures <= ERRORS_IN_A_ROW
         if recovered:
             try:
                 self._device.clear_halt(protocol.DATA_ENDPOINT)

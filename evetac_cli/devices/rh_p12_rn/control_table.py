@@ -12,16 +12,13 @@ from evetac_cli.errors import DeviceError
 MODEL_NUMBER = 35074  # RH-P12-RN(A)
 OLD_MODEL_NUMBER = 35073  # RH-P12-RN: looks the same, has a different control table
 RAM_START = 512  # addresses below are EEPROM, which is locked while torque is on
-TABLE_SIZE = 762
+TABLE_SIZE = 608  # without the indirect registers behind, which evetac does not use
 BEYOND_TICKS = 64  # positions this far beyond the limits are measured where fingers bend, see measurements.py
 CURRENT_MODE, POSITION_MODE = 0, 5  # values of Operating Mode; in position mode Goal Current limits the current
 WATCHDOG_MS = 20  # unit of Bus Watchdog
 WATCHDOG_TRIPPED = -1  # the value of Bus Watchdog after it tripped
 RETURN_DELAY_US = 2  # unit of Return Delay Time
 RPM = 0.01  # unit of speeds
-INDIRECT_COUNT = 128
-INDIRECT_ADDRESSES = 168
-INDIRECT_DATA = 634
 
 BAUD_RATES = {  # values of Baud Rate
     0: 9_600,
@@ -108,10 +105,6 @@ _EEPROM = (
     Register("Min Position Limit", 52, 4, 0, 0, 1150, "tick"),
     *(Register(f"External Port Mode {k + 1}", 56 + k, 1, 3, 0, 3) for k in range(4)),
     Register("Shutdown", 63, 1, 0b110100, 0, 0b111111),
-    *(
-        Register(f"Indirect Address {k + 1}", INDIRECT_ADDRESSES + 2 * k, 2, INDIRECT_DATA + k, 0, TABLE_SIZE - 1)
-        for k in range(INDIRECT_COUNT)
-    ),
 )
 
 _RAM = (
@@ -149,7 +142,6 @@ _RAM = (
     _read_only("Present Temperature", 594, 1, 35, "C"),
     _read_only("Grip Detection", 595, 1),
     *(Register(f"External Port Data {k + 1}", 600 + 2 * k, 2, 0, 0, 4095) for k in range(4)),
-    *(Register(f"Indirect Data {k + 1}", INDIRECT_DATA + k, 1, 0, 0, 255) for k in range(INDIRECT_COUNT)),
 )
 
 TABLE = _EEPROM + _RAM

@@ -23,7 +23,6 @@ from dynamixel_sdk import (
     COMM_SUCCESS,
     INST_PING,
     INST_READ,
-    INST_REBOOT,
     INST_WRITE,
     PortHandler,
     Protocol2PacketHandler,
@@ -197,10 +196,6 @@ class Bus(AbstractContextManager["Bus"]):
         self._port.pause_after(len(row) + 14)
         if result != COMM_SUCCESS:
             raise DeviceError(f"the port did not accept the write of {value} to {name}", where=self._where)
-
-    def reboot(self) -> None:
-        """Restart the device: torque off, hardware error cleared."""
-        self._transact(INST_REBOOT, b"", 0, "reboot")
 
     def devices(self, least_ms: float = 0.0) -> dict[int, tuple[int, int]]:
         """Return model number and firmware of every device on the bus, by id.

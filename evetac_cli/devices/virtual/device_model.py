@@ -1,7 +1,6 @@
 """The inside of a virtual DVXplorer Mini, behind its USB: registers, the stream of words, and faults.
 
-Crop, flip and flatten change events, not words. A camera with these settings therefore decodes the words of its source
-and encodes the remaining events. All other cameras pass words through.
+Crop, flip and flatten are registers without effect: evetac's driver does not use them.
 """
 
 import time
@@ -10,11 +9,11 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.devices.dvxplorer import event_words, protocol
+from evetac_cli.devices.dvxplorer import protocol
 from evetac_cli.devices.dvxplorer.event_word_loops import REF_MASK, events_in
 from evetac_cli.devices.dvxplorer.protocol import Generation
-from evetac_cli.devices.virtual.faults import CAMERA_FAULTS, camera_fault
-from evetac_cli.events import FRAME_PX, SLICE_US, Events
+from evetac_cli.devices.naming import CAMERA_FAULTS, camera_fault
+from evetac_cli.events import FRAME_PX, SLICE_US
 from evetac_cli.realtime.shared_time import TimeSource
 
 DEFAULT_FLUSH_US = 2000
@@ -63,8 +62,6 @@ class DeviceModel:
         self._ran_s: float | None = None  # time of the first RUN
         self._runs = False
         self._sent_s = 0.0  # host time of the last transfer
-        self._alters = False  # whether crop, flip or flatten is set
-        self._decoder = event_words.start()  # used if crop, flip or flatten change the events
 
     @property
     def waiting(self) -> bytes:
@@ -73,9 +70,7 @@ class DeviceModel:
 
     def has(self, name: str) -> bool:
         """Return whether a fault is active now; faults from before RUN always are."""
-        if not self._faults:  # the usual case, in a time-critical loop
-            return False
-        now_s = -1.0 if self._ran_s is None else self._source.time.now_s() - self._ran_s
+        now_s = self._since_run_s if self._faults else 0.0  # without faults, the usual case, this loop is time-critical
         return any(each.name == name and (not CAMERA_FAULTS[name].moment or each.lasts(now_s)) for each in self._faults)
 
     def once(self, name: str) -> bool:
@@ -87,16 +82,17 @@ class DeviceModel:
 
     def _hits(self, name: str) -> bool:
         """Return whether a fault alters words now: while it is active, or later if no words arrived while it was."""
-        if not self._faults:
-            return False
-        now_s = -1.0 if self._ran_s is None else self._source.time.now_s() - self._ran_s
-        missed = name not in self._done and any(
-            each.name == name and now_s >= (each.start_s or 0.0) for each in self._faults
-        )
-        hits = missed or self.has(name)
+        now_s = self._since_run_s
+        began = any(each.name == name and now_s >= (each.start_s or 0.0) for each in self._faults)
+        hits = began and (name not in self._done or self.has(name))
         if hits:
             self._done.add(name)
         return hits
+
+    @property
+    def _since_run_s(self) -> float:
+        """Time since the first RUN in s, below 0 before it."""
+        return -1.0 if self._ran_s is None else self._source.time.now_s() - self._ran_s
 
     def read(self, module: int, parameter: int) -> int | None:
         """Return the value of a parameter; None if it does not exist."""
@@ -107,7 +103,6 @@ class DeviceModel:
         if (module, parameter) not in self._registers or (module == protocol.DVS and parameter < protocol.RUN):
             return False
         self._registers[module, parameter] = value
-        self._alters = self._is_set_to_alter()
         if self.generation is Generation.PARAMETERS and (module, parameter) == (protocol.DVS, protocol.RUN):
             self._run(value != 0)
         elif (module, parameter) == (protocol.SENSOR, protocol.SENSOR_MODE):
@@ -184,7 +179,7 @@ class DeviceModel:
         if not whole:
             return False
         words = np.frombuffer(data, "<u4", whole // 4)
-        if not (self._faults or self._alters):  # the usual case: words pass through
+        if not self._faults:  # the usual case: words pass through
             self.events_seen += events_in(words)
             self._keep(data[:whole])
             return True
@@ -198,7 +193,7 @@ class DeviceModel:
             if self._hits(name):
                 hit = self._random.random(len(words)) < share
                 words = np.where(hit, self._random.integers(0, 1 << 32, len(words), np.uint32), words)
-        self._keep(self._altered(words).astype("<u4", copy=False).tobytes())
+        self._keep(words.astype("<u4", copy=False).tobytes())
         return True
 
     def _keep(self, data: bytes) -> None:
@@ -216,37 +211,11 @@ class DeviceModel:
 
     def _retimed(self, words: NDArray[np.uint32]) -> NDArray[np.uint32]:
         """Return the words with the times of a clock that jumps or runs at another rate."""
-        if not self._faults or not any(each.name in (*_JUMP_US, *_RATE) for each in self._faults):
+        if not any(each.name in (*_JUMP_US, *_RATE) for each in self._faults):
             return words
         jump_us = sum(jump for name, jump in _JUMP_US.items() if self.once(name))
         rate = next((rate for name, rate in _RATE.items() if self.has(name)), (1, 1))
         return self._clock.retimed(words, rate, jump_us)
-
-    def _is_set_to_alter(self) -> bool:
-        """Return whether crop, flip or flatten, by the registers of firmware 10, change the events."""
-        if self.generation is Generation.REGISTERS:
-            return False
-        crop = tuple(self._registers[protocol.DVS, protocol.CROP + k] for k in range(4))
-        flips = (protocol.FLIP_X, protocol.FLIP_Y, protocol.FLATTEN)
-        return crop != (0, 0, *FRAME_PX) or any(self._registers[protocol.DVS, parameter] for parameter in flips)
-
-    def _altered(self, words: NDArray[np.uint32]) -> NDArray[np.uint32]:
-        """Return the words of the events that remain after crop, flip and flatten."""
-        if not self._alters:
-            return words
-        x0, y0, width, height = (self._registers[protocol.DVS, protocol.CROP + k] for k in range(4))
-        flip_x, flip_y, flatten = (
-            self._registers[protocol.DVS, parameter]
-            for parameter in (protocol.FLIP_X, protocol.FLIP_Y, protocol.FLATTEN)
-        )
-        events = event_words.step(self._decoder, words.astype("<u4", copy=False).tobytes())
-        inside = (events.x >= x0) & (events.x < x0 + width) & (events.y >= y0) & (events.y < y0 + height)
-        if flatten in (2, 3):
-            inside &= events.p == (flatten == 2)
-        x = FRAME_PX[0] - 1 - events.x if flip_x else events.x
-        y = FRAME_PX[1] - 1 - events.y if flip_y else events.y
-        p = np.ones_like(events.p) if flatten else events.p
-        return event_words.encode(Events(events.t[inside], x[inside], y[inside], p[inside]), first_ms=0)
 
 
 class CameraClock:

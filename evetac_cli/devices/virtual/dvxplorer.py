@@ -38,7 +38,7 @@ def _fail(what: str, number: int, code: int) -> NoReturn:
 class VirtualDvxplorer(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has no types
     """One camera and its bus; pass it as `backend` to DvxplorerCamera.
 
-    firmware: 10 takes 8-byte values, 9 and earlier 4-byte values; board: 4 for a Mini; faults: see faults.py. `log`
+    firmware: 10 takes 8-byte values, 9 and earlier 4-byte values; board: 4 for a Mini; faults: see naming.py. `log`
     holds every executed vendor request: (request, value, index, data).
     """
 

@@ -11,7 +11,6 @@ stuffing.
 """
 
 import struct
-from collections.abc import Iterable
 from enum import IntEnum
 from typing import NamedTuple
 
@@ -23,23 +22,14 @@ _ALERT = 0x80
 
 
 class Instruction(IntEnum):
-    """The instruction of a frame; STATUS is the answer."""
+    """The instructions that the virtual servo knows; STATUS is the answer."""
 
     PING = 0x01
     READ = 0x02
     WRITE = 0x03
-    REG_WRITE = 0x04
-    ACTION = 0x05
-    FACTORY_RESET = 0x06
     REBOOT = 0x08
-    CLEAR = 0x10
     STATUS = 0x55
-    SYNC_READ = 0x82
     SYNC_WRITE = 0x83
-    FAST_SYNC_READ = 0x8A
-    BULK_READ = 0x92
-    BULK_WRITE = 0x93
-    FAST_BULK_READ = 0x9A
 
 
 class StatusError(IntEnum):
@@ -106,20 +96,6 @@ def frame(id_: int, instruction: int, parameters: bytes = b"") -> bytes:
 def status(id_: int, fault: int = StatusError.NONE, parameters: bytes = b"", *, alert: bool = False) -> bytes:
     """Return the bytes of an answer; alert: whether Hardware Error Status is not zero."""
     return frame(id_, Instruction.STATUS, bytes([fault | (_ALERT if alert else 0)]) + parameters)
-
-
-def fast_status(blocks: Iterable[tuple[int, int, bytes]]) -> bytes:
-    """Return the single answer to a fast sync or bulk read: (error, id, data) of each device in turn.
-
-    After each block follows the CRC of all bytes so far; nothing is stuffed.
-    """
-    listed = list(blocks)
-    length = 1 + sum(len(data) + 4 for _, _, data in listed)
-    answer = HEADER + bytes([BROADCAST_ID]) + struct.pack("<H", length) + bytes([Instruction.STATUS])
-    for error, id_, data in listed:
-        answer += bytes([error, id_]) + data
-        answer += struct.pack("<H", crc16(answer))
-    return answer
 
 
 class FrameReader:

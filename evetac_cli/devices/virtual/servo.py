@@ -5,13 +5,14 @@ moves a plant (servo_plant).
 
 Where the maker's manual is unclear, this servo is strict. Goal Current starts at 0. A wrong CRC is answered with error
 3. A tripped watchdog cuts the motor current, leaves Torque Enable as it is and accepts only 0. An overload switches
-torque off until reboot. A factory reset is refused. Profiles, PWM, and the integral and derivative gains of position
-are registers without effect.
+torque off until reboot. It knows the instructions that the driver and the maker's library use for one gripper: ping,
+read, write, sync write and reboot. Profiles, PWM, and the integral and derivative gains of position are registers
+without effect.
 """
 
 import struct
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import NamedTuple
 
 from evetac_cli.devices.rh_p12_rn import control_table as table
@@ -21,14 +22,11 @@ from evetac_cli.devices.virtual.dynamixel_frames import (
     DynamixelFrame,
     Instruction,
     StatusError,
-    fast_status,
     status,
 )
 from evetac_cli.devices.virtual.servo_plant import Goals, Plant
 
 TICK_DEG = 0.088
-_CLEAR = bytes([0x01, 0x44, 0x58, 0x4C, 0x22])
-_NO_ID = 253  # Secondary ID from this value upward: none
 _TICK_MS = 32768  # Realtime Tick wraps at this value
 _OVERLOAD = 1 << table.HARDWARE_ERRORS.index("overload")
 _LIMITED_BY = {"Goal PWM": "PWM Limit", "Goal Current": "Current Limit", "Goal Velocity": "Velocity Limit"}
@@ -67,7 +65,6 @@ class VirtualServo:
             self._set(name, value)
         self._ram = bytes(self._memory[table.RAM_START :])  # RAM as after a restart
         self._supply = {name: self._get(name) for name in ("Present Input Voltage", "Present Temperature")}
-        self._registered: tuple[int, bytes] | None = None
         self._motion = self._plant.advance(Goals(), now_s)
         self._set("Goal Position", self._motion.position_ticks)
         self._apply_registers()
@@ -123,7 +120,6 @@ class VirtualServo:
     def restart(self, now_s: float) -> None:
         """Restart, as after a short power cut or a reboot: no torque, no watchdog, no error, clock at 0."""
         self._memory[table.RAM_START :] = self._ram
-        self._registered = None
         self._booted_s = now_s
         self._set("Goal Position", self._plant.advance(Goals(), now_s).position_ticks)
         self._apply_registers()
@@ -171,110 +167,46 @@ class VirtualServo:
 
     def _answer(self, frame: DynamixelFrame, now_s: float, level: int) -> bytes | None:
         own_id = self._get("ID")
-        secondary = self._get("Secondary ID")
-        if frame.id not in (own_id, BROADCAST_ID) and not frame.id == secondary < _NO_ID:
+        if frame.id not in (own_id, BROADCAST_ID):
             return None
-        quiet = frame.id != own_id
-        if not frame.sound:
-            return None if quiet or level < 2 else self._status(own_id, StatusError.CRC)
-        self._heard_s = now_s
-        self.instructions[frame.instruction] += 1
-        try:
-            listed = self._read_by_list(frame, own_id)
-            if listed is not None:
-                return listed if level >= 1 else None
-            data = self._carry_out(frame, now_s)
-            fault = StatusError.NONE
-        except ServoRefused as refused:
-            data, fault = b"", refused.fault
-        if frame.instruction == Instruction.PING:
-            return self._status(own_id, fault, data) if frame.id in (own_id, BROADCAST_ID) else None
-        needed = 1 if frame.instruction == Instruction.READ else 2
-        return None if quiet or level < needed or self._by_list(frame) else self._status(own_id, fault, data)
+        fault, data = StatusError.CRC, b""
+        if frame.sound:
+            self._heard_s = now_s
+            self.instructions[frame.instruction] += 1
+            try:
+                fault, data = StatusError.NONE, self._carry_out(frame, now_s)
+            except ServoRefused as refused:
+                fault = refused.fault
+            if frame.instruction == Instruction.PING:
+                return self._status(own_id, fault, data)
+        needed = 1 if frame.sound and frame.instruction == Instruction.READ else 2
+        is_quiet = frame.id == BROADCAST_ID or level < needed or frame.instruction == Instruction.SYNC_WRITE
+        return None if is_quiet else self._status(own_id, fault, data)
 
     def _status(self, own_id: int, fault: StatusError, data: bytes = b"") -> bytes:
         return status(own_id, fault, data, alert=self._get("Hardware Error Status") != 0)
 
-    @staticmethod
-    def _by_list(frame: DynamixelFrame) -> bool:
-        return frame.instruction >= Instruction.SYNC_READ
-
-    def _read_by_list(self, frame: DynamixelFrame, own_id: int) -> bytes | None:
-        """Return the answer to a sync or bulk read that names this servo first, or None.
-
-        A servo that is named later would wait for those before it.
-        """
-        sync = frame.instruction in (Instruction.SYNC_READ, Instruction.FAST_SYNC_READ)
-        bulk = frame.instruction in (Instruction.BULK_READ, Instruction.FAST_BULK_READ)
-        if not (sync or bulk) or frame.id != BROADCAST_ID or len(frame.parameters) < 5:
-            return None
-        if sync:
-            address, size, first = struct.unpack_from("<HHB", frame.parameters)
-        else:
-            first, address, size = struct.unpack_from("<BHH", frame.parameters)
-        if first != own_id:
-            return None
-        fault, data = StatusError.NONE, bytes(size)
-        try:
-            data = self._read(address, size)
-        except ServoRefused as refused:
-            fault = refused.fault
-        if frame.instruction in (Instruction.SYNC_READ, Instruction.BULK_READ):
-            return self._status(own_id, fault, b"" if fault else data)
-        # each of several devices would add its block, so this answers only if it is the only one listed
-        alone = len(frame.parameters) == 5
-        alert = 0x80 if self._get("Hardware Error Status") else 0
-        return fast_status([(fault | alert, own_id, data)]) if alone else None
-
     def _carry_out(self, frame: DynamixelFrame, now_s: float) -> bytes:
         """Return the data of the answer; ServoRefused with the reason."""
-        steps: dict[int, Callable[[bytes], bytes | None]] = {
-            Instruction.PING: self._ping,
-            Instruction.READ: self._read_one,
-            Instruction.WRITE: self._write_one,
-            Instruction.REG_WRITE: self._register,
-            Instruction.ACTION: self._action,
-            Instruction.FACTORY_RESET: self._factory_reset,
-            Instruction.REBOOT: lambda _: self.restart(now_s),
-            Instruction.CLEAR: self._clear,
-            Instruction.SYNC_WRITE: self._sync_write,
-            Instruction.BULK_WRITE: self._bulk_write,
-        }
-        step = steps.get(frame.instruction)
-        if step is None:
-            raise ServoRefused(StatusError.INSTRUCTION)
-        return step(frame.parameters) or b""
-
-    def _ping(self, _: bytes) -> bytes:
-        return self._read(0, 2) + self._read(6, 1)
-
-    def _read_one(self, parameters: bytes) -> bytes:
-        if len(parameters) != 4:
-            raise ServoRefused(StatusError.DATA_LENGTH)
-        return self._read(*struct.unpack("<HH", parameters))
-
-    def _write_one(self, parameters: bytes) -> None:
-        self._write(*_target(parameters))
-
-    def _register(self, parameters: bytes) -> None:
-        address, data = _target(parameters)
-        self._check(address, data)
-        self._registered = address, data
-        self._set("Registered Instruction", 1)
-
-    def _action(self, _: bytes) -> None:
-        if self._registered is None:
-            raise ServoRefused(StatusError.INSTRUCTION)
-        (address, data), self._registered = self._registered, None
-        self._set("Registered Instruction", 0)
-        self._write(address, data)
-
-    def _factory_reset(self, _: bytes) -> None:
-        raise ServoRefused(StatusError.RESULT)
-
-    def _clear(self, parameters: bytes) -> None:
-        if parameters != _CLEAR:
-            raise ServoRefused(StatusError.DATA_RANGE)
+        parameters = frame.parameters
+        match frame.instruction:
+            case Instruction.PING:
+                return self._read(0, 2) + self._read(6, 1)
+            case Instruction.READ:
+                if len(parameters) != 4:
+                    raise ServoRefused(StatusError.DATA_LENGTH)
+                return self._read(*struct.unpack("<HH", parameters))
+            case Instruction.WRITE:
+                if len(parameters) < 2:
+                    raise ServoRefused(StatusError.DATA_LENGTH)
+                self._write(struct.unpack_from("<H", parameters)[0], parameters[2:])
+            case Instruction.SYNC_WRITE:
+                self._sync_write(parameters)
+            case Instruction.REBOOT:
+                self.restart(now_s)
+            case _:
+                raise ServoRefused(StatusError.INSTRUCTION)
+        return b""
 
     def _sync_write(self, parameters: bytes) -> None:
         if len(parameters) < 4:
@@ -285,15 +217,6 @@ class VirtualServo:
                 self._write(address, parameters[at + 1 : at + 1 + size])
                 return
 
-    def _bulk_write(self, parameters: bytes) -> None:
-        at = 0
-        while at + 5 <= len(parameters):
-            id_, address, size = struct.unpack_from("<BHH", parameters, at)
-            if id_ == self._get("ID"):
-                self._write(address, parameters[at + 5 : at + 5 + size])
-                return
-            at += 5 + size
-
     # Memory
 
     def _read(self, address: int, size: int) -> bytes:
@@ -301,16 +224,7 @@ class VirtualServo:
         if address not in BY_ADDRESS or address + size > table.TABLE_SIZE:
             raise ServoRefused(StatusError.ACCESS)
         self._measure()
-        if address + size <= table.INDIRECT_DATA:
-            return bytes(self._memory[address : address + size])
-        return bytes(self._memory[self._mapped(at)] for at in range(address, address + size))
-
-    def _mapped(self, address: int) -> int:
-        """Return the true address of a byte: Indirect Data show the byte that their Indirect Address names."""
-        if not table.INDIRECT_DATA <= address < table.INDIRECT_DATA + table.INDIRECT_COUNT:
-            return address
-        at = table.INDIRECT_ADDRESSES + 2 * (address - table.INDIRECT_DATA)
-        return int.from_bytes(self._memory[at : at + 2], "little")
+        return bytes(self._memory[address : address + size])
 
     def _write(self, address: int, data: bytes) -> None:
         for register, value in self._check(address, data):
@@ -324,18 +238,17 @@ class VirtualServo:
             raise ServoRefused(StatusError.DATA_LENGTH)
         if address + len(data) > table.TABLE_SIZE:
             raise ServoRefused(StatusError.ACCESS)
-        bytes_at = {self._mapped(address + at): value for at, value in enumerate(data)}
         writes = []
-        while bytes_at:
-            register = BY_ADDRESS.get(next(iter(bytes_at)))
+        while data:
+            register = BY_ADDRESS.get(address)
             if register is None or not register.writable or (register.eeprom and self._get("Torque Enable")):
                 raise ServoRefused(StatusError.ACCESS)
-            places = range(register.address, register.address + register.size)
-            if not all(place in bytes_at for place in places):
+            if len(data) < register.size:
                 raise ServoRefused(StatusError.DATA_LENGTH)
-            value = register.decode(bytes(bytes_at.pop(place) for place in places))
+            value = register.decode(data[: register.size])
             self._check_value(register, value)
             writes.append((register, value))
+            address, data = address + register.size, data[register.size :]
         return writes
 
     def _check_value(self, register: Register, value: int) -> None:
@@ -353,10 +266,3 @@ class VirtualServo:
             within = self._get("Min Position Limit") <= value <= self._get("Max Position Limit")
         if not within:
             raise ServoRefused(StatusError.DATA_LIMIT)
-
-
-def _target(parameters: bytes) -> tuple[int, bytes]:
-    """Return address and data from the parameters of a write; ServoRefused if they are too short."""
-    if len(parameters) < 2:
-        raise ServoRefused(StatusError.DATA_LENGTH)
-    return struct.unpack_from("<H", parameters)[0], parameters[2:]

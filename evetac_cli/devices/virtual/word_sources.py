@@ -148,8 +148,6 @@ def random_event_words(events_per_s: float, seconds: float, rng: np.random.Gener
     check_range("events_per_s", events_per_s, least, most)
     each = round(events_per_s * _FRAME_US * 1e-6)
     patches = -(-each // 32)
-    if frames < 1:
-        raise ValueError(f"seconds: expected at least {_FRAME_US * 1e-6}, found {seconds}")
     parts = []
     for _ in range(min(frames, _DIFFERENT_FRAMES)):
         patch = rng.choice(width * height // 64, patches, replace=False)

@@ -3,7 +3,7 @@
 A grasp has three phases: light contact, lifting, balancing. The detector applies the kernels of `track` and `featurize`
 to live slices instead of a file (online_detector.py). It counts slices with slip, and the controller checks every 2 ms
 whether the count has risen (loop.py). With two cameras, one looks at each finger, and each has a detector
-(two_fingers.py; in real time grasp_processes.py). The flags are resolved once (settings.py) and stored in the trials.
+(loop.py; in real time grasp_processes.py). The flags are resolved once (settings.py) and stored in the trials.
 One module runs each kind of trial: SimulatedGrasp (simulated.py), DeviceGrasp (real_time.py) and ReplayGrasp
 (replay.py).
 """

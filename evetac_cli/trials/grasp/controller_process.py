@@ -1,7 +1,7 @@
 """The controller's process of a grasp in real time: every 2 ms it reads the gripper and the detector, and commands.
 
 Deadlines are absolute (pace.py): a late step does not move the following ones, and a missed one is counted, not made up
-for. New slip between two steps is answered at once (early_answer.py).
+for. New slip between two steps is answered at once (pace.py).
 
 However the grasp ends, torque is switched off and read back; only the emergency key opens the fingers. Failures, and
 the process that detects each:
@@ -40,16 +40,13 @@ from evetac_cli.errors import DeviceError, EvetacError
 from evetac_cli.events import SLICE_US
 from evetac_cli.interrupts import ignore_interrupts, remember_signals
 from evetac_cli.kernels.grip.control import Control, Law
-from evetac_cli.realtime.bell import Bell
 from evetac_cli.realtime.last_words import error_words
 from evetac_cli.realtime.message_pipe import MessageWriter, PeerGone, take_order
-from evetac_cli.realtime.processes import set_realtime_priority, stands_still
+from evetac_cli.realtime.processes import raise_if_ended, set_realtime_priority, stands_still
 from evetac_cli.realtime.shared_status import DetectorStatus, SharedStatus
 from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
-from evetac_cli.trials.grasp import early_answer
-from evetac_cli.trials.grasp.early_answer import EarlyAnswer
 from evetac_cli.trials.grasp.loop import Timing, control_row
-from evetac_cli.trials.grasp.pace import Pace, shift_us
+from evetac_cli.trials.grasp.pace import EarlyAnswer, Pace, early_columns, shift_us
 from evetac_cli.trials.session import FRESH, OPENED, OVERLOADED, RECORDER_LATE_MS, RECORDER_MS
 
 PRIORITY = 30
@@ -83,7 +80,6 @@ class ControllerSettings:
     most_s: float  # longest duration of the grasp, independent of the camera's clock
     time: TimeSource = HOST_TIME  # time source of the controller
     controller: str = ""  # name of the controller, for errors
-    servo: int | None = None  # process id of a virtual gripper, to measure its CPU use
 
 
 class GripperReady(NamedTuple):
@@ -185,7 +181,7 @@ def run_controller(
     gripper: Gripper | None = None
     try:
         while not take_order(orders, ORDER_S):
-            _raise_if_ended(ending)
+            raise_if_ended("the controller", ending)
         scheduling = set_realtime_priority(PRIORITY)
         gripper, setup = open_gripper(settings.gripper, "position", settings.port, settings.driver)
         assert gripper is not None
@@ -195,10 +191,9 @@ def run_controller(
             gc.collect()
             gc.freeze()
             gc.disable()  # the loop creates no reference cycles
-            clock, sleep = settings.time.now_s, settings.time.sleep
             has_ended = [detector.poll for detector in detectors]
             watch = Watch(settings.watchdog_ms, lambda finger: has_ended[finger](), lambda: stands_still(recorder))
-            result = command_grasp(gripper, shared, settings, outbox, clock, sleep, watch, ending)
+            result = command_grasp(gripper, shared, settings, outbox, watch, ending)
     except PeerGone:  # the process that started this has gone, or asked this one to end
         result = result._replace(torque=result.torque if gripper is None else gripper.release_words)
         _speak_for_recorder(result, died=_has_died(recorder))
@@ -241,21 +236,18 @@ def command_grasp(
     shared: SharedStatus,
     settings: ControllerSettings,
     outbox: MessageWriter,
-    clock: Callable[[], float] = HOST_TIME.now_s,
-    sleep: Callable[[float, Bell | None], bool] = HOST_TIME.sleep,
     watch: Watch | None = None,
     ending: Sequence[int] = (),
 ) -> ControllerEnded:
     """Command until the grasp is over, an order to stop or open arrives, or something fails; then switch torque off.
 
-    watch: supervises detector, camera and recorder; clock, sleep: in seconds, as in a TimeSource; ending: signals
-    received by this process.
+    watch: supervises detector, camera and recorder; ending: signals received by this process.
     """
     result = ControllerEnded(STOPPED, None, 0, 0, 0.0, array("d"), math.nan, math.nan, {})
     try:
-        if _wait_for_status(shared, clock, sleep, ending):
+        if _wait_for_status(shared, settings.time, ending):
             watch = watch or Watch(settings.watchdog_ms)
-            result = _command(gripper, shared, settings, outbox, clock, sleep, watch, ending)
+            result = _command(gripper, shared, settings, outbox, watch, ending)
         if result.ended == OPENED:
             gripper.emergency_open()
         gripper.close()  # without effect if the driver has already released the gripper
@@ -270,7 +262,7 @@ def command_grasp(
     if isinstance(error, EvetacError) and torque not in str(error):
         error.message += f"; {torque}"
     bus_failed = error is not None and math.isnan(result.alive_us)  # the error reports whether torque is off
-    released_us = math.nan if bus_failed else clock() * 1e6
+    released_us = math.nan if bus_failed else settings.time.now_s() * 1e6
     return result._replace(released_us=released_us, counted=dict(gripper.counted), torque=torque)
 
 
@@ -279,18 +271,16 @@ def _command(
     shared: SharedStatus,
     settings: ControllerSettings,
     outbox: MessageWriter,
-    clock: Callable[[], float],
-    sleep: Callable[[float, Bell | None], bool],
     watch: Watch,
     ending: Sequence[int],
 ) -> ControllerEnded:
     """Run the loop; its result does not contain yet when torque was off."""
-    timing = settings.timing
+    timing, clock = settings.timing, settings.time.now_s
     control = Control(settings.law, timing.control_hz, settings.controller)
     control.copy()  # early answers need copies: fail before there is torque
     wire_us = COMMAND_BYTES * 1e7 / settings.gripper.baud
     early = EarlyAnswer(
-        *(gripper, shared, timing, wire_us * 1e-6, clock, sleep),
+        *(gripper, shared, timing, wire_us * 1e-6, settings.time),
         may_write=lambda: not (shared.stopping or shared.opening or ending),
     )
     pace = Pace(1.0 / timing.control_hz, clock, early.sleep)
@@ -363,7 +353,7 @@ def _command(
         row["control/slices_processed"] = status.slices
         if status.second is not None:
             row["control/second_slices_processed"] = status.second.slices
-        row |= early_answer.columns(early.written, len(status.fingers))
+        row |= early_columns(early.written, len(status.fingers))
         answered_s = last_s if math.isnan(early.written.done_s) else early.written.done_s
         row["control/latency_us"] = answered_s * 1e6 + wire_us - _slip_began_us(status, seen_slips)
         missed_before, seen_slips = pace.missed, [each.signal.slips for each in status.fingers]
@@ -388,27 +378,19 @@ def _slip_began_us(status: DetectorStatus, seen: Sequence[int]) -> float:
     return min((each for each in began_us if not math.isnan(each)), default=math.nan)
 
 
-def _raise_if_ended(ending: Sequence[int]) -> None:
-    """Raise DeviceError if a signal to end this process was received."""
-    if ending:
-        raise DeviceError(f"the controller was ended by {signal.Signals(ending[0]).name}")
-
-
-def _wait_for_status(
-    shared: SharedStatus, clock: Callable[[], float], sleep: Callable[[float, Bell | None], bool], ending: Sequence[int]
-) -> bool:
+def _wait_for_status(shared: SharedStatus, time: TimeSource, ending: Sequence[int]) -> bool:
     """Wait until the detector has evaluated a first slice; return False if it was stopped before.
 
     There is no torque yet.
     """
-    until_s = clock() + FIRST_STATUS_S
+    until_s = time.now_s() + FIRST_STATUS_S
     parent = os.getppid()
     while shared.latest() is None:
-        shared.controller_lives(clock() * 1e6)
+        shared.controller_lives(time.now_s() * 1e6)
         if shared.stopping or os.getppid() != parent:
             return False
-        _raise_if_ended(ending)
-        if clock() > until_s:
+        raise_if_ended("the controller", ending)
+        if time.now_s() > until_s:
             raise DeviceError(f"{DETECTOR} did not start", expected=f"a first slice within {FIRST_STATUS_S:g} s")
-        sleep(WAITING_S, None)
+        time.sleep(WAITING_S)
     return True

@@ -8,8 +8,8 @@ import contextlib
 import gc
 import math
 import os
-import signal
 import sys
+import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -28,12 +28,8 @@ from evetac_cli.interrupts import ignore_interrupts, remember_signals
 from evetac_cli.kernels.grip.control import SlipSignal
 from evetac_cli.realtime.last_words import error_words
 from evetac_cli.realtime.message_pipe import MessageWriter, PeerGone, take_order
-from evetac_cli.realtime.processes import (
-    NICE,
-    set_niceness,
-)
+from evetac_cli.realtime.processes import NICE, raise_if_ended, set_niceness
 from evetac_cli.realtime.shared_status import REMEMBERED, DetectorStatus, SharedStatus
-from evetac_cli.trials.grasp.detector_load import DetectorLoad, LoadMeter
 from evetac_cli.trials.grasp.loop import SliceDetector
 from evetac_cli.trials.grasp.settings import DetectorModel
 from evetac_cli.trials.session import OVERLOADED
@@ -49,6 +45,8 @@ WARM_UP_EVENTS = 3000  # events per noise slice
 FLUSH_S = 5.0
 LAST_FLUSH_S = 60.0  # time for the last messages to a busy recorder, which needs them to know how the grasp ended
 ORDER_S = 0.1
+WARM_SLICES = 100  # slices at the beginning, during which it catches up
+FEWEST_SLICES = 1000  # whose CPU time says what a slice takes
 SWITCH_S = 2e-4  # how often the reading and decoding threads take turns
 
 
@@ -108,11 +106,32 @@ def joined(slices: Sequence[Events]) -> tuple[bytes, ...]:
 
 
 class DetectorEnded(NamedTuple):
-    """The end of a detector: the camera's losses by reason, the error if any, and the detector's load."""
+    """The end of a detector: the camera's losses by reason, the error if any, and the share of a core that it used."""
 
     counted: Mapping[str, int]
     error: Exception | None
-    load: DetectorLoad | None = None  # None if it ran too briefly
+    core_share: float | None = None  # CPU time per second of the recording; None if it ran too briefly
+
+
+class CoreMeter:
+    """The share of a core that the detector's process uses, including its camera's driver."""
+
+    def __init__(self) -> None:
+        self._began_s = math.nan
+        self._slices = -WARM_SLICES
+
+    def add(self, slices: int) -> None:
+        """Record that some slices were evaluated."""
+        if self._slices < 0 <= self._slices + slices:
+            self._began_s = time.process_time()
+        self._slices += slices
+
+    @property
+    def share(self) -> float | None:
+        """CPU time per second of the recording so far; None after too short a time."""
+        if self._slices < FEWEST_SLICES:
+            return None
+        return (time.process_time() - self._began_s) / (1e-6 * SLICE_US * self._slices)
 
 
 def open_detector(settings: DetectorSettings) -> SliceDetector | None:
@@ -164,7 +183,7 @@ def run_detector(
         outbox.put("ready")
         outbox.flush(FLUSH_S)
         while not take_order(orders, ORDER_S):
-            _raise_if_ended(ending)
+            raise_if_ended("the detector", ending)
         gc.collect()  # collect now, because it takes long and would delay slices once the camera runs
         scheduling = set_niceness(NICE)  # before the camera's thread starts, which inherits it
         camera, setup, _ = open_camera(settings.camera, CameraSettings(flush_us=FLUSH_US), world, settings.seeds)
@@ -172,7 +191,7 @@ def run_detector(
         gc.freeze()
         gc.disable()  # the loop creates no reference cycles
         outbox.flush(FLUSH_S)
-        meter = LoadMeter()
+        meter = CoreMeter()
         may_move, finger = (lambda: take_order(orders)), settings.finger
         detect(camera, detector, status, outbox, settings.slices, ending, may_move, meter, finger)
     except PeerGone:  # the process that started this has gone
@@ -186,15 +205,10 @@ def run_detector(
             with contextlib.suppress(DeviceError):  # the camera may have failed already
                 camera.close()
     counted = dict(camera.counted) if camera is not None else {}
-    outbox.put(DetectorEnded(counted, error, meter.load() if meter is not None else None), always=True)
+    outbox.put(DetectorEnded(counted, error, None if meter is None else meter.share), always=True)
     with contextlib.suppress(PeerGone):
         outbox.flush(LAST_FLUSH_S)
     alive.close()
-
-
-def _raise_if_ended(ending: Sequence[int]) -> None:
-    if ending:
-        raise DeviceError(f"the detector was ended by {signal.Signals(ending[0]).name}")
 
 
 def detect(
@@ -205,14 +219,14 @@ def detect(
     most: int,
     ending: Sequence[int] = (),
     may_move: Callable[[], bool] = lambda: True,
-    meter: LoadMeter | None = None,
+    meter: CoreMeter | None = None,
     finger: int = 0,
 ) -> None:
     """Evaluate slices and pass them to the recorder, until there are `most`, or an order to stop.
 
     Nothing is published before `may_move`, because the gripper moves as soon as there is a first status. Slices are
     evaluated before that anyway. Otherwise waiting slices would have to be caught up with, while the gripper moves by
-    old ones. meter: counts slices and events. DeviceError if the stream ends too early, the recorder cannot keep up, or
+    old ones. meter: counts slices. DeviceError if the stream ends too early, the recorder cannot keep up, or
     a signal was received (`ending`).
     """
     slip_us: deque[float] = deque(maxlen=REMEMBERED)
@@ -224,7 +238,7 @@ def detect(
     slices_held: list[Events] = []
     batch = SliceBatch()
     while slices < most and not status.stopping:
-        _raise_if_ended(ending)
+        raise_if_ended("the detector", ending)
         events = camera.read()
         if events is None:
             raise DeviceError("the camera's stream ended", expected=f"{most} slices", found=f"{slices}")
@@ -254,7 +268,7 @@ def detect(
             if slices % COUNTED_SLICES < BATCH_MS:
                 batch.counted = dict(camera.counted)
             if meter is not None:
-                meter.add(len(batch.counts), sum(batch.counts))
+                meter.add(len(batch.counts))
             _hand_over(outbox, batch, slices_held)
             slices_held, batch = [], SliceBatch()
             if os.getppid() != parent:

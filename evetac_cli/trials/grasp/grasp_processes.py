@@ -7,7 +7,6 @@ controller has died or hangs, the recorder ends it, switches torque off and read
 import contextlib
 import math
 import multiprocessing
-import os
 import select
 import time
 from collections.abc import Sequence
@@ -18,7 +17,6 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from evetac_cli.devices.plugin_devices import release_gripper
 from evetac_cli.errors import DeviceError
 from evetac_cli.interrupts import signals_held
-from evetac_cli.realtime.core_use import CoreUse
 from evetac_cli.realtime.last_words import LastWords, exit_words, telling
 from evetac_cli.realtime.message_pipe import MessageReader
 from evetac_cli.realtime.processes import start_shielded
@@ -97,22 +95,9 @@ class GraspProcesses:
         for process in (*self.detectors, self.controller):
             process.daemon = True
             start_shielded(process)
-        self._cores = CoreUse(self._process_ids(world))
         # Close the recorder's copies of their ends; otherwise a pipe would not close with the process at its other end.
         for end in (*theirs, *detector_ends, order, steps_end):
             end.close()
-
-    def _process_ids(self, world: "VirtualWorld | None") -> dict[str, int]:
-        """Return the process ids of the grasp, by name."""
-        names = ("the detector",) if len(self.detectors) == 1 else ("the first detector", "the second detector")
-        found = {
-            **{name: process.pid for name, process in zip(names, self.detectors, strict=True)},
-            "the controller": self.controller.pid,
-            "the recorder": os.getpid(),
-            "the virtual gripper": self._settings.servo,
-            "the virtual world": None if world is None else world.pid,
-        }
-        return {name: process for name, process in found.items() if process is not None}
 
     def begin(self, signals: list[int]) -> tuple[tuple[CameraReady, ...], GripperReady]:
         """Open the gripper once all detectors have loaded, then the cameras; return what they report.
@@ -136,11 +121,6 @@ class GraspProcesses:
     def give_sign_of_life(self) -> None:
         """Report that the supervising loop is alive."""
         self.status.recorder_lives(self.now_s() * 1e6)
-        self._cores.sample(time.monotonic())
-
-    def cores_used(self, *, whole: bool = False) -> str:
-        """Return a sentence on which processes used the cores in the last second, or since the beginning."""
-        return self._cores.words(whole=whole)
 
     def end_hanging_controller(self) -> str:
         """Kill a controller that gives no sign of life; return a sentence on that, or "" if it is alive."""

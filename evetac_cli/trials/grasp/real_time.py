@@ -224,7 +224,6 @@ def run(
             trial.most_s,
             HOST_TIME if world is None else world.time,
             settings.controller,
-            None if servo is None else servo.pid,
         )
         processes = GraspProcesses(detectors, controller, world)
         opened.callback(processes.close)

@@ -11,6 +11,7 @@ from evetac_cli.store.layout.provenance import Recipe
 from evetac_cli.trials import session
 from evetac_cli.trials.grasp.recorded_grasp import RecordedGrasp
 from evetac_cli.trials.grasp.settings import DeviceGrasp
+from evetac_cli.trials.session import MEDIAN, P99, figure
 
 
 def result_of(
@@ -47,28 +48,20 @@ def _row(
     grasp_outcome: Mapping[str, Any],
 ) -> Outcome:
     """Return the figures of a grasp that has a file."""
-    timing: dict[str, float | None] = {}
-    for name, path, index in (
-        ("latency_us_median", "latency_us", 0),
-        ("latency_us_p99", "latency_us", 1),
-        ("step_late_us_p99", "step_late_us", 1),
-        ("command_us_median", "command_us", 0),
-    ):
-        values = datasets.get(f"capture/{path}")
-        timing[name] = None if values is None else float(values[index])
-    for name in ("slices_per_s", "commands_per_s"):
-        timing[name] = float(datasets[f"capture/{name}"]) if f"capture/{name}" in datasets else None
     late, commands = recorded.late_slices, len(recorded.step_late_us)
-    load = None if recorded.detector is None else recorded.detector.load
-    used = "; ".join(words for words in (recorded.cores_used, "" if load is None else load.words()) if words)
-    too_slow = session.too_slow(datasets, recorded.slices, late, commands, recorded.behind_s, used)
+    too_slow = session.too_slow(datasets, recorded.slices, late, commands, recorded.behind_s)
     return outcome(
         trial,
         made=True,
         simulated=recipe.simulated,
         slices=recorded.slices,
         ended=recorded.ended,
-        **timing,
+        latency_us_median=figure(datasets, "latency_us", MEDIAN),
+        latency_us_p99=figure(datasets, "latency_us", P99),
+        step_late_us_p99=figure(datasets, "step_late_us", P99),
+        command_us_median=figure(datasets, "command_us", MEDIAN),
+        slices_per_s=figure(datasets, "slices_per_s"),
+        commands_per_s=figure(datasets, "commands_per_s"),
         **_of_second(trial, recorded),
         commands=commands,
         command_misses=_whole(datasets.get("capture/command_misses")),
@@ -77,9 +70,7 @@ def _row(
         late_slices=late.count,
         recorder_behind_s=recorded.behind_s,
         too_slow=too_slow,
-        detector_core_share=None if load is None else load.core_share,
-        events_per_s=None if load is None else load.events_per_s,
-        bearable_events_per_s=None if load is None else load.bearable_events_per_s,
+        detector_core_share=None if recorded.detector is None else recorded.detector.core_share,
         scheduling=datasets["capture/scheduling"],
         **session.lost_columns(datasets),
         **grasp_outcome,
@@ -91,15 +82,13 @@ def _of_second(trial: DeviceGrasp, recorded: RecordedGrasp) -> dict[str, Any]:
     if recorded.second is None:
         return {}
     datasets, second = recorded.second_datasets(), recorded.second
-    load = None if second.detector is None else second.detector.load
-    late_us = datasets.get("capture/slice_late_us")
     return {
         "second_output": str(trial.outputs[1]) if second.slices else None,
         "second_slices": second.slices,
         "second_slices_per_s": float(datasets.get("capture/slices_per_s", math.nan)),
-        "second_slice_late_us_p99": None if late_us is None else float(late_us[1]),
+        "second_slice_late_us_p99": figure(datasets, "slice_late_us", P99),
         "second_late_slices": second.late_slices.count,
-        "second_detector_core_share": None if load is None else load.core_share,
+        "second_detector_core_share": None if second.detector is None else second.detector.core_share,
         **{f"second_{name}": value for name, value in session.lost_columns(datasets).items()},
         "clock_offset_us": recorded.clock_offset_us,
     }

@@ -1,8 +1,8 @@
 """The record of a real-time grasp while it runs, and why it ended.
 
 The recorder's two threads share it. The supervising thread (recorder.py) learns how the other processes ended; the
-writing thread (writing_thread.py) takes slices and steps. A second finger, if it has a camera, only has its own slices
-(recorded_finger.py); everything else belongs to the grasp.
+writing thread takes slices and steps. A second finger, if it has a camera, only has its own slices;
+everything else belongs to the grasp.
 """
 
 import math
@@ -22,17 +22,16 @@ from evetac_cli.sim import grasp_outcome
 from evetac_cli.store.recordings.segments import RecordingWriter
 from evetac_cli.store.recordings.trial_writer import TrialBuffer
 from evetac_cli.trials.grasp.controller_process import DETECTOR, OF_FINGER, OVER, ControllerEnded
-from evetac_cli.trials.grasp.detector_process import SliceBatch
+from evetac_cli.trials.grasp.detector_process import DetectorEnded, SliceBatch
 from evetac_cli.trials.grasp.grasp_processes import GraspProcesses
-from evetac_cli.trials.grasp.recorded_finger import RecordedFinger
 from evetac_cli.trials.live_view import LiveView
 from evetac_cli.trials.session import (
     ABORTED,
     INTERRUPTED,
     LET_GO,
     OPENED,
-    OVERLOADED,
     STOPPED,
+    LateSlices,
     lost_datasets,
     spread,
 )
@@ -42,6 +41,63 @@ if TYPE_CHECKING:
 
 FELL = "the object fell"
 WHERE_FINGER = " (first finger)", " (second finger)"
+
+
+@dataclass(kw_only=True)
+class RecordedFinger:
+    """The recorded data of one finger, and how its detector ended."""
+
+    slices: int = 0
+    events: int = 0
+    first_us: float = math.nan  # time at which the first and the last slice were evaluated
+    last_us: float = math.nan
+    zero_us: float = math.nan  # latest estimate of when the camera's recording began, on the host's clock
+    slice_late_us: "array[float]" = field(default_factory=lambda: array("d"))
+    late_slices: LateSlices = field(default_factory=LateSlices)
+    behind_s: float = 0.0  # longest time that slices waited for the recorder
+    detector_died: bool = False
+    detector: DetectorEnded | None = None  # its final message
+    probability: "array[float]" = field(default_factory=lambda: array("f"))  # of each slice, only for a second finger
+
+    def take(
+        self, batch: SliceBatch, writer: RecordingWriter, most: int | None, now_s: float, rows: dict[str, Any]
+    ) -> int:
+        """Write the slices of a batch, at most up to `most` in total; return how many were written.
+
+        rows: columns written with the events.
+        """
+        self.behind_s = max([self.behind_s, *(now_s - at_us * 1e-6 for at_us in batch.at_us[-1:])])
+        wanted = len(batch.counts)
+        if most is not None:
+            wanted = min(max(most - self.slices, 0), wanted)
+        if not wanted:
+            return 0
+        counts = batch.counts[:wanted]
+        events = batch.events.part(0, sum(counts))
+        writer.append_slices(events, counts, {name: values[:wanted] for name, values in rows.items()})
+        for count, late_us in zip(counts, batch.late_us, strict=False):
+            self.late_slices.add(late_us, count)
+        if not self.slices:
+            self.first_us = batch.at_us[0]
+        self.last_us = batch.at_us[wanted - 1]
+        self.slice_late_us.extend(batch.late_us[:wanted])
+        self.slices += wanted
+        self.events += events.size
+        zero_us = self.last_us - batch.late_us[wanted - 1] - self.slices * SLICE_US
+        self.zero_us = self.zero_us if math.isnan(zero_us) else zero_us
+        return wanted
+
+    def camera_datasets(self) -> dict[str, Any]:
+        """Return the datasets capture/... of the camera: losses and timing."""
+        rows: dict[str, Any] = {}
+        passed_us = self.last_us - self.first_us
+        if passed_us > 0:
+            rows["capture/slices_per_s"] = np.float64((self.slices - 1) / passed_us * 1e6)
+        if len(self.slice_late_us):
+            rows["capture/slice_late_us"] = spread(self.slice_late_us)
+        if self.detector is not None:
+            rows |= lost_datasets({f"camera.{why}": count for why, count in self.detector.counted.items()})
+        return rows
 
 
 @dataclass
@@ -61,9 +117,6 @@ class RecordedGrasp(RecordedFinger):
     controller: ControllerEnded | None = None  # its final message
     controller_hung: str = ""  # sentence, if it hung
     torque: str = ""  # sentence on its state at the end
-    # sentences on which process used the cores: over the whole grasp, and in the second before a failure
-    cores_used: str = ""
-    cores_at_end: str = ""
 
     @property
     def fingers(self) -> tuple[RecordedFinger, ...]:
@@ -203,8 +256,6 @@ class RecordedGrasp(RecordedFinger):
                 self.error = world.died()
             if isinstance(self.error, EvetacError) and "torque" not in str(self.error):
                 self.error.message += f"; {self.torque}"
-            if isinstance(self.error, EvetacError) and self.error.hint == OVERLOADED:
-                self.error.found = "; ".join(words for words in (self.error.found, self.cores_at_end) if words)
         opened = controller is not None and self.ended == OPENED == controller.ended
         if opened or (controller is not None and self.ended in (INTERRUPTED, LET_GO, STOPPED, ABORTED, FELL)):
             self.error = None

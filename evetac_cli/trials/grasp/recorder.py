@@ -4,27 +4,29 @@ It never delays them, and they never wait for it, but a grasp only continues whi
 parent of the others, so one sign of life covers both. It knows why the grasp ended: it was over, Ctrl-C or the
 emergency key ended it, or something failed. The file states the reason in every case.
 
-The loop here supervises and is fast; a thread with lower priority than all others writes (writing_thread.py). Data may
+The loop here supervises and is fast; a thread with lower priority than all others writes. Data may
 wait in several places, so that a recorder without core or disk time loses nothing. There is room for 192 MB of events
 in this process, 1 MB in the pipe, and 64 MB in the detector's process, which then ends the grasp. At a million events
 per second this lasts 20 s.
 """
 
+import contextlib
 import math
+import os
 import select
 import sys
+import threading
 import time
+from collections import deque
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from evetac_cli.realtime.emergency_key import EmergencyKey
-from evetac_cli.realtime.processes import raised_priority
+from evetac_cli.realtime.processes import raised_priority, set_niceness
 from evetac_cli.store.recordings.segments import RecordingWriter
 from evetac_cli.trials.grasp.detector_process import SliceBatch
 from evetac_cli.trials.grasp.grasp_processes import END_S, POLL_S, GraspProcesses
-from evetac_cli.trials.grasp.recorded_finger import RecordedFinger
-from evetac_cli.trials.grasp.recorded_grasp import RecordedGrasp
-from evetac_cli.trials.grasp.writing_thread import WritingThread
+from evetac_cli.trials.grasp.recorded_grasp import RecordedFinger, RecordedGrasp
 from evetac_cli.trials.live_view import LiveView
 from evetac_cli.trials.session import INTERRUPTED, LET_GO, OPENED
 
@@ -37,6 +39,8 @@ LAST_S = 0.5  # time for one process to end by itself after the other has ended
 ALIVE_S = 0.005  # interval between signs of life of the supervising loop
 STOP_S = 0.05  # how long a robot's `stop` waits for the current slice: torque must not wait for a slow disk
 SWITCH_S = 5e-4  # after this time the writing thread yields to the loop
+MOST_BYTES = 192 << 20  # limit of waiting data: at 13 bytes per event, 15 s at a million events per s
+WAIT_S = 0.1  # interval at which to check whether the main thread was interrupted
 
 
 class OfSecond(NamedTuple):
@@ -85,7 +89,6 @@ def record(
     try:
         with WritingThread(write, niceness) as writing, raised_priority(PRIORITY):
             _watch(processes, world, recorded, writing, signals, key, progress, view, desk)
-            recorded.cores_used = processes.cores_used(whole=True)
     finally:
         sys.setswitchinterval(interval_s)
     write_marks(last=True)
@@ -98,7 +101,7 @@ def _watch(
     processes: GraspProcesses,
     world: "VirtualWorld | None",
     recorded: RecordedGrasp,
-    writing: WritingThread,
+    writing: "WritingThread",
     signals: list[int],
     key: EmergencyKey,
     progress: Callable[[int], None],
@@ -160,7 +163,6 @@ def _watch(
         if stopped_s == math.inf and (recorded.must_stop() or now_s > first_end_s + LAST_S):
             processes.status.stop()
             stopped_s = now_s
-            recorded.cores_at_end = processes.cores_used()
 
 
 def _asked_to_end(desk: "Desk", recorded: RecordedGrasp, received: int, processes: GraspProcesses) -> str:
@@ -187,3 +189,94 @@ def _take_last_truths(recorded: RecordedGrasp, world: "VirtualWorld | None") -> 
         for message in truths.take():
             recorded.take_truth(message)
             until_s = time.monotonic() + END_S
+
+
+class WritingThread(threading.Thread):
+    """Passes messages, in order, to a function that may be slow, at lowest priority; used as a context manager.
+
+    A grasp must not end because a disk or a core is waited for, and code that can be so late must not be responsible
+    for Ctrl-C and the emergency key. So messages wait here, in memory of bounded size, and are written as time permits.
+
+    The two threads share an interpreter. HDF5 holds it while it packs, not while the disk takes the bytes, and a thread
+    that loses its core keeps the interpreter. This was measured on two cores with 18 processes that wanted one. With a
+    continuously writing thread at normal niceness, a loop of 5 ms at real-time priority came up to 50 ms late (21 to
+    29 ms at p99). With niceness 15, which is for virtual devices, it came 0.7 s late. So a late sign of life alone ends
+    no grasp (controller_process.py).
+    """
+
+    def __init__(self, write: Callable[[Any], None], niceness: int, most_bytes: int = MOST_BYTES) -> None:
+        """niceness: of this thread only, where permitted; most_bytes: above this, no more should be put."""
+        super().__init__(name="writes the recording", daemon=True)
+        self._write = write
+        self._niceness = niceness
+        self._most_bytes = most_bytes
+        self._waiting: deque[tuple[Any, int]] = deque()
+        self._changed = threading.Condition()
+        self._ends = False
+        self._error: BaseException | None = None
+        self.waiting_bytes = 0
+
+    def __enter__(self) -> "WritingThread":
+        self.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        """Wait until everything is written, or after a failure in the block until the current write is done."""
+        try:
+            self._end(drop=kind is not None)
+        except BaseException:  # a second Ctrl-C: waiting messages are dropped
+            self._end(drop=True)
+            raise
+        if kind is None:
+            self.check()
+
+    @property
+    def is_full(self) -> bool:
+        """Whether the limit of waiting data is reached; new data should then wait at their source."""
+        return self.waiting_bytes >= self._most_bytes
+
+    def put(self, message: Any, size: int = 0) -> None:
+        """Queue a message with this number of bytes."""
+        with self._changed:
+            self._waiting.append((message, size))
+            self.waiting_bytes += size
+            self._changed.notify()
+
+    def check(self) -> None:
+        """Raise the error that writing failed with, for example a full disk."""
+        if self._error is not None:
+            raise self._error
+
+    def _end(self, *, drop: bool) -> None:
+        with self._changed:
+            self._ends = True
+            if drop:
+                self._waiting.clear()
+            self._changed.notify()
+        while self.is_alive():
+            self.join(WAIT_S)
+
+    def run(self) -> None:
+        """Write until the block is over, or writing fails."""
+        if (
+            sys.platform == "linux"
+        ):  # on Linux both settings apply to this thread only; it may have inherited another priority
+            with contextlib.suppress(OSError):
+                os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+            set_niceness(self._niceness)
+        try:
+            while (message := self._next()) is not None:
+                self._write(message)
+        except BaseException as error:  # raised in the thread that puts messages
+            self._error = error
+
+    def _next(self) -> Any:
+        """Return the next message; None at the end."""
+        with self._changed:
+            while not self._waiting and not self._ends:
+                self._changed.wait()
+            if not self._waiting:
+                return None
+            message, size = self._waiting.popleft()
+            self.waiting_bytes -= size
+            return message

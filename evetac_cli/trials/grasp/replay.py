@@ -28,10 +28,9 @@ from evetac_cli.store.files import up_to_date, write_stage
 from evetac_cli.store.layout.provenance import Recipe
 from evetac_cli.store.recordings.read import Recording, open_recording
 from evetac_cli.store.recordings.trial_writer import TrialBuffer
-from evetac_cli.trials.grasp.loop import grasp_slices
+from evetac_cli.trials.grasp.loop import TwoFingers, grasp_slices
 from evetac_cli.trials.grasp.online_detector import OnlineSlipDetector
 from evetac_cli.trials.grasp.settings import GraspSettings, ReplayGrasp
-from evetac_cli.trials.grasp.two_fingers import TwoFingers
 from evetac_cli.trials.trial import OUTPUT, ReplayTrial
 
 METHOD = 3

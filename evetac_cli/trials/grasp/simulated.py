@@ -19,10 +19,9 @@ from evetac_cli.store.files import up_to_date, write_stage
 from evetac_cli.store.layout.provenance import Recipe
 from evetac_cli.store.recordings.trial_writer import TrialBuffer
 from evetac_cli.trials import live_view
-from evetac_cli.trials.grasp.loop import run_grasp
+from evetac_cli.trials.grasp.loop import TwoFingers, run_grasp
 from evetac_cli.trials.grasp.online_detector import OnlineSlipDetector
 from evetac_cli.trials.grasp.settings import SimulatedGrasp
-from evetac_cli.trials.grasp.two_fingers import TwoFingers
 from evetac_cli.trials.live_view import LiveView, shown_in_real_time
 from evetac_cli.trials.trial import OUTPUT, SolverFigures
 

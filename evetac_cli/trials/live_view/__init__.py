@@ -21,16 +21,17 @@ from evetac_cli.events import Events
 from evetac_cli.realtime.last_words import LastWords, exit_words, telling, with_reason
 from evetac_cli.realtime.message_pipe import MessageWriter
 from evetac_cli.realtime.processes import start_shielded, wait_while_computing
-from evetac_cli.trials.live_view.messages import (
+from evetac_cli.trials.live_view.shared_view import (
     BROWSER,
     TERMINAL,
     Begun,
     Ended,
+    GripperNumbers,
     Lost,
     Said,
+    SharedView,
     Title,
 )
-from evetac_cli.trials.live_view.shared_view import GripperNumbers, SharedView
 from evetac_cli.trials.trial import Trial
 
 if TYPE_CHECKING:

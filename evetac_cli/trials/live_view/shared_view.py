@@ -1,4 +1,6 @@
-"""The latest slices and commands of a running recording, in shared memory for a live view.
+"""What a recording process and its live view share: messages, and the latest slices and commands in shared memory.
+
+The recording process loads this module, but not the modules that track dots, which take a second to load.
 
 The recording loop writes here and never waits: it overwrites the oldest data, read or not. A slow reader misses
 slices. One byte goes the other way: whether the user pressed the release button.
@@ -9,6 +11,7 @@ is valid. So the worst result is a picture with a few wrong events.
 """
 
 import multiprocessing
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,6 +20,7 @@ from numpy.typing import NDArray
 from evetac_cli.events import Events
 from evetac_cli.realtime.shared_row import SharedRow
 
+BROWSER, TERMINAL = "browser", "terminal"  # where the view is shown
 SLICES = 1 << 13  # 8 s
 EVENTS = 1 << 21  # 2 s at a million per second
 MOST_EVENTS = EVENTS // 8  # limit of one slice; this many may be in the middle of a write while others are read
@@ -32,6 +36,45 @@ _COLUMNS: dict[str, tuple[Any, int]] = {
     "let_go": (np.uint8, 8),
 }
 _GRIPPER_BYTES = 128
+
+
+# Messages from the recording process to the process of the view, other than slices and commands
+
+
+class Title(NamedTuple):
+    """The title of a view, known before a device is opened."""
+
+    name: str  # name of the command and its file
+    simulated: bool
+    moves: bool  # whether a gripper moves that can be released
+
+
+class Begun(NamedTuple):
+    """The camera runs."""
+
+    sensor: Mapping[str, Any]  # datasets sensor/...
+
+
+class Lost(NamedTuple):
+    """Events lost so far, and the reasons as text."""
+
+    events: str
+    why: str
+
+
+class Said(NamedTuple):
+    """A message to the user."""
+
+    text: str
+
+
+class Ended(NamedTuple):
+    """The reason, as text, why there will be no more slices."""
+
+    why: str
+
+
+# Shared memory
 
 
 class SeenSlices(NamedTuple):

@@ -13,7 +13,7 @@ import sys
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack, suppress
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from uuid import uuid4
@@ -38,7 +38,7 @@ from evetac_cli.trials import live_view, session
 from evetac_cli.trials.live_view import LiveView
 from evetac_cli.trials.record.camera_recording import CameraRecording, SliceThread
 from evetac_cli.trials.record.capture_plan import NAME_TAKEN, TAKEN, DeviceRecording, check, is_done
-from evetac_cli.trials.record.current_ramp import GripperLoop, Hold, start, step
+from evetac_cli.trials.record.current_ramp import GripperLoop, Hold, HoldState, step
 from evetac_cli.trials.session import ABORTED, INTERRUPTED, LET_GO
 from evetac_cli.trials.trial import OUTPUT
 
@@ -91,7 +91,8 @@ def run(trial: DeviceRecording, *, force: bool = False, progress: Progress, desk
                     with interrupts.signals_held():
                         _release(recordings)
                     return _thrown_away(recordings)
-            _write(recordings, _hold(trial, recordings[0].rig), rng, trial.seconds, signals, key, progress, view, desk)
+            capture = _Capture(recordings, signals, progress, view, desk)
+            capture.write(_hold(trial, recordings[0].rig), rng, trial.seconds, key)
             datasets = [recording.datasets(recordings[0].rig) for recording in recordings]
             with interrupts.signals_held():
                 _release(recordings)
@@ -117,12 +118,11 @@ def _thrown_away(recordings: Sequence[CameraRecording]) -> Outcome:
 def _earlier(trial: DeviceRecording) -> Outcome:
     """Return the rows of a trial that was recorded before."""
     simulated = [bool(header_of(output, OUTPUT)["simulated"]) for output in trial.outputs]
-    rows = [
-        row
+    made = [
+        outcome(Job(trial.inputs, output), made=False, simulated=each)
         for output, each in zip(trial.outputs, simulated, strict=True)
-        for row in outcome(Job(trial.inputs, output), made=False, simulated=each).rows
     ]
-    return Outcome(rows, simulated[0], made=False)
+    return Outcome([row for each in made for row in each.rows], simulated[0], made=False)
 
 
 def _begin(
@@ -227,137 +227,114 @@ def _hold(trial: DeviceRecording, rig: Rig) -> Hold | None:
     return None if rig.gripper is None or trial.hold is None else trial.hold.hold(rig.holding_ma, rig.fall_factor)
 
 
-def _write(
-    recordings: Sequence[CameraRecording],
-    hold: Hold | None,
-    rng: np.random.Generator,
-    seconds: float | None,
-    signals: list[int],
-    key: EmergencyKey,
-    progress: Progress,
-    view: LiveView | None,
-    desk: "Desk | None",
-) -> None:
-    """Follow the cameras until something ends the recording; a device failure is stored in the result."""
-    first = recordings[0]
-    if first.rig.gripper is not None and hold is not None:
-        state, law = start(hold), hold
+@dataclass
+class _Capture:
+    """The recordings of a trial while they are made; signals: grows when Ctrl-C is pressed."""
 
-        def act(reading: GripperReading) -> tuple[float, str]:
-            target_ma = step(state, law, reading, rng)
-            return target_ma, state.ended
+    recordings: Sequence[CameraRecording]
+    signals: Sequence[int]
+    progress: Progress
+    view: LiveView | None
+    desk: "Desk | None"
 
-        camera, watchdog_ms = first.rig.camera, first.rig.watchdog_ms
-        first.loop = GripperLoop(first.rig.gripper, act, camera.now_us, camera.time, watchdog_ms, key)
-    for recording in recordings[1:]:
-        recording.thread = SliceThread(recording.rig.camera)
-    most = round(SLICES_PER_S * seconds) if seconds is not None else None
-    interval = sys.getswitchinterval()
-    sys.setswitchinterval(SWITCH_S)
-    try:
-        _follow(recordings, most, signals, progress, view, desk)
-    except DeviceError as error:
-        first.error = error
-        first.ended = str(error).splitlines()[0]
-    except BaseException as error:
-        if first.slices == 0:
-            raise
-        for recording in recordings:
-            with suppress(EvetacError):  # on a full disk, which is the error already
-                recording.writer.close_segment()
-            recording.writer.leave()
-        raise session.with_hint(error, first.writer) from None
-    finally:
-        sys.setswitchinterval(interval)
-        if first.loop is not None:
-            first.loop.stop()
-        for recording in recordings[1:]:
-            if recording.thread is not None:
-                recording.thread.stop()
-    _fetch(recordings, view)
-    if desk is not None:
-        _mark(first, desk, last=True)
-    for recording in recordings[1:]:
-        recording.ended = first.ended
+    def write(self, hold: Hold | None, rng: np.random.Generator, seconds: float | None, key: EmergencyKey) -> None:
+        """Follow the cameras until something ends the recording; a device failure is stored in the result."""
+        first, *others = self.recordings
+        if first.rig.gripper is not None and hold is not None:
+            state, law = HoldState(), hold
 
+            def act(reading: GripperReading) -> tuple[float, str]:
+                target_ma = step(state, law, reading, rng)
+                return target_ma, state.ended
 
-def _follow(
-    recordings: Sequence[CameraRecording],
-    most: int | None,
-    signals: list[int],
-    progress: Progress,
-    view: LiveView | None,
-    desk: "Desk | None",
-) -> None:
-    """Read and write slices until something ends the recording, and store the reason; a failure is raised."""
-    first = recordings[0]
-    loop = first.loop
-    news = [LossNews() for _ in recordings]
-    for recording in recordings[1:]:
-        assert recording.thread is not None
-        recording.thread.start()
-    while first.slices != most:
-        events = first.rig.camera.read()
-        if events is None:
-            first.ended = "the camera's stream ended"
-            return
-        if first.slices == 0 and loop is not None:
-            loop.start()
-        _fetch(recordings, view)
-        first.append(events, first.rig.camera.time.now_s())
-        if view is not None:
-            view.add_slice(events, first.late_us)
-        failed = [part.error for part in (loop, *(each.thread for each in recordings)) if part and part.error]
-        if failed:
-            raise failed[0]
-        if desk is not None:
-            _mark(first, desk)
-            camera = first.rig.camera
-            first.ended = desk.recorded(first.slices, camera.time.now_s, camera.host_us(0.0))
+            camera, watchdog_ms = first.rig.camera, first.rig.watchdog_ms
+            first.loop = GripperLoop(first.rig.gripper, act, camera.now_us, camera.time, watchdog_ms, key)
+        for recording in others:
+            recording.thread = SliceThread(recording.rig.camera)
+        interval = sys.getswitchinterval()
+        sys.setswitchinterval(SWITCH_S)
+        try:
+            self._follow(None if seconds is None else round(SLICES_PER_S * seconds))
+        except DeviceError as error:
+            first.error = error
+            first.ended = str(error).splitlines()[0]
+        except BaseException as error:
+            if first.slices == 0:
+                raise
+            for recording in self.recordings:
+                with suppress(EvetacError):  # on a full disk, which is the error already
+                    recording.writer.close_segment()
+                recording.writer.leave()
+            raise session.with_hint(error, first.writer) from None
+        finally:
+            sys.setswitchinterval(interval)
+            for part in (first.loop, *(each.thread for each in others)):
+                if part is not None:
+                    part.stop()
+        self._fetch(last=True)
+        for recording in others:
+            recording.ended = first.ended
+
+    def _follow(self, most: int | None) -> None:
+        """Read and write slices until something ends the recording, and store the reason; a failure is raised."""
+        first, view = self.recordings[0], self.view
+        camera, loop = first.rig.camera, first.loop
+        news = [LossNews() for _ in self.recordings]
+        for recording in self.recordings[1:]:
+            assert recording.thread is not None
+            recording.thread.start()
+        while first.slices != most:
+            events = camera.read()
+            if events is None:
+                first.ended = "the camera's stream ended"
+                return
+            if first.slices == 0 and loop is not None:
+                loop.start()
+            self._fetch()
+            first.append(events, camera.time.now_s())
+            if view is not None:
+                view.add_slice(events, first.late_us)
+            failed = [part.error for part in (loop, *(each.thread for each in self.recordings)) if part and part.error]
+            if failed:
+                raise failed[0]
+            if self.desk is not None:
+                first.ended = self.desk.recorded(first.slices, camera.time.now_s, camera.host_us(0.0))
+            if loop is not None and not first.ended:
+                first.ended = loop.ended
+            if self.signals and not first.ended:
+                first.ended = INTERRUPTED
+            if view is not None and view.is_asked_to_let_go and not first.ended:
+                first.ended = LET_GO
             if first.ended:
                 return
-        if loop is not None and loop.ended:
-            first.ended = loop.ended
-            return
-        if signals:
-            first.ended = INTERRUPTED
-            return
-        if view is not None and view.is_asked_to_let_go:
-            first.ended = LET_GO
-            return
-        if first.slices % NEWS_SLICES == 0:
-            progress(first.slices, most or 0)
-            _tell(recordings, news, view)
-    first.ended = "after the seconds asked for"
+            if first.slices % NEWS_SLICES == 0:
+                self.progress(first.slices, most or 0)
+                self._tell(news)
+        first.ended = "after the seconds asked for"
 
+    def _tell(self, news: Sequence[LossNews]) -> None:
+        """Report new losses; for several cameras with the name of the file."""
+        if self.view is not None:
+            self.view.lost(self.recordings[0].rig.counted())
+        say = console.say if self.view is None else self.view.say
+        for recording, each in zip(self.recordings, news, strict=True):
+            for sentence in each.of(recording.rig.counted(), time.monotonic()):
+                say(sentence if len(self.recordings) == 1 else f"{recording.output.name}: {sentence}")
 
-def _mark(first: CameraRecording, desk: "Desk", *, last: bool = False) -> None:
-    """Write the marks that arrived; last: there will be no more."""
-    for row in desk.marked(last=last):
-        first.writer.append_rows(row)
+    def _fetch(self, *, last: bool = False) -> None:
+        """Write what arrived alongside the first camera's slices: commands, marks, and slices of other cameras.
 
-
-def _tell(recordings: Sequence[CameraRecording], news: Sequence[LossNews], view: LiveView | None) -> None:
-    """Report new losses; for several cameras with the name of the file."""
-    if view is not None:
-        view.lost(recordings[0].rig.counted())
-    say = console.say if view is None else view.say
-    for recording, each in zip(recordings, news, strict=True):
-        for sentence in each.of(recording.rig.counted(), time.monotonic()):
-            say(sentence if len(recordings) == 1 else f"{recording.output.name}: {sentence}")
-
-
-def _fetch(recordings: Sequence[CameraRecording], view: LiveView | None) -> None:
-    """Write data that arrived alongside the first camera's slices: commands, and slices of other cameras."""
-    first = recordings[0]
-    if first.loop is not None:
-        for row in first.loop.rows():
+        last: there will be no more marks.
+        """
+        first, *others = self.recordings
+        commands = [] if first.loop is None else first.loop.rows()
+        for row in (*commands, *(() if self.desk is None else self.desk.marked(last=last))):
             first.writer.append_rows(row)
-            if view is not None:
-                view.add_command(row)
-    for recording in recordings[1:]:
-        if recording.thread is not None:
-            for events, came_s in recording.thread.take():
+        if self.view is not None:
+            for row in commands:
+                self.view.add_command(row)
+        for recording in others:
+            for events, came_s in () if recording.thread is None else recording.thread.take():
                 recording.append(events, came_s)
 
 
@@ -385,11 +362,9 @@ def _result(
 
 def _row(trial: DeviceRecording, recording: CameraRecording, datasets: Mapping[str, Any]) -> dict[str, Any]:
     """Return the table row of one file."""
-    none = (None, None, None)
-    late_us, command_us = (datasets.get(f"capture/{name}", none) for name in ("slice_late_us", "command_us"))
     loop = recording.loop
-    commands = loop.commands if loop is not None else 0
-    too_slow = session.too_slow(datasets, recording.slices, recording.late_slices, commands)
+    commands = None if loop is None else loop.commands
+    too_slow = session.too_slow(datasets, recording.slices, recording.late_slices, commands or 0)
     if too_slow is not None:
         console.say(too_slow)
     (row,) = outcome(
@@ -399,17 +374,13 @@ def _row(trial: DeviceRecording, recording: CameraRecording, datasets: Mapping[s
         slices=recording.slices,
         events=recording.events,
         ended=recording.ended,
-        slices_per_s=_plain(datasets.get("capture/slices_per_s")),
-        slice_late_us_p99=_plain(late_us[1]),
+        slices_per_s=session.figure(datasets, "slices_per_s"),
+        slice_late_us_p99=session.figure(datasets, "slice_late_us", session.P99),
         **session.lost_columns(datasets),
-        commands=loop.commands if loop is not None else None,
-        command_misses=loop.misses if loop is not None else None,
-        command_us_median=_plain(command_us[0]),
+        commands=commands,
+        command_misses=None if loop is None else loop.misses,
+        command_us_median=session.figure(datasets, "command_us", session.MEDIAN),
         late_slices=recording.late_slices.count,
         too_slow=too_slow,
     ).rows
     return row
-
-
-def _plain(value: Any) -> float | None:
-    return None if value is None else float(value)

@@ -23,7 +23,6 @@ import numpy as np
 
 from evetac_cli import console
 from evetac_cli.devices import Gripper, GripperReading, gripper_row
-from evetac_cli.devices.rh_p12_rn.close_until_contact import Closing, ClosingSettings
 from evetac_cli.errors import DeviceError, EvetacError
 from evetac_cli.realtime.emergency_key import EmergencyKey
 from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
@@ -36,6 +35,9 @@ HANGS_S = 0.5  # a loop hangs after this long without a command, or after HANGS_
 HANGS_WATCHDOGS = 4
 OPENING_S = 2.0  # extra time while it opens the gripper
 END_S = 5.0  # time for the command in progress, at the end
+STILL_COMMANDS = 150  # commands without a new position that count as contact
+MOST_CLOSING_COMMANDS = 10_000
+LAST_TICK = 717  # the gap is 0 here (sim/gripper.py): the fingers touch each other
 OPENED_TICKS = 30  # an object counts as lost once the fingers are this far apart again: 4 mm
 
 
@@ -67,17 +69,38 @@ class Hold:
 class HoldState:
     """The state between two commands."""
 
-    closing: Closing
     phase: RampPhase = RampPhase.CLOSING
+    closing_commands: int = 0
+    still_commands: int = 0  # since the position was last a new one
+    furthest_ticks: float = -math.inf
     target_ma: float = math.nan
     touch_ticks: int = 0
     held_commands: int = 0  # number of commands while holding; with a course, since its start
     ended: str = ""  # why the sequence is over; "" before
 
 
-def start(hold: Hold) -> HoldState:
-    """Return the state before the first command."""
-    return HoldState(Closing(ClosingSettings(current_ma=hold.closing_ma)))
+def _touches(state: HoldState, position_ticks: int) -> bool:
+    """Return whether the closing fingers have stopped at something.
+
+    DeviceError if they closed fully, or still move after MOST_CLOSING_COMMANDS. In the simulated drive, 10 mA is just
+    more than the gear's friction, and a tick takes 0.09 s. A driver by Evetac's authors closes at the same current.
+    """
+    state.closing_commands += 1
+    state.still_commands += 1
+    if position_ticks > state.furthest_ticks:
+        state.still_commands = int(math.isinf(state.furthest_ticks))  # the first reading is no motion
+        state.furthest_ticks = position_ticks
+    if position_ticks >= LAST_TICK:
+        expected, hint = f"contact before {LAST_TICK} ticks", "put an object between the fingers"
+        found = f"{position_ticks} ticks"
+        raise DeviceError("the gripper closed without contact", expected=expected, found=found, hint=hint)
+    if state.still_commands >= STILL_COMMANDS:
+        return True
+    if state.closing_commands >= MOST_CLOSING_COMMANDS:
+        expected = f"contact within {MOST_CLOSING_COMMANDS} commands"
+        hint = "open it less beforehand, or close with more current"
+        raise DeviceError("the gripper is still closing", expected=expected, hint=hint)
+    return False
 
 
 def step(state: HoldState, hold: Hold, reading: GripperReading, rng: np.random.Generator) -> float:
@@ -94,7 +117,7 @@ def step(state: HoldState, hold: Hold, reading: GripperReading, rng: np.random.G
         return state.target_ma
     if state.phase is RampPhase.CLOSING:
         state.target_ma = hold.closing_ma
-        if state.closing.step(reading.position_ticks):
+        if _touches(state, reading.position_ticks):
             state.phase = RampPhase.HOLDING
     if state.phase is RampPhase.HOLDING:
         state.target_ma = hold.holding_ma

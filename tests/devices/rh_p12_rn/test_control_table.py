@@ -37,8 +37,6 @@ MANUAL = [
     ("Present Current", 574, 2, True, False),
     ("Present Velocity", 576, 4, True, False),
     ("Present Position", 580, 4, True, False),
-    ("Indirect Address 128", 422, 2, False, True),
-    ("Indirect Data 128", 761, 1, False, True),
 ]
 
 

@@ -123,12 +123,6 @@ def test_requests(firmware: int, request_: tuple[Any, ...], refused: bool) -> No
     assert STORE_TO_FLASH not in {each[0] for each in camera.log} or request_[1] == STORE_TO_FLASH
 
 
-def test_system_information_of_firmware_9() -> None:
-    """Assert the logic version 18 and patch 2 that the maker's older driver asks for."""
-    device = plugged(VirtualDvxplorer(patient_words(prepared(0.1)), firmware=9))
-    assert [read(device, 6, parameter, 4) for parameter in (0, 1, 7)] == [18, 20, 2]
-
-
 @pytest.mark.parametrize("firmware", SIZE)
 def test_the_stream_runs_only_while_told_to(firmware: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that nothing comes before RUN nor after its end, and everything between, padded with zeros only."""
@@ -194,38 +188,6 @@ def test_overflow_loses_the_oldest() -> None:
     assert left == words[-len(left) :].tolist()
     assert 0 < len(left) <= 1000
     assert camera.overflowed + len(left) == len(words)
-
-
-ALTERED = {
-    "crop": ({19: 100, 20: 50, 21: 300, 22: 200}, lambda e: (e.x >= 100) & (e.x < 400) & (e.y >= 50) & (e.y < 250)),
-    "all brighter": ({4: 1}, lambda e: e.p <= 1),
-    "brighter only": ({4: 2}, lambda e: e.p == 1),
-    "darker only": ({4: 3}, lambda e: e.p == 0),
-    "flip x": ({24: 1}, lambda e: e.p <= 1),
-    "flip y": ({25: 1}, lambda e: e.p <= 1),
-}
-
-
-@pytest.mark.parametrize("name", ALTERED)
-def test_crop_flip_and_flatten(name: str) -> None:
-    """Assert that a camera that crops, flips or flattens sends just those events, in words that obey the rules."""
-    parameters, select = ALTERED[name]
-    words = prepared(0.05, 200_000)
-    device = plugged(VirtualDvxplorer(PreparedWords(words, paced=False)))
-    for parameter, value in parameters.items():
-        write(device, 1, parameter, value)
-    run(device)
-    events, missing = decoded(b"".join(transfers(device)))
-    assert missing == {}
-    seen, _ = decoded(words.tobytes())
-    seen = seen.part(0, int(np.searchsorted(seen.t, seen.t[-1])))  # the camera waits for the end of the last frame
-    chosen = select(seen)
-    x = 639 - seen.x if 24 in parameters else seen.x
-    y = 479 - seen.y if 25 in parameters else seen.y
-    p = np.ones_like(seen.p) if 4 in parameters else seen.p
-    expected = {tuple(row) for row in np.stack([seen.t, x, y, p])[:, chosen].T.tolist()}
-    assert {tuple(row) for row in np.stack(events).T.tolist()} == expected
-    assert 0 < events.size == chosen.sum()
 
 
 def test_unplugged() -> None:
@@ -346,12 +308,3 @@ def test_rain_has_as_many_events_as_asked(events_per_s: float, frames: int) -> N
     assert set(np.unique(events.t, return_counts=True)[1].tolist()) <= {each}
     keys = (events.t << 20) | (events.x.astype(np.int64) << 10) | events.y
     assert len(np.unique(keys)) == events.size
-
-
-def test_rain_beyond_the_frame() -> None:
-    """Assert a ValueError for more events than pixels, and for none."""
-    for rate in (1e9, 10.0):
-        with pytest.raises(ValueError, match="expected 5000"):
-            random_event_words(rate, 0.01, np.random.default_rng(0))
-    with pytest.raises(ValueError, match="seconds"):
-        random_event_words(1e5, 0.0, np.random.default_rng(0))

@@ -13,11 +13,8 @@ from evetac_cli.devices.virtual.dynamixel_frames import (
     DynamixelFrame,
     FrameReader,
     Instruction,
-    StatusError,
     crc16,
-    fast_status,
     frame,
-    status,
     stuffed,
     unstuffed,
 )
@@ -34,12 +31,6 @@ VECTORS = {
     "ping answered": (1, Instruction.STATUS, OK + le("HB", 35074, 14), "ff ff fd 00 01 07 00 55 00 02 89 0e cc f3"),
     "read 4 at 580": (1, Instruction.READ, le("HH", 580, 4), "ff ff fd 00 01 07 00 02 44 02 04 00 14 95"),
     "position 300": (1, Instruction.STATUS, OK + le("i", 300), "ff ff fd 00 01 08 00 55 00 2c 01 00 00 a4 48"),
-    "sync read 16 at 568": (
-        BROADCAST_ID,
-        Instruction.SYNC_READ,
-        le("HHB", 568, 16, 1),
-        "ff ff fd 00 fe 08 00 82 38 02 10 00 01 4e d0",
-    ),
     "read 10 at 574": (1, Instruction.READ, le("HH", 574, 10), "ff ff fd 00 01 07 00 02 3e 02 0a 00 00 f9"),
     "current -100, speed 0, position 300": (
         1,
@@ -67,12 +58,6 @@ VECTORS = {
     "status data limit": (1, Instruction.STATUS, b"\6", "ff ff fd 00 01 04 00 55 06 b5 0c"),
     "status data limit, alert": (1, Instruction.STATUS, b"\x86", "ff ff fd 00 01 04 00 55 86 b6 8f"),
     "reboot": (1, Instruction.REBOOT, b"", "ff ff fd 00 01 03 00 08 2f 4e"),
-    "factory reset but for id and baud": (
-        1,
-        Instruction.FACTORY_RESET,
-        b"\2",
-        "ff ff fd 00 01 04 00 06 02 ab e6",
-    ),
     "write of a header, stuffed": (
         1,
         Instruction.WRITE,
@@ -90,23 +75,6 @@ def test_known_bytes(name: str) -> None:
     known = bytes.fromhex(text)
     assert frame(id_, instruction, parameters) == known
     assert FrameReader().push(known) == [DynamixelFrame(id_, instruction, parameters, True, len(known))]
-
-
-def test_status_is_a_frame() -> None:
-    """Assert that an answer has the error first, with the alert in its highest bit."""
-    assert status(1).hex(" ") == VECTORS["status ok"][3]
-    assert status(1, StatusError.DATA_LIMIT, alert=True).hex(" ") == VECTORS["status data limit, alert"][3]
-    assert status(1, 0, le("i", 300)).hex(" ") == VECTORS["position 300"][3]
-
-
-def test_fast_status() -> None:
-    """Assert the known bytes of the one answer of two devices, in both directions."""
-    known = bytes.fromhex("ff ff fd 00 fe 0d 00 55 00 01 07 00 5d af 00 02 08 00 a7 ea")
-    assert fast_status([(0, 1, le("H", 7)), (0, 2, le("H", 8))]) == known
-    (frames,) = FrameReader().push(known)
-    assert (frames.id, frames.instruction, frames.sound) == (BROADCAST_ID, Instruction.STATUS, True)
-    assert frames.parameters[:4] == bytes([0, 1]) + le("H", 7)
-    assert frames.parameters[6:] == bytes([0, 2]) + le("H", 8)
 
 
 def test_crc() -> None:
@@ -167,13 +135,6 @@ def test_a_damaged_frame_does_not_take_the_next_one_along() -> None:
     long[5] += len(good)  # LEN was damaged and now reaches into the next frame
     frames = FrameReader().push(bytes(long) + good + good)
     assert [one.instruction for one in frames if one.sound] == [Instruction.READ, Instruction.READ]
-
-
-def test_an_absurd_length_is_damage() -> None:
-    """Assert that a frame that claims 60,000 bytes is not waited for."""
-    reader = FrameReader()
-    assert reader.push(b"\xff\xff\xfd\x00\x01\x60\xea\x01") == []
-    assert [one.instruction for one in reader.push(frame(1, Instruction.PING))] == [Instruction.PING]
 
 
 def test_a_frame_cut_off_is_forgotten() -> None:

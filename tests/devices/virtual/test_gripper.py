@@ -49,7 +49,7 @@ def test_sdk_pings(gripper: VirtualGripper, port: Port) -> None:
 
 
 def test_sdk_reads_and_writes(gripper: VirtualGripper, port: Port) -> None:
-    """Assert that registers of each size come back as written, through writes, sync and bulk instructions."""
+    """Assert that registers of each size come back as written, through writes and a sync write."""
     packets = sdk.PacketHandler(2.0)
     ok = sdk.COMM_SUCCESS
     assert packets.write1ByteTxRx(port, 1, 513, 7) == (ok, 0)
@@ -59,39 +59,20 @@ def test_sdk_reads_and_writes(gripper: VirtualGripper, port: Port) -> None:
     assert packets.read2ByteTxRx(port, 1, 550) == (-100 & 0xFFFF, ok, 0)
     assert packets.read4ByteTxRx(port, 1, 564) == (123, ok, 0)
     assert packets.readTxRx(port, 1, 574, 10) == ([0, 0, 0, 0, 0, 0, 400 & 0xFF, 400 >> 8, 0, 0], ok, 0)
-    assert packets.write4ByteTxRx(port, 1, 634, 0x00FDFFFF) == (ok, 0)  # a header within
-    assert packets.read4ByteTxRx(port, 1, 634) == (0x00FDFFFF, ok, 0)
     writes = sdk.GroupSyncWrite(port, packets, 550, 2)
     assert writes.addParam(1, [44, 0])
     assert writes.txPacket() == ok
-    for read in (sdk.GroupSyncRead.txRxPacket, sdk.GroupSyncRead.fastSyncRead):
-        reads = sdk.GroupSyncRead(port, packets, 550, 2)
-        reads.addParam(1)
-        assert read(reads) == ok
-        assert reads.getData(1, 550, 2) == 44
-    writes = sdk.GroupBulkWrite(port, packets)
-    assert writes.addParam(1, 550, 2, [45, 0])
-    assert writes.txPacket() == ok
-    for read in (sdk.GroupBulkRead.txRxPacket, sdk.GroupBulkRead.fastBulkRead):
-        reads = sdk.GroupBulkRead(port, packets)
-        reads.addParam(1, 550, 2)
-        assert read(reads) == ok
-        assert reads.getData(1, 550, 2) == 45
-    assert packets.regWriteTxRx(port, 1, 550, 2, [46, 0]) == (ok, 0)
-    assert packets.action(port, 1) == ok
-    time.sleep(0.2)  # the library does not wait for the answer, and would take it for the next one's
-    assert gripper.read_register("Goal Current") == 46
-    assert packets.clearMultiTurn(port, 1) == (ok, 0)
+    assert gripper.read_register("Goal Current") == 44
 
 
 def test_sdk_is_told_errors(gripper: VirtualGripper, port: Port) -> None:
-    """Assert that the library reports the servo's refusals: access, limit, factory reset."""
+    """Assert that the library reports the servo's refusals: access, limit, an instruction that it does not know."""
     packets = sdk.PacketHandler(2.0)
     ok = sdk.COMM_SUCCESS
     assert packets.write1ByteTxRx(port, 1, 512, 1) == (ok, 0)
     assert packets.write1ByteTxRx(port, 1, 9, 0) == (ok, StatusError.ACCESS)
     assert packets.write2ByteTxRx(port, 1, 550, 700) == (ok, StatusError.DATA_LIMIT)
-    assert packets.factoryReset(port, 1, 2) == (ok, StatusError.RESULT)
+    assert packets.factoryReset(port, 1, 2) == (ok, StatusError.INSTRUCTION)
     assert gripper.read_register("Torque Enable") == 1
 
 

@@ -18,6 +18,7 @@ from evetac_cli.realtime.shared_status import DetectorStatus, SharedStatus
 from evetac_cli.trials.grasp.controller_process import ControllerEnded, ControllerSettings, command_grasp
 from evetac_cli.trials.grasp.loop import Timing
 from tests.devices.stand_ins import StillGripper
+from tests.devices.stepped import StepClock
 
 PERIOD_S = 0.002
 READ_S, WRITE_S = 400e-6, 100e-6
@@ -25,26 +26,23 @@ FELT_S = 600e-6  # from the end of a slice until it is in shared memory
 MOST_S = 1e-9  # of rounding
 
 
-class Clock:
+class Clock(StepClock):
     """Time that passes only in a sleep, or when a test moves it."""
 
     def __init__(self) -> None:
-        self.now_s = 1000.0
+        super().__init__()
         self.passing: Callable[[], None] = lambda: None
         self.next_s: Callable[[], float] = lambda: math.inf  # when something happens next that may ring
 
-    def __call__(self) -> float:
-        return self.now_s
-
     def sleep(self, seconds: float, bell: Bell | None = None) -> bool:
         assert seconds >= 0
-        until_s = self.now_s + seconds
+        until_s = self.s + seconds
         while bell is not None and not (rang := bell.wait(0.0)) and self.next_s() < until_s:
-            self.now_s = self.next_s()
+            self.s = self.next_s()
             self.passing()
         if bell is not None and rang:
             return True
-        self.now_s = until_s
+        self.s = until_s
         self.passing()
         return False
 
@@ -84,11 +82,11 @@ class Hand(StillGripper):
 
     def emergency_open(self) -> None:
         assert self.closed_s is None
-        self.opened_s = self._clock.now_s
+        self.opened_s = self._clock.s
         self.close()
 
     def close(self) -> None:
-        self.closed_s = self.closed_s or self._clock.now_s
+        self.closed_s = self.closed_s or self._clock.s
         self.release_words = "torque is off (read back)"
 
 
@@ -109,19 +107,21 @@ class Bench:
         self.shared, self.hand = SharedStatus(1 if second is None else 2), Hand(self.clock)
         self.second_dies_at = self.second_silent_at = 10**9
         self._second, self._second_known, self._second_events_us = second, list[float](), 0.0
-        self.zero_s = self.clock.now_s
+        self.zero_s = self.clock.s
         self.dies_at = self.silent_at = self.stops_at = self.recorder_dies_at = self.key_at = 10**9
         self._slips, self._slices, self._known, self._events_us = slips, 0, list[float](), 0.0
         self.clock.passing, self.clock.next_s = self._publish, self._next_s
         self._reading, self._writing = multiprocessing.Pipe(duplex=False)
-        self.settings = ControllerSettings(Serial("nowhere"), "nowhere", RhP12RnSettings(), PAPER, timing, 60, 100.0)
+        self.settings = ControllerSettings(
+            Serial("nowhere"), "nowhere", RhP12RnSettings(), PAPER, timing, 60, 100.0, self.clock
+        )
 
     def _next_s(self) -> float:
         """When the next status is published."""
         return self.zero_s + (self._slices + 1) * 1e-3 + FELT_S if self._slices < self.dies_at else math.inf
 
     def _publish(self) -> None:
-        while self.clock.now_s >= self._next_s():
+        while self.clock.s >= self._next_s():
             slice_ = self._slices
             self._slices += 1
             at_us = (self.zero_s + self._slices * 1e-3 + FELT_S) * 1e6
@@ -156,7 +156,7 @@ class Bench:
     def run(self, ending: Sequence[int] = (), **changed: Any) -> tuple[ControllerEnded, list[dict[str, Any]]]:
         settings = replace(self.settings, **changed)
         outbox = MessageWriter(self._writing)
-        ended = command_grasp(self.hand, self.shared, settings, outbox, self.clock, self.clock.sleep, ending=ending)
+        ended = command_grasp(self.hand, self.shared, settings, outbox, ending=ending)
         assert outbox.flush(1.0)
         return ended, [row for rows in MessageReader(self._reading).take() for row in rows]
 

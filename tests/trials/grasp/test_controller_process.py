@@ -113,7 +113,7 @@ def test_silence_ends_with_torque_off(bench: Callable[..., Bench], silent: str, 
     setattr(at, silent, 250)
     if silent == "dies_at":  # the clock of this bench is the detector's; the recorder lives on
         passing = at.clock.passing
-        at.clock.passing = lambda: (passing(), at.shared.recorder_lives(at.clock.now_s * 1e6))[0]
+        at.clock.passing = lambda: (passing(), at.shared.recorder_lives(at.clock.s * 1e6))[0]
     ended, _ = at.run()
     assert what in ended.ended
     assert isinstance(ended.error, DeviceError)
@@ -172,7 +172,7 @@ def test_a_signal_to_the_controller_ends_in_words(bench: Callable[..., Bench]) -
     at = bench()
     came: list[int] = []
     passing = at.clock.passing
-    at.clock.passing = lambda: (passing(), came.append(signal.SIGTERM) if at.clock.now_s > at.zero_s + 0.1 else None)[0]
+    at.clock.passing = lambda: (passing(), came.append(signal.SIGTERM) if at.clock.s > at.zero_s + 0.1 else None)[0]
     ended, _ = at.run(ending=came)
     assert str(ended.error) == "the controller was ended by SIGTERM; torque is off (read back)"
     at = bench()

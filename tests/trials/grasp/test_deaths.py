@@ -222,7 +222,6 @@ def test_a_recorder_waits_for_who_still_sends(monkeypatch: pytest.MonkeyPatch) -
         give_sign_of_life=lambda: None, status=SimpleNamespace(stop=lambda: None),
         detectors=("the detector",), controller="the controller",
         exit_words=lambda which: "exit code 0, without a message",
-        cores_used=lambda whole=False: "",
     )  # fmt: skip
     sender = threading.Thread(target=send_on, args=(MessageWriter(slices[1]), slices[1]))
     sender.start()
@@ -251,7 +250,7 @@ class EndedInbox(MessageReader):
 
 
 def test_a_recorder_that_is_kept_from_running_reads_all_that_is_there(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that the reason a detector gave is told, and who used the cores, though every look comes a minute late."""
+    """Assert that the reason a detector gave is told, though every look comes a minute late."""
     hangs = DeviceError("the detector hangs: no sign of life for 50 ms; torque is off", hint=OVERLOADED)
     behind = DeviceError("the recorder cannot keep up", found="64 MB waiting to be written", hint=OVERLOADED)
     ended = ControllerEnded(str(hangs), hangs, 2, 0, 0.1, array("d"), nan, nan, {}, "torque is off")
@@ -264,14 +263,13 @@ def test_a_recorder_that_is_kept_from_running_reads_all_that_is_there(monkeypatc
         give_sign_of_life=lambda: None, status=SimpleNamespace(stop=lambda: None), switch_off=lambda: "torque is off",
         detectors=("the detector",), controller="the controller",
         exit_words=lambda which: "exit code 0, without a message",
-        cores_used=lambda whole=False: "" if whole else "the recorder waited 93% of the time for a core",
     )  # fmt: skip
     writer, key = Writer(), SimpleNamespace(pressed=False)
     recorded = recorder.record(processes, None, (writer,), 1000, [], key, lambda done: None)  # type: ignore[arg-type]
     assert writer.slices == 45
     assert recorded.ended == "the recorder cannot keep up; torque is off"
     assert recorded.error is behind
-    assert behind.found == "64 MB waiting to be written; the recorder waited 93% of the time for a core"
+    assert behind.found == "64 MB waiting to be written"
 
 
 def test_who_failed_first_is_told() -> None:

@@ -132,15 +132,6 @@ def test_the_detector_knows_what_the_controller_told(pipe: tuple[MessageReader, 
     assert detector.told == (300.0, 310.0)
 
 
-def test_without_a_detector(pipe: tuple[MessageReader, MessageWriter]) -> None:
-    """Assert that slices are recorded, and a status published, where there is no detector."""
-    shared = SpiedStatus()
-    detect(Camera(20), None, shared, pipe[1], 10)
-    assert shared.published[-1].slices == 10
-    assert shared.published[-1].signal.slips == 0
-    assert np.isnan(batches_in(*pipe)[0].probability).all()
-
-
 def test_ends(pipe: tuple[MessageReader, MessageWriter]) -> None:
     """Assert that an order to stop ends it, and that a stream which ends too early is an error."""
     shared = SpiedStatus()

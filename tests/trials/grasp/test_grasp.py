@@ -1,7 +1,6 @@
 """grasp: which detector and controller, their timing, a closed gel, and the outcome."""
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +11,6 @@ from evetac_cli.devices import GripperReading, Rig
 from evetac_cli.errors import InputError
 from evetac_cli.inspect import validate
 from evetac_cli.kernels.grip.control import Control, SlipSignal, make_law
-from evetac_cli.kernels.grip.paper import GraspPhase
 from evetac_cli.resources import MODEL
 from evetac_cli.stages.model_files import learned_true_slip_share, read_horizon_ms
 from evetac_cli.stages.slip_detectors import load_detector
@@ -54,12 +52,6 @@ def test_the_papers_controllers_need_a_model(tmp_path: Path, controller: str) ->
     with pytest.raises(InputError, match=r"--model(.|\n)*evetac train .*--model fast-slow .*--preset paper"):
         grasp.jobs([], Grasp(controller=controller), tmp_path)
     assert grasp.jobs([], Grasp(controller=controller, model=Path("shipped")), tmp_path)
-
-
-@pytest.mark.parametrize("controller", ["none", "fixed:6"])
-def test_no_detector_without_feeling(controller: str) -> None:
-    """Assert that no model is taken where no detector is used."""
-    assert GraspSettings.of(Grasp(controller=controller)).detector is None
 
 
 def test_the_threshold_is_the_models_unless_named() -> None:
@@ -196,13 +188,3 @@ def test_the_controller_reacts_after_the_latency(latency_ms: int) -> None:
     closed = next(ms for ms, goal in goals if ms > 10 and goal > 100)
     due = 51 + latency_ms
     assert closed == due + (due + 1) % 2  # slices 1, 3, 5 ... are followed by a step
-
-
-def test_phases_follow_the_clock() -> None:
-    """Assert that phases change at the slices that the timing names."""
-    timing = Timing(10, 20, 30)
-    assert [timing.phase(k) for k in (0, 9)] == [GraspPhase.CONTACT] * 2
-    assert [timing.phase(k) for k in (10, 29)] == [GraspPhase.LIFT] * 2
-    assert [timing.phase(k) for k in (30, 59)] == [GraspPhase.BALANCE] * 2
-    assert timing.end_ms == 60
-    assert replace(timing, control_hz=250.0).every_ms == 4

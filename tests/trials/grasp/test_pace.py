@@ -14,17 +14,17 @@ from tests.trials.grasp.bench import MOST_S, PERIOD_S, Clock
 def test_deadlines_are_absolute_and_none_is_hidden(took: list[float]) -> None:
     """Assert that steps begin on the grid, or less than a period late, and that every deadline that passed counts."""
     clock = Clock()
-    pace = Pace(PERIOD_S, clock, clock.sleep)
-    began_s = clock.now_s
+    pace = Pace(PERIOD_S, clock.now_s, clock.sleep)
+    began_s = clock.s
     passed = 0
     for seconds in took:
         late_us = pace.wait()
         assert 0.0 <= late_us < (PERIOD_S + MOST_S) * 1e6
-        due_s = clock.now_s - late_us * 1e-6
+        due_s = clock.s - late_us * 1e-6
         steps = (due_s - began_s) / PERIOD_S
         assert steps == pytest.approx(round(steps), abs=1e-5)
-        clock.now_s += seconds
-        periods = (clock.now_s - due_s) / PERIOD_S
+        clock.s += seconds
+        periods = (clock.s - due_s) / PERIOD_S
         assume(not 0 < abs(periods - round(periods)) < 1e-6)  # whether it is in time is then a matter of rounding
         passed += math.floor(periods)
     pace.wait()
@@ -34,12 +34,12 @@ def test_deadlines_are_absolute_and_none_is_hidden(took: list[float]) -> None:
 def test_one_long_step() -> None:
     """Assert that a step of three and a half periods costs three deadlines; the next begins half a one late."""
     clock = Clock()
-    pace = Pace(PERIOD_S, clock, clock.sleep)
+    pace = Pace(PERIOD_S, clock.now_s, clock.sleep)
     assert pace.wait() == 0.0
-    clock.now_s += 3.5 * PERIOD_S
+    clock.s += 3.5 * PERIOD_S
     assert pace.wait() == pytest.approx(0.5e6 * PERIOD_S)
     assert pace.missed == 3
-    clock.now_s += 0.1 * PERIOD_S
+    clock.s += 0.1 * PERIOD_S
     assert pace.wait() == pytest.approx(0.0, abs=1e-3)
     assert pace.missed == 3
 
@@ -51,20 +51,20 @@ def test_whose_fault_a_missed_deadline_is(own: list[float], waited: list[float])
     A step that took so long on its own, and so much longer because it waited, begins where the one before ended.
     """
     clock = Clock()
-    pace = Pace(PERIOD_S, clock, clock.sleep)
+    pace = Pace(PERIOD_S, clock.now_s, clock.sleep)
     late_us = pace.wait()
-    due_s = clock.now_s - late_us * 1e-6
+    due_s = clock.s - late_us * 1e-6
     ours = gripper = 0
     for alone_s, waited_s in zip(own, waited, strict=False):
-        begun_s = clock.now_s
-        clock.now_s += alone_s + waited_s
-        for passed_s in (clock.now_s - due_s, clock.now_s - waited_s - due_s):
+        begun_s = clock.s
+        clock.s += alone_s + waited_s
+        for passed_s in (clock.s - due_s, clock.s - waited_s - due_s):
             assume(abs(passed_s / PERIOD_S - round(passed_s / PERIOD_S)) > 1e-6 or passed_s == 0.0)
         alone = math.floor((begun_s + alone_s - due_s) / PERIOD_S)
         ours += alone
-        gripper += math.floor((clock.now_s - due_s) / PERIOD_S) - alone
+        gripper += math.floor((clock.s - due_s) / PERIOD_S) - alone
         late_us = pace.wait(waited_s)
-        due_s = clock.now_s - late_us * 1e-6
+        due_s = clock.s - late_us * 1e-6
     assert (pace.missed - pace.missed_by_gripper, pace.missed_by_gripper) == (ours, gripper)
 
 

@@ -106,23 +106,6 @@ def test_dry_run_refuses_what_a_run_does(
     assert "moves now" not in capsys.readouterr().err
 
 
-def test_series_is_not_begun_in_part(tmp_path: Path) -> None:
-    """Assert that no gripper moves for the last trial of a series whose first one is there."""
-    params = Grasp(camera="dvxplorer", gripper=PORT, arm=True, calibration=grid_of(tmp_path), count=2)
-    grasp.jobs([], params, tmp_path)[0].output.touch()
-    with pytest.raises(InputError, match="-001.*others of the series(.|\n)*-000.recording"):
-        grasp.run(grasp.jobs([], params, tmp_path)[1], params)
-
-
-def test_no_dot_grid(tmp_path: Path) -> None:
-    """Assert that a camera whose gel is not known is refused before a gripper moves."""
-    params = Grasp(camera="dvxplorer", gripper=PORT, arm=True)
-    (job,) = grasp.jobs([], params, tmp_path / "a.recording.h5")
-    with pytest.raises(InputError, match="--calibration"):
-        grasp.run(job, params)
-    assert not list(tmp_path.iterdir())
-
-
 @pytest.fixture
 def armed(tmp_path: Path) -> tuple[Grasp, DeviceTrial]:
     """A grasp with a gripper that does not exist, at a gel whose dots are known."""

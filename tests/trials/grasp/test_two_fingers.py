@@ -21,7 +21,7 @@ from evetac_cli.sim.setup.plan import read_plan
 from evetac_cli.store.recordings.read import open_recording
 from evetac_cli.trials import grasp, record
 from evetac_cli.trials.grasp.grasp_processes import GraspProcesses
-from evetac_cli.trials.grasp.two_fingers import TwoFingers
+from evetac_cli.trials.grasp.loop import TwoFingers
 from tests.devices.stand_ins import StillCamera
 from tests.trials.grasp.bench import goals_by_law
 from tests.trials.grasp.test_real_time import grid_of

@@ -11,7 +11,7 @@ import pytest
 from evetac_cli.realtime.message_pipe import MessageReader
 from evetac_cli.trials.grasp import recorder
 from evetac_cli.trials.grasp.detector_process import DetectorEnded, SliceBatch
-from evetac_cli.trials.grasp.writing_thread import WritingThread
+from evetac_cli.trials.grasp.recorder import WritingThread
 
 PATIENCE_S = 60.0
 
@@ -129,7 +129,6 @@ def test_who_watches_gives_signs_of_life_while_writing_hangs() -> None:
         now_s=time.monotonic, give_sign_of_life=give_sign_of_life, switch_off=lambda: "torque is off",
         status=SimpleNamespace(stop=lambda: None, open_gripper=open_gripper), end_hanging_controller=lambda: "",
         detectors=("the detector",), controller="the controller", exit_words=lambda which: "SIGKILL",
-        cores_used=lambda whole=False: "",
     )  # fmt: skip
     writer = Writer()
 

@@ -11,7 +11,6 @@ import pytest
 from evetac_cli.store.recordings import streams
 from evetac_cli.trials.listen.desk import Desk
 from evetac_cli.trials.session import ABORTED, STOPPED
-from tests.patience import PATIENCE_S
 
 LONG_AGO_S = 100.0  # before now the recording began
 
@@ -57,15 +56,6 @@ def test_what_cannot_be_granted_is_said(command: Any, fields: dict[str, Any], wo
     assert not answer["ok"]
     assert words in answer["error"]
     assert (answer["state"], desk.wanted()) == ("idle", "")
-
-
-@pytest.mark.parametrize("text", ["", "a\nb", "a\x1b[2J", "ä" * 61, 7, None])
-def test_marks_are_short_texts_of_a_line(text: Any) -> None:
-    """Assert that a mark that does not fit is refused, and not cut."""
-    desk = Desk()
-    recording(desk)
-    assert "not a mark" in asked(desk, "mark", text=text)["error"]
-    assert desk.marked() == []
 
 
 def test_a_mark_lies_where_it_was_sent() -> None:
@@ -206,16 +196,6 @@ def test_what_is_called_off_before_it_begins_is_known(command: str, why: str) ->
     assert (ending.result(0)["ok"], ending.result(0)["file"], ending.result(0)["ended"]) == (True, None, why)
     desk.ask({"command": "start", "name": "b"})
     assert desk.called_off == ""
-
-
-def test_a_stop_waits_no_longer_than_whoever_records_has_patience() -> None:
-    """Assert that a grasp, which has little, ends without the slice of its moment."""
-    desk = Desk()
-    began_us = recording(desk)
-    desk.ask({"command": "stop"})
-    assert desk.recorded(2, time.monotonic, began_us, patience_s=PATIENCE_S) == ""
-    time.sleep(2e-3)
-    assert desk.recorded(2, time.monotonic, began_us, patience_s=1e-3) == STOPPED
 
 
 def test_signals_during_a_trial_are_remembered() -> None:

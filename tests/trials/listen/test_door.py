@@ -9,16 +9,14 @@ import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from evetac_cli.errors import InputError
-from evetac_cli.local_server import ADDRESS, MOST_BYTES, MOST_CONNECTIONS
+from evetac_cli.local_server import ADDRESS, MOST_BYTES
 from evetac_cli.resources import PACKAGE
-from evetac_cli.trials.listen import door as doors
 from evetac_cli.trials.listen.door import REFUSED, Door, address_file
 from tests.patience import PATIENCE_S, until
 
@@ -108,58 +106,12 @@ def test_without_the_token_there_is_a_refusal_and_no_more(said: bytes, door: Doo
     assert asked.requests == []
 
 
-def test_a_page_gets_nothing(door: Door, asked: Asked) -> None:
-    """Assert that an HTTP request is refused by its first line, whatever its body holds."""
-    body = line(door, command="start", name="a")
-    head = f"POST / HTTP/1.1\r\nHost: 127.0.0.1:{door.port}\r\nContent-Length: {len(body)}\r\n\r\n".encode()
-    with connected(door) as connection:
-        connection.sendall(head + body)
-        assert b"HTTP" not in everything(connection)
-    assert asked.requests == []
-
-
 def test_an_endless_line_is_cut_off(door: Door, asked: Asked) -> None:
     """Assert that a line has a bounded length, also of whoever has the token."""
     with connected(door) as connection:
         connection.sendall(line(door, text="x" * MOST_BYTES))
         assert everything(connection) in (refusal(REFUSED), b"")
     assert asked.requests == []
-
-
-def test_who_says_nothing_is_sent_away(asked: Asked, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that a silent connection is closed, one that has shown the token is not."""
-    monkeypatch.setattr(doors._Connection, "timeout", 0.2)
-    door = Door(asked, 0)
-    try:
-        with connected(door) as known, connected(door) as stranger, known.makefile("rb") as answers:
-            known.sendall(line(door, number=1))
-            answers.readline()
-            assert everything(stranger) == b""
-            known.sendall(line(door, number=2))
-            assert json.loads(answers.readline())["number"] == 2
-    finally:
-        door.close()
-
-
-def test_the_number_of_connections_has_a_limit(door: Door) -> None:
-    """Assert that one too many is refused in words, that a known one stays, and that there is room again."""
-    with ExitStack() as opened:
-        known = opened.enter_context(connected(door))
-        answers = opened.enter_context(known.makefile("rb"))
-        known.sendall(line(door, number=0))
-        answers.readline()
-        silent = [opened.enter_context(connected(door)) for _ in range(MOST_CONNECTIONS - 1)]
-        assert everything(opened.enter_context(connected(door))) == Door.full
-        silent[0].close()
-
-        def answered() -> bool:
-            with connected(door) as another:
-                another.sendall(line(door, number=1))
-                return b'"number": 1' in another.recv(4096)
-
-        assert until(answered)
-        known.sendall(line(door, number=2))
-        assert json.loads(answers.readline())["number"] == 2
 
 
 def test_who_waits_is_answered_before_the_door_closes(asked: Asked) -> None:
@@ -178,14 +130,6 @@ def test_a_port_that_is_taken_is_said(door: Door, asked: Asked) -> None:
     """Assert that a port of somebody else's is an error in words, and a free one is taken."""
     with pytest.raises(InputError, match=rf"--listen-port {door.port}: cannot listen"):
         Door(asked, door.port)
-
-
-def test_tokens_are_long_and_differ(door: Door, asked: Asked) -> None:
-    """Assert that no two doors have the same token."""
-    other = Door(asked, 0)
-    other.close()
-    assert len(door.token) >= 32
-    assert door.token != other.token
 
 
 def test_the_file_is_for_its_user_alone_and_goes_at_the_end(door: Door, tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ from evetac_cli.commands.grasp import Grasp
 from evetac_cli.commands.record import Record
 from evetac_cli.devices import cameras
 from evetac_cli.devices.cameras import CameraSettings, NamedCamera, OpenedCamera
-from evetac_cli.errors import DeviceError, InputError
+from evetac_cli.errors import DeviceError
 from evetac_cli.events import SLICE_US, Events
 from evetac_cli.inspect import info, repair, validate
 from evetac_cli.names import Capability
@@ -322,12 +322,6 @@ def test_marks_are_cut_with_their_slices(tmp_path: Path) -> None:
         assert part.marks == [Mark(0, 200, "within")]
         assert [mark.text for mark in whole.marks] == ["before", "within", "after"]
     assert validate.run([piece]).rows[0]["faults"] is None
-
-
-def test_a_file_is_refused(tmp_path: Path) -> None:
-    """Assert that -o NAME.h5 is refused, since each start names its file."""
-    with pytest.raises(InputError, match="each start names its file"):
-        record.jobs([], Record(camera="dvxplorer", listen=True), tmp_path / "a.h5")
 
 
 def test_a_grasp_listens(tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ from evetac_cli.events import empty
 from evetac_cli.resources import PACKAGE
 from evetac_cli.store.files import StageFile
 from evetac_cli.trials import grasp, live_view, record
-from evetac_cli.trials.live_view.messages import Title
+from evetac_cli.trials.live_view.shared_view import Title
 from tests.cli.test_jobs import lives
 from tests.patience import PATIENCE_S, until
 from tests.trials.live_view.test_server import Client

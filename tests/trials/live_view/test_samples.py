@@ -209,19 +209,3 @@ def test_who_is_far_behind_goes_on_at_the_newest() -> None:
     assert sample["slices"] == MOST_BEHIND + 100
     assert follower.left_out == MOST_BEHIND + 100 - SHOWN_MS
     assert sample["events_per_s"] == 1000.0
-
-
-def test_the_tracker_is_the_one_of_grasp(made: Made) -> None:
-    """Assert that without a detector the dots are those of the preset `stable`."""
-    with open_recording(made.recordings[0]) as recording:
-        slices, sensor = [recording[k] for k in range(60)], recording.sensor_datasets()
-    shared = SharedView()
-    follower = Follower(shared)
-    follower.begin(sensor, refuse)
-    constants = presets.PRESETS["stable"].for_dots(float(sensor["sensor/dot_radius_px"]))
-    expected = tracker.start(sensor["sensor/dot_xy_px"].reshape(-1, 2), constants)
-    for events in slices:
-        shared.add_slice(events)
-        tracker.step(expected, events.x, events.y, events.p)
-    follower.sample()
-    np.testing.assert_allclose(np.array(follower.dots())[:, :2], expected.dot_xy_px, atol=0.006)

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from evetac_cli.trials.live_view.server import PictureServer
+from evetac_cli.trials.live_view.process import PictureServer
 from tests.patience import PATIENCE_S, until
 
 

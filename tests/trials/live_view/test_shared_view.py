@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from evetac_cli.events import Events
-from evetac_cli.trials.live_view.shared_view import EVENTS, MOST_EVENTS, SLICES, GripperNumbers, SharedView
+from evetac_cli.trials.live_view.shared_view import EVENTS, SLICES, GripperNumbers, SharedView
 
 
 def slice_of(size: int, rng: np.random.Generator) -> Events:
@@ -56,14 +56,6 @@ def test_more_slices_than_there_is_room_for() -> None:
     assert seen.first + seen.slices == SLICES + 5
     assert seen.first > 5
     assert not seen.starts.any()
-
-
-def test_a_slice_without_end_is_counted_alone() -> None:
-    """Assert that more events than fit cost their picture and nothing else."""
-    rng, view = np.random.default_rng(2), SharedView()
-    view.add_slice(slice_of(MOST_EVENTS + 1, rng))
-    view.add_slice(slice_of(4, rng))
-    assert view.since(0).starts.tolist() == [0, 0, 4]
 
 
 def test_a_reader_is_overtaken(monkeypatch: pytest.MonkeyPatch) -> None:

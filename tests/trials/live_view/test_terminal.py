@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from evetac_cli.trials.live_view import terminal
+from evetac_cli.trials.live_view import process as terminal
 from evetac_cli.trials.live_view.samples import Follower
 from evetac_cli.trials.live_view.shared_view import SharedView
 
@@ -39,17 +39,6 @@ def test_a_noise_event_does_not_look_like_a_dot() -> None:
         seen = terminal.picture(np.concatenate([x, dot_x]), np.concatenate([y, dot_y]), FRAME_PX).splitlines()
         around = "".join(line[38:42] for line in seen[14:17])
         assert around.strip(), rate
-
-
-def test_dots_are_marked_where_they_are() -> None:
-    """Assert an o for each dot, an x for a lost one, and the events beside them as they were."""
-    events = terminal.picture(np.full(500, 639), np.full(500, 479), FRAME_PX)
-    marked = terminal.with_dots(
-        events, [[0.0, 0.0, 1.0, 0.0, 0.0], [320.4, 240.9, 0.0, 0.0, 1.0]], FRAME_PX
-    ).splitlines()
-    assert (marked[0][0], marked[15][40]) == ("o", "x")
-    assert marked[-1] == events.splitlines()[-1]
-    assert "".join(marked).count(" ") == events.count(" ") - 2
 
 
 def test_the_figures_fit_a_line() -> None:

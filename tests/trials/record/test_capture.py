@@ -9,7 +9,6 @@ import sys
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -18,14 +17,12 @@ import pytest
 from evetac_cli import console
 from evetac_cli.commands.record import Record
 from evetac_cli.devices import GripperReading, Rig
-from evetac_cli.devices.grippers import NoGripper
 from evetac_cli.devices.opening import open_rig
 from evetac_cli.errors import DeviceError, InputError
 from evetac_cli.events import SLICE_US, Events
 from evetac_cli.inspect import repair, validate
 from evetac_cli.resources import PACKAGE
 from evetac_cli.store.files import StageFile, header_of
-from evetac_cli.store.hdf5 import disk
 from evetac_cli.store.recordings import segments
 from evetac_cli.store.recordings.read import open_recording
 from evetac_cli.trials import record, session
@@ -239,15 +236,6 @@ def test_failing_end_keeps_the_segments(
     assert repair.run([tmp_path]).rows[0]["slices_kept"] == 100
 
 
-def test_stream_that_ends(rig_is: Callable[..., Rig], tmp_path: Path) -> None:
-    """Assert that a camera whose stream ends is the end of the recording."""
-    rig_is(Camera(slices=77))
-    path, _ = recording(tmp_path)
-    with open_recording(path) as file:
-        assert len(file) == 77
-        assert "stream ended" in file.read("capture/ended")
-
-
 def test_existing_recording_is_not_replaced(rig_is: Callable[..., Rig], tmp_path: Path) -> None:
     """Assert that a recording from a device is replaced only by force."""
     rig_is(Camera())
@@ -413,49 +401,6 @@ def test_drawn_current_below_the_lowest(rig_is: Callable[..., Rig], tmp_path: Pa
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize(
-    ("flags", "end"),
-    [
-        ({}, "until Ctrl-C"),
-        (ARMED, "until the gripper lets go, or Ctrl-C"),
-        ({**ARMED, "seconds": 3.0}, "after 3 s"),
-    ],
-)
-def test_plan_says_what_ends_it(flags: dict[str, Any], end: str, tmp_path: Path) -> None:
-    """Assert that nothing is said to let go where there is no gripper."""
-    params = Record(camera="dvxplorer", expected_event_rate=1e4, **flags)
-    shown = record.dry_run(record.jobs([], params, tmp_path), params)
-    assert [row["what"] for row in shown.rows if row["part"] == "end"] == [end]
-
-
-def test_room_is_asked_for_before(rig_is: Callable[..., Rig], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that a disk without room for what was announced is refused with both figures, and nothing is opened."""
-    rig = rig_is(Camera())
-    free = 10_000_000
-    monkeypatch.setattr(disk.shutil, "disk_usage", lambda path: SimpleNamespace(free=free))
-    params = Record(camera="dvxplorer", expected_event_rate=1e6, seconds=10.0)
-    (job,) = record.jobs([], params, tmp_path / "new" / "folder")
-    with pytest.raises(InputError, match="not enough space") as refused:
-        record.run(job, params)
-    needed = 1e6 * 10 * session.BYTES_AN_EVENT
-    assert f"{needed / 1e6:,.0f} MB" in str(refused.value)
-    assert "10 MB free" in str(refused.value)
-    assert not rig.camera.closed
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_dry_run_touches_nothing(rig_is: Callable[..., Rig], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that a plan names devices, settings and files, opens none and writes none."""
-    monkeypatch.setattr(capture, "open_rig", lambda *named, **more: pytest.fail("opened"))
-    params = Record(camera="dvxplorer:T1", gripper="/dev/ttyUSB0@57600", threshold_on=4, count=2, dry_run=True)
-    shown = record.dry_run(record.jobs([], params, tmp_path), params)
-    text = json.dumps(shown.rows)
-    for said in ("dvxplorer:T1", "/dev/ttyUSB0@57600", "threshold_on 4", "dvxplorer-T1-s0-001.recording.h5", "MB"):
-        assert said in text
-    assert not shown.simulated
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_replay_is_recorded_as_it_was(made: Made, tmp_path: Path) -> None:
     """Assert that a replayed recording is recorded event by event, knows its dots, its parent, and is simulated too."""
     params = Record(camera=f"replay:{made.recordings[0]}", expected_event_rate=1e4)
@@ -596,13 +541,6 @@ def test_two_cameras_end_together(monkeypatch: pytest.MonkeyPatch, tmp_path: Pat
     assert all(rig.camera.closed for rig in opened)
 
 
-@pytest.mark.parametrize("camera", ["virtual,virtual", "sim,sim", "virtual,dvxplorer:A"])
-def test_cameras_that_do_not_go_together(camera: str) -> None:
-    """Assert that a simulated world has one camera."""
-    with pytest.raises(InputError, match="too many cameras"):
-        record.devices(Record(camera=camera))
-
-
 def evetac(*arguments: str, **more: Any) -> "subprocess.Popen[str]":
     """The program in a process of its own."""
     run = [sys.executable, "-m", "evetac_cli", *arguments]
@@ -662,11 +600,6 @@ def test_full_disk(tmp_path: Path) -> None:
     assert row["status"] == "repaired"
     assert row["slices_kept"] == 400
     assert faults(output) is None
-
-
-def test_gripper_of_a_name_that_is_not_given() -> None:
-    """Assert that a camera alone moves no gripper."""
-    assert record.devices(Record(camera="dvxplorer"))[1] == NoGripper()
 
 
 def test_h2_ctrl_c_while_the_file_is_joined_keeps_the_segments(
@@ -739,15 +672,6 @@ def test_h2_ctrl_c_leaves_a_long_recording_to_repair_with_all_that_is_known_of_i
         assert file.read("capture/ended") == session.INTERRUPTED
         assert file.read("capture/lost/camera.late_events") == 3
         assert file.read("capture/slices_per_s") > 0
-
-
-def test_h2_a_short_recording_is_joined_after_ctrl_c(rig_is: Callable[..., Rig], tmp_path: Path) -> None:
-    """Assert that what is joined within a moment is a file at once."""
-    rig_is(InterruptedCamera())
-    with pytest.raises(KeyboardInterrupt, match="100 slices in .*[.]recording[.]h5$"):
-        recording(tmp_path)
-    (output,) = tmp_path.iterdir()
-    assert faults(output) is None
 
 
 def test_thousands_of_slices_behind_schedule_and_a_full_disk(

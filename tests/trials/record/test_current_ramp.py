@@ -12,17 +12,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from evetac_cli.devices import GripperReading
-from evetac_cli.devices.rh_p12_rn.close_until_contact import ClosingSettings
+from evetac_cli.devices.virtual.servo_plant import Goals, Obstacle, OwnDynamics
 from evetac_cli.errors import DeviceError
 from evetac_cli.realtime.bell import Bell
 from evetac_cli.trials.record.current_ramp import (
     COMMAND_MS,
+    LAST_TICK,
+    MOST_CLOSING_COMMANDS,
     OPENED_TICKS,
     RAMP_MA,
+    STILL_COMMANDS,
     GripperLoop,
     Hold,
+    HoldState,
     RampPhase,
-    start,
     step,
 )
 from evetac_cli.trials.session import OPENED
@@ -30,20 +33,19 @@ from tests.devices.stand_ins import StillGripper
 from tests.patience import until
 
 HOLD = Hold(closing_ma=10, holding_ma=40.0, hold_s=0.02, lowest_ma=-50.0)
-STILL = ClosingSettings().still_cycles
 
 
-def after_contact(hold: Hold = HOLD, position: int = 400) -> tuple[object, np.random.Generator]:
+def after_contact(hold: Hold = HOLD) -> tuple[HoldState, np.random.Generator]:
     """A state in which the current is about to fall."""
-    state, rng = start(hold), np.random.default_rng(0)
+    state, rng = HoldState(), np.random.default_rng(0)
     while state.phase is not RampPhase.FALLING:
-        step(state, hold, GripperReading(0.0, position), rng)
+        step(state, hold, GripperReading(0.0, 400), rng)
     return state, rng
 
 
 def test_phases() -> None:
     """Assert that it closes while it moves, holds for as long as was said from contact on, and only then lets go."""
-    state, rng = start(HOLD), np.random.default_rng(0)
+    state, rng = HoldState(), np.random.default_rng(0)
     closing = [step(state, HOLD, GripperReading(10.0, 300 + k // 20), rng) for k in range(2000)]
     assert set(closing) == {10.0}
     assert state.phase is RampPhase.CLOSING
@@ -51,7 +53,7 @@ def test_phases() -> None:
     while state.phase is not RampPhase.FALLING:
         targets.append(step(state, HOLD, GripperReading(10.0, 400), rng))
     assert targets.count(40.0) == 1000 * HOLD.hold_s / COMMAND_MS + 1
-    assert STILL - 1 <= targets.count(10.0) <= STILL + 1
+    assert STILL_COMMANDS - 1 <= targets.count(10.0) <= STILL_COMMANDS + 1
     assert step(state, HOLD, GripperReading(40.0, 400), rng) < 40.0
 
 
@@ -94,11 +96,35 @@ def test_open_gripper_ends_it() -> None:
     assert state.ended == "the gripper opened"
 
 
-def test_nothing_between_the_fingers() -> None:
-    """Assert that fingers that meet each other are an error in words."""
-    state, rng = start(HOLD), np.random.default_rng(0)
+def test_fingers_that_meet_or_never_stop() -> None:
+    """Assert that nothing between the fingers is an error, and so is motion without an end."""
+    rng, state = np.random.default_rng(0), HoldState()
     with pytest.raises(DeviceError, match="without contact"):
-        step(state, HOLD, GripperReading(0.0, ClosingSettings().last_tick), rng)
+        step(state, HOLD, GripperReading(0.0, LAST_TICK), rng)
+    state = HoldState()
+    with pytest.raises(DeviceError, match="still closing"):
+        for k in range(MOST_CLOSING_COMMANDS):
+            step(state, HOLD, GripperReading(0.0, 300 + k // 100), rng)
+
+
+@pytest.mark.parametrize("falls_back", [0, 1])
+def test_contact_is_a_position_that_stays(falls_back: int) -> None:
+    """Assert that contact is so many readings without a further position; an encoder that flickers rests."""
+    state, rng = HoldState(), np.random.default_rng(0)
+    positions = [-3, -2, *(-2 - falls_back * (k % 2) for k in range(STILL_COMMANDS))]
+    phases = [(step(state, HOLD, GripperReading(0.0, each), rng), state.phase)[1] for each in positions]
+    assert phases.count(RampPhase.CLOSING) == STILL_COMMANDS + 1
+
+
+def test_closing_on_the_simulated_drive() -> None:
+    """Assert that at the default current the simulated finger stops at the obstacle, and is found there."""
+    plant = OwnDynamics(Obstacle(at_ticks=404.0), position_ticks=400.0)
+    goals = Goals(torque=True, mode=0, goal_current_ma=10, current_limit_ma=661)
+    state, rng, now_s = HoldState(), np.random.default_rng(0), 0.0
+    while state.phase is RampPhase.CLOSING:
+        now_s += COMMAND_MS * 1e-3
+        step(state, HOLD, GripperReading(0.0, plant.advance(goals, now_s).position_ticks), rng)
+    assert state.touch_ticks == 404
 
 
 class LoggingGripper(StillGripper):
@@ -170,13 +196,6 @@ def test_failure_is_kept_for_the_recorder() -> None:
     loop, rows = run_loop(gripper, 60)
     assert isinstance(loop.error, DeviceError)
     assert len(rows) == 7
-
-
-def test_loop_can_be_stopped_before_it_starts() -> None:
-    """Assert that stopping a loop that never ran is no error."""
-    loop = GripperLoop(LoggingGripper(), lambda reading: (0.0, ""), lambda: 0)
-    loop.stop()
-    assert loop.rows() == []
 
 
 class Clock:

@@ -56,14 +56,6 @@ def test_m8_damage_is_accounted_for(tmp_path: Path, capfd: pytest.CaptureFixture
     assert "damaged" in capfd.readouterr().err
 
 
-@pytest.mark.usefixtures("words_wait")
-def test_a_sound_recording_lost_nothing(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    """Assert that nothing is said of a sound stream, and that its loss is the number 0."""
-    row = recorded("odd@0.1:0.1", 0.5, tmp_path)
-    assert (row["events"], row["lost"], row["lost_why"]) == (EVENTS_S // 2, 0, None)
-    assert [line for line in capfd.readouterr().err.splitlines() if line != row["too_slow"]] == []
-
-
 def bounded() -> None:
     """Bound the addresses of the process."""
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
