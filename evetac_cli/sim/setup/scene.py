@@ -229,12 +229,6 @@ class Scene(Table):
     motion: Annotated[FaceMotion | None, kinds("press", needed=("press",))] = None
     solver: Solver = Solver()
 
-    def __post_init__(self) -> None:
-        """Check the gripper's current; ValueError if it lasts longer than the scene."""
-        current, longest_s = self.gripper.current, self.time.longest_s
-        if current is not None and current.ends_s > longest_s:
-            raise ValueError(f"gripper.current.at_s: expected times up to time.longest_s, {longest_s:g} s")
-
     @property
     def is_gripped(self) -> bool:
         """Whether a gripper holds an object."""

@@ -79,6 +79,11 @@ def of_table(table: Mapping[str, Any], where: str) -> Scene:
         if key in given and beside:
             no_effect = f"gripper.{beside[0]} has no effect with gripper.{key}"
             raise SceneError(no_effect, where=where, expected="only one of the two")
+    current, longest_s = scene.gripper.current, scene.time.longest_s
+    if current is not None and current.ends_s > longest_s:
+        expected = f"times up to time.longest_s, {longest_s:g} s"
+        message = "gripper.current.at_s: a time is after the end of the scene"
+        raise SceneError(message, where=where, expected=expected, found=f"{current.ends_s:g} s")
     return scene
 
 
