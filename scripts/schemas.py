@@ -72,6 +72,8 @@ def _plain(rules: dict[str, Any]) -> dict[str, Any]:
     """Return msgspec's schema of a field without null, and with one schema for all entries of a list."""
     of_value, *_ = rules.pop("anyOf", [{}])
     rules |= of_value
+    # 1000 and 1000.0 are equal types, of which Python keeps the first
+    rules |= {key: int(end) for key, end in rules.items() if isinstance(end, float) and end.is_integer()}
     if "items" in rules:
         rules["items"] = _plain(rules.pop("prefixItems", [rules["items"]])[0])
     return rules
