@@ -355,7 +355,7 @@ def test_the_offset_that_would_align_is_named(recording: Path, tmp_path: Path) -
         (["arm=missing.csv"], [], "missing.csv"),
         (["arm=pose.csv:/topic"], [], "not a bag"),
         (["arm=ros1.bag:/none"], [], "no such topic"),
-        (["arm=ros1.bag"], [], "several topics"),
+        (["arm=ros1.bag"], [], "or several"),
     ],
 )
 def test_what_is_asked_for_wrongly(
